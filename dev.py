@@ -23,6 +23,13 @@ ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 STAMP = VENV / "dev-stamp.json"
 NEEDED = (3, 11)
+# Test files that need more than the extra "test": other programs that read or move the machine.
+FURTHER = {
+    "test_mujoco.py": "engines",
+    "test_symbolic.py": "engines",
+    "test_urdf.py": "engines",
+    "test_rehearsal.py": "dask",
+}
 
 
 def main() -> int:
@@ -72,9 +79,16 @@ def demo(rest: list[str]) -> int:
 
 
 def test(rest: list[str]) -> int:
-    """Run the tests."""
-    environment("test")
+    """Run the tests, or those of the files named: test --thorough, test tests/test_rig.py."""
+    environment("test", *further(rest))
     return python("-m", "pytest", *rest)
+
+
+def further(words: list[str]) -> set[str]:
+    """Return the extras of the test files named among the words; of all files if none is named."""
+    named = [Path(word.partition("::")[0]) for word in words]
+    files = [path.name for path in named if path.suffix == ".py"]
+    return {FURTHER[name] for name in files or FURTHER if name in FURTHER}
 
 
 def lint(rest: list[str]) -> int:
@@ -97,7 +111,7 @@ def check(rest: list[str]) -> int:
 
 def bench(rest: list[str]) -> int:
     """Run the benchmarks of speed, or the one named: bench closure."""
-    environment("test")
+    environment("test", "engines")
     names = rest[:1] or ["closure", "identify", "elastic"]
     paths = [ROOT / "benchmarks" / f"{Path(name).stem}.py" for name in names]
     for path in paths:
@@ -109,13 +123,13 @@ def bench(rest: list[str]) -> int:
 
 def mutate(rest: list[str]) -> int:
     """Break lines that tests guard, one at a time, and see them fail: mutate noise."""
-    environment("test")
     listed = tomllib.loads((ROOT / "tests" / "mutants.toml").read_text(encoding="utf-8"))["mutant"]
     chosen = [m for m in listed if all(word in m["name"] for word in rest)]
     if not chosen:
         raise SystemExit(f"no mutant has {' '.join(rest)} in its name: see tests/mutants.toml")
     guards = list(dict.fromkeys(test for m in chosen for test in m["tests"]))
-    if python("-m", "pytest", "-q", "-n", "0", *guards):
+    environment("test", *further(guards))
+    if python("-m", "pytest", "-q", "-n", "0", "--thorough", *guards):
         raise SystemExit("the tests that guard these lines fail already: mend them first")
     survivors = [m["name"] for m in chosen if not killed(m)]
     print(f"{len(chosen) - len(survivors)} of {len(chosen)} mutants were seen")
@@ -134,7 +148,8 @@ def killed(mutant: dict[str, Any]) -> bool:
         if text.count(mutant["old"]) != 1:
             raise SystemExit(f"{mutant['file']} has not one line {mutant['old']!r}: mend the list")
         target.write_text(text.replace(mutant["old"], mutant["new"]), encoding="utf-8")
-        ask = [str(interpreter()), "-m", "pytest", "-x", "-q", "-n", "0", *mutant["tests"]]
+        ask = [str(interpreter()), "-m", "pytest", "-x", "-q", "-n", "0", "--thorough"]
+        ask += mutant["tests"]
         paths = {**os.environ, "PYTHONPATH": str(copy)}
         seen = subprocess.call(ask, cwd=copy, env=paths, stdout=subprocess.DEVNULL) == 1
     print(f"{'seen' if seen else 'SURVIVED'}: {mutant['name']}", flush=True)

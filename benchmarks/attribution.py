@@ -1,6 +1,6 @@
 """The truth table: does closing the loop name what is wrong, and nothing where nothing is?
 
-    python benchmarks/attribution.py [--campaigns 647] [--cache FILE.jsonl] [--markdown]
+    python benchmarks/attribution.py [--campaigns 824] [--short 45] [--cache FILE.jsonl]
 
 Campaigns are simulated by the tests' own machine (`tests/rig.py`, six bars, numpy alone), never by
 the package's model. Each has joint offsets of about 1 mm and lengths of about 0.05 mm, a noise of
@@ -45,7 +45,7 @@ from benchmarks.attribution_asked import (
     well,
     wrongly_explained,
 )  # fmt: skip
-from benchmarks.attribution_cases import BACKGROUND, SHARES, Case, cases
+from benchmarks.attribution_cases import BACKGROUND, SHARES, SHORT, Case, cases
 from benchmarks.attribution_former import former
 from benchmarks.attribution_run import Record, run
 from benchmarks.attribution_table import tables
@@ -158,7 +158,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--campaigns", type=int, default=sum(SHARES.values()))
     parser.add_argument("--background", type=float, default=BACKGROUND)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", choices=SHARES, default="")
+    parser.add_argument("--only", choices=(*SHARES, *SHORT), default="")
+    parser.add_argument("--short", type=int, default=45, help="of bumps, and of short waves")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--cache", type=Path, help="JSON lines; a run goes on from here")
     parser.add_argument("--finished", action="store_true", help="tables of the cache as it is")
@@ -166,7 +167,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--failures", action="store_true", help="list what went wrong")
     parser.add_argument("--quiet", action="store_true")
     options = parser.parse_args(arguments)
-    wanted = cases(options.campaigns, options.only)
+    wanted = cases(options.campaigns, options.only, options.short)
     if options.finished:
         before = known(options.cache, options.seed, options.background)
         wanted = [c for c in wanted if c.key in before]

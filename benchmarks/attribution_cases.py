@@ -14,9 +14,9 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.effects import CATALOGUE
+from benchmarks.independent import FAMILIES, parameters, structured
 from tests import rig_campaigns as rc
-from tests.rig import LEGS, TOLERANCE, Rig, parameter_names
+from tests.rig import LEGS, ON_DIAL, TOLERANCE, Rig, parameter_names
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,6 @@ RMS = (1.0, 2.0, 4.0, 8.0, 20.0)
 LARGEST = 3.0
 """No effect is made larger than this, in tolerances of the machine file."""
 
-FAMILIES = tuple(f for f in CATALOGUE if f not in CATALOGUE.base and not CATALOGUE[f].plate)
 OUTSIDE = ("s_curve", "wavy_rail", "kinked_rail", "drive_cubic", "drive_step", "stick_slip",
            "hysteresis", "growing_lash", "cross_coupling", "warming_drive", "carriage_roll",
            "carriage_yaw", "loosening_bar", "platform_play", "dial_curve")  # fmt: skip
@@ -43,6 +42,15 @@ FAULTS = ("outlier", "knocked_stand", "swapped_sign", "swapped_labels", "wrong_u
 SHARES = {"nothing": 200, "effect": 240, "structured": 24, "pair": 60, "outside": 180, "fault": 60,
           "three": 60}  # fmt: skip
 """Campaigns of each kind in a full table."""
+
+SHORT = ("bump", "short_wave")
+"""Kinds of errors that are shorter than the distance of the stations: tables of their own."""
+
+SHORT_SIZES = (0.05, 0.1, 0.2)  # millimetres
+SHORT_SHEETS = ("sweep", "two-gauges")
+BUMP_WIDTH = (0.006, 0.010)  # metres, standard deviation of the bell
+BUMP_MISSES = 0.004  # metres by which its top lies off a station at most
+WAVE_PERIOD = (0.006, 0.014)  # metres
 
 FIRST_SIZE = 1e-4
 """Metres: size at which something outside the catalogue is tried first."""
@@ -53,10 +61,10 @@ class Case:
     """One campaign to simulate.
 
     Attributes:
-        kind: nothing, effect, structured, pair, three, outside or fault.
+        kind: nothing, effect, structured, pair, three, outside, fault, bump or short_wave.
         what: family, or kind of fault; families joined by + where there are several.
         protocol: of the readings.
-        rms: wanted size, in sigmas of averaged readings.
+        rms: wanted size, in sigmas of averaged readings; of short errors in millimetres.
         round: distinguishes cases that are otherwise alike.
     """
 
@@ -76,16 +84,17 @@ class Case:
         return np.random.default_rng([seed, crc32(self.key.encode())])
 
 
-def cases(campaigns: int, only: str = "") -> list[Case]:
-    """Cases of a table with about that many campaigns; a smaller table is part of a larger one."""
+def cases(campaigns: int, only: str = "", short: int = 0) -> list[Case]:
+    """Return the cases of a table with about that many campaigns, and so many of each short kind;
+    a smaller table is part of a larger one.
+    """
     total = sum(SHARES.values())
+    counts = {kind: max(1, round(share * campaigns / total)) for kind, share in SHARES.items()}
     found: list[Case] = []
-    for kind, share in SHARES.items():
-        if only and kind != only:
-            continue
-        count = max(1, round(share * campaigns / total))
-        source = _endless(kind)
-        found += [next(source) for _ in range(count)]
+    for kind, count in (counts | dict.fromkeys(SHORT, short)).items():
+        if not only or kind == only:
+            source = _endless(kind)
+            found += [next(source) for _ in range(count)]
     return found
 
 
@@ -103,10 +112,14 @@ def _grid(kind: str, number: int) -> list[tuple[str, str, float]]:
     if kind == "effect":
         return [(f, p, rms) for f in FAMILIES for p in PROTOCOLS for rms in RMS]
     if kind == "structured":
-        shaped = [f for f in FAMILIES if CATALOGUE[f].group != "dial" and CATALOGUE.structured(f)]
+        shaped = [f for f in FAMILIES if f not in ON_DIAL and structured(f)]
         return [(f, p, rms) for f in shaped for p in PROTOCOLS for rms in (5.0, 15.0)]
     if kind == "outside":
         return [(f, p, rms) for f in OUTSIDE for p in SWEEPS for rms in (6.0, 12.0)]
+    if kind in SHORT:
+        where = ("rail.b", "rail.c", "drive") if kind == "bump" else ("drive",)
+        sheets = SHORT_SHEETS if kind == "bump" else SWEEPS
+        return [(w, p, mm) for w in where for p in sheets for mm in SHORT_SIZES]
     if kind == "fault":
         return [(f, p, 0.0) for f in FAULTS for p in PROTOCOLS]
     count, sizes = (3, (10.0, 30.0)) if kind == "three" else (2, (6.0, 15.0))
@@ -205,7 +218,7 @@ def effect(
     """A member of a family, either sign, at one tolerance."""
     sign = float(rng.choice([-1.0, 1.0])) * tolerance
     if shaped:
-        members = CATALOGUE.structured(family)
+        members = structured(family)
         name = str(rng.choice(sorted(members)))
         return Cause(name, family, {n: sign * w for n, w in members[name].items()})
     if family == "screw_error":
@@ -213,8 +226,7 @@ def effect(
         waves = {"sin": np.cos(phase), "cos": np.sin(phase)}
         errors = {f"{family}.{leg}.{n}": tolerance * float(v) for n, v in waves.items()}
         return Cause(f"{family}.{leg}", family, errors)
-    names = [n for n in parameter_names(setups) if n.partition(".")[0] == family]
-    name = str(rng.choice(names))
+    name = str(rng.choice(parameters(family, setups)))
     return Cause(name, family, {name: sign})
 
 
@@ -256,6 +268,27 @@ def outside(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> Cause:
     # Its sawtooth comes later by the side of approach: one of travel, and lost motion.
     also = (f"{drive}/approach",) if kind == "stick_slip" else ()
     return Cause(kind, kind, {}, extra, into, (place, *also))
+
+
+def short_error(case: Case, rows: list[rc.Row], rng: np.random.Generator) -> tuple[Cause, float]:
+    """A bump or a wave that is shorter than the distance of the stations, and its size, metres."""
+    leg, size = int(rng.integers(3)), case.rms * 1e-3 * float(rng.choice([-1.0, 1.0]))
+    own, drive = LEGS[leg], f"drive.{LEGS[leg]}"
+    if case.kind == "short_wave":
+        period, phase = float(rng.uniform(*WAVE_PERIOD)), float(rng.uniform(0, 2 * np.pi))
+        places = (f"{drive}/travel", f"{drive}/waves")
+        return Cause(case.kind, case.kind, {}, lambda v: rc.drive_wave(leg, v, period, phase),
+                     places=places), size  # fmt: skip
+    along = case.what == "drive"
+    # A drive shows in the readings on the other legs, a rail in those on its own.
+    own_rows = [row for row in rows if (row["leg"] == own) != along]
+    travel = sorted({row[rc.RHO[leg]] * 1e-3 - Rig().L for row in own_rows})
+    at = float(rng.choice(travel)) + float(rng.uniform(-BUMP_MISSES, BUMP_MISSES))
+    width = float(rng.uniform(*BUMP_WIDTH))
+    axis = leg if along else (leg + 1 + (case.what == "rail.c")) % 3
+    where = drive if along else f"rail.{own}.{LEGS[axis]}"
+    return Cause(case.kind, case.kind, {}, lambda v: rc.bump(leg, axis, v, at, width),
+                 places=(f"{where}/travel", f"{where}/waves")), size  # fmt: skip
 
 
 def spoil(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> rc.Fault:

@@ -31,12 +31,8 @@ import numpy as np
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from orthoglide.fit import identify
-from orthoglide.geometry import LEGS
-from orthoglide.machine import Machine
-from orthoglide.machine_file import Dial, MachineFile
-from orthoglide.observations import Campaign
-from tests.rig import TOLERANCE, Rig
+import orthoglide as og
+from tests.rig import LEGS, TOLERANCE, Rig
 from tests.rig_campaigns import protocol_rows, simulate
 
 CASES = {
@@ -55,7 +51,7 @@ PLANS = (
 NAMES = tuple(f"{family}.{leg}" for family in OFFSETS + LENGTHS for leg in LEGS)
 FIXED_MACHINES = 5
 WITNESSES = 5  # campaigns a case and plan that the general mechanism's programme solves as well
-DIAL = Dial(resolution=1e-5, repeatability=1e-5, placement=1e-3)
+DIAL = og.Dial(resolution=1e-5, repeatability=1e-5, placement=1e-3)
 
 
 @dataclass(frozen=True)
@@ -78,15 +74,15 @@ class Outcome:
 
 
 @cache
-def machine() -> Machine:
-    return Machine(MachineFile(dial=DIAL))
+def machine() -> og.Machine:
+    return og.Machine(og.MachineFile(dial=DIAL))
 
 
 @cache
-def sheet(protocol: str) -> Campaign:
+def sheet(protocol: str) -> og.Campaign:
     rows = [{**row, "reading_mm": 0.0} for row in protocol_rows(protocol)]
     columns = {name: [row[name] for row in rows] for name in rows[0]}
-    return Campaign.from_frame(columns, name=protocol, require_readings=False)
+    return og.Campaign.from_frame(columns, name=protocol, require_readings=False)
 
 
 def truth(case: str, free: Sequence[str], rng: np.random.Generator, k: int) -> dict[str, float]:
@@ -118,15 +114,16 @@ def measure(case: str, plan: int, k: int, seed: int) -> Outcome:
     )
     readings = 1e-3 * np.array([row["reading_mm"] for row in rows])
     campaign = sheet(protocol).with_readings(readings)
-    found = identify(campaign, machine(), free, priors=case != "a", method="reduction")
+    found = og.identify(campaign, machine(), free, priors=case != "a", method="reduction")
     covered = {}
     for name, value in real.items():
         low, high = found.interval(name)
         covered[name] = bool(low <= value <= high)
     difference = float("nan")
     if k < WITNESSES:
-        witness = identify(campaign, machine(), free, priors=case != "a", method="nlp")
-        difference = float(np.max(np.abs(witness.x - found.x)))
+        witness = og.identify(campaign, machine(), free, priors=case != "a", method="nlp")
+        apart = [witness.values[name] - found.values[name] for name in found.names]
+        difference = float(np.max(np.abs(apart)))
     return Outcome(case, plan, covered, found.sigma_scale > 1, difference)
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.machine import Machine
-from orthoglide.observations import ToolCampaign, readings_from_rows
-from orthoglide.result.corrections import PROBED
+import orthoglide as og
+from benchmarks.public import tool_campaign
 from tests.rig_delta import DeltaRig
 
 Array = NDArray[np.float64]
@@ -32,6 +33,10 @@ SEEN = {
 NOISE = {"plate": 1.8e-5, "distance": 5e-5, "incline": 2e-5, "tcp": 1e-5}
 """Standard deviation of one reading, metres or radians: a probe's touch and a calliper's distance
 as owners repeat them, a level of 0.02 mm a metre, a measuring arm's best."""
+
+PROBED = (0.95, 0.90, 0.85, 0.70, 0.75, 0.80)
+"""Radii of a firmware's own seven points over its calibration radius; on rays at 90, 150 ...
+degrees, with one in the centre."""
 
 _REACH, _ROUND = 0.12, 0.09
 
@@ -63,9 +68,9 @@ def measured(
     rig: DeltaRig,
     rng: np.random.Generator | None = None,
     *,
-    machine: Machine,
+    machine: og.Machine,
     instrument: str,
-) -> ToolCampaign:
+) -> og.ToolCampaign:
     """A campaign of one set of instruments.
 
     Args:
@@ -79,13 +84,54 @@ def measured(
         rows += _rows(kind, rig, rng, machine)
     columns = list(dict.fromkeys(name for row in rows for name in row))
     full = [{name: row.get(name, "") for name in columns} for row in rows]
-    (found,) = readings_from_rows(full, machine.spec, name="case")
-    assert isinstance(found, ToolCampaign)
-    return found
+    return tool_campaign(full, machine)
+
+
+def commands_of(kind: str, rig: DeltaRig) -> list[Array]:
+    """Return the commands ``(n, 3)`` of all places that an instrument reads; of distances twice."""
+    return [np.array([rig.inverse(p) for p in at]) for at in _spots(kind) if at is not None]
+
+
+def exact(kind: str, rig: DeltaRig, poses: Sequence[Sequence[tuple[Array, Array]]]) -> Array:
+    """Return what an instrument reads without noise or nuisances ``(n,)``, metres or radians.
+
+    Args:
+        kind: of the instrument.
+        rig: for its plate.
+        poses: tool and rotation vector at every place; of distances at both ends.
+    """
+    first = poses[0]
+    if kind in ("plate", "seven"):
+        return np.array([p[2] - rig.plate(p[0], p[1], _REACH) for p, _ in first])
+    if kind == "distance":
+        pairs = zip(first, poses[1], strict=True)
+        return np.array([np.linalg.norm(other[0] - one[0]) for one, other in pairs])
+    if kind == "incline":
+        return np.array([turn[axis] for _, turn in first for axis in (0, 1)])
+    return np.array([p[axis] for p, _ in first for axis in (0, 1, 2)])
+
+
+def nuisances(kind: str, value: Array) -> tuple[Array, Array]:
+    """Return columns of an instrument's nuisances, free ``(n, q)`` and at one standard deviation of
+    their prior ``(n, k)``: a plate's height and slopes; a part's shrinkage and the width of its
+    pillars; the datums of a level; the frame of a tracker.
+    """
+    places = _spots(kind)[0]
+    none = np.zeros((len(value), 0))
+    if kind in ("plate", "seven"):
+        return np.column_stack([np.ones(len(places)), places[:, :2]]), none
+    if kind == "distance":
+        return none, np.column_stack([0.01 * value, np.full(len(value), 2e-4)])
+    count = 2 if kind == "incline" else 3
+    datums = np.tile(np.eye(count), (len(places), 1))
+    if kind == "incline":
+        return datums, none
+    turns = np.stack([np.cross(e, places).ravel() for e in np.eye(3)], axis=1)
+    return np.hstack([datums, turns]), none
 
 
 def _rows(
-    kind: str, rig: DeltaRig, rng: np.random.Generator | None, machine: Machine
+    kind: str, rig: DeltaRig, rng: np.random.Generator | None, machine: og.Machine
 ) -> list[dict[str, str]]:
     noise = rng if rng is not None else np.random.default_rng(0)
     much = 0.0 if rng is None else 1.0

@@ -22,7 +22,6 @@ from benchmarks.attribution_asked import (
 from benchmarks.attribution_run import Record
 from benchmarks.attribution_table import Table
 from benchmarks.delta_readings import INSTRUMENTS
-from orthoglide.errors import InputError
 
 UNSEEN = 3.0
 """A cause is invisible that shows less than this in all readings together, in sigmas."""
@@ -58,7 +57,7 @@ def seen(record: Record) -> bool:
 
 def ending(record: Record) -> str:
     """How a campaign ended, one of `ENDS`."""
-    if record["word"] == "error" and record["message"].startswith(InputError.__name__):
+    if record["word"] == "error" and record["message"].startswith("InputError"):
         return "refused"
     if record["word"] != "adequate":
         return str(record["word"])

@@ -31,21 +31,21 @@ from zlib import crc32
 
 import numpy as np
 
-from benchmarks.attribution_run import Record, metric, rms_of
+import orthoglide as og
+from benchmarks import public
+from benchmarks.attribution_run import Record
 from benchmarks.attribution_table import Table
 from benchmarks.delta_readings import INSTRUMENTS, SEEN, Array, measured
 from benchmarks.delta_table import UNSEEN, tables
-from orthoglide.closing import Verdict, close_loop
-from orthoglide.diagnosis.signatures import Signatures, signatures
-from orthoglide.effects import catalogue_of
-from orthoglide.effects.printers import of_printers
-from orthoglide.errors import OrthoglideError
-from orthoglide.fit import identify
-from orthoglide.geometry import Geometry
-from orthoglide.layout import LinearDelta
-from orthoglide.machine import Machine
-from orthoglide.machine_file import Instrument, MachineFile
-from orthoglide.rehearsal.outcome import said
+from benchmarks.independent import family_of, metric
+from benchmarks.independent_delta import (
+    TOLERANCE,
+    WIDER,
+    DeltaVisible,
+    machine_parameters,
+    visible as visible_by,
+    weights_of,
+)
 from tests.rig_delta import LEGS, DeltaRig
 
 BACKGROUND, LARGEST = 0.015, 3.0
@@ -148,31 +148,26 @@ def cases(campaigns: int) -> list[Case]:
 
 
 @cache
-def machine() -> Machine:
+def machine() -> og.Machine:
     """The nominal machine of the rig, with a printer's tolerances."""
     rig = DeltaRig()
-    layout = LinearDelta((rig.radius,) * 3, rig.angles, rig.tool)
-    geometry = Geometry(rig.L, rig.d, rig.r, rig.stroke, layout)
-    noise = {kind: Instrument(repeatability=sigma) for kind, sigma in
+    layout = og.LinearDelta((rig.radius,) * 3, rig.angles, rig.tool)
+    geometry = og.Geometry(rig.L, rig.d, rig.r, rig.stroke, layout)
+    noise = {kind: og.Instrument(repeatability=sigma) for kind, sigma in
              (("plate", 1.8e-5), ("distance", 5e-5), ("incline", 2e-5), ("tcp", 1e-5))}  # fmt: skip
-    return Machine(
-        MachineFile(
-            geometry=geometry,
-            instruments=noise,
-            tolerance=of_printers(catalogue_of(LinearDelta.names)),
-        )
-    )
+    wider = {f: TOLERANCE[f] for f in WIDER}
+    return og.Machine(og.MachineFile(geometry=geometry, instruments=noise, tolerance=wider))
 
 
 def _drawn(rng: np.random.Generator, much: float) -> DeltaRig:
     """A machine with its base errors, and a share of its tolerances of everything else."""
-    catalogue, errors = machine().catalogue, {}
-    for name in catalogue.parameters:
-        base = {"joint_offset": 5e-4, "axis_offset": 3e-4, "leg_length": 2e-5}.get(name.effect)
-        known = name.effect in of_printers(catalogue)
-        sd = base or (much * machine().tolerance(name) if known else 0.0)
-        if name.effect != "backlash":  # everything arrives downwards
-            errors[str(name)] = sd * float(rng.standard_normal())
+    errors = {}
+    for name in machine_parameters():
+        family = family_of(name)
+        base = {"joint_offset": 5e-4, "axis_offset": 3e-4, "leg_length": 2e-5}.get(family)
+        sd = base or (much * TOLERANCE[family] if family in WIDER else 0.0)
+        if family != "backlash":  # everything arrives downwards
+            errors[name] = sd * float(rng.standard_normal())
     return DeltaRig(errors=errors)
 
 
@@ -186,11 +181,10 @@ def _cause(case: Case, rng: np.random.Generator) -> Cause:
 def _named(name: str, sign: float) -> Cause:
     """A cause of the catalogue at one tolerance, with a sign."""
     family = name.partition(".")[0]
-    size = sign * machine().tolerance(machine().catalogue.parameter(name, ["bed"]))
+    size = sign * TOLERANCE[family]
     if family.startswith("plate"):
         return Cause(name, family, {name: size})
-    return Cause(name, family, {str(n): w * size for n, w in
-                                machine().catalogue.elementary(name).items()})  # fmt: skip
+    return Cause(name, family, {n: w * size for n, w in weights_of(name).items()})
 
 
 def _strange(kind: str, rng: np.random.Generator) -> Cause:
@@ -247,47 +241,52 @@ def run(case: Case, seed: int) -> Record:
         rig, given = bare, partial(measured, machine=machine(), instrument=case.instrument)
         if case.kind in ("effect", "outside"):
             cause = _cause(case, rng)
-            seen = signatures(identify(given(bare, rng), machine()))
-            exact, blurred = given(bare), partial(_past_background, seen)
-            one = seen.whiten(given(cause.added_to(bare, 1.0)).reading - exact.reading)
-            small = rms_of(blurred(one), seen)
+            given(bare, rng)  # sizes were once taken from readings: the draws stay the same
+            seen = visible_by(INSTRUMENTS[case.instrument], BACKGROUND)
+            one = _added(given, cause.added_to(bare, 1.0), bare)
+            small = _rms(seen.beside.past(one), seen)
             size = min(case.rms / max(small, 1e-12), LARGEST if cause.extra is None else 20.0)
             rig = cause.added_to(bare, size)
-            shown = seen.whiten(given(rig).reading - exact.reading)
-            wide = replace(seen, columns=blurred(seen.columns))
-            truth = metric(blurred(shown), wide, cause, np.zeros((0, 0)))
-            truth |= {"size": float(size), "sigmas": float(np.linalg.norm(shown))}
+            shown = _added(given, rig, bare)
+            blurred = seen.beside.past(shown)
+            truth = metric(blurred, seen.candidates(beside=True), (cause.name, cause.family))
+            truth |= {"rms": _rms(blurred, seen), "places": cause.places, "size": float(size)}
+            truth["sigmas"] = float(np.linalg.norm(seen.whitener.past(shown)))
             record["truth"] = [truth | {"errors": list(cause.errors)}]
-        verdict = close_loop([given(rig, rng)], machine())
-        found = said(verdict)
-        record |= {"word": verdict.word, "blunders": len(verdict.blunders), **found}
-        record["loud"] = any(note.kind == "loud" for note in verdict.warnings)
-        record["invisible"] = [*map(str, verdict.invisible), *verdict.unexcited]
+        verdict = og.close_loop([given(rig, rng)], machine())
+        result = public.verdict_of(verdict)
+        record |= {"word": result["verdict"], "blunders": len(result["blunders"])}
+        record |= public.said(result)
+        record["loud"] = public.warned_of_noise(verdict)
+        record["invisible"] = public.unseen_of(verdict)
         record["tool_mm"] = _errors(rig, verdict)
-    except OrthoglideError as error:
-        record |= {"word": "error", "message": f"{type(error).__name__}: {error}"}
+    except og.OrthoglideError as error:
+        record |= {"word": "error", "message": public.error_text(error)}
     return record | {"seconds": round(time.perf_counter() - began, 2)}
 
 
-def _past_background(seen: Signatures, shown: Array) -> Array:
-    """What readings show ``(m, ...)`` in sigmas of the noise and of a machine's background."""
-    columns = BACKGROUND * seen.columns * seen.tolerance
-    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
-    shrunk = left * (1 - 1 / np.sqrt(1 + singular**2))
-    return np.asarray(shown - shrunk @ (left.T @ shown))
+def _added(
+    given: Callable[[DeltaRig], og.ToolCampaign], rig: DeltaRig, bare: DeltaRig
+) -> Array:  # fmt: skip
+    """Return what a machine's readings have beside those of another, without noise ``(n,)``."""
+    return np.asarray(given(rig).reading - given(bare).reading)
 
 
-def _errors(rig: DeltaRig, verdict: Verdict) -> list[float]:
+def _rms(shown: Array, seen: DeltaVisible) -> float:
+    """Return the root mean square over the readings, in sigmas."""
+    return float(np.linalg.norm(shown) / np.sqrt(seen.count))
+
+
+def _errors(rig: DeltaRig, verdict: og.Verdict) -> list[float]:
     """Mean error of the predicted tool over the print, best rigid motion of the plate removed."""
     t, z = np.arange(12) * np.pi / 6, np.tile([0.0, 0.05], 6)
     p = np.stack([0.1 * np.cos(t), 0.1 * np.sin(t), z], axis=1)
     command = machine().inverse(p)
     true = np.array([rig.pose(s, q)[0] for s, q in zip(command, p, strict=True)])
     found = []
-    for values in ({}, verdict.values_before, verdict.values):
-        effect_of = verdict.machine.catalogue.effect_of  # places without a name among them
-        own = {n: v for n, v in values.items() if not effect_of(n).of_dial}
-        apart = verdict.machine.with_only(own).forward(command) - true
+    base = machine().with_parameters(public.base_of(verdict, TOLERANCE))
+    for predicted in (machine(), base, verdict.machine):
+        apart = predicted.forward(command) - true
         turns = np.stack([np.cross(e, p) for e in np.eye(3)], axis=2)
         columns = np.concatenate([np.tile(np.eye(3), (len(p), 1, 1)), turns], axis=2)
         columns = columns.reshape(-1, 6)
@@ -302,6 +301,8 @@ def collect(wanted: Sequence[Case], seed: int, jobs: int, kept: Path | None) -> 
     lines = kept.read_text().splitlines() if kept and kept.exists() else []
     before = {r["key"]: r for r in map(json.loads, lines) if r["seed"] == seed}
     missing = [c for c in wanted if c.key not in before]
+    for instrument in INSTRUMENTS if any(c.kind in ("effect", "outside") for c in missing) else ():
+        visible_by(INSTRUMENTS[instrument], BACKGROUND)  # once for all processes
     with multiprocessing.get_context("fork").Pool(jobs) as pool:
         for record in pool.imap_unordered(partial(run, seed=seed), missing):
             before[record["key"]] = record
@@ -316,13 +317,13 @@ def visible() -> Table:
     rows, columns = [["", *SEEN]], list[list[str]]()
     for instrument in SEEN:
         given = partial(measured, machine=machine(), instrument=instrument)
-        exact, cells = given(DeltaRig()), list[str]()
-        seen = signatures(identify(exact, machine()))
+        cells, seen = list[str](), visible_by(SEEN[instrument], BACKGROUND)
+        candidates = seen.candidates(beside=False)
         for what in CAUSES:
             name = CAUSES[what][0].replace("@", "b")
             cause = _named(name, 1.0)
-            shown = seen.whiten(given(cause.added_to(DeltaRig(), 1.0)).reading - exact.reading)
-            found = metric(shown, seen, cause, np.zeros((0, 0)))
+            shown = _added(given, cause.added_to(DeltaRig(), 1.0), DeltaRig())
+            found = metric(seen.whitener.past(shown), candidates, (cause.name, cause.family))
             others = f", {found['same']} alike" if found["same"] else ""
             norm = found["norm"]
             # Not rounded up to three.
@@ -346,8 +347,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--cache", type=Path, help="JSON lines; a run goes on from here")
+    parser.add_argument("--finished", action="store_true", help="tables of the cache as it is")
     options = parser.parse_args(arguments)
-    found = collect(cases(options.campaigns), options.seed, options.jobs, options.cache)
+    wanted = cases(options.campaigns)
+    if options.finished:
+        lines = map(json.loads, options.cache.read_text().splitlines())
+        there = {r["key"] for r in lines if r["seed"] == options.seed}
+        wanted = [c for c in wanted if c.key in there]
+    found = collect(wanted, options.seed, options.jobs, options.cache)
     few = FEW if options.campaigns < 300 else ""
     print(HEAD.format(campaigns=options.campaigns) + few)
     for table in (visible(), *tables(found)):

@@ -12,20 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import held_out
-from orthoglide.closing import Verdict, close_loop
-from orthoglide.effects.plates import own_shapes
-from orthoglide.klipper import import_printer
-from orthoglide.machine import Machine
-from orthoglide.machine_file import Firmware
-from orthoglide.observations import ToolCampaign
-from orthoglide.report.wording import claim
+import orthoglide as og
+from benchmarks import held_out, public
 
 DATA = Path(__file__).parents[1] / "tests" / "data" / "delta"
 STEPS_A_MM = 106.667
 """Of the 41 points, as their source says."""
 
-SIZES = dict.fromkeys(1e3 * size for _, size in own_shapes(np.zeros((1, 2))))
+SIZES = dict.fromkeys(1e3 * size for size in public.sizes_of_plates())
 
 MOST, IN_FULL = 3, "mesh-default_25Probe alone"
 """Members of a class that are listed, and the campaign of which all are."""
@@ -135,10 +129,10 @@ t1-mnemonic3d is the printer of t1-stock at another time.
 """
 
 
-def forty_one_points() -> tuple[ToolCampaign, Machine]:
+def forty_one_points() -> tuple[og.ToolCampaign, og.Machine]:
     """The 41 touches, through the stored numbers of a machine of that make, widely tolerated."""
-    stock = import_printer(DATA / "t1-stock.cfg")
-    firmware = Firmware.of(stock.machine.provenance["klipper"])
+    stock = og.import_printer(DATA / "t1-stock.cfg")
+    firmware = public.firmware_of(stock)
     rows = list(csv.DictReader((DATA / "t1-41.csv").read_text().splitlines()))
     steps = np.array([[float(row[f"steps_{leg}"]) for leg in "abc"] for row in rows])
     zero = float(np.sqrt(stock.machine.geometry.L**2 - firmware.delta_radius**2))
@@ -156,16 +150,16 @@ def forty_one_points() -> tuple[ToolCampaign, Machine]:
     geometry = replace(stock.machine.geometry, stroke=(-0.17, 0.5))
     wide = {"joint_offset": 5e-3, "axis_offset": 4e-3, "leg_length": 1e-3}
     tolerance = {**stock.machine.tolerance, **wide}
-    return campaign, Machine(
+    return campaign, og.Machine(
         replace(stock.machine, geometry=geometry, tolerance=tolerance, provenance={})
     )
 
 
-def cases() -> Iterator[tuple[str, Sequence[ToolCampaign], Machine]]:
+def cases() -> Iterator[tuple[str, Sequence[og.ToolCampaign], og.Machine]]:
     """All of every file, and what is asked for by itself."""
     for path in sorted(DATA.glob("*.cfg")):
-        found = import_printer(path)
-        machine = Machine(found.machine)
+        found = og.import_printer(path)
+        machine = og.Machine(found.machine)
         yield path.stem, found.campaigns, machine
         meshes = [c for c in found.campaigns if c.name.startswith("mesh")]
         if len(meshes) > 1:
@@ -177,7 +171,7 @@ def cases() -> Iterator[tuple[str, Sequence[ToolCampaign], Machine]]:
     yield "t1-41", [campaign], machine
 
 
-def told(name: str, campaigns: Sequence[ToolCampaign], verdict: Verdict) -> Iterator[str]:
+def told(name: str, campaigns: Sequence[og.ToolCampaign], verdict: og.Verdict) -> Iterator[str]:
     """A section on one machine."""
     before, after = verdict.before.scores, verdict.after.scores
     yield f"\n### {name}\n"
@@ -186,7 +180,7 @@ def told(name: str, campaigns: Sequence[ToolCampaign], verdict: Verdict) -> Iter
         f"found: {after.rms * 1e3:.3f} mm. Verdict: **{verdict.word}**.\n"
     )
     if verdict.word == "unexplained":
-        yield f"{claim(verdict)}\n"
+        yield f"{public.claim_of(verdict)}\n"
     if verdict.effects:
         yield f"{certain(verdict)}\n"
     for cause in verdict.effects:
@@ -202,11 +196,11 @@ def told(name: str, campaigns: Sequence[ToolCampaign], verdict: Verdict) -> Iter
         yield f"First of what would tell: {suggestion.reason.removeprefix(TO_TELL)}."
 
 
-def certain(verdict: Verdict) -> str:
+def certain(verdict: og.Verdict) -> str:
     """What is certain and what is not where causes are named, and what the firmware would see."""
-    of, classes = verdict.catalogue.effect_of, [c.explanations for c in verdict.effects]
+    classes = [c.explanations for c in verdict.effects]
     many = len(classes) > 1
-    plate = [sum(e.probability for e in every if of(e.name).plate) for every in classes]
+    plate = [sum(e.probability for e in every if e.name.startswith("plate_")) for every in classes]
     text = (
         f"Certain: endstops, radius, angles and arms do not explain these readings, and one cause "
         f"{'of each class ' * many}below is enough to. Not certain: which. The likeliest has "
@@ -232,7 +226,7 @@ def page() -> str:
     """The page."""
     lines = [HEAD.format(sizes=", ".join(f"{size:g}" for size in SIZES))]
     for name, campaigns, machine in cases():
-        lines += told(name, campaigns, close_loop(list(campaigns), machine))
+        lines += told(name, campaigns, og.close_loop(list(campaigns), machine))
     lines += [UNUSED, *held_out.table(held_out.every())]
     return "\n".join(lines).rstrip() + "\n"
 

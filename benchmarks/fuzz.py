@@ -46,7 +46,7 @@ from benchmarks.fuzz_mutations import spoil_config, spoil_json, spoil_table, spo
 from benchmarks.fuzz_originals import originals
 from benchmarks.fuzz_printers import misread
 from benchmarks.fuzz_verdicts import Judged, judged, report
-from orthoglide.cli import cli
+from benchmarks.public import command_line
 
 LIMIT = 10.0
 """Seconds of processor time that a small input may take."""
@@ -168,7 +168,7 @@ def run_case(case: Case, folder: Path) -> tuple[str, int]:
     os.chdir(folder)
     try:
         with limited(LIMIT):
-            result = CliRunner().invoke(cli, case.arguments)
+            result = CliRunner().invoke(command_line(), case.arguments)
         return promised(case, result), result.exit_code
     except Late as late:
         return f"takes longer than {late}", -1

@@ -10,12 +10,8 @@ from pathlib import Path
 
 from click.testing import CliRunner
 
-from orthoglide.cli import cli
-from orthoglide.fit.tool import ToolReadings
-from orthoglide.machine import Machine
-from orthoglide.machine_file import machine_text
-from orthoglide.observations import campaign_text, csv_text, read_readings, tcp_rows
-from orthoglide.simulation import simulate, simulate_tcp
+import orthoglide as og
+from benchmarks.public import campaign_text, command_line, machine_text, predicted, tcp_text
 
 _ERRORS = {"joint_offset.x": 0.8e-3, "leg_length.z": 0.06e-3, "axis_tilt.y.z": 1e-3}
 _LEGS = """schema = 1
@@ -97,10 +93,10 @@ def _tool() -> str:
     with tempfile.TemporaryDirectory() as folder:
         (machine := Path(folder, "legs.toml")).write_text(_LEGS)
         (sheet := Path(folder, "tool.csv")).write_text("\n".join(lines) + "\n")
-        legs = Machine.load(machine)
-        (campaign,) = read_readings(sheet, legs.spec)
-    read = ToolReadings.of(campaign, legs).predict(legs.model, {"joint_offset.p": 3e-4})
-    return campaign_text(replace(campaign, reading=read), legs.spec)
+        legs = og.Machine.load(machine)
+        (campaign,) = og.read_readings(sheet, legs.spec)
+    read = predicted(campaign, legs, {"joint_offset.p": 3e-4})
+    return campaign_text(replace(campaign, reading=read), legs)
 
 
 @cache
@@ -109,30 +105,30 @@ def originals() -> dict[str, str]:
     data = files("orthoglide") / "data"
     campaign = (data / "experiment2.csv").read_text()
     small = "\n".join(campaign.splitlines()[:7]) + "\n"
-    machine = Machine.nominal().with_parameters(_ERRORS)
-    points = csv_text(tcp_rows(simulate_tcp(machine, seed=0)))
+    machine = og.Machine.nominal().with_parameters(_ERRORS)
+    points = tcp_text(og.simulate_tcp(machine, seed=0))
     tcp = "\n".join(points.splitlines()[:13]) + "\n"
     with tempfile.TemporaryDirectory() as folder:
         sound, out = Path(folder, "small.csv"), Path(folder, "out")
         sound.write_text(small)
-        CliRunner().invoke(cli, ["identify", str(sound), "--quiet", "--out", str(out)])
+        CliRunner().invoke(command_line(), ["identify", str(sound), "--quiet", "--out", str(out)])
         result = (out / "result.json").read_text()
     with tempfile.TemporaryDirectory() as folder:
         stored, out = Path(folder, "printer.cfg"), Path(folder, "out")
         stored.write_text(_PRINTER)
-        CliRunner().invoke(cli, ["import", "klipper", str(stored), "--out", str(out)])
+        CliRunner().invoke(command_line(), ["import", "klipper", str(stored), "--out", str(out)])
         delta, mesh = ((out / n).read_text() for n in ("machine.toml", "mesh-default.csv"))
     with tempfile.TemporaryDirectory() as folder:
-        CliRunner().invoke(cli, ["protocol", "--out", str(Path(folder, "sheet.csv"))])
+        CliRunner().invoke(command_line(), ["protocol", "--out", str(Path(folder, "sheet.csv"))])
         sheet = Path(folder, "sheet.csv").read_text()
     path = "p_x_mm,p_y_mm,p_z_mm\n0,0,0\n10,0,-5\n-20,15,3\n"
     travel = "travel_a_mm,travel_b_mm,travel_c_mm\n0,0,0\n5,-3,2.5\n"
     rho = "rho_x_mm,rho_y_mm,rho_z_mm\n310.25,310.25,310.25\n300,305,309\n"
     return {
-        "campaign": campaign, "small": small, "machine": machine_text(machine.spec), "tcp": tcp,
+        "campaign": campaign, "small": small, "machine": machine_text(machine), "tcp": tcp,
         "result": result, "path": path, "rho": rho, "printer": _PRINTER,
         "calibrated printer": _STORED.read_text(), "delta": delta, "mesh": mesh,
-        "simulated": campaign_text(simulate(machine, seed=0)), "travel": travel,
+        "simulated": campaign_text(og.simulate(machine, seed=0)), "travel": travel,
         "legs": _LEGS, "tool": _tool(), "travel of legs": travel.replace("_a_", "_p_")
         .replace("_b_", "_q_").replace("_c_", "_s_"), "sheet": sheet,
     }  # fmt: skip

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from orthoglide.geometry import Array
+from tests.rig import Array
 
 _TURN = 200.0  # full steps
 _SAME = 2e-6  # mm

@@ -15,11 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from orthoglide.accuracy import tcp_map, without_place
-from orthoglide.closing import Verdict, close_loop
-from orthoglide.errors import OrthoglideError
-from orthoglide.machine import Machine
-from orthoglide.observations import Campaign
+import orthoglide as og
+from benchmarks import public
 from tests import rig_campaigns as rc
 from tests.rig import LEGS, Array, Rig
 
@@ -105,8 +102,8 @@ KINDS: dict[str, _Move | None] = {
 
 
 @cache
-def _machine(declared: bool) -> Machine:
-    return Machine.load(_RIG) if declared else Machine.nominal()
+def _machine(declared: bool) -> og.Machine:
+    return og.Machine.load(_RIG) if declared else og.Machine.nominal()
 
 
 def judged(number: int) -> Judged:
@@ -132,33 +129,31 @@ def judged(number: int) -> Judged:
     moved = np.abs(shown - before) > _STEP / 2
     most = float(np.max(np.abs(shown - before))) / sigma
     try:
-        campaign = Campaign.from_frame(columns, name="moved", machine_file=judge.spec)
-        verdict = close_loop(campaign, judge)
-    except OrthoglideError:
+        campaign = og.Campaign.from_frame(columns, name="moved", machine_file=judge.spec)
+        verdict = og.close_loop(campaign, judge)
+    except og.OrthoglideError:
         return Judged(number, kind, "refused", moved=most)
     told = bool(verdict.blunders) or any(w.kind in _SAID for w in verdict.after.warnings)
     beyond = _beyond(verdict, rig) if verdict.word == "adequate" else float("nan")
     return Judged(number, kind, verdict.word, told, most, _off(verdict, moved), beyond)
 
 
-def _off(verdict: Verdict, moved: Array) -> float:
+def _off(verdict: og.Verdict, moved: Array) -> float:
     """Largest residual of the rows that were moved and not set aside, stated sigmas."""
     aside = [row for fault in verdict.blunders for _, row in fault.rows]
     kept = np.asarray(moved, dtype=bool).copy()
     kept[aside] = False
-    problem = verdict.after.problem
-    noise = np.hypot(problem.sigma, problem.common)
-    times = np.abs(verdict.after.residuals) / noise
+    times = np.abs(public.residual_sigmas(verdict))
     # Faulty rows are gone from the problem, or weigh nothing there.
     return float(times[kept].max(initial=0.0)) if len(times) == len(kept) else 0.0
 
 
-def _beyond(verdict: Verdict, rig: Rig) -> float:
+def _beyond(verdict: og.Verdict, rig: Rig) -> float:
     """Share of the places where the tool's shape is off by more than its stated radius."""
-    known = tcp_map(verdict.machine)
-    true = rig.pose(known.commands, np.zeros_like(known.commands)).p
-    off = np.linalg.norm(without_place(true - known.p), axis=1)
-    return float(np.mean(off > known.uncertainty))
+    commands, p, radius = public.tool_map(verdict)
+    apart = rig.pose(commands, np.zeros_like(commands)).p - p
+    off = np.linalg.norm(apart - apart.mean(axis=0), axis=1)
+    return float(np.mean(off > radius))
 
 
 def report(found: Iterable[Judged]) -> str:

@@ -18,14 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import attribution_cases as ac, whole_machines
-from benchmarks.attribution_run import campaign, machine
-from orthoglide.accuracy import throughout
-from orthoglide.closing import close_loop
-from orthoglide.errors import OrthoglideError
-from orthoglide.posterior import BudgetItem
+import orthoglide as og
+from benchmarks import attribution_cases as ac, independent, public, whole_machines
+from benchmarks.independent import BASE
+from benchmarks.public import campaign, machine
 from tests import rig_campaigns as rc
-from tests.rig import LEGS, Rig, parameter_names
+from tests.rig import Rig, parameter_names
 
 EFFECTS = ("axis_tilt", "axis_offset", "rail_bow", "encoder_scale", "screw_error", "bar_mismatch",
            "parallelogram_width")  # fmt: skip
@@ -40,7 +38,9 @@ SIZES = (0.5, 2.0)
 COUNTS = (1, 2, 3)
 PROTOCOLS = ("sweep", "two-gauges")
 STEP = 1e-6  # metres, of derivatives
-BASE = [f"{family}.{leg}" for family in ("joint_offset", "leg_length") for leg in LEGS]
+GRID = 5  # commands along each axis of the workspace
+_EVEN = 1 / 1.2207440846 ** np.arange(1, 4)
+"""Steps of a sequence that fills a cube evenly (Roberts 2018, by the root of x^4 = x + 1)."""
 
 Record = dict[str, Any]
 Case = tuple[int, str, int]
@@ -53,16 +53,27 @@ def rig_of(case: Case, seed: int) -> tuple[Rig, np.random.Generator]:
     rng = np.random.default_rng([seed, number])
     rig = whole_machines.rig_of(SHARES[number // 2 % len(SHARES)], rng)
     for family in rng.choice(EFFECTS, count, replace=False).tolist():
-        cause = ac.effect(family, machine().tolerance(family), [], rng, False)
+        cause = ac.effect(family, independent.TOLERANCE[family], [], rng, False)
         rig = cause.added_to(rig, float(rng.uniform(*SIZES)))
     return rig, rng
+
+
+def workspace() -> Array:
+    """Return commands over the stroke at three phases of the screws' turns ``(n, 3)``, metres."""
+    rig = Rig()
+    travel, spacing = np.linspace(*rig.stroke, GRID, retstep=True)
+    grid = np.stack(np.meshgrid(travel, travel, travel, indexing="ij"), axis=-1).reshape(-1, 3)
+    third = min(rig.screw_pitch, float(spacing)) / 3
+    phase = np.floor(3 * ((0.5 + np.arange(len(grid))[:, None] * _EVEN) % 1.0))
+    low, high = (np.abs(grid - end) < third for end in (travel[0], travel[-1]))
+    return np.asarray(rig.L + grid + third * (phase - 1 + low - high))
 
 
 class Tool:
     """The tool's error of a rig that the best zeros, lengths and translation leave."""
 
     def __init__(self) -> None:
-        self.commands = throughout(machine())
+        self.commands = workspace()
 
     def _shape(self, rig: Rig) -> Array:
         p = rig.pose(self.commands).p
@@ -88,20 +99,20 @@ def run(case: Case, seed: int) -> Record:
     rows = rc.simulate(rig, rc.protocol_rows(case[1]), rng)
     record: Record = {"case": list(case), "seed": seed}
     try:
-        verdict = close_loop([campaign(rows)], machine())
-        items = verdict.budget
-    except OrthoglideError as error:
+        verdict = og.close_loop([campaign(rows)], machine())
+        items = public.budget_of(verdict)
+    except og.OrthoglideError as error:
         return record | {"word": "error", "message": str(error)}
-    assert verdict.posterior is not None
-    found, tool = verdict.posterior.machine.values, Tool()
-    now, named = tool.error(rig), {e.name for e in verdict.effects}
+    found, tool = {n: v for n, (v, _) in public.calibrated_of(verdict).items()}, Tool()
+    result = public.verdict_of(verdict)
+    now, named = tool.error(rig), {e["name"] for e in result["effects"]}
     mended = [
         {
-            "cause": item.cause,
-            "named": item.cause in named,
+            "cause": item["cause"],
+            "named": item["cause"] in named,
             "said": {
-                "repaired": [1e3 * item.gain, 1e3 * item.gain_sigma],
-                "compensated": [1e3 * item.compensated, 1e3 * item.compensated_sigma],
+                "repaired": [item["gain_mm"], item["gain_sigma_mm"]],
+                "compensated": [item["compensated_mm"], item["compensated_sigma_mm"]],
             },
             "repaired": now - tool.error(rig.with_errors(dict.fromkeys(_on_rig(item), 0.0))),
             "compensated": now
@@ -112,12 +123,12 @@ def run(case: Case, seed: int) -> Record:
         for item in items
     ]
     seconds = round(time.perf_counter() - began, 2)
-    return record | {"word": verdict.word, "error": now, "items": mended, "seconds": seconds}
+    return record | {"word": result["verdict"], "error": now, "items": mended, "seconds": seconds}
 
 
-def _on_rig(item: BudgetItem) -> list[str]:
+def _on_rig(item: Record) -> list[str]:
     """Its parameters that a rig has: those of places it has not."""
-    return sorted(set(item.members) & set(parameter_names()))
+    return sorted(set(item["members"]) & set(parameter_names()))
 
 
 def table(found: Sequence[Record]) -> Iterator[str]:
@@ -154,7 +165,11 @@ def main() -> None:
     options = whole_machines.arguments(__doc__, machines=40).parse_args()
     every = [(COUNTS[k // 6 % len(COUNTS)], PROTOCOLS[k % 2], k) for k in range(options.machines)]
     began = time.perf_counter()
-    found = list(whole_machines.records(every, options.seed, options.jobs, options.cache, run))
+    found = list(
+        whole_machines.records(
+            whole_machines.wanted_of(every, options), options.seed, options.jobs, options.cache, run
+        )
+    )
     print("\n".join(table(found)))
     print(f"\n{len(found)} machines, {time.perf_counter() - began:.0f} s; gains in mm.")
 

@@ -18,10 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from orthoglide.closing import close_loop
-from orthoglide.judging import hold_out
-from orthoglide.klipper import import_printer
-from orthoglide.machine import Machine
+import orthoglide as og
+from benchmarks import public
 
 DATA = Path(__file__).parents[1] / "tests" / "data" / "delta"
 
@@ -51,20 +49,17 @@ class Predicted:
 
 def predictions(path: Path) -> Iterator[Predicted]:
     """Of one printer."""
-    found = import_printer(path)
-    machine = Machine(found.machine)
+    found = og.import_printer(path)
+    machine = og.Machine(found.machine)
     sets = [c for c in found.campaigns if c.name in found.together]
     for used in sets:
-        verdict = close_loop([used], machine)
+        verdict = og.close_loop([used], machine)
         for other in sets:
             if other is used:
                 continue
-            nominal = hold_out({}, verdict.values, machine, [other])
-            base = hold_out(verdict.values_before, verdict.values, machine, [other])
-            rms = (nominal.before.length, base.before.length, base.after.length)
             yield Predicted(
                 path.stem, f"{used.name}, {len(used)}", f"{other.name}, {len(other)}",
-                verdict.word, *(1e3 * one for one in rms),
+                verdict.word, *public.predicted_rms_mm(verdict, machine, other),
             )  # fmt: skip
 
 

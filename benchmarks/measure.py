@@ -12,18 +12,16 @@ three tolerances of `tests/data/rig/machine.toml`, every size as likely as its d
 from __future__ import annotations
 
 import argparse
-import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
+import orthoglide as og
 from benchmarks import attribution_cases as ac
-from benchmarks.attribution_run import campaign, machine
-from orthoglide.closing import Verdict, close_loop
-from orthoglide.measuring import Record, Session
+from benchmarks.independent import TOLERANCE
+from benchmarks.public import asked_by_measure, campaign, machine
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 from tests.rig_operator import Operator
@@ -50,7 +48,7 @@ class Outcome:
     true: str
     readings: int
     mountings: int
-    verdict: Verdict
+    verdict: og.Verdict
 
     @property
     def named(self) -> bool:
@@ -83,7 +81,7 @@ def drawn(count: int, seed: int) -> Iterator[tuple[str, float, Rig]]:
             yield "", 0.0, rig
             continue
         family = FAMILIES[int(rng.integers(len(FAMILIES)))]
-        cause = ac.effect(family, machine().tolerance(family), [], rng, shaped=False)
+        cause = ac.effect(family, TOLERANCE[family], [], rng, shaped=False)
         size = float(np.exp(rng.uniform(*np.log(SIZES))))
         yield cause.name, size, cause.added_to(rig, size)
 
@@ -91,7 +89,7 @@ def drawn(count: int, seed: int) -> Iterator[tuple[str, float, Rig]]:
 def swept(true: str, rig: Rig, rng: np.random.Generator) -> Outcome:
     """The sweep sheet."""
     taken = campaign(rc.simulate(rig, "sweep", rng))
-    return Outcome(true, len(taken), 3, close_loop(taken, machine()))
+    return Outcome(true, len(taken), 3, og.close_loop(taken, machine()))
 
 
 def asked(true: str, rig: Rig, rng: np.random.Generator) -> Outcome:
@@ -102,12 +100,8 @@ def asked(true: str, rig: Rig, rng: np.random.Generator) -> Outcome:
         for line in text.split("\n"):
             operator.hear(line)
 
-    with tempfile.TemporaryDirectory() as folder:
-        record = Record(Path(folder) / "case.csv", machine().spec)
-        seconds = iter(range(0, 10**6, 10))
-        end = Session(machine(), record, lambda question: f"{operator.hear(question):.2f}", tell,
-                      clock=lambda: float(next(seconds))).run()  # fmt: skip
-    return Outcome(true, end.readings, operator.mountings, end.verdict)
+    readings, verdict = asked_by_measure(lambda question: f"{operator.hear(question):.2f}", tell)
+    return Outcome(true, readings, operator.mountings, verdict)
 
 
 def main() -> None:

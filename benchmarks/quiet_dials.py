@@ -23,11 +23,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from orthoglide.closing import Verdict, close_loop
-from orthoglide.errors import OrthoglideError
-from orthoglide.machine import Machine
-from orthoglide.machine_file import Dial
-from orthoglide.simulation import simulate
+import orthoglide as og
 
 NOISES = (2e-5, 1e-5, 5e-6, 2e-6, 1e-6, 5e-7, 2e-7, 1e-7)
 """Metres, from the worst dial to the best."""
@@ -41,15 +37,15 @@ _SHEETS = ("standard", "sweep")
 
 def large(number: int, seed: int) -> str:
     """How a machine with nothing but large offsets and lengths is judged."""
-    machine, rng = Machine.nominal(), np.random.default_rng([seed, number])
+    machine, rng = og.Machine.nominal(), np.random.default_rng([seed, number])
     names = [f"{effect}.{leg}" for effect in ("joint_offset", "leg_length") for leg in "xyz"]
     errors = {n: machine.tolerance(n) * float(rng.uniform(-10, 10)) for n in names}
-    campaign = simulate(
+    campaign = og.simulate(
         machine.with_parameters(errors), _SHEETS[number % 2], noise=5e-6, seed=number
     )
     try:
-        verdict = close_loop(campaign, machine)
-    except OrthoglideError as error:
+        verdict = og.close_loop(campaign, machine)
+    except og.OrthoglideError as error:
         told = "times its tolerance" in str(error)
         return f"refused, {'told' if told else str(error)[:80]}"
     far = [w for w in verdict.after.warnings if w.kind == "tolerance"]
@@ -60,7 +56,7 @@ def large(number: int, seed: int) -> str:
     return "adequate" + (", what is far off untold" if seen - said else "")
 
 
-def right(verdict: Verdict, cause: str) -> bool | None:
+def right(verdict: og.Verdict, cause: str) -> bool | None:
     """Whether a verdict is right; ``None`` where it claims nothing that is wrong."""
     if not cause:
         return verdict.word == "adequate"
@@ -75,19 +71,19 @@ def descent(number: int, seed: int) -> tuple[str, list[bool | None]]:
     """One machine by ever better dials: what it is, and how each verdict is."""
     cause = list(CAUSES)[number % len(CAUSES)]
     resolution = (1e-5, 0.0)[number // len(CAUSES) % 2]
-    nominal, rng = Machine.nominal(), np.random.default_rng([seed, number, 1])
-    dial = Dial(resolution=resolution, placement=1e-3)
+    nominal, rng = og.Machine.nominal(), np.random.default_rng([seed, number, 1])
+    dial = og.Dial(resolution=resolution, placement=1e-3)
     spec = replace(nominal.spec, dial=dial)
-    machine = Machine(spec)
+    machine = og.Machine(spec)
     errors = {f"joint_offset.{leg}": float(rng.normal(0, 1e-3)) for leg in "xyz"}
     errors |= {cause: CAUSES[cause]} if cause else {}
     truth = machine.with_parameters(errors)
     found = []
     for noise in NOISES:
         try:
-            verdict = close_loop(simulate(truth, "sweep", noise=noise, seed=number), machine)
+            verdict = og.close_loop(og.simulate(truth, "sweep", noise=noise, seed=number), machine)
             found.append(right(verdict, cause))
-        except OrthoglideError:
+        except og.OrthoglideError:
             found.append(False)
     return f"{cause or 'nothing'}, {'rounded' if resolution else 'not rounded'}", found
 

@@ -14,15 +14,13 @@ from dataclasses import replace
 import numpy as np
 
 import orthoglide as og
-from orthoglide.observations import protocol
-from orthoglide.simulation import simulate
 
 SIZES = ((2_520, 504), (20_160, 504), (100_000, 504), (100_000, 0))
 
 
 def sheet_of(rows: int, stations: int) -> og.Campaign:
     """Six setups, each with its share of stations along the leg's axis, visited in rounds."""
-    base = protocol("sweep")
+    base = og.protocol("sweep")
     per = (stations or rows) // 6
     rounds = max(rows // (6 * per), 1)
     travel = np.tile(np.linspace(-0.1, 0.06, per), 6 * rounds)
@@ -48,7 +46,7 @@ def main() -> None:
     rows, stations = map(int, sys.argv[1:3])
     machine = og.Machine.nominal()
     truth = machine.with_parameters({"joint_offset.x": 5e-4, "joint_offset.y": -1.2e-3})
-    campaign = simulate(truth, sheet_of(rows, stations), noise=5e-6, seed=1)
+    campaign = og.simulate(truth, sheet_of(rows, stations), noise=5e-6, seed=1)
     start = time.perf_counter()
     verdict = og.close_loop(campaign, machine)
     seconds = time.perf_counter() - start

@@ -17,14 +17,12 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from benchmarks import attribution_cases as ac
+import orthoglide as og
+from benchmarks import attribution_cases as ac, public
 from benchmarks.attribution_asked import share as share_of
-from benchmarks.attribution_run import campaign, machine
-from benchmarks.whole_machines import Record, arguments, records
-from orthoglide.checking import check
-from orthoglide.closing import close_loop
-from orthoglide.errors import OrthoglideError
-from orthoglide.fit import Change
+from benchmarks.independent import tolerance
+from benchmarks.public import campaign, machine
+from benchmarks.whole_machines import Record, arguments, records, wanted_of
 from tests import rig_campaigns as rc
 from tests.rig import Rig, parameter_names
 
@@ -45,10 +43,10 @@ def drawn(count: int, rng: np.random.Generator) -> tuple[Errors, Errors]:
     errors = ac.base_errors(rng)
     names = [n for n in parameter_names() if n.partition(".")[0] in CAUSES and "cos" not in n]
     for name in names:
-        errors[name] = _BACKGROUND * machine().tolerance(name) * float(rng.standard_normal())
+        errors[name] = _BACKGROUND * tolerance(name) * float(rng.standard_normal())
     strong = [str(n) for n in rng.choice(names, 2, replace=False)]
     for name in strong[: int(rng.integers(0, 3))]:
-        errors[name] = machine().tolerance(name) * float(rng.uniform(3, 6) * rng.choice([-1, 1]))
+        errors[name] = tolerance(name) * float(rng.uniform(3, 6) * rng.choice([-1, 1]))
     others = [n for n in names if n not in strong]
     zeros, bars = ([f"{e}.{leg}" for leg in "xyz"] for e in ("joint_offset", "leg_length"))
     likely = dict.fromkeys(zeros, 4.0) | {
@@ -65,7 +63,7 @@ def drawn(count: int, rng: np.random.Generator) -> tuple[Errors, Errors]:
             changed[name] = float(rng.uniform(2e-4, 1.5e-3) * rng.choice([-1, 1]))
         else:
             size = float(rng.uniform(3, 6) * rng.choice([-1, 1]))
-            changed[name] = machine().tolerance(name) * size
+            changed[name] = tolerance(name) * size
     return errors, changed
 
 
@@ -81,32 +79,29 @@ def run(case: tuple[int, str, int], seed: int) -> Record:
     record: Record = {"case": list(case), "seed": seed, "changed": changed}
     try:
         began = time.perf_counter()
-        known = close_loop([first], machine()).machine
-        again = close_loop([second], known)
-        record["file"] = told(again.changed, changed)
+        known = og.close_loop([first], machine()).machine
+        again = og.close_loop([second], known)
+        record["file"] = told(public.changes_of(again), changed)
         record["word"] = again.word
         middle = time.perf_counter()
-        record["check"] = told(check([first], [second], machine()).changes, changed)
+        record["check"] = told(public.changes_of(og.check([first], [second], machine())), changed)
         record["seconds"] = [middle - began, time.perf_counter() - middle]
-    except OrthoglideError as error:
+    except og.OrthoglideError as error:
         return record | {"word": "error", "message": str(error)}
     return record
 
 
-def told(changes: Iterable[Change], truth: Errors) -> list[Record]:
+def told(changes: Iterable[Record], truth: Errors) -> list[Record]:
     """Of each change that is told: what it is one of, and its size against the truth."""
     found = []
     for change in changes:
-        right = [str(n) for n in change.members if n in truth]
-        first = str(change.parameter)
+        first, by = change["parameter"], change["to"] - change["from"]
         found.append(
             {
-                "members": [str(n) for n in change.members],
-                "right": right,
-                "by": change.after - change.before,
-                "apart": (change.after - change.before - truth[first]) / change.sigma
-                if first in truth
-                else None,
+                "members": change["members"],
+                "right": [n for n in change["members"] if n in truth],
+                "by": by,
+                "apart": (by - truth[first]) / change["sigma"] if first in truth else None,
             }
         )
     return found
@@ -156,7 +151,7 @@ def main() -> None:
         for k in range(options.machines)
         for count in COUNTS
     ]
-    found = list(records(every, options.seed, options.jobs, options.cache, run))
+    found = list(records(wanted_of(every, options), options.seed, options.jobs, options.cache, run))
     print("\n".join(table(found)))
     print(f"\n{sum(r['word'] == 'error' for r in found)} of {len(found)} ended in an error")
 

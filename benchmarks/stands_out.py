@@ -12,23 +12,24 @@ from the cache.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from itertools import chain
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from benchmarks import attribution_cases as ac
+import orthoglide as og
+from benchmarks import attribution_cases as ac, independent, public, whole_machines
 from benchmarks.attribution_asked import share as share_of
-from benchmarks.attribution_cases import Cause
-from benchmarks.attribution_run import campaign, machine
-from benchmarks.whole_machines import FAMILIES, SHARES, Record, arguments, records, rig_of
-from orthoglide.closing import close_loop
-from orthoglide.errors import OrthoglideError
-from orthoglide.posterior.causes import Explanation
-from orthoglide.posterior.everything import FullPosterior
-from orthoglide.posterior.linear import Basis, Scale
-from orthoglide.posterior.outstanding import CREDIBLE, MOST, NAMED
-from orthoglide.rehearsal.outcome import is_cause
+from benchmarks.independent import Sheet, Visible, is_cause, parameters, structured
+from benchmarks.public import campaign, machine
+from benchmarks.whole_machines import (
+    FAMILIES,
+    SHARES,
+    Record,
+    arguments,
+    records,
+    rig_of,
+    wanted_of,
+)
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -38,6 +39,9 @@ TIMES = (5, 10)
 CLEAR = 5.0
 """Sigmas by which a cause should be named: what it shows, past noise and background."""
 
+CREDIBLE, NAMED, MOST = 0.95, 0.9, 20
+"""Of the documented claims: probability of a set, from which it is named, and its largest size."""
+
 
 def run(case: tuple[float, str, int, int], seed: int) -> Record:
     """One machine: what is larger than the rest, and what is said of it."""
@@ -46,82 +50,92 @@ def run(case: tuple[float, str, int, int], seed: int) -> Record:
     rows = rc.protocol_rows(protocol)
     family = str(rng.choice(FAMILIES))
     setups = list(dict.fromkeys(row["setup"] for row in rows))
-    cause = ac.effect(family, machine().tolerance(family), setups, rng, shaped=False)
+    cause = ac.effect(family, independent.TOLERANCE[family], setups, rng, shaped=False)
     size = times * share
     rig = rig_of(share, rng).with_errors({n: size * v for n, v in cause.errors.items()})
     record: Record = {"case": list(case), "seed": seed, "cause": cause.name}
+    measured = rc.simulate(rig, rows, rng)
     try:
-        verdict = close_loop([campaign(rc.simulate(rig, rows, rng))], machine())
-    except OrthoglideError as error:
+        verdict = og.close_loop([campaign(measured)], machine())
+    except og.OrthoglideError as error:
         return record | {"word": "error", "message": str(error)}
 
     def right(name: str, parameters: Sequence[str]) -> bool:
-        return bool(is_cause(name, parameters, cause.name, family, []))
+        return bool(is_cause(name, parameters, cause.name, family))
 
-    posterior = verdict.posterior
-    assert posterior is not None
-    candidates = [right(c.name, c.parameters) for c in posterior.about.candidates]
-    scale = Scale(Basis(posterior.mixture.linear, 1e-3, 0.0), share)
+    result = public.verdict_of(verdict)
+    visible = beside(measured, share)
+    size_of = {n: size * v / independent.tolerance(n) for n, v in cause.errors.items()}
     return record | {
-        "word": verdict.word,
-        "seen": seen(posterior, scale, cause, size),
-        "sets": [[right(e.name, e.parameters) for e in f.explanations] for f in verdict.effects],
-        "so": [any(is_so(e, posterior, rig) for e in f.explanations) for f in verdict.effects],
-        "stated": [sum(e.probability for e in f.explanations) for f in verdict.effects],
-        "oracle": oracle(scale, size, candidates),
-        "located": [f.name for f in verdict.located],
+        "word": result["verdict"],
+        "seen": seen(visible, size_of, share),
+        "sets": [[right(e["name"], e["parameters"]) for e in f["set"]] for f in result["effects"]],
+        "so": [any(is_so(e["values"], setups, rig) for e in f["set"]) for f in result["effects"]],
+        "stated": [sum(e["probability"] for e in f["set"]) for f in result["effects"]],
+        "oracle": oracle(visible, size, right),
+        "located": [f["places"][0] for f in public.said(result)["located"]],
     }
 
 
-def is_so(told: Explanation, posterior: FullPosterior, rig: Rig) -> bool:
-    """Whether the machine is off by what is told, to half of it: it need not be by the cause that
+def beside(measured: Sequence[rc.Row], share: float) -> Visible:
+    """Return what causes show beside a background of all others at a share of their tolerance,
+    linearised about the posterior mean that is given the share.
+    """
+    about = Rig(errors=whole_machines.oracle(measured, share))
+    known = {n: share * independent.TOLERANCE[f] for f in FAMILIES for n in parameters(f)}
+    return Visible(Sheet(measured), about, known)
+
+
+def is_so(values: Mapping[str, float], setups: Sequence[str], rig: Rig) -> bool:
+    """Whether the machine is off by what is stated, to half of it: it need not be by the cause that
     was made larger, where everything is off by a share of its tolerance.
     """
-    each = (zip(c.parameters, c.weights, strict=True) for c in posterior.about.candidates)
-    weights = dict(chain.from_iterable(each))
-    said: dict[str, float] = {}
-    for parameter, value in told.values.items():
-        # The twin of a candidate is none: a parameter of its own.
-        for name, weight in weights.get(parameter, {parameter: 1.0}).items():
-            plain = name.partition("@")[0]
-            said[plain] = said.get(plain, 0.0) + weight * value
-    apart = [value - rig.error(name) for name, value in said.items()]
-    return bool(np.linalg.norm(apart) <= np.linalg.norm(list(said.values())) / 2)
+    stated: dict[str, float] = {}
+    for parameter, value in values.items():
+        plain = parameter.partition("@")[0]
+        members = structured(independent.family_of(plain), setups)
+        for name, weight in members.get(plain, {plain: 1.0}).items():
+            stated[name] = stated.get(name, 0.0) + weight * value
+    apart = [value - rig.error(name) for name, value in stated.items()]
+    return bool(np.linalg.norm(apart) <= np.linalg.norm(list(stated.values())) / 2)
 
 
-def seen(posterior: FullPosterior, scale: Scale, cause: Cause, size: float) -> float:
-    """What a cause shows past noise and the background of all others, sigmas."""
-    index = {name: k for k, name in enumerate(posterior.about.problem.names)}
-    shown = np.zeros(len(scale.residual))
-    for name, value in cause.errors.items():
-        if name in index:
-            shown += scale.columns[:, index[name]] * value / machine().tolerance(name)
-    square = float(shown @ shown)
-    return float(size * np.sqrt(square / max(1 - scale.share**2 * square, 1e-9)))
+def seen(visible: Visible, size_of: Mapping[str, float], share: float) -> float:
+    """Return what a cause shows past noise and the background of all others, sigmas.
+
+    Args:
+        visible: with that background as nuisances, this cause's own share among them.
+        size_of: its parameters, in tolerances.
+        share: the background, in tolerances.
+    """
+    length = float(np.linalg.norm(list(size_of.values())))
+    shown = sum(v / length * visible.columns.get(n, 0.0) for n, v in size_of.items())
+    square = float(np.sum(np.square(shown)))
+    return float(length * np.sqrt(square / max(1 - share**2 * square, 1e-9)))
 
 
-def oracle(scale: Scale, size: float, right: Sequence[bool]) -> bool:
-    """Whether the cause would be in a set of at most twenty, by who is told everything but which:
+def oracle(visible: Visible, size: float, right: Callable[[str, Sequence[str]], bool]) -> bool:
+    """Whether the cause would be in a set of at most twenty, by who is given everything but which:
     how large the background is, and that one cause of this size stands out of it, or none, at
     even odds.
     """
-    groups = scale.basis.linear.groups[: len(right)]
-    logs = [0.0]
-    for group in groups:
-        columns = size * scale.columns[:, group.places] @ group.weights
-        inner = np.eye(group.size) + columns.T @ columns
-        along = columns.T @ scale.residual
+    residual, logs, hits = visible.residual(), [0.0], list[bool]()
+    for name, candidate in visible.candidates.items():
+        columns = size * candidate.columns
+        inner = np.eye(columns.shape[1]) + columns.T @ columns
+        along = columns.T @ residual
         logs.append(
             0.5 * float(along @ np.linalg.solve(inner, along))
             - 0.5 * float(np.linalg.slogdet(inner)[1])
-            - float(np.log(len(groups)))
+            - float(np.log(len(visible.candidates)))
         )
+        hits.append(right(name, candidate.parameters))
     weights = np.exp(np.array(logs) - max(logs))
     nothing, *each = weights / weights.sum()
     order = np.argsort(each)[::-1]
     count = int(np.searchsorted(np.cumsum(np.array(each)[order]), CREDIBLE * (1 - nothing))) + 1
-    said = 1 - nothing >= NAMED and count <= MOST
-    return bool(said and any(right[k] for k in order[:count]))
+    named = 1 - nothing >= NAMED and count <= MOST
+    return bool(named and any(hits[k] for k in order[:count]))
 
 
 def table(found: Sequence[Record]) -> Iterator[str]:
@@ -175,7 +189,7 @@ def main() -> None:
         for times in TIMES
     ]
     began = time.perf_counter()
-    found = list(records(every, options.seed, options.jobs, options.cache, run))
+    found = list(records(wanted_of(every, options), options.seed, options.jobs, options.cache, run))
     print("\n".join(table(found)))
     print(f"\n{len(found)} machines, {time.perf_counter() - began:.0f} s.")
 

@@ -3,7 +3,8 @@
     python benchmarks/whole_machines.py --machines 60 --jobs 2 --cache whole.jsonl
 
 Machines are simulated by the tests' own (`tests/rig.py`), every effect that moves the tool drawn at
-``f`` of its tolerance in the rig's machine file. ``oracle`` is the posterior that is told ``f``.
+``f`` of its tolerance in the rig's machine file. ``oracle`` is the Gaussian posterior that is
+given ``f``, of `benchmarks/independent.py`.
 A run goes on where it stopped, from the cache.
 """
 
@@ -20,12 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import attribution_cases as ac
-from benchmarks.attribution_run import campaign, machine, points_of
-from orthoglide.closing import Verdict, close_loop
-from orthoglide.errors import OrthoglideError
-from orthoglide.judging import tcp_errors
-from orthoglide.posterior.linear import Basis, Scale
+import orthoglide as og
+from benchmarks import attribution_cases as ac, independent, public
+from benchmarks.attribution_run import points_of
+from benchmarks.independent import Sheet
+from benchmarks.public import campaign, machine
 from tests import rig_campaigns as rc
 from tests.rig import Rig, parameter_names
 
@@ -37,6 +37,9 @@ FAMILIES = (
     "bar_mismatch", "parallelogram_width",
 )  # fmt: skip
 
+BASE_SD = (1e-3, 5e-5)
+"""Standard deviations by which joint offsets and leg lengths are drawn, metres."""
+
 Record = dict[str, Any]
 Case = tuple[float, str, int]
 
@@ -47,7 +50,7 @@ def rig_of(share: float, rng: np.random.Generator) -> Rig:
     for name in parameter_names():
         family = name.partition(".")[0]
         if family in FAMILIES:
-            errors[name] = share * machine().tolerance(family) * float(rng.standard_normal())
+            errors[name] = share * independent.TOLERANCE[family] * float(rng.standard_normal())
     return Rig(errors=errors)
 
 
@@ -60,46 +63,44 @@ def run(case: Case, seed: int) -> Record:
     points = points_of(rig, rng)
     record: Record = {"case": list(case), "seed": seed}
     try:
-        verdict = close_loop([campaign(rows)], machine(), tcp=points)
-    except OrthoglideError as error:
+        verdict = og.close_loop([campaign(rows)], machine(), tcp=points)
+    except og.OrthoglideError as error:
         return record | {"word": "error", "message": str(error)}
     seconds = time.perf_counter() - began
-    assert verdict.tcp is not None
-    errors = verdict.tcp["translation"]
-    told = tcp_errors(machine(), points, {}, oracle(verdict, max(share, 1e-3)))["translation"]
+    errors = public.tcp_of(verdict)
+    given = independent.tcp_error(oracle(rows, max(share, 1e-3)), points.command, points.p)
+    result = public.verdict_of(verdict)
+    said = public.said(result)
     return record | {
-        "word": verdict.word,
-        "named": [e.name for e in verdict.effects] + [f.name for f in verdict.located],
-        "tcp": [1e3 * e[0] for e in (errors.nominal, errors.before, errors.after, told.after)],
-        "stated": 1e3 * verdict.numbers.expected["compensated"].shape,
-        "inside": errors.inside,
+        "word": result["verdict"],
+        "named": [e["name"] for e in said["effects"]] + [f["places"][0] for f in said["located"]],
+        "tcp": [*(errors[k][0] for k in ("nominal", "before", "after")), given[0]],
+        "stated": errors["stated"],
+        "inside": errors["inside"],
         "parameters": covered(verdict, rig),
         "seconds": round(seconds, 2),
     }
 
 
-def oracle(verdict: Verdict, share: float) -> dict[str, float]:
-    """Parameters of the posterior that is told the share, SI."""
-    posterior = verdict.posterior
-    assert posterior is not None
-    linear, none = posterior.mixture.linear, np.zeros(0, dtype=np.intp)
-    mean, _ = posterior.mixture.moments((), Scale(Basis(linear, 1e-3, 0.0), share), none)
-    names, values, _ = posterior.machine_with(mean)
-    motions = machine().catalogue.motions
-    return {n: float(v) for n, v in zip(names, values, strict=True) if n in motions}
+def oracle(rows: Sequence[rc.Row], share: float) -> dict[str, float]:
+    """Return the posterior mean of a machine whose scales are given: offsets and lengths as drawn,
+    and the share of their tolerances by which all other effects are off.
+    """
+    scales = independent.base_scales(*BASE_SD)
+    for family in FAMILIES:
+        size = share * independent.TOLERANCE[family]
+        scales |= {n: {n: size} for n in independent.parameters(family)}
+    return independent.oracle(Sheet(rows), scales)
 
 
-def covered(verdict: Verdict, rig: Rig) -> list[bool]:
+def covered(verdict: og.Verdict, rig: Rig) -> list[bool]:
     """Of each parameter of the machine, whether its 95 % interval holds."""
-    known = verdict.machine.posterior
-    twins = {t for others in verdict.posterior.about.twins.values() for t, _ in others}  # type: ignore[union-attr]
-    found = []
-    for name, sigma in known.sigmas.items():
-        family = name.partition(".")[0]
-        if family in (*FAMILIES, "joint_offset", "leg_length") and name not in twins:
-            apart = verdict.values.get(name, 0.0) - rig.error(name)
-            found.append(bool(abs(apart) <= 1.96 * sigma))
-    return found
+    families = (*FAMILIES, *independent.BASE_FAMILIES)
+    return [
+        bool(abs(value - rig.error(name)) <= 1.96 * sigma)
+        for name, (value, sigma) in public.calibrated_of(verdict).items()
+        if independent.family_of(name) in families and sigma > 0
+    ]
 
 
 def records(
@@ -160,20 +161,25 @@ def arguments(says: str, machines: int = 60) -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--cache", type=Path, help="JSON lines; a run goes on from here")
+    parser.add_argument("--finished", action="store_true", help="the table of the cache as it is")
     return parser
 
 
+def wanted_of(every: Sequence[tuple[Any, ...]], options: argparse.Namespace) -> list[Any]:
+    """Return all cases, or those that the cache holds."""
+    if not options.finished:
+        return list(every)
+    lines = map(json.loads, options.cache.read_text().splitlines())
+    there = {tuple(r["case"]) for r in lines if r["seed"] == options.seed}
+    return [c for c in every if c in there]
+
+
 def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--finished", action="store_true", help="the table of the cache as it is")
-    options = parser.parse_args()
+    options = arguments(__doc__).parse_args()
     every = [
         (f, ac.PROTOCOLS[k % len(ac.PROTOCOLS)], k) for k in range(options.machines) for f in SHARES
     ]
-    if options.finished:
-        lines = map(json.loads, options.cache.read_text().splitlines())
-        there = {tuple(r["case"]) for r in lines if r["seed"] == options.seed}
-        every = [c for c in every if c in there]
+    every = wanted_of(every, options)
     began = time.perf_counter()
     found = list(records(every, options.seed, options.jobs, options.cache))
     print("\n".join(table(found)))

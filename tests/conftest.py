@@ -7,6 +7,7 @@ import os
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -20,12 +21,33 @@ def machine() -> og.Machine:
     return og.Machine.load(Path(__file__).parent / "data" / "rig" / "machine.toml")
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _caches_end_with_their_module(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Let go of what a module's cached functions hold (verdicts, mostly) after its last test."""
+    yield
+    for value in vars(request.module).values():
+        if getattr(value, "__module__", None) == request.module.__name__:
+            getattr(value, "cache_clear", lambda: None)()
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--thorough", action="store_true", help="run the cases marked thorough too")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if not config.getoption("--thorough"):
-        left = [item for item in items if item.get_closest_marker("thorough")]
+        left = [item for item in items if any(_is_thorough(item))]
         config.hook.pytest_deselected(items=left)
         items[:] = [item for item in items if item not in set(left)]
+
+
+def _is_thorough(item: pytest.Item) -> Iterator[bool]:
+    """Return of each mark ``thorough`` whether it is about this case.
+
+    ``thorough(except_for=["id"])`` of a parametrised test leaves the cases of these ids out.
+    """
+    case = (
+        item.callspec.id if isinstance(item, pytest.Function) and hasattr(item, "callspec") else ""
+    )
+    for mark in item.iter_markers("thorough"):
+        yield case not in mark.kwargs.get("except_for", ())

@@ -242,6 +242,24 @@ def kinked_rail(leg: int, axis: int, value: float, at: float = -0.02) -> Extra:
     return effect
 
 
+def bump(leg: int, axis: int, value: float, at: float, width: float = 0.008) -> Extra:
+    """A bump of a rail or a drive: value x exp(-(travel - at)^2 / (2 width^2)) along an axis."""
+
+    def effect(travel: Array, approach: Array, time: Array) -> Array:
+        return _along(leg, axis, value * np.exp(-(((travel[:, leg] - at) / width) ** 2) / 2))
+
+    return effect
+
+
+def drive_wave(leg: int, value: float, period: float, phase: float = 0.0) -> Extra:
+    """A drive with waves: value x sin(2 pi travel / period + phase), along its axis."""
+
+    def effect(travel: Array, approach: Array, time: Array) -> Array:
+        return _along(leg, leg, value * np.sin(2 * np.pi * travel[:, leg] / period + phase))
+
+    return effect
+
+
 def drive_step(leg: int, value: float, at: float = 0.0) -> Extra:
     """A drive that jumps by value along its axis where its travel passes a place."""
 

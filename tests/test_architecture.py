@@ -160,19 +160,18 @@ def test_the_independent_machine_is_independent(path: Path) -> None:
         assert name.split(".")[0] in known or name.startswith("tests.rig"), name
 
 
-@pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_files_stay_readable(path: Path) -> None:
-    assert len(path.read_text(encoding="utf-8").splitlines()) <= LONGEST
-
-
-@pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_functions_stay_readable(path: Path) -> None:
-    lengths = {
-        node.name: node.end_lineno - node.lineno + 1
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.FunctionDef) and node.end_lineno is not None
-    }
-    assert not {name: lines for name, lines in lengths.items() if lines > LONGEST_FUNCTION}
+def test_files_and_functions_stay_readable() -> None:
+    long = {}
+    for path in modules():
+        text, name = path.read_text(encoding="utf-8"), str(path.relative_to(PACKAGE))
+        if (lines := len(text.splitlines())) > LONGEST:
+            long[name] = lines
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef) and node.end_lineno is not None:
+                lines = node.end_lineno - node.lineno + 1
+                if lines > LONGEST_FUNCTION:
+                    long[f"{name}:{node.name}"] = lines
+    assert not long
 
 
 def test_nothing_cuts_names_of_parameters_apart() -> None:
@@ -351,7 +350,11 @@ def test_lengths_by_another_name_are_seen_and_words_are_not() -> None:
     assert not knows_a_layout(innocent)
 
 
-@pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_assert_is_for_tests(path: Path) -> None:
-    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-    assert not [node.lineno for node in nodes if isinstance(node, ast.Assert)]
+def test_assert_is_for_tests() -> None:
+    found = [
+        f"{path.relative_to(PACKAGE)}:{node.lineno}"
+        for path in modules()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Assert)
+    ]
+    assert not found

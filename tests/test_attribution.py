@@ -19,6 +19,7 @@ def ended(case: Case) -> Record:
     return record
 
 
+@pytest.mark.thorough(except_for=["standard", "sweep"])
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_nothing_is_found_where_only_small_errors_are(protocol: str) -> None:
     record = ended(Case("nothing", "", protocol, 0.0, 0))
@@ -26,6 +27,7 @@ def test_nothing_is_found_where_only_small_errors_are(protocol: str) -> None:
     assert (record["word"], record["effects"], record["blunders"]) == ("adequate", [], [])
 
 
+@pytest.mark.thorough(except_for=["backlash-sweep"])
 @pytest.mark.parametrize(
     ("family", "protocol"),
     [("backlash", "sweep"), ("rail_bow", "sweep"), ("screw_error", "sweep"),
@@ -43,6 +45,7 @@ def test_undeclared_effect_is_named(family: str, protocol: str) -> None:
     assert record["tcp"]["inside"] >= 0.93
 
 
+@pytest.mark.thorough
 def test_a_pattern_is_named_of_which_one_part_has_two_names() -> None:
     # Readings and tool cannot tell the x rail's lean toward y from its axis' tilt, but both rails'.
     record = run(Case("structured", "rail_tilt", "standard", 15.0, 0), 2026)
@@ -50,6 +53,7 @@ def test_a_pattern_is_named_of_which_one_part_has_two_names() -> None:
     assert [e["name"] for e in record["effects"]] == ["rail_tilt.xy.symmetric"]
 
 
+@pytest.mark.thorough
 def test_what_is_in_no_catalogue_is_not_explained() -> None:
     record = ended(Case("outside", "wavy_rail", "sweep", 20.0, 0))
     assert record["truth"][0]["rms"] > 10
@@ -57,6 +61,7 @@ def test_what_is_in_no_catalogue_is_not_explained() -> None:
     assert record["effects"] == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["hysteresis", "platform_play"])
 def test_what_depends_on_the_way_there_is_located(kind: str) -> None:
     record = ended(Case("outside", kind, "sweep", 12.0, 0))

@@ -39,6 +39,7 @@ def weight(columns: Array, residual: Array, places: list[int], widths: Array) ->
     return fit - float(np.linalg.slogdet(spread)[1]) / 2 + float(prior)
 
 
+@pytest.mark.thorough(except_for=["0", "1", "2", "3"])
 @pytest.mark.parametrize("seed", range(12))
 def test_no_set_weighs_more_than_the_one_found(seed: int) -> None:
     """Against every set of up to three with every choice of widths."""
@@ -98,6 +99,7 @@ TRUE = {
 }  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_four_changes_since_a_calibration(visits: tuple[og.Campaign, og.Campaign]) -> None:
     """A bar was told to be 0.7 mm longer where a zero had been entered."""
     monday, tuesday = visits
@@ -114,6 +116,7 @@ def test_four_changes_since_a_calibration(visits: tuple[og.Campaign, og.Campaign
     assert [len(options) for options in to_do] == [len(c.members) for c in again.changed]
 
 
+@pytest.mark.thorough
 def test_four_changes_between_two_campaigns(visits: tuple[og.Campaign, og.Campaign]) -> None:
     """Bars of the third leg were told to have changed, and the rail was not."""
     found = check(*([v] for v in visits), SHEET)

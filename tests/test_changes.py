@@ -63,6 +63,7 @@ def test_own_takes_known_effects_and_campaigns(machine):
 # -- what changed ----------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_what_has_no_name_is_no_change_beyond_any_that_is_expected(machine):
     """A rail that was bent between two visits, into no shape of the catalogue: a bar had grown by
     38 mm, and a joint had turned by 28 degrees.
@@ -128,6 +129,7 @@ def test_a_tilt_that_is_gone_is_no_cause_any_more(machine):
     assert (verdict.word, verdict.effects) == ("adequate", ())
 
 
+@pytest.mark.thorough(except_for=["sweep"])
 @pytest.mark.parametrize("protocol", ["standard", "sweep"])
 def test_a_drive_with_a_new_zero(protocol, machine):
     old = campaign(machine, "old", 1, protocol)
@@ -138,6 +140,7 @@ def test_a_drive_with_a_new_zero(protocol, machine):
     assert change.sigma < 2e-5
 
 
+@pytest.mark.thorough(except_for=["standard-errors0", "standard-errors1", "sweep-errors0"])
 @pytest.mark.parametrize("errors", [{}, {"axis_tilt.x.y": 3e-3}, {"backlash.z": 1e-4}])
 @pytest.mark.parametrize("protocol", ["standard", "sweep"])
 def test_nothing_changed(protocol, errors, machine):
@@ -145,6 +148,7 @@ def test_nothing_changed(protocol, errors, machine):
     assert changes_of(*both, machine=machine) == ()
 
 
+@pytest.mark.thorough
 def test_a_change_beside_effects_that_stay(machine):
     stay = {"axis_tilt.x.y": 3e-3, "backlash.z": 1e-4}
     old = campaign(machine, "old", 1, **stay)

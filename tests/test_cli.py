@@ -368,6 +368,7 @@ def test_a_seed_counts_from_zero(command: tuple[str, ...], here: Path) -> None:
     assert result.stderr == "orthoglide: --seed must be 0 or more, not -1\n"
 
 
+@pytest.mark.thorough
 def test_a_sheet_of_the_tool_is_told_where_dials_are_read(here: Path) -> None:
     done("design", "--owns", "tcp", "--quiet", "--out", "s.csv")
     for command, words in (
@@ -420,6 +421,7 @@ def test_failed_numerics_exit_with_3(here: Path, monkeypatch: pytest.MonkeyPatch
     assert os.listdir(here) == ["experiment2.csv"]
 
 
+@pytest.mark.thorough(except_for=["rename"])
 @pytest.mark.parametrize("where", ["write_bytes", "rename"])
 def test_interrupted_while_writing(here: Path, monkeypatch: pytest.MonkeyPatch, where: str) -> None:
     def interrupt(*_: object, **__: object) -> None:
@@ -455,6 +457,7 @@ def test_interrupted_the_moment_something_stands(
     assert os.listdir(here) == ["experiment2.csv"]
 
 
+@pytest.mark.thorough(except_for=["2-0.2", "15-0.8"])
 @pytest.mark.parametrize("delay", [0.2, 0.8, 1.1])
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
 def test_interrupted_from_outside(here: Path, sent: signal.Signals, delay: float) -> None:
@@ -638,6 +641,7 @@ FILES = {
 }  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_the_same_bytes_wherever_the_files_lie(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     done("identify", "experiment2.csv", "--out", "out")
     (here / "elsewhere").mkdir()
@@ -672,6 +676,7 @@ def test_a_calibrated_machine_is_a_machine(here: Path) -> None:
     )
 
 
+@pytest.mark.thorough
 def test_options_reach_the_identification(here: Path) -> None:
     (here / "experiment3.csv").write_text(EXPERIMENT_3)
     both = ("experiment2.csv", "experiment3.csv")
@@ -771,6 +776,7 @@ def test_an_error_of_no_setup_is_refused_with_those_there_are(here: Path) -> Non
     done(*command, "gauge_scale.xy-0.5=0.01")
 
 
+@pytest.mark.thorough
 def test_states_of_two_machines_are_not_compared(here: Path) -> None:
     """Nor are readings taken for two visits that are one file under two names, without a word."""
     longer = replace(og.Machine.nominal().spec, name="longer", geometry=og.Geometry(L=0.4))
@@ -789,6 +795,7 @@ def test_states_of_two_machines_are_not_compared(here: Path) -> None:
     assert "readings of copy are those of nominal to the last digit" in told
 
 
+@pytest.mark.thorough
 def test_piped_text_is_as_wide_as_columns_says(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     og.Machine.nominal().save("nominal.toml")
     for name, seed in (("a", "1"), ("b", "2")):
@@ -805,6 +812,7 @@ def test_piped_text_is_as_wide_as_columns_says(here: Path, monkeypatch: pytest.M
             assert columns - 25 < max(map(len, prose)) <= columns
 
 
+@pytest.mark.thorough
 def test_a_noisy_machine_is_found_within_its_sigmas(here: Path) -> None:
     planted_machine(here)
     common = ("simulate", "--machine", "planted.toml", "--kind", "two-gauges")
@@ -843,6 +851,7 @@ def test_a_design_is_no_larger_than_what_it_chooses_from(here: Path) -> None:
     assert "readings to choose from: give --count" in result.stderr
 
 
+@pytest.mark.thorough(except_for=["options0"])
 @pytest.mark.parametrize("options", [("--detect", "--count", "6"), ("--owns", "leg")])
 def test_what_a_design_sees_fits_the_terminal(
     options: tuple[str, ...], here: Path, monkeypatch: pytest.MonkeyPatch

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pty
@@ -86,6 +87,7 @@ def test_demo_is_the_same_in_another_process(tmp_path: Path) -> None:
     assert sorted(os.listdir(tmp_path)) == ["orthoglide-demo", "orthoglide-demo-2"]
 
 
+@pytest.mark.thorough
 def test_demo_says_how_to_get_it_again(here: Path) -> None:
     done("demo", "--out", "out", "--seed", "3", "--quiet")
     page = (here / "out" / "published" / "report.html").read_text()
@@ -98,6 +100,7 @@ def test_demo_says_how_to_get_it_again(here: Path) -> None:
 # --- close-loop and diagnose ----------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_judges_change_nothing(rig: Path) -> None:
     common = ("close-loop", "rig-2.csv", "--machine", "machine.toml", "--json", "--out")
     alone = json.loads(done(*common, "a"))
@@ -113,6 +116,7 @@ def test_judges_change_nothing(rig: Path) -> None:
     assert machines[0] == machines[1]
 
 
+@pytest.mark.thorough
 def test_json_is_the_file(rig: Path) -> None:
     text = done("close-loop", "rig-2.csv", "--machine", "machine.toml", "--out", "a", "--json")
     assert text.encode() == (rig / "a" / "result.json").read_bytes()
@@ -145,6 +149,7 @@ def test_diagnose_writes_nothing_and_ranks_the_causes(rig: Path) -> None:
     assert line == f"Verdict {result['verdict']}: {MEANINGS[result['verdict']]}."
 
 
+@pytest.mark.thorough
 def test_several_campaigns_with_offsets_of_their_own(here: Path) -> None:
     both = ("experiment2.csv", "experiment3.csv", "--own", "joint_offset")
     result = json.loads(done("close-loop", *both, "--out", "a", "--json"))
@@ -155,6 +160,7 @@ def test_several_campaigns_with_offsets_of_their_own(here: Path) -> None:
     assert machine.values["joint_offset.x"] * 1e3 == pytest.approx(told, abs=1e-9)
 
 
+@pytest.mark.thorough
 def test_the_same_bytes_wherever_the_files_lie(rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     done("close-loop", "rig-2.csv", "--machine", "machine.toml", "--out", "a")
     (rig / "elsewhere").mkdir()
@@ -216,6 +222,7 @@ def test_failed_numerics_exit_with_3(here: Path, monkeypatch: pytest.MonkeyPatch
 # --- In the middle --------------------------------------------------------------------------
 
 
+@pytest.mark.thorough(except_for=["2-0.7", "15-0.7", "15-1.8", "9-1.8"])
 @pytest.mark.parametrize("after", [0.7, 1.8])
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_killed_in_the_middle(here: Path, sent: signal.Signals, after: float) -> None:
@@ -244,7 +251,7 @@ def test_a_bar_from_the_first_second(here: Path) -> None:
     """On a terminal something moves before anything is computed."""
     master, slave = pty.openpty()
     child = subprocess.Popen(
-        [sys.executable, "-m", "orthoglide", "close-loop", "experiment2.csv", "--out", "out"],
+        [sys.executable, "-m", "orthoglide", "identify", "experiment2.csv", "--out", "out"],
         env={**NEVER, "TERM": "xterm", "COLUMNS": "100"},
         stdout=subprocess.DEVNULL,
         stderr=slave,
@@ -302,19 +309,41 @@ def test_any_callable_hears_of_progress(here: Path) -> None:
 # --- rerun ----------------------------------------------------------------------------------
 
 
+RIG_2 = ("rig-2.csv", "--machine", "machine.toml")
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folders of results, each made once: ``closed`` and ``identified``."""
+    folder = tmp_path_factory.mktemp("results")
+    for name in ("rig-1.csv", "rig-2.csv", "rig-2.tcp.csv", "machine.toml"):
+        shutil.copyfile(RIG / name, folder / name)
+    with contextlib.chdir(folder):
+        done("close-loop", *RIG_2, "--tcp", "rig-2.tcp.csv", "--holdout", "rig-1.csv",
+             "--seed", "5", "--out", "closed", "--quiet")  # fmt: skip
+        done("identify", *RIG_2, "--out", "identified", "--quiet")
+    return folder
+
+
 @pytest.fixture
-def ran(rig: Path) -> Path:
-    done("close-loop", "rig-2.csv", "--machine", "machine.toml", "--tcp", "rig-2.tcp.csv",
-         "--holdout", "rig-1.csv", "--seed", "5", "--out", "out", "--quiet")  # fmt: skip
+def ran(rig: Path, results: Path) -> Path:
+    """A folder with the campaigns of the rig and what a closed loop wrote of them in ``out``."""
+    shutil.copytree(results / "closed", rig / "out")
     return rig
 
 
-def test_the_folder_of_a_result_stands_for_its_files(rig: Path) -> None:
-    done("close-loop", "rig-2.csv", "--machine", "machine.toml", "--out", "made")
-    assert "The same numbers again" in done("rerun", "made")
+@pytest.fixture
+def identified(rig: Path, results: Path) -> Path:
+    """A folder with the campaigns of the rig and what an identification wrote in ``out``."""
+    shutil.copytree(results / "identified", rig / "out")
+    return rig
+
+
+def test_the_folder_of_a_result_stands_for_its_files(identified: Path) -> None:
+    assert "The same numbers again" in done("rerun", "out")
     asked = ("forward", "310.25", "310.25", "310.25", "--machine")
-    assert done(*asked, "made") == done(*asked, "made/calibrated.toml")
-    assert og.Machine.load("made").values == og.Machine.load("made/calibrated.toml").values
+    assert done(*asked, "out") == done(*asked, "out/calibrated.toml")
+    assert og.Machine.load("out").values == og.Machine.load("out/calibrated.toml").values
     with pytest.raises(og.InputError, match="own is a list of names"):
         og.close_loop("rig-2.csv", own="joint_offset")
 
@@ -325,14 +354,16 @@ def test_rerun_gives_the_same_numbers_and_files(ran: Path) -> None:
         assert f"{name}: unchanged." in shown
     assert "The same numbers again" in shown
     assert tree(ran / "out") == tree(ran / "again")
+    assert set(tree(ran / "out")) >= FILES | {"figures/causes.svg", "figures/signatures-1.svg"}
 
 
-def test_rerun_needs_no_files_and_says_which_have_changed(ran: Path) -> None:
-    (ran / "rig-2.csv").write_text((ran / "rig-2.csv").read_text().replace("8.19", "9.19"))
-    (ran / "machine.toml").unlink()
-    before = tree(ran)
+def test_rerun_needs_no_files_and_says_which_have_changed(identified: Path) -> None:
+    sheet = identified / "rig-2.csv"
+    sheet.write_text(sheet.read_text().replace("8.19", "9.19"))
+    (identified / "machine.toml").unlink()
+    before = tree(identified)
     shown = done("rerun", "out/result.json")
-    assert tree(ran) == before
+    assert tree(identified) == before
     assert "rig-2.csv: has changed since; the rows kept in the result were used" in shown
     assert "machine.toml: not here" in shown
     assert "The same numbers again" in shown
@@ -361,12 +392,12 @@ def test_rerun_says_what_is_not_reproduced(ran: Path) -> None:
     assert tree(ran) == before
 
 
-def test_rerun_sees_a_reading_that_was_tampered_with(ran: Path) -> None:
+def test_rerun_sees_a_reading_that_was_tampered_with(identified: Path) -> None:
     def edit(result: Any) -> None:
         row = result["inputs"][0]["rows"][7]
         row["reading_mm"] = str(float(row["reading_mm"]) + 0.02)
 
-    change(ran / "out" / "result.json", edit)
+    change(identified / "out" / "result.json", edit)
     assert run("rerun", "out/result.json").exit_code == 3
 
 
@@ -383,6 +414,7 @@ def test_rerun_names_the_file_that_was_read(here: Path) -> None:
     assert "orthoglide-" not in result.stderr
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("options", [(), ("--reduced",), ("--free", "joint_offset", "--no-priors")])
 def test_rerun_of_an_identification(options: tuple[str, ...], here: Path) -> None:
     done("identify", "experiment2.csv", "--out", "out", "--noise", "0.03", *options, "--quiet")
@@ -391,25 +423,25 @@ def test_rerun_of_an_identification(options: tuple[str, ...], here: Path) -> Non
     assert tree(here / "out") == tree(here / "again")
 
 
-def test_rerun_of_a_result_of_the_first_schema(here: Path) -> None:
+def test_rerun_of_a_result_of_the_first_schema(identified: Path) -> None:
     """Its values must be found again; what it says otherwise was said another way."""
-    done("identify", "experiment2.csv", "--out", "out", "--quiet")
 
     def edit(result: Any) -> None:
         result["schema"], result["verdict"] = 1, None
         result["before"] = result.pop("nominal")
         del result["workspace"], result["left"]
 
-    change(here / "out" / "result.json", edit)
+    change(identified / "out" / "result.json", edit)
     assert "The same numbers again" in done("rerun", "out/result.json")
 
     def spoil(result: Any) -> None:
         result["parameters"]["joint_offset.x"]["value"] = 1.0
 
-    change(here / "out" / "result.json", spoil)
+    change(identified / "out" / "result.json", spoil)
     assert run("rerun", "out/result.json").exit_code == 3
 
 
+@pytest.mark.thorough
 def test_rerun_keeps_the_lines_of_the_file(here: Path) -> None:
     lines = (RIG / "rig-3.csv").read_text().splitlines()
     cells = lines[40].split(",")
@@ -446,12 +478,11 @@ def test_rerun_of_what_is_no_result(kind: str, here: Path) -> None:
     assert "Traceback" not in result.output
 
 
-def test_rerun_of_a_spoilt_result(here: Path) -> None:
-    done("identify", "experiment2.csv", "--out", "out", "--quiet")
-    whole = json.loads((here / "out" / "result.json").read_text())
+def test_rerun_of_a_spoilt_result(identified: Path) -> None:
+    whole = json.loads((identified / "out" / "result.json").read_text())
 
     def spoilt(key: str, value: Any) -> str:
-        (here / "result.json").write_text(json.dumps({**whole, key: value}))
+        (identified / "result.json").write_text(json.dumps({**whole, key: value}))
         result = run("rerun", "result.json")
         assert result.exit_code == 2, (key, value, result.output)
         return result.stderr

@@ -327,6 +327,7 @@ def test_dials_of_other_layouts_are_refused() -> None:
         compare_effects(other("free legs"), ("gauge_scale.any",), FEW)
 
 
+@pytest.mark.thorough
 def test_the_tables_of_a_delta_have_no_readings(tmp_path: Path) -> None:
     file, out = tmp_path / "delta.toml", tmp_path / "out"
     other("linear delta").with_parameters({"bar_mismatch.b": 1e-4}).save(file)

@@ -101,9 +101,10 @@ MEASURED: dict[str, tuple[re.Pattern[str], Callable[..., float], tuple[str, str]
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("axis_tilt.y.z", 3e-3), ("rail_bow.x.y", -0.3e-3), ("encoder_scale.x", -4e-3),
-        ("backlash.x", 0.15e-3), ("parallelogram_width.y", -2e-3), ("mount_tilt.x.b", -15e-3),
+        ("encoder_scale.x", -4e-3), ("backlash.x", 0.15e-3),
         *(pytest.param(*case, marks=pytest.mark.thorough) for case in (
+            ("parallelogram_width.y", -2e-3),
+            ("axis_tilt.y.z", 3e-3), ("rail_bow.x.y", -0.3e-3), ("mount_tilt.x.b", -15e-3),
             ("axis_tilt.x.y", -2.5e-3), ("rail_bow.z.x", 0.25e-3), ("encoder_scale.z", 3e-3))),
     ],
 )  # fmt: skip

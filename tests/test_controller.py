@@ -175,6 +175,7 @@ def test_a_negative_lost_motion_misses_where_a_drive_turns_by_less() -> None:
     assert compensate(machine(noise), line).residual.max() < 2e-7
 
 
+@pytest.mark.thorough(except_for=["0.002", "2e-05"])
 @pytest.mark.parametrize("step", [2e-3, 2e-5, 5e-7])
 def test_a_drive_that_creeps_turns_all_the_same(step: float) -> None:
     """Across the middle of a line in x, where the other drives turn, in steps however fine."""
@@ -388,6 +389,7 @@ def proved(exported: dict[str, Any], counting: Controller, rig: Rig) -> None:
         assert abs(check["expected_mm"] - check["expected_if_wrong_mm"]) > 0.2
 
 
+@pytest.mark.thorough(except_for=["sign0"])
 @pytest.mark.parametrize("sign", [(1, 1, 1), (-1, 1, -1), (-1, -1, -1)])
 def test_the_check_tells_a_zero_entered_the_wrong_way(sign: tuple[int, int, int]) -> None:
     """What each check says is read on the independent machine, zeros entered right and wrong."""
@@ -461,6 +463,7 @@ def test_zeros_alone_are_fitted_to_the_whole_machine() -> None:
     assert expected["compensated"].shape < 1e-9 < expected["zeros"].shape < expected["now"].shape
 
 
+@pytest.mark.thorough(except_for=["kept0"])
 @pytest.mark.parametrize("kept", [
     {"verdict": "partial"}, {"verdict": "unexplained"},
     {"verdict": "explained", "cautions": ["do not act on it"]},
@@ -592,6 +595,7 @@ OTHERS = {
 }
 
 
+@pytest.mark.thorough(except_for=["free legs"])
 @pytest.mark.parametrize("kind", OTHERS)
 def test_commands_of_other_layouts_are_travel_wherever_users_meet_them(
     kind: str, tmp_path: Path

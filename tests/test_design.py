@@ -397,6 +397,7 @@ def test_power_is_that_of_the_noncentral_distribution():
     assert np.mean(worse > 4) == pytest.approx(0.95, abs=0.005)
 
 
+@pytest.mark.thorough
 def test_an_effect_of_the_smallest_size_is_found_as_often_as_promised(machine):
     told = smallest_effects(machine, protocol("standard"))
     size = {s.name: s.detectable for s in told.smallest}["axis_offset.z.x"]
@@ -442,6 +443,7 @@ def test_effects_with_one_signature_are_never_named(machine):
     assert "mount_tilt (x.a, y.a, z.a)" in lines[-1]
 
 
+@pytest.mark.thorough
 def test_a_further_instrument_never_seems_to_find_less(machine):
     """A tracker shows turns about the leg, hard to see: those that dials show keep their row."""
     rows = {}
@@ -557,6 +559,7 @@ def test_rivals_for_one_cause_are_not_told_from_rivals_for_another(machine, ambi
     assert not next_measurements(fits[RIVALS[0]], two, machine, pairs=[], directions=())
 
 
+@pytest.mark.thorough
 def test_readings_are_proposed_to_tell_each_cause_from_its_own_rivals(machine):
     errors = {"bar_mismatch.x": 5e-4, "axis_offset.z.y": 1e-3, "gauge_scale.xz-0.35": 0.13}
     rig = Rig(errors=errors | {"joint_offset.x": 3e-3, "joint_offset.y": -3e-3})
@@ -625,6 +628,7 @@ def lost_motion(machine):
     return rig, campaign, og.close_loop([campaign], machine)
 
 
+@pytest.mark.thorough
 def test_next_measurements_filled_in_row_by_row_decide(machine, lost_motion, tmp_path):
     rig, campaign, verdict = lost_motion
     assert any(e.rivals for e in verdict.effects)
@@ -711,6 +715,7 @@ def test_sheets_of_the_command_line_show_what_the_controller_shows(command, coun
         assert found.same_as(replace(planned, name="sheet", time=untimed))
 
 
+@pytest.mark.thorough
 def test_the_sheet_of_a_report_shows_what_the_controller_shows(counting, ambiguous, tmp_path):
     campaign, _ = ambiguous
     og.close_loop([campaign], counting).report(tmp_path / "out")

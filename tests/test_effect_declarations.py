@@ -149,6 +149,7 @@ def test_words_are_made_where_none_are_given(machine: og.Machine) -> None:
     assert "0.1 mm" in test
 
 
+@pytest.mark.thorough(except_for=["carriage_play"])
 @pytest.mark.parametrize("effect", [CARRIAGE_PLAY, SECOND_HARMONIC], ids=lambda e: e.name)
 def test_ones_own_effect_is_found_and_named(machine: og.Machine, effect: Effect) -> None:
     plain = og.Machine(machine.spec).with_only({})
@@ -287,6 +288,7 @@ def test_the_documented_example_is_short() -> None:
     assert len([line for line in lines if line.strip()]) < 15
 
 
+@pytest.mark.thorough
 def test_ones_own_effect_on_the_command_line(machine: og.Machine, tmp_path: Path) -> None:
     worn = machine.with_parameters({"carriage_play.y.b": 1.5e-4})
     campaign, out = tmp_path / "play.csv", tmp_path / "out"
@@ -349,6 +351,7 @@ def test_a_machine_with_ones_own_effect_is_read_by_every_command(
         og.Machine.load("worn.toml")
 
 
+@pytest.mark.thorough
 def test_ones_own_effect_is_what_changed(machine: og.Machine, tmp_path: Path) -> None:
     """``check`` could not be given it, and told of backlash."""
     rough = Path(__file__).parent / "data" / "rig" / "machine.toml"

@@ -24,6 +24,7 @@ from orthoglide.observations import Campaign
 from orthoglide.observations.campaign import Setup
 from orthoglide.prediction import Conditions, Model
 from tests.rig import Array, Pose, Rig, parameter_names
+from tests.tiers import in_turn
 
 PITCH = 0.02
 GEOMETRY = Geometry()
@@ -43,7 +44,8 @@ DIAL_PARAMETERS = tuple(
     for setup in (SETUPS[1], SETUPS[3])
 )
 MACHINE = pytest.mark.parametrize("name", CATALOGUE.parameters)
-EVERY = pytest.mark.parametrize("name", CATALOGUE.parameters + DIAL_PARAMETERS)
+NAMES = CATALOGUE.parameters + DIAL_PARAMETERS
+EVERY = pytest.mark.parametrize("name", NAMES)
 
 # The rest of the carriages' path and of the bars' lengths: nothing that turns a short link.
 ON_SPHERES = (
@@ -203,8 +205,7 @@ def four_point(function: Callable[[float], Array], step: float) -> Array:
     return np.asarray((8 * near - far) / (12 * step))
 
 
-@pytest.mark.parametrize("about", ["nominal", "background"])
-@EVERY
+@pytest.mark.parametrize(("name", "about"), in_turn(NAMES, ["background", "nominal"]))
 def test_derivatives_equal_central_differences(name: str, about: str) -> None:
     seen = campaign()
     base = {} if about == "nominal" else background()
@@ -288,8 +289,7 @@ def test_relabelling_the_legs_relabels_the_motions(name: str) -> None:
 # -- other machines ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("times", [1, 10, -10])
-@EVERY
+@pytest.mark.parametrize(("name", "times"), in_turn(NAMES, [1, 10, -10]))
 def test_agrees_with_the_independent_machine(name: str, times: int) -> None:
     seen, values = campaign(), {name: times * tolerance(name)}
     pose, shown = rig_outputs(values, seen)
@@ -314,9 +314,9 @@ def test_everything_at_once_agrees_with_the_independent_machine(seed: int) -> No
     assert np.abs(pose.p - reduction.forward(campaign().command)).max() > 1e-3
 
 
-@pytest.mark.parametrize("times", [1, 10, -10])
 @pytest.mark.parametrize(
-    "name", [n for n in CATALOGUE.parameters if n.partition(".")[0] in ON_SPHERES]
+    ("name", "times"),
+    in_turn([n for n in CATALOGUE.parameters if n.partition(".")[0] in ON_SPHERES], [10, -10, 1]),
 )
 def test_moved_carriages_and_changed_bars_agree_with_three_spheres(name: str, times: int) -> None:
     seen, value = campaign(), times * tolerance(name)

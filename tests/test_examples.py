@@ -40,6 +40,9 @@ def run(name: str, folder: Path, *arguments: str) -> subprocess.CompletedProcess
     )
 
 
+@pytest.mark.thorough(
+    except_for=["kinematics.py-inverse problem (3)", "identify_your_csv.py-95 % interval"]
+)
 @pytest.mark.parametrize(
     ("name", "said"),
     [
@@ -119,6 +122,7 @@ def test_every_difference_is_explained() -> None:
     assert all(row.remark for row in rows)
 
 
+@pytest.mark.thorough
 def test_the_mechanism_beside_the_linear_system() -> None:
     found = load("published_tables").beyond()
     assert len(found) == 12
@@ -153,6 +157,7 @@ def test_your_own_csv_with_a_fault_is_one_sentence(tmp_path: Path) -> None:
     assert done.stderr.strip() == "absent.csv: there is no such file: check the name"
 
 
+@pytest.mark.thorough
 def test_the_page_of_the_published_experiments_is_not_stale() -> None:
     import re
 

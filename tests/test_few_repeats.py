@@ -33,6 +33,7 @@ def tracked(seed: int, scale: float, **errors: float) -> ToolCampaign:
     )  # fmt: skip
 
 
+@pytest.mark.thorough(except_for=["1"])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_sound_machine_is_sound_by_noise_that_nine_differences_tell(seed: int) -> None:
     """Half the noise is one chance in fifty then, and what is left was held against it as if it
@@ -47,6 +48,7 @@ def test_a_sound_machine_is_sound_by_noise_that_nine_differences_tell(seed: int)
     assert verdict.word == "adequate"
 
 
+@pytest.mark.thorough
 def test_what_no_noise_does_is_left_all_the_same() -> None:
     tilted = tracked(1, 0.55, **{"axis_tilt.b.radial": 5e-3})
     verdict = og.close_loop(tilted, UNTOLD)

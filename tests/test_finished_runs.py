@@ -53,30 +53,40 @@ NEGATIVE = "orthoglide forward 309 309 309"
 WHOLE = "orthoglide identify c.csv --out out"
 
 
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """What the whole run prints in an alphabet that has every sign."""
+    folder = tmp_path_factory.mktemp("wide")
+    (folder / "c.csv").write_text(EXPERIMENT_2)
+    with contextlib.chdir(folder):
+        return process(WHOLE, PYTHONIOENCODING="utf-8").stdout.decode()
+
+
 @pytest.mark.parametrize(
     "encoding",
     [*(pytest.param(e, marks=pytest.mark.thorough) for e in ("latin-1", "cp1252")), "ascii"],
 )
-def test_a_narrow_alphabet_loses_no_sign(encoding: str, here: Path) -> None:
+def test_a_narrow_alphabet_loses_no_sign(encoding: str, wide: str, here: Path) -> None:
     child = process(WHOLE, PYTHONIOENCODING=encoding)
     assert child.returncode == 0, child.stderr
     assert b"Traceback" not in child.stderr
     shown = child.stdout.decode(encoding)
-    wide = process(WHOLE.replace("--out out", "--out other"), PYTHONIOENCODING="utf-8")
     signs = [line.count("-") for line in shown.splitlines()]
-    assert sum(signs) >= wide.stdout.decode().count("−") > 0
+    assert sum(signs) >= wide.count("−") > 0
     assert "10?" not in shown
     assert (here / "out" / "result.json").exists()
 
 
+@pytest.mark.thorough(except_for=[">/dev/full"])
 @pytest.mark.parametrize(
     "streams",
     [
         ">/dev/full",
-        "2>/dev/full",
         "<&- >&- 2>&-",
-        *(pytest.param(s, marks=pytest.mark.thorough) for s in (">&-", "2>&-", ">&- 2>&-")),
-        "| true",
+        *(
+            pytest.param(s, marks=pytest.mark.thorough)
+            for s in ("2>/dev/full", ">&-", "2>&-", ">&- 2>&-", "| true")
+        ),
     ],
 )
 def test_output_that_fails_fails_no_finished_run(streams: str, here: Path) -> None:
@@ -102,6 +112,7 @@ def test_output_is_needed_where_there_is_nothing_else(here: Path) -> None:
     assert process(f"set -o pipefail; {NEGATIVE} | true").returncode == 0
 
 
+@pytest.mark.thorough
 def test_json_is_the_same_bytes_in_every_alphabet(here: Path) -> None:
     narrow = process("orthoglide identify c.csv --json --out out", PYTHONIOENCODING="ascii")
     assert narrow.returncode == 0
@@ -131,6 +142,7 @@ def test_a_stream_that_broke_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> N
 # --- Late signals -------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough(except_for=["15"])
 @pytest.mark.parametrize("sent", SIGNALS)
 def test_a_signal_just_after_the_rename_finds_the_run_done(
     sent: signal.Signals, here: Path, monkeypatch: pytest.MonkeyPatch
@@ -292,6 +304,7 @@ def built(cache: Path, build: bool = True) -> str:
     return child.stdout.strip()
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 def test_a_damaged_compiled_function_is_never_loaded(tmp_path: Path) -> None:
     cache = tmp_path / "cache"

@@ -29,6 +29,7 @@ from orthoglide.report.wording import _falls
 from orthoglide.result.actions import Action, Suspect, _one_of_two
 from tests.test_report import result_of, words
 from tests.test_report_verdict import verdict_of
+from tests.tiers import in_turn
 
 DELTA = catalogue_of(LinearDelta.names)
 DATA = Path(og.__file__).parent / "data"
@@ -149,17 +150,18 @@ def points(way: str, p: Parameter, value: float) -> bool:
     return (way in UP) == (value > 0)
 
 
-@pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize(
-    "case",
-    [(c, p) for c in (CATALOGUE, DELTA) for p in every(c)],
-    ids=lambda c: f"{'delta' if c[0] is DELTA else 'orthoglide'}-{c[1]}",
+    ("catalogue", "name", "sign"),
+    [
+        pytest.param(c, *pair.values, marks=pair.marks, id="-".join([made, *map(str, pair.values)]))
+        for made, c in (("orthoglide", CATALOGUE), ("delta", DELTA))
+        for pair in in_turn(every(c), [1, -1])
+    ],
 )
 def test_a_reader_finds_part_direction_and_size(
-    case: tuple[Catalogue, Parameter], sign: int
+    catalogue: Catalogue, name: Parameter, sign: int
 ) -> None:
     """Of the cause and of its rival, which has the other sign and half the size."""
-    catalogue, name = case
     value = sign * 2.5 * catalogue.effect_of(name).tolerance_si
     chosen = explained(name, value, catalogue, 0.6)
     rival = explained(name, -value / 2, catalogue, 0.38)
@@ -174,8 +176,7 @@ def test_a_reader_finds_part_direction_and_size(
         assert size == pytest.approx(abs(expected), rel=0.06)
 
 
-@pytest.mark.parametrize("name", CATALOGUE.parameters)
-@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("name", "sign"), in_turn(CATALOGUE.parameters, [1, -1]))
 def test_a_reader_finds_what_changed_in_words_on_the_drawing_and_in_what_to_do(
     name: Parameter, sign: int
 ) -> None:
@@ -293,6 +294,7 @@ def test_new_zeros_and_compensated_commands_are_never_both_told() -> None:
     assert _one_of_two([both]) == [both]
 
 
+@pytest.mark.thorough
 def test_where_something_is_left_nothing_is_to_be_changed() -> None:
     """Numbers are withheld, causes confirmed first, and the sheet follows what is left."""
     for which, first in (("unexplained", "measure"), ("partial", "confirm")):
@@ -355,6 +357,7 @@ def lost(which: str) -> Verdict:
     return og.close_loop([og.Campaign.from_frame(table, name="lost")], og.Machine.nominal())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("which", "said", "test"),
     [
@@ -397,6 +400,7 @@ def test_a_controllers_setting_is_for_the_lost_motion_of_drives() -> None:
     assert "a controller's own setting for it, or orthoglide compensate makes up for it" in text
 
 
+@pytest.mark.thorough(except_for=["platform"])
 @pytest.mark.parametrize("which", ["platform", "reversal"])
 def test_the_tools_error_says_that_it_leaves_lost_motion_out(which: str) -> None:
     text = screen(lost(which))
@@ -407,6 +411,7 @@ def test_the_tools_error_says_that_it_leaves_lost_motion_out(which: str) -> None
     assert "in calibrated.toml , but not that" in page.replace("  ", " ")
 
 
+@pytest.mark.thorough
 def test_a_place_says_which_known_shapes_are_ruled_out() -> None:
     page = words(report_files(lost("reversal"))["report.html"])
     assert (

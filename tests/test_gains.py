@@ -15,6 +15,7 @@ from orthoglide.posterior.mixture import Mixture
 SEED = 1
 
 
+@pytest.mark.thorough
 def test_a_cause_gains_what_was_said() -> None:
     record = gains.run((1, "two-gauges", 1), SEED)
     (item,) = [i for i in record["items"] if i["named"]]

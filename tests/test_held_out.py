@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from benchmarks.deltas import page
 from benchmarks.held_out import DATA, every, table
@@ -14,6 +15,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "linear-deltas.md"
 NUMBER = re.compile(r"(?<![\w.])−?\d+(?:\.\d+)?")
 
 
+@pytest.mark.thorough
 def test_the_page_of_deltas_is_what_its_script_prints() -> None:
     """But for the last digits of its numbers, which differ between processors."""
     remedy = "stale: python -m benchmarks.deltas > docs/linear-deltas.md"
@@ -26,6 +28,7 @@ def test_the_page_of_deltas_is_what_its_script_prints() -> None:
     np.testing.assert_allclose(new, old, rtol=0.05, atol=0.011, err_msg=remedy)
 
 
+@pytest.mark.thorough
 def test_what_is_found_predicts_what_was_not_used() -> None:
     found = every([DATA / "held"])
     machines = {one.machine for one in found}

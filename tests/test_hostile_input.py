@@ -110,6 +110,7 @@ class Texts(HTMLParser):
         self.shown += data
 
 
+@pytest.mark.thorough(except_for=["[/b]"])
 @pytest.mark.parametrize("names", STRANGE, ids=lambda names: names[0])
 def test_names_of_setups_change_no_number(
     names: tuple[str, ...], here: Path, plain: tuple[dict[str, Any], str]
@@ -210,6 +211,7 @@ def test_what_cannot_be_shown_is_refused(character: str, here: Path) -> None:
     assert "m.toml" in refused("identify", "c.csv", "--out", "out", "--machine", "m.toml")
 
 
+@pytest.mark.thorough
 def test_a_file_name_that_is_no_text(here: Path) -> None:
     name = os.fsdecode(b"b\xff\x1b.csv")
     try:

@@ -103,6 +103,18 @@ FREE_SETS = [
 ]
 
 
+@pytest.mark.thorough(
+    except_for=[
+        "joint_offset-True",
+        "leg_length-False",
+        "joint_offset leg_length-True",
+        "joint_offset.x-True",
+        "leg_length.z-False",
+        "joint_offset leg_length.y-True",
+        "joint_offset.y joint_offset.z leg_length.x leg_length.z-False",
+        "joint_offset leg_length.common-False",
+    ]
+)
 @pytest.mark.parametrize("priors", [True, False])
 @pytest.mark.parametrize("free", FREE_SETS, ids=" ".join)
 def test_programme_is_the_reductions_fit_on_every_free_set(
@@ -228,6 +240,7 @@ def test_programme_and_nested_closure_agree(free: tuple[str, ...]) -> None:
         identify(campaign, MACHINE, free, method="reduction")
 
 
+@pytest.mark.thorough(except_for=["joint_offset axis_tilt.cyclic"])
 @pytest.mark.parametrize(
     "free",
     [("joint_offset",), ("joint_offset", "axis_tilt.cyclic"), ("joint_offset", "backlash.y")],
@@ -317,6 +330,7 @@ def test_everything_own_is_each_campaign_alone() -> None:
             assert joint.values[f"{name}@{campaign.name}"] == pytest.approx(value, abs=NANOMETRE)
 
 
+@pytest.mark.thorough
 def test_a_campaign_twice_is_twice_the_knowledge() -> None:
     one = measured("sweep")
     twice = identify([one, replace(one, name="again")], MACHINE, ["joint_offset"], priors=False)
@@ -463,6 +477,9 @@ def test_priors_are_not_sold_as_readings() -> None:
 # -- bounds, noise and scaling -------------------------------------------------------------------
 
 
+@pytest.mark.thorough(
+    except_for=["nlp-joint_offset.z", "nested-joint_offset", "reduction-joint_offset.z"]
+)
 @pytest.mark.parametrize("key", ["joint_offset", "joint_offset.z"])
 @pytest.mark.parametrize("method", ["nlp", "nested", "reduction"])
 def test_bounds_hold_and_are_reported(method: Any, key: str) -> None:
@@ -631,6 +648,9 @@ def spoil(monkeypatch: pytest.MonkeyPatch, change: Any) -> None:
     monkeypatch.setattr(Nlp, "solve", lying)
 
 
+@pytest.mark.thorough(
+    except_for=["zero-joint_offset", "a little off-joint_offset axis_tilt", "far off-joint_offset"]
+)
 @pytest.mark.parametrize("free", [("joint_offset",), ("joint_offset", "axis_tilt")], ids=" ".join)
 @pytest.mark.parametrize("name", ["zero", "a little off", "far off"])
 def test_a_wrong_answer_called_success_is_caught(
@@ -762,6 +782,7 @@ def test_far_from_tolerance_is_said() -> None:
     assert any("times its tolerance" in warning for warning in found.warnings)
 
 
+@pytest.mark.thorough
 def test_two_bars_and_odd_places() -> None:
     """Dials on single bars, at random commands: nothing of the papers' protocol is built in."""
     machine = Machine(EXACT)

@@ -44,6 +44,7 @@ def higher(text: str, by: float) -> str:
 # What import says, in results ---------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_what_import_says_is_said_of_results(tmp_path: Path) -> None:
     """Heights six millimetres off: "run DELTA_CALIBRATE again" was said once, and never again."""
     (tmp_path / "printer.cfg").write_text(moved(T1.read_text(), 6.0))

@@ -268,6 +268,7 @@ def serve(process: subprocess.Popen[str], operator: Operator, most: int = 10**6)
     return said
 
 
+@pytest.mark.thorough
 def test_a_campaign_that_was_killed_goes_on_and_names_what_is_wrong(tmp_path: Path) -> None:
     path = tmp_path / "april.csv"
     operator = Operator(Rig(errors=TILTED), np.random.default_rng(11))
@@ -310,6 +311,7 @@ def test_a_campaign_that_was_killed_goes_on_and_names_what_is_wrong(tmp_path: Pa
     assert "shows:" not in said
 
 
+@pytest.mark.thorough
 def test_a_recorded_campaign_is_replayed_through_a_pipe(tmp_path: Path) -> None:
     """Its own rows as the sheet, its readings line by line on standard input."""
     recorded = MACHINE.parent / "rig-3.csv"

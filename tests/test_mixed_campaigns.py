@@ -4,6 +4,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from orthoglide.closing import Verdict, close_loop
 from orthoglide.machine import Machine
@@ -39,6 +40,7 @@ def verdicts() -> dict[str, Verdict]:
     return {n: close_loop(g, MACHINE, tcp=judge, frame="none") for n, g in given.items()}
 
 
+@pytest.mark.thorough
 def test_both_together_know_the_tool_better_than_either() -> None:
     after = {n: {k: e.after[0] for k, e in (v.tcp or {}).items()} for n, v in verdicts().items()}
     for kind in ("none", "translation"):

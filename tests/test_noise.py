@@ -81,6 +81,7 @@ def test_noise_declared_far_too_large_is_said() -> None:
     assert caution(og.identify(by_row)) == caution(og.identify(read, noise=1e-3)) != ""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("count", [8, pytest.param(60, marks=pytest.mark.thorough)])
 def test_noise_declared_too_large_for_points_of_the_tool(count: int) -> None:
     points = og.simulate_tcp(og.Machine.nominal(), count, seed=1)
@@ -92,6 +93,7 @@ def test_noise_declared_too_large_for_points_of_the_tool(count: int) -> None:
     assert not caution(og.identify(points))
 
 
+@pytest.mark.thorough(except_for=["0"])
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_declared_about_right_is_not_doubted(seed: int) -> None:
     read = og.simulate(og.Machine.nominal(), "standard", noise=5e-6, seed=seed)
@@ -252,6 +254,7 @@ def test_the_noise_of_a_coarse_dial_has_its_rounding() -> None:
         assert noise_of([read], Dial()).source == "repeats"
 
 
+@pytest.mark.thorough(except_for=["None-6", "5e-06-1"])
 @pytest.mark.parametrize("setups", [6, 1])
 @pytest.mark.parametrize("repeatability", [None, 5e-6])
 def test_a_sound_machine_read_on_a_coarse_step_is_sound(
@@ -299,6 +302,7 @@ def scatter_notes(fit: og.Estimate) -> list[str]:
     return [note for note in fit.warnings if note.kind == "scatter"]
 
 
+@pytest.mark.thorough(except_for=["7.5e-06"])
 @pytest.mark.parametrize("noise", [7.5e-6, 1e-5, 1.5e-5])
 def test_repeats_that_scatter_by_more_than_the_machine_file_says_are_told(noise: float) -> None:
     """What is left was told as a machine with an error that nothing explains, and no more."""
@@ -316,6 +320,7 @@ def test_one_setup_that_scatters_is_named() -> None:
     assert "look for what is loose on this dial" in note
 
 
+@pytest.mark.thorough
 def test_nothing_is_said_of_repeats_as_declared_or_that_declare_themselves() -> None:
     for noise in (1e-6, 3e-6, 5e-6):
         assert not scatter_notes(scattering(noise))
@@ -325,6 +330,7 @@ def test_nothing_is_said_of_repeats_as_declared_or_that_declare_themselves() -> 
     assert "where 0.005 was declared: correct what was declared" in note
 
 
+@pytest.mark.thorough
 def test_noise_declared_too_small_is_said_before_the_machine_is_blamed() -> None:
     fit = scattering(1.2e-5)
     verdict = og.close_loop(fit.problem.campaigns, fit.problem.machine)
@@ -333,7 +339,8 @@ def test_noise_declared_too_small_is_said_before_the_machine_is_blamed() -> None
     assert verdict.actions[0].words.startswith("Before more is measured: repeats of the dials")
 
 
-@pytest.mark.parametrize("told", [5e-7, pytest.param(1e-7, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("told", [5e-7, 1e-7])
 def test_a_datasheets_figure_locates_no_place_in_repeats_that_scatter(told: float) -> None:
     """Neighbouring digits of a loud dial passed for edges of its steps; bars grew with time."""
     fit = scattering(5e-6, told=told)
@@ -360,6 +367,7 @@ def test_an_instrument_at_the_tool_that_scatters_by_more_than_declared_is_told(
         assert said == pytest.approx(times * 1e-2, rel=0.2)
 
 
+@pytest.mark.thorough
 def test_the_source_of_the_noise_is_told_of_each_instrument(tmp_path: Path) -> None:
     """Repeats of a tracker were said to be the machine file, and its noise mixed with a probe's."""
     machine = og.Machine.nominal()
@@ -384,6 +392,7 @@ def test_the_source_of_the_noise_is_told_of_each_instrument(tmp_path: Path) -> N
     assert dials.noise_source == dials.noise.source
 
 
+@pytest.mark.thorough
 def test_a_dial_in_inches_among_others_is_asked_about() -> None:
     """It moves little, so that its fit tells nothing: 0.0005 inches are 0.0127 mm, off the step."""
     worn = og.Machine.nominal().with_parameters({"joint_offset.x": 1e-3, "axis_tilt.x.y": 1e-3})

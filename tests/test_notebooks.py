@@ -71,6 +71,7 @@ def test_identify_and_diagnose(
     assert sum("<table" in value for value in values) == 4
 
 
+@pytest.mark.thorough
 def test_plan_and_rehearse(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -82,6 +83,7 @@ def test_plan_and_rehearse(
     assert [p.name for p in tmp_path.iterdir()] == ["sheet.csv"]
 
 
+@pytest.mark.thorough
 def test_your_own_effect(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

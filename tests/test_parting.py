@@ -38,6 +38,7 @@ def proposed(verdict: Any) -> list[Any]:
     return [s for s in verdict.next_measurements if s.aim == "separate"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [6, 7])
 def test_the_readings_proposed_for_a_class_of_places_leave_the_true_one(
     seed: int, tmp_path: Path
@@ -59,6 +60,7 @@ def test_the_readings_proposed_for_a_class_of_places_leave_the_true_one(
     assert after.effects == ()
 
 
+@pytest.mark.thorough
 def test_the_sheet_and_the_page_hold_them_and_they_come_first() -> None:
     _, _, verdict = located(6)
     (one,) = proposed(verdict)

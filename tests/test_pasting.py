@@ -128,6 +128,7 @@ def test_heights_that_the_numbers_were_fitted_to_give_no_new_ones(name: str) -> 
         assert "Keep the stored numbers: " in " ".join(str(verdict).split())
 
 
+@pytest.mark.thorough
 def test_what_is_left_stands_on_the_page_and_in_the_file(tmp_path: Path) -> None:
     found = imported(tmp_path, simulated_cfg(DeltaRig(errors=OFF), count=5))
     verdict = close_loop(list(found.campaigns), Machine(found.machine))
@@ -159,6 +160,7 @@ def test_the_firmware_s_own_calibration_comes_first(tmp_path: Path) -> None:
     assert "To paste" not in str(report_files(verdict)["report.html"])
 
 
+@pytest.mark.thorough(except_for=["25.5"])
 @pytest.mark.parametrize("beside", [0.0, 25.5])
 def test_a_probe_beside_the_nozzle_is_calibrated_after_new_numbers(
     beside: float, tmp_path: Path

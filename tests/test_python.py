@@ -290,7 +290,8 @@ def test_points_in_millimetres_are_said_to_be_far() -> None:
         og.compensate(og.Machine.nominal(), [[-12, 24, 24]])
 
 
-@pytest.mark.parametrize("kind", [pytest.param(str, marks=pytest.mark.thorough), Path])
+@pytest.mark.thorough
+@pytest.mark.parametrize("kind", [str, Path])
 def test_campaigns_are_read_where_paths_are_given(
     kind: Callable[[Path], Any],
     machine: og.Machine,
@@ -303,6 +304,7 @@ def test_campaigns_are_read_where_paths_are_given(
     assert og.close_loop(path, machine).values == verdict.values
 
 
+@pytest.mark.thorough
 def test_a_machine_is_read_where_a_path_is_given(estimate: og.Estimate) -> None:
     file = RIG / "machine.toml"
     for given in (file, str(file), og.Machine.load(file).spec):

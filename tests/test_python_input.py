@@ -133,6 +133,7 @@ def test_a_column_twice_is_said_as_of_a_file() -> None:
     refused(lambda: fit(df), "a DataFrame holds no readings: .* og.Campaign.from_frame")
 
 
+@pytest.mark.thorough
 def test_campaigns_without_a_file_are_named_in_python() -> None:
     other = og.simulate(WORN, "standard", noise=5e-6, seed=2)
     refused(lambda: fit([DIALS, other]), "dataclasses.replace.campaign, name='second'")
@@ -278,6 +279,7 @@ def test_the_loop_checks_all_that_it_is_given(call: Callable[[], Any], words: st
     refused(call, words)
 
 
+@pytest.mark.thorough
 def test_lists_do_for_arrays() -> None:
     points = og.TcpPoints(
         POINTS.command.tolist(),

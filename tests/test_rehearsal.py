@@ -197,6 +197,7 @@ def test_the_table_is_the_same_whatever_the_workers(alone: Rehearsal) -> None:
     assert told(two) == told(alone)
 
 
+@pytest.mark.thorough
 def test_a_dask_cluster_gives_the_same_table(alone: Rehearsal) -> None:
     distributed = pytest.importorskip("dask.distributed")
     from joblib import parallel_config
@@ -211,6 +212,7 @@ def test_a_dask_cluster_gives_the_same_table(alone: Rehearsal) -> None:
     assert told(found) == told(alone)
 
 
+@pytest.mark.thorough
 def test_a_stopped_rehearsal_goes_on(alone: Rehearsal, tmp_path: Path) -> None:
     machine, out = og.Machine.load(MACHINE), tmp_path / "out"
     og.rehearse(machine, "standard", 2, seed=2, out=out)
@@ -290,6 +292,7 @@ def test_the_command_keeps_and_prints(tmp_path: Path) -> None:
     assert re.fullmatch(r"campaigns 1(, (named|located|missed|false|failed) [01]){5}", short)
 
 
+@pytest.mark.thorough
 def test_an_interrupt_keeps_what_was_finished(tmp_path: Path) -> None:
     """As its user stops it: the whole process group hears it."""
     out = tmp_path / "out"
@@ -312,6 +315,7 @@ def test_an_interrupt_keeps_what_was_finished(tmp_path: Path) -> None:
     assert kept.read_text().count("\n") > 1
 
 
+@pytest.mark.thorough
 def test_a_process_that_is_ended_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr("orthoglide.rehearsal.rehearsing.outcome_of", _end_this_process)
     with pytest.raises(og.NumericsError, match="ended from outside"):
@@ -330,6 +334,7 @@ def delta() -> og.Machine:
     return og.Machine(import_printer(DATA / "electrocally.cfg").machine)
 
 
+@pytest.mark.thorough
 def test_a_delta_is_rehearsed_with_the_instruments_one_owns(delta: og.Machine) -> None:
     found = og.rehearse(delta, campaigns=15, owns=["plate", "incline"], seed=3, jobs=2)
     assert not any(t.failed for t in found.campaigns), found
@@ -381,6 +386,7 @@ def test_readings_at_the_tool_are_simulated_with_their_noise(delta: og.Machine, 
     assert 0.5 < left / INSTRUMENTS[kind].repeatability < 2
 
 
+@pytest.mark.thorough
 def test_what_a_plate_and_distances_tell_of_a_whole_machine_is_as_good_as_stated(
     delta: og.Machine,
 ) -> None:

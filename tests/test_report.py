@@ -141,6 +141,7 @@ def without_sheet(page: str) -> str:
     return re.sub(r"data:text/csv[^\"]*", "#", page)
 
 
+@pytest.mark.thorough(except_for=["published"])
 @pytest.mark.parametrize("which", ["published", "rig", "two"])
 def test_the_page_is_well_formed_and_self_contained(which: str) -> None:
     page = files_of(which)["report.html"]
@@ -164,6 +165,7 @@ def check_timeless(files: dict[str, str]) -> None:
         assert not re.search(r"\bnan\b|\binf\b|Infinity|NaN|None|undefined", text), name
 
 
+@pytest.mark.thorough
 def test_the_same_bytes_again() -> None:
     first = files_of()
     again = report_files(identified(DATA / "experiment2.csv"))
@@ -330,6 +332,7 @@ def test_residuals_add_up() -> None:
         assert value == pytest.approx(float(row["residual_after_mm"]), abs=2e-6)
 
 
+@pytest.mark.thorough
 def test_everything_can_be_freed_at_once() -> None:
     """Nothing of the catalogue is left to weigh: lack of fit decides alone."""
     machine = og.Machine.nominal()
@@ -345,6 +348,7 @@ def test_everything_can_be_freed_at_once() -> None:
 # --- Figures --------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough(except_for=["published"])
 @pytest.mark.parametrize("which", ["published", "rig", "two"])
 def test_figures_are_svg_with_a_panel_a_setup(which: str) -> None:
     estimate = result_of(which).after
@@ -364,6 +368,7 @@ def test_figures_are_svg_with_a_panel_a_setup(which: str) -> None:
         assert panel.count(": leg ") == 1
 
 
+@pytest.mark.thorough
 def test_figures_leave_matplotlib_as_it_was() -> None:
     import matplotlib
 
@@ -514,6 +519,7 @@ def browsed(page: Path, size: str, budget: int) -> dict[str, Any]:
     return told
 
 
+@pytest.mark.thorough(except_for=["published-390"])
 @pytest.mark.parametrize("width", [390, 1280])
 @pytest.mark.parametrize("which", ["published", "rig", "two"])
 def test_nothing_overflows_in_a_browser(which: str, width: int, tmp_path: Path) -> None:

@@ -40,6 +40,7 @@ def test_a_start_from_some_of_the_readings(monkeypatch: pytest.MonkeyPatch) -> N
     assert some.scores.chi2 == pytest.approx(whole.scores.chi2, rel=1e-4)
 
 
+@pytest.mark.thorough
 def test_few_directions_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     one = og.close_loop(measured(), MACHINE)
     monkeypatch.setattr(columns, "MANY", 10)

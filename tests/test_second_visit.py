@@ -72,6 +72,7 @@ def test_zeros_entered_in_the_controller_are_changes(calibrated: og.Machine) -> 
     assert tilt_of(again.values) == pytest.approx(1.5e-3, abs=1e-4)
 
 
+@pytest.mark.thorough
 def test_the_sentences_of_a_second_visit_name_what_changed(tmp_path: Path) -> None:
     from orthoglide.report.wording import headline
 
@@ -89,6 +90,7 @@ def test_the_sentences_of_a_second_visit_name_what_changed(tmp_path: Path) -> No
     assert "backlash" not in text
 
 
+@pytest.mark.thorough
 def test_what_changed_is_said_first(tmp_path: Path) -> None:
     from orthoglide.report.wording import claim
 
@@ -104,6 +106,7 @@ def test_what_changed_is_said_first(tmp_path: Path) -> None:
     assert "Nothing else is wrong" in text
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "size"),
     [("backlash.z", 1.2e-4), ("rail_bow.y.x", -2e-4), ("axis_tilt.x.y", -8e-3)],
@@ -121,6 +124,7 @@ def test_a_fault_put_right_leaves_nothing(tmp_path: Path, name: str, size: float
     assert abs(change.after) < 3 * change.sigma
 
 
+@pytest.mark.thorough
 def test_two_strong_faults_are_named_and_the_one_put_right_is_told(tmp_path: Path) -> None:
     """Either alone is no better than a wide background: both were called adequate, the tilt was
     shared out among all that resembles it, and its repair was told with the wrong sign.
@@ -143,6 +147,7 @@ def test_two_strong_faults_are_named_and_the_one_put_right_is_told(tmp_path: Pat
     assert again.word == "adequate"
 
 
+@pytest.mark.thorough
 def test_a_tower_that_leans_since_the_calibration_is_told_in_full(tmp_path: Path) -> None:
     """Four tolerances: it was told by half, and what that left was called the readings' noise."""
     first = og.close_loop([probed("probe", 1)], delta())
@@ -159,6 +164,7 @@ TOWERS = {"axis_offset.a.radial": 5e-4, "axis_offset.b.radial": 8e-4, "axis_offs
 BENT = {"plate_bow.bed": 1.5e-4}
 
 
+@pytest.mark.thorough(except_for=["before0-after0-by0"])
 @pytest.mark.parametrize(
     ("before", "after", "by"),
     [
@@ -185,6 +191,7 @@ def test_a_plate_that_bent_since_the_calibration_is_in_the_class(
     assert np.ptp(moved) < 5e-5  # together, or none of them
 
 
+@pytest.mark.thorough
 def test_one_plate_that_bent_under_two_setups_is_one_change() -> None:
     known = og.close_loop([probed("probe", 1)], delta()).machine
     one, other = probed("probe", 2, **BENT), probed("probe", 3, **BENT)
@@ -195,12 +202,14 @@ def test_one_plate_that_bent_under_two_setups_is_one_change() -> None:
     assert "axis_offset.radial.common" in change.members
 
 
+@pytest.mark.thorough
 def test_a_plate_that_is_as_bent_as_it_was_has_not_changed() -> None:
     for shape in (BENT, {"plate_trefoil.bed.cos": 2.5e-4}):
         known = og.close_loop([probed("probe", 1, **shape)], delta()).machine
         assert og.close_loop([probed("probe", 2, **shape)], known).changed == ()
 
 
+@pytest.mark.thorough
 def test_what_is_left_after_many_changes_at_once_is_told_of_the_new_readings() -> None:
     """Zeros entered and a drive mended in one visit: closed together, dials of the old one were
     blamed for what the two states differ in.
@@ -214,6 +223,7 @@ def test_what_is_left_after_many_changes_at_once_is_told_of_the_new_readings() -
     assert found.verdict.after.scores.rms < 7e-6
 
 
+@pytest.mark.thorough
 def test_what_the_first_sheet_did_not_see_is_no_change(tmp_path: Path) -> None:
     """Dials on the middle of both bars hardly see a width; touched bar by bar it was a change."""
     errors, rng = {**ERRORS, "parallelogram_width.x": 1.5e-4}, np.random.default_rng(6)
@@ -230,11 +240,11 @@ def test_what_the_first_sheet_did_not_see_is_no_change(tmp_path: Path) -> None:
     assert again.values["parallelogram_width.x"] == pytest.approx(1.5e-4, abs=4e-5)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "curve",
-    [pytest.param(s_curve(1, 0, 1e-4), marks=pytest.mark.thorough),
-     drive_step(0, 1.5e-4, at=-0.01)],
-)  # fmt: skip
+    [s_curve(1, 0, 1e-4), drive_step(0, 1.5e-4, at=-0.01)],
+)
 def test_a_located_curve_that_was_mended_is_what_changed(curve: Any) -> None:
     """Tilts and bows of other legs were told at ten to twenty sigma, each to be put right."""
     states = [
@@ -258,6 +268,7 @@ def test_a_located_curve_that_was_mended_is_what_changed(curve: Any) -> None:
     assert not any("from" in change.what.partition("changed")[2] for change in again.changed)
 
 
+@pytest.mark.thorough
 def test_a_place_that_a_poorer_sheet_cannot_show_is_not_gone() -> None:
     """A sheet of three postures names the same curve a bow, or nothing at all."""
     rig = Rig(errors=ERRORS, screw_pitch=0.02, extra=(s_curve(1, 0, 1e-4),))
@@ -298,6 +309,7 @@ def test_what_did_not_change_says_what_there_was_before() -> None:
     assert told["by"] == pytest.approx(record["changed"]["joint_offset.z"], abs=6e-5)
 
 
+@pytest.mark.thorough
 def test_a_dial_of_a_micrometre_is_drawn_up_after_a_second_visit() -> None:
     """What is known best is a difference of large numbers, and was no covariance for rounding."""
     errors = {**ERRORS, "rail_bow.x.z": 1.5e-4, "encoder_scale.y": 7e-4}

@@ -30,6 +30,7 @@ def written(folder: Path, *words: str) -> Path:
     return path
 
 
+@pytest.mark.thorough(except_for=["standard-A4"])
 @pytest.mark.parametrize("size", ["A4", "letter"])
 @pytest.mark.parametrize("kind", ["standard", "sweep"])
 def test_every_mounting_prints_on_one_page(tmp_path: Path, kind: str, size: str) -> None:
@@ -62,6 +63,7 @@ def test_page_and_file_have_the_same_rows_in_the_same_order(
     compare(written(tmp_path, *words))
 
 
+@pytest.mark.thorough
 def test_what_a_report_proposes_is_printed_as_well(tmp_path: Path) -> None:
     files = files_of("unexplained")
     for name in ("next_measurements.csv", "next_measurements.html"):

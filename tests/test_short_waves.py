@@ -35,7 +35,8 @@ def wave(travel: float) -> float:
     [
         ("rail", "tangential", 1e-4, "tool coordinates",
          "the path of the b carriage leaves its line"),
-        ("carriage", "b", 1.5e-3, "probe and level", "the b carriage turns about b"),
+        pytest.param("carriage", "b", 1.5e-3, "probe and level", "the b carriage turns about b",
+                     marks=pytest.mark.thorough),
     ],
 )  # fmt: skip
 def test_located_as_such_and_kept(
@@ -96,6 +97,7 @@ def test_parts_of_a_workshop_s_machines_are_made_to_the_same_tolerances() -> Non
     assert kept[name].tolerance == pytest.approx(0.2 * 0.05)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [1])
 def test_the_rail_of_a_stage_with_bars_of_31_mm_is_found(seed: int) -> None:
     """A tenth of a workshop's machine in all, readings and tolerances too."""

@@ -38,6 +38,7 @@ def measured(seed: int = 0, missing: bool = False) -> og.TcpPoints:
     return og.TcpPoints(rho, p, np.full(n, 1e-6), np.zeros((n, 3)), np.arange(2, n + 2))
 
 
+@pytest.mark.thorough(except_for=["rigid-True"])
 @pytest.mark.parametrize("missing", [False, True])
 @pytest.mark.parametrize("frame", ["none", "translation", "rigid"])
 def test_a_planted_machine_is_recovered(frame: Frame, missing: bool) -> None:
@@ -59,6 +60,7 @@ def test_a_planted_machine_is_recovered(frame: Frame, missing: bool) -> None:
     np.testing.assert_allclose(found.x, again.x, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_the_instruments_frame_does_not_matter() -> None:
     points = measured(2)
     angle, shift = 0.3, np.array([0.01, -0.02, 0.03])
@@ -96,6 +98,7 @@ def test_a_small_turn_of_the_frame_is_a_nuisance() -> None:
     assert np.abs(nuisance.project((turned - p).ravel())).max() < 1e-6
 
 
+@pytest.mark.thorough
 def test_dials_and_points_together_are_surer_than_either() -> None:
     dials = og.read_campaign(RIG / "rig-1.csv", MACHINE.spec)
     points = og.read_tcp(RIG / "rig-1.tcp.csv", MACHINE.spec)
@@ -138,6 +141,7 @@ def test_the_command_line(tmp_path: Path) -> None:
     assert og.Machine.load(out / "calibrated.toml").values
 
 
+@pytest.mark.thorough
 def test_dials_and_points_close_the_loop_and_run_again(tmp_path: Path) -> None:
     out = tmp_path / "out"
     files = [str(RIG / "rig-2.csv"), "--fit-tcp", str(RIG / "rig-2.tcp.csv")]

@@ -94,6 +94,7 @@ def read(path: Path, spec: MachineFile) -> ToolCampaign:
     return found
 
 
+@pytest.mark.thorough(except_for=["None-xyz", "40-abc"])
 @pytest.mark.parametrize("legs", ["abc", "xyz"])
 @pytest.mark.parametrize("count", [None, 40])
 def test_a_sheet_of_the_tool_says_the_side_that_its_rows_lead_to(
@@ -116,6 +117,7 @@ def test_a_sheet_of_the_tool_says_the_side_that_its_rows_lead_to(
     assert len(found.moves) == kinds.count("move")
 
 
+@pytest.mark.thorough(except_for=["abc"])
 @pytest.mark.parametrize("legs", ["abc", "xyz"])
 def test_places_of_a_sheet_are_visited_again_from_the_same_side(legs: str) -> None:
     """Repeats enough to say what the instrument scatters by, as circles cross at six places."""
@@ -133,6 +135,7 @@ def test_plates_are_touched_from_above_and_distances_have_no_side() -> None:
     assert not len(distance.moves)
 
 
+@pytest.mark.thorough(except_for=["abc-82"])
 @pytest.mark.parametrize("seed", [81, 82])
 @pytest.mark.parametrize("legs", ["abc", "xyz"])
 def test_lost_motion_is_found_with_a_sheet_of_the_tool(
@@ -152,6 +155,7 @@ def circled(legs: str, lost: float, seed: int) -> list[Row]:
     return without(filled(rows, legs, lost, seed), "approach_", blank=True)
 
 
+@pytest.mark.thorough
 def test_lost_motion_that_passes_for_noise_is_not_ruled_out(tmp_path: Path) -> None:
     """It was *adequate*, the noise of the readings, and lost motion was nowhere named."""
     file = written(tmp_path / "april.csv", circled("abc", LOST, 81))
@@ -173,12 +177,14 @@ def test_lost_motion_that_passes_for_noise_is_not_ruled_out(tmp_path: Path) -> N
     assert "which is the noise of the readings" in " ".join(str(sound).split())
 
 
+@pytest.mark.thorough
 def test_visits_that_differ_may_be_lost_motion_where_sides_are_untold(tmp_path: Path) -> None:
     file = written(tmp_path / "april.csv", circled("xyz", LOST, 81))
     with pytest.raises(og.InputError, match=r"or it is lost motion, .*approach_\* is empty"):
         og.close_loop([file], Machine.nominal())
 
 
+@pytest.mark.thorough
 def test_an_unknown_side_is_no_other_side(tmp_path: Path) -> None:
     """A probe comes from above; where nobody knows how a tracker's places were come to, the two
     differ by nothing that is known.

@@ -145,6 +145,7 @@ def test_noise_that_no_instrument_has_is_declared_or_refused() -> None:
     assert og.close_loop([campaign], MACHINE, noise=5e-4).word == "adequate"
 
 
+@pytest.mark.thorough(except_for=["1.0-plate", "1.0-incline"])
 @pytest.mark.parametrize("kind", ["plate", "tcp", "ballbar", "distance", "incline"])
 @pytest.mark.parametrize("times", [1.0, 3.0])
 def test_sound_readings_are_not_refused(kind: str, times: float) -> None:
@@ -166,6 +167,7 @@ def test_a_plate_that_counts_as_rough_is_said_to() -> None:
     assert not [w for w in og.identify([campaign], MACHINE).warnings if w.kind == "loud"]
 
 
+@pytest.mark.thorough
 def test_twenty_thousand_readings_of_a_tracker() -> None:
     """Of dials alone some lead the way; of these all were left, and left, until a traceback."""
     campaign = read("tcp", passes=190)

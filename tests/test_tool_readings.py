@@ -440,6 +440,7 @@ def test_what_needs_dials_says_so() -> None:
             ask()
 
 
+@pytest.mark.thorough
 def test_a_strong_cause_is_no_slip(tmp_path: Path) -> None:
     """Half a millimetre off the base at few places, but on what a leaning rail makes of all."""
     machine = Machine(replace(SPEC, tolerance=of_printers(MACHINE.catalogue)))
@@ -453,6 +454,7 @@ def test_a_strong_cause_is_no_slip(tmp_path: Path) -> None:
         og.identify([replace(campaign, reading=slipped)], machine)
 
 
+@pytest.mark.thorough
 def test_a_slip_counts_by_the_size_of_the_machine() -> None:
     """Of bars of 31 mm a twentieth of a millimetre: less than a workshop's machine may be off."""
     spec = MachineFile(
@@ -778,6 +780,7 @@ def test_a_ball_is_where_the_machine_found_has_it() -> None:
         assert found.values[name] == pytest.approx(value, abs=1e-5)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["tcp", "ballbar"])
 def test_what_an_instrument_would_tell_goes_by_its_noise(
     tracked: tuple[Machine, ToolCampaign], kind: str
@@ -797,6 +800,7 @@ def test_what_an_instrument_would_tell_goes_by_its_noise(
     assert 1.5 < np.nanmedian(worse) < 4.5
 
 
+@pytest.mark.thorough
 def test_what_the_base_cannot_explain_settles(tracked: tuple[Machine, ToolCampaign]) -> None:
     """Steps end in the rounding of a chi2 of many millions."""
     machine, sheet = tracked
@@ -817,6 +821,7 @@ def from_both_sides(sheet: ToolCampaign, *, twice: bool) -> ToolCampaign:
     return replace(both, approach=sides, order=np.arange(1, 2 * n + 1))
 
 
+@pytest.mark.thorough(except_for=["plate-4e-05-True", "tcp-0.0002-False"])
 @pytest.mark.parametrize("twice", [True, False])
 @pytest.mark.parametrize("size", [4e-5, 2e-4])
 @pytest.mark.parametrize("kind", ["plate", "tcp"])
@@ -844,6 +849,7 @@ def test_repeats_of_an_instrument_are_visits_from_one_side(tmp_path: Path) -> No
     assert ToolReadings.of(visits, MACHINE).sigma == pytest.approx(2e-6, rel=1.5)
 
 
+@pytest.mark.thorough(except_for=["2e-05", "0.0003"])
 @pytest.mark.parametrize("bow", [2e-5, 1e-4, 3e-4])
 def test_a_bowed_plate_is_no_bar_far_beyond_its_tolerance(bow: float) -> None:
     """To a plate alone both look the same, and a base of wide priors would take either."""
@@ -915,6 +921,7 @@ def test_the_frame_of_a_simulated_tracker_is_turned_and_not_sheared(seed: int) -
     assert np.abs(moved_onto(seen, seen, p) - p).max() < 1e-9
 
 
+@pytest.mark.thorough
 def test_a_sound_machine_before_a_ball_bar_is_adequate() -> None:
     machine, chi2, dof = exacting(), 0.0, 0.0
     sheet = sheet_of(machine, "ballbar")
@@ -925,6 +932,7 @@ def test_a_sound_machine_before_a_ball_bar_is_adequate() -> None:
     assert abs(chi2 / dof - 1) < 4 * np.sqrt(2 / dof)
 
 
+@pytest.mark.thorough
 def test_a_ball_bar_pulls_at_nothing_that_it_does_not_see() -> None:
     """Towers that all end higher move the tool as a whole: the prior is all that is known of it."""
     layout = LinearDelta((0.12,) * 3)

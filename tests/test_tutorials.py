@@ -66,6 +66,7 @@ def commands(block: str, folder: Path) -> None:
         assert not missing(told, done.stdout), f"{line}\n{done.stdout}"
 
 
+@pytest.mark.thorough
 def test_the_tutorial_at_the_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("PYTHONIOENCODING", "utf-8")

@@ -64,6 +64,7 @@ def odd_tool() -> Verdict:
     return close_loop([dials(), tool(("tcp",), odd=4e-4)], MACHINE)
 
 
+@pytest.mark.thorough
 def test_what_is_left_is_shared_by_all_that_was_read() -> None:
     verdict = odd_tool()
     assert not verdict.stands
@@ -188,6 +189,7 @@ def quiet(verdict: Verdict) -> list[Note]:
     return [note for note in verdict.after.warnings if note.kind == "quiet"]
 
 
+@pytest.mark.thorough(except_for=["incline-57.3-degrees"])
 @pytest.mark.parametrize(
     ("kind", "factor", "unit"), [("incline", 57.3, "degrees"), ("plate", 25.4, "inches")]
 )

@@ -162,6 +162,7 @@ def apart(one: tuple[str, float, float, float, float], left: float, top: float, 
     return r <= left or right <= l or b <= top or bottom <= t
 
 
+@pytest.mark.thorough(except_for=["orthoglide-1.0", "delta--1.0", "free--1.0"])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("kind", ["orthoglide", "delta", "free"])
 def test_sizes_stand_on_the_paper_and_cover_no_name_and_no_dial(kind: str, sign: float) -> None:
@@ -279,6 +280,7 @@ def driven(
     return browsed(folder / "page.html", size, 4000)
 
 
+@pytest.mark.thorough(except_for=["delta"])
 @pytest.mark.parametrize("which", ["report", "delta"])
 def test_the_switch_moves_the_drawing_and_nothing_is_asked_of_a_network(
     which: str, tmp_path: Path
@@ -306,6 +308,7 @@ EDGES = """<script>addEventListener("load", () => {
 });</script></body>"""
 
 
+@pytest.mark.thorough(except_for=["orthoglide-1280,900", "delta-390,844"])
 @pytest.mark.parametrize("size", ["1280,900", "390,844"])
 @pytest.mark.parametrize("kind", ["orthoglide", "delta", "free"])
 def test_the_view_keeps_within_its_frame_and_is_printed_without_its_controls(
@@ -340,6 +343,7 @@ def test_on_a_phone_the_drawing_stands_in_the_first_screen_whatever_many_rivals(
     assert rivals >= bottom
 
 
+@pytest.mark.thorough(except_for=["explained"])
 @pytest.mark.parametrize(
     "which", ["explained", pytest.param("partial", marks=pytest.mark.thorough), "unexplained"]
 )

@@ -1,0 +1,176 @@
+"""Benchmarks outlive the package's insides: they call its public interface and the tests' rigs."""
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from benchmarks import blunders, independent, public
+from benchmarks.attribution_cases import SHARES, SHORT, Case, cases
+from benchmarks.attribution_run import draw, run
+from benchmarks.independent import Sheet, Visible
+from benchmarks.independent_delta import structured as structured_of_delta
+from tests import rig_campaigns as rc
+from tests.rig import Rig
+
+FOLDER = Path(__file__).parents[1] / "benchmarks"
+OF_SPEED = {"before", "closure", "elastic", "identify"}
+"""Benchmarks of how fast the insides are, which change with them."""
+
+
+def imported(path: Path) -> set[str]:
+    """Modules of the package that a file imports, wherever it does."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module)
+    return {name for name in found if name.partition(".")[0] == "orthoglide"}
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.py")), ids=lambda p: p.stem)
+def test_a_benchmark_imports_the_package_by_its_public_name_alone(path: Path) -> None:
+    if path.stem in OF_SPEED:
+        return
+    allowed = {"orthoglide", *(public.INSIDE if path.stem == "public" else ())}
+    assert imported(path) <= allowed
+
+
+def test_what_has_no_public_name_is_listed_and_nothing_else() -> None:
+    assert imported(FOLDER / "public.py") == {"orthoglide", *public.INSIDE}
+
+
+@pytest.fixture(scope="module")
+def verdict() -> og.Verdict:
+    rng = np.random.default_rng(5)
+    rig = Rig(errors={"joint_offset.x": 1e-3, "axis_tilt.y.z": 3e-3})
+    rows = rc.outlier(rc.simulate(rig, "standard", rng), 3, 0.4).rows
+    points = public.tcp_points(rc.tcp_points(rig, 10, rng))
+    return og.close_loop([public.campaign(rows)], public.machine(), tcp=points)
+
+
+def test_a_verdict_reads_as_result_json_does(verdict: og.Verdict) -> None:
+    read, written = public.verdict_of(verdict), public.result_json(verdict)
+    assert read["verdict"] == written["verdict"]
+    for one, other in zip(read["effects"], written["effects"], strict=True):
+        assert (one["name"], one["parameters"]) == (other["name"], other["parameters"])
+        names = [m["name"] for m in one["set"]]
+        assert names == [other["name"], *other["indistinguishable_from"]]
+        assert one["probability"] == pytest.approx(other["probability"], rel=1e-4)
+    for one, other in zip(read["blunders"], written["blunders"], strict=True):
+        assert [row + 2 for row in one["rows"]] == other["rows"]  # lines of a file
+        assert all(one[key] == other[key] for key in ("kind", "setups", "message"))
+    for state in ("before", "after"):
+        for key, value in read[state].items():
+            assert value == pytest.approx(written[state][key], rel=1e-6)
+    assert read["left"]["background"] == pytest.approx(written["left"]["background"], rel=1e-4)
+    tcp, errors = public.tcp_of(verdict), written["tcp"]["translation"]
+    assert tcp["after"] == pytest.approx([errors["after_mean_mm"], errors["after_max_mm"]])
+    assert tcp["stated"] == pytest.approx(written["tool"]["compensated"]["shape_mm"], rel=1e-4)
+    for name, (value, sigma) in public.parameters_of(verdict).items():
+        entry, unit = written["parameters"][name], public.unit_of(name)
+        assert (value / unit, sigma / unit) == pytest.approx((entry["value"], entry["sigma"]))
+    for item, other in zip(public.budget_of(verdict), written["budget"], strict=True):
+        assert item["gain_mm"] == pytest.approx(other["gain_mm"], rel=1e-4, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("place", "name"),
+    [
+        ({"part": "rail", "leg": "z", "direction": "y", "against": "travel"}, "rail.z.y/travel"),
+        ({"part": "drive", "leg": "x", "against": "command", "by_leg": "y"}, "drive.x/command.y"),
+        ({"part": "dial", "setup": "xy-0.5", "against": "reading"}, "dial.xy-0.5/reading"),
+        ({"part": "bar", "leg": "x", "direction": "1", "against": "time"}, "bar.x.1/time"),
+        ({"part": "rail", "leg": "a", "direction": "radial", "against": "travel",
+          "short_waves": True}, "rail.a.radial/waves"),
+    ],
+)  # fmt: skip
+def test_places_have_the_names_of_the_truth(place: dict, name: str) -> None:
+    whole = dict.fromkeys(("leg", "direction", "by_leg", "setup", "short_waves"))
+    assert public.place_name({**whole, **place}) == name
+
+
+def test_the_size_of_a_wrong_command_is_read_from_its_message() -> None:
+    text = "fit with rho_y = 304.38 mm where 297.14294 is written, or with rho_x = −1.5 mm where 2"
+    (first, size), (other, less) = public.commands_in(text)
+    assert (first, other) == ("y", "x")
+    assert (size, less) == pytest.approx((7.23706, -3.5))
+
+
+def test_structured_members_are_those_of_the_format() -> None:
+    tilts = independent.structured("axis_tilt")
+    assert set(tilts) == {
+        "axis_tilt.common", "axis_tilt.cyclic",
+        *(f"axis_tilt.{pair}.{way}" for pair in ("xy", "yz", "zx")
+          for way in ("symmetric", "antisymmetric")),
+    }  # fmt: skip
+    plus = {n for n, w in tilts["axis_tilt.cyclic"].items() if w > 0}
+    assert plus == {"axis_tilt.x.y", "axis_tilt.y.z", "axis_tilt.z.x"}
+    assert set(independent.structured("mount_tilt")) == {
+        "mount_tilt.a.common",
+        "mount_tilt.b.common",
+    }
+    assert len(independent.structured("backlash")["backlash.common"]) == 3
+    assert set(structured_of_delta("rail_bow")) == {
+        "rail_bow.radial.common", "rail_bow.tangential.common"
+    }  # fmt: skip
+
+
+def test_a_cause_is_as_large_as_was_asked_and_the_oracle_finds_it() -> None:
+    drawn = draw(Case("effect", "backlash", "sweep", 8.0, 0), 3)
+    ((cause, size),) = drawn.causes
+    added = rc.predict(drawn.rig, drawn.rows) - rc.predict(drawn.bare, drawn.rows)
+    assert drawn.visible is not None
+    assert drawn.visible.rms(drawn.visible.past(added)) == pytest.approx(8.0, rel=0.01)
+    scales = independent.base_scales() | {cause.name: dict(cause.errors)}
+    found = independent.oracle(Sheet(drawn.rows), scales)
+    true = size * cause.errors[cause.name]
+    assert found[cause.name] == pytest.approx(true, abs=0.3 * abs(true))
+    error = independent.tcp_error(found, drawn.points.command, drawn.points.p)
+    assert error[0] < 0.01
+
+
+def test_nothing_is_left_of_what_datums_offsets_and_lengths_explain() -> None:
+    sheet = Sheet(rc.protocol_rows("standard"))
+    visible = Visible(sheet, Rig())
+    moved = sheet.predict(Rig(errors={"joint_offset.y": 1e-4})) - sheet.predict(Rig())
+    plain = np.linalg.norm((moved - sheet.datums @ np.linalg.pinv(sheet.datums) @ moved) / 5.77e-6)
+    # What the prior of the offset holds back is less than a tenth of a sigma.
+    assert np.linalg.norm(visible.past(moved)) < 0.1 < 10 < plain
+    assert np.linalg.norm(visible.past(sheet.datums)) < 1e-9
+
+
+@pytest.mark.parametrize("kind", SHORT)
+def test_short_errors_are_cases_of_their_own(kind: str) -> None:
+    full = sum(SHARES.values())
+    plain, more = cases(full), cases(full, short=6)
+    assert [c for c in more if c.kind not in SHORT] == plain
+    own = [c for c in more if c.kind == kind]
+    assert len(own) == 6
+    drawn = draw(own[0], 1)
+    ((cause, size),) = drawn.causes
+    assert abs(size) == pytest.approx(own[0].rms * 1e-3)
+    assert len(cause.places) == 2
+
+
+def test_a_bump_at_a_station_is_recorded_with_the_rows_that_it_moves() -> None:
+    record = run(Case("bump", "rail.b", "sweep", 0.2, 0), 1)
+    assert record["word"] not in ("error", "crash"), record["message"]
+    assert record["moved"]
+    assert record["truth"][0]["places"][0].startswith("rail.")
+
+
+def test_data_faults_are_judged_by_the_closed_loop() -> None:
+    world = blunders.World(seed=1)
+    record = blunders.judge(case_of("outlier", 0.5), world)
+    assert record["visible"]
+    assert record["found"]
+    assert not record["false"]
+    assert "outlier 0.5 mm" in blunders.report([record])
+
+
+def case_of(name: str, size: float) -> blunders.Case:
+    return blunders.Case("fault", name, size, 0)
