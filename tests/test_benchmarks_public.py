@@ -16,7 +16,7 @@ from tests import rig_campaigns as rc
 from tests.rig import Rig
 
 FOLDER = Path(__file__).parents[1] / "benchmarks"
-OF_SPEED = {"before", "closure", "elastic", "identify"}
+OF_SPEED = {"closure", "identify"}
 """Benchmarks of how fast the insides are, which change with them."""
 
 
