@@ -159,7 +159,7 @@ def expected(edit: Edit) -> tuple[Array, Array]:
 @EVERY
 def test_closure_engine_and_programme_follow_the_file(edit: Edit, tmp_path: Path) -> None:
     machine, (p, R) = Machine.from_urdf(folder_of(edit, tmp_path)), expected(edit)
-    assert np.abs(p - outputs(RHO).p).max() > 1e-5
+    assert np.abs(p - outputs(RHO).p).max() > 1e-6
     pose = machine.pose(RHO)
     assert np.abs(pose.p - p).max() < 1e-12
     assert np.abs(pose.R - R).max() < 1e-11
