@@ -285,6 +285,7 @@ def test_slips_against_all_written_out() -> None:
 # -- the pattern of what is left ------------------------------------------------------------------
 
 
+@pytest.mark.thorough(except_for=["True"])
 @pytest.mark.parametrize("by_reading", [True, False])
 def test_contrasts_are_tested_by_fishers_f(by_reading: bool) -> None:
     """Against all readings, or the means of the stations: two regressions written out."""
