@@ -203,6 +203,7 @@ def test_planted_effects_are_recovered() -> None:
     assert not any(name.startswith("gauge") for name in found.machine.values)
 
 
+@pytest.mark.thorough
 def test_what_the_machine_file_knows_is_held_or_started_from() -> None:
     """Held parameters count in full; a start at the answer ends there."""
     known = MACHINE.with_parameters({n: v for n, v in PLANTED.items() if "offset" in n})
@@ -315,6 +316,7 @@ def test_shared_and_own_parameters() -> None:
     agree(found, nested)
 
 
+@pytest.mark.thorough
 def test_sharing_what_has_changed_shows_as_lack_of_fit() -> None:
     shared = identify(two_campaigns(), MACHINE)
     own = identify(two_campaigns(), MACHINE, own=["joint_offset"])

@@ -232,6 +232,7 @@ def test_station_means_against_all_written_out() -> None:
     assert along[7] == pytest.approx(float(means.residual @ means.shown(one)))
 
 
+@pytest.mark.thorough
 def test_station_means_past_an_effect() -> None:
     """An effect beside the fit widens the noise by its signature: whitened anew, and shown so."""
     found = fitted("sweep")
