@@ -57,6 +57,7 @@ def found_in(rows: list[rc.Row], machine: Machine) -> tuple[Blunder, ...]:
 # -- nothing where there is nothing ----------------------------------------------------------------
 
 
+@pytest.mark.thorough(except_for=["1", "2", "4", "8"])
 @pytest.mark.parametrize("k", range(1, 9))
 def test_the_rig_campaigns_have_no_faults(k, machine):
     campaign = read_campaign(RIG / f"rig-{k}.csv", machine.spec)
@@ -64,6 +65,7 @@ def test_the_rig_campaigns_have_no_faults(k, machine):
     assert examine(estimate).blunders == ()
 
 
+@pytest.mark.thorough(except_for=["1-differences", "2-differences", "3-differences"])
 @pytest.mark.parametrize("name", ["1-differences", "2", "2-differences", "3", "3-differences"])
 def test_the_published_experiments_have_no_faults(name, nominal):
     file = PUBLISHED / f"experiment{name}.csv"
@@ -76,10 +78,8 @@ def test_the_published_experiments_have_no_faults(name, nominal):
         "clean-standard",
         "clean-sweep",
         "axis_tilt.y.z-standard",
-        "backlash.x-sweep",
         "gauge_drift.xy-0.5-standard",
         "gauge_scale.yz-0.5-standard",
-        "rail_bow.z.x-standard",
     ]
 )
 @pytest.mark.parametrize("protocol", ["standard", "sweep"])
@@ -101,7 +101,7 @@ def test_an_effect_is_no_fault(protocol, errors, machine, nominal):
     assert found_in(rows, nominal) == ()
 
 
-@pytest.mark.thorough(except_for=["wavy rail", "warming drive"])
+@pytest.mark.thorough(except_for=["warming drive"])
 @pytest.mark.parametrize(
     "extra",
     [rc.wavy_rail(0, 1, 1e-4), rc.warming_drive(1, 1e-4), rc.s_curve(2, 0, 1e-4)],
@@ -114,9 +114,7 @@ def test_an_effect_in_no_catalogue_is_no_fault(extra, machine):
 # -- each kind -------------------------------------------------------------------------------------
 
 
-@pytest.mark.thorough(
-    except_for=["0.1-standard-alone", "0.1-sweep-beside a tilt", "-1.0-sweep-alone"]
-)
+@pytest.mark.thorough(except_for=["0.1-standard-alone", "-1.0-sweep-alone"])
 @pytest.mark.parametrize("errors", [{}, {"axis_tilt.y.z": 2e-3}], ids=["alone", "beside a tilt"])
 @pytest.mark.parametrize("protocol", ["standard", "sweep"])
 @pytest.mark.parametrize("size", [0.1, -1.0])
@@ -230,7 +228,7 @@ def test_sign(machine):
     assert "direction -z instead of z" in blunder.message
 
 
-@pytest.mark.thorough(except_for=["xy-0.5-0.001", "zy-0.5-0.003"])
+@pytest.mark.thorough(except_for=["zy-0.5-0.003"])
 @pytest.mark.parametrize("tilt", [1e-3, 3e-3])
 @pytest.mark.parametrize("setup", ["xy-0.5", "yz-0.5", "zy-0.5"])
 def test_a_sign_beside_a_tilt(setup, tilt, nominal):
@@ -263,7 +261,7 @@ def test_exchanged_labels(other, machine):
     assert set(blunder.setups) == {"yz-0.5", other}
 
 
-@pytest.mark.thorough(except_for=["0-xy-0.5", "3-yx-0.5", "3-xz-0.5"])
+@pytest.mark.thorough(except_for=["3-xz-0.5"])
 @pytest.mark.parametrize("one", ["xy-0.5", "yx-0.5", "xz-0.5"])
 @pytest.mark.parametrize("seed", [0, 3])
 def test_exchanged_dials_of_one_direction(one, seed, machine):
@@ -327,7 +325,7 @@ def posture_of(rows: list[rc.Row], leg: str, label: str) -> int:
     return list(dict.fromkeys(keys)).index((leg, label))
 
 
-@pytest.mark.thorough(except_for=["sweep-alone-0.3", "sweep-alone--10.0"])
+@pytest.mark.thorough(except_for=["sweep-alone-0.3"])
 @pytest.mark.parametrize("mm", [0.3, pytest.param(1.0, marks=pytest.mark.thorough), -10.0])
 @pytest.mark.parametrize("errors", [{}, {"axis_tilt.y.z": 2e-3}], ids=["alone", "beside a tilt"])
 @pytest.mark.parametrize(
@@ -374,6 +372,7 @@ def test_a_wrong_command_beside_points_of_the_tool(machine):
     assert blunder.may_be_the_machine(estimate.problem) is False
 
 
+@pytest.mark.thorough
 def test_a_command_of_one_visit_alone(machine):
     rows = rows_of(seed=2)
     spoilt = [dict(row) for row in rows]
@@ -404,6 +403,7 @@ def test_a_wrong_command_is_told_as_the_controller_has_it(machine):
     )
 
 
+@pytest.mark.thorough
 def test_neighbours_of_a_wrong_command_are_reached_from_their_own_side(machine):
     """The step to the next posture had the other sign, by the command as it was written."""
     rows = rows_of(seed=2)
@@ -526,6 +526,7 @@ def test_a_slip_in_most_setups_is_found_in_each(machine, nominal):
         assert sorted(row for b in found for _, row in b.rows) == list(slipped)
 
 
+@pytest.mark.thorough(except_for=["standard"])
 @pytest.mark.parametrize("protocol", ["standard", "sweep"])
 def test_a_dial_that_stuck_from_its_first_reading(protocol, machine, nominal):
     """Nothing of its setup is left that repeats could be compared with."""
@@ -539,7 +540,7 @@ def test_a_dial_that_stuck_from_its_first_reading(protocol, machine, nominal):
         assert [row for _, row in blunder.rows] == own
 
 
-@pytest.mark.thorough(except_for=["0.0-1e-06", "0.002-1e-06"])
+@pytest.mark.thorough(except_for=["0.0-1e-06"])
 @pytest.mark.parametrize("noise", [1e-6, 5e-6])
 @pytest.mark.parametrize("tilt", [0.0, 2e-3])
 def test_a_dial_that_stuck_where_an_effect_would_undo_what_it_missed(tilt, noise, machine, nominal):

@@ -42,6 +42,7 @@ def tilted(machine: og.Machine, *tilts: float) -> list[Campaign]:
 # -- what campaigns have for themselves ------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_an_effect_that_each_campaign_has_for_itself(machine):
     verdict = close_loop(tilted(machine, 1.5e-3, 0.3e-3), machine, own=["axis_tilt"])
     assert [e.name for e in verdict.effects] == ["axis_tilt.y.z"]

@@ -423,6 +423,7 @@ def test_rerun_of_an_identification(options: tuple[str, ...], here: Path) -> Non
     assert tree(here / "out") == tree(here / "again")
 
 
+@pytest.mark.thorough
 def test_rerun_of_a_result_of_the_first_schema(identified: Path) -> None:
     """Its values must be found again; what it says otherwise was said another way."""
 

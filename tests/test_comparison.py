@@ -371,6 +371,7 @@ def invoke(*arguments: str) -> tuple[int, str]:
     return result.exit_code, result.output
 
 
+@pytest.mark.thorough
 def test_the_command_writes_tables_and_figures(tmp_path: Path) -> None:
     file, out = tmp_path / "calibrated.toml", tmp_path / "out"
     Machine.nominal().with_parameters({"bar_mismatch.y": 1e-4}).save(file)

@@ -98,14 +98,13 @@ MEASURED: dict[str, tuple[re.Pattern[str], Callable[..., float], tuple[str, str]
 """By effect: what its words expect, how that is measured, and the words for either sign."""
 
 
+@pytest.mark.thorough(except_for=["backlash.x-0.00015"])
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("encoder_scale.x", -4e-3), ("backlash.x", 0.15e-3),
-        *(pytest.param(*case, marks=pytest.mark.thorough) for case in (
-            ("parallelogram_width.y", -2e-3),
-            ("axis_tilt.y.z", 3e-3), ("rail_bow.x.y", -0.3e-3), ("mount_tilt.x.b", -15e-3),
-            ("axis_tilt.x.y", -2.5e-3), ("rail_bow.z.x", 0.25e-3), ("encoder_scale.z", 3e-3))),
+        ("axis_tilt.y.z", 3e-3), ("rail_bow.x.y", -0.3e-3), ("encoder_scale.x", -4e-3),
+        ("backlash.x", 0.15e-3), ("parallelogram_width.y", -2e-3), ("mount_tilt.x.b", -15e-3),
+        ("axis_tilt.x.y", -2.5e-3), ("rail_bow.z.x", 0.25e-3), ("encoder_scale.z", 3e-3),
     ],
 )  # fmt: skip
 def test_the_confirming_test_shows_what_its_words_expect(name: str, value: float) -> None:

@@ -124,6 +124,7 @@ def test_a_calibration_from_readings_pays_at_the_tcp() -> None:
     assert np.linalg.norm(after, axis=1).mean() < 0.02 * np.linalg.norm(before, axis=1).mean()
 
 
+@pytest.mark.thorough
 def test_the_example_shows_error_after_against_before() -> None:
     example = runpy.run_path(str(ROOT / "examples" / "compensate_path.py"))
     result = example["run"]()

@@ -397,6 +397,7 @@ def test_what_an_instrument_does_not_show_is_said_to_be_invisible(instrument: st
         assert size < certain or name not in hidden
 
 
+@pytest.mark.thorough
 def test_where_the_plate_was_not_touched_no_zero_is_told(v400: Path, tmp_path: Path) -> None:
     common = ("--machine", v400 / "machine.toml", "--out", tmp_path / "out")
     told = run("close-loop", v400 / "distance.csv", *common)

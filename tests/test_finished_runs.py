@@ -163,6 +163,7 @@ def test_a_signal_just_after_the_rename_finds_the_run_done(
     assert (here / "out" / "result.json").exists()
 
 
+@pytest.mark.thorough
 def test_a_signal_while_the_summary_is_shown_finds_the_run_done(
     here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -155,7 +155,7 @@ def points(way: str, p: Parameter, value: float) -> bool:
     [
         pytest.param(c, *pair.values, marks=pair.marks, id="-".join([made, *map(str, pair.values)]))
         for made, c in (("orthoglide", CATALOGUE), ("delta", DELTA))
-        for pair in in_turn(every(c), [1, -1])
+        for pair in in_turn(every(c), [1, -1], group=lambda name: name.effect)
     ],
 )
 def test_a_reader_finds_part_direction_and_size(
@@ -176,7 +176,9 @@ def test_a_reader_finds_part_direction_and_size(
         assert size == pytest.approx(abs(expected), rel=0.06)
 
 
-@pytest.mark.parametrize(("name", "sign"), in_turn(CATALOGUE.parameters, [1, -1]))
+@pytest.mark.parametrize(
+    ("name", "sign"), in_turn(CATALOGUE.parameters, [1, -1], group=lambda name: name.effect)
+)
 def test_a_reader_finds_what_changed_in_words_on_the_drawing_and_in_what_to_do(
     name: Parameter, sign: int
 ) -> None:

@@ -210,6 +210,7 @@ def test_false_verdicts_are_counted() -> None:
     assert "beyond its 95 % radius at 4.0 % of the places of 5 adequate machines" in told
 
 
+@pytest.mark.thorough
 def test_a_fit_begun_at_a_fit_is_no_worse(tmp_path: Path) -> None:
     """Instruments brought to the machine found: a step from there led to 73 000. Case 42235."""
     for name, content in fuzz.draw_case(42235).files.items():

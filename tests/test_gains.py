@@ -26,6 +26,7 @@ def test_a_cause_gains_what_was_said() -> None:
     assert "| repaired | causes named | 1 |" in "\n".join(gains.table([record]))
 
 
+@pytest.mark.thorough
 def test_compensating_leaves_what_the_readings_do_not_know() -> None:
     """Of an effect that they do not see at all nothing is gained, whatever mending it would."""
     worn = og.Machine.nominal().with_parameters({"axis_tilt.y.z": 2e-3})

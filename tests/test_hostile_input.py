@@ -157,6 +157,7 @@ def test_names_of_dial_parameters_are_read_as_they_were_meant(setup: str, campai
         assert (again.setup, again.campaign) == (setup, campaign)
 
 
+@pytest.mark.thorough
 def test_formulas_are_text_in_every_table(here: Path) -> None:
     names = ("=1+1", "@x", "+cmd|'!A0", "-2+3", "'=1", "plain")
     (here / "c.csv").write_text(renamed(names))

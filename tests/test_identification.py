@@ -203,6 +203,7 @@ def test_planted_effects_are_recovered() -> None:
     assert not any(name.startswith("gauge") for name in found.machine.values)
 
 
+@pytest.mark.thorough
 def test_what_the_machine_file_knows_is_held_or_started_from() -> None:
     """Held parameters count in full; a start at the answer ends there."""
     known = MACHINE.with_parameters({n: v for n, v in PLANTED.items() if "offset" in n})
@@ -229,6 +230,9 @@ EFFECTS = [
 ]
 
 
+@pytest.mark.thorough(
+    except_for=["leg_length bar_mismatch", "gauge_scale gauge_direction parallelogram_width"]
+)
 @pytest.mark.parametrize("free", EFFECTS, ids=lambda f: " ".join(f[1:]))
 def test_programme_and_nested_closure_agree(free: tuple[str, ...]) -> None:
     errors = (("axis_tilt.y.z", 1e-3), ("backlash.x", 3e-5), ("bar_mismatch.z", 1e-4))
@@ -312,6 +316,7 @@ def test_shared_and_own_parameters() -> None:
     agree(found, nested)
 
 
+@pytest.mark.thorough
 def test_sharing_what_has_changed_shows_as_lack_of_fit() -> None:
     shared = identify(two_campaigns(), MACHINE)
     own = identify(two_campaigns(), MACHINE, own=["joint_offset"])
@@ -320,6 +325,7 @@ def test_sharing_what_has_changed_shows_as_lack_of_fit() -> None:
     assert own.scores.chi2 < shared.scores.chi2 / 4
 
 
+@pytest.mark.thorough
 def test_everything_own_is_each_campaign_alone() -> None:
     both = two_campaigns()
     joint = identify(both, MACHINE, own=["joint_offset", "leg_length"])

@@ -147,6 +147,7 @@ def test_prints_keep_the_size_that_distances_gave() -> None:
     assert arms[0] > arms[1]
 
 
+@pytest.mark.thorough
 def test_numbers_of_a_result_that_does_not_stand_are_of_the_machine_that_it_has(
     tmp_path: Path,
 ) -> None:
@@ -399,6 +400,7 @@ def test_what_jumps_from_place_to_place_is_no_noise(roll: float, word: str, tmp_
     assert all("turned by 60 degrees (turned_deg)" in w for w in told)
 
 
+@pytest.mark.thorough
 def test_an_endstop_that_is_off_is_told_with_its_sign_and_what_it_costs(tmp_path: Path) -> None:
     """The plate is the firmware's z = 0: what an endstop tilts is an error of height."""
     file, out = tmp_path / "printer.cfg", tmp_path / "out"

@@ -69,6 +69,7 @@ def test_what_import_says_is_said_of_results(tmp_path: Path) -> None:
     assert far in verdict.machine.spec.provenance["klipper"]["warnings"]
 
 
+@pytest.mark.thorough
 def test_files_that_do_not_go_together_are_told_once_and_of_the_right_one(tmp_path: Path) -> None:
     text = T1.read_text().replace("delta_radius = 171.8", "delta_radius = 172.8")
     found = imported(tmp_path, text)

@@ -115,6 +115,7 @@ def test_numbers_must_do_better_by_the_firmware_too(
     assert bool(made.keep) == bool(said)
 
 
+@pytest.mark.thorough(except_for=["v400-april"])
 @pytest.mark.parametrize(
     "name", ["t1-stock", "v400-april", pytest.param("flight505", marks=pytest.mark.thorough)]
 )
@@ -160,7 +161,7 @@ def test_the_firmware_s_own_calibration_comes_first(tmp_path: Path) -> None:
     assert "To paste" not in str(report_files(verdict)["report.html"])
 
 
-@pytest.mark.thorough(except_for=["25.5"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("beside", [0.0, 25.5])
 def test_a_probe_beside_the_nozzle_is_calibrated_after_new_numbers(
     beside: float, tmp_path: Path

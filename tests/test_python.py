@@ -335,6 +335,7 @@ def test_types_are_shipped(tmp_path: Path) -> None:
     assert "orthoglide/py.typed" in zipfile.ZipFile(wheel).namelist()
 
 
+@pytest.mark.thorough
 def test_a_verdict_plots_itself(verdict: og.Verdict, tmp_path: Path) -> None:
     for what in ("residuals", "readings", "tool", "parameters"):
         drawing = verdict.plot(what)

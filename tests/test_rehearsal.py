@@ -361,6 +361,7 @@ def test_a_sheet_and_what_one_owns_exclude_each_other(delta: og.Machine) -> None
         og.rehearse(delta, sheet_of(delta, "tcp"), owns=["plate"], campaigns=1)
 
 
+@pytest.mark.thorough
 def test_what_a_plate_has_for_itself_is_there_by_its_plain_name(delta: og.Machine) -> None:
     scope = Scope.of(delta, sheet_of(delta, "plate"), sheet_of(delta, "incline"))
     name = "plate_trefoil.plate.cos"

@@ -280,6 +280,7 @@ def test_a_place_that_a_poorer_sheet_cannot_show_is_not_gone() -> None:
     assert "located" not in found.line.partition(". Verdict")[0]
 
 
+@pytest.mark.thorough
 def test_a_cause_that_was_one_of_several_is_told_by_how_much_it_changed(tmp_path: Path) -> None:
     """Sound bars were said to be 0.74 mm unequal now, and to be put back."""
     hinge = {**ERRORS, "mount_tilt.z.b": -9.7e-3}

@@ -149,6 +149,7 @@ def test_nothing_is_written_where_one_of_both_stands(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["sheet.html"]
 
 
+@pytest.mark.thorough
 def test_a_sheet_driven_by_its_page_names_what_is_wrong(tmp_path: Path) -> None:
     """Driven row by row off the page, on the independent machine; filled in by line."""
     path = written(tmp_path, "protocol", "--kind", "sweep")

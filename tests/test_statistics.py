@@ -232,6 +232,7 @@ def test_station_means_against_all_written_out() -> None:
     assert along[7] == pytest.approx(float(means.residual @ means.shown(one)))
 
 
+@pytest.mark.thorough
 def test_station_means_past_an_effect() -> None:
     """An effect beside the fit widens the noise by its signature: whitened anew, and shown so."""
     found = fitted("sweep")
@@ -285,6 +286,7 @@ def test_slips_against_all_written_out() -> None:
 # -- the pattern of what is left ------------------------------------------------------------------
 
 
+@pytest.mark.thorough(except_for=["True"])
 @pytest.mark.parametrize("by_reading", [True, False])
 def test_contrasts_are_tested_by_fishers_f(by_reading: bool) -> None:
     """Against all readings, or the means of the stations: two regressions written out."""

@@ -244,6 +244,7 @@ def test_a_plate_that_was_turned_takes_its_shape_along(tmp_path: Path) -> None:
     assert np.abs(left).max() < 1e-8
 
 
+@pytest.mark.thorough(except_for=["plate"])
 @pytest.mark.parametrize(
     ("errors", "name"),
     [
@@ -727,6 +728,7 @@ def tracked() -> tuple[Machine, ToolCampaign]:
     return machine, sheet
 
 
+@pytest.mark.thorough(except_for=["0.01", "2.5"])
 @pytest.mark.parametrize("turn", [0.0, 0.01, 2.5])
 def test_a_trackers_frame_is_turned_to_the_machine_found(
     tracked: tuple[Machine, ToolCampaign], turn: float

@@ -115,6 +115,7 @@ def left_of(verdict: Verdict, of: str, stage: Estimate) -> float:
     return float(np.sqrt(np.mean(stage.residuals[points.of_kind(of)] ** 2)) * 1e3)
 
 
+@pytest.mark.thorough
 def test_millimetres_and_milliradians_are_told_apart() -> None:
     verdict = with_level()
     before, after = verdict.before, verdict.after
