@@ -87,6 +87,11 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
     )
     from orthoglide.rehearsal import Rehearsal as Rehearsal, rehearse as rehearse
     from orthoglide.simulation import simulate as simulate, simulate_tcp as simulate_tcp
+    from orthoglide.transmission import (
+        CubeTransmission as CubeTransmission,
+        transmission_factors as transmission_factors,
+        transmission_over_cube as transmission_over_cube,
+    )
     from orthoglide.units import MM as MM, ONE as ONE, RAD as RAD, Unit as Unit
 
 __version__ = "0.1.0"
@@ -123,6 +128,7 @@ _WHERE = {
     ),
     "rehearsal": "Rehearsal rehearse",
     "simulation": "simulate simulate_tcp",
+    "transmission": "CubeTransmission transmission_factors transmission_over_cube",
     "units": "MM ONE RAD Unit",
 }
 _MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}

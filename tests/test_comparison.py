@@ -352,7 +352,7 @@ _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?")
 
 
 def test_the_page_has_the_numbers_that_the_example_prints() -> None:
-    example = runpy.run_path(str(ROOT / "examples" / "compare_models.py"))
+    example = runpy.run_path(str(ROOT / "docs" / "tables" / "compare_models.py"))
     printed = example["markdown"]()
     text = (ROOT / "docs" / "simplified-model.md").read_text(encoding="utf-8")
     shown = text.partition("<!-- tables: begin -->")[2].partition("<!-- tables: end -->")[0]

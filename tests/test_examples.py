@@ -17,14 +17,15 @@ from orthoglide import Machine, write_campaign
 from orthoglide.observations import protocol
 
 ROOT = Path(__file__).parents[1]
-EXAMPLES = ROOT / "examples"
+EXAMPLES, TABLES = ROOT / "examples", ROOT / "docs" / "tables"
 
 
 @pytest.fixture(autouse=True)
 def examples_on_the_path(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.syspath_prepend(str(EXAMPLES))
+    for folder in (EXAMPLES, TABLES):
+        monkeypatch.syspath_prepend(str(folder))
     yield
-    for path in EXAMPLES.glob("*.py"):
+    for path in (*EXAMPLES.glob("*.py"), *TABLES.glob("*.py")):
         sys.modules.pop(path.stem, None)
 
 
@@ -34,7 +35,8 @@ def load(name: str) -> ModuleType:
 
 def run(name: str, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, str(EXAMPLES / name), *arguments]
+    folder_of = EXAMPLES if (EXAMPLES / name).exists() else TABLES
+    command = [sys.executable, str(folder_of / name), *arguments]
     return subprocess.run(
         command, cwd=folder, env=environment, capture_output=True, text=True, check=False
     )

@@ -18,7 +18,7 @@ from orthoglide.geometry import Geometry
 ROOT = Path(__file__).resolve().parents[1]
 MACHINE = Geometry()
 L = MACHINE.L
-MISPRINTS = runpy.run_path(str(ROOT / "examples" / "misprints.py"))
+MISPRINTS = runpy.run_path(str(ROOT / "docs" / "tables" / "misprints.py"))
 
 travels = arrays(float, 3, elements=st.floats(-0.100, 0.060))
 shifts = arrays(float, 3, elements=st.floats(-0.004, 0.004))
@@ -680,7 +680,7 @@ def test_held_parameters_stay_and_invisible_ones_show_in_the_rank():
 def test_page_of_misprints_is_fresh():
     page = (ROOT / "docs" / "misprints.md").read_text(encoding="utf-8")
     fresh = MISPRINTS["markdown"]()
-    assert page == fresh, "run: python examples/misprints.py --markdown > docs/misprints.md"
+    assert page == fresh, "run: python docs/tables/misprints.py --markdown > docs/misprints.md"
 
 
 def test_every_sign_slip_and_misprint_is_on_the_page():

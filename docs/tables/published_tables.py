@@ -1,6 +1,6 @@
 """The published tables beside what this package computes from the published readings.
 
-``python examples/published_tables.py`` prints Tables 1, 2 and 3 of Pashkevich et al. 2008: as
+``python docs/tables/published_tables.py`` prints Tables 1, 2 and 3 of Pashkevich et al. 2008: as
 printed, by the papers' ordinary least squares on system (11), and by the general mechanism without
 linearising, with the papers' equal weights and with every reading weighed. All in millimetres.
 """

@@ -1,8 +1,8 @@
 """When the simplified model is good enough.
 
 Every effect of the catalogue at its tolerance, on the general mechanism; then the simplified
-model's six parameters fitted to it. ``python examples/compare_models.py`` prints what is left, one
-line an effect, at its worst parameter; with ``--markdown`` the tables of
+model's six parameters fitted to it. ``python docs/tables/compare_models.py`` prints what is
+left, one line an effect, at its worst parameter; with ``--markdown`` the tables of
 ``docs/simplified-model.md``.
 """
 

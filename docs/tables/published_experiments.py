@@ -1,7 +1,7 @@
 """What the published readings say once the loop is closed on them, and what they cannot say.
 
-    python examples/published_experiments.py              prints it
-    python examples/published_experiments.py --markdown   as docs/published-experiments.md holds it
+    python docs/tables/published_experiments.py              prints it
+    python docs/tables/published_experiments.py --markdown   as docs/published-experiments.md
 
 Readings: Pashkevich et al. 2008, tables 1 and 2.
 """
@@ -58,8 +58,8 @@ def introduction() -> Iterator[str]:
     yield "# The published experiments, with the loop closed"
     yield ""
     yield (
-        "Printed by `python examples/published_experiments.py --markdown`. The readings are those "
-        "of tables 1 and 2 of the 2008 chapter: twelve averaged deviations an experiment, of which "
+        "Printed by `python docs/tables/published_experiments.py --markdown`. The readings are "
+        "those of tables 1 and 2 of the 2008 chapter: twelve averaged deviations an experiment, of which "
         "joint offsets take three degrees of freedom. The repeatability stated there is 0.02 mm. "
         "Tolerances are the package's defaults; no case is made for these data."
     )

@@ -1,6 +1,6 @@
 """The misprints of the two papers, each shown with numbers.
 
-``python examples/misprints.py`` prints a line for each; with ``--markdown`` the page
+``python docs/tables/misprints.py`` prints a line for each; with ``--markdown`` the page
 ``docs/misprints.md``.
 """
 
@@ -256,6 +256,38 @@ def limits() -> Misprint:
     )
 
 
+def workspace() -> Misprint:
+    """The claim of section 2.1 on the workspace, along the diagonal through mechanical zero."""
+
+    def needs(side: float, middle: float) -> tuple[Array, Array]:
+        steps = middle + np.linspace(-side / 2, side / 2, 5)
+        p = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+        rho = reduction.inverse(p)
+        return rho - L, np.linalg.svd(reduction.jacobians(p, rho).rho, compute_uv=False)
+
+    def best(allowed: Callable[[Array, Array], bool]) -> tuple[float, Array, Array]:
+        """Side of the largest cube that is allowed somewhere, to 0.1 mm, and what it needs."""
+        low, high, found = 0.1, 0.25, needs(0.1, 0.0)
+        while high - low > 1e-4:
+            side = (low + high) / 2
+            tried = (needs(side, middle) for middle in np.arange(-0.05, 0.01, 5e-4))
+            fitting = next((one for one in tried if allowed(*one)), None)
+            low, high, found = (low, side, found) if fitting is None else (side, high, fitting)
+        return low, *found
+
+    lower, upper = MACHINE.stroke
+    side, _, factors = best(lambda t, _: bool(t.min() >= lower and t.max() <= upper))
+    wide, travel, _ = best(lambda _, f: bool(f.min() >= 0.5 and f.max() <= 2))
+    return Misprint(
+        "2008, 2.1, workspace",
+        "about 200 x 200 x 200 mm with transmission factors from 1/2 to 2",
+        f"a cube of {side * 1e3:.0f} mm fits the stroke that is printed",
+        f"its factors run from {factors.min():.2f} to {factors.max():.2f}; factors from 1/2 to 2 "
+        f"allow {wide * 1e3:.0f} mm, which needs travel from {travel.min() * 1e3:.0f} to "
+        f"{travel.max() * 1e3:.0f} mm",
+    )
+
+
 def angle_named() -> Misprint:
     rho = MACHINE.command("xmax")
     bar = np.array([0.0, rho[1], 0.0]) - reduction.forward(rho)
@@ -440,6 +472,7 @@ MISPRINTS: tuple[Callable[[], Misprint], ...] = (
     right_side_2006,
     legs_2006,
     limits,
+    workspace,
     angle_named,
     angles,
     accuracy,
@@ -456,7 +489,7 @@ PAGE = """# Misprints of the papers
 
 Found by computing everything the papers print. "2008" is the book chapter, "2006" the conference
 paper; Tables 1 and 2 are those of 2008. The package follows the column "right". This page is
-printed by `python examples/misprints.py --markdown`, and a test fails when it is stale.
+printed by `python docs/tables/misprints.py --markdown`, and a test fails when it is stale.
 
 | where | as printed | right | how one sees it |
 |---|---|---|---|

@@ -1,0 +1,88 @@
+"""Velocity transmission factors: how fast the tool moves for drives of unit speed, at best and worst.
+
+They are the singular values of dp/drho (Chablat and Wenger 2003; Pashkevich et al. 2008, section 2.1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from orthoglide.errors import InputError
+from orthoglide.geometry import Array, vectors
+from orthoglide.machine import Machine, MachineSource
+
+
+@dataclass(frozen=True)
+class CubeTransmission:
+    """What a machine does over a cube whose edges lie along the base axes.
+
+    Attributes:
+        side: of the cube, metres.
+        centre: of the cube ``(3,)``, metres, base frame.
+        smallest, largest: transmission factors over the cube, dimensionless.
+        travel: lowest and highest travel of any drive from mechanical zero, metres.
+        within_stroke: whether every drive stays within its stroke.
+    """
+
+    side: float
+    centre: Array
+    smallest: float
+    largest: float
+    travel: tuple[float, float]
+    within_stroke: bool
+
+
+def transmission_factors(machine: MachineSource | None, p: ArrayLike) -> Array:
+    """Return the velocity transmission factors at points, the largest first.
+
+    Args:
+        machine: nominal or calibrated, or the path of its file; the published one for ``None``.
+        p: TCP ``(..., 3)``, metres.
+
+    Returns:
+        Singular values of dp/drho ``(..., 3)``, dimensionless: 1 at an isotropic point.
+
+    Raises:
+        UnreachableError: naming the leg that is too short.
+    """
+    own = Machine.of(machine)
+    return np.linalg.svd(own.jacobian(own.inverse(p)), compute_uv=False)
+
+
+def transmission_over_cube(
+    machine: MachineSource | None, side: float, centre: ArrayLike = (0.0, 0.0, 0.0), count: int = 9
+) -> CubeTransmission:
+    """Return the extreme transmission factors over a cube, and the travel that it needs.
+
+    Args:
+        machine: as for :func:`transmission_factors`.
+        side: of the cube, metres.
+        centre: of the cube ``(3,)``, metres, base frame.
+        count: points along each edge of the grid that is looked at, at least 2.
+
+    Raises:
+        InputError: for a side that is not positive, or fewer than two points.
+        UnreachableError: naming the leg that is too short.
+    """
+    middle = vectors(centre, "centre")
+    if middle.shape != (3,) or not (np.isfinite(side) and side > 0) or count < 2:
+        raise InputError(
+            "a cube has a centre (3,), a positive side in metres, and 2 points or more"
+        )
+    own = Machine.of(machine)
+    steps = np.linspace(-side / 2, side / 2, count)
+    p = middle + np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    rho = own.inverse(p)
+    factors = np.linalg.svd(own.jacobian(rho), compute_uv=False)
+    travel = rho - own.geometry.zero
+    return CubeTransmission(
+        float(side),
+        middle,
+        float(factors.min()),
+        float(factors.max()),
+        (float(travel.min()), float(travel.max())),
+        bool(own.geometry.in_stroke(rho).all()),
+    )

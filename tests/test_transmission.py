@@ -1,0 +1,75 @@
+"""Velocity transmission factors, and eq. (1) of the 2008 chapter as functions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from orthoglide import reduction
+from orthoglide.mechanism.tree import PASSIVE_NAMES
+
+MACHINE = og.Machine.nominal()
+
+
+def test_factors_are_one_at_mechanical_zero_and_those_of_eq_5_elsewhere() -> None:
+    assert np.abs(og.transmission_factors(None, [0, 0, 0]) - 1).max() < 1e-12
+    p = np.random.default_rng(0).uniform(-0.05, 0.03, (20, 3))
+    jacobian = reduction.jacobians(p, reduction.inverse(p)).rho
+    expected = np.linalg.svd(jacobian, compute_uv=False)
+    assert np.abs(og.transmission_factors(MACHINE, p) - expected).max() < 1e-9
+
+
+def test_the_cube_of_the_chapter_does_not_fit_its_stroke() -> None:
+    """2008, 2.1: 139 mm fit, with factors from 0.65 to 1.67; 200 mm need far more travel."""
+    fits = og.transmission_over_cube(MACHINE, 0.139, np.full(3, -0.0095))
+    assert fits.within_stroke
+    assert (round(fits.smallest, 2), round(fits.largest, 2)) == (0.65, 1.67)
+    wide = og.transmission_over_cube(MACHINE, 0.199, np.full(3, -0.0275))
+    assert not wide.within_stroke
+    assert wide.travel[0] < -0.18
+    assert wide.travel[1] > 0.07
+    assert wide.smallest > 0.49
+    assert wide.largest < 2.05
+    assert not og.transmission_over_cube(MACHINE, 0.141, np.full(3, -0.0095)).within_stroke
+
+
+def test_the_factors_of_a_delta_are_those_of_its_jacobian() -> None:
+    geometry = og.Geometry(0.36, 0.05, 0.03, (-0.2, 0.2), og.LinearDelta((0.174,) * 3))
+    found = og.transmission_over_cube(geometry, 0.1, (0, 0, 0.05), count=3)
+    corner = og.transmission_factors(geometry, [0.05, 0.05, 0.1])
+    assert found.smallest <= corner.min()
+    assert found.largest >= corner.max()
+
+
+@pytest.mark.parametrize("side", [0.0, -0.1, np.nan])
+def test_a_cube_without_a_side_is_refused(side: float) -> None:
+    with pytest.raises(og.InputError, match="positive side"):
+        og.transmission_over_cube(MACHINE, side)
+
+
+def test_equation_1_holds_for_every_leg_with_its_sign_corrected() -> None:
+    rng = np.random.default_rng(1)
+    p = rng.uniform(-0.05, 0.03, (50, 3))
+    offsets, lengths = rng.normal(0, 1e-3, 3), rng.normal(0, 1e-4, 3)
+    rho = reduction.inverse(p, offsets, lengths)
+    theta, beta = reduction.leg_angles(p, lengths)
+    points = reduction.leg_points(rho, theta, beta, offsets, lengths)
+    assert points.shape == (50, 3, 3)
+    assert np.abs(points - p[:, None]).max() < 1e-14
+
+
+def test_its_angles_are_the_passive_joints_of_the_mechanism() -> None:
+    mechanism = og.Mechanism()
+    p = np.array([0.01, -0.03, 0.02])
+    posture = mechanism.close(reduction.inverse(p))
+    passive = posture.q[mechanism.tree.passive].reshape(3, len(PASSIVE_NAMES))
+    theta, beta = reduction.leg_angles(p)
+    assert np.abs(passive[:, PASSIVE_NAMES.index("theta")] - theta).max() < 1e-12
+    assert np.abs(passive[:, PASSIVE_NAMES.index("bar1")] - beta).max() < 1e-12
+
+
+def test_a_point_out_of_reach_names_the_leg() -> None:
+    with pytest.raises(og.UnreachableError, match=r"leg x is 9\.75 mm too short") as caught:
+        reduction.leg_angles([0.0, 0.0, 0.32])
+    assert caught.value.leg == "x"
