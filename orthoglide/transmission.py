@@ -1,6 +1,6 @@
-"""Velocity transmission factors: how fast the tool moves for drives of unit speed, at best and worst.
+"""Velocity transmission factors: how fast the tool moves for drives of unit speed.
 
-They are the singular values of dp/drho (Chablat and Wenger 2003; Pashkevich et al. 2008, section 2.1).
+They are the singular values of dp/drho (Chablat and Wenger 2003; Pashkevich et al. 2008, 2.1).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def transmission_factors(machine: MachineSource | None, p: ArrayLike) -> Array:
         UnreachableError: naming the leg that is too short.
     """
     own = Machine.of(machine)
-    return np.linalg.svd(own.jacobian(own.inverse(p)), compute_uv=False)
+    return np.asarray(np.linalg.svd(own.jacobian(own.inverse(p)), compute_uv=False))
 
 
 def transmission_over_cube(
@@ -69,9 +69,7 @@ def transmission_over_cube(
     """
     middle = vectors(centre, "centre")
     if middle.shape != (3,) or not (np.isfinite(side) and side > 0) or count < 2:
-        raise InputError(
-            "a cube has a centre (3,), a positive side in metres, and 2 points or more"
-        )
+        raise InputError("a cube has a centre (3,), a positive side, metres, and 2 points or more")
     own = Machine.of(machine)
     steps = np.linspace(-side / 2, side / 2, count)
     p = middle + np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -1,8 +1,8 @@
 """Eq. (1a) to (1c) of the 2008 chapter: the TCP as each leg's chain has it, with the right sign.
 
-The chapter prints ``p_x = rho_x + cos(theta_x) cos(beta_x) L_x + r``. With eq. (2) and (3), which put
-the carriage on the far side of the TCP, the bar points from the carriage back to the TCP: the terms
-with L have the opposite sign, and r is part of rho.
+The chapter prints ``p_x = rho_x + cos(theta_x) cos(beta_x) L_x + r``. With eq. (2) and (3), which
+put the carriage on the far side of the TCP, the bar points from the carriage back to the TCP: the
+terms with L have the opposite sign, and r is part of rho.
 """
 
 from __future__ import annotations
@@ -44,14 +44,8 @@ def leg_points(
     a = carriage - bars * np.cos(turn) * np.cos(tilt)
     b = -bars * np.sin(turn) * np.cos(tilt)
     c = bars * np.sin(tilt)
-    a, b, c = np.broadcast_arrays(a, b, c)
-    return np.stack(
-        [
-            np.roll(np.stack([a[..., k], b[..., k], c[..., k]], axis=-1), k, axis=-1)
-            for k in range(3)
-        ],
-        axis=-2,
-    )
+    by_leg = np.stack(np.broadcast_arrays(a, b, c), axis=-1)
+    return np.stack([np.roll(by_leg[..., k, :], k, axis=-1) for k in range(3)], axis=-2)
 
 
 def leg_angles(
