@@ -25,8 +25,9 @@ class PinocchioModel:
             parallelograms, frame anchors for the platform.
         constraint_datas: the data that belong to them. Call ``calc(model, data, its_data)`` of each
             constraint before asking for a constraint Jacobian.
-        rigid_models, rigid_datas: the same loops as ``RigidConstraintModel``, which Pinocchio's
-            constrained dynamics (``constraintDynamics``, ``lcaba``) still asks for.
+        rigid_models: the same loops as ``RigidConstraintModel``, which Pinocchio's constrained
+            dynamics (``constraintDynamics``, ``lcaba``) still asks for.
+        rigid_datas: the data that belong to those.
         visual_model: ``pin.GeometryModel`` for Pinocchio's viewers.
         q: configuration ``(nq,)`` at mechanical zero with all loops closed.
         drives: places of the driven slides in the velocity vector ``(3,)``.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.effects import CATALOGUE, Catalogue, Effect
-from orthoglide.errors import ClosureError, FileError, InputError, UnreachableError, check_by_name
+from orthoglide.errors import ClosureError, InputError, UnreachableError
 from orthoglide.geometry import Array, Geometry, vectors
 from orthoglide.machine_file import (
     MachineFile,
@@ -23,9 +23,10 @@ from orthoglide.machine_file import (
     read_machine_file,
     write_machine_file,
 )
+from orthoglide.machine_file.values import check_sigmas, check_single, check_sizes, entries_of
 from orthoglide.mechanism.engine import Outputs, place_in
 from orthoglide.mechanism.mechanism import Posture
-from orthoglide.mechanism.perfect_legs import Spheres, commands as commands_of
+from orthoglide.mechanism.perfect_legs import commands as commands_of
 from orthoglide.observations import Campaign
 from orthoglide.prediction import Conditions, Model
 from orthoglide.scene import Posed, drawing
@@ -106,34 +107,27 @@ class Machine:
             FileError: naming file, line and remedy.
         """
         spec = read_machine_file(path, CATALOGUE.with_effects(effects))
-        for name in (*spec.parameters, *(spec.posterior.names if spec.posterior else ())):
-            if spec.catalogue.parameter(name).member:  # which a file spells out
-                effect = spec.catalogue.effect_of(name)
-                raise FileError(
-                    f"there is no parameter {name!r}: {effect.name} has "
-                    f"{', '.join(effect.motions)}",
-                    file=spec.file,
-                )
+        check_single(spec)
         return cls(spec)
 
     @classmethod
     def from_urdf(
         cls, folder: str | os.PathLike[str], given: MachineSource | None = None
     ) -> Machine:
-        """Return a machine whose joints are where a URDF says.
+        """Return a machine whose joints are where a URDF of three PRPaR legs says.
 
         Args:
-            folder: with ``orthoglide.urdf`` and ``orthoglide.closures.toml``, three PRPaR legs.
-            given: everything else of the machine; of its dimensions only the command at mechanical
-                zero, the stroke and the places of dials are used.
+            folder: with ``orthoglide.urdf`` and ``orthoglide.closures.toml``.
+            given: the rest; of its dimensions the command at mechanical zero, the stroke and the
+                places of dials are used.
 
         Raises:
             FileError: where a file is missing or says what cannot be.
-            InputError: where the URDF has not three PRPaR legs.
+            InputError: where the URDF has other legs.
         """
         path = Path(folder).resolve()
         machine = cls(replace(cls.of(given).spec, name=path.name, urdf=str(path)))
-        _ = machine.model.engine  # which reads the files
+        machine.model.engine  # noqa: B018  (which reads the files, and looks at the pivots)
         return machine
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
@@ -210,16 +204,7 @@ class Machine:
                 that is no number or must be in another unit, and a standard deviation that is none
                 or of another parameter.
         """
-        check_by_name("parameters", values)
-        for name, value in values.items():
-            unit, own = self.catalogue.effect_of(name).unit, self.tolerance(name)
-            length = _LONG * self.geometry.L if unit.name == "mm" else np.inf
-            if abs(value) > min(_ABSURD * own, length):
-                raise InputError(
-                    f"{name} = {value / unit.si:g}{unit.behind} is {abs(value) / own:.0f} times "
-                    f"its tolerance of {own / unit.si:g}{unit.behind}: is it meant in another "
-                    f"unit? Python takes SI, files what the parameter's unit says"
-                )
+        check_sizes(self.spec, values)
         return self._with(dict(self.spec.parameters), values, sigmas or {})
 
     def with_only(
@@ -257,23 +242,8 @@ class Machine:
         posterior: Posterior | None = None,
     ) -> Machine:
         if posterior is None:
-            _check_sigmas(values, sigmas)
-        given: dict[str, ParameterValue] = {}
-        for name, value in values.items():
-            if not np.isfinite(value):
-                raise InputError(f"{name} must be a finite number, not {value}")
-            sigma = sigmas.get(name, 0.0)
-            unit = self.catalogue.effect_of(name).unit.name
-            for part, weight in self.catalogue.elementary(name).items():
-                parameter = self.catalogue.parameter(part)
-                if parameter.campaign:
-                    raise InputError(
-                        f"{name} is what the campaign {parameter.campaign} has for itself: a "
-                        f"machine has {parameter.plain}"
-                    )
-                said = given.get(part, ParameterValue(0.0, 0.0, unit))
-                both = float(np.hypot(said.sigma, weight * sigma))
-                given[part] = ParameterValue(said.value + weight * float(value), both, unit)
+            check_sigmas(values, sigmas)
+        given = entries_of(self.catalogue, values, sigmas)
         made = replace(self.spec, parameters=entries | given, posterior=posterior, warnings=())
         return self._like(replace(made, file="", sha256=""))
 
@@ -361,8 +331,6 @@ class Machine:
         Args:
             rho: command ``(3,)``, metres; mechanical zero where absent.
 
-        Raises:
-            ClosureError: where the posture does not close.
         """
         command = self.geometry.zero if rho is None else self.geometry.commands(rho)
         out = self.model.outputs(self.values, Conditions.at(command))
@@ -405,8 +373,9 @@ class Machine:
             ClosureError: where the drives do not converge.
         """
         goal = vectors(p, "p")
+        spheres = self.model.mechanism.spheres
         try:
-            rho = commands_of(self._spheres, goal.reshape(-1, 3)).reshape(goal.shape)
+            rho = commands_of(spheres, goal.reshape(-1, 3)).reshape(goal.shape)
         except UnreachableError as error:
             error.index = place_in(goal.shape[:-1], error.index)
             raise
@@ -420,27 +389,9 @@ class Machine:
             return rho
         raise ClosureError("the drives do not converge on the wanted points")
 
-    @property
-    def _spheres(self) -> Spheres:
-        return self.model.mechanism.spheres
-
     def readings(self, campaign: Campaign) -> Array:
         """Predicted readings ``(n,)`` of a campaign's rows, datums apart, metres."""
         return self.model.readings(self.values, campaign)
-
-
-_ABSURD = 500.0  # tolerances: so large is a value in another unit, a thousandth of SI
-_LONG = 0.1  # of a bar: no length is off by so much
-
-
-def _check_sigmas(values: Mapping[str, float], sigmas: Mapping[str, float]) -> None:
-    check_by_name("parameters", values)
-    check_by_name("standard deviations", sigmas)
-    for name, sigma in sigmas.items():
-        if name not in values:
-            raise InputError(f"a standard deviation is given of {name}, which is not set: set both")
-        if not (np.isfinite(sigma) and sigma >= 0):
-            raise InputError(f"the standard deviation of {name} must be 0 or more, not {sigma}")
 
 
 MachineSource = Machine | MachineFile | Geometry | str | os.PathLike[str]

@@ -22,7 +22,8 @@ class CubeTransmission:
     Attributes:
         side: of the cube, metres.
         centre: of the cube ``(3,)``, metres, base frame.
-        smallest, largest: transmission factors over the cube, dimensionless.
+        smallest: transmission factor over the cube, dimensionless.
+        largest: transmission factor over the cube, dimensionless.
         travel: lowest and highest travel of any drive from mechanical zero, metres.
         within_stroke: whether every drive stays within its stroke.
     """

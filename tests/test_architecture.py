@@ -25,7 +25,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"observations"}),
     frozenset({"prediction", "figures"}),
     frozenset({"machine"}),
-    frozenset({"accuracy", "klipper"}),
+    frozenset({"accuracy", "as_pinocchio", "klipper", "transmission"}),
     frozenset({"fit", "comparison", "control", "pictures"}),
     frozenset({"diagnosis"}),
     frozenset({"posterior", "judging", "simulation"}),
@@ -235,6 +235,8 @@ OF_ONE_LAYOUT = {
     "reduction/kinematics.py:forward": "its quadratic",
     "reduction/kinematics.py:inverse": "the same",
     "reduction/kinematics.py:jacobians": "the same",
+    "reduction/legs.py:leg_angles": "eq. (1), whose legs lie along base axes",
+    "reduction/legs.py:leg_points": "the same",
     "reduction/spheres.py:_gap": "three spheres, in pairs, whatever the legs",
     "reduction/spheres.py:explain_miss": "the same",
 }

@@ -429,7 +429,7 @@ def test_a_tower_is_tried_against_a_square_that_stands(imported: Path) -> None:
 
 def test_legs_that_must_twist_go_by_their_own_names(imported: Path) -> None:
     machine = Machine.load(imported / "machine.toml").with_parameters({"mount_tilt.b.a": 0.2})
-    told = machine.pose([0.0, 0.0, 0.0]).warnings
+    told = machine.close([0.0, 0.0, 0.0]).warnings
     assert {text[:16] for text in told} <= {f"leg {leg} must twist" for leg in "abc"}
     assert told[1].startswith("leg b must twist")
 

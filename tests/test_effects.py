@@ -288,7 +288,9 @@ def test_relabelling_the_legs_relabels_the_motions(name: str) -> None:
         turned = [np.roll(x, k) for x in (command, approach, force)]
         seen = np.concatenate([*turned[:2], [100.0, 3.0], turned[2]])
         theta = model().vector({parameter: tolerance(parameter)})
-        moves.append(model().displacement(model().dimensions, theta, seen).full().reshape(3, -1))
+        moves.append(
+            model().moving.function(model().moving.size, theta, seen).full().reshape(3, -1)
+        )
     assert moves[0].any()
     assert np.abs(np.roll(moves[0], 1, axis=0) - moves[1]).max() < 1e-16
 

@@ -335,7 +335,7 @@ def test_the_cache_is_nobody_elses(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(os, "getuid", lambda: own + 1)
     with pytest.raises(PermissionError):
         compiled._own_folder()
-    assert compiled.compiled([]) is None
+    assert compiled.compiled(["f"], "f", lambda: []) is None
 
 
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler")

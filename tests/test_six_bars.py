@@ -141,8 +141,8 @@ def drawn_machines(geometry: Geometry, n: int, times: float) -> tuple[Array, Arr
             load=draws.uniform(0, 100, n),
         )
     )
-    sizes = np.broadcast_to(model.dimensions, (n, len(model.dimensions)))
-    return travel, Rows(model.displacement)(sizes, theta, seen)[0]
+    sizes = np.broadcast_to(model.moving.size, (n, len(model.moving.size)))
+    return travel, Rows(model.moving.function)(sizes, theta, seen)[0]
 
 
 @pytest.mark.parametrize("geometry", [NOMINAL, WIDE], ids=["Orthoglide", "wide delta"])

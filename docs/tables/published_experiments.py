@@ -59,9 +59,9 @@ def introduction() -> Iterator[str]:
     yield ""
     yield (
         "Printed by `python docs/tables/published_experiments.py --markdown`. The readings are "
-        "those of tables 1 and 2 of the 2008 chapter: twelve averaged deviations an experiment, of which "
-        "joint offsets take three degrees of freedom. The repeatability stated there is 0.02 mm. "
-        "Tolerances are the package's defaults; no case is made for these data."
+        "those of tables 1 and 2 of the 2008 chapter: twelve averaged deviations an experiment,"
+        " of which joint offsets take three degrees of freedom. The repeatability stated there "
+        "is 0.02 mm. Tolerances are the package's defaults; no case is made for these data."
     )
     yield ""
 

@@ -79,8 +79,7 @@ def identify(
             ``"deviations"`` is the papers' ordinary least squares on differences from each
             setup's first posture, which takes that posture's reading and the dials' places for
             exact.
-        method: ``"nlp"``, ``"nested"`` (Gauss-Newton on closed postures), ``"pinocchio"`` (the
-            same, every closure and sensitivity from Pinocchio's constraint Jacobian: slow),
+        method: ``"nlp"``, ``"nested"``, ``"pinocchio"`` (nested, closed by Pinocchio: slow) or
             ``"reduction"`` (the analytic PSS model); ``"auto"`` takes the programme up to
             ``NLP_POSTURES`` postures and ``NLP_UNKNOWNS`` unknowns, and nests the closure beyond.
         frame: how the instrument of TCP points may stand to the machine: ``"none"``: not at all,
@@ -90,8 +89,7 @@ def identify(
         InputError: where what is asked makes no sense.
         UnidentifiableError: where the readings cannot determine it, naming what.
         SolverError: where no solver reaches an answer that passes our own checks.
-        CrossCheckError: where mechanism and reduction disagree by more than 1e-6 mm, or six bars
-            and Pinocchio by more than 1e-6 mm of the TCP.
+        CrossCheckError: where mechanism, reduction and Pinocchio disagree beyond 1e-6 mm.
     """
     check_word("weighting", weighting, get_args(Weighting))
     check_word("method", method, get_args(Method))

@@ -107,8 +107,8 @@ class Nlp:
             count = len(conditions)
             values = _values(problem, k, x)
             theta = ca.vertcat(*[values.get(n, ca.MX(0)) for n in model.catalogue.parameters])
-            displacement = model.displacement.map("displacements", "serial", count, [0, 1], [])
-            moves = displacement(ca.DM(model.dimensions), theta, ca.DM(model.seen(conditions).T))
+            displacement = model.moving.function.map("displacements", "serial", count, [0, 1], [])
+            moves = displacement(ca.DM(model.moving.size), theta, ca.DM(model.seen(conditions).T))
             travel = ca.DM((conditions.command - model.geometry.zero).T)
             given = ca.vertcat(travel, moves)
             own = joints[:, first : first + count]

@@ -67,6 +67,11 @@ class Controller:
         return np.array(self.zero) + np.array(self.sign) * travel
 
 
+_STIFF_LEG = 1e4
+"""Torsional stiffness of a leg, N m/rad, from which it matters: at ten times that, a mismatch of
+the bars shows by half (elastic equilibrium of bars of EA/L = 5e7 N/m)."""
+
+
 @dataclass(frozen=True)
 class Stiffness:
     """Elastic constants, where they are known.
@@ -86,6 +91,16 @@ class Stiffness:
             raise InputError(
                 f"torsional stiffness must not be negative, in N m/rad, not {self.torsion}"
             )
+
+    def warnings(self, file: str) -> tuple[str, ...]:
+        """Return what a user should know of what a file says of it, in sentences."""
+        if self.torsion is None:
+            return ()
+        return (
+            f"{file}: torsion_Nmm_per_rad is no longer modelled. Below {_STIFF_LEG / 1e-3:.0e} "
+            f"N mm/rad a leg's torsion changes results by less than 5 %; this file has "
+            f"{self.torsion / 1e-3:.3g}",
+        )
 
 
 @dataclass(frozen=True)
@@ -176,3 +191,12 @@ class MachineFile:
         object.__setattr__(
             self, "tolerance", {**self.catalogue.default_tolerance, **self.tolerance}
         )
+
+
+def name_of(geometry: Geometry) -> str:
+    """Return what a machine of given dimensions is called until somebody names it."""
+    if geometry == Geometry():
+        return MachineFile().name
+    kinds = {"orthoglide": "Orthoglide", "linear-delta": "Linear delta", "legs": "Three legs"}
+    bars = "arms" if geometry.layout.kind == "linear-delta" else "bars"
+    return f"{kinds[geometry.layout.kind]}, {bars} of {geometry.L * 1e3:g} mm"

@@ -26,6 +26,7 @@ from orthoglide.machine_file.model import (
     MachineFile,
     ParameterValue,
     Stiffness,
+    name_of,
 )
 from orthoglide.machine_file.posterior import parse_posterior, posterior_path
 from orthoglide.machine_file.travel import check_travel
@@ -164,9 +165,6 @@ _INSTRUMENT: dict[str, Parser] = {
     "repeatability": _quantity(1e-3, 0, 10),
 }
 _TOP: dict[str, Parser] = {"schema": _schema, "name": _text, "urdf": _text}
-_STIFF_LEG = 1e4
-"""Torsional stiffness of a leg, N m/rad, from which it matters: at ten times that, a mismatch of
-the bars shows by half (elastic equilibrium of bars of EA/L = 5e7 N/m)."""
 _FREE = ("tolerance", "parameters", "provenance", "layout", "instrument")
 
 
@@ -192,7 +190,7 @@ def machine_file_of(given: AnyMachine | None) -> MachineFile:
     if isinstance(given, str | os.PathLike):
         return read_machine_file(given)
     if isinstance(given, Geometry):
-        return MachineFile(name=_name_of(given), geometry=given)
+        return MachineFile(name=name_of(given), geometry=given)
     found = MachineFile() if given is None else getattr(given, "spec", given)
     if not isinstance(found, MachineFile):
         raise InputError(
@@ -200,15 +198,6 @@ def machine_file_of(given: AnyMachine | None) -> MachineFile:
             f"Geometry"
         )
     return found
-
-
-def _name_of(geometry: Geometry) -> str:
-    """What a machine of given dimensions is called until somebody names it."""
-    if geometry == Geometry():
-        return MachineFile().name
-    kinds = {"orthoglide": "Orthoglide", "linear-delta": "Linear delta", "legs": "Three legs"}
-    bars = "arms" if geometry.layout.kind == "linear-delta" else "bars"
-    return f"{kinds[geometry.layout.kind]}, {bars} of {geometry.L * 1e3:g} mm"
 
 
 def read_machine_file(
@@ -229,6 +218,8 @@ def read_machine_file(
     path = files.inside(path, "calibrated.toml")
     content = files.read_bytes(path, files.TEXT)
     machine = parse_machine_file(files.decode(content, path), shown(path), catalogue)
+    if machine.urdf:
+        machine = replace(machine, urdf=str((Path(path).parent / machine.urdf).resolve()))
     digest = files.sha256(content)
     beside, posterior = posterior_path(path), None
     if beside.exists():
@@ -243,14 +234,7 @@ def read_machine_file(
         f"these lengths: it is taken to lie on that line"
         for name in near
     )
-    if machine.stiffness.torsion is not None:
-        warnings += (
-            f"{machine.file}: torsion_Nmm_per_rad is no longer modelled. Below "
-            f"{_STIFF_LEG / 1e-3:.0e} N mm/rad a leg's torsion changes results by less than 5 %; "
-            f"this file has {machine.stiffness.torsion / 1e-3:.3g}",
-        )
-    if machine.urdf:
-        machine = replace(machine, urdf=str((Path(path).parent / machine.urdf).resolve()))
+    warnings += machine.stiffness.warnings(machine.file)
     if posterior is None and any(entry.sigma for entry in machine.parameters.values()):
         warnings += (
             f"{machine.file}: there is no {shown(beside.name)} beside it with the covariance of "
@@ -285,9 +269,7 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
         tolerance=_tolerance(document, catalogue),
         stiffness=Stiffness(stiffness.get("torsion_Nmm_per_rad"), stiffness.get("bar_N_per_mm")),
         urdf=top.get("urdf", ""),
-        parameters={
-            name: _parameter(document, name, catalogue) for name in document.table("parameters")
-        },
+        parameters={name: _parameter(document, name, catalogue) for name in named},
         provenance=provenance,
         catalogue=catalogue,
         file=file,
@@ -296,8 +278,8 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
 
 def _section(document: Document, name: str) -> dict[str, Any]:
     document.check_keys(_KEYS[name], name)
-    elsewhere = {"r"} if "r_mm" in document.table("layout") else set()
-    required = [k for k in _KEYS[name] if k not in elsewhere] if name == "geometry_mm" else ()
+    skipped = {"r"} if "r_mm" in document.table("layout") else set()
+    required = [k for k in _KEYS[name] if k not in skipped] if name == "geometry_mm" else ()
     return document.section(_KEYS[name], required, name)
 
 

@@ -18,6 +18,7 @@ from orthoglide.mechanism.constraints import Constraints
 from orthoglide.mechanism.mobility import Mobility, mobility
 from orthoglide.mechanism.perfect_legs import Mode, Spheres, free_joints, mode_of, tool
 from orthoglide.mechanism.tree import (
+    RELIEF_NAMES,
     VIRTUAL_NAMES,
     LoopedModel,
     Tree,
@@ -28,6 +29,10 @@ from orthoglide.mechanism.tree import (
 
 CLOSED = 1e-11
 """Largest closure residual, metres and radians, that counts as closed."""
+
+_RELIEF_LIMIT = float(np.deg2rad(1.0))
+"""Angle of a relief joint, radians, beyond which a real leg would rather jam or bend: four times
+what errors of every kind at their tolerances turn the most twisted leg by (rms)."""
 
 _STEPS = 30
 _LONGEST_STEP = 0.5  # radians; keeps a cold start from jumping over to the other assembly mode
@@ -43,6 +48,7 @@ class Posture:
         R: its rotation ``(3, 3)``.
         residual: largest closure residual by loop, metres or radians.
         iterations: Newton's steps taken.
+        warnings: legs that give more than a leg plausibly can, one sentence each.
     """
 
     q: Array
@@ -50,6 +56,7 @@ class Posture:
     R: Array
     residual: dict[str, float]
     iterations: int
+    warnings: tuple[str, ...] = ()
 
 
 class Mechanism:
@@ -239,7 +246,18 @@ class Mechanism:
                     f"the loops close {where}, not in the {mode} assembly mode",
                     residuals=by_loop,
                 )
-        return Posture(q, p, R, by_loop, iterations)
+        return Posture(q, p, R, by_loop, iterations, self._twists(q))
+
+    def _twists(self, q: Array) -> tuple[str, ...]:
+        """What must be said of legs whose relief joints turn further than legs give."""
+        angles = np.abs(q[self.tree.relief]).reshape(-1, len(RELIEF_NAMES)).max(axis=1)
+        return tuple(
+            f"leg {leg} must twist by {np.rad2deg(angle):.1f} degrees for the loops to close, more "
+            f"than the {np.rad2deg(_RELIEF_LIMIT):g} degree that a leg plausibly gives: check the "
+            f"mounting of its carriage and the lengths of its bars, or whether the values are real"
+            for leg, angle in zip(self.tree.leg_names, angles, strict=False)
+            if not angle <= _RELIEF_LIMIT
+        )
 
     def velocity_jacobian(self, posture: Posture) -> Array:
         """Return dp/drho ``(3, m)`` at a posture (2008, eq. 5), from the constraint Jacobian."""
@@ -261,7 +279,12 @@ class Mechanism:
         return np.asarray(tool_rows @ moved)
 
     def joint_rates(self, posture: Posture, by: np.ndarray[Any, np.dtype[np.intp]]) -> Array:
-        """Return the rates of all joints ``(nv, k)`` for unit rates of joints ``by``."""
+        """Return the rates of all joints ``(nv, k)`` while the loops stay closed.
+
+        Args:
+            posture: closed.
+            by: positions in the velocity vector ``(k,)`` of joints that move at unit rate.
+        """
         rows, free = self.constraints.jacobian(posture.q), self.tree.free
         rates = np.zeros((self.tree.model.nv, len(by)))
         rates[by, np.arange(len(by))] = 1.0
@@ -278,17 +301,6 @@ class Mechanism:
         q[nominal.drive] = posture.q[self.tree.drive]
         q[nominal.passive] = posture.q[self.tree.passive]
         return mobility(Constraints(nominal), q)
-
-    def given(self, commands: Array, displacements: ArrayLike | None = None) -> Array:
-        """Return ``[travel; displacements]`` ``(..., 33)`` for ``commands`` ``(..., 3)`` and
-        ``displacements`` ``(..., 3, 10)`` or ``(..., 30)``, zero where absent.
-        """
-        count = len(self.tree.virtual)
-        given = np.zeros((*commands.shape[:-1], 3 + count))
-        given[..., :3] = commands - self._zero
-        if displacements is not None:
-            given[..., 3:] = np.reshape(displacements, (*commands.shape[:-1], count))
-        return given
 
 
 def _rebuilt(geometry: Geometry, looped: LoopedModel, tree: Tree) -> Mechanism:

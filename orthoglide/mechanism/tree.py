@@ -149,9 +149,9 @@ class LoopedModel:
     """A Pinocchio model as its URDF has it, its text, what closes its loops, and its motors."""
 
     model: pin.Model
-    text: str
     loops: tuple[Closure, ...]
     motors: tuple[str, ...]
+    text: str = ""
 
 
 def load(source: Geometry | str | os.PathLike[str] | None = None) -> LoopedModel:
@@ -183,7 +183,7 @@ def load(source: Geometry | str | os.PathLike[str] | None = None) -> LoopedModel
             raise FileError(
                 f"{motor} is driven and no joint of one degree of freedom", file=shown(found.path)
             )
-    return LoopedModel(model, found.urdf, found.closures, found.motors)
+    return LoopedModel(model, found.closures, found.motors, found.urdf)
 
 
 def nominal_tree(looped: LoopedModel) -> Tree:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -10,6 +12,7 @@ import numpy as np
 from orthoglide.effects import Catalogue, LegConditions
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Array, Geometry
+from orthoglide.mechanism.rows import Functions, Rows
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 
 CONDITIONS = 11
@@ -103,3 +106,80 @@ def leg_conditions(size: Any, seen: Any, leg: int, driven: Any, has_pitch: bool)
         zero=zero,
         commands=tuple(seen[k] for k in range(len(LEGS))),
     )
+
+
+# Interpreted displacements that take as long as compiling them does.
+_WORTH_COMPILING = 200_000
+
+
+class Displacements:
+    """Displacements of the virtual joints in numbers, for the effects of one catalogue.
+
+    Args:
+        catalogue: the effects.
+        geometry: nominal dimensions.
+        pitch: of the screws, metres; ``None`` where unknown.
+        compile: see :class:`~orthoglide.mechanism.engine.SixBars`.
+
+    Attributes:
+        size: dimensions as the functions take them ``(5,)``.
+        place: of each parameter in the vector of all.
+    """
+
+    def __init__(
+        self, catalogue: Catalogue, geometry: Geometry, pitch: float | None, compile: bool | None
+    ) -> None:
+        self.catalogue, self.has_pitch = catalogue, pitch is not None
+        self.size, self._compile = dimensions(geometry, pitch), compile
+        self.place: dict[str, int] = {name: k for k, name in enumerate(catalogue.parameters)}
+
+    @cached_property
+    def function(self) -> Any:
+        """The CasADi function, see :func:`displacement_function`."""
+        return displacement_function(self.catalogue, self.has_pitch)
+
+    @cached_property
+    def _rows(self) -> Functions:
+        worth = -1 if self._compile is False else _WORTH_COMPILING
+        key, build = self.function.serialize(), lambda: [self.function]
+        found = Functions(("displacement",), key, build, 2, worth)
+        if self._compile:
+            found.compile()
+        return found
+
+    @cached_property
+    def _by_parameters(self) -> Rows:
+        return Rows(displacement_derivative(self.function, 1, "by_parameters"), 2)
+
+    @cached_property
+    def _by_conditions(self) -> Rows:
+        return Rows(displacement_derivative(self.function, 2, "by_conditions"), 2)
+
+    def vector(self, values: Mapping[str, float]) -> Array:
+        """Return all parameters of the machine ``(P,)``, SI, zero where not named; dials are
+        skipped.
+
+        Raises:
+            InputError: for a name that is no parameter.
+        """
+        theta = np.zeros(len(self.place))
+        for name, value in values.items():
+            if name in self.place:
+                theta[self.place[name]] = value
+            elif not (effect := self.catalogue.effect_of(name)).of_dial:
+                raise InputError(
+                    f"there is no parameter {name!r}: {effect.name} has {', '.join(effect.motions)}"
+                )
+        return theta
+
+    def at(self, theta: Array, seen: Array) -> Array:
+        """Return displacements ``(n, 30)`` for parameters ``(P,)`` under conditions ``(n, 11)``."""
+        return self._rows("displacement", self.size, theta, seen)[0]
+
+    def by_parameters(self, theta: Array, seen: Array) -> Array:
+        """Return their derivative ``(n, 30, P)`` by the parameters."""
+        return self._by_parameters(self.size, theta, seen)[0]
+
+    def by_conditions(self, theta: Array, seen: Array) -> Array:
+        """Return their derivative ``(n, 30, 11)`` by the conditions."""
+        return self._by_conditions(self.size, theta, seen)[0]

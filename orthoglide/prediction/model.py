@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.effects import CATALOGUE, Catalogue, LegConditions
-from orthoglide.errors import ClosureError, InputError
+from orthoglide.errors import ClosureError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine_file.model import Stiffness
 from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.engine import ByPinocchio, Engine, Outputs, SixBars
-from orthoglide.mechanism.rows import Functions, Rows, blocks
+from orthoglide.mechanism.rows import Rows, blocks
 from orthoglide.mechanism.six_bars import LINES, MOVES, OUTPUTS
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Campaign
@@ -33,9 +33,7 @@ from orthoglide.prediction.displacement import (
     COMMAND,
     CONDITIONS,
     FORCE,
-    dimensions,
-    displacement_derivative,
-    displacement_function,
+    Displacements,
     leg_conditions,
 )
 from orthoglide.prediction.load import (
@@ -50,9 +48,6 @@ _POSTURES = 4096
 """Whose derivatives by all parameters are held at once."""
 
 _ALL = slice(None)
-
-# Interpreted displacements that take as long as compiling them does.
-_WORTH_COMPILING = 200_000
 
 # Each round of stretching leaves of the last one's error the share of its length by which a bar
 # gives, a hundred-thousandth as a rule: three rounds, and some more where bars are of rubber.
@@ -104,7 +99,6 @@ class Model:
         engine: Literal["six bars", "pinocchio"] = "six bars",
     ) -> None:
         self.catalogue = catalogue
-        self._place: dict[str, int] = {name: k for k, name in enumerate(catalogue.parameters)}
         self.geometry = geometry or Geometry()
         self.pitch = pitch
         self.stiffness = stiffness or Stiffness()
@@ -205,32 +199,9 @@ class Model:
         return shown, by_given
 
     @cached_property
-    def dimensions(self) -> Array:
-        """Dimensions as the displacement function takes them ``(5,)``."""
-        return dimensions(self.geometry, self.pitch)
-
-    @cached_property
-    def displacement(self) -> Any:
-        """CasADi function of the virtual joints' displacements, for the NLP too."""
-        return displacement_function(self.catalogue, self.pitch is not None)
-
-    @cached_property
-    def _displacement(self) -> Functions:
-        worth = -1 if self._compile is False else _WORTH_COMPILING
-        found = Functions(
-            ("displacement",), self.displacement.serialize(), lambda: [self.displacement], 2, worth
-        )
-        if self._compile:
-            found.compile()
-        return found
-
-    @cached_property
-    def _displacement_by_parameters(self) -> Rows:
-        return Rows(displacement_derivative(self.displacement, 1, "by_parameters"), 2)
-
-    @cached_property
-    def _displacement_by_conditions(self) -> Rows:
-        return Rows(displacement_derivative(self.displacement, 2, "by_conditions"), 2)
+    def moving(self) -> Displacements:
+        """From parameters and conditions to displacements."""
+        return Displacements(self.catalogue, self.geometry, self.pitch, self._compile)
 
     @cached_property
     def reading(self) -> Any:
@@ -246,20 +217,8 @@ class Model:
         return Rows(reading_tangent(self.reading))
 
     def vector(self, values: Mapping[str, float]) -> Array:
-        """All parameters of the machine ``(P,)``, SI, zero where not named; dials are skipped.
-
-        Raises:
-            InputError: for a name that is no parameter.
-        """
-        theta = np.zeros(len(self._place))
-        for name, value in values.items():
-            if name in self._place:
-                theta[self._place[name]] = value
-            elif not (effect := self.catalogue.effect_of(name)).of_dial:
-                raise InputError(
-                    f"there is no parameter {name!r}: {effect.name} has {', '.join(effect.motions)}"
-                )
-        return theta
+        """All parameters of the machine ``(P,)``, see :meth:`Displacements.vector`."""
+        return self.moving.vector(values)
 
     def seen(self, conditions: Conditions) -> Array:
         """Conditions as the displacement function takes them ``(n, 11)``."""
@@ -277,14 +236,12 @@ class Model:
         """As :meth:`displacements`, for a vector ``(P,)`` of all parameters of the machine."""
         if not len(conditions) or not theta.any():
             return np.zeros((len(conditions), 3 * MOVES))
-        return self._displacement("displacement", self.dimensions, theta, self.seen(conditions))[0]
+        return self.moving.at(theta, self.seen(conditions))
 
     def jacobian(self, values: Mapping[str, float], conditions: Conditions) -> Array:
         """dp/drho ``(n, 3, 3)``; what rails and drives do moves along with the command."""
         _, by_given = self.tangent(values, conditions)
-        (by_seen,) = self._displacement_by_conditions(
-            self.dimensions, self.vector(values), self.seen(conditions)
-        )
+        by_seen = self.moving.by_conditions(self.vector(values), self.seen(conditions))
         moves = by_seen[:, :, COMMAND]
         if conditions.load.any():
             forces = drive_forces_by_command(self.engine, self._travel(conditions), conditions.load)
@@ -311,12 +268,12 @@ class Model:
         """
         n, theta = len(conditions), self.vector(values)
         machine = [k for k, name in enumerate(names) if not self.catalogue.effect_of(name).of_dial]
-        places = [self._place[names[k]] for k in machine]
+        places = [self.moving.place[names[k]] for k in machine]
         outputs, by_name = np.empty((n, OUTPUTS)), np.zeros((n, OUTPUTS, len(names)))
         for part in blocks(n):  # small enough for the cache
             some = conditions.part(part)
             shown, by_given = self.tangent(values, some)
-            (by_theta,) = self._displacement_by_parameters(self.dimensions, theta, self.seen(some))
+            by_theta = self.moving.by_parameters(theta, self.seen(some))
             outputs[part] = shown.values
             by_name[part][:, :, machine] = by_given[:, :, 3:] @ by_theta[:, :, places]
         return Outputs(outputs), by_name
@@ -399,7 +356,7 @@ class Model:
         """What the effects of each leg see in ``n`` postures, as arrays."""
         seen = self.seen(conditions).T
         moves = self.displacements(values, conditions)
-        size, drives = self.dimensions, range(0, moves.shape[1], len(VIRTUAL_NAMES))
+        size, drives = self.moving.size, range(0, moves.shape[1], len(VIRTUAL_NAMES))
         return tuple(
             leg_conditions(size, seen, leg, moves[:, k], self.pitch is not None)
             for leg, k in enumerate(drives)
@@ -421,7 +378,7 @@ class Model:
             for row, setup in enumerate(campaign.setups)
             for name in effect.parameters((setup.name,))
         }
-        machine = [name for name in names if name in self._place]
+        machine = [name for name in names if name in self.moving.place]
         conditions, place = self._merged(campaign, [*values, *names])
         n = len(campaign)
         shown, by_gauge = np.empty(n), np.empty(n)
@@ -435,7 +392,7 @@ class Model:
             ends = by_name[:, LINES].reshape(len(outputs.values), 3, 12, len(machine))
             of_machine[rows] = (by_ends[:, None] @ ends[at, campaign.leg[rows]])[:, 0]
             shown[rows], by_gauge[rows], by_dial[rows] = value[:, 0], by_mounting[:, BY_GAUGE], dial
-        jacobian[:, [k for k, name in enumerate(names) if name in self._place]] = of_machine
+        jacobian[:, [k for k, name in enumerate(names) if name in self.moving.place]] = of_machine
         for column, name in zip(jacobian.T, names, strict=True):
             if name in dials:
                 row, k = dials[name]

@@ -1,0 +1,98 @@
+"""Values of parameters as a machine keeps them; those that cannot be meant are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from orthoglide.effects import Catalogue
+from orthoglide.errors import FileError, InputError, check_by_name
+from orthoglide.machine_file.model import MachineFile, ParameterValue
+
+_ABSURD = 500.0  # tolerances: so large is a value in another unit, a thousandth of SI
+_LONG = 0.1  # of a bar: no length is off by so much
+
+
+def check_sizes(spec: MachineFile, values: Mapping[str, float]) -> None:
+    """Refuse values of parameters that must be in another unit.
+
+    Args:
+        spec: of the machine.
+        values: by name, SI.
+
+    Raises:
+        InputError: naming the parameter.
+    """
+    check_by_name("parameters", values)
+    for name, value in values.items():
+        effect = spec.catalogue.effect_of(name)
+        unit, tolerance = effect.unit, spec.tolerance[effect.name]
+        length = _LONG * spec.geometry.L if unit.name == "mm" else np.inf
+        if abs(value) > min(_ABSURD * tolerance, length):
+            raise InputError(
+                f"{name} = {value / unit.si:g}{unit.behind} is {abs(value) / tolerance:.0f} times "
+                f"its tolerance of {tolerance / unit.si:g}{unit.behind}: is it meant in another "
+                f"unit? Python takes SI, files what the parameter's unit says"
+            )
+
+
+def check_sigmas(values: Mapping[str, float], sigmas: Mapping[str, float]) -> None:
+    """Refuse standard deviations that are negative, no numbers, or of parameters without a value.
+
+    Raises:
+        InputError: naming the parameter.
+    """
+    check_by_name("parameters", values)
+    check_by_name("standard deviations", sigmas)
+    for name, sigma in sigmas.items():
+        if name not in values:
+            raise InputError(f"a standard deviation is given of {name}, which is not set: set both")
+        if not (np.isfinite(sigma) and sigma >= 0):
+            raise InputError(f"the standard deviation of {name} must be 0 or more, not {sigma}")
+
+
+def entries_of(
+    catalogue: Catalogue, values: Mapping[str, float], sigmas: Mapping[str, float]
+) -> dict[str, ParameterValue]:
+    """Return single parameters of a machine; structured members are spelt out and summed.
+
+    Args:
+        catalogue: of the machine's effects.
+        values: by name, SI.
+        sigmas: standard deviations of some of them, SI; 0 where not given.
+
+    Raises:
+        InputError: for a value that is no finite number, and a parameter of one campaign.
+    """
+    given: dict[str, ParameterValue] = {}
+    for name, value in values.items():
+        if not np.isfinite(value):
+            raise InputError(f"{name} must be a finite number, not {value}")
+        sigma, unit = sigmas.get(name, 0.0), catalogue.effect_of(name).unit.name
+        for part, weight in catalogue.elementary(name).items():
+            parameter = catalogue.parameter(part)
+            if parameter.campaign:
+                raise InputError(
+                    f"{name} is what the campaign {parameter.campaign} has for itself: a machine "
+                    f"has {parameter.plain}"
+                )
+            so_far = given.get(part, ParameterValue(0.0, 0.0, unit))
+            both = float(np.hypot(so_far.sigma, weight * sigma))
+            given[part] = ParameterValue(so_far.value + weight * float(value), both, unit)
+    return given
+
+
+def check_single(spec: MachineFile) -> None:
+    """Refuse structured members in a machine file, which spells out single parameters.
+
+    Raises:
+        FileError: naming the member and what it stands for.
+    """
+    for name in (*spec.parameters, *(spec.posterior.names if spec.posterior else ())):
+        if spec.catalogue.parameter(name).member:
+            effect = spec.catalogue.effect_of(name)
+            raise FileError(
+                f"there is no parameter {name!r}: {effect.name} has {', '.join(effect.motions)}",
+                file=spec.file,
+            )
