@@ -52,6 +52,11 @@ def modules() -> list[Path]:
     return sorted(PACKAGE.rglob("*.py"))
 
 
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def part_of(path: Path) -> str:
     """Module or folder directly in the package."""
     return path.relative_to(PACKAGE).with_suffix("").parts[0]
@@ -73,7 +78,7 @@ def imports(path: Path, types: bool = False) -> Iterator[str]:
         for child in children:
             yield from visit(child)
 
-    return visit(ast.parse(path.read_text(encoding="utf-8")))
+    return visit(parsed(path))
 
 
 @cache
@@ -166,7 +171,7 @@ def test_files_and_functions_stay_readable() -> None:
         text, name = path.read_text(encoding="utf-8"), str(path.relative_to(PACKAGE))
         if (lines := len(text.splitlines())) > LONGEST:
             long[name] = lines
-        for node in ast.walk(ast.parse(text)):
+        for node in ast.walk(parsed(path)):
             if isinstance(node, ast.FunctionDef) and node.end_lineno is not None:
                 lines = node.end_lineno - node.lineno + 1
                 if lines > LONGEST_FUNCTION:
@@ -356,7 +361,7 @@ def test_assert_is_for_tests() -> None:
     found = [
         f"{path.relative_to(PACKAGE)}:{node.lineno}"
         for path in modules()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(parsed(path))
         if isinstance(node, ast.Assert)
     ]
     assert not found

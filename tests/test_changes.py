@@ -88,6 +88,7 @@ def changes_of(*campaigns: Campaign, machine: og.Machine) -> tuple[Change, ...]:
     return findings.changes
 
 
+@pytest.mark.thorough
 def test_a_tilt_that_was_put_right(machine, tmp_path):
     verdict = close_loop(tilted(machine, 1.5e-3, 0.3e-3), machine)
     (change,) = verdict.changed

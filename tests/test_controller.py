@@ -596,7 +596,7 @@ OTHERS = {
 }
 
 
-@pytest.mark.thorough(except_for=["free legs"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", OTHERS)
 def test_commands_of_other_layouts_are_travel_wherever_users_meet_them(
     kind: str, tmp_path: Path

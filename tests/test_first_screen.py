@@ -402,7 +402,7 @@ def test_a_controllers_setting_is_for_the_lost_motion_of_drives() -> None:
     assert "a controller's own setting for it, or orthoglide compensate makes up for it" in text
 
 
-@pytest.mark.thorough(except_for=["platform"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("which", ["platform", "reversal"])
 def test_the_tools_error_says_that_it_leaves_lost_motion_out(which: str) -> None:
     text = screen(lost(which))

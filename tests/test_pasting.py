@@ -198,6 +198,7 @@ def test_places_to_read_again_are_the_firmware_s() -> None:
             assert " to x " in one.where[0]
 
 
+@pytest.mark.thorough
 def test_nothing_is_judged_where_nothing_is_left_over() -> None:
     """It was said that nothing significant is left, below that it cannot be judged."""
     found = import_printer(DATA / "t1-stock.cfg")

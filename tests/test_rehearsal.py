@@ -349,6 +349,7 @@ def test_a_delta_is_rehearsed_with_the_instruments_one_owns(delta: og.Machine) -
     assert [t.named for t in again.campaigns] == [t.named for t in found.campaigns[:2]]
 
 
+@pytest.mark.thorough
 def test_a_plate_shows_no_place_and_is_what_a_delta_is_rehearsed_with(delta: og.Machine) -> None:
     found = og.rehearse(delta, campaigns=3)
     assert found.readings == len(sheet_of(delta, "plate"))

@@ -149,6 +149,7 @@ def test_the_page_is_well_formed_and_self_contained(which: str) -> None:
     assert check_page(page)
 
 
+@pytest.mark.thorough(except_for=["published"])
 @pytest.mark.parametrize("which", ["published", "rig", "two"])
 def test_nothing_tells_where_or_when(which: str) -> None:
     check_timeless(files_of(which))

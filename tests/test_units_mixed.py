@@ -221,6 +221,7 @@ def test_an_instrument_beside_others_is_asked_about_by_itself() -> None:
     assert "setup 'incline'" in note
 
 
+@pytest.mark.thorough
 def test_exact_dials_are_asked_about_unless_that_was_declared() -> None:
     read = dials()
     exact = read.with_readings(MACHINE.model.readings({"joint_offset.x": 5e-4}, read))
