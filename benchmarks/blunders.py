@@ -9,7 +9,7 @@ catalogue, the rest a fault of the data, half of these beside an effect. Half ar
 noise and tolerances of a machine file, half with the nominal machine, its noise from the repeats.
 What counts is what the closed loop reports.
 
-Worn machines are apart: everything is off by 0.3 of its tolerance, one effect stands out clearly,
+Worn machines are apart: everything is off by 0.3 or 0.1 of its tolerance, one effect is clear,
 and the command of one posture is written 5 to 10 mm wrong on one drive. Right is the drive, a size
 within 0.1 mm, and the machine's cause in a set that is named. A run goes on where it stopped, from
 the cache.
@@ -67,7 +67,9 @@ FAULTS = {
     "stuck": (0.0,),
 }
 """Sizes in mm, of a hand what one turn shows; factors of a unit; 0 and 1 as in ``TITLES``."""
-WORN_SHARE = 0.3  # of their tolerances by which everything on a worn machine is off
+WORN = {"command": 0.3, "command, less worn": 0.1}
+"""Shares of their tolerances by which everything on a worn machine is off."""
+
 WORN_EFFECTS = ("axis_tilt", "rail_bow", "backlash", "encoder_scale", "screw_error", "bar_mismatch")
 WORN_TOLERANCES = (2.0, 5.0)  # of what stands out
 WORN_CLEAR = 8.0  # sigmas past noise and background that it shows at least
@@ -240,18 +242,19 @@ def judge(case: Case, world: World) -> Record:
 
 def judge_worn(case: Case, rng: np.random.Generator) -> Record:
     """Return what is reported of a wrong command on a worn machine with one clear cause."""
+    share = WORN[case.name]
     rows = rc.protocol_rows(WORN_SHEETS[case.number % len(WORN_SHEETS)])
     while True:
         cause = ac.effect(
             family := str(rng.choice(WORN_EFFECTS)), EXPECTED[family], [], rng, shaped=False
         )
         size = float(rng.uniform(*WORN_TOLERANCES))
-        rig = whole_machines.rig_of(WORN_SHARE, rng)
+        rig = whole_machines.rig_of(share, rng)
         rig = rig.with_errors({n: size * v for n, v in cause.errors.items()})
         measured = rc.simulate(rig, rows, rng)
         shown = {n: size * v / tolerance(n) for n, v in cause.errors.items()}
-        beside = stands_out.beside(measured, WORN_SHARE)
-        if (clear := stands_out.seen(beside, shown, WORN_SHARE)) >= WORN_CLEAR:
+        beside = stands_out.beside(measured, share)
+        if (clear := stands_out.seen(beside, shown, share)) >= WORN_CLEAR:
             break
     spoilt, touched = _mistyped(measured, case.size * float(rng.choice([-1, 1])), rng)
     first = touched[0]
@@ -305,10 +308,13 @@ def hash_of(case: Case) -> int:
 
 
 def worn(campaigns: int) -> list[Case]:
-    """Return so many wrong commands on worn machines."""
+    """Return so many wrong commands on machines of each share of wear."""
     sizes = WORN_COMMANDS
-    return [Case("worn", "command", sizes[k % len(sizes)], k // len(sizes))
-            for k in range(campaigns)]  # fmt: skip
+    return [
+        Case("worn", name, sizes[k % len(sizes)], k // len(sizes))
+        for name in WORN
+        for k in range(campaigns)
+    ]
 
 
 def known(cache: Path | None, world: World) -> dict[str, Record]:
@@ -374,8 +380,13 @@ def report(outcomes: Sequence[Record]) -> str:
 def _of_worn(outcomes: Sequence[Record]) -> Iterator[str]:
     titles = ("campaigns", "command", "drive", "size", "cause", "all right", "fit left", "refused")
     yield f"{'wrong command on a worn machine':36}" + "".join(f"{t:>10}" for t in titles)
-    rows = [(f"  {s:g} mm", [o for o in outcomes if o["size"] == s]) for s in WORN_COMMANDS]
-    for title, own in [*rows, ("  all", list(outcomes))]:
+    rows = [
+        (f"{s:g} mm, all off by {share:g}", [o for o in own if o["size"] == s])
+        for name, share in WORN.items()
+        for own in [[o for o in outcomes if o["name"] == name]]
+        for s in WORN_COMMANDS
+    ]
+    for title, own in [*rows, ("all", list(outcomes))]:
         ended = [o for o in own if "word" in o]
         cells = (
             len(own),
@@ -418,7 +429,9 @@ def _percent(part: int, whole: int) -> str:
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--campaigns", type=int, default=800)
-    parser.add_argument("--worn", type=int, default=24, help="wrong commands on worn machines")
+    parser.add_argument(
+        "--worn", type=int, default=24, help="wrong commands on machines of each share of wear"
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="nothing, effect, outside, fault or worn")

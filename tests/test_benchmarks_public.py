@@ -1,13 +1,14 @@
 """Benchmarks outlive the package's insides: they call its public interface and the tests' rigs."""
 
 import ast
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import orthoglide as og
-from benchmarks import blunders, independent, public
+from benchmarks import blunders, compare_frozen, independent, public
 from benchmarks.attribution_cases import SHARES, SHORT, Case, cases
 from benchmarks.attribution_run import draw, run
 from benchmarks.independent import Sheet, Visible
@@ -174,3 +175,23 @@ def test_data_faults_are_judged_by_the_closed_loop() -> None:
 
 def case_of(name: str, size: float) -> blunders.Case:
     return blunders.Case("fault", name, size, 0)
+
+
+@pytest.mark.parametrize("name", compare_frozen.PRINTED)
+def test_frozen_tables_are_those_of_their_page(name: str) -> None:
+    page = (compare_frozen.FROZEN / "README.md").read_text(encoding="utf-8")
+    _, *lines = compare_frozen.compared(name, None)
+    assert len(lines) > 3
+    assert [line for line in lines if line and line not in page] == []
+
+
+def test_a_fresh_run_stands_beside_the_frozen_one(tmp_path: Path) -> None:
+    frozen = compare_frozen.records_in(compare_frozen.frozen_path("whole_machines"))
+    first, *others = frozen.values()
+    fresh = tmp_path / "fresh.jsonl"
+    changed = {**first, "tcp": [9.0, *first["tcp"][1:]]}
+    fresh.write_text("\n".join(map(json.dumps, (changed, *others[:7]))) + "\n", encoding="utf-8")
+    count, *lines = compare_frozen.compared("whole_machines", fresh)
+    assert count.endswith("8 fresh, 8 in both")
+    (row,) = [line for line in lines if line.startswith(f"| f = {first['case'][0]:g} ")]
+    assert row.count(" -> ") == 1
