@@ -112,7 +112,7 @@ def check(rest: list[str]) -> int:
 def bench(rest: list[str]) -> int:
     """Run the benchmarks of speed, or the one named: bench closure."""
     environment("test", "engines")
-    names = rest[:1] or ["closure", "identify", "elastic"]
+    names = rest[:1] or ["closure", "identify"]
     paths = [ROOT / "benchmarks" / f"{Path(name).stem}.py" for name in names]
     for path in paths:
         if not path.is_file():

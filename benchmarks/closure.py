@@ -68,7 +68,8 @@ same machine as a platform on six bars.
   and kept in a cache (`ORTHOGLIDE_CACHE` names another folder). Without a compiler CasADi interprets the
   same functions; both return the same numbers to the last bit.
 
-`python benchmarks/identify.py` times identifications of growing campaigns in the same way.
+`python3 dev.py bench identify` times identifications of growing campaigns in the same way; `dev.py bench`
+runs both.
 """
 
 
