@@ -84,6 +84,7 @@ def test_compensate_states_shape_and_place_apart() -> None:
     assert not plan.independent
 
 
+@pytest.mark.thorough(except_for=["tilted"])
 @pytest.mark.parametrize("which", MACHINES)
 def test_the_radius_stated_afterwards_is_below_the_error_now(which: str) -> None:
     stated = tcp_map(verdict_of(which).machine)

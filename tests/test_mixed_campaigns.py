@@ -48,6 +48,7 @@ def test_both_together_know_the_tool_better_than_either() -> None:
     assert after["both"]["translation"] < 3e-6
 
 
+@pytest.mark.thorough
 def test_a_rail_offset_that_dials_cannot_place_is_told() -> None:
     """To dials the y rail beside its place and the z rail, the other way, are one machine moved."""
     one, both = verdicts()["dials"].effects, verdicts()["both"].effects

@@ -58,7 +58,7 @@ def read(path: Path, rows: list[Row], *, done: bool = True) -> ToolCampaign:
     return found
 
 
-@pytest.mark.thorough(except_for=["distance"])
+@pytest.mark.thorough(except_for=["plate"])
 @pytest.mark.parametrize("kind", ALL)
 def test_a_row_is_where_the_controller_sends_the_tool(kind: str, tmp_path: Path) -> None:
     rows = sheet(kind)

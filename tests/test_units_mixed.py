@@ -76,6 +76,7 @@ def test_what_is_left_is_shared_by_all_that_was_read() -> None:
     assert on_dials < 0.1
 
 
+@pytest.mark.thorough
 def test_what_is_left_at_the_tool_is_told_and_followed_there() -> None:
     verdict = odd_tool()
     most = verdict.rest_of_tool[0]

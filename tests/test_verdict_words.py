@@ -100,7 +100,7 @@ def test_a_sound_machine_leaves_nothing_although_nothing_is_told() -> None:
     assert remains(known, NOTHING).p_value > SIGNIFICANT
 
 
-@pytest.mark.thorough(except_for=["54"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [28, 54])
 def test_zeros_far_off_beside_noise_of_one_chance_in_a_hundred(seed: int) -> None:
     """What was left by chance kept the tolerances, ten of which no explanation could be weighed
