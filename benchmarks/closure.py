@@ -142,7 +142,7 @@ def add_engine(add: Callable[..., None], engine: SixBars, how: str) -> None:
     """The closure object alone, and its sensitivities."""
     travel = commands(4000) - GEOMETRY.L
     moves = 1e-3 * np.random.default_rng(1).standard_normal((len(travel), 30))
-    single, each = engine.single, list(zip(travel[:500], moves[:500], strict=True))
+    single, each = engine.single(), list(zip(travel[:500], moves[:500], strict=True))
 
     def bare() -> None:
         _, own_travel, own_moves = single.given

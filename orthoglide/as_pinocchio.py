@@ -19,8 +19,8 @@ class PinocchioModel:
     """A machine with closed loops in Pinocchio's terms.
 
     Attributes:
-        model: ``pin.Model`` of the tree: 3 driven slides and 21 passive joints, 6 of them relief
-            joints that take up errors of the parts. Metres, kilograms, radians.
+        model: ``pin.Model`` of the tree: 3 driven slides and 21 free joints, 15 passive and 6
+            relief joints that take up errors of the parts. Metres, kilograms, radians.
         constraint_models: ``pin.StdVec_ConstraintModel``, one a loop: point anchors for the
             parallelograms, frame anchors for the platform.
         constraint_datas: the data that belong to them. Call ``calc(model, data, its_data)`` of each

@@ -273,10 +273,10 @@ class Machine:
             self._models.append(built)
         return self._models[0]
 
-    def judged(self) -> Machine:
+    def by_pinocchio(self) -> Machine:
         """Return the same machine with every posture closed by Pinocchio itself, which is slow."""
         machine = Machine(self.spec)
-        machine.__dict__["_models"] = [self.model.judged()]
+        machine.__dict__["_models"] = [self.model.by_pinocchio()]
         return machine
 
     @cached_property

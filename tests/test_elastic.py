@@ -119,7 +119,7 @@ def test_rigid_bars_and_drives_carry_the_load_by_virtual_work() -> None:
 
 
 def test_pinocchio_closes_the_stretched_machine_alike() -> None:
-    own, judged = machine(), machine().judged()
+    own, judged = machine(), machine().by_pinocchio()
     assert np.abs(own.forward(RHO, load=LOAD) - judged.forward(RHO, load=LOAD)).max() < 1e-13
     assert np.abs(own.jacobian(RHO, load=LOAD) - judged.jacobian(RHO, load=LOAD)).max() < 1e-10
     p = np.array([own.close(rho, load=LOAD).p for rho in RHO])

@@ -118,7 +118,7 @@ def test_joints_without_limits_are_turned_all_the_same(joint: str, tmp_path: Pat
 def test_a_four_bar_has_one_freedom_and_says_so() -> None:
     found = robot(FOUR_BAR).mobility([0.3])
     assert (found.joints, found.rows, found.rank, found.mobility) == (3, 3, 2, 1)
-    assert str(found).endswith("mobility 1, 1 times overconstrained.")
+    assert str(found).endswith("mobility 1, 1 redundant rows.")
 
 
 def test_a_crank_that_does_not_reach_is_a_closure_error(tmp_path: Path) -> None:

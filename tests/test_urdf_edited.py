@@ -163,9 +163,9 @@ def test_closure_engine_and_programme_follow_the_file(edit: Edit, tmp_path: Path
     pose = machine.pose(RHO)
     assert np.abs(pose.p - p).max() < 1e-12
     assert np.abs(pose.R - R).max() < 1e-11
-    assert np.abs(machine.judged().forward(RHO) - p).max() < 1e-12
+    assert np.abs(machine.by_pinocchio().forward(RHO) - p).max() < 1e-12
     assert isinstance(machine.model.engine, SixBars)
-    assert isinstance(machine.judged().model.engine, ByPinocchio)
+    assert isinstance(machine.by_pinocchio().model.engine, ByPinocchio)
     tree = machine.model.mechanism.tree
     functions = closure_functions(tree)
     for command, place in zip(RHO[:5], p, strict=False):

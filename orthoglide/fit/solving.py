@@ -220,8 +220,8 @@ def _solved(
         x, iterations = _reduced(problem, nuisance)
         return linearise(problem, x), iterations, "reduction"
     if method == "pinocchio":
-        judged = replace(problem, machine=problem.machine.judged())
-        at, steps = solve_nested(judged, nuisance, linearise(judged, near.x))
+        reference = replace(problem, machine=problem.machine.by_pinocchio())
+        at, steps = solve_nested(reference, nuisance, linearise(reference, near.x))
         return linearise(problem, at.x), steps + 1, "pinocchio"
     elastic = problem.elastic
     tool = any(isinstance(p, ToolReadings) for p in problem.points)

@@ -1,4 +1,4 @@
-"""Every posture of a finished fit closed once more by Pinocchio, and compared with the engine."""
+"""The postures of a finished fit closed once more by Pinocchio, and compared with six bars."""
 
 from __future__ import annotations
 
@@ -14,13 +14,16 @@ from orthoglide.mechanism.engine import ByPinocchio
 from orthoglide.prediction import Conditions
 
 MOST_POSTURES = 500
-"""Of more postures, as many are drawn at random: one takes about half a millisecond."""
+"""Of more postures a random sample of this size is closed: one takes half a millisecond."""
 
 TCP_LIMIT = 1e-9
 """Metres: a thousandth of what any instrument here resolves, a million times rounding."""
 
 SENSITIVITY_LIMIT = 1e-6
 """Relative difference of derivatives: far below what a fit notices, far above rounding."""
+
+SMALLEST_SCALE = 1e-3
+"""Metres a metre: of outputs that move by less, differences count as absolute."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,7 @@ class Verification:
         closure: largest closure residual by loop, metres or radians.
         tcp: largest difference of the TCP, metres.
         sensitivity: largest difference of a derivative by travel or a virtual joint, relative to
-            the largest derivative of the same output.
+            the largest derivative of the same output, or to ``SMALLEST_SCALE``.
         postures: how many were closed.
     """
 
@@ -62,15 +65,15 @@ def verify(estimate: Estimate) -> Verification:
         drawn = np.random.default_rng(0).choice(len(travel), MOST_POSTURES, replace=False)
         travel, moves = travel[drawn], moves[drawn]
     engine = estimate.problem.machine.model.engine
-    judge = ByPinocchio(engine.mechanism)
+    reference = ByPinocchio(engine.mechanism)
     shown, by_given = engine.tangent(travel, moves)
-    expected, expected_by_given = judge.tangent(travel, moves)
-    scale = np.abs(expected_by_given).max(axis=2, initial=1e-300)
+    expected, expected_by_given = reference.tangent(travel, moves)
+    scale = np.abs(expected_by_given).max(axis=2, initial=SMALLEST_SCALE)
     apart = np.abs(by_given - expected_by_given).max(axis=2, initial=0.0)
     found = Verification(
-        judge.worst,
+        reference.worst,
         float(np.linalg.norm(shown.p - expected.p, axis=1).max(initial=0.0)),
-        float((apart / np.maximum(scale, 1e-3)).max(initial=0.0)),
+        float((apart / scale).max(initial=0.0)),
         len(travel),
     )
     if not (found.tcp <= TCP_LIMIT and found.sensitivity <= SENSITIVITY_LIMIT):

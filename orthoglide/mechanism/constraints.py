@@ -57,7 +57,7 @@ class Constraints:
         """Return the constraint Jacobian ``(rows, nv)`` where the residual was last evaluated.
 
         It is exact where the loops are closed. Elsewhere the rows of frame closures are relative
-        twists without the factor Jlog6, which does not keep Newton's method from converging.
+        twists, without the factors ``Jlog6(M) M.actInv``: Newton's method converges all the same.
         """
         return np.asarray(
             pin.getConstraintsJacobian(self.tree.model, self.data, self.models, self.datas)

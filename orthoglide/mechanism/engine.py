@@ -1,4 +1,4 @@
-"""Closed postures of three legs in numbers, many at once: by six bars, or judged by Pinocchio.
+"""Closed postures of three legs in numbers: many at once by six bars, one by one by Pinocchio.
 
 Both engines take travel of the drives ``(n, 3)`` from mechanical zero and displacements of the
 virtual joints ``(n, 30)``, metres and radians, and return the same outputs and sensitivities.
@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -36,7 +36,7 @@ _WORTH_COMPILING = 50_000
 
 
 class Outputs:
-    """What a posture shows: views into an array ``(..., 48)``.
+    """Outputs of closed postures (tool, rotation, bar ends): views into an array ``(..., 48)``.
 
     Attributes:
         values: the array itself.
@@ -62,7 +62,7 @@ class Outputs:
 
 
 class Engine(Protocol):
-    """What closes postures."""
+    """Interface of what closes postures."""
 
     mechanism: Mechanism
 
@@ -117,7 +117,7 @@ class ByPinocchio:
         for k in range(n):
             with _numbered(k, n):
                 posture = self.mechanism.close(zero + travel[k], moves[k].reshape(3, -1))
-            self.worst = {n: max(v, posture.residual[n]) for n, v in self.worst.items()}
+            self.worst = {loop: max(v, posture.residual[loop]) for loop, v in self.worst.items()}
             values[k] = self._shown(posture)
             if tangents:
                 by_given[k] = self._moved(posture)
@@ -189,7 +189,7 @@ class SixBars:
         worth = -1 if compile is False else _WORTH_COMPILING
         # Apart, as most runs need the closure first, and the tangent takes longest to compile.
         self._close = Functions(
-            ("close", "close_from"), _key("close"), _closing, shared=1, worth=worth
+            ("close", "close_from"), _key("close"), six_bars.closing_functions, 1, worth
         )
         self._tangent = Functions(
             ("tangent",), _key("tangent"), lambda: [six_bars.tangent_function()], 1, worth
@@ -203,14 +203,13 @@ class SixBars:
         """Whether closures run compiled."""
         return self._close.compiled
 
-    @property
     def single(self) -> Single:
-        """The closure of one posture, evaluated in place and unchecked.
+        """Return the closure of one posture as an object that is evaluated in place, unchecked.
 
         Constants ``(106,)``, travel ``(3,)`` and displacements ``(30,)`` in, outputs ``(48,)`` and
         check ``(3,)`` out.
         """
-        single = self._close.rows("close").single
+        single = Single(self._close.rows("close").function)
         single.given[0][:] = self.constants
         return single
 
@@ -222,26 +221,29 @@ class SixBars:
                 f"{travel.shape} and {moves.shape}"
             )
         values, check = self._close("close", self.constants, travel, moves)
-        # The largest of each is right where all are; a check that is no number is not.
+        # All postures are closed if the worst are; comparisons with NaN are false.
         off, side, turned = check[0] if len(check) == 1 else _worst(check)
         if not (off <= self._exact and side < -FLAT and turned > _TURNED):
-            self._again(values, check, travel, moves)
+            self._close_remaining(values, check, travel, moves)
         return Outputs(values)
 
-    def _again(self, values: Array, check: Array, travel: Array, moves: Array) -> None:
-        """Close what the first round left open, in place; Pinocchio has the last word."""
+    def _close_remaining(self, values: Array, check: Array, travel: Array, moves: Array) -> None:
+        """Close in place what the first round left open.
+
+        What six bars close to ``CLOSED`` is taken. The rest is closed, or refused, by Pinocchio.
+        """
         for _ in range(_ROUNDS):
-            rows = np.flatnonzero(~_right(check, self._exact) & np.isfinite(values).all(axis=1))
+            rows = np.flatnonzero(~_is_closed(check, self._exact) & np.isfinite(values).all(axis=1))
             if not rows.size:
                 break
             values[rows], check[rows] = self._close(
                 "close_from", self.constants, travel[rows], moves[rows], values[rows, :12]
             )
-        judge = ByPinocchio(self.mechanism)
-        for row in np.flatnonzero(~_right(check, CLOSED)):
+        reference = ByPinocchio(self.mechanism)
+        for row in np.flatnonzero(~_is_closed(check, CLOSED)):
             with _numbered(int(row), len(travel)), self._counted_from_zero(travel[row]):
                 part = slice(row, row + 1)
-                values[row] = judge.outputs(travel[part], moves[part]).values[0]
+                values[row] = reference.outputs(travel[part], moves[part]).values[0]
 
     @contextmanager
     def _counted_from_zero(self, travel: Array) -> Iterator[None]:
@@ -265,17 +267,13 @@ class SixBars:
         return outputs, by_given
 
 
-def _closing() -> list[Any]:
-    return list(six_bars.closing_functions())
-
-
-def _right(check: Array, most: float) -> NDArray[np.bool_]:
+def _is_closed(check: Array, most: float) -> NDArray[np.bool_]:
     """Which postures ``(n,)`` are closed, in the machine's own assembly mode."""
     return np.asarray((check[:, 0] <= most) & (check[:, 1] < -FLAT) & (check[:, 2] > _TURNED))
 
 
 def _worst(check: Array) -> tuple[float, float, float]:
-    """Largest misfit, side nearest to the other mode and largest turn of all postures."""
+    """Return the largest misfit, the side nearest to the other mode and the smallest trace."""
     if not len(check):
         return 0.0, -1.0, 3.0
     off, side, _ = check.max(axis=0)

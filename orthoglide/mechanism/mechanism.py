@@ -34,7 +34,7 @@ _RELIEF_LIMIT = float(np.deg2rad(1.0))
 """Angle of a relief joint, radians, beyond which a real leg would rather jam or bend: four times
 what errors of every kind at their tolerances turn the most twisted leg by (rms)."""
 
-_STEPS = 30
+_STEPS = 30  # four to eight do in the stroke; far beyond it Newton ends or never does
 _LONGEST_STEP = 0.5  # radians; keeps a cold start from jumping over to the other assembly mode
 
 
@@ -48,7 +48,7 @@ class Posture:
         R: its rotation ``(3, 3)``.
         residual: largest closure residual by loop, metres or radians.
         iterations: Newton's steps taken.
-        warnings: legs that give more than a leg plausibly can, one sentence each.
+        warnings: legs whose relief joints turn by more than a degree, one sentence each.
     """
 
     q: Array
@@ -170,7 +170,7 @@ class Mechanism:
             except ClosureError:
                 if guess is not None or not self.has_legs:
                     raise
-        # Far from neutral, and in the other mode, the legs start as they would be without errors.
+        # Where Newton fails from neutral, and in the other mode, start from legs without errors.
         travel = q[None, self.tree.drive]
         p = tool(self.spheres, travel, mode)
         if np.isfinite(p).all():
@@ -189,7 +189,7 @@ class Mechanism:
             largest = float(np.abs(change).max(initial=0.0))
             if not np.isfinite(largest):
                 break
-            step[moving] = -change * min(1.0, _LONGEST_STEP / max(largest, _LONGEST_STEP))
+            step[moving] = -change * (_LONGEST_STEP / max(largest, _LONGEST_STEP))
             q = pin.integrate(self.tree.model, q, step)
             if largest < 1e-8:  # quadratic: the step just made leaves its square
                 break

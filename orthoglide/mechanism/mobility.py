@@ -31,15 +31,14 @@ class Mobility:
         planar = 3 * len(pa) - sum(pa)
         counted = (
             f"{self.joints} joints, {self.rows} closure rows of rank {self.rank}: mobility "
-            f"{self.mobility}, {self.redundant} times overconstrained."
+            f"{self.mobility}, {self.redundant} redundant rows."
         )
         if not pa:
             return counted
         return (
-            f"{counted} {planar} of the conditions "
-            f"too many are in the parallelograms, which are planar and cannot also be told to stay "
-            f"in their plane; the other {self.redundant - planar} hold the platform's rotation, "
-            f"which the legs block more often than once: each leg resists torsion."
+            f"{counted} {planar} of them are in the parallelograms, whose planes already follow "
+            f"from the other rows. The other {self.redundant - planar} repeat constraints on the "
+            f"platform's rotation, because every leg resists torsion."
         )
 
 

@@ -19,8 +19,8 @@ Mode = Literal["machine", "other"]
 """The machine's own assembly mode, or its mirror image in the plane of the carriages."""
 
 FLAT = 1e-15
-"""A side of the carriages' plane, in bars' lengths, whose sign is rounding: a thousandth of a bar
-from there it is more than a thousand million times as large.
+"""Dimensionless side of the carriages' plane (see `mode_of`) below which its sign is rounding. At a
+thousandth of a bar's length from the plane it is of the order of 1e-6 or more.
 """
 
 _FAR = 10.0  # bars' lengths: points so far away were perhaps given in other units
@@ -69,7 +69,7 @@ class Spheres:
 
 
 def free_joints(tree: Tree, spheres: Spheres, travel: Array, p: Array) -> Array:
-    """Return passive joints of legs without errors that hold the platform unturned at ``p``.
+    """Return the free joints of legs without errors that hold the platform unturned at ``p``.
 
     With the leg's span ``w`` from carriage to platform in its axes (a, b, c), the bars lie along
     ``L (-cos theta cos phi, -sin theta cos phi, sin phi)``.

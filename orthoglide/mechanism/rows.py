@@ -16,7 +16,7 @@ _CHUNK = 256
 
 
 def blocks(count: int, size: int = _CHUNK) -> Iterator[slice]:
-    """Yield rows in pieces, by default such that one mapped call takes and the cache holds."""
+    """Yield slices of rows, by default as many as one mapped call takes and the cache holds."""
     for start in range(0, count, size):
         yield slice(start, min(start + size, count))
 
@@ -46,7 +46,7 @@ class Single:
 class Rows:
     """A CasADi function of vectors, for rows of them.
 
-    It holds buffers, which threads take in turns.
+    It holds buffers that a lock guards.
 
     Args:
         function: of column vectors; its results are dense.

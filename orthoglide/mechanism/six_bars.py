@@ -1,19 +1,21 @@
 """The closed machine as a platform on six bars: the engine behind everything that needs speed.
 
 With the relief joints every bar is a link between two ball joints, so closing the loops means
-finding the pose (p, R) of the platform at which six distances equal six bar lengths. In the axes A
-of leg i's carriage, with slide direction ``s``, travel ``t`` and virtual joints ``v``::
+finding the pose (p, R) of the platform at which six distances equal six bar lengths. With
+``start`` and the axes A of leg i's carriage at mechanical zero, its slide direction ``s``, travel
+``t`` and virtual joints ``v``::
 
     root_k   = start + A (s t + (v_travel, v_b, v_c) + Rot(v_turns) root0_k)       base frame
-    point_k  = point0_k +- v_width_k c                                             platform frame
+    point_k  = point0_k + v_width_k width_k                                        platform frame
     length_k = length0_k + v_stretch_k
 
 One Newton step on (dp, dw), ``e_k = p + R point_k - root_k``, solves
 
     e_k . dp + (R point_k x e_k) . dw = (length_k^2 - e_k . e_k) / 2
 
-and then ``p += dp``, ``R = Cayley(dw) R``. Sum and difference of a leg's two rows split the system
-into 3 x 3 blocks, which are inverted by cofactors: elimination without pivoting would lose digits
+and then ``p += dp``, ``R = Cayley(dw) R``. Each leg has two bars k; the sum and difference of their
+rows split the system into 3 x 3 blocks (block elimination by the Schur complement of the sums),
+which are inverted by cofactors: elimination without pivoting would lose digits
 on linear deltas, where a first pivot can vanish although the system is well conditioned.
 
 The constants are read from the Pinocchio tree (:func:`constants`). They are inputs of the CasADi
@@ -22,7 +24,7 @@ functions, so one compiled library serves every machine.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -45,8 +47,8 @@ _START, _AXES, _SLIDE, _ROOTS, _POINTS, _WIDTHS, _LENGTHS, _SIZE = 0, 3, 12, 15,
 CONSTANTS = 3 * _SIZE + 1
 """Length of a machine's constants: 35 a leg, and whether the platform hangs below its rails."""
 
-# From the three spheres three steps leave the eighth power of some milliradians: rounding. The
-# last keeps the matrix of the third: it costs a third of a step, and mends what rounding left.
+# The start is some milliradians off. Three quadratic steps leave (5e-3)^8 < 1e-18. A fourth step
+# with the matrix of the third (a chord step, at a third of the cost) removes its rounding error.
 _NEWTON, _CHORD = 3, 1
 # Metres a bar's end may move with the passive joints: rounding of a chain of five joints.
 _FIXED = 1e-12
@@ -100,13 +102,15 @@ def _leg_constants(tree: Tree, leg: str) -> Array:
     for _ in range(3):  # any angles will do to see whether the ends stay where they are
         angles = {joint: float(draws.uniform(-0.5, 0.5)) for joint in names}
         _, *turned = place(**angles)
-        for what, here, there in zip(
-            ("carriage", "platform", "other"), rest[1:], turned, strict=True
+        for what, at_rest, moved in zip(
+            ("carriage end", "platform end", "length"), rest[1:], turned, strict=True
         ):
-            if np.abs(np.array(here) - np.array(there)).max() > _FIXED:
+            change = float(np.abs(np.array(at_rest) - np.array(moved)).max())
+            if change > _FIXED:
                 raise InputError(
-                    f"leg {leg}: a bar's {what} end moves with the leg's pivots, so the pivots do "
-                    f"not meet in one point: correct the joint origins in the URDF"
+                    f"leg {leg}: the {what} of a bar changes by {change * 1e3:.3g} mm as the leg's "
+                    f"pivots turn, so they do not meet in one point: correct the joint origins in "
+                    f"the URDF"
                 )
     base_from_carriage, roots, points, lengths = rest
     slide = base_from_carriage.actInv(probes[0][0].translation) / 0.01
@@ -192,7 +196,7 @@ class _Symbols:
         return ca.dot(normal, hanging * along_rail + (1 - hanging) * outward)
 
 
-def closing_functions() -> tuple[Any, Any]:
+def closing_functions() -> list[Any]:
     """Return CasADi functions that close the machine: from the three spheres, and from a pose.
 
     The first takes (constants, travel (3,), moves (30,)), the second a pose (12,) besides: p and R
@@ -207,10 +211,10 @@ def closing_functions() -> tuple[Any, Any]:
     first = _closed(symbols, start, ca.SX.eye(3))
     again = _closed(symbols, pose[0:3], ca.reshape(pose[3:12], 3, 3).T)
     inputs = ["constants", "travel", "moves"]
-    return (
+    return [
         ca.Function("close", symbols.inputs, first, inputs, names),
         ca.Function("close_from", [*symbols.inputs, pose], again, [*inputs, "pose"], names),
-    )
+    ]
 
 
 def _spheres(symbols: _Symbols) -> Any:
@@ -228,7 +232,7 @@ def _spheres(symbols: _Symbols) -> Any:
 
 def _closed(symbols: _Symbols, p: Any, R: Any) -> list[Any]:
     """Outputs and check after Newton's steps from a pose."""
-    blocks = None
+    blocks = _blocks(_rows(symbols, p, R)[0])
     for step in range(_NEWTON + _CHORD):
         rows, misses = _rows(symbols, p, R)
         if step < _NEWTON:
@@ -264,20 +268,27 @@ def _rows(symbols: _Symbols, p: Any, R: Any) -> tuple[list[list[Any]], list[Any]
     return rows, misses
 
 
-def _solve(blocks: Any, right: list[Any]) -> tuple[Any, Any]:
+def _solve(blocks: _Blocks, right: list[Any]) -> tuple[Any, Any]:
     """(dp, dw) that solve six rows of which the blocks are given."""
-    sums, turns, inverse_sums, schur = blocks
+    shared, differences, inverse_sums, inverse_schur = blocks
     r_sum = ca.vertcat(*[right[2 * leg] + right[2 * leg + 1] for leg in range(3)])
     r_difference = ca.vertcat(*[right[2 * leg] - right[2 * leg + 1] for leg in range(3)])
     reduced = inverse_sums @ r_sum
-    dw = schur @ (r_difference - turns @ reduced)
-    return reduced - sums @ dw, dw
+    dw = inverse_schur @ (r_difference - differences @ reduced)
+    return reduced - shared @ dw, dw
 
 
-def _blocks(rows: list[list[Any]]) -> tuple[Any, Any, Any, Any]:
-    """Blocks that solve the six rows: ``S_p^-1 S_w``, ``D_p``, ``S_p^-1`` and the inverse of
-    ``D_w - D_p S_p^-1 S_w``, for sums S and differences D of a leg's rows.
-    """
+class _Blocks(NamedTuple):
+    """What solves six rows: sums ``[S_p, S_w]`` and differences ``[D_p, D_w]`` of each leg's."""
+
+    shared: Any  # S_p^-1 S_w
+    differences: Any  # D_p
+    inverse_sums: Any  # S_p^-1
+    inverse_schur: Any  # (D_w - D_p S_p^-1 S_w)^-1
+
+
+def _blocks(rows: list[list[Any]]) -> _Blocks:
+    """Blocks that solve the six rows."""
 
     def block(sign: int, columns: range) -> Any:
         return ca.vertcat(
@@ -291,7 +302,8 @@ def _blocks(rows: list[list[Any]]) -> tuple[Any, Any, Any, Any]:
     inverse_sums = _inverse(block(1, places))
     shared = inverse_sums @ block(1, turns)
     differences = block(-1, places)
-    return shared, differences, inverse_sums, _inverse(block(-1, turns) - differences @ shared)
+    schur = block(-1, turns) - differences @ shared
+    return _Blocks(shared, differences, inverse_sums, _inverse(schur))
 
 
 def _inverse(M: Any) -> Any:
@@ -312,10 +324,15 @@ def tangent_function() -> Any:
     symbols, pose = _Symbols(), ca.SX.sym("pose", 12)
     p, R = pose[0:3], ca.reshape(pose[3:12], 3, 3).T
     rows, _ = _rows(symbols, p, R)
-    shared, differences, inverse_sums, schur = _blocks(rows)
+    shared, differences, inverse_sums, inverse_schur = _blocks(rows)
     # Columns of the inverse of all six rows, by the sum and the difference of each leg's.
-    turn_by_sum = -schur @ differences @ inverse_sums
-    solution = (inverse_sums - shared @ turn_by_sum, -shared @ schur, turn_by_sum, schur)
+    turn_by_sum = -inverse_schur @ differences @ inverse_sums
+    solution = (
+        inverse_sums - shared @ turn_by_sum,
+        -shared @ inverse_schur,
+        turn_by_sum,
+        inverse_schur,
+    )
     arms = [[R @ point for point in leg.points] for leg in symbols.legs]
     columns: list[Any] = [None] * GIVEN
     for number in range(3):

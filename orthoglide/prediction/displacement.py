@@ -38,7 +38,7 @@ def displacement_function(catalogue: Catalogue, has_pitch: bool) -> Any:
     Drives are summed first: what the rail does follows the carriage's true travel.
 
     Args:
-        catalogue: whose machine parameters these are, in its order.
+        catalogue: says the parameters and their order.
         has_pitch: whether the pitch of the screws is known.
 
     Raises:
@@ -177,9 +177,9 @@ class Displacements:
         return self._rows("displacement", self.size, theta, seen)[0]
 
     def by_parameters(self, theta: Array, seen: Array) -> Array:
-        """Return their derivative ``(n, 30, P)`` by the parameters."""
+        """Return the derivative ``(n, 30, P)`` of the displacements by the parameters."""
         return self._by_parameters(self.size, theta, seen)[0]
 
     def by_conditions(self, theta: Array, seen: Array) -> Array:
-        """Return their derivative ``(n, 30, 11)`` by the conditions."""
+        """Return the derivative ``(n, 30, 11)`` of the displacements by the conditions."""
         return self._by_conditions(self.size, theta, seen)[0]

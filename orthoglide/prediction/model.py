@@ -110,7 +110,7 @@ class Model:
         built = {n for n, v in vars(type(self)).items() if isinstance(v, cached_property)}
         return {n: v for n, v in vars(self).items() if n not in built}
 
-    def judged(self) -> Model:
+    def by_pinocchio(self) -> Model:
         """Return the same model, every posture closed by Pinocchio."""
         return Model(
             self.geometry,
