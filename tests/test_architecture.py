@@ -17,7 +17,7 @@ LONGEST_FUNCTION = 60
 
 # A part (module or folder) may import from the layers below its own, never from beside or above.
 LAYERS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "notes", "parameters", "progress", "text", "threads"}),
+    frozenset({"errors", "notes", "ordering", "parameters", "progress", "text", "threads"}),
     frozenset({"layout"}),
     frozenset({"geometry", "files", "frames", "units", "numerals"}),
     frozenset({"reduction", "urdf", "effects", "instruments", "scene"}),

@@ -17,7 +17,10 @@ from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
 
 _MOST_STEPS = 60
-_SETTLED = 1e-7  # steps, in standard deviations of what the readings leave of each unknown
+# Steps, in standard deviations of what the readings leave of each unknown: digits that are printed
+# do not depend on where a fit started.
+_SETTLED = 1e-10
+_CLOSE = 1e-7  # steps from which second derivatives are not worth their time
 _ROUNDING = 1e-4  # steps that no longer shrink are rounding of the closures: times the misfit
 _FLAT = 1e-9  # of the cost: less is lost in its rounding, and so are steps along weak directions
 _SLOW = 0.3  # Gauss-Newton that shrinks its steps less than this is worth second derivatives
@@ -44,18 +47,18 @@ def solve_nested(
         free = np.flatnonzero(~(problem.on_bound(at.x) & (here.gradient * at.x < 0)))
         scale = 1 / np.sqrt(np.maximum(np.diag(here.information), 1e-300))[free]
         slope = float(np.max(np.abs(here.gradient[free]) * scale, initial=0.0))
-        if slope <= _SETTLED and here.cost > cost * (1 - _FLAT):
-            return at, iteration
         step = np.zeros(len(at.x))
         inner = here.information[np.ix_(free, free)] * scale * scale[:, None]
         right = -here.gradient[free] * scale
         step[free] = scale * np.linalg.lstsq(inner, right, rcond=1e-14)[0]
         size = float(np.max(np.abs(step[free]) / scale, initial=0.0))
-        if size > _SETTLED and size > _SLOW * previous:
+        if slope > _CLOSE and size > _CLOSE and size > _SLOW * previous:
             step[free] = _newton_step(problem, nuisance, here, free, scale)
             size = float(np.max(np.abs(step[free]) / scale))
         misfit = max(1.0, float(np.sqrt(here.cost / len(problem.measured))))
-        if size <= _SETTLED or previous / 2 <= size <= _ROUNDING * misfit:
+        flat = slope <= _CLOSE and here.cost > cost * (1 - _FLAT)
+        stalled = size >= previous / 2 and (flat or size <= _ROUNDING * misfit)
+        if size <= _SETTLED or stalled:
             return at, iteration
         at = linearise(problem, _search(problem, nuisance, here, step))
         previous, cost = size, here.cost
@@ -87,12 +90,13 @@ def _newton_step(
 
 def _search(problem: Problem, nuisance: Nuisances, here: Normal, step: Array) -> Array:
     """Halve the step until the cost falls; unknowns stay within their bounds."""
+    allowed = here.cost + _FLAT * max(here.cost, 1.0)
     factor = min(1.0, float(np.min(problem.bound / np.maximum(np.abs(step), 1e-300))))
     for _ in range(30):
         x = np.clip(here.x + factor * step, -problem.bound, problem.bound)
         with suppress(ClosureError):
             residual = nuisance.project(problem.measured - predict(problem, x))
-            if float(residual @ residual) + here.prior_chi2(x) <= here.cost * (1 + 1e-12):
+            if float(residual @ residual) + here.prior_chi2(x) <= allowed:
                 return x
         factor /= 2
     return np.asarray(np.clip(here.x + factor * step, -problem.bound, problem.bound))

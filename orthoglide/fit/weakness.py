@@ -9,10 +9,15 @@ import numpy as np
 
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
+from orthoglide.ordering import EQUAL, canonical_basis, largest, ranked
 
 # An unknown whose sigma is ten times what it would be alone hides behind others.
 _WEAK = 0.1
 _SHARE = 0.05
+# Of what the unknown seen best shows at its tolerance: less is rounding.
+_ROUNDING = 1e-9
+# Singular value of unit columns below which a direction shows nothing but rounding.
+_UNSEEN = 1e-6
 
 
 @dataclass(frozen=True)
@@ -58,39 +63,29 @@ def weak_directions(
     """
     names = problem.names
     norm = np.linalg.norm(jacobian, axis=0)
+    # An unknown of which only rounding shows is not seen at all.
+    shown = norm * problem.tolerance
+    norm = np.where(shown > _ROUNDING * shown.max(initial=0.0), norm, 0.0)
     seen = np.where(norm > 0, norm, 1.0)
     # Rows of zeros let fewer readings than unknowns span all directions.
-    padded = np.vstack([jacobian / seen, np.zeros((len(names), len(names)))])
+    columns = np.where(norm > 0, jacobian, 0.0) / seen
+    padded = np.vstack([columns, np.zeros((len(names), len(names)))])
     _, singular, right = np.linalg.svd(padded, full_matrices=False)
     weak = singular < _WEAK
     if not weak.any():
         return ()
-    # Back in SI, then the sparsest basis of the weak space, so that legs stand apart.
-    basis = sparse_basis((right[weak] / seen) / np.linalg.norm(right[weak] / seen, axis=1)[:, None])
+    # In SI, where the basis has the fewest unknowns a direction, so that legs stand apart.
+    blind = singular < _UNSEEN
     found = []
-    for direction in basis:
-        seen_along = float(np.linalg.norm(jacobian @ direction))
-        sigma = scale / seen_along if seen_along > 1e-9 * norm.max() else float("inf")
+    for k, direction in enumerate(canonical_basis(right[weak] / seen, right[blind] / seen)):
+        left = float(np.linalg.norm(columns @ (direction * seen)))
+        sigma = scale / left if k >= blind.sum() else float("inf")
         with_priors = float(np.sqrt(max(direction @ covariance @ direction, 0.0)))
-        largest = int(np.argmax(np.abs(direction)))
-        unit = problem.machine.catalogue.effect_of(names[largest]).unit
-        kept = np.flatnonzero(np.abs(direction) >= _SHARE * abs(direction[largest]))
+        size = np.abs(direction)
+        unit = problem.machine.catalogue.effect_of(names[largest(size)]).unit
+        kept = np.flatnonzero(size >= _SHARE * size.max())
         sign = np.sign(direction[kept[0]])
         shares: dict[str, float] = {names[k]: float(sign * direction[k]) for k in kept}
         found.append(WeakDirection(shares, sigma / unit.si, with_priors / unit.si, unit.name))
-    return tuple(sorted(found, key=lambda d: -d.sigma))
-
-
-def sparse_basis(basis: Array) -> Array:
-    """Reduced row echelon form of the rows, pivots by size; rows of unit length."""
-    rows, pivots = basis.copy(), []
-    for k in range(len(rows)):
-        free = [j for j in range(rows.shape[1]) if j not in pivots]
-        i, j = np.unravel_index(np.argmax(np.abs(rows[k:][:, free])), (len(rows) - k, len(free)))
-        pivot = free[int(j)]
-        rows[[k, k + int(i)]] = rows[[k + int(i), k]]
-        rows[k] /= rows[k, pivot]
-        others = np.arange(len(rows)) != k
-        rows[others] -= rows[others, pivot][:, None] * rows[k]
-        pivots.append(pivot)
-    return np.asarray(rows / np.linalg.norm(rows, axis=1)[:, None])
+    # Sigmas range over decades: equal are those of nearly equal logarithm.
+    return tuple(ranked(found, lambda d: float(np.log(d.sigma)), EQUAL))
