@@ -60,8 +60,10 @@ def probability(p: float) -> str:
 def told_apart(was: float, now: float) -> tuple[str, str]:
     """Two figures of one quantity, with more decimals where they would look alike, or be nothing.
 
-    Two significant digits of the smaller, three decimals at most where these tell them apart.
+    Two significant digits of the smaller, three decimals at most where these tell them apart. What
+    no decimal shows is zero.
     """
+    was, now = (v if v >= 10.0**-_MOST_DECIMALS / 2 else 0.0 for v in (was, now))
     for most in (3, _MOST_DECIMALS):
         places = decimals_for(min(was, now), most)
         texts = f"{was:.{places}f}", f"{now:.{places}f}"

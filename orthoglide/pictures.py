@@ -16,6 +16,7 @@ from orthoglide.machine import Machine
 from orthoglide.mechanism.batch import Outputs
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Campaign
+from orthoglide.ordering import largest, ranked
 from orthoglide.parameters import Parameter
 from orthoglide.prediction import Conditions
 from orthoglide.prediction.dial import SHARES
@@ -139,10 +140,10 @@ def joint_mark(
         both_bars: whether both bars do the same.
     """
     part, axis = _PARTS[joint]
-    k = int(np.argmax(np.abs(curve)))
+    k = largest(np.abs(curve))
     if abs(curve[-1]) > _CLEAR * abs(curve[k]):
         k = len(curve) - 1
-    largest = float(np.abs(curve).max())
+    size_there = float(np.abs(curve).max())
     sign = math.copysign(1.0, float(curve[k]))
     here = machine.geometry.legs[leg]
     way = sign * here.axes[:, axis]
@@ -158,7 +159,7 @@ def joint_mark(
         label = f"{size} {more(sign, 'wider', 'narrower')}"
     elif part == "drive" and size and not both:
         label = f"{size} {more(sign, 'outward', 'inward')}"
-    shape = np.stack([travel, curve * sign / largest], axis=1)
+    shape = np.stack([travel, curve * sign / size_there], axis=1)
     return Mark(part, leg, way, label, bar, float(travel[k]), shape, both)
 
 
@@ -169,9 +170,9 @@ def causes_of(machine: Machine) -> tuple[Cause, ...]:
     """
     values = {n: v for n, v in machine.catalogue.of_machine(machine.values).items() if v}
     sizes = {n: abs(v) / machine.tolerance(n) for n, v in values.items()}
-    ranked = sorted((n for n in values if sizes[n] > _TINY), key=lambda n: -sizes[n])
+    worst = ranked((n for n in values if sizes[n] > _TINY), lambda n: sizes[n])
     return tuple(
-        (cause_words(machine.catalogue, n, values), {n: values[n]}) for n in ranked[:MOST_WAYS]
+        (cause_words(machine.catalogue, n, values), {n: values[n]}) for n in worst[:MOST_WAYS]
     )
 
 

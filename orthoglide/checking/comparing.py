@@ -20,6 +20,7 @@ from orthoglide.fit.plate_moves import PlateMove, plate_moves
 from orthoglide.fit.problem import Unknown
 from orthoglide.frames import Framed
 from orthoglide.machine import Machine, MachineSource
+from orthoglide.ordering import ranked
 from orthoglide.posterior import Located
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.request import State, states_of
@@ -100,8 +101,9 @@ class Check(Framed):
     @cached_property
     def sentences(self) -> tuple[str, ...]:
         """What changed, largest in sigmas first, and beyond which uncertainty nothing else did."""
-        changed = [d for d in self.differences if d.changed]
-        changed.sort(key=lambda d: -abs(d.after - d.before) / d.sigma)
+        changed = ranked(
+            (d for d in self.differences if d.changed), lambda d: abs(d.after - d.before) / d.sigma
+        )
         rest = [d for d in self.differences if not d.changed]
         what = "nothing else" if changed or self.plates or self.moves or self.places else "nothing"
         said = (

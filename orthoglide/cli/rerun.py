@@ -147,6 +147,14 @@ def compare(old: Any, new: Any) -> Iterator[str]:
             yield f"{place} was {_brief(before[place])} and is {_brief(after[place])}"
 
 
+def _rounded_apart(one: float, other: float) -> bool:
+    """Whether two numbers of six digits are neighbours: the same number rounded up and down."""
+    if any(float(f"{v:.6g}") != v or v == 0 for v in (one, other)):
+        return False
+    digit = 10.0 ** (math.floor(math.log10(min(abs(one), abs(other)))) - 5)
+    return abs(one - other) < 1.5 * digit
+
+
 def _brief(value: Any) -> str:
     return repr(brief(value)) if isinstance(value, str) else brief(repr(value))
 
@@ -154,5 +162,6 @@ def _brief(value: Any) -> str:
 def _same(one: Any, other: Any) -> bool:
     if all(isinstance(v, int | float) and not isinstance(v, bool) for v in (one, other)):
         with suppress(OverflowError):  # of an integer beyond all that is calculated with
-            return math.isclose(one, other, rel_tol=SAME, abs_tol=_TINY)
+            near = math.isclose(one, other, rel_tol=SAME, abs_tol=_TINY)
+            return near or _rounded_apart(float(one), float(other))
     return bool(one == other)

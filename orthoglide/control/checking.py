@@ -10,6 +10,7 @@ import numpy as np
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, protocol
+from orthoglide.ordering import best_of
 
 Shown = tuple[float, float, float]
 
@@ -98,8 +99,9 @@ def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
     for drive in np.flatnonzero(offsets):
         wrong = _readings(machine, sheet, np.where(np.arange(3) == drive, offsets, -offsets))
         apart = right - wrong
-        first, row = max(pairs, key=lambda p: abs(apart[p[1]] - apart[p[0]]))
-        if abs(apart[row] - apart[first]) < 2 * machine.spec.dial.resolution:
+        shown = {(first, row): abs(apart[row] - apart[first]) for first, row in pairs}
+        first, row = best_of(pairs, shown.__getitem__)
+        if shown[first, row] < 2 * machine.spec.dial.resolution:
             continue
         setup = sheet.setups[sheet.setup[row]]
         found.append(

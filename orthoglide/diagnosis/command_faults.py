@@ -22,6 +22,7 @@ from orthoglide.fit.least_squares import linearise, nuisances
 from orthoglide.geometry import LEGS, Array
 from orthoglide.observations import Campaign
 from orthoglide.observations.arrays import numbered
+from orthoglide.ordering import EQUAL_ODDS, descending, ranked
 
 MENDS = 1.5
 """Chi2 a degree of freedom that a wrong command may leave: small errors of everything stay."""
@@ -161,7 +162,7 @@ def _likely(means: StationMeans, posture: Rows, known: Sequence[Fault]) -> tuple
         scores = _Scores.of(base, posture)
         count = max(scores.gain.size, 1)
         evidence = base.evidence(base.chi2 - scores.gain, 1) - np.log(count)
-        for k in np.argsort(-evidence, axis=None)[:_TRIED].tolist():
+        for k in descending(evidence, EQUAL_ODDS)[:_TRIED]:
             place, drive = divmod(k, len(LEGS))
             if evidence[place, drive] >= EVIDENCE:
                 size = float(scores.size[place, drive])
@@ -184,15 +185,15 @@ def commands_beside(means: StationMeans, known: Sequence[Fault], before: float) 
     problem, posture = means.problem, _free(means.problem, known)
     base = begun(means)
     scores = _Scores.of(StationMeans.of(base, known), posture)
-    ranked = []
-    for place in np.argsort(-scores.gain.max(axis=1))[:_ASIDE].tolist():
+    weighed = []
+    for place in descending(scores.gain.max(axis=1), EQUAL_ODDS)[:_ASIDE]:
         aside = scores.fault(problem, place, 0, 0.0)
         rest = StationMeans.of(base, [*known, aside])
         (explained,) = rest.explained(rest.residual[:, None])
         if explained.left < _SHARE * before:
-            ranked.append((explained.left - rest.dof, place, explained.places))
+            weighed.append((explained.left - rest.dof, place, explained.places))
     found = []
-    for _, place, places in sorted(ranked)[:_POSTURES]:
+    for _, place, places in ranked(weighed, lambda one: -one[0], EQUAL_ODDS)[:_POSTURES]:
         names = [n for p in places for n in base.candidates[p].parameters]
         try:
             wide = with_free(problem, names) if names else problem
@@ -249,7 +250,7 @@ def settled(
 def told(faults: Sequence[Fault]) -> list[Fault]:
     """Faults with the drives of one posture that fit nearly as well as one."""
     found: list[Fault] = []
-    for fault in sorted(faults, key=lambda f: -f.evidence):
+    for fault in ranked(faults, lambda f: f.evidence, EQUAL_ODDS):
         at = next((k for k, f in enumerate(found) if np.array_equal(f.rows, fault.rows)), None)
         if at is None:
             found.append(fault)

@@ -18,6 +18,7 @@ from orthoglide.diagnosis.candidates import Candidate
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.fit.least_squares import explained_by_two
 from orthoglide.geometry import Array
+from orthoglide.ordering import EQUAL_ODDS, largest
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,6 @@ def best_pairs(scoring: Scoring, residuals: Array) -> list[tuple[float, tuple[in
             diagonal[first], diagonal[second], cross, along[first], along[second]
         )
         evidence = (gain - np.log(determinant)) / 2
-        best = int(np.argmax(evidence))
+        best = largest(evidence, EQUAL_ODDS)
         found.append((float(evidence[best]), (single[first[best]], single[second[best]])))
     return found

@@ -14,6 +14,7 @@ from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import Controller
 from orthoglide.observations import source
 from orthoglide.observations.arrays import numbered
+from orthoglide.ordering import EQUAL_ODDS, best_of
 from orthoglide.units import MISTAKEN
 
 Kind = Literal[
@@ -121,9 +122,9 @@ def likeliest(faults: Sequence[Fault], apart: float, same: Same = same_place) ->
         apart: log Bayes factor that decides.
         same: whether two are about the same readings, so that either will do.
     """
-    best = max(faults, key=lambda f: f.evidence, default=None)
-    if best is None:
+    if not faults:
         return None
+    best = best_of(faults, lambda f: f.evidence, EQUAL_ODDS)
     commands = best.kind == "command"
     rivals = [f for f in faults if not same(f, best) and (commands or f.kind != "command")]
     if best.evidence - max((f.evidence for f in rivals), default=-np.inf) >= apart:

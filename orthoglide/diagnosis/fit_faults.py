@@ -28,6 +28,7 @@ from orthoglide.diagnosis.scatter import Scatter
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.diagnosis.turns import turned
 from orthoglide.fit import Problem
+from orthoglide.ordering import EQUAL_ODDS, ranked
 from orthoglide.units import MISTAKEN
 
 MARGIN = 5.0
@@ -202,9 +203,9 @@ def _likeliest_unit(problem: Problem, units: list[Fault], known: Sequence[Fault]
             (beside,) = after.explained(after.residual[:, None])
             fit = -after.dof / 2 * np.log(max(beside.left, after.dof) / after.dof)
             weighed.append(replace(fault, evidence=fault.evidence + float(fit)))
-    ranked = sorted(weighed, key=lambda f: -f.evidence)
-    near = [f.size for f in ranked if ranked[0].evidence - f.evidence < _APART]
-    return [replace(f, sizes=tuple(near)) for f in ranked[:1]]
+    ordered = ranked(weighed, lambda f: f.evidence, EQUAL_ODDS)
+    near = [f.size for f in ordered if ordered[0].evidence - f.evidence < _APART]
+    return [replace(f, sizes=tuple(near)) for f in ordered[:1]]
 
 
 def _mended(means: StationMeans, fault: Fault, after: np.ndarray) -> bool:

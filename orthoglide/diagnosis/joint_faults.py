@@ -31,6 +31,7 @@ from orthoglide.diagnosis.turns import turned
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import with_free
 from orthoglide.geometry import LEGS
+from orthoglide.ordering import EQUAL_ODDS, descending, largest
 
 _MARGIN = 12.0  # log Bayes factor, the hypotheses' number discounted, over the readings as they are
 _SPREAD = 2.5  # standard deviations of chi2 by which a fault and its effects may exceed noise
@@ -77,7 +78,7 @@ def joint_fault(means: StationMeans, known: Sequence[Fault]) -> Fault | None:
     best = likeliest(told(faults), _APART, _same)
     if best is None:
         return None
-    rivals = {bare.places, (int(gains.argmax()),), (int(evidences.argmax()),)}
+    rivals = {bare.places, (largest(gains, EQUAL_ODDS),), (largest(evidences, EQUAL_ODDS),)}
     return None if any(_fits(means, places, known) for places in rivals) else best
 
 
@@ -88,7 +89,7 @@ def _ranked(means: StationMeans, hypotheses: Sequence[Misreading]) -> list[Misre
     shown = np.stack([means.shown(h.change) for h in hypotheses], axis=-1)
     scores = [e.score for e in means.explained(means.residual[:, None] + shown)]
     scores = [s + h.fault.evidence for s, h in zip(scores, hypotheses, strict=True)]
-    return [hypotheses[k] for k in np.argsort(-np.array(scores))]
+    return [hypotheses[k] for k in descending(scores, EQUAL_ODDS)]
 
 
 def _same(one: Fault, other: Fault) -> bool:

@@ -10,8 +10,10 @@ takes more than its share. Only what does is said.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,7 @@ from orthoglide.diagnosis.rest import rest_by_setup
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.least_squares import fitted_basis, past
 from orthoglide.geometry import LEGS, Array
+from orthoglide.ordering import EQUAL_ODDS, best_of, largest
 
 ALPHA = 0.005
 """Probability of saying something of a structureless residual, for each contrast."""
@@ -188,7 +191,7 @@ def _single_station(rest: _Rest) -> str:
             np.where(visible, (rest.residual @ past / np.where(visible, size, 1.0)) ** 2, 0.0)
         )
     gains = np.concatenate(found)
-    best = int(np.argmax(gains))
+    best = largest(gains)
     p, share = rest.p_value((station[:, None] == best).astype(float))
     row = int(np.flatnonzero(station == best)[0])
     # Where a setup has few stations, whatever is left of it looks like one of them.
@@ -242,8 +245,13 @@ def _hysteresis(rest: _Rest) -> str:
             found.append((p, leg, share))
     if not found or min(found)[0] >= ALPHA / len(LEGS):
         return ""
-    _, leg, share = min(found)
+    _, leg, share = best_of(found, _decisive, EQUAL_ODDS)
     return f"it depends on the side from which axis {leg} came ({share:.0%} of it): hysteresis"
+
+
+def _decisive(found: Sequence[Any]) -> float:
+    """Return minus the logarithm of the p-value that stands first."""
+    return -float(np.log(max(found[0], 1e-300)))
 
 
 def _trend(rest: _Rest) -> str:
@@ -273,7 +281,7 @@ def _period(rest: _Rest) -> str:
             found.append((p, name, 1e3 / rate, share, 1e3 * step))
     if not found or min(found)[0] * _PERIODS * len(LEGS) >= ALPHA:
         return ""
-    _, name, period, share, step = min(found)
+    _, name, period, share, step = best_of(found, _decisive, EQUAL_ODDS)
     return (
         f"it repeats along the travel of {name}, every {period:.0f} mm as far as steps of "
         f"{step:.2g} mm can tell ({share:.0%} of it)"

@@ -16,6 +16,7 @@ from orthoglide.errors import InputError
 from orthoglide.fit import Problem
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY
 from orthoglide.geometry import Array
+from orthoglide.ordering import EQUAL_ODDS, best_of, largest
 
 _BEYOND = 3.0  # times what a dial scatters, that nothing of it explains
 _FEWEST_REPEATS = 4  # degrees of freedom from which a setup may be said to scatter
@@ -176,8 +177,8 @@ class Slips:
     def _pruned(self, found: list[_Place], keep: int = 0) -> list[_Place]:
         """Without what later finds explain as well: two steps look like a trend at first."""
         fewer = [found[:k] + found[k + 1 :] for k in range(keep, len(found))]
-        best = max(fewer, key=self._score, default=found)
-        return self._pruned(best, keep) if self._score(best) > self._score(found) else found
+        best = best_of((found, *fewer), self._score, EQUAL_ODDS)
+        return found if best is found else self._pruned(best, keep)
 
     def _score(self, found: list[_Place]) -> float:
         """Log evidence for all of some faults and trends together."""
@@ -198,11 +199,11 @@ class Slips:
         """The best of outliers, steps and trends, one after the other, until none is left."""
         found: list[_Place] = []
         for _ in range(_MOST):
-            evidence, item = max(self._choices(now), key=lambda choice: choice[0])
+            evidence, item = self._best(now)
             past = now.without(self.columns(item))
             if evidence < EVIDENCE:
                 # Two of a size are noise to each other.
-                second, other = max(self._choices(past), key=lambda choice: choice[0])
+                second, other = self._best(past)
                 if "trend" in (item[0], other[0]) or evidence + second < 2 * EVIDENCE:
                     break
                 found.append(item)
@@ -210,6 +211,9 @@ class Slips:
             found.append(item)
             now = past
         return found
+
+    def _best(self, now: Scatter) -> tuple[float, _Place]:
+        return best_of(self._choices(now), lambda choice: choice[0], EQUAL_ODDS)
 
     def _choices(self, now: Scatter) -> Iterator[tuple[float, _Place]]:
         """The best of each kind, its evidence less the logarithm of the number of its like."""
@@ -219,8 +223,8 @@ class Slips:
             too_small = (least - 0.5) * self.step
             evidence[np.abs(size) < too_small] = -np.inf
             # Of two visits that contradict each other the one that fits worse.
-            even = np.flatnonzero(evidence >= evidence.max() - 1e-6)
-            place = int(even[np.argmax(np.abs(now.fitted[even]))])
+            even = np.flatnonzero(evidence >= evidence.max() - EQUAL_ODDS)
+            place = int(even[largest(np.abs(now.fitted[even]))])
             yield float(evidence[place]), (kind, place)
         for power in (1, 3):
             fall = now.gain(now.past(now.trend[:, :power]))

@@ -13,8 +13,10 @@ from orthoglide.machine import Machine
 from orthoglide.numerals import plain
 from orthoglide.observations import Campaign, Setup, TcpPoints, ToolCampaign
 from orthoglide.observations.approach import Ints
+from orthoglide.ordering import descending, ranked
 
 _PLACES = 3  # at which most is left
+_ROUNDING = 1e-6  # of the noise of a reading, root mean square
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +55,10 @@ def rest_by_setup(estimate: Estimate) -> tuple[SetupRest, ...]:
     """
     problem, found = estimate.problem, []
     squares = problem.weighing.whiten(estimate.residuals) ** 2
-    squares = squares / max(float(squares.sum()), 1e-300)
+    total = float(squares.sum())
+    # Of readings without noise what is left is rounding, and is nowhere more than elsewhere.
+    residuals = estimate.residuals * (total > len(squares) * _ROUNDING**2)
+    squares = squares / total if residuals.any() else np.zeros_like(squares)
     for factor, rows in zip(problem.factors, problem.factor_rows, strict=True):
         if isinstance(given := factor.points, TcpPoints):
             continue
@@ -61,10 +66,10 @@ def rest_by_setup(estimate: Estimate) -> tuple[SetupRest, ...]:
         for part in np.unique(parts, axis=0):
             own = np.flatnonzero((parts == part).all(axis=1))  # in the file, and among all rows
             among = rows.start + own
-            setup, left = given.setups[part[0]], estimate.residuals[among]
+            setup, left = given.setups[part[0]], residuals[among]
             _, at, of = np.unique(problem.station[among], return_index=True, return_inverse=True)
             mean = np.bincount(of, given.sign[own] * left) / np.bincount(of)
-            most = np.argsort(-np.abs(mean), kind="stable")
+            most = descending(np.abs(mean))
             where = own[at[most]]
             _, fresh = np.unique(given.command[where], axis=0, return_index=True)
             worst = where[np.sort(fresh)[:_PLACES]]
@@ -82,7 +87,7 @@ def rest_by_setup(estimate: Estimate) -> tuple[SetupRest, ...]:
                 where=() if isinstance(given, Campaign) else _where(problem.machine, given, worst),
             )
             found.append(one)
-    return tuple(sorted(found, key=lambda one: -one.share))
+    return tuple(ranked(found, lambda one: one.share))
 
 
 def _where(machine: Machine, campaign: ToolCampaign, rows: Ints) -> tuple[str, ...]:

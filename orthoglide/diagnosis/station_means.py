@@ -21,6 +21,7 @@ from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import Problem, solve
 from orthoglide.fit.least_squares import past
 from orthoglide.geometry import Array
+from orthoglide.ordering import EQUAL_ODDS, best_of, largest
 
 _NONE = 1e-9  # length of a direction, in that of the longest, below which it is rounding
 
@@ -167,7 +168,7 @@ class StationMeans:
             return -np.inf, -1
         left = self.chi2 - self.scoring.gains(self.residual)
         evidence = self.evidence(left) - self.scoring.occam / 2
-        return float(evidence.max()), int(evidence.argmax())
+        return float(evidence.max()), largest(evidence, EQUAL_ODDS)
 
     def explained(self, residuals: Array, cost: float = 0.0) -> list[Explained]:
         """Residuals of station means ``(g, h)``, with what hypotheses change of them, each with its
@@ -179,10 +180,10 @@ class StationMeans:
         pairs = best_pairs(self.scoring, residuals)
         found = []
         for k, residual in enumerate(residuals.T):
-            one = int(single[np.argmax(evidences[single, k])])
+            one = int(single[largest(evidences[single, k], EQUAL_ODDS)])
             tried: list[tuple[float, tuple[int, ...]]] = [(float(evidences[one, k]) - cost, (one,))]
             tried += [(both - 2 * cost, members) for both, members in pairs[k : k + 1]]
-            best, places = max([(0.0, ()), *tried])
+            best, places = best_of([(0.0, ()), *tried], lambda weighed: weighed[0], EQUAL_ODDS)
             chi2 = float(residual @ residual)
             columns = [self.signatures.of(self.signatures.candidates[p]) for p in places]
             shape = np.hstack([np.zeros((len(residual), 0)), *columns])

@@ -14,6 +14,7 @@ from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.diagnosis.station_means import Explained, StationMeans
 from orthoglide.fit import Problem
 from orthoglide.geometry import Array
+from orthoglide.ordering import EQUAL_ODDS, best_of
 
 _EQUAL = 4  # readings one after the other
 _SIZES = (1.0, 10.0)  # tolerances that effects may have: what is far beyond them is no fault
@@ -93,7 +94,7 @@ def _by_fit(base: Signatures, means: StationMeans, run: Rows) -> tuple[float, fl
         scored = (_explained(means, size, cost), _explained(others, size, cost))
         tried.append((*scored, float(np.ptp(left_by_others(wide, run, scored[1].places)))))
     works = max(one.score for one, _, _ in tried)
-    _, stuck, missed = max(tried, key=lambda item: item[1].score)
+    _, stuck, missed = best_of(tried, lambda item: item[1].score, EQUAL_ODDS)
     # Where the others are not explained themselves, they are no better witnesses than that.
     scale = max(1.0, stuck.left / max(others.dof, 1.0))
     return (stuck.score - works) / scale, missed

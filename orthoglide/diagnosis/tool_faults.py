@@ -23,6 +23,7 @@ from orthoglide.machine_file import Instrument
 from orthoglide.observations import source
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 from orthoglide.observations.arrays import numbered
+from orthoglide.ordering import EQUAL_ODDS, best_of, largest
 
 _BEYOND = 10.0  # times what such an instrument scatters, from which it is no noise of its own
 _KIND = 2.0  # degrees of freedom of knowing the noise by the kind of instrument
@@ -66,7 +67,8 @@ class _Setup:
         """What the repeats contradict, in words, if anything."""
         scatter = self._scatter
         size, usual = self.factor.loudness(self.setup)
-        _, slips = max(self._moved(scatter), self._slips(scatter))
+        both = self._moved(scatter), self._slips(scatter)
+        _, slips = best_of(both, lambda found: found[0], EQUAL_ODDS)
         if slips:
             yield from slips
         elif size > _BEYOND * usual:
@@ -122,7 +124,7 @@ class _Setup:
         gains = _about_best(at, count)
         places = np.array(sorted(gains))
         evidence = of(np.array([gains[k] for k in places]))
-        best = int(np.argmax(evidence))
+        best = largest(evidence, EQUAL_ODDS)
         rest = max(scatter.dof - shown.shape[1], 1)
         alike = scatter.chi2 - gains[int(places[best])] <= _ALIKE * rest
         times = self.factor.points.time[scatter.rows]
@@ -208,7 +210,7 @@ def _about_best(gain: Callable[[int], float], count: int) -> dict[int, float]:
         step = -(-(high - low + 1) // _CANDIDATES)
         if step <= 1:
             return found
-        best = max(found, key=lambda k: found[k])
+        best = best_of(sorted(found), found.__getitem__, EQUAL_ODDS)
         low, high = max(1, best - step), min(count - 1, best + step)
 
 

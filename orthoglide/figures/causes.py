@@ -13,6 +13,7 @@ import orthoglide.figures.style as style
 from orthoglide.figures.setups import Mounting, mountings
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import Array
+from orthoglide.ordering import descending
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,7 +118,7 @@ def _mean(values: Array, station: NDArray[np.intp]) -> Array:
 def _shown(patterns: list[Pattern]) -> list[Pattern]:
     """The setups in which a cause shows most, in the order of the file."""
     size = np.array([np.sqrt(np.mean(p.curves[0] ** 2)) for p in patterns])
-    most = set(np.argsort(-size, kind="stable")[:_MOST_PANELS].tolist())
+    most = set(descending(size)[:_MOST_PANELS])
     return [
         p for k, p in enumerate(patterns) if k in most and size[k] >= _LEAST_PATTERN * size.max()
     ]

@@ -17,6 +17,7 @@ import numpy as np
 
 from orthoglide.fit.least_squares import explained_by_two
 from orthoglide.geometry import Array
+from orthoglide.ordering import EQUAL_ODDS, best_of, descending, largest
 
 State = tuple[tuple[int, float], ...]
 """What changed: places of hypotheses, each with its width."""
@@ -68,7 +69,7 @@ class Hypotheses:
         if not state:
             return None
         alone = np.array([weight - self._weight(_less(state, k)) for k in range(len(state))])
-        order = np.argsort(-alone, kind="stable")
+        order = descending(alone, EQUAL_ODDS)
         state = tuple(state[k] for k in order)
         sizes, sigmas = self._sizes(state)
         return Found(
@@ -86,10 +87,11 @@ class Hypotheses:
         path: list[Weighed] = [(0.0, ())]
         while more := self._more(path[-1][1]):
             path += more
-        weight, state = max(path)
+        weight, state = best_of(path, _log_odds, EQUAL_ODDS)
         while True:
-            best, better = max(self._near(state), default=(weight, state))
-            if best <= weight + 1e-6:
+            near = ((weight, state), *self._near(state))
+            best, better = best_of(near, _log_odds, EQUAL_ODDS)
+            if better == state:
                 return state, weight
             state, weight = better, best
 
@@ -107,7 +109,7 @@ class Hypotheses:
         weights = self._weights(state)
         if len(state) >= _MOST or not np.isfinite(weights).any():
             return []
-        place, width = np.unravel_index(int(np.argmax(weights)), weights.shape)
+        place, width = np.unravel_index(largest(weights, EQUAL_ODDS), weights.shape)
         more = tuple(sorted((*state, (int(place), WIDTHS[width]))))
         return [(float(weights[place, width]), more)]
 
@@ -130,11 +132,11 @@ class Hypotheses:
             weights -= (occam + np.log(spread)) / 2 + self._paid(state)
             weights[out], weights[:, out] = -np.inf, -np.inf
             np.fill_diagonal(weights, -np.inf)
-            i, j = np.unravel_index(int(np.argmax(weights)), weights.shape)
+            i, j = np.unravel_index(largest(weights, EQUAL_ODDS), weights.shape)
             if np.isfinite(weights[i, j]):
                 two = tuple(sorted((*state, (int(i), a), (int(j), b))))
-                best = [max([*best, (float(weights[i, j]), two)])]
-        return best
+                best.append((float(weights[i, j]), two))
+        return [best_of(best, _log_odds, EQUAL_ODDS)] if best else []
 
     def _weights(self, state: State) -> Array:
         """Log weights ``(c, widths)`` of a state with one more."""
@@ -219,7 +221,14 @@ class Hypotheses:
         near = chi2 <= chi2[state[k][0]] + CLASS_WIDTH * scale
         near[[place for place, _ in state]] = False
         sizes = square * met / (1 + square * left)
-        return {int(j): float(sizes[j]) for j in np.flatnonzero(near)[np.argsort(chi2[near])]}
+        others = np.flatnonzero(near)
+        return {
+            int(j): float(sizes[j]) for j in others[descending(-chi2[others], EQUAL_ODDS * scale)]
+        }
+
+
+def _log_odds(weighed: Weighed) -> float:
+    return weighed[0]
 
 
 def _less(state: State, k: int) -> State:

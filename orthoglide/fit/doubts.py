@@ -30,6 +30,7 @@ from orthoglide.fit.unknowns import with_free
 from orthoglide.geometry import Array
 from orthoglide.machine_file import Dial
 from orthoglide.observations import Campaign, ToolCampaign, source
+from orthoglide.ordering import best_of, largest, ranked
 from orthoglide.units import INCH
 
 _FEWEST = 8  # different readings: by chance one in eight is on the grid
@@ -93,7 +94,7 @@ def check_slips(estimate: Estimate) -> None:
             break
     if not tries:
         return
-    again, worst = min(tries, key=lambda one: one[0].sigma_scale)
+    again, worst = best_of(tries, lambda one: -one[0].sigma_scale)
     others = (point >= 0) & ~np.isin(point, worst)
 
     def far(rest: Array, spread: Array, alone: bool = True) -> list[int]:
@@ -127,7 +128,7 @@ def _apart(off: Mapping[int, float], slipped: Sequence[int], rest: float) -> lis
     """Those of some points that lie well beyond all others, which are off by ``rest`` at most; off
     by less and less, there is a bump of a bed, or a wave of a rail.
     """
-    order = sorted(off, key=lambda p: -off[p])
+    order = ranked(off, lambda p: off[p])
     least = [*(off[p] for p in order[1:]), rest]
     told = [
         k
@@ -199,7 +200,7 @@ def _worst(problem: Problem, at: Linearised, point: NDArray[np.int64], count: in
         left = rest + basis @ (inverse @ (basis[out].T @ rest[out]))
         share = np.einsum("nq,nq->n", basis @ inverse, basis)
         square = np.where(out | (point < 0), 0.0, left**2 / np.maximum(1 - share, 1e-3))
-        found.append(int(np.argmax(np.bincount(point[point >= 0], square[point >= 0]))))
+        found.append(largest(np.bincount(point[point >= 0], square[point >= 0])))
     return found
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from orthoglide.geometry import Array, moved_onto, small_turns
 from orthoglide.observations import TcpPoints
+from orthoglide.ordering import EQUAL_ODDS, best_of
 
 _FEWEST = 4  # points
 SMALL = 1e-3  # radians: the square of a smaller turn moves no more than parts of a micrometre
@@ -80,7 +81,8 @@ def frame_of(
     elif np.isfinite(sd):
         turn = np.eye(3)
     else:
-        turn = min(Rotation.create_group("O").as_matrix(), key=cost)
+        every = Rotation.create_group("O").as_matrix()
+        turn = best_of(every, lambda one: -float(np.log(max(cost(one), 1e-300))), EQUAL_ODDS)
     for _ in range(_TURNS):
         step, _ = left(turn)
         turn = Rotation.from_rotvec(step).as_matrix() @ turn

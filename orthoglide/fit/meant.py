@@ -18,6 +18,7 @@ from orthoglide.machine import Machine
 from orthoglide.numerals import MINUS, compact
 from orthoglide.observations import TcpPoints, ToolCampaign, source
 from orthoglide.observations.approach import Ints
+from orthoglide.ordering import EQUAL_ODDS, largest
 from orthoglide.units import MISTAKEN
 
 _FAR = 3e-3  # metres, rms: zeros off by centimetres strain the tool's path by less
@@ -77,7 +78,7 @@ def _refuse(points: TcpPoints | ToolCampaign, where: str, said: str) -> None:
 
 def _unit(left: Array) -> str:
     """What readings seem to be of which each factor leaves so much ``(factors,)``, metres."""
-    best = int(np.argmin(left))
+    best = _least(left)
     if left[0] < _FAR or left[best] > _MENDED * left[0]:
         return ""
     factor = float(_FACTORS[best])
@@ -104,7 +105,7 @@ def _frame(p: Array, axis: Ints, value: Array, turn_sd: float = 0.0) -> str:
     left = np.stack([_left(turn, p, axis, value) for turn in _FRAMES])
     # Of points in one plane a mirrored frame is as good as one that is turned.
     left[_MIRRORED] /= _MENDED
-    best, unit = np.unravel_index(int(np.argmin(left)), left.shape)
+    best, unit = np.unravel_index(_least(left), left.shape)
     left[_MIRRORED] *= _MENDED
     if left[best, unit] > _FAR and (turn := _nearest_frame(p, axis, value)) is not None:
         shown, far = "", _left(turn, p, axis, value)[0]
@@ -154,7 +155,7 @@ def _still(value: Array, longer: Array) -> str:
     Its deviations are a real machine's, micrometres and more; of lengths in another unit it is the
     length that tells, by which each factor makes the bar ``longer`` than it can be.
     """
-    best = int(np.argmin(longer))
+    best = _least(longer)
     if np.ptp(value) > _STILL or longer[0] < _FAR or longer[best] > _MENDED * longer[0]:
         return ""
     return (
@@ -168,6 +169,11 @@ def _off_sphere(p: Array, distance: Array) -> tuple[float, float]:
     """Rms of what distances are off a ball's, and their mean, by which a bar is longer."""
     away = distance - np.linalg.norm(p - centre_of(p, distance), axis=1)
     return _rms(away - away.mean()), float(abs(away.mean()))
+
+
+def _least(left: Array) -> int:
+    """Return the place of the smallest distance in the flattened array, metres."""
+    return largest(-np.log(np.maximum(left, 1e-12)), EQUAL_ODDS)
 
 
 def _rms(rest: Array) -> float:

@@ -11,6 +11,7 @@ from orthoglide.geometry import Array
 from orthoglide.instruments import INSTRUMENTS
 from orthoglide.machine_file import Instrument
 from orthoglide.observations import ToolCampaign
+from orthoglide.ordering import largest
 
 LOUD = 3.0
 """Times the noise that is usual of an instrument, from which that is said; of a plate's roughness
@@ -130,7 +131,7 @@ def roughness(place: Array, height: Array, approach: Array) -> tuple[float, Arra
         others = np.sqrt(np.maximum(rest @ rest - rest**2 / free, 0.0) / (dof - 1))
         off = rest / free
         far = np.abs(off) * np.sqrt(free) / np.maximum(others, _FINEST)
-        worst = int(np.argmax(far))
+        worst = largest(far)
         if far[worst] < _STRAY or np.sum(~kept) >= _STRAYS * len(kept):
             break
         at = np.flatnonzero(kept)[worst]

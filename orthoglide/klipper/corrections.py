@@ -11,6 +11,7 @@ from orthoglide.klipper.left import Left
 from orthoglide.machine import Machine
 from orthoglide.machine_file import TOWERS, Firmware
 from orthoglide.numerals import signed
+from orthoglide.ordering import best_of
 
 WHERE = (
     "Replace the values in the block below the header of SAVE_CONFIG (#*#) at the end of "
@@ -124,7 +125,7 @@ class Corrections:
         changed = {"delta_radius": new.delta_radius - old.delta_radius}
         for name, one, other in zip(TOWERS, old.endstop, new.endstop, strict=True):
             changed[f"position_endstop of tower {name}"] = other - one
-        most = max(changed, key=lambda name: abs(changed[name]))
+        most = best_of(changed, lambda name: abs(changed[name]))
         by = signed(changed[most] * 1e3, 3)
         before, after = (f"{v * 1e3:.3f}" for v in self.height)
         larger, size = self.size, ""

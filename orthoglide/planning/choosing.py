@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from orthoglide.errors import InputError
+from orthoglide.ordering import largest
 from orthoglide.planning.criteria import Criterion
 from orthoglide.planning.linear import LinearReadings
 
@@ -15,7 +16,7 @@ C = TypeVar("C", bound=Criterion)
 
 _PASSES = 2
 _MOST = 500  # readings of a sheet: a day's work, and some minutes to choose
-_EQUAL = 1e-6  # of a gain: the first of equally good steps is taken, whatever rounding says
+_BETTER = 1e-6  # of a criterion's value: an exchange that gains less is none
 _NOTHING = 1e-9  # gain below which a step is not worth a reading
 
 
@@ -57,9 +58,9 @@ def choose(
         for setup in dict.fromkeys(int(readings.campaign.setup[k]) for k in rows):
             kept = [k for k in rows if readings.campaign.setup[k] != setup]
             again, found = _grow(readings, start.with_rows(readings, kept), kept, count, mounting)
-            if found.value > best.value:
+            if found.value > best.value + _BETTER * abs(best.value):
                 rows, best = again, found
-        if best.value - before < 1e-6 * abs(before):
+        if best.value - before <= _BETTER * abs(before):
             break
     return tuple(rows), best
 
@@ -75,7 +76,7 @@ def _grow(
             break
         gains = criterion.gains(steps)
         worth = gains / np.where(steps.opening, mounting, 1.0)
-        k = int(np.argmax(worth >= (1 - _EQUAL) * worth.max()))
+        k = largest(worth)
         if not gains[k] > _NOTHING:
             break
         criterion = criterion.after(steps, k)

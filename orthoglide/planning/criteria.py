@@ -14,8 +14,10 @@ from typing import Self
 import numpy as np
 
 from orthoglide.geometry import Array
+from orthoglide.ordering import EQUAL_ODDS, descending
 from orthoglide.planning.linear import LinearReadings, Steps
 
+_NONE = 1e-6  # sigmas squared: effects that nothing separates yet
 _WORST = 150  # pairs that a discriminating step looks at: those told apart least
 
 
@@ -190,7 +192,7 @@ class EffectSeparation(Criterion):
     def gains(self, steps: Steps) -> Array:
         """Rise of ``value`` over the pairs that are told apart least."""
         before = self.squares
-        worst = np.argsort(before, kind="stable")[:_WORST]
+        worst = descending(-np.log(np.maximum(before, _NONE)), EQUAL_ODDS)[:_WORST]
         b, M = self.base, self.information
         regress = np.linalg.solve(M[:b, :b], M[:b, b:])
         left = steps.columns[:, b:] - steps.columns[:, :b] @ regress

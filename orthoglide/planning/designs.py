@@ -12,6 +12,7 @@ from orthoglide.errors import InputError, check_list, check_word
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Campaign
+from orthoglide.ordering import EQUAL_ODDS, descending
 from orthoglide.planning.choosing import choose
 from orthoglide.planning.criteria import Determinant, EffectSeparation
 from orthoglide.planning.linear import LinearReadings
@@ -185,6 +186,6 @@ def _told_apart(
             for (i, j), s in zip(places.tolist(), values, strict=True)
         )
 
-    order = np.argsort(sigmas, kind="stable")
+    order = descending(-np.log(np.maximum(sigmas, 1e-6)), EQUAL_ODDS)
     closest = described(pairs[possible][order], sigmas[order])
     return rows, closest, described(pairs[~possible], most[~possible])

@@ -20,6 +20,7 @@ from orthoglide.frames import Framed
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Campaign, Readings
+from orthoglide.ordering import EQUAL_ODDS, best_of, largest, ranked
 from orthoglide.parameters import Parameter
 from orthoglide.planning.linear import foreseen
 from orthoglide.units import Unit
@@ -82,7 +83,7 @@ class Detectability(Framed):
         groups: list[list[SmallestEffect]] = []
         for members in self.by_effect.values():
             least = 0.0
-            for one in sorted(members, key=lambda s: s.detectable):
+            for one in ranked(members, lambda s: -float(np.log(s.detectable)), EQUAL_ODDS):
                 if not least or one.detectable > _ALIKE * least:
                     least = one.detectable
                     groups.append([])
@@ -93,7 +94,7 @@ class Detectability(Framed):
     def columns(self) -> dict[str, list[Any]]:
         """By group of :attr:`alike`, in the unit of files, what finds and names each of it."""
         every = self.alike
-        hardest = [max(members, key=lambda s: s.nameable) for members in every]
+        hardest = [best_of(members, lambda s: s.nameable) for members in every]
         found = [max(s.detectable for s in members) for members in every]
         return {
             "effect": [s.effect for s in hardest],
@@ -159,7 +160,7 @@ def smallest_effects(
         if names and not {candidate.effect, candidate.name} & set(names):
             continue
         tolerance = float(np.abs(seen.scaled(candidate)).max())
-        closest = int(np.argmax(cosine[k]))
+        closest = largest(cosine[k])
         detectable, nameable = _sizes(length[k], float(cosine[k, closest]), threshold)
         found.append(
             SmallestEffect(

@@ -23,6 +23,7 @@ from orthoglide.fit.tool_noise import expected_sigma
 from orthoglide.geometry import Array
 from orthoglide.instruments import INSTRUMENTS
 from orthoglide.numerals import compact
+from orthoglide.ordering import EQUAL, ranked
 from orthoglide.parameters import plain_and_campaign
 from orthoglide.planning.criteria import EffectSeparation
 from orthoglide.planning.owning import tool_sheet
@@ -62,7 +63,7 @@ class Decision:
     def of(self, cause: Cause, *, told: bool) -> list[Pair]:
         """Pairs of a cause that are told apart, or those that are not, likeliest first."""
         found = (p for p, sigmas in self.apart.items() if (sigmas >= _TELLS) == told)
-        return sorted((p for p in found if p[0] in cause.explanations), key=_weight, reverse=True)
+        return ranked((p for p in found if p[0] in cause.explanations), _weight)
 
     @property
     def probability(self) -> float:
@@ -82,14 +83,15 @@ def deciding_instruments(known: FullPosterior, causes: Sequence[Cause]) -> tuple
     of any two that it tells apart is the largest. They are known to a tenth or so: of those alike
     by that first stands what needs least.
     """
-    ranked = (sorted(cause.explanations, key=lambda one: -one.probability) for cause in causes)
-    pairs = [pair for likeliest_first in ranked for pair in combinations(likeliest_first, 2)]
+    each = (ranked(cause.explanations, lambda one: one.probability) for cause in causes)
+    pairs = [pair for likeliest_first in each for pair in combinations(likeliest_first, 2)]
     if not pairs:
         return ()
     several = [
         Decision(i, _apart(known, i.problem, pairs)) for i in _instruments(known.after.problem)
     ]
-    several.sort(key=lambda one: -round(one.probability, 1))  # of alike ones what needs least
+    # Two causes as likely as each other have the product 0.25, which rounding must not divide.
+    several.sort(key=lambda one: -round(one.probability + EQUAL, 1))
     return tuple(_suggested(one, causes, several) for one in several if one.probability > 0)
 
 

@@ -20,6 +20,7 @@ from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings, ToolCampaign, ToolSetup, in_sequence, protocol
 from orthoglide.observations.approach import Moves, overshoot
 from orthoglide.observations.checks import DECIMALS
+from orthoglide.ordering import EQUAL, largest
 from orthoglide.planning.detectable import Detectability, smallest_effects
 from orthoglide.planning.linear import foreseen
 from orthoglide.threads import on_one_thread
@@ -274,7 +275,7 @@ def mixed_sheet(
     while len(kept) > count:
         whole = _leverage(both, rows[kept])
         datums = _leverage(both[shared:, shared:], rows[kept, shared:])
-        worst = int(np.argmin(np.log1p(-datums) - np.log1p(-whole)))
+        worst = largest(np.log1p(-whole) - np.log1p(-datums), EQUAL)
         both -= np.outer(rows[kept[worst]], rows[kept[worst]])
         kept = np.delete(kept, worst)
     owner = np.repeat(np.arange(len(sheets)), [len(s) for s in sheets])

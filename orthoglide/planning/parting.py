@@ -13,6 +13,7 @@ from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.tool_noise import expected_sigma
 from orthoglide.instruments import INSTRUMENTS
 from orthoglide.observations import ToolCampaign
+from orthoglide.ordering import ranked
 from orthoglide.planning.criteria import RivalSeparation
 from orthoglide.planning.linear import LinearReadings
 from orthoglide.planning.owning import sheets_of
@@ -90,7 +91,7 @@ def _at_tool(members: Members) -> Iterator[Suggestion]:
         one, other = (members.each[k].words for k in pair)
         return f'"{one}" from "{other}" by {sigmas:.1f} sigma'
 
-    for kind in sorted(filter(worth, every), key=worth, reverse=True):
+    for kind in ranked(filter(worth, every), worth):
         told = {pair: s for pair, s in every[kind].items() if s >= DECIDES}
         more = f" (and {len(told) - 1} further pairs)" if told.keys() - {min(told)} else ""
         yield Suggestion(

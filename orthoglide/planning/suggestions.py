@@ -19,6 +19,7 @@ from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.instruments import INSTRUMENTS
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, campaign_rows
+from orthoglide.ordering import EQUAL_ODDS, best_of, ranked
 from orthoglide.planning.choosing import choose
 from orthoglide.planning.criteria import LeastVariance, RivalSeparation
 from orthoglide.planning.linear import LinearReadings
@@ -196,7 +197,7 @@ def to_separate(
         found.append(Suggestion(text, "none", sigmas, pool))
     if end is None:
         return found
-    least = sorted(end.sigmas.items(), key=lambda item: item[1])
+    least = ranked(end.sigmas.items(), lambda item: -float(np.log(item[1])), EQUAL_ODDS)
     text = "; ".join(
         f"{several[a].name} from {several[b].name} by {s:.1f} sigma" for (a, b), s in least[:3]
     )
@@ -252,7 +253,7 @@ def _to_narrow(
     """Readings for one weak direction of the fit, in its own unknowns, each in its tolerance."""
     shares = direction.parameters
     d = np.array([shares.get(n, 0.0) for n in estimate.problem.names])
-    unit = estimate.unit(max(shares, key=lambda n: abs(shares[n])))
+    unit = estimate.unit(best_of(shares, lambda n: abs(shares[n])))
     tolerance = estimate.problem.tolerance
     here = replace(readings, columns=readings.columns @ (own.weights_of(names) * tolerance))
     information = np.linalg.inv(own.covariance / tolerance / tolerance[:, None])

@@ -15,6 +15,7 @@ from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Campaign
 from orthoglide.observations.protocols import check_dials
+from orthoglide.ordering import ranked
 from orthoglide.planning.linear import LinearReadings, foreseen
 from orthoglide.posterior import with_everything
 from orthoglide.threads import on_one_thread
@@ -129,7 +130,7 @@ def needed_tolerances(
     ]  # fmt: skip
     left_out = [e.name for e in catalogue.values() if not e.of_dial and not parts.get(e.name)]
     return NeededTolerances(
-        wanted, now, scale, tuple(sorted(rows, key=lambda row: -row.share)), there.noise / total,
+        wanted, now, scale, tuple(ranked(rows, lambda row: row.share)), there.noise / total,
         "" if sheet is None else sheet.name, tuple(left_out),
     )  # fmt: skip
 

@@ -19,9 +19,11 @@ from orthoglide.fit.scores import rms_by_unit
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.numerals import ByUnit
+from orthoglide.ordering import ranked
 from orthoglide.posterior.everything import FullPosterior
 
 _DRAWS = 400
+_NO_GAIN = 1e-9  # metres: differences of gain below are rounding, and below anything that matters
 _STEPS = 2  # of Gauss-Newton, on a problem that is nearly linear
 
 
@@ -95,7 +97,8 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
                 rest,
             )
         )
-    return tuple(sorted(found, key=lambda item: (-item.gain, item.cause)))
+    by_name = sorted(found, key=lambda item: item.cause)
+    return tuple(ranked(by_name, lambda item: item.gain, _NO_GAIN))
 
 
 def _members(

@@ -21,6 +21,7 @@ from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.notes import Note
+from orthoglide.ordering import best_of
 from orthoglide.parameters import Parameter
 from orthoglide.posterior.columns import Everything, everything
 from orthoglide.posterior.mixture import LEAST_SHARE, Averaged, Mixture
@@ -286,7 +287,7 @@ def _settled(before: Estimate, given: Sequence[str]) -> FullPosterior:
                 break
             found = _about(before, given, found)
             # Two explanations may take turns, each where the other is linearised.
-            best = min(best, found, key=lambda one: one.about.apart)
+            best = best_of((best, found), lambda one: -one.about.apart)
     except ClosureError as error:
         raise SolverError(_unreached(before)) from error
     return best

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
+from orthoglide.ordering import EQUAL, best_of, largest
 from orthoglide.posterior.mixture import Mixture
 from orthoglide.posterior.search import State
 
@@ -56,17 +57,17 @@ class Alternatives:
             return self.mixture.best
         having = [s for s, found in self._places.items() if found.get(member) == other]
         if having:
-            return max(having, key=lambda s: self._probable[s])
+            return best_of(having, lambda s: self._probable[s])
         return self.mixture.child(self.mixture.without(member), other)
 
     @cached_property
     def _probable(self) -> dict[State, float]:
         """What stands out together that counts, at its likeliest scales, with its weight."""
-        alike: dict[frozenset[int], list[tuple[float, State]]] = {}
+        alike: dict[frozenset[int], dict[State, float]] = {}
         for state, weight in self.mixture.weights.items():
             groups = frozenset(g for g, _ in state)
-            alike.setdefault(groups, []).append((float(weight.sum()), state))
-        pooled = {max(each)[1]: sum(w for w, _ in each) for each in alike.values()}
+            alike.setdefault(groups, {})[state] = float(weight.sum())
+        pooled = {best_of(each, each.__getitem__): sum(each.values()) for each in alike.values()}
         return {state: weight for state, weight in pooled.items() if weight > _COUNTS}
 
     @cached_property
@@ -87,10 +88,11 @@ class Alternatives:
             from scipy.optimize import linear_sum_assignment
 
             alike = np.abs(self._shows(best, lost) @ self._shows(state, gained).T)
+            alike = np.round(alike / EQUAL)  # what is as like as another comes in its order
             pairs = zip(*linear_sum_assignment(-alike), strict=True)
             found |= {lost[i]: gained[j] for i, j in pairs}
             for i, group in enumerate(lost):
-                nearest = gained[int(np.argmax(alike[i]))]
+                nearest = gained[largest(alike[i])]
                 if group not in found and groups[nearest].size > 1:
                     found[group] = nearest
         return found
@@ -99,7 +101,7 @@ class Alternatives:
     def _columns(self) -> Array:
         """By coefficient ``(m, C)``, at the likeliest scale of the best state."""
         logs = self.mixture.weights[self.mixture.best]
-        return self.mixture.scales[int(np.argmax(logs))].columns
+        return self.mixture.scales[largest(logs)].columns
 
     def _shows(self, state: State, groups: list[int]) -> Array:
         """What groups of a state show beside all that is off anyway, zeros and lengths first, of

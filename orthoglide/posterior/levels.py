@@ -18,6 +18,7 @@ from orthoglide.fit import Estimate
 from orthoglide.fit.solving import solve
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.observations import ToolCampaign, source
+from orthoglide.ordering import EQUAL_ODDS, best_of
 from orthoglide.posterior.everything import FullPosterior, full_posterior
 
 _WIDE = 5.0  # tolerances
@@ -72,7 +73,7 @@ def check_levels(known: FullPosterior) -> None:
     least = known.evidence + EVIDENCE + np.log(len(_SENSES))
     likelier = [(e, s) for s, e in _weighed(known.before) if e > least]
     if likelier:
-        _, sense = max(likelier, key=lambda one: one[0])
+        _, sense = best_of(likelier, lambda one: one[0], EQUAL_ODDS)
         raise InputError(
             f"{'; '.join(levels)}: the readings of the level have a far likelier machine, and fit "
             f"it, {sense.said}"

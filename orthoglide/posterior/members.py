@@ -12,6 +12,7 @@ from orthoglide.effects.places import Place
 from orthoglide.effects.wording import cause_short
 from orthoglide.fit.problem import Factor
 from orthoglide.geometry import Array
+from orthoglide.ordering import descending
 from orthoglide.posterior.causes import Located
 from orthoglide.posterior.everything import FullPosterior
 from orthoglide.posterior.free import by_places
@@ -50,7 +51,7 @@ class Members:
         instead = Alternatives(posterior.mixture)
         odds = instead.of(located.group)[:-1]
         names = {curve.name for curve in located.members} | {*located.resembling}
-        chosen = [int(k) for k in np.argsort(-odds, kind="stable") if groups[k].name in names]
+        chosen = [k for k in descending(odds) if groups[k].name in names]
         chosen = chosen[:most]
         by_name = {p.name: p for p in about.places}
         standing = {groups[g].name for k in chosen for g, _ in instead.state(located.group, k)}

@@ -17,6 +17,7 @@ from scipy.linalg import solve_triangular
 
 from orthoglide.geometry import Array
 from orthoglide.machine_file import root_of
+from orthoglide.ordering import EQUAL_ODDS, descending, largest, ranked
 from orthoglide.posterior.linear import SOUND, Scale
 from orthoglide.posterior.search import Search, State, whitened
 
@@ -74,7 +75,7 @@ class Mixture(Search):
         for member, _ in self.best:
             self.table(rest := self.without(member))
             left[member] = self.total(rest)
-        return tuple(sorted(left, key=lambda member: left[member]))
+        return tuple(ranked(left, lambda member: -left[member], EQUAL_ODDS))
 
     @cached_property
     def shares(self) -> tuple[float, float, float]:
@@ -97,9 +98,9 @@ class Mixture(Search):
         """
         plain = self._plain
         weight = {state: float(found[plain].sum()) for state, found in self.weights.items()}
-        order = sorted(weight, key=lambda state: -weight[state])[:_ASKED]
+        order = ranked(weight, lambda state: weight[state])[:_ASKED]
         likely = [state for state in order if weight[state] >= _LIKELY * weight[order[0]]]
-        at = [int(np.argmax(np.where(plain, self.weights[s], -1.0))) for s in likely]
+        at = [largest(np.where(plain, self.weights[s], -np.inf)) for s in likely]
         return tuple((s, self.scales[k]) for s, k in zip(likely, at, strict=True))
 
     def told(self, names: Collection[str]) -> tuple[tuple[State, Scale], ...]:
@@ -113,7 +114,7 @@ class Mixture(Search):
             return tuple(found)
         state = tuple(one for one in self.best if groups[one[0]].name in names)
         by_scale = np.sum(list(self.weights.values()), axis=0)
-        return ((state, self.scales[int(np.argmax(np.where(self._plain, by_scale, -1.0)))]),)
+        return ((state, self.scales[largest(np.where(self._plain, by_scale, -np.inf))]),)
 
     @cached_property
     def rare(self) -> float:
@@ -146,7 +147,7 @@ class Mixture(Search):
         """As `likeliest`, on a sound machine."""
         sound = [self.scales[k] for k in self._sound]
         logs = self._log_z(sound, *self._out(sound, state))
-        return self.moments(state, sound[int(np.argmax(logs))], at)
+        return self.moments(state, sound[largest(logs, EQUAL_ODDS)], at)
 
     def next_odds(self) -> Array:
         """Log Bayes factor of each group's standing out besides the best state ``(groups,)``."""
@@ -192,8 +193,9 @@ class Mixture(Search):
         return np.diag(self._covariance(self.best, scale, at)), prior
 
     def _likeliest(self, state: State) -> Scale:
-        logs = self.visited[state] if state in self.visited else self.weights[state]
-        return self.scales[int(np.argmax(logs))]
+        if state in self.visited:
+            return self.scales[largest(self.visited[state], EQUAL_ODDS)]
+        return self.scales[largest(self.weights[state])]
 
     def moments(self, state: State, scale: Scale, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Mean ``(C,)`` of all coefficients in a state, and covariance ``(k, k)`` of some."""
@@ -250,8 +252,9 @@ class Mixture(Search):
     def _terms(self) -> tuple[tuple[float, State, Scale], ...]:
         """States and scales that means are averaged over, with their weights."""
         states, every = list(self.weights), np.stack(list(self.weights.values()))
-        order = np.argsort(-every, axis=None, kind="stable")[:_KEPT]
-        at = [divmod(int(k), len(self.scales)) for k in order if every.flat[k] > _NEGLIGIBLE]
+        likely = np.flatnonzero(every > _NEGLIGIBLE)
+        order = likely[descending(every.flat[likely])[:_KEPT]]
+        at = [divmod(int(k), len(self.scales)) for k in order]
         total = sum(float(every[k]) for k in at)
         return tuple((float(every[k]) / total, states[k[0]], self.scales[k[1]]) for k in at)
 

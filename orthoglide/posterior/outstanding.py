@@ -17,6 +17,7 @@ from orthoglide.accuracy import tcp_slopes
 from orthoglide.effects.places import Place
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
+from orthoglide.ordering import EQUAL, EQUAL_ODDS, descending, largest, ranked
 from orthoglide.posterior.causes import (
     CandidateScore,
     Cause,
@@ -55,6 +56,11 @@ def outstanding(posterior: FullPosterior, given: Sequence[str] = ()) -> Outstand
     )
 
 
+def _smallest(odds: Array, probability: float) -> int:
+    """Return how many of the probabilities, largest first, are the fewest that sum to another."""
+    return int(np.searchsorted(np.cumsum(odds), probability * (1 - EQUAL))) + 1
+
+
 @dataclass(frozen=True, eq=False)
 class _Reader:
     posterior: FullPosterior
@@ -77,11 +83,11 @@ class _Reader:
         if there < NAMED:
             return None
         odds = odds[:-1]
-        order = np.argsort(-odds, kind="stable")
-        count = int(np.searchsorted(np.cumsum(odds[order]), CREDIBLE * there)) + 1
+        order = descending(odds)
+        count = _smallest(odds[order], CREDIBLE * there)
         if count > MOST and not known:
             return None
-        chosen = [int(k) for k in order[:count]]
+        chosen = order[:count]
         each = [(k, float(odds[k])) for k in chosen]
         free = sum(p for k, p in each if self.groups[k].free)
         if free < (1 - NAMED) * there or (not self.groups[chosen[0]].free and free < 0.5 * there):
@@ -99,12 +105,11 @@ class _Reader:
         named = [k for k, g in enumerate(self.groups) if not g.free]
         weight = np.exp(table[named] - table[named].max()).sum(axis=1)
         weight /= weight.sum()
-        order = np.argsort(-weight, kind="stable")
-        count = int(np.searchsorted(np.cumsum(weight[order]), CREDIBLE)) + 1
+        order = descending(weight)
         found = []
-        for k in order[:count]:
-            group = named[int(k)]
-            state = ((group, mixture.linear.slabs[int(np.argmax(table[group]))]),)
+        for k in order[: _smallest(weight[order], CREDIBLE)]:
+            group = named[k]
+            state = ((group, mixture.linear.slabs[largest(table[group], EQUAL_ODDS)]),)
             at = self.groups[group].places
             found.append(self._told(group, float(weight[k]), *mixture.over_sound(state, at)))
         return tuple(one for explanation in found for one in self._twins(explanation))
@@ -134,7 +139,7 @@ class _Reader:
             one = (effect.name, *leg) if leg[0] else (candidate.name,)
             first, chance = found.get(one, (k, 0.0))
             found[one] = first, chance + p
-        return sorted(found.values(), key=lambda one: -one[1])
+        return ranked(found.values(), lambda one: one[1])
 
     def _twins(self, one: Explanation) -> list[Explanation]:
         """An explanation with those under other names that show the same, readings and tool."""
@@ -285,7 +290,8 @@ class _Reader:
         odds = mixture.next_odds()
         for k, p in enumerate(odds):
             found.setdefault(k, float(p))
-        order = sorted(found, key=lambda k: (-round(found[k], 6), self.groups[k].name))[:_NEAREST]
+        by_name = sorted(found, key=lambda k: self.groups[k].name)
+        order = ranked(by_name, lambda k: found[k], EQUAL_ODDS)[:_NEAREST]
         named = len(self.posterior.about.candidates)
         return tuple(
             CandidateScore(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from orthoglide.fit.least_squares import explained_by_two
 from orthoglide.geometry import Array
+from orthoglide.ordering import EQUAL_ODDS, descending
 
 _NEAR, _MOST = 4.0, 40  # log odds of pairs that are looked at closely, and their number
 _FAR = 8.0  # log odds of scales of theirs that do not count
@@ -45,8 +46,8 @@ def likely_pairs(
     table = np.stack([gains(few, some, (first, second), (tau, tau)) for tau in slabs])
     pooled = np.logaddexp.reduce(table + logs[coarse, None], axis=(0, 1))
     pooled -= cost[first] + cost[second]
-    order = np.argsort(-pooled, kind="stable")[:_MOST]
-    order = order[pooled[order] > pooled[order[0]] - _NEAR]
+    likely = np.flatnonzero(pooled > pooled.max() - _NEAR)
+    order = likely[descending(pooled[likely], EQUAL_ODDS)[:_MOST]]
     near = first[order], second[order]
     base = logs[:, None] - cost[near[0]] - cost[near[1]]
     both = list(product(slabs, slabs))

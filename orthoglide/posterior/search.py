@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
+from orthoglide.ordering import EQUAL_ODDS, best_of, largest
 from orthoglide.posterior.linear import EXPECTED, Linear, Scale, scales
 from orthoglide.posterior.pairs import likely_pairs
 
@@ -92,7 +93,7 @@ class Search:
         earlier = tuple(sorted((place[name], tau) for name, tau in start if name in place))
         if self._known <= {g for g, _ in earlier}:
             self.table(earlier)
-            state = max(state, earlier, key=self.total)
+            state = best_of((state, earlier), self.total, EQUAL_ODDS)
         # Weights once given stay, whatever rounding says of another way there: this ends.
         while better := self._better(state):
             state = better
@@ -101,8 +102,8 @@ class Search:
     def _better(self, state: State) -> State | None:
         """A state of more weight: the best by one group, by two, or else of all come across."""
         for reach in (self._by_one, self._by_two, self._met):
-            best = max(reach(state), key=self.total, default=state)
-            if self.total(best) > self.total(state) + 1e-9:
+            best = best_of((state, *reach(state)), self.total, EQUAL_ODDS)
+            if best != state:
                 return best
         return None
 
@@ -147,7 +148,7 @@ class Search:
         if not np.isfinite(table).any():
             return []
         pooled = np.logaddexp.reduce(table, axis=0)
-        group, tau = np.unravel_index(int(np.argmax(pooled)), pooled.shape)
+        group, tau = np.unravel_index(largest(pooled, EQUAL_ODDS), pooled.shape)
         return [self._child(state, int(group), int(tau))]
 
     def _pair(self, state: State, but: Sequence[int]) -> list[State]:
@@ -167,7 +168,7 @@ class Search:
             pair = (int(self._ones[i]), tau), (int(self._ones[j]), other)
             found.append(tuple(sorted((*state, *pair))))
             self.visited.setdefault(found[-1], logs)
-        return sorted(found, key=self.total)[-1:]
+        return [best_of(found, self.total, EQUAL_ODDS)] if found else []
 
     def total(self, state: State) -> float:
         """Log weight of a state that was visited, over all scales."""
@@ -182,7 +183,7 @@ class Search:
     def child(self, state: State, group: int) -> State:
         """The state with one more group out, at its likeliest scale."""
         pooled = np.logaddexp.reduce(self.table(state)[:, group], axis=0)
-        return self._child(state, group, int(np.argmax(pooled)))
+        return self._child(state, group, largest(pooled, EQUAL_ODDS))
 
     def _child(self, state: State, group: int, tau: int) -> State:
         child = tuple(sorted((*state, (group, self.linear.slabs[tau]))))

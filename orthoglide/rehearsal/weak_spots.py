@@ -11,6 +11,7 @@ from orthoglide.accuracy import tcp_slopes, without_place
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.effects.wording import cause_short, size_words
 from orthoglide.observations import Campaign
+from orthoglide.ordering import best_of
 from orthoglide.parameters import Parameter
 from orthoglide.planning import SmallestEffect, smallest_effects
 from orthoglide.rehearsal.drawing import Scope
@@ -71,7 +72,7 @@ def _invisible(catalogue: Catalogue, names: Sequence[Parameter]) -> Iterator[Wea
 def _hardly(catalogue: Catalogue, single: Sequence[SmallestEffect]) -> Iterator[WeakSpot]:
     weak = {s.name: s for s in single if s.detectable > HARDLY * s.tolerance}
     for effect, members in _by_effect(catalogue, weak):
-        worst = max((weak[n] for n in members), key=lambda s: s.detectable)
+        worst = best_of((weak[n] for n in members), lambda s: s.detectable)
         yield WeakSpot(
             tuple(members),
             f"seen from {size_words(effect, worst.detectable)}, "

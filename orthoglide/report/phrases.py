@@ -10,6 +10,7 @@ from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.effects.wording import cause_short, parameter_words
 from orthoglide.numerals import compact, signed
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
+from orthoglide.ordering import best_of
 from orthoglide.result.unvaried import one_sided, unshown, unvaried
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def _offset_and_length(weak: WeakDirection, catalogue: Catalogue) -> str:
 
 
 def _together(weak: list[WeakDirection], legs: list[str]) -> str:
-    widest = max(weak, key=lambda w: w.sigma)
+    widest = best_of(weak, lambda w: w.sigma)
     text = (
         f"The readings cannot tell the joint offset from the leg length of leg {listed(legs)}: "
         f"where both grow by the same amount, by as much as {compact(widest.sigma, 2)} "

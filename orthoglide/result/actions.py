@@ -12,6 +12,7 @@ from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.fit import Change
 from orthoglide.klipper import FIRST
 from orthoglide.numerals import plain
+from orthoglide.ordering import ranked
 from orthoglide.posterior import Cause, Curve, Explanation, Located
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ _DIAL_TURNS = (
 _PLAIN = "for which nothing is changed on the machine"
 _INSTEAD = "in place of new zeros and never with them, for a gain beyond theirs"
 _MEND = "Look, confirm and put right, then measure again"
+_NO_GAIN = 1e-9  # metres: differences of gain below are rounding
 _WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth a line
 
 
@@ -75,7 +77,7 @@ def actions(result: Result) -> tuple[Action, ...]:
         return (*noisy, *_found(result, "confirm"), *told)
     zeros = list(_zeros(result))
     done = [*zeros, *_found(result, "mend", bool(zeros)), *_compensate(result)]
-    done.sort(key=lambda action: -action.gain if math.isfinite(action.gain) else 0.0)
+    done = ranked(done, lambda action: action.gain if math.isfinite(action.gain) else 0.0, _NO_GAIN)
     done = _one_of_two(done)
     return (*told, *done) if decides else (*done, *told)
 

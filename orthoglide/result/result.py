@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 Word = Literal["adequate", "explained", "ambiguous", "located", "partial", "unexplained"]
 
 _HARDLY = 0.95  # of the residuals: a fit that leaves more has not helped
+_NOTHING = 1e-6  # millimetres or milliradians: residuals below are rounding
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,9 @@ class Result(Framed):
         background of everything.
         """
         before, after = (fit.scores.left.shown for fit in (self.before, self.after))
-        return self.found or any(after[unit] < _HARDLY * was for unit, was in before.items())
+        return self.found or any(
+            after[unit] < _HARDLY * was and was > _NOTHING for unit, was in before.items()
+        )
 
     @property
     def share(self) -> float:

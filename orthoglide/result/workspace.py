@@ -10,6 +10,7 @@ from orthoglide.accuracy import Map, tcp_map, variance_by_effect, without_place,
 from orthoglide.fit import Estimate
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
+from orthoglide.ordering import ranked
 
 _MOST_NAMED = 3
 
@@ -67,5 +68,5 @@ def uncertain_effects(machine: Machine) -> tuple[tuple[str, float], ...]:
     """Effects that make most of the variance of the TCP, each with its share of their sum."""
     shares = variance_by_effect(machine)
     total = sum(shares.values())
-    ranked = sorted(shares.items(), key=lambda item: -item[1])[:_MOST_NAMED]
-    return tuple((name, share / total) for name, share in ranked if total > 0)
+    largest = ranked(shares.items(), lambda item: item[1])[:_MOST_NAMED]
+    return tuple((name, share / total) for name, share in largest if total > 0)

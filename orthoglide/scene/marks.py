@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from orthoglide.geometry import Array
+from orthoglide.ordering import largest
 from orthoglide.scene.paper import Paper
 from orthoglide.scene.parts import Dial, Mark, Posed
 
@@ -93,7 +94,7 @@ def _rail(mark: Mark, posed: Posed, paper: Paper) -> str:
 def _turn(mark: Mark, posed: Posed, paper: Paper) -> str:
     """Part of a circle about the way, right-handed, around the carriage."""
     at, d = posed.carriage(mark.leg), posed.geometry.d
-    other = np.eye(3)[int(np.argmin(np.abs(mark.way)))]
+    other = np.eye(3)[largest(-np.abs(mark.way))]
     u = np.cross(mark.way, other)
     u /= np.linalg.norm(u)
     v = np.cross(mark.way, u)

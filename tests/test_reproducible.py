@@ -1,0 +1,137 @@
+"""No printed number depends on compiled code, on a cache, on threads or on the sixteenth digit.
+
+Each campaign is closed as it is and once more otherwise, and every number and word of `result.json`
+is compared as `orthoglide rerun` does. Dimensions that differ in their last bit change the rounding
+of everything that is computed from them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+import threadpoolctl
+
+import orthoglide as og
+from orthoglide.cli.rerun import compare
+from orthoglide.report import result_text
+
+DATA = Path(__file__).parent / "data"
+RIG = DATA / "rig"
+PUBLISHED = Path(og.__file__).parent / "data" / "experiment2.csv"
+APART = ("version", "inputs", "machine", "method")  # what was given, and how many steps it took
+
+Close = Callable[[og.Machine], og.Verdict]
+
+
+def rig(*numbers: int) -> tuple[og.Machine, Close]:
+    machine = og.Machine.load(RIG / "machine.toml")
+    files = [RIG / f"rig-{k}.csv" for k in numbers]
+    return machine, lambda given: og.close_loop(files, given)
+
+
+def published() -> tuple[og.Machine, Close]:
+    return og.Machine.nominal(), lambda given: og.close_loop(PUBLISHED, given)
+
+
+def delta() -> tuple[og.Machine, Close]:
+    """Near-degenerate weak directions, of which rounding chose the basis."""
+    imported = og.import_printer(DATA / "delta" / "electrocally.cfg")
+    campaigns = imported.campaigns
+    return og.Machine(imported.machine), lambda given: og.close_loop(campaigns[1:], given)
+
+
+def exact() -> tuple[og.Machine, Close]:
+    """Readings without noise of a machine without errors: all legs are equal, and nothing is left
+    of the readings but rounding.
+    """
+    machine = og.Machine.load(RIG / "machine.toml")
+    campaign = og.simulate(machine, og.protocol("standard"), seed=0, exact=True)
+    return machine, lambda given: og.close_loop(campaign, given)
+
+
+CASES = {
+    "delta": delta,
+    "published": published,
+    "rig-2": lambda: rig(2),
+    "rig-2 and rig-3": lambda: rig(2, 3),  # causes under two names, equally likely
+    "exact": exact,
+}
+THOROUGH = [pytest.param(name, marks=pytest.mark.thorough) for name in CASES if name != "delta"]
+
+
+def numbers(name: str, bits: int = 0) -> dict[str, Any]:
+    """What `result.json` holds of a case, with dimensions so many bits larger."""
+    machine, close = CASES[name]()
+    if bits:
+        old = machine.geometry
+        L, d, r = (value * (1 + bits * np.finfo(float).eps) for value in (old.L, old.d, old.r))
+        assert L != old.L
+        machine = og.Machine(replace(machine.spec, geometry=replace(old, L=L, d=d, r=r)))
+    found = json.loads(result_text(close(machine)))
+    return {key: value for key, value in found.items() if key not in APART}
+
+
+@cache
+def usual(name: str) -> dict[str, Any]:
+    """The same by compiled code from the cache, where there is a compiler."""
+    machine, _ = CASES[name]()
+    machine.forward(np.tile(machine.geometry.zero, (25_000, 1)))  # leaves a copy in the cache
+    return numbers(name)
+
+
+def same(one: dict[str, Any], other: dict[str, Any]) -> None:
+    assert not list(compare(one, other))
+    values = one["after"].values()
+    assert any(isinstance(v, float) and math.isfinite(v) for v in values)
+
+
+@pytest.mark.parametrize("name", ["delta", *THOROUGH])
+def test_numbers_do_not_depend_on_compiled_code(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled = usual(name)
+    monkeypatch.setenv("ORTHOGLIDE_COMPILE", "0")
+    same(compiled, numbers(name))
+
+
+@pytest.mark.parametrize("name", ["delta", *THOROUGH])
+def test_numbers_do_not_depend_on_the_last_bit(name: str) -> None:
+    same(usual(name), numbers(name, bits=1))
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", CASES)
+def test_numbers_do_not_depend_on_the_cache(
+    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A cold cache changes from interpreted to compiled code in the middle of a run."""
+    warm = usual(name)
+    monkeypatch.setenv("ORTHOGLIDE_CACHE", str(tmp_path))
+    same(warm, numbers(name))
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", CASES)
+def test_numbers_do_not_depend_on_threads(name: str) -> None:
+    one = usual(name)
+    with threadpoolctl.threadpool_limits(2, user_api="blas"):
+        same(one, numbers(name))
+
+
+@pytest.mark.parametrize("method", ["nlp", "nested"])
+def test_fits_end_at_the_minimum(method: Literal["nlp", "nested"]) -> None:
+    """Up to rounding, so that no digit depends on where a solver's own tolerance was met."""
+    imported = og.import_printer(DATA / "delta" / "electrocally.cfg")
+    heights = imported.campaigns[0]
+    found = [og.identify(PUBLISHED, method=method)]
+    if method == "nested":
+        found.append(og.identify(heights, imported.machine, method=method))
+    for estimate in found:
+        assert estimate.method == method
+        assert estimate.optimality < 1e-9
