@@ -111,14 +111,19 @@ def canonical_basis(rows: Array, within: Array | None = None) -> Array:
     if within is not None and 0 < len(within) < len(rows):
         inner = _orthonormal(within)
         pivots = _pivots(inner)
-        parts.append(np.asarray(np.linalg.solve(inner[:, pivots], inner)))
+        parts.append(_echelon(inner, pivots))
         # Combinations of the rows that vanish at these pivots.
         vanishing = np.linalg.svd(space[:, pivots].T)[2][len(pivots) :]
         space = _orthonormal(vanishing @ space)
     pivots = _pivots(space)
-    parts.append(np.asarray(np.linalg.solve(space[:, pivots], space)))
+    parts.append(_echelon(space, pivots))
     basis = np.concatenate(parts)
     return np.asarray(basis / np.linalg.norm(basis, axis=1)[:, None])
+
+
+def _echelon(space: Array, pivots: list[int]) -> Array:
+    """Return the rows of a space of which each is 1 at its own pivot and 0 at the others."""
+    return np.asarray(np.linalg.solve(space[:, pivots], space))
 
 
 def _orthonormal(rows: Array) -> Array:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -25,6 +25,7 @@ from orthoglide.report import result_text
 
 DATA = Path(__file__).parent / "data"
 RIG = DATA / "rig"
+PUBLISHED = Path(og.__file__).parent / "data" / "experiment2.csv"
 # What was given, how many steps it took, and checks that measure rounding.
 APART = ("version", "inputs", "machine", "method", "verification")
 
@@ -38,8 +39,7 @@ def rig(*numbers: int) -> tuple[og.Machine, Close]:
 
 
 def published() -> tuple[og.Machine, Close]:
-    file = Path(og.__file__).parent / "data" / "experiment2.csv"
-    return og.Machine.nominal(), lambda given: og.close_loop(file, given)
+    return og.Machine.nominal(), lambda given: og.close_loop(PUBLISHED, given)
 
 
 def delta() -> tuple[og.Machine, Close]:
@@ -123,3 +123,16 @@ def test_numbers_do_not_depend_on_threads(name: str) -> None:
     one = usual(name)
     with threadpoolctl.threadpool_limits(2, user_api="blas"):
         same(one, numbers(name))
+
+
+@pytest.mark.parametrize("method", ["nlp", "nested"])
+def test_fits_end_at_the_minimum(method: Literal["nlp", "nested"]) -> None:
+    """Up to rounding, so that no digit depends on where a solver's own tolerance was met."""
+    imported = og.import_printer(DATA / "delta" / "electrocally.cfg")
+    heights = imported.campaigns[0]
+    found = [og.identify(PUBLISHED, method=method)]
+    if method == "nested":
+        found.append(og.identify(heights, imported.machine, method=method))
+    for estimate in found:
+        assert estimate.method == method
+        assert estimate.optimality < 1e-9

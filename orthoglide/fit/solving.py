@@ -168,6 +168,7 @@ def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
         # processor; what was verified is brought to the minimum by the steps that are left.
         with suppress(SolverError):
             at = solve_nested(problem, nuisance, at)[0]
+            optimality = _verified(problem, nuisance, at, began)
     check = cross_check(problem, nuisance, at)
     return assessed(problem, nuisance, at, used, iterations, optimality, check)
 
