@@ -6,14 +6,13 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.effects import CATALOGUE, Catalogue, Effect
-from orthoglide.errors import ClosureError, InputError, UnreachableError
+from orthoglide.errors import ClosureError, InputError, UnreachableError, path_of
 from orthoglide.geometry import Array, Geometry, vectors
 from orthoglide.machine_file import (
     MachineFile,
@@ -125,7 +124,7 @@ class Machine:
             FileError: where a file is missing or says what cannot be.
             InputError: where the URDF has other legs.
         """
-        path = Path(folder).resolve()
+        path = path_of(folder).resolve()
         machine = cls(replace(cls.of(given).spec, name=path.name, urdf=str(path)))
         machine.model.engine  # noqa: B018  (which reads the files, and looks at the pivots)
         return machine

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.errors import InputError
+from orthoglide.errors import InputError, check_whole, numbers
 from orthoglide.geometry import Array, vectors
 from orthoglide.machine import Machine, MachineSource
 
@@ -69,8 +69,10 @@ def transmission_over_cube(
         UnreachableError: naming the leg that is too short.
     """
     middle = vectors(centre, "centre")
-    if middle.shape != (3,) or not (np.isfinite(side) and side > 0) or count < 2:
-        raise InputError("a cube has a centre (3,), a positive side, metres, and 2 points or more")
+    check_whole("count", count, 2)
+    size = numbers("the side", side)
+    if middle.shape != (3,) or size.shape != () or not (np.isfinite(size) and size > 0):
+        raise InputError("a cube has a centre (3,) and a positive side, both in metres")
     own = Machine.of(machine)
     steps = np.linspace(-side / 2, side / 2, count)
     p = middle + np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -85,7 +85,7 @@ def test_checked_in_files_are_what_the_generator_writes() -> None:
     checked_in = (ROOT / "urdf" / urdf.URDF_FILE).read_bytes().decode()
     assert checked_in == urdf.to_urdf(NOMINAL), remedy
     sidecar = (ROOT / "urdf" / urdf.CLOSURES_FILE).read_bytes().decode()
-    assert sidecar == urdf.closures_text(NOMINAL), remedy
+    assert sidecar == urdf.closures_text(urdf.closures(NOMINAL)), remedy
 
 
 def test_module_writes_both_files_into_a_folder(tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_module_writes_both_files_into_a_folder(tmp_path: Path) -> None:
 def test_write_takes_another_geometry(tmp_path: Path) -> None:
     model_file, sidecar = urdf.write(tmp_path, OTHER)
     assert model_file.read_text() == urdf.to_urdf(OTHER) != urdf.to_urdf(NOMINAL)
-    assert sidecar.read_text() == urdf.closures_text(OTHER)
+    assert sidecar.read_text() == urdf.closures_text(urdf.closures(OTHER))
 
 
 def test_names_of_joints_links_and_their_axes() -> None:
@@ -128,7 +128,7 @@ def test_frames_of_the_closures_are_found_by_bare_name() -> None:
 
 
 def test_sidecar_says_what_closures_returns() -> None:
-    tables = tomllib.loads(urdf.closures_text(NOMINAL))["closure"]
+    tables = tomllib.loads(urdf.closures_text(urdf.closures(NOMINAL)))["closure"]
     assert tuple(urdf.Closure(**table) for table in tables) == urdf.closures(NOMINAL)
     rows = {"point": 3, "frame": 6}
     assert sum(rows[item.kind] for item in urdf.closures(NOMINAL)) == 21

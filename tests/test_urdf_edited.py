@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import orthoglide as og
 from orthoglide.errors import FileError
 from orthoglide.fit import identify
 from orthoglide.geometry import Array
@@ -19,7 +21,7 @@ from orthoglide.mechanism.engine import ByPinocchio, SixBars
 from orthoglide.mechanism.symbolic_closure import closure_functions
 from orthoglide.mechanism.tree import VIRTUAL_NAMES, load, nominal_tree
 from orthoglide.observations import protocol
-from orthoglide.urdf import write
+from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, shipped_folder, write
 from tests.engines import NOMINAL, commands, edited, outputs
 from tests.rig import _solve, rotation
 from tests.test_mechanism import parts
@@ -248,3 +250,82 @@ def test_a_machine_file_whose_folder_is_missing_says_so(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace("schema = 1\n", 'schema = 1\nurdf = "gone"\n'))
     with pytest.raises(FileError, match="no such file"):
         Machine.load(path).forward(RHO)
+
+
+# -- what was accepted and is wrong ----------------------------------------------------------
+
+
+def shipped(folder: Path, closures: Callable[[str], str] = str) -> Path:
+    """A copy of the shipped files, its closures edited."""
+    folder.mkdir(exist_ok=True)
+    for name in (URDF_FILE, CLOSURES_FILE):
+        text = (shipped_folder() / name).read_text(encoding="utf-8")
+        edited_text = closures(text) if name == CLOSURES_FILE else text
+        (folder / name).write_text(edited_text, encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize(
+    "closures",
+    [
+        lambda text: text[: text.rindex("[[closure]]")],
+        lambda text: text.replace('kind = "frame"', 'kind = "point"'),
+        lambda text: text.replace('frame_2 = "x_knuckle_tip"', 'frame_2 = "x_knuckle"'),
+    ],
+    ids=["one is missing", "axes are not tied", "another link"],
+)
+def test_closures_of_another_machine_are_refused(
+    closures: Callable[[str], str], tmp_path: Path
+) -> None:
+    """Pinocchio closes them as they are, and six bars would be another machine."""
+    with pytest.raises(og.InputError, match=r"do not make it a platform|does not close near"):
+        og.Machine.from_urdf(shipped(tmp_path / "urdf", closures))
+
+
+def test_what_is_exported_has_the_joints_of_ones_own_urdf(tmp_path: Path) -> None:
+    folder = shipped(tmp_path / "urdf")
+    file = folder / URDF_FILE
+    moved = file.read_text(encoding="utf-8").replace('"0.34125 0 0"', '"0.34225 0.0005 0"')
+    file.write_text(moved, encoding="utf-8")
+    machine = og.Machine.from_urdf(folder)
+    rho = [0.30, 0.31, 0.32]
+    assert np.abs(machine.forward(rho) - og.Machine.nominal().forward(rho)).max() > 5e-4
+    out = tmp_path / "out"
+    out.mkdir()
+    for name, text in og.export_files(machine).items():
+        (out / name).write_text(text, encoding="utf-8")
+    assert np.abs(og.Machine.from_urdf(out).forward(rho) - machine.forward(rho)).max() < 1e-14
+
+
+def test_a_saved_machine_moves_with_its_urdf(tmp_path: Path) -> None:
+    here = tmp_path / "here"
+    here.mkdir()
+    og.Machine.from_urdf(shipped(here / "urdf")).save(here / "machine.toml")
+    assert 'urdf = "urdf"' in (here / "machine.toml").read_text(encoding="utf-8")
+    here.rename(tmp_path / "there")
+    machine = og.Machine.load(tmp_path / "there" / "machine.toml")
+    assert np.abs(machine.forward(machine.geometry.zero)).max() < 1e-14
+
+
+def test_bars_in_millimetres_are_refused(tmp_path: Path) -> None:
+    folder = shipped(tmp_path / "urdf")
+    file = folder / URDF_FILE
+    text = file.read_text(encoding="utf-8").replace("-0.31025 0 0", "-310.25 0 0")
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(og.InputError, match=r"bars of 310\.2 and 310\.2 m: give their lengths in"):
+        og.Machine.from_urdf(folder)
+
+
+def test_threads_may_share_a_machine() -> None:
+    machine = og.Machine.nominal().with_parameters({"bar_mismatch.x": 1e-4})
+    rho = 0.31 + np.random.default_rng(0).uniform(-0.05, 0.05, (60, 3))
+    mechanism = machine.model.mechanism
+
+    def found(command: np.ndarray) -> np.ndarray:
+        posture = machine.close(command)
+        slope = mechanism.velocity_jacobian(posture)
+        return np.concatenate([posture.p, machine.forward(command), slope.ravel()])
+
+    expected = np.array([found(one) for one in rho])
+    with ThreadPoolExecutor(6) as pool:
+        assert np.array_equal(np.array(list(pool.map(found, rho))), expected)

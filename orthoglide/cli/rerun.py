@@ -100,6 +100,9 @@ def input_lines(result: Mapping[str, Any], folders: Sequence[Path]) -> Iterator[
     given = [(i["file"], i["sha256"]) for i in result["inputs"]]
     if machine.get("file") and machine.get("sha256"):
         given.append((machine["file"], machine["sha256"]))
+    for name, digest in (machine.get("urdf") or {}).items():
+        if _digest(Path(name)) != digest:
+            yield f"{name}: has changed since; the numbers are those of the file as it is now."
     packaged = result["command"] == "demo"
     for name, digest in () if packaged else given:
         path = next((f / name for f in folders if (f / name).is_file()), None)

@@ -14,6 +14,7 @@ from orthoglide.control.numbers import controller_numbers
 from orthoglide.control.urdf import calibrated_urdf
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
+from orthoglide.mechanism.tree import load
 from orthoglide.notes import Note
 from orthoglide.observations.columns import MM, POINT, columns
 from orthoglide.observations.table import Column, number, read_table
@@ -79,10 +80,11 @@ def export_files(
     machine = Machine.of(machine)
     numbers = controller_numbers(machine, zeros_only=zeros_only, force=force)
     tree = calibrated_urdf(machine)
+    loops = load(machine.spec.urdf or machine.geometry).loops
     return {
         "controller.txt": numbers.text(),
         "controller.json": json.dumps(numbers.as_dict(), indent=2) + "\n",
         URDF_FILE: tree,
-        CLOSURES_FILE: closures_text(machine.geometry),
-        **parallel_robot_files(machine.geometry, tree),
+        CLOSURES_FILE: closures_text(loops),
+        **parallel_robot_files(machine.geometry, tree, loops),
     }

@@ -11,9 +11,8 @@ from orthoglide.effects import Effect, LegConditions, Motion
 from orthoglide.effects.wording import by_effect
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.mechanism.tree import VIRTUAL_NAMES
+from orthoglide.mechanism.tree import VIRTUAL_NAMES, load
 from orthoglide.prediction import Conditions
-from orthoglide.urdf import to_urdf
 
 _PROBE = 1e-2  # metres of travel over which a path's slope is taken; paths held are straight
 _LATERAL = ("lateral_b", "lateral_c")
@@ -37,7 +36,7 @@ def calibrated_urdf(machine: MachineSource) -> str:
     from scipy.spatial.transform import Rotation
 
     machine = Machine.of(machine)
-    nominal = to_urdf(machine.geometry)
+    nominal = load(machine.spec.urdf or machine.geometry).text
     robot = ET.fromstring(nominal)
     origins = {j.get("name"): j.find("origin") for j in robot.iter("joint")}
     axes = {j.get("name"): j.find("axis") for j in robot.iter("joint")}

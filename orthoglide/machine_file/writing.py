@@ -34,6 +34,9 @@ def write_machine_file(
         InputError: where the machine holds what no machine file can.
     """
     target = path_of(path)
+    if machine.urdf:  # seen from the file, so that both may move together
+        seen = os.path.relpath(machine.urdf, target.resolve().parent)
+        machine = replace(machine, urdf=Path(seen).as_posix())
     contents = machine_files(machine, str(path))
     beside = posterior_path(target)
     if not overwrite:

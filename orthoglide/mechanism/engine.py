@@ -31,6 +31,9 @@ _ROUNDING = 3e-15
 _TURNED = 2.0
 # Rounds of Newton's steps for postures that the first did not close: errors of centimetres.
 _ROUNDS = 5
+# Postures near mechanical zero, at a share of a bar's length from it, at which six bars are held
+# against Pinocchio before they are used: any would show another machine.
+_TRIED, _NEAR = 2, 0.01
 # Interpreted closures that take as long as compiling does.
 _WORTH_COMPILING = 50_000
 
@@ -115,12 +118,13 @@ class ByPinocchio:
         values, by_given = np.empty((n, OUTPUTS)), np.empty((n if tangents else 0, OUTPUTS, GIVEN))
         zero = self.mechanism.geometry.zero
         for k in range(n):
-            with _numbered(k, n):
-                posture = self.mechanism.close(zero + travel[k], moves[k].reshape(3, -1))
+            with self.mechanism.lock:  # what is shown is read off Pinocchio's scratch data
+                with _numbered(k, n):
+                    posture = self.mechanism.close(zero + travel[k], moves[k].reshape(3, -1))
+                values[k] = self._shown(posture)
+                if tangents:
+                    by_given[k] = self._moved(posture)
             self.worst = {loop: max(v, posture.residual[loop]) for loop, v in self.worst.items()}
-            values[k] = self._shown(posture)
-            if tangents:
-                by_given[k] = self._moved(posture)
         return Outputs(values), by_given
 
     @cached_property
@@ -197,6 +201,35 @@ class SixBars:
         if compile:
             self._close.compile()
             self._tangent.compile()
+        self._check_derivation()
+
+    def _check_derivation(self) -> None:
+        """Refuse a tree that its closures do not make a platform on six bars.
+
+        Raises:
+            InputError: where Pinocchio closes it otherwise, near mechanical zero.
+        """
+        draws = np.random.default_rng(0)
+        reach = _NEAR * float(self.mechanism.spheres.lengths.max())
+        travel = reach * draws.uniform(-1, 1, (_TRIED, 3))
+        moves = np.zeros((_TRIED, GIVEN - 3))
+        try:
+            apart = (
+                self.outputs(travel, moves).values
+                - ByPinocchio(self.mechanism).outputs(travel, moves).values
+            )
+        except ClosureError as error:
+            raise InputError(
+                f"the machine does not close near mechanical zero ({error}): correct the joint "
+                f"origins in the URDF, or the dimensions"
+            ) from None
+        worst = float(np.abs(apart).max())
+        if worst > CLOSED:
+            raise InputError(
+                f"the closures of the URDF do not make it a platform on six bars: its tool or a "
+                f"bar is {worst * 1e3:.3g} mm from where Pinocchio closes it. Close each "
+                f"parallelogram by a point and tie the three platforms by two frames"
+            )
 
     @property
     def compiled(self) -> bool:

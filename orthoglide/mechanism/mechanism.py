@@ -5,14 +5,15 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from threading import RLock
+from typing import Any, Literal, get_args
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dgesv
 
-from orthoglide.errors import ClosureError, InputError
+from orthoglide.errors import ClosureError, InputError, check_word, numbers
 from orthoglide.geometry import Array, Geometry
 from orthoglide.mechanism.constraints import Constraints
 from orthoglide.mechanism.mobility import Mobility, mobility
@@ -63,8 +64,8 @@ class Mechanism:
     """A machine with closed loops: a Pinocchio model and its constraint models.
 
     By default three PRPaR legs with relief joints: 21 unknowns for 21 rows, which close for any
-    errors of the parts and equal the rigid PRPaR machine where the errors fit together. One object
-    serves one thread.
+    errors of the parts and equal the rigid PRPaR machine where the errors fit together. Threads
+    take turns.
 
     Args:
         geometry: nominal dimensions of the three legs, the published ones where absent.
@@ -82,6 +83,7 @@ class Mechanism:
     def _set(self, tree: Tree) -> None:
         self.tree = tree
         self.constraints = Constraints(tree)
+        self.lock = RLock()  # of Pinocchio's scratch data
         self.tool = tree.frame(tree.tool)
         by_velocity = {joint.idx_v: joint for joint in list(tree.model.joints)[1:]}
         self._drives = [by_velocity[int(v)] for v in tree.drive]
@@ -160,9 +162,16 @@ class Mechanism:
             ClosureError: where the loops do not close, with the residual by loop.
             InputError: where the arguments have the wrong shape or are not finite.
         """
+        check_word("assembly mode", mode, get_args(Mode))
+        check_word("kind of legs", legs, ("relieved", "rigid"))
         if mode != "machine" and not self.has_legs:
             raise InputError("only three PRPaR legs have modes by name: give a guess to start from")
-        q = self._start(command, displacements, guess)
+        with self.lock:
+            return self._close(self._start(command, displacements, guess), mode, legs, guess)
+
+    def _close(
+        self, q: Array, mode: Mode, legs: Literal["relieved", "rigid"], guess: Posture | None
+    ) -> Posture:
         moving = self.tree.passive if legs == "rigid" else self.tree.free
         if mode == "machine" or guess is not None:
             try:
@@ -198,9 +207,11 @@ class Mechanism:
     def _start(
         self, command: ArrayLike, displacements: ArrayLike | None, guess: Posture | None
     ) -> Array:
-        tree, given = self.tree, np.asarray(command, dtype=float)
+        tree, given = self.tree, numbers("the command", command)
         if given.shape != tree.drive.shape or not np.isfinite(given).all():
             raise InputError(f"close takes one command {tree.drive.shape} of finite numbers")
+        if guess is not None and not (isinstance(guess, Posture) and len(guess.q) == tree.model.nq):
+            raise InputError("a guess must be a posture of this mechanism")
         q = pin.neutral(tree.model) if guess is None else guess.q.copy()
         for joint, position in zip(self._drives, given - self._zero, strict=True):
             # A joint without limits is held as cosine and sine.
@@ -211,7 +222,7 @@ class Mechanism:
             raise InputError("this machine has no virtual joints, so it takes no displacements")
         if self.has_legs:
             moves = np.zeros((3, len(VIRTUAL_NAMES))) if displacements is None else displacements
-            moves = np.asarray(moves, dtype=float)
+            moves = numbers("displacements", moves)
             if moves.shape != (3, len(VIRTUAL_NAMES)) or not np.isfinite(moves).all():
                 raise InputError("displacements must be finite numbers of shape (3, 10)")
             q[tree.virtual] = moves.ravel()
@@ -272,11 +283,12 @@ class Mechanism:
             posture: closed.
             by: positions of drives or virtual joints in the velocity vector ``(k,)``.
         """
-        moved = self.joint_rates(posture, by)
-        tool_rows = pin.getFrameJacobian(
-            self.tree.model, self.constraints.data, self.tool, pin.LOCAL_WORLD_ALIGNED
-        )
-        return np.asarray(tool_rows @ moved)
+        with self.lock:
+            moved = self.joint_rates(posture, by)
+            tool_rows = pin.getFrameJacobian(
+                self.tree.model, self.constraints.data, self.tool, pin.LOCAL_WORLD_ALIGNED
+            )
+            return np.asarray(tool_rows @ moved)
 
     def joint_rates(self, posture: Posture, by: np.ndarray[Any, np.dtype[np.intp]]) -> Array:
         """Return the rates of all joints ``(nv, k)`` while the loops stay closed.

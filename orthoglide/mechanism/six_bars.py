@@ -50,6 +50,7 @@ CONSTANTS = 3 * _SIZE + 1
 # The start is some milliradians off. Three quadratic steps leave (5e-3)^8 < 1e-18. A fourth step
 # with the matrix of the third (a chord step, at a third of the cost) removes its rounding error.
 _NEWTON, _CHORD = 3, 1
+_LONGEST = 10.0  # metres: longer bars were given in millimetres
 # Metres a bar's end may move with the passive joints: rounding of a chain of five joints.
 _FIXED = 1e-12
 
@@ -113,6 +114,11 @@ def _leg_constants(tree: Tree, leg: str) -> Array:
                     f"the URDF"
                 )
     base_from_carriage, roots, points, lengths = rest
+    if not all(0 < length < _LONGEST for length in lengths):
+        raise InputError(
+            f"leg {leg}: the URDF has bars of {lengths[0]:.4g} and {lengths[1]:.4g} m: give their "
+            f"lengths in metres"
+        )
     slide = base_from_carriage.actInv(probes[0][0].translation) / 0.01
     widths = [probes[1][2][0] - points[0], probes[2][2][1] - points[1]]
     return np.concatenate(

@@ -16,6 +16,7 @@ from orthoglide.machine_file import machine_text
 from orthoglide.machine_file.posterior import posterior_bytes
 from orthoglide.report.wording import headline, located_words
 from orthoglide.result.unvaried import unvaried
+from orthoglide.urdf import urdf_digests
 
 if TYPE_CHECKING:
     from orthoglide.diagnosis.blunders import Blunder
@@ -105,6 +106,7 @@ def _head(request: Request, after: Estimate) -> dict[str, Any]:
             "sha256": spec.sha256 or None,
             "toml": machine_text(spec),
             "npz": kept and b64encode(posterior_bytes(kept, spec.sha256)).decode(),
+            **({"urdf": urdf_digests(spec.urdf)} if spec.urdf else {}),
         },
         "noise_mm": _mm(after.problem.told_noise),
         **_mrad(noise=after.problem.one_reading.turn),

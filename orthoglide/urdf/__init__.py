@@ -16,6 +16,7 @@ from orthoglide.urdf.parallel import (
     parallel_robot_files as parallel_robot_files,
     read_looped_urdf as read_looped_urdf,
     read_parallel_robot as read_parallel_robot,
+    urdf_digests as urdf_digests,
 )
 from orthoglide.urdf.tree import (
     CLOSURES_FILE as CLOSURES_FILE,

@@ -14,7 +14,7 @@ import ast
 import os
 import tomllib
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -51,14 +51,17 @@ class ParallelRobot:
     replaced: Mapping[str, str] = field(default_factory=dict)
 
 
-def parallel_robot_files(geometry: Geometry, urdf: str = "") -> dict[str, str]:
+def parallel_robot_files(
+    geometry: Geometry, urdf: str = "", loops: Sequence[Closure] | None = None
+) -> dict[str, str]:
     """Both files of a machine, by name.
 
     Args:
         geometry: the machine's dimensions.
         urdf: text of its tree, calibrated or not; the nominal one where absent.
+        loops: what closes the tree; those of the nominal machine where absent.
     """
-    loops = closures(geometry)
+    loops = closures(geometry) if loops is None else loops
     kinds = {kind: name for name, kind in _KINDS.items()}
     lists: dict[str, Any] = {
         "closed_loop": [[loop.frame_1, loop.frame_2] for loop in loops],
@@ -81,6 +84,16 @@ def read_looped_urdf(folder: str | os.PathLike[str]) -> ParallelRobot:
     return read_parallel_robot(folder) if theirs else _read_own(folder)
 
 
+def urdf_digests(folder: str | os.PathLike[str]) -> dict[str, str]:
+    """Return the sha256 of this package's two files in a folder, by path.
+
+    Raises:
+        FileError: where a file is missing.
+    """
+    paths = [Path(folder) / name for name in (URDF_FILE, CLOSURES_FILE)]
+    return {str(path): files.sha256(files.read_bytes(path)) for path in paths}
+
+
 def _read_own(folder: str | os.PathLike[str]) -> ParallelRobot:
     """Read ``orthoglide.urdf`` and ``orthoglide.closures.toml`` of a folder."""
     urdf_path, toml_path = (Path(folder) / name for name in (URDF_FILE, CLOSURES_FILE))
@@ -93,6 +106,8 @@ def _read_own(folder: str | os.PathLike[str]) -> ParallelRobot:
         raise FileError(f"is no TOML ({brief(str(error))}): correct it", file=file) from None
     loops = []
     for table in tables if isinstance(tables, list) else []:
+        if not isinstance(table, dict):
+            raise FileError("closure must be tables [[closure]]: write them so", file=file)
         loop = {key: str(table.get(key, "")) for key in ("name", "kind", "frame_1", "frame_2")}
         if loop["kind"] not in _KINDS.values():
             raise FileError(
@@ -107,6 +122,10 @@ def _read_own(folder: str | os.PathLike[str]) -> ParallelRobot:
                     f"{URDF_FILE}: correct it",
                     file=file,
                 )
+        if loop["frame_1"] == loop["frame_2"]:
+            raise FileError(
+                f"closure {brief(loop['name'])!r} names one link twice: name two", file=file
+            )
         loops.append(Closure(**loop))  # type: ignore[arg-type]
     if not loops:
         raise FileError("has no table [[closure]], so no loop is closed: add them", file=file)
@@ -136,13 +155,22 @@ def read_parallel_robot(folder: str | os.PathLike[str]) -> ParallelRobot:
         found.fail("closed_loop", "has no pair of frames, so no loop is closed: add them")
     loops = []
     for k, (pair, kind) in enumerate(zip(pairs, kinds, strict=True), start=1):
-        if not (isinstance(pair, list) and len(pair) == 2 and all(n in names for n in pair)):
+        if not (
+            isinstance(pair, list)
+            and len(pair) == 2
+            and all(isinstance(n, str) and n in names for n in pair)
+            and pair[0] != pair[1]
+        ):
             found.fail("closed_loop", f"names in {brief(str(pair))} no two frames of {ROBOT_URDF}")
         if str(kind).lower() not in _KINDS:
             found.fail("type", f"has {brief(str(kind))}, which is neither 3d nor 6d: correct it")
         loops.append(Closure(f"loop{k}", _KINDS[str(kind).lower()], pair[0], pair[1]))
-    for motor in motors:
-        if motor not in names:
+    if not motors:
+        found.fail("name_mot", "has no joint, so nothing drives the machine: add its motors")
+    for k, motor in enumerate(motors):
+        if motor in motors[:k]:
+            found.fail("name_mot", f"names {brief(str(motor))} twice: name each joint once")
+        if not isinstance(motor, str) or motor not in names:
             found.fail("name_mot", f"names {brief(str(motor))}, no joint of {ROBOT_URDF}")
     replaced = _replaced(found, _joint_names(urdf))
     return ParallelRobot(urdf_path, urdf, tuple(loops), tuple(motors), replaced)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -172,8 +173,8 @@ def closures(geometry: Geometry) -> tuple[Closure, ...]:
     return (*parallelograms, *platforms)
 
 
-def closures_text(geometry: Geometry) -> str:
-    """The sidecar in TOML: one table ``[[closure]]`` for each of ``closures``."""
+def closures_text(loops: Sequence[Closure]) -> str:
+    """Return the sidecar in TOML: one table ``[[closure]]`` for each loop."""
     head = (
         f"# {_GENERATED}\n"
         f"# Frames of {URDF_FILE} that coincide in the assembled machine:\n"
@@ -182,7 +183,7 @@ def closures_text(geometry: Geometry) -> str:
     tables = (
         f'\n[[closure]]\nname = "{item.name}"\nkind = "{item.kind}"\n'
         f'frame_1 = "{item.frame_1}"\nframe_2 = "{item.frame_2}"\n'
-        for item in closures(geometry)
+        for item in loops
     )
     return head + "".join(tables)
 
@@ -198,7 +199,9 @@ def write(folder: str | Path, geometry: Geometry | None = None) -> tuple[Path, P
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     paths = target / URDF_FILE, target / CLOSURES_FILE
-    for path, text in zip(paths, (to_urdf(geometry), closures_text(geometry)), strict=True):
+    for path, text in zip(
+        paths, (to_urdf(geometry), closures_text(closures(geometry))), strict=True
+    ):
         path.write_text(text, encoding="utf-8", newline="\n")
     return paths
 
