@@ -31,8 +31,8 @@ _ROUNDING = 3e-15
 _TURNED = 2.0
 # Rounds of Newton's steps for postures that the first did not close: errors of centimetres.
 _ROUNDS = 5
-# Postures near mechanical zero, at a share of a bar's length from it, at which six bars are held
-# against Pinocchio before they are used: any would show another machine.
+# Postures near mechanical zero, within that share of a bar's length from it, at which six bars are
+# held against Pinocchio before they are used: any would show another machine.
 _TRIED, _NEAR = 2, 0.01
 # Interpreted closures that take as long as compiling does.
 _WORTH_COMPILING = 50_000
@@ -210,7 +210,8 @@ class SixBars:
             InputError: where Pinocchio closes it otherwise, near mechanical zero.
         """
         draws = np.random.default_rng(0)
-        reach = _NEAR * float(self.mechanism.spheres.lengths.max())
+        within = min(map(abs, self.mechanism.geometry.stroke)) / 2
+        reach = min(_NEAR * float(self.mechanism.spheres.lengths.max()), within)
         travel = reach * draws.uniform(-1, 1, (_TRIED, 3))
         moves = np.zeros((_TRIED, GIVEN - 3))
         try:
