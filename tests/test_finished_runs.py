@@ -288,7 +288,8 @@ BUILD = """
 import casadi as ca
 from orthoglide.mechanism.compiled import compiled
 x = ca.SX.sym("x")
-found = compiled([ca.Function("square", [x], [x**2])], build={build})
+square = ca.Function("square", [x], [x**2])
+found = compiled(["square"], "square", (lambda: [square]) if {build} else None)
 print(None if found is None else float(found[0](3)))
 """
 
