@@ -74,8 +74,14 @@ def transmission_over_cube(
     if middle.shape != (3,) or size.shape != () or not (np.isfinite(size) and size > 0):
         raise InputError("a cube has a centre (3,) and a positive side, both in metres")
     own = Machine.of(machine)
-    steps = np.linspace(-side / 2, side / 2, count)
-    p = middle + np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    steps = middle + np.linspace(-side / 2, side / 2, count)[:, None]
+    # A drive goes furthest where the point is nearest to its leg's carriage: such coordinates are
+    # among the steps as well, whatever their number.
+    near = np.clip(own.model.mechanism.spheres.centres, steps[0], steps[-1])
+    p = np.stack(
+        np.meshgrid(*(np.union1d(steps[:, k], near[:, k]) for k in range(3)), indexing="ij"),
+        axis=-1,
+    ).reshape(-1, 3)
     rho = own.inverse(p)
     factors = np.linalg.svd(own.jacobian(rho), compute_uv=False)
     travel = rho - own.geometry.zero

@@ -42,6 +42,18 @@ def test_the_factors_of_a_delta_are_those_of_its_jacobian() -> None:
     assert found.largest >= corner.max()
 
 
+def test_the_chapters_cube_is_right_for_the_mechanism_and_needs_more_travel() -> None:
+    """Corners at -L / sqrt(6) and L / sqrt(18): there the factors along the diagonal are 1/2, 2."""
+    L = MACHINE.geometry.L
+    low, high = -L / np.sqrt(6), L / np.sqrt(18)
+    for count in (2, 9):
+        found = og.transmission_over_cube(MACHINE, high - low, np.full(3, (low + high) / 2), count)
+        assert found.smallest == pytest.approx(0.5, abs=1e-9)
+        assert found.largest == pytest.approx(2.0, abs=1e-9)
+        # A drive goes furthest on its own axis, where it moves as far as the tool does.
+        assert found.travel == pytest.approx((-L - low, high), abs=1e-12)
+
+
 @pytest.mark.parametrize("side", [0.0, -0.1, np.nan])
 def test_a_cube_without_a_side_is_refused(side: float) -> None:
     with pytest.raises(og.InputError, match="positive side"):
@@ -70,6 +82,6 @@ def test_its_angles_are_the_passive_joints_of_the_mechanism() -> None:
 
 
 def test_a_point_out_of_reach_names_the_leg() -> None:
-    with pytest.raises(og.UnreachableError, match=r"leg x is 9\.75 mm too short") as caught:
+    with pytest.raises(og.UnreachableError, match=r"out of reach of leg x by 9\.75 mm") as caught:
         reduction.leg_angles([0.0, 0.0, 0.32])
     assert caught.value.leg == "x"

@@ -260,31 +260,39 @@ def workspace() -> Misprint:
     """The claim of section 2.1 on the workspace, along the diagonal through mechanical zero."""
 
     def needs(side: float, middle: float) -> tuple[Array, Array]:
-        steps = middle + np.linspace(-side / 2, side / 2, 5)
+        # A drive goes furthest where the point is nearest to its axis: 0 is among the steps.
+        steps = np.union1d(middle + np.linspace(-side / 2, side / 2, 5), 0.0)
         p = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
         rho = reduction.inverse(p)
         return rho - L, np.linalg.svd(reduction.jacobians(p, rho).rho, compute_uv=False)
 
-    def best(allowed: Callable[[Array, Array], bool]) -> tuple[float, Array, Array]:
-        """Side of the largest cube that is allowed somewhere, to 0.1 mm, and what it needs."""
-        low, high, found = 0.1, 0.25, needs(0.1, 0.0)
+    def largest(allowed: Callable[[Array], bool]) -> tuple[float, Array]:
+        """Side of the largest cube whose travel is allowed, to 0.1 mm, and its factors."""
+        low, high, found = 0.1, 0.25, needs(0.1, 0.0)[1]
         while high - low > 1e-4:
             side = (low + high) / 2
             tried = (needs(side, middle) for middle in np.arange(-0.05, 0.01, 5e-4))
-            fitting = next((one for one in tried if allowed(*one)), None)
+            fitting = next((factors for travel, factors in tried if allowed(travel)), None)
             low, high, found = (low, side, found) if fitting is None else (side, high, fitting)
-        return low, *found
+        return low, found
 
     lower, upper = MACHINE.stroke
-    side, _, factors = best(lambda t, _: bool(t.min() >= lower and t.max() <= upper))
-    wide, travel, _ = best(lambda _, f: bool(f.min() >= 0.5 and f.max() <= 2))
+    side, factors = largest(lambda t: bool(t.min() >= lower and t.max() <= upper))
+    # At p = (t, t, t) the factors are 1 / (1 + u), twice, and 1 / (1 - 2 u) with
+    # u = t / sqrt(L^2 - 2 t^2): the last is 1/2 at -L / sqrt(6) and 2 at L / sqrt(18).
+    low, high = -L / np.sqrt(6), L / np.sqrt(18)
+    wide = high - low
+    travel, widest = needs(wide, (low + high) / 2)
+    assert abs(widest.min() - 0.5) < 1e-9
+    assert abs(widest.max() - 2) < 1e-9
     return Misprint(
         "2008, 2.1, workspace",
         "about 200 x 200 x 200 mm with transmission factors from 1/2 to 2",
-        f"a cube of {side * 1e3:.0f} mm fits the stroke that is printed",
-        f"its factors run from {factors.min():.2f} to {factors.max():.2f}; factors from 1/2 to 2 "
-        f"allow {wide * 1e3:.0f} mm, which needs travel from {travel.min() * 1e3:.0f} to "
-        f"{travel.max() * 1e3:.0f} mm",
+        f"right for the mechanism; within the printed stroke a cube of {side * 1e3:.0f} mm, with "
+        f"factors from {factors.min():.2f} to {factors.max():.2f}",
+        f"a cube of {wide * 1e3:.1f} mm has factors from {widest.min():.2f} to "
+        f"{widest.max():.2f}, and needs travel from {travel.min() * 1e3:.1f} to "
+        f"{travel.max() * 1e3:.1f} mm",
     )
 
 

@@ -167,8 +167,8 @@ def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
         # IPOPT stops where its own tolerances are met, which is not the same place on every
         # processor; what was verified is brought to the minimum by the steps that are left.
         with suppress(SolverError):
-            at = solve_nested(problem, nuisance, at)[0]
-            optimality = _verified(problem, nuisance, at, began)
+            settled = solve_nested(problem, nuisance, at)[0]
+            at, optimality = settled, _verified(problem, nuisance, settled, began)
     check = cross_check(problem, nuisance, at)
     return assessed(problem, nuisance, at, used, iterations, optimality, check)
 

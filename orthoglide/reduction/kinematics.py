@@ -72,14 +72,15 @@ def inverse(
     across = squares[..., [1, 2, 0]] + squares[..., [2, 0, 1]]
     reach = bars * bars - across
     if not np.all(reach >= 0):
-        raise _out_of_reach(np.sqrt(across) - bars)
+        raise out_of_reach(np.sqrt(across) - bars)
     own = np.sqrt(reach)
     if np.any(np.abs(configuration := vectors(signs, "signs")) != 1):
         raise InputError("signs are +1 or -1, one a leg")
     return np.asarray(tcp + configuration * own - vectors(offsets, "offsets"))
 
 
-def _out_of_reach(excess: Array) -> Exception:
+def out_of_reach(excess: Array) -> Exception:
+    """Return the error of poses beyond legs by ``excess`` ``(..., 3)``, metres; none below 0."""
     failed = ~(excess <= 0).all(axis=-1)
     index = tuple(int(i) for i in np.argwhere(failed)[0])
     leg = int(np.argmax(excess[index]))

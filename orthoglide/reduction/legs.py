@@ -10,9 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.errors import UnreachableError
-from orthoglide.geometry import LEGS, Array, Geometry
-from orthoglide.reduction.kinematics import NOMINAL, vectors
+from orthoglide.geometry import Array, Geometry
+from orthoglide.reduction.kinematics import NOMINAL, out_of_reach, vectors
 
 
 def leg_points(
@@ -65,12 +64,6 @@ def leg_angles(
     b, c = tcp[..., [1, 2, 0]], tcp[..., [2, 0, 1]]
     excess = np.hypot(b, c) - bars
     if not (excess <= 0).all():
-        leg = int(np.argmax(excess.reshape(-1, 3).max(axis=0)))
-        worst = float(excess[..., leg].max())
-        raise UnreachableError(
-            f"leg {LEGS[leg]} is {worst * 1e3:.4g} mm too short: bring the TCP nearer to its axis",
-            leg=LEGS[leg],
-            excess=worst,
-        )
+        raise out_of_reach(excess)
     beta = np.arcsin(c / bars)
     return np.arctan2(-b, np.sqrt(bars**2 - b**2 - c**2)), beta
