@@ -28,7 +28,7 @@ _APART = ("version", "inputs", "machine", "method", "verification")
 _FEW_SAID = 5
 
 _WITHIN = 0.2
-"""Sigmas by which a value of an earlier version may differ: what no interval shows."""
+"""Sigmas by which a value may differ from an earlier version's: a tenth of the 95 % half width."""
 
 
 @click.command()
@@ -132,7 +132,7 @@ def _numbers(result: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _apart(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
-    """Where a result of an earlier version and this one's differ in verdict or values, in words."""
+    """Yield a phrase for each difference in verdict or values, which count within tolerances."""
     verdicts = old.get("verdict"), new.get("verdict")
     if None not in verdicts and verdicts[0] != verdicts[1]:
         yield f"the verdict was {verdicts[0]!r} and is {verdicts[1]!r}"

@@ -110,28 +110,22 @@ class Model:
         built = {n for n, v in vars(type(self)).items() if isinstance(v, cached_property)}
         return {n: v for n, v in vars(self).items() if n not in built}
 
+    def _like(self, **changes: Any) -> Model:
+        """Return a model made as this one, but for some arguments."""
+        made: dict[str, Any] = {
+            "geometry": self.geometry, "pitch": self.pitch, "stiffness": self.stiffness,
+            "catalogue": self.catalogue, "urdf": self.urdf, "compile": self._compile,
+            "engine": self._engine,
+        }  # fmt: skip
+        return Model(**{**made, **changes})
+
     def by_pinocchio(self) -> Model:
         """Return the same model, every posture closed by Pinocchio."""
-        return Model(
-            self.geometry,
-            self.pitch,
-            stiffness=self.stiffness,
-            catalogue=self.catalogue,
-            urdf=self.urdf,
-            engine="pinocchio",
-        )
+        return self._like(engine="pinocchio")
 
     def with_catalogue(self, catalogue: Catalogue) -> Model:
         """Return the same model moved by other effects, which shares the engine."""
-        found = Model(
-            self.geometry,
-            self.pitch,
-            stiffness=self.stiffness,
-            catalogue=catalogue,
-            urdf=self.urdf,
-            compile=self._compile,
-            engine=self._engine,
-        )
+        found = self._like(catalogue=catalogue)
         found.__dict__.update(
             {n: vars(self)[n] for n in ("mechanism", "engine") if n in vars(self)}
         )
@@ -233,7 +227,7 @@ class Model:
         return self.displaced(self.vector(values), conditions)
 
     def displaced(self, theta: Array, conditions: Conditions) -> Array:
-        """As :meth:`displacements`, for a vector ``(P,)`` of all parameters of the machine."""
+        """Return displacements ``(n, 30)`` for all parameters ``(P,)`` of the machine."""
         if not len(conditions) or not theta.any():
             return np.zeros((len(conditions), 3 * MOVES))
         return self.moving.at(theta, self.seen(conditions))
@@ -257,7 +251,7 @@ class Model:
         return self.posed(self.vector(values), conditions)
 
     def posed(self, theta: Array, conditions: Conditions) -> Outputs:
-        """As :meth:`outputs`, for a vector ``(P,)`` of all parameters of the machine."""
+        """Return poses and bars of closed postures for all parameters ``(P,)`` of the machine."""
         return self.engine.outputs(self._travel(conditions), self._moved(theta, conditions))
 
     def sensitivities(
