@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 _MOST_DECIMALS = 6
+_ROUNDING = 1e-12  # in the units of files: no figure that means anything is smaller
 _PLAIN = 1e6  # below, a number is no power of ten
 MINUS = "−"
 
@@ -31,9 +32,13 @@ def plain(value: float, decimals: int) -> str:
 
 
 def compact(value: float, digits: int = 3) -> str:
-    """Few significant digits, powers of ten where they are shorter; a dash for none."""
+    """Few significant digits, powers of ten where they are shorter; a dash for none.
+
+    Less than a billionth of a micrometre, in millimetres, is rounding and zero.
+    """
     if not math.isfinite(value):
         return "–"
+    value = value if abs(value) >= _ROUNDING else 0.0
     text = f"{value:.{digits}g}"
     if "e+" in text and abs(value) < _PLAIN:
         return f"{float(text):.0f}".replace("-", MINUS)

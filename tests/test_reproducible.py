@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -21,7 +22,7 @@ import threadpoolctl
 
 import orthoglide as og
 from orthoglide.cli.rerun import compare
-from orthoglide.report import result_text
+from orthoglide.report import report_files, result_text
 
 DATA = Path(__file__).parent / "data"
 RIG = DATA / "rig"
@@ -49,13 +50,14 @@ def delta() -> tuple[og.Machine, Close]:
     return og.Machine(imported.machine), lambda given: og.close_loop(campaigns[1:], given)
 
 
+@cache
 def exact() -> tuple[og.Machine, Close]:
     """Readings without noise of a machine without errors: all legs are equal, and nothing is left
     of the readings but rounding.
     """
     machine = og.Machine.load(RIG / "machine.toml")
     campaign = og.simulate(machine, og.protocol("standard"), seed=0, exact=True)
-    return machine, lambda given: og.close_loop(campaign, given)
+    return machine, lambda given: og.close_loop(campaign, og.Machine(given.spec))
 
 
 CASES = {
@@ -88,6 +90,15 @@ def usual(name: str) -> dict[str, Any]:
     return numbers(name)
 
 
+def page(name: str) -> str:
+    """What the report of a case says, without its drawings and its scripts."""
+    machine, close = CASES[name]()
+    text = report_files(close(machine))["report.html"]
+    for element in ("svg", "script", "style"):
+        text = re.sub(rf"<{element}\b.*?</{element}>", "", text, flags=re.DOTALL)
+    return re.sub(r"<[^>]*>", "\n", text)
+
+
 def same(one: dict[str, Any], other: dict[str, Any]) -> None:
     assert not list(compare(one, other))
     values = one["after"].values()
@@ -99,6 +110,16 @@ def test_numbers_do_not_depend_on_compiled_code(name: str, monkeypatch: pytest.M
     compiled = usual(name)
     monkeypatch.setenv("ORTHOGLIDE_COMPILE", "0")
     same(compiled, numbers(name))
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", CASES)
+def test_pages_do_not_depend_on_compiled_code(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    usual(name)  # leaves a copy in the cache
+    compiled = page(name)
+    monkeypatch.setenv("ORTHOGLIDE_COMPILE", "0")
+    assert page(name).split() == compiled.split()
+    assert len(compiled.split()) > 500
 
 
 @pytest.mark.parametrize("name", ["delta", *THOROUGH])

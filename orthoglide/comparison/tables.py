@@ -132,7 +132,7 @@ def _record(row: Row) -> dict[str, str]:
         record[f"tcp_{name}_mean_mm"] = f"{found.mean * 1e3:.7f}"
         record[f"tcp_{name}_max_mm"] = f"{found.max * 1e3:.7f}"
         for axis, at in zip(LEGS, found.where, strict=True):
-            record[f"tcp_{name}_max_at_{axis}_mm"] = f"{at * 1e3:.3f}"
+            record[f"tcp_{name}_max_at_{axis}_mm"] = f"{round(at * 1e3, 3) + 0.0:.3f}"
     six = (f"{kind}_{leg}_mm" for kind in ("fitted_offset", "fitted_length") for leg in row.legs)
     lengths = dict(zip(six, row.six, strict=True))
     if row.read:
@@ -141,7 +141,8 @@ def _record(row: Row) -> dict[str, str]:
             "reading_fitted_rms_mm": row.reading_rms,
             "reading_fitted_max_mm": row.reading_max,
         }
-    record |= {name: f"{value * 1e3:.7f}" for name, value in lengths.items()}
+    # Zero has no sign, which rounding would choose.
+    record |= {name: f"{round(value * 1e3, 7) + 0.0:.7f}" for name, value in lengths.items()}
     record["rotation_max_rad"] = f"{row.rotation:.9f}"
     return record | {"reduction_will_do": "yes" if row.good_enough else "no"}
 

@@ -100,7 +100,7 @@ class DriveNumbers:
 
     def worked(self, names: LegNames) -> str:
         """The sign rule for this drive, number by number, in a layout's words."""
-        way, side = names.ways[self.sign > 0][1], names.ways[self.offset >= 0][0]
+        way, side = names.ways[self.sign > 0][1], names.ways[_mm(self.offset) >= 0][0]
         if self.best:
             what = (
                 f"zero correction {self.leg} = {_mm(self.correction):+.4f} mm: with {self.best} "

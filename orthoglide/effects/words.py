@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from orthoglide.numerals import MINUS, compact
 from orthoglide.parameters import Parameter
 
+_ROUNDING = 1e-13  # SI: less is zero, whose sign is chance
+
 
 def mm(value: float) -> str:
     """A length, SI, as ``0.123 mm``."""
@@ -67,8 +69,8 @@ def across(axis: str) -> str:
 
 
 def more(value: float, positive: str = "more", negative: str = "less") -> str:
-    """The word for a value's sign."""
-    return positive if value >= 0 else negative
+    """The word for a value's sign; zero is positive, up to rounding."""
+    return positive if value >= -_ROUNDING else negative
 
 
 def micrometres(value: float, per: str, scale: float = 1e6) -> str:

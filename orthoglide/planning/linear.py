@@ -25,6 +25,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial
 from orthoglide.observations import Campaign, Readings
 from orthoglide.observations.arrays import numbered
+from orthoglide.ordering import largest
 from orthoglide.simulation import simulate
 
 _DATUM = 1e-2  # metres: a dial's zero lies within its travel, which is as good as anywhere
@@ -128,8 +129,8 @@ class LinearReadings:
                 continue
             leg = self.campaign.setups[self.campaign.setup[rows[0]]].leg
             own = self.campaign.command[rows, leg]
-            middle = int(np.argmin(np.abs(own - np.median(own))))
-            anchors = dict.fromkeys([int(np.argmin(own)), middle, int(np.argmax(own))])
+            middle = largest(-np.abs(own - np.median(own)))
+            anchors = dict.fromkeys([largest(-own), middle, largest(own)])
             pairs += [(rows[a], r) for a in anchors for r in rows if r != rows[a]]
         table = np.array(pairs, dtype=np.int64).reshape(-1, 2)
         first, second = table.T

@@ -34,6 +34,7 @@ SCHEMA = 2
 _DIGITS = 10  # what differs behind these is rounding
 _FEW = 3  # digits of figures that are rounding themselves
 _SHORT = 6  # digits of probabilities and the like
+_ROUNDING = 1e-12  # metres: two derivations that differ by less agree, and how much less is chance
 
 
 def result_text(result: Result) -> str:
@@ -382,9 +383,9 @@ def _weak(weak: WeakDirection) -> dict[str, Any]:
 
 def _check(check: CrossCheck) -> dict[str, Any]:
     return {
-        "reduction_max_difference_mm": _mm(check.reduction, _FEW),
-        "linear_system_max_difference_mm": _mm(check.linear, _FEW),
-        "linear_system_rms_difference_mm": _mm(check.linear_size, _FEW),
+        "reduction_max_difference_mm": _mm(max(check.reduction, _ROUNDING), _FEW),
+        "linear_system_max_difference_mm": _mm(max(check.linear, _ROUNDING), _FEW),
+        "linear_system_rms_difference_mm": _mm(max(check.linear_size, _ROUNDING), _FEW),
         "linear_system_rms_bound_mm": _mm(check.linear_bound, _FEW),
     }
 
