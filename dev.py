@@ -29,6 +29,7 @@ FURTHER = {
     "test_symbolic.py": "engines",
     "test_urdf.py": "engines",
     "test_rehearsal.py": "dask",
+    "test_view.py": "viewer",
 }
 
 

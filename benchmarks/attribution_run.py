@@ -40,7 +40,7 @@ class Drawn:
     causes: tuple[tuple[Cause, float], ...]
     rows: list[rc.Row]
     touched: tuple[int, ...]
-    points: og.TcpPoints
+    points: og.Readings
     visible: Visible | None = None
 
 
@@ -68,7 +68,7 @@ def draw(case: Case, seed: int, background: float = ac.BACKGROUND) -> Drawn:
     return Drawn(bare, rig, tuple(causes), measured, touched, points_of(rig, rng), visible)
 
 
-def points_of(rig: Rig, rng: np.random.Generator) -> og.TcpPoints:
+def points_of(rig: Rig, rng: np.random.Generator) -> og.Readings:
     """What a perfect tracker says of a machine."""
     return public.tcp_points(rc.tcp_points(rig, POINTS, rng))
 
@@ -180,7 +180,8 @@ def _told(drawn: Drawn) -> list[float]:
         else:
             scales[cause.name] = dict(cause.errors)
     mean = independent.oracle(Sheet(drawn.rows), scales)
-    return independent.tcp_error(mean, drawn.points.command, drawn.points.p)
+    told = drawn.points.points()
+    return independent.tcp_error(mean, told.command, told.p)
 
 
 def _moved(drawn: Drawn) -> list[int]:

@@ -70,7 +70,7 @@ def measured(
     *,
     machine: og.Machine,
     instrument: str,
-) -> og.ToolCampaign:
+) -> og.Readings:
     """A campaign of one set of instruments.
 
     Args:

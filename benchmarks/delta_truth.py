@@ -266,7 +266,7 @@ def run(case: Case, seed: int) -> Record:
 
 
 def _added(
-    given: Callable[[DeltaRig], og.ToolCampaign], rig: DeltaRig, bare: DeltaRig
+    given: Callable[[DeltaRig], og.Readings], rig: DeltaRig, bare: DeltaRig
 ) -> Array:  # fmt: skip
     """Return what a machine's readings have beside those of another, without noise ``(n,)``."""
     return np.asarray(given(rig).reading - given(bare).reading)

@@ -32,51 +32,72 @@ orthoglide import klipper printer.cfg --out DIR
 orthoglide close-loop DIR/*.csv --machine DIR/machine.toml --out OUT
 ```
 
-New numbers in a firmware's own words are given for Klipper only. For a delta under Marlin or
-another firmware write a [machine file](files.md#layout) with `kind = "linear-delta"`, and touch the
-plate by a sheet (`orthoglide design --owns plate --machine machine.toml --out plate.csv`): it says
-where to send the tool, and asks for the height that the machine shows at the touch. Its owner gets
-the verdict with its causes, from `export` zeros of the three carriages and lengths of the arms, and
-compensated commands; no values for `M665` and `M666`, and what `M503` prints is not read.
+New numbers in a firmware's own words are given for Klipper only.
 
-The importer reads what the firmware stores: its numbers, the heights and distances of
+For a delta under RepRapFirmware, Marlin, Smoothieware or another firmware write a
+[machine file](files.md#layout) with `kind = "linear-delta"` and the sizes that the firmware has,
+let the firmware probe the plate, and import its list of touches:
+
+```
+orthoglide import plates heightmap.csv --machine machine.toml --out DIR
+orthoglide close-loop DIR/*.csv --machine machine.toml --out OUT
+```
+
+| firmware | list of touches | `L` | `radius_mm` less `r` |
+|---|---|---|---|
+| RepRapFirmware | `heightmap.csv`, after `G29 S0` | `L` of `M665` | `R` of `M665` |
+| Marlin | lines `Bed X: Y: Z:` of `G29` | `DELTA_DIAGONAL_ROD` | `DELTA_RADIUS` |
+| Smoothieware | a table of x, y and z | `arm_length` | `arm_radius` |
+
+A table may have its cells parted by commas, semicolons, tabs or blanks, and a first line that names
+the columns with their units (`x_mm`, `Z [um]`); millimetres are taken where none is named. Each
+probing of a log becomes a file of its own. Places that were not touched, a bare 0 of a height map
+or no number, are left out, and so is what cannot be read, with a sentence that names its lines. A
+height that all of a list have too much makes no difference; the places are taken as the nozzle's.
+In Python it is `og.import_plates(path, machine_file)`. Without a list, touch the plate by a sheet
+(`orthoglide design --owns plate --machine machine.toml --out plate.csv`): it says where to send the
+tool, and asks for the height that the machine shows at the touch. The owner gets the verdict with
+its causes, from `export` zeros of the three carriages and lengths of the arms, and compensated
+commands; no values for `M665` and `M666`. A configuration file of these firmwares is not read, and
+answered with what to write instead.
+
+The importer of a `printer.cfg` reads what Klipper stores: its numbers, the heights and distances of
 `[delta_calibrate]` with their step positions, and meshes, taken as probed with the numbers that
-are stored now; a mesh that cannot be read is left out. It takes a `printer.cfg` or the folder that
-holds it, and reads what that includes from within this folder. Where a key stands above the header
-of SAVE_CONFIG and below it, the one above counts, as in the firmware; both lines are told, and by
-which of them the heights fit. Heights that are all 0 beside a probe that hangs lower are taken as
-`DELTA_CALIBRATE METHOD=manual` stores them, as touches of the nozzle itself. What import says that
-matters to a result stands in `machine.toml`, and results repeat it. What the firmware does not
-store (the platform's radius, the distance of an arm's rods, how far the nozzle hangs below the
-joints) is taken as 32, 50 and 40 mm; the sizes of causes that turn the platform depend on it.
-Correct them in `machine.toml`, the platform's radius `r` together with `radius_mm`: their
-difference is the firmware's `delta_radius`, and another one is refused.
+are stored now. A key, a height, a distance or a mesh that cannot be read is left out with one
+sentence, and the rest is imported; positions that were stored with other microsteps are taken so.
+It takes a `printer.cfg` or the folder that contains it, and reads what that includes from within
+this folder. Where a key stands above the header of SAVE_CONFIG and below it, the one above counts,
+as in the firmware, and both lines are reported. Heights that are all 0 where the probe hangs lower
+than the nozzle are taken as `DELTA_CALIBRATE METHOD=manual` stores them, as touches of the nozzle
+itself. What import says that matters to a result stands in `machine.toml`, and results repeat it.
+What the firmware does not store (the platform's radius, the distance of an arm's rods, how far the
+nozzle hangs below the joints) is taken as 32, 50 and 40 mm; the sizes of causes that turn the
+platform depend on it. Correct them in `machine.toml`, the platform's radius `r` together with
+`radius_mm`: their difference is the firmware's `delta_radius`, and another one is refused.
 
 The report gives new numbers for the firmware beside the old ones, to paste and to undo. Its model
 holds three endstops, one radius, three angles and three arms, and no other cause. Where the arms
 that it has fitted differ from the rods by more than half a millimetre, the report begins with
 that. Arms are taken as alike to 0.05 mm; of rods that were measured, give the sigma of the
-measurement beside `leg_length` in `machine.toml`. Meshes that cannot be of one plate and one set of
-numbers with the heights, or with one another, are named when they are imported, and left out of
-the command that is proposed; a result that was made of them all the same warns, and its numbers are
-not to be entered.
+measurement beside `leg_length` in `machine.toml`. Two lists of touches whose heights differ by more
+than 0.2 mm where both touched are not of one plate and one set of numbers: they are named when they
+are imported, and left out of the command that is proposed. A result that was made of them all the
+same warns, and its numbers are not to be entered.
 
 Where heights are off by the same everywhere, all endstops were moved together since
-(`Z_OFFSET_APPLY_ENDSTOP`): z = 0 stays where it was set, and heights and meshes tell the rest. The
-probe's offset is taken as set in the middle of the plate with the stored numbers; where that of a
-probe beside the nozzle no longer fits, `PROBE_CALIBRATE` is asked for. Numbers are given where the
-plate was touched out to a third of the towers' radius at least. Where distances were read, prints
-keep their size as far as heights allow, as a part's shrinkage is not known, and arms are fitted as
-the firmware fits them; by heights alone arms stay the rods. Where prints become larger or smaller
-the report says by how much.
+(`Z_OFFSET_APPLY_ENDSTOP`): z = 0 stays where it was set, and heights and meshes say the rest. The
+probe's offset is taken as set in the middle of the plate with the stored numbers. Numbers are given
+where the plate was touched out to a third of the towers' radius at least. Where distances were
+read, arms are fitted to them as the firmware fits them, at the size that was read; by heights alone
+arms stay the rods. Where that changes the arms by more than half a millimetre, the result asks to
+measure a rod first: a print that shrank makes all distances shorter too.
 
 The firmware's z = 0 is the plane of the heights of `DELTA_CALIBRATE` where they are read with a
-mesh, else of all meshes alike; what others lie apart from it counts in the error to expect. Beside
-the numbers stands what the firmware's own equations leave of the readings with the old and the new
-ones. New ones are to be entered only where heights are expected better by a twentieth, and where
-those equations leave a twentieth less of them, every file alike, and no more of the distances.
-Never are they where there is nothing but what `DELTA_CALIBRATE` has fitted the stored ones to,
-where arms would differ by more than rods do, or where `DELTA_CALIBRATE` comes first.
+mesh, else of all meshes alike. Beside the numbers stands what the firmware's own equations leave of
+every file's heights and distances with the old and the new ones, and by that alone new ones are
+offered: heights of one file at least are left smaller by a twentieth and by more than six fitted
+numbers take by chance (12 in Akaike's criterion), and nothing of any file is left larger by a
+twentieth. Where `DELTA_CALIBRATE` comes first they never are.
 
 A probe sees one surface. The plate's height and slopes are fitted with every setup and go into the
 endstops; what no polynomial of the fourth degree follows counts as noise of the touches, and a
@@ -87,9 +108,9 @@ platform, distances around the rim with both widths, the same by a longer tool
 profile of its own, imported with `--turned NAME=60`) decide between them, but none between all:
 neither lobes of the bed nor paths of the carriages that all lean to one side turn the platform. A
 result asks first for what most probably decides, as probable as each cause is, and says which it
-tells apart, by how many sigma, and which not. Seven points cannot see a twist that is common to the
-towers. [The truth table of the linear delta](linear-delta-truth.md) has which instrument sees which
-cause, and how often the verdict is right.
+tells apart, by how many sigma, and which not. [The truth table of the linear
+delta](linear-delta-truth.md) has which instrument sees which cause, and how often the verdict is
+right.
 
 Up to the fourth degree a plate has more shapes than the bowl and three lobes that are named:
 standard deviations of {sizes} mm are expected of those of the second, third and fourth
@@ -129,7 +150,7 @@ t1-mnemonic3d is the printer of t1-stock at another time.
 """
 
 
-def forty_one_points() -> tuple[og.ToolCampaign, og.Machine]:
+def forty_one_points() -> tuple[og.Readings, og.Machine]:
     """The 41 touches, through the stored numbers of a machine of that make, widely tolerated."""
     stock = og.import_printer(DATA / "t1-stock.cfg")
     firmware = public.firmware_of(stock)
@@ -155,7 +176,7 @@ def forty_one_points() -> tuple[og.ToolCampaign, og.Machine]:
     )
 
 
-def cases() -> Iterator[tuple[str, Sequence[og.ToolCampaign], og.Machine]]:
+def cases() -> Iterator[tuple[str, Sequence[og.Readings], og.Machine]]:
     """All of every file, and what is asked for by itself."""
     for path in sorted(DATA.glob("*.cfg")):
         found = og.import_printer(path)
@@ -171,7 +192,7 @@ def cases() -> Iterator[tuple[str, Sequence[og.ToolCampaign], og.Machine]]:
     yield "t1-41", [campaign], machine
 
 
-def told(name: str, campaigns: Sequence[og.ToolCampaign], verdict: og.Verdict) -> Iterator[str]:
+def told(name: str, campaigns: Sequence[og.Readings], verdict: og.Verdict) -> Iterator[str]:
     """A section on one machine."""
     before, after = verdict.before.scores, verdict.after.scores
     yield f"\n### {name}\n"
@@ -197,29 +218,20 @@ def told(name: str, campaigns: Sequence[og.ToolCampaign], verdict: og.Verdict) -
 
 
 def certain(verdict: og.Verdict) -> str:
-    """What is certain and what is not where causes are named, and what the firmware would see."""
+    """What is certain and what is not where causes are named."""
     classes = [c.explanations for c in verdict.effects]
     many = len(classes) > 1
     plate = [sum(e.probability for e in every if e.name.startswith("plate_")) for every in classes]
-    text = (
+    return (
         f"Certain: endstops, radius, angles and arms do not explain these readings, and one cause "
         f"{'of each class ' * many}below is enough to. Not certain: which. The likeliest has "
         f"{_both(every[0].probability for every in classes)}, that it is the plate's own shape "
         f"{_both(plate)}{', class by class' * many}."
     )
-    if verdict.firmware is None:
-        return text
-    shown = {one.words: one.shown for one in verdict.firmware.unseen}
-    most = (max((shown[e.words] for e in c if e.words in shown), default=0.0) for c in classes)
-    return (
-        f"{text} The seven points that Klipper probes cannot see, or hardly, {len(shown)} of these "
-        f"{sum(map(len, classes))} causes: after their fit none of those changes a height by more "
-        f"than {_both(most, '.2g')} times the noise of a touch."
-    )
 
 
-def _both(numbers: Iterable[float], how: str = ".2f") -> str:
-    return " and ".join(format(one, how) for one in numbers)
+def _both(numbers: Iterable[float]) -> str:
+    return " and ".join(f"{one:.2f}" for one in numbers)
 
 
 def page() -> str:

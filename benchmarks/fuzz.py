@@ -196,7 +196,10 @@ def promised(case: Case, result: Result) -> str:
         return "tells a page" if len(told[0]) > 1100 else ""
     if any(name.startswith(".") for name in new):
         return "leaves a temporary file behind"
-    if case.arguments[0] == "import" and (told := misread(case.files["printer.cfg"], Path("out"))):
+    told = ""
+    if case.arguments[0] == "import":
+        told = misread(case.files["printer.cfg"], Path("out"), result.output)
+    if told:
         return told
     return unreadable(Path("out")) if "--out" in case.arguments else ""
 

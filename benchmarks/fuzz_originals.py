@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -11,7 +10,7 @@ from pathlib import Path
 from click.testing import CliRunner
 
 import orthoglide as og
-from benchmarks.public import campaign_text, command_line, machine_text, predicted, tcp_text
+from benchmarks.public import campaign_text, command_line, machine_text, tcp_text
 
 _ERRORS = {"joint_offset.x": 0.8e-3, "leg_length.z": 0.06e-3, "axis_tilt.y.z": 1e-3}
 _LEGS = """schema = 1
@@ -95,8 +94,8 @@ def _tool() -> str:
         (sheet := Path(folder, "tool.csv")).write_text("\n".join(lines) + "\n")
         legs = og.Machine.load(machine)
         (campaign,) = og.read_readings(sheet, legs.spec)
-    read = predicted(campaign, legs, {"joint_offset.p": 3e-4})
-    return campaign_text(replace(campaign, reading=read), legs)
+    wrong = legs.with_parameters({"joint_offset.p": 3e-4})
+    return campaign_text(og.simulate(wrong, campaign, exact=True), legs)
 
 
 @cache

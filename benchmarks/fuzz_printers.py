@@ -14,20 +14,27 @@ _TURN = 200.0  # full steps
 _SAME = 2e-6  # mm
 
 
-def misread(content: bytes, out: Path) -> str:
+def misread(content: bytes, out: Path, said: str) -> str:
     """The first number of heights and distances that the campaign has differently; else empty.
 
     Args:
         content: of the firmware's file.
         out: folder with ``calibration.csv``, if heights or distances were found.
+        said: by the import, on the terminal.
     """
     stored = _stored(content.decode("utf-8-sig", "replace"))
     path = out / "calibration.csv"
     rows = list(csv.DictReader(path.open(newline=""))) if path.exists() else []
     known = stored.get("delta_calibrate", {})
+    if not rows and "heights and distances are left out: " in said:
+        return ""
     for kind, name, ends in (("plate", "height", ("",)), ("distance", "distance", ("1", "2"))):
         told = [float(row["reading_mm"]) for row in rows if row["kind"] == kind]
-        wanted = _numbered(known, name)
+        # What could not be read is left out by a sentence that names it.
+        named = _numbered(known, name)
+        wanted = {
+            k: float(v) for k, v in named.items() if not re.search(rf"\b{name}{k}(_|\b)", said)
+        }
         if not np.array_equal(np.round(told, 6), np.round(list(wanted.values()), 6)):
             return f"{name}s {wanted} became {told}"
         for end in ends:
@@ -53,12 +60,12 @@ def _moved(
     return far
 
 
-def _numbered(section: dict[str, str], name: str) -> dict[int, float]:
+def _numbered(section: dict[str, str], name: str) -> dict[int, str]:
     """Values of ``height0``, ``height1`` ... that have a position, by number."""
     numbers = sorted(
         int(m[1]) for key in section if (m := re.fullmatch(rf"{name}([0-9]{{1,4}})", key))
     )
-    return {k: float(section[f"{name}{k}"]) for k in numbers}
+    return {k: section[f"{name}{k}"] for k in numbers}
 
 
 def _three(text: str) -> list[float]:

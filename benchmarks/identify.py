@@ -33,7 +33,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 from orthoglide import reduction
-from orthoglide.fit import Problem, build_problem, identify, noise_of
+from orthoglide.fit import Problem, assemble, identify
 from orthoglide.fit.crosscheck import reduction_fit
 from orthoglide.fit.least_squares import Nuisances, linearise, normal, nuisances
 from orthoglide.fit.nested import solve_nested
@@ -79,8 +79,7 @@ def problems(machine: Machine) -> Iterator[tuple[str, Problem]]:
 
 
 def posed(machine: Machine, measured: Campaign) -> Problem:
-    noise = noise_of([measured], machine.spec.dial)
-    return build_problem(machine, [measured], ["joint_offset", "leg_length"], noise)
+    return assemble(measured, machine, ["joint_offset", "leg_length"])
 
 
 def random_campaign(count: int) -> Campaign:
@@ -121,7 +120,7 @@ def by_scipy(problem: Problem, nuisance: Nuisances) -> Array:
 def ways(problem: Problem) -> dict[str, Callable[[], Array]]:
     """Every way of solving a problem once."""
     first = linearise(problem, problem.start)
-    nuisance = nuisances(problem, first.slopes)
+    nuisance = nuisances(problem, first.seen)
     scale = 1 / np.sqrt(np.diag(normal(problem, first, nuisance).information))
     warm = Nlp(problem, nuisance, scale)
     joints = warm.start_joints(problem, first.x)

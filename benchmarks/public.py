@@ -42,7 +42,7 @@ def campaign(rows: Sequence[rc.Row], name: str = "case", **more: Any) -> og.Camp
     return og.Campaign.from_frame(columns, name=name, **more)
 
 
-def tcp_points(rows: Sequence[rc.Row]) -> og.TcpPoints:
+def tcp_points(rows: Sequence[rc.Row]) -> og.Readings:
     """Return rows of a TCP file as measured points."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "points.tcp.csv"
@@ -50,10 +50,10 @@ def tcp_points(rows: Sequence[rc.Row]) -> og.TcpPoints:
         return og.read_tcp(path)
 
 
-def tool_campaign(rows: Sequence[Mapping[str, str]], machine: og.Machine) -> og.ToolCampaign:
+def tool_campaign(rows: Sequence[Mapping[str, str]], machine: og.Machine) -> og.Readings:
     """Return rows of readings of the tool, cells as text, as a campaign."""
     columns = {key: [row[key] for row in rows] for key in rows[0]}
-    return og.ToolCampaign.from_frame(columns, name="case", machine_file=machine.spec)
+    return og.Readings.from_frame(columns, name="case", machine_file=machine.spec)
 
 
 def error_text(error: Exception) -> str:
@@ -257,9 +257,9 @@ def result_json(verdict: og.Verdict) -> Result:
 # -- without a public name -----------------------------------------------------------------------
 
 INSIDE = (
-    "orthoglide.accuracy", "orthoglide.cli", "orthoglide.effects.plates", "orthoglide.fit.tool",
-    "orthoglide.judging", "orthoglide.machine_file", "orthoglide.measuring",
-    "orthoglide.observations", "orthoglide.report.wording",
+    "orthoglide.accuracy", "orthoglide.cli", "orthoglide.effects.plates", "orthoglide.judging",
+    "orthoglide.machine_file", "orthoglide.measuring", "orthoglide.observations",
+    "orthoglide.report.wording",
 )  # fmt: skip
 """Modules of the package that the functions below import, as nothing public does the same."""
 
@@ -292,7 +292,7 @@ def asked_by_measure(
 
 
 def predicted_rms_mm(
-    verdict: og.Verdict, machine: og.Machine, other: og.ToolCampaign
+    verdict: og.Verdict, machine: og.Machine, other: og.Readings
 ) -> tuple[float, float, float]:
     """Return by how much readings that were not used are off, root mean squares in millimetres: by
     the machine given, by the base model and by the verdict's machine.
@@ -321,9 +321,7 @@ def sizes_of_plates() -> list[float]:
 
 def firmware_of(found: og.Imported) -> Any:
     """Return the firmware's numbers of a printer that was imported."""
-    from orthoglide.machine_file import Firmware
-
-    return Firmware.of(found.machine.provenance["klipper"])
+    return found.machine.printer.numbers
 
 
 def residual_sigmas(verdict: og.Verdict) -> Array:
@@ -354,15 +352,8 @@ def campaign_text(campaign: Any, machine: og.Machine | None = None) -> str:
     return str(campaign_text(campaign, *([machine.spec] if machine else [])))
 
 
-def tcp_text(points: og.TcpPoints) -> str:
+def tcp_text(points: og.Readings) -> str:
     """Return the text of a TCP file."""
     from orthoglide.observations import csv_text, tcp_rows
 
     return str(csv_text(tcp_rows(points)))
-
-
-def predicted(campaign: og.ToolCampaign, machine: og.Machine, values: Mapping[str, float]) -> Array:
-    """Return what instruments at the tool read of a machine with some errors, without noise."""
-    from orthoglide.fit.tool import ToolReadings
-
-    return np.asarray(ToolReadings.of(campaign, machine).predict(machine.model, dict(values)))

@@ -68,7 +68,8 @@ def run(case: Case, seed: int) -> Record:
         return record | {"word": "error", "message": str(error)}
     seconds = time.perf_counter() - began
     errors = public.tcp_of(verdict)
-    given = independent.tcp_error(oracle(rows, max(share, 1e-3)), points.command, points.p)
+    told = points.points()
+    given = independent.tcp_error(oracle(rows, max(share, 1e-3)), told.command, told.p)
     result = public.verdict_of(verdict)
     said = public.said(result)
     return record | {

@@ -47,9 +47,11 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
         UnidentifiableError as UnidentifiableError,
         UnreachableError as UnreachableError,
     )
+    from orthoglide.firmware.imported import Imported as Imported
+    from orthoglide.firmware.klipper import import_printer as import_printer
+    from orthoglide.firmware.plate_lists import import_plates as import_plates
     from orthoglide.fit import Estimate as Estimate, identify as identify
     from orthoglide.geometry import Geometry as Geometry
-    from orthoglide.klipper import Imported as Imported, import_printer as import_printer
     from orthoglide.layout import (
         FreeLeg as FreeLeg,
         FreeLegs as FreeLegs,
@@ -64,6 +66,7 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
     from orthoglide.mechanism import Mechanism as Mechanism
     from orthoglide.observations import (
         Campaign as Campaign,
+        Readings as Readings,
         Setup as Setup,
         TcpPoints as TcpPoints,
         ToolCampaign as ToolCampaign,
@@ -112,14 +115,16 @@ _WHERE = {
     ),
     "fit": "Estimate identify",
     "geometry": "Geometry",
-    "klipper": "Imported import_printer",
+    "firmware.imported": "Imported",
+    "firmware.klipper": "import_printer",
+    "firmware.plate_lists": "import_plates",
     "layout": "FreeLeg FreeLegs LinearDelta",
     "machine": "Machine Pose",
     "machine_file": "Dial Instrument MachineFile",
     "mechanism": "Mechanism",
     "observations": (
-        "Campaign Setup TcpPoints ToolCampaign ToolSetup protocol read_campaign read_readings "
-        "read_tcp write_campaign"
+        "Campaign Readings Setup TcpPoints ToolCampaign ToolSetup protocol read_campaign "
+        "read_readings read_tcp write_campaign"
     ),
     "as_pinocchio": "PinocchioModel pinocchio_model",
     "planning": (

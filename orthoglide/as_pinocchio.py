@@ -11,7 +11,8 @@ import pinocchio as pin
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.constraints import Constraints
-from orthoglide.mechanism.tree import Tree, load
+from orthoglide.mechanism.tree import Tree
+from orthoglide.mechanism.visual import visual_model
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,8 @@ def pinocchio_model(machine: MachineSource | None = None) -> PinocchioModel:
     tree = own.model.mechanism.tree
     posture = own.close(own.geometry.zero)
     locked = [k for k in range(1, tree.model.njoints) if tree.model.joints[k].idx_v in tree.virtual]
-    model, (visual,) = pin.buildReducedModel(tree.model, [_visual(own, tree)], locked, posture.q)
+    solids = [visual_model(tree, own.model.mechanism.looped)]
+    model, (visual,) = pin.buildReducedModel(tree.model, solids, locked, posture.q)
     kept = [k for k in range(tree.model.nq) if k not in set(tree.virtual.tolist())]
     place = {int(old): new for new, old in enumerate(kept)}
     drives = np.array([place[int(k)] for k in tree.drive])
@@ -94,15 +96,3 @@ def _rigid(tree: Tree) -> tuple[Any, Any]:
         models.append(pin.RigidConstraintModel(kind, tree.model, *places, pin.LOCAL))
         datas.append(models[-1].createData())
     return models, datas
-
-
-def _visual(machine: Machine, tree: Tree) -> Any:
-    """Pictures of the links, carried by the joints of the general tree."""
-    looped = load(machine.spec.urdf or machine.geometry)
-    visual = pin.buildGeomFromUrdfString(looped.model, looped.text, pin.GeometryType.VISUAL)
-    for item in visual.geometryObjects:
-        link = looped.model.frames[item.parentFrame]
-        frame = tree.model.frames[tree.frame(link.name)]
-        item.placement = frame.placement * link.placement.inverse() * item.placement
-        item.parentJoint, item.parentFrame = frame.parentJoint, tree.frame(link.name)
-    return visual

@@ -14,8 +14,6 @@ from orthoglide.effects import Effect
 from orthoglide.errors import NumericsError, check_list, path_of
 from orthoglide.fit import (
     Estimate,
-    Frame,
-    Source,
     account_for_changes,
     assemble,
     identify,
@@ -27,18 +25,17 @@ from orthoglide.fit import (
 )
 from orthoglide.fit.change_search import WIDTHS
 from orthoglide.fit.copies import shared
-from orthoglide.fit.doubts import check_slips
 from orthoglide.fit.earlier import vague
 from orthoglide.fit.exchanged import check_columns
-from orthoglide.fit.instrument_frame import turned_to
 from orthoglide.fit.loud import is_misdeclared
-from orthoglide.fit.meant import check_meant
+from orthoglide.fit.plausible import check_plausible
 from orthoglide.fit.verification import verify
 from orthoglide.frames import html_table
+from orthoglide.instruments import Frame
 from orthoglide.judging import hold_out, tcp_errors
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.notes import Note
-from orthoglide.observations import TcpPoints
+from orthoglide.observations import Given, Readings
 from orthoglide.posterior import (
     Cause,
     FullPosterior,
@@ -130,13 +127,13 @@ class Verdict(Result):
 
 
 def close_loop(
-    campaigns: Source | Sequence[Source],
+    campaigns: Given | Sequence[Given],
     machine: MachineSource | None = None,
     *,
     own: Sequence[str] = (),
     noise: float | None = None,
-    holdout: Source | Sequence[Source] | None = None,
-    tcp: TcpPoints | str | os.PathLike[str] | None = None,
+    holdout: Given | Sequence[Given] | None = None,
+    tcp: Readings | str | os.PathLike[str] | None = None,
     effects: Sequence[Effect] = (),
     seed: int = 0,
     progress: Progress | None = None,
@@ -186,18 +183,17 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
         return _identified(request, progress)
     progress(Step("identifying", "joint offsets and leg lengths"))
     machine = request.machine
-    if (judge_by := request.tcp) is not None:
-        p = machine.forward(judge_by.command)
-        check_meant(turned_to(judge_by, p), p, machine)
+    judges = () if request.tcp is None else (request.tcp,)
+    given = (*request.campaigns, *request.points)
+    check_plausible(given, machine, request.frame)
+    check_plausible((*request.holdout, *judges), machine)
     carried = [name for name, entry in machine.spec.parameters.items() if entry.sigma > 0]
     problem = assemble(
-        [*request.campaigns, *request.points], machine, (*machine.catalogue.base, *carried),
+        given, machine, (*machine.catalogue.base, *carried),
         own=request.own, noise=request.noise, frame=request.frame,
     )  # fmt: skip
     read = account_for_changes(solve(problem, method="nested"))
     check_columns(read)
-    check_repeats(read)
-    check_slips(read)
     progress(Step("faults"))
     blunders, changes = _set_right(read)
     known, found, left, word = _searched(read, blunders, changes, progress)
@@ -360,7 +356,7 @@ def judge(verdict: Verdict) -> Verdict:
     if request.holdout:
         scored = hold_out(before, after, machine, request.holdout, request.own)
     if request.tcp is not None:
-        stated = tcp_map(verdict.machine, request.tcp.command).sigma
+        stated = tcp_map(verdict.machine, request.tcp.points().command).sigma
         errors = tcp_errors(machine, request.tcp, before, after, stated)
     held = (*request.holdout, *([] if request.tcp is None else [request.tcp]))
     fitted = (*request.campaigns, *request.points)

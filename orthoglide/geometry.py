@@ -29,6 +29,19 @@ _LARGEST = 10.0  # metres
 _WORKSHOP = 0.15, 0.6  # metres: bars of machines whose parts are made to the same tolerances
 
 
+@dataclass(frozen=True)
+class Pose:
+    """Where the platform is.
+
+    Attributes:
+        p: TCP ``(..., 3)``, metres.
+        R: rotation of the platform ``(..., 3, 3)``; the identity while all errors fit together.
+    """
+
+    p: Array
+    R: Array
+
+
 def vectors(values: ArrayLike, name: str) -> Array:
     """Points or commands ``(..., 3)``, metres; ``name`` is what they are called where they are
     refused.

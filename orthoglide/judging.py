@@ -14,7 +14,7 @@ from orthoglide.fit.scores import rms_by_unit
 from orthoglide.geometry import Array, moved_onto
 from orthoglide.machine import Machine
 from orthoglide.numerals import ByUnit
-from orthoglide.observations import Readings, TcpPoints
+from orthoglide.observations import Readings
 from orthoglide.prediction import Conditions
 
 
@@ -67,7 +67,7 @@ def _left_out(
     else:
         problem = replace(problem, unknowns=(), held=(kept,) * len(problem.factors))
         at = linearise(problem, np.zeros(0))
-        nuisance = nuisances(problem, at.slopes)
+        nuisance = nuisances(problem, at.seen)
     rest = problem.measured - at.value
     residual = rest - nuisance.fitted(rest)
     share = np.sum(fitted_basis(problem, nuisance, at)[: len(rest)] ** 2, axis=1)
@@ -88,7 +88,7 @@ class TcpErrors:
 
 def tcp_errors(
     machine: Machine,
-    points: TcpPoints,
+    given: Readings,
     before: Mapping[str, float],
     after: Mapping[str, float],
     sigma: Array | None = None,
@@ -97,11 +97,12 @@ def tcp_errors(
 
     Args:
         machine: dimensions.
-        points: measured; missing coordinates are left out.
+        given: measured positions; missing coordinates are left out.
         before: parameters of the base model, SI.
         after: parameters of the extended model, SI.
         sigma: stated for ``after``, best translation removed ``(n, 3)``, metres.
     """
+    points = given.points()
     conditions = Conditions.at(points.command, approach=points.approach)
     found = {}
     predicted = {

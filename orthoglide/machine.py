@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 
 from orthoglide.effects import CATALOGUE, Catalogue, Effect
 from orthoglide.errors import ClosureError, InputError, UnreachableError, path_of
-from orthoglide.geometry import Array, Geometry, vectors
+from orthoglide.files import write_whole
+from orthoglide.geometry import Array, Geometry, Pose, vectors
 from orthoglide.machine_file import (
     MachineFile,
     ParameterValue,
@@ -26,22 +27,9 @@ from orthoglide.machine_file.values import check_sigmas, check_single, check_siz
 from orthoglide.mechanism.engine import Outputs, place_in
 from orthoglide.mechanism.mechanism import Posture
 from orthoglide.mechanism.perfect_legs import commands as commands_of
-from orthoglide.observations import Campaign
+from orthoglide.observations import Readings
 from orthoglide.prediction import Conditions, Model
 from orthoglide.scene import Posed, drawing
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Where the platform is.
-
-    Attributes:
-        p: TCP ``(..., 3)``, metres.
-        R: rotation of the platform ``(..., 3, 3)``; the identity while all errors fit together.
-    """
-
-    p: Array
-    R: Array
 
 
 @dataclass(frozen=True)
@@ -73,13 +61,8 @@ class Machine:
         return cls()
 
     @classmethod
-    def of(
-        cls,
-        given: MachineSource | None,
-        effects: Iterable[Effect] = (),
-    ) -> Machine:
-        """A machine as it is, of its file, or of other dimensions; the nominal one where none is
-        given.
+    def of(cls, given: MachineSource | None, effects: Iterable[Effect] = ()) -> Machine:
+        """Return a machine as it is, from its file or of dimensions; by default the nominal one.
 
         Args:
             given: the machine, its file as read, the path of that, or dimensions.
@@ -170,11 +153,7 @@ class Machine:
     @property
     def posterior(self) -> Posterior:
         """What is known of the parameters; independent by their sigmas where no more is."""
-        if self.spec.posterior is not None:
-            return self.spec.posterior
-        known = {n: e for n, e in self.spec.parameters.items() if e.sigma > 0}
-        mean = np.array([entry.value for entry in known.values()])
-        return Posterior(tuple(known), mean, np.diag(np.square([e.sigma for e in known.values()])))
+        return self.spec.posterior or self.spec.independent
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -262,12 +241,9 @@ class Machine:
         """The general mechanism with this machine's dimensions."""
         if not self._models:
             spec = self.spec
+            elastic, known = spec.stiffness, spec.catalogue
             built = Model(
-                spec.geometry,
-                spec.screw_pitch,
-                stiffness=spec.stiffness,
-                catalogue=spec.catalogue,
-                urdf=spec.urdf,
+                spec.geometry, spec.screw_pitch, stiffness=elastic, catalogue=known, urdf=spec.urdf
             )
             self._models.append(built)
         return self._models[0]
@@ -325,15 +301,42 @@ class Machine:
         return self.model.mechanism.close(command, moves.reshape(3, -1))
 
     def posed(self, rho: ArrayLike | None = None) -> Posed:
-        """The closed machine as pictures show it.
-
-        Args:
-            rho: command ``(3,)``, metres; mechanical zero where absent.
-
-        """
+        """Return the machine as drawings show it, at a command ``(3,)`` or mechanical zero."""
         command = self.geometry.zero if rho is None else self.geometry.commands(rho)
         out = self.model.outputs(self.values, Conditions.at(command))
         return Posed(self.geometry, out.lines[0], out.p[0], command - self.geometry.zero)
+
+    def show(
+        self,
+        rho: ArrayLike | None = None,
+        *,
+        magnify: float = 1.0,
+        out: str | os.PathLike[str] | None = None,
+        open_browser: bool = False,
+        **seen: ArrayLike,
+    ) -> Any:
+        """Show the machine, its loops closed, in Pinocchio's meshcat viewer, which is returned.
+
+        Args:
+            rho: command ``(3,)``, metres; mechanical zero where absent.
+            magnify: factor by which errors are enlarged; beyond 1 the nominal machine stands beside
+                them in grey.
+            out: page to write, one file that needs no network; none where absent.
+            open_browser: whether a browser opens at the viewer's address.
+            seen: conditions as for :meth:`pose`.
+
+        Raises:
+            InputError: where meshcat is missing, or the loops do not close with errors as large.
+            FileError: where ``out`` stands already.
+        """
+        from orthoglide.viewer import Magnified, show, static_page
+
+        command = self.geometry.zero if rho is None else self.geometry.commands(rho)
+        machine = Magnified(self.model, self.values, seen, magnify)
+        viewer = show(machine, command, open_browser=open_browser)
+        if out is not None:
+            write_whole(out, static_page(viewer, machine, self.spec.title), overwrite=False)
+        return viewer
 
     def _repr_svg_(self) -> str:
         return drawing(self.posed(), title=f"The machine {self.spec.name}".rstrip(), alone=True)
@@ -388,9 +391,9 @@ class Machine:
             return rho
         raise ClosureError("the drives do not converge on the wanted points")
 
-    def readings(self, campaign: Campaign) -> Array:
-        """Predicted readings ``(n,)`` of a campaign's rows, datums apart, metres."""
-        return self.model.readings(self.values, campaign)
+    def readings(self, given: Readings) -> Array:
+        """Return the readings ``(n,)`` to expect, datums apart, metres or radians."""
+        return self.model.readings(self.values, given)
 
 
 MachineSource = Machine | MachineFile | Geometry | str | os.PathLike[str]

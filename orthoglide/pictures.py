@@ -1,36 +1,31 @@
-"""What pictures show of a machine: its dials, and what its parameters move."""
+"""What drawings show of a machine: its dials, and what its parameters move."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from orthoglide.accuracy import GRID, workspace
-from orthoglide.effects.wording import cause_words, size_words
+from orthoglide.effects.wording import size_words
 from orthoglide.effects.words import more, toward
-from orthoglide.geometry import Array, Geometry
+from orthoglide.geometry import Array
+from orthoglide.instruments.leg_dial import SHARES
 from orthoglide.machine import Machine
-from orthoglide.mechanism.engine import Outputs
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
-from orthoglide.observations import Campaign
-from orthoglide.ordering import largest, ranked
+from orthoglide.observations import Readings
+from orthoglide.ordering import largest
 from orthoglide.parameters import Parameter
 from orthoglide.prediction import Conditions
-from orthoglide.prediction.dial import SHARES
-from orthoglide.scene import Dial, Mark, Option, Posed, View, Way
+from orthoglide.scene import Dial, Mark, Option, Posed
 from orthoglide.scene.parts import Part
-from orthoglide.scene.view import MOST_WAYS
 
-Cause = tuple[str, Mapping[str, float]]
-"""Words of a cause, and its parameters, SI."""
+SHOWN: Mapping[str, float] = {"approach": 1.0, "time": 3600.0, "warming": 10.0, "load": 10.0}
+"""Conditions at which what depends on them is shown: after a move outward, s, K, N."""
 
-_TINY = 0.01  # tolerances: less is nothing that anybody looks at
 _STATIONS = 33  # along the stroke
 _CLEAR = 0.3  # of the largest: what a path does at its outer end shows which way it goes
-_HOUR, _WARMER, _LOAD = 3600.0, 10.0, 10.0  # s, K, N: at which what depends on them is shown
 _PARTS: Mapping[str, tuple[Part, int]] = {
     "travel": ("drive", 0), "lateral_b": ("rail", 1), "lateral_c": ("rail", 2),
     "turn_a": ("carriage", 0), "turn_b": ("carriage", 1), "turn_c": ("carriage", 2),
@@ -39,16 +34,17 @@ _PARTS: Mapping[str, tuple[Part, int]] = {
 """Virtual joints as parts, each with the leg's axis a, b or c along or about which it moves."""
 
 
-def dials(posture: Posed, campaigns: Iterable[Campaign]) -> tuple[Dial, ...]:
+def dials(posture: Posed, campaigns: Iterable[Readings]) -> tuple[Dial, ...]:
     """Where the dials of campaigns stand on a machine, each name once."""
-    found: dict[str, Dial] = {}
+    found: dict[tuple[str, int], Dial] = {}
     for setup in (s for campaign in campaigns for s in campaign.setups):
         ends = np.einsum("b,bex->ex", np.array(SHARES[setup.bar]), posture.lines[setup.leg])
-        place = setup.gauge + posture.geometry.r
-        share = (place - ends[0, setup.leg]) / (ends[1, setup.leg] - ends[0, setup.leg])
         way = np.eye(3)[setup.axis] * setup.sign
-        at = ends[0] + share * (ends[1] - ends[0])
-        found.setdefault(setup.name, Dial(setup.name, at, way))
+        for k, gauge in enumerate(setup.gauges):
+            place = gauge + posture.geometry.r
+            share = (place - ends[0, setup.leg]) / (ends[1, setup.leg] - ends[0, setup.leg])
+            at = ends[0] + share * (ends[1] - ends[0])
+            found.setdefault((setup.name, k), Dial(setup.name, at, way))
     return tuple(found.values())
 
 
@@ -109,12 +105,8 @@ def _along(machine: Machine, leg: int, values: Mapping[str, float]) -> tuple[Arr
     command = np.repeat(geometry.zero[None], _STATIONS, axis=0)
     command[:, slice(None) if geometry.layout.hanging else slice(leg, leg + 1)] += travel[:, None]
     # Only the load's force needs a posture that closes.
-    where, place = machine.model.merged(_shown(command), values)
+    where, place = machine.model.merged(Conditions.at(command, **SHOWN), values)
     return travel, machine.model.displacements(values, where)[place]
-
-
-def _shown(command: Array) -> Conditions:
-    return Conditions.at(command, approach=1.0, time=_HOUR, warming=_WARMER, load=_LOAD)
 
 
 def joint_mark(
@@ -161,55 +153,3 @@ def joint_mark(
         label = f"{size} {more(sign, 'outward', 'inward')}"
     shape = np.stack([travel, curve * sign / size_there], axis=1)
     return Mark(part, leg, way, label, bar, float(travel[k]), shape, both)
-
-
-def causes_of(machine: Machine) -> tuple[Cause, ...]:
-    """What is wrong with a machine by its parameters, those largest in their tolerances first.
-
-    What is a hundred times smaller than its tolerance is left out.
-    """
-    values = {n: v for n, v in machine.catalogue.of_machine(machine.values).items() if v}
-    sizes = {n: abs(v) / machine.tolerance(n) for n, v in values.items()}
-    worst = ranked((n for n in values if sizes[n] > _TINY), lambda n: sizes[n])
-    return tuple(
-        (cause_words(machine.catalogue, n, values), {n: values[n]}) for n in worst[:MOST_WAYS]
-    )
-
-
-def view(machine: Machine, causes: Sequence[Cause]) -> View:
-    """What a view that moves needs: the machine over its workspace, and what each cause does to it.
-
-    Args:
-        machine: whose nominal posture and legs are shown.
-        causes: each with its words and its parameters, SI; their motions are linear in these.
-    """
-    geometry = machine.geometry
-    where = _shown(workspace(geometry)[_path(geometry)])
-    parts = [machine.catalogue.moved_by(values) for _, values in causes]
-    names = tuple(dict.fromkeys(name for own in parts for name in own))
-    rest = Conditions.at(where.command)
-    out = machine.model.outputs({}, rest)
-    ways = []
-    _, slopes = machine.model.sensitivities({}, where, names)
-    for (words, _), own in zip(causes, parts, strict=True):
-        moved = slopes @ np.array([own.get(name, 0.0) for name in names])
-        if np.abs(moved).max(initial=0.0) > 0:
-            shown = Outputs(moved)
-            ways.append(Way(words, shown.lines, shown.p))
-    return View(geometry, out.lines, out.p, where.command - geometry.zero, tuple(ways))
-
-
-def _path(geometry: Geometry) -> list[int]:
-    """Order of the points of the workspace in which each is a neighbour of the last."""
-    points = geometry.layout.points(geometry.L, geometry.r, geometry.stroke, GRID)
-    grid = np.round(workspace(geometry) if points is None else points, 9)
-    order: list[int] = []
-    across, along = 1, 1
-    for x in np.unique(grid[:, 0]):
-        plane = np.flatnonzero(grid[:, 0] == x)
-        for y in np.unique(grid[plane, 1])[::across]:
-            row = plane[grid[plane, 1] == y]
-            order += row[np.argsort(grid[row, 2])][::along].tolist()
-            along = -along
-        across = -across
-    return order

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
-from typing import overload
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.accuracy import wanted_points
 from orthoglide.errors import ClosureError, InputError, check_whole
-from orthoglide.fit.factors import Block
-from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, check_noise
-from orthoglide.fit.tool import ToolReadings
-from orthoglide.fit.tool_noise import expected_sigma
+from orthoglide.fit.factors import Factor
+from orthoglide.fit.noise import check_noise, instrument_of
 from orthoglide.geometry import Array
+from orthoglide.instruments import Setup, Stand
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.perfect_legs import Spheres, commands as commands_of
-from orthoglide.observations import Campaign, Readings, TcpPoints, ToolCampaign, protocol
+from orthoglide.observations import Readings, from_points, parts, protocol
 from orthoglide.observations.protocols import Kind
+from orthoglide.prediction import Observed, Seen
 
 __all__ = ["TCP_POINTS", "lacks", "simulate", "simulate_tcp", "unshown"]
 
@@ -36,28 +33,6 @@ Seed = int | np.random.Generator
 
 _BETWEEN = 4  # points of the workspace between which a point is drawn
 _DATUM = 1e-3  # metres or radians: where an instrument's zero, or its frame, may lie
-
-
-@overload
-def simulate(
-    machine: MachineSource,
-    sheet: Campaign | Kind = "standard",
-    *,
-    noise: float | None = None,
-    seed: Seed = 0,
-    exact: bool = False,
-) -> Campaign: ...
-
-
-@overload
-def simulate(
-    machine: MachineSource,
-    sheet: ToolCampaign,
-    *,
-    noise: float | None = None,
-    seed: Seed = 0,
-    exact: bool = False,
-) -> ToolCampaign: ...
 
 
 def simulate(
@@ -77,8 +52,8 @@ def simulate(
     Args:
         machine: with its errors as parameters, or the path of its file.
         sheet: readings whose values do not count, or a kind of protocol for dials.
-        noise: standard deviation of one reading, metres; the machine file's where absent, else
-            the published one.
+        noise: standard deviation of one reading, metres; where absent that of the sheet's rows,
+            else the machine file's, else what is usual of the kind.
         seed: of all random draws, or where to draw from.
         exact: no noise, no rounding, dials exactly in place, datums zero.
 
@@ -87,86 +62,92 @@ def simulate(
             that it must be in another unit.
     """
     machine = Machine.of(machine)
-    if isinstance(sheet, ToolCampaign):
-        return _at_the_tool(machine, sheet, noise, seed, exact)
     if isinstance(sheet, str):
         sheet = protocol(sheet, machine.geometry)
-    if not isinstance(sheet, Campaign):
+    if not isinstance(sheet, Readings):
         raise InputError(
             f"a {type(sheet).__name__} is no sheet: give one campaign, readings of the tool, or a "
             f"kind of protocol"
         )
-    draw, own = _draws(seed), machine.spec.dial.repeatability
-    usual = PUBLISHED_REPEATABILITY if own is None else own
-    sd = usual if noise is None else check_noise(noise, 0.0)
-    if exact:
-        with _closing(machine):
-            return sheet.with_readings(np.round(machine.readings(sheet), 15))
-    dial, count = machine.spec.dial, len(sheet.setups)
-    off = draw.normal(scale=dial.placement, size=count)
-    placed = (replace(s, gauge=s.gauge + o) for s, o in zip(sheet.setups, off, strict=True))
-    with _closing(machine):
-        shown = machine.readings(replace(sheet, setups=tuple(placed)))
-    shown = shown + draw.uniform(-_DATUM, _DATUM, count)[sheet.setup]
-    shown = shown + draw.normal(scale=sd, size=len(sheet))
-    return sheet.with_readings(np.round(_rounded(shown, dial.resolution), 12))
-
-
-def _at_the_tool(
-    machine: Machine, sheet: ToolCampaign, noise: float | None, seed: Seed, exact: bool
-) -> ToolCampaign:
-    """A sheet of the tool's readings filled in; arguments as of :func:`simulate`."""
-    blank = replace(sheet, reading=np.nan_to_num(sheet.reading))
-    with _closing(machine):
-        factor = ToolReadings.of(blank, machine)
-        at = factor.linearise(machine.model, machine.values, ())
-    if exact:
-        return replace(blank, reading=at.value)
     draw = _draws(seed)
-    own = machine.spec.instruments
-    level = expected_sigma(sheet, own) if noise is None else check_noise(noise, 0.0)
-    shown, block = at.value.copy(), factor.nuisances(at.slopes)
-    for k in range(len(sheet.setups)):
-        rows = np.flatnonzero(sheet.setup == k)
-        shown[rows] = _misplaced(factor, at.slopes, block, k, rows, draw)
-    shown = shown + draw.normal(scale=level, size=len(sheet))
-    steps = np.array([(own[k].resolution or 0.0) if k in own else 0.0 for k in sheet.kind])
-    return replace(blank, reading=np.round(_rounded(shown, steps), 12))
+    sd = None if noise is None else check_noise(noise, 0.0)
+    filled = [_filled(machine, part, sd, None if exact else draw) for part in parts(sheet)]
+    if len(filled) == 1:
+        return filled[0]
+    reading = np.empty(len(sheet))
+    reading[sheet.on_legs], reading[~sheet.on_legs] = (one.reading for one in filled)
+    return sheet.with_readings(reading)
 
 
-def _misplaced(
-    factor: ToolReadings,
-    slopes: Array,
-    block: Block,
-    k: int,
-    rows: NDArray[np.intp],
-    draw: np.random.Generator,
-) -> Array:
-    """What an instrument shows ``(m,)`` that stands somewhere near the place its sheet says.
+def _filled(
+    machine: Machine, sheet: Readings, noise: float | None, draw: np.random.Generator | None
+) -> Readings:
+    """A sheet of legs or of the tool, filled in; exact where nothing is drawn."""
+    with _closing(machine):
+        factor = Factor.unread(sheet, machine)
+        at = factor.linearise(machine.model, machine.values, ())
+        if draw is None:
+            return sheet.with_readings(np.round(at.value, 15))
+        drawn = _on_legs(factor, draw) if factor.on_legs else _at_tool(factor, at.seen, draw)
+        each = zip(sheet.setups, factor.stands, drawn, strict=True)
+        stands, brought = zip(*(_off_place(*one) for one in each), strict=True)
+        placed = Observed(sheet, stands, factor.place, np.stack(brought))
+        shown = placed.predict(machine.model, machine.values)
+    level, steps = sheet.sigma.copy(), np.zeros(len(sheet))
+    for observation, rows in sheet.observations:
+        own = instrument_of(machine.spec, observation)
+        steps[rows] = own.resolution or 0.0
+        usual = observation.repeatability if own.repeatability is None else own.repeatability
+        level[rows] = np.where(np.isfinite(level[rows]), level[rows], usual)
+    shown = shown + draw.normal(scale=level if noise is None else noise, size=len(sheet))
+    return sheet.with_readings(np.round(_rounded(shown, steps), 12))
 
-    What its nuisances do not say (a ball that stands elsewhere, a frame that is turned) the
-    instrument does; datum, plane and scale are linear.
 
-    Args:
-        factor: the sheet's readings.
-        slopes: places of the tool and readings of the instrument in place ``(n, 4)``.
-        block: what datum, plane and scale draw.
-        k: the setup.
-        rows: its rows ``(m,)``.
-        draw: where to draw from.
+def _on_legs(factor: Factor, draw: np.random.Generator) -> Array:
+    """What dials on legs bring ``(setups, K)``: where they stand, and where their zeros lie."""
+    known = _known(factor)
+    free = np.isinf(known)
+    count = len(known)
+    found = np.zeros_like(known)
+    for k in range(known.shape[1] - 1, -1, -1):
+        if free[:, k].any():
+            found[:, k] = draw.uniform(-_DATUM, _DATUM, count) * free[:, k]
+        if not free[:, k].all():
+            found[:, k] += draw.normal(scale=np.where(free[:, k], 0.0, known[:, k]), size=count)
+    return found
+
+
+def _at_tool(factor: Factor, seen: Seen, draw: np.random.Generator) -> Array:
+    """What instruments at the tool bring ``(setups, K)`` that stand somewhere near the place that
+    their sheet says: datum, plane, scale, frame.
     """
-    instrument = factor.points.setups[k].instrument
-    shown = instrument.displaced(
-        slopes[rows, :3], factor.mounting_at(slopes[:, :3]).at(rows), draw, _DATUM
-    )
-    if shown is not None:
-        return shown
-    own = block.columns[rows].any(axis=0)
-    off = draw.normal(scale=np.minimum(block.sd[own], _DATUM))
-    return np.asarray(slopes[rows, 3] + block.columns[np.ix_(rows, own)] @ off)
+    known = _known(factor)
+    found = np.zeros_like(known)
+    for k in range(len(known)):
+        own = seen.by_nuisance[factor.setup == k].any(axis=0) & (known[k] > 0)
+        found[k, own] = draw.normal(scale=np.minimum(known[k, own], _DATUM))
+    return found
 
 
-def simulate_tcp(machine: MachineSource, count: int = TCP_POINTS, *, seed: Seed = 0) -> TcpPoints:
+def _off_place(setup: Setup, stand: Stand, drawn: Array) -> tuple[Stand, Array]:
+    """Where an instrument stands, and what of its nuisances ``(K,)`` that leaves."""
+    count = setup.observation.nuisances
+    stand, left = setup.observation.off_place(stand, drawn[:count])
+    return stand, np.pad(left, (0, len(drawn) - count))
+
+
+def _known(factor: Factor) -> Array:
+    """Standard deviations of the nuisances of all setups ``(setups, K)``; 0 of those that are
+    none.
+    """
+    each = [factor.nuisance_sd(k) for k in range(len(factor.readings.setups))]
+    found = np.zeros((len(each), max(map(len, each), default=0)))
+    for row, own in zip(found, each, strict=True):
+        row[: len(own)] = own
+    return found
+
+
+def simulate_tcp(machine: MachineSource, count: int = TCP_POINTS, *, seed: Seed = 0) -> Readings:
     """Exact TCP points at commands drawn over the workspace, in the middle of any dead band.
 
     On the Orthoglide that is the whole stroke; elsewhere they lie between points of the workspace.
@@ -191,14 +172,7 @@ def simulate_tcp(machine: MachineSource, count: int = TCP_POINTS, *, seed: Seed 
     rho = np.round(rho, 9)
     with _closing(machine):
         p = machine.forward(rho)
-    return TcpPoints(
-        command=rho,
-        p=p,
-        sigma=np.full(count, np.nan),
-        approach=np.zeros((count, 3)),
-        line=np.arange(2, count + 2),
-        legs=geometry.layout.names,
-    )
+    return from_points(rho, p, legs=geometry.layout.names)
 
 
 def lacks(needs: Collection[str]) -> str:

@@ -9,6 +9,7 @@ import re
 import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from difflib import get_close_matches
 from typing import Any
 
 _WIDTH = 100  # of text that goes to a file
@@ -58,6 +59,11 @@ def shown(path: str | os.PathLike[str]) -> str:
 def brief(text: str, most: int = _ECHOED) -> str:
     """A text from a file as a message repeats it: its beginning where it is long."""
     return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def nearest(word: str, names: Iterable[str]) -> str:
+    """Return the name that a word most resembles, or nothing where none is similar."""
+    return next(iter(get_close_matches(word, list(names), n=1, cutoff=0.6)), "")
 
 
 # What a spreadsheet computes instead of showing it; signed numbers and directions are harmless.

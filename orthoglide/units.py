@@ -8,6 +8,7 @@ to 0.31025 m and written as 310.25 again, and every round trip is exact.
 from __future__ import annotations
 
 from decimal import Decimal
+from functools import cache
 from typing import NamedTuple
 
 
@@ -54,7 +55,8 @@ def to_si(number: str | int | float | Decimal, factor: float = 1.0) -> float:
 
     Zero has no sign: random generators refuse a standard deviation of -0.
     """
-    return float(Decimal(str(number)).scaleb(_places(factor))) + 0.0
+    mantissa, _, exponent = str(number).lower().partition("e")
+    return float(f"{mantissa}e{int(exponent or 0) + _places(factor)}") + 0.0
 
 
 def from_si(value: float, factor: float = 1.0) -> Decimal:
@@ -62,5 +64,6 @@ def from_si(value: float, factor: float = 1.0) -> Decimal:
     return Decimal(f"{Decimal(repr(float(value) + 0.0)).scaleb(-_places(factor)):f}")
 
 
+@cache
 def _places(factor: float) -> int:
     return Decimal(repr(factor)).adjusted()

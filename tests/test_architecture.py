@@ -17,21 +17,25 @@ LONGEST_FUNCTION = 60
 
 # A part (module or folder) may import from the layers below its own, never from beside or above.
 LAYERS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "notes", "ordering", "parameters", "progress", "text", "threads"}),
-    frozenset({"layout"}),
-    frozenset({"geometry", "files", "frames", "units", "numerals"}),
-    frozenset({"reduction", "urdf", "effects", "instruments", "scene"}),
+    frozenset(
+        {"errors", "notes", "ordering", "parameters", "progress", "text", "threads", "units"}
+    ),
+    frozenset({"add_ons", "layout"}),
+    frozenset({"geometry", "files", "frames", "numerals", "quantities"}),
+    frozenset({"reduction", "urdf", "effects", "scene"}),
+    frozenset({"instruments"}),
     frozenset({"mechanism", "machine_file"}),
     frozenset({"observations"}),
     frozenset({"prediction", "figures"}),
+    frozenset({"viewer"}),
     frozenset({"machine"}),
-    frozenset({"accuracy", "as_pinocchio", "klipper", "transmission"}),
+    frozenset({"accuracy", "as_pinocchio", "transmission"}),
     frozenset({"fit", "comparison", "control", "pictures"}),
     frozenset({"diagnosis"}),
     frozenset({"posterior", "judging", "simulation"}),
     frozenset({"planning", "request"}),
     frozenset({"result"}),
-    frozenset({"report"}),
+    frozenset({"firmware", "report"}),
     frozenset({"closing"}),
     frozenset({"checking", "measuring", "rehearsal"}),
     frozenset({"cli"}),
@@ -45,7 +49,7 @@ NEVER = {
 }  # fmt: skip
 # Fits and results draw themselves by figures, which know their types and import none of them.
 TYPES_ABOVE = {("figures", "fit"), ("figures", "posterior"), ("figures", "result")}
-HEAVY = ("pinocchio", "casadi", "matplotlib", "scipy.optimize", "yourdfpy", "joblib", "dask")
+HEAVY = ("pinocchio", "casadi", "matplotlib", "scipy.optimize", "meshcat", "joblib", "dask")
 
 
 def modules() -> list[Path]:
@@ -135,6 +139,22 @@ def test_no_two_files_import_each_other() -> None:
     assert not waiting
 
 
+# Where the name of a firmware may stand outside `firmware/`: its command, and its Python functions.
+NAMES_FIRMWARE = {"__init__.py", "cli/examples.py", "cli/importing.py"}
+_FIRMWARE = re.compile("klipper|reprap|smoothie|marlin|rrf", re.IGNORECASE)
+
+
+def test_only_commands_name_a_firmware() -> None:
+    """Everything else asks through `add_ons`; texts, keys and templates count too."""
+    every = [p for p in PACKAGE.rglob("*") if p.suffix in (".py", ".j2", ".toml", ".js", ".css")]
+    found = {
+        str(path.relative_to(PACKAGE))
+        for path in every
+        if part_of(path) != "firmware" and _FIRMWARE.search(path.read_text(encoding="utf-8"))
+    }
+    assert found == NAMES_FIRMWARE
+
+
 # What draws a result computes nothing of it: the page, the file and Python cannot differ.
 COMPUTING = ("fit", "diagnosis", "planning", "accuracy", "judging", "posterior", "prediction",
              "mechanism", "reduction", "closing")  # fmt: skip
@@ -207,30 +227,32 @@ OF_ONE_LAYOUT = {
     # Cartesian coordinates
     "geometry.py": "names of the base axes",
     "geometry.py:axial": "entries of an antisymmetric matrix",
-    "fit/meant.py": "names of the tool's coordinates",
+    "instruments/meant.py": "names of the tool's coordinates",
     "control/urdf.py:calibrated_urdf": "an attribute of URDF, and turns about x, y and z",
     "control/urdf.py:_shift": "the same attribute",
-    "instruments/instrument.py:Instrument.places": "circles about x, y and z, whatever the legs",
+    "instruments/observation.py:Observation.places": "circles about x, y and z, whatever the legs",
     # A leg's own axes a, b, c, which every layout has
     "urdf/tree.py": "the axes of a leg's joints",
     "effects/rails.py:_about": "the axis of a hinge",
     "effects/rails.py:_turned": "the same",
     # Lengths of bars
     "control/numbers.py:controller_numbers": "L with its correction",
-    "klipper/rods.py:_measured": "the same",
-    "result/corrections.py:_arms": "the same",
+    "firmware/klipper/printer.py:Printer.doubts": "the same",
+    "firmware/klipper/new_numbers.py:_arms": "the same",
     "comparison/comparing.py:Comparison._spheres": "the same",
-    "machine_file/travel.py:check_travel": "an arm against L",
+    "firmware/klipper/printer.py:Printer.objection": "an arm against L",
     "mechanism/six_bars.py:_turn": "the two other axes of a rotation",
     "planning/owning.py:_widest": "a size between 0 and L that is searched for",
     # Names that files have
-    "machine_file/firmware.py": "the firmware's own names of its towers",
-    "observations/columns.py": "columns of the Orthoglide's commands",
-    "observations/columns.py:command_names": "says which of them to keep",
+    "firmware/touches.py": "names of the base axes",
+    "firmware/touches.py:_read_maps": "the same",
+    "observations/schema.py": "columns of the Orthoglide's commands",
+    "observations/columns.py:stated_commands": "says which of them to keep",
     "observations/writing.py:command_columns": "tells columns of commands from others",
     "observations/checks.py:check_commands": "says under which of them a command would fit",
     # Dials, which are set against the legs of the Orthoglide alone
-    "observations/campaign.py:Campaign.relabelled": "renames its legs in readings of dials",
+    "observations/readings.py:Readings.relabelled": "renames its legs in readings of dials",
+    "observations/readings.py:Readings.relabelled.turned": "the same",
     "observations/checks.py:_gauges": "places of dials along a leg, from joint coordinates",
     "observations/checks.py:_gauges.on_leg": "the same",
     "diagnosis/faults.py:_commanded": "a column of their campaigns",
@@ -363,5 +385,40 @@ def test_assert_is_for_tests() -> None:
         for path in modules()
         for node in ast.walk(parsed(path))
         if isinstance(node, ast.Assert)
+    ]
+    assert not found
+
+
+# Kinds of readings are told apart by what their observations say of themselves, not by name.
+KNOW_KINDS = ("instruments", "observations")
+
+
+def test_no_other_module_tests_the_kind_of_a_reading() -> None:
+    from orthoglide.instruments import OBSERVATIONS
+
+    classes = {type(one).__name__ for one in OBSERVATIONS.values()}
+
+    def named(node: ast.AST) -> bool:
+        """Whether an expression is a kind: its name, or that of its class."""
+        if isinstance(node, ast.Constant):
+            return node.value in OBSERVATIONS
+        return isinstance(node, ast.Attribute) and ast.unparse(node.value) in classes
+
+    def tests_a_kind(node: ast.AST) -> bool:
+        if isinstance(node, ast.Compare):
+            parts = [node.left, *node.comparators]
+            parts += [
+                e for p in parts if isinstance(p, ast.Tuple | ast.List | ast.Set) for e in p.elts
+            ]
+            return any(named(part) for part in parts)
+        called = isinstance(node, ast.Call) and ast.unparse(node.func) == "isinstance"
+        return called and any(name in ast.unparse(node).split(",", 1)[1] for name in classes)
+
+    found = [
+        f"{path.relative_to(ROOT)}:{node.lineno}: {ast.unparse(node)}"
+        for path in modules()
+        if part_of(path) not in KNOW_KINDS
+        for node in ast.walk(parsed(path))
+        if tests_a_kind(node)
     ]
     assert not found

@@ -130,7 +130,8 @@ def test_a_cause_is_as_large_as_was_asked_and_the_oracle_finds_it() -> None:
     found = independent.oracle(Sheet(drawn.rows), scales)
     true = size * cause.errors[cause.name]
     assert found[cause.name] == pytest.approx(true, abs=0.3 * abs(true))
-    error = independent.tcp_error(found, drawn.points.command, drawn.points.p)
+    told = drawn.points.points()
+    error = independent.tcp_error(found, told.command, told.p)
     assert error[0] < 0.01
 
 

@@ -617,7 +617,7 @@ def test_the_message_names_file_line_setup_and_remedy(tmp_path, machine):
     estimate = identify(campaign, machine, method="nested")
     (blunder,) = examine(estimate).blunders
     assert blunder.message.startswith("monday.csv, line 22, setup 'yx-0.5': ")
-    assert "measure this posture again" in blunder.message
+    assert "measure this place again" in blunder.message
     assert blunder.lines([campaign]) == {str(path): (22,)}
 
 

@@ -14,7 +14,6 @@ from orthoglide.diagnosis.changes import Change
 from orthoglide.errors import InputError
 from orthoglide.fit import identify
 from orthoglide.observations import Campaign
-from orthoglide.pictures import view
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -110,8 +109,6 @@ def test_a_tilt_that_was_put_right(machine, tmp_path):
         assert drawn.marks[0].label.startswith(f"{told_size[1]} mrad")
     test = " ".join(suspect.confirm for a in verdict.actions for suspect in a.options)
     assert re.search(r"move 100 mm outward: expect [\d.]+ mm toward z", test)
-    alone = view(verdict.machine, [("", {effect.name: change.after})]).ways[0]
-    np.testing.assert_allclose(verdict.view.ways[0].p, alone.p, rtol=0.1, atol=1e-8)
     verdict.report(str(tmp_path / "run"))
     result = json.loads((tmp_path / "run" / "result.json").read_text())
     (told,), (cause,) = result["changed"], result["effects"]

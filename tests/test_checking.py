@@ -20,14 +20,14 @@ from orthoglide.checking import Check, Difference, check
 from orthoglide.checking.entered import entered
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
-from orthoglide.fit.tool import ToolReadings
+from orthoglide.firmware.klipper import import_printer
 from orthoglide.geometry import Geometry
-from orthoglide.klipper import import_printer
 from orthoglide.machine_file import Instrument, MachineFile
-from orthoglide.observations import Readings, ToolCampaign, campaign_text
+from orthoglide.observations import Readings, campaign_text
 from orthoglide.planning.owning import sheet_of
 from orthoglide.simulation import simulate
 from tests import rig_campaigns as rc
+from tests.factors import factor_of
 from tests.klipper_files import DATA
 from tests.rig import Rig
 from tests.rig_delta import DeltaRig
@@ -202,8 +202,7 @@ def test_dials_and_the_tool_are_compared_in_one_go() -> None:
     def visit(seed: int, **changed: float) -> list[Readings]:
         machine = og.Machine.nominal().with_parameters(told | changed)
         sheet = sheet_of(machine, "tcp")
-        assert isinstance(sheet, ToolCampaign)
-        exact = ToolReadings.of(sheet, machine).predict(machine.model, machine.values)
+        exact = factor_of(sheet, machine).predict(machine.model, machine.values)
         noise = 5e-6 * np.random.default_rng(seed).standard_normal(len(sheet))
         tracker = replace(sheet, reading=exact + noise, sigma=np.full(len(sheet), 5e-6))
         return [simulate(machine, seed=seed), tracker]
@@ -219,7 +218,7 @@ def test_dials_and_the_tool_are_compared_in_one_go() -> None:
     assert by.sigma < only.sigma
 
 
-def probed(instrument: str, seed: int, **errors: float) -> ToolCampaign:
+def probed(instrument: str, seed: int, **errors: float) -> Readings:
     """A linear delta that nobody calibrated, whose bed has three lobes, with a cause or without."""
     own = {"joint_offset.a": 4e-4, "axis_offset.b.radial": 3e-4, "plate_trefoil.bed.cos": 8e-5}
     rig = DeltaRig(errors={**own, **errors})
@@ -383,13 +382,12 @@ def test_a_difference_beyond_its_sigma_is_never_said_to_be_within_it() -> None:
     assert "joint offset of leg z +0.050 ± 0.010 mm" in beyond
 
 
-def visit(seed: int, *kinds: str, **changed: float) -> list[ToolCampaign]:
+def visit(seed: int, *kinds: str, **changed: float) -> list[Readings]:
     """A delta read by one instrument after the other, a file each."""
     true, rng = delta().with_parameters(ENDSTOPS | changed), np.random.default_rng(seed)
     read = []
     for kind in kinds:
         sheet = sheet_of(delta(), kind)
-        assert isinstance(sheet, ToolCampaign)
         near = replace(sheet, reading=np.where(np.isfinite(sheet.reading), sheet.reading, 0.0))
         read.append(og.simulate(true, near, seed=int(rng.integers(1 << 20))))
     return read

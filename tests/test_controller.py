@@ -624,9 +624,9 @@ def test_commands_of_other_layouts_are_travel_wherever_users_meet_them(
     rows = list(csv.DictReader(again.open()))
     reached = [[float(row[f"computed_p_{axis}_mm"]) * 1e-3 for axis in LEGS] for row in rows]
     assert reached == pytest.approx(goal, abs=3e-9)
-    points = simulate_tcp(own, 2)
-    assert list(points.columns)[:3] == [f"travel_{name}_mm" for name in names]
-    told = [calibrated_urdf(own), controller_numbers(own).text(), *points.columns]
+    columns = list(simulate_tcp(own, 2).to_frame())
+    assert columns[:3] == [f"travel_{name}_mm" for name in names]
+    told = [calibrated_urdf(own), controller_numbers(own).text(), *columns]
     assert not [text for text in told if re.search(r"\brho", text)]
     assert "Slide q is the commanded travel from mechanical zero." in told[0]
     assert "no dial is set against the legs of this machine" in " ".join(told[1].split())

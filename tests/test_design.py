@@ -19,7 +19,7 @@ from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.effects import CATALOGUE, relabelled
 from orthoglide.errors import InputError
-from orthoglide.fit import Estimate, Problem, build_problem, noise_of, solve, with_free
+from orthoglide.fit import Estimate, Problem, solve, with_free
 from orthoglide.fit.least_squares import linearise, normal, nuisances
 from orthoglide.machine_file import Controller
 from orthoglide.observations import Campaign, Moves, derive_approach, protocol
@@ -45,6 +45,7 @@ from orthoglide.planning.pool import DIAL_TRAVEL, sheet
 from orthoglide.planning.repeats import sigma_by_repeats
 from orthoglide.planning.rivals import inseparable_groups
 from orthoglide.planning.wording import detectable_rows, repeats_row
+from tests.factors import problem_of
 from tests.rig import Rig
 from tests.rig_campaigns import APPROACH, protocol_rows, read_csv, simulate, write_csv
 
@@ -58,7 +59,7 @@ def measured(machine, rig, rows, seed, name="a") -> Campaign:
 
 
 def base_problem(machine, campaigns):
-    return build_problem(machine, campaigns, CATALOGUE.base, noise_of(campaigns, machine.spec.dial))
+    return problem_of(machine, campaigns, CATALOGUE.base)
 
 
 def refit(problem: Problem, names: list[str]) -> Estimate:
@@ -299,9 +300,9 @@ def test_exchange_does_not_make_a_design_worse(readings):
 def identified(machine, campaign, free):
     """Whitened Jacobian of an identification from a sheet, by unknowns in tolerances."""
     told = campaign.with_readings(machine.readings(campaign))
-    problem = build_problem(machine, [told], free, noise_of([told], machine.spec.dial))
+    problem = problem_of(machine, [told], free)
     at = linearise(problem, problem.start)
-    here = normal(problem, at, nuisances(problem, at.slopes))
+    here = normal(problem, at, nuisances(problem, at.seen))
     return here.jacobian * problem.tolerance
 
 

@@ -1,6 +1,7 @@
 """The documents hold: generated pages are fresh, examples run, links lead somewhere."""
 
 import re
+import runpy
 from pathlib import Path
 from typing import get_args
 
@@ -15,7 +16,6 @@ from orthoglide.effects.page import GROUPS, effects_page
 from orthoglide.errors import OrthoglideError
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file import parse_machine_file
-from orthoglide.observations.columns import RHO, ROW_COLUMNS, SETUP_COLUMNS
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -82,13 +82,17 @@ def test_the_machine_file_of_the_page_of_files_reads() -> None:
     assert machine.geometry == Geometry()
     assert machine.screw_pitch == 0.02
     assert set(machine.parameters) == {"joint_offset.x"}
+    assert machine.surface_slope == 1e-4
 
 
 @pytest.mark.parametrize(
-    "column", [*SETUP_COLUMNS, *ROW_COLUMNS, *RHO, "approach_x", "travel_x_mm"]
+    ("part", "script"), [("machine file", "machine_file.py"), ("columns", "columns.py")]
 )
-def test_the_page_of_files_has_every_column(column: str) -> None:
-    assert f"`{column}`" in read("docs/files.md")
+def test_the_tables_of_the_page_of_files_are_those_of_the_schema(part: str, script: str) -> None:
+    printed = runpy.run_path(str(ROOT / "docs" / "tables" / script))["markdown"]()
+    _, _, rest = read("docs/files.md").partition(f"<!-- {part}: begin -->")
+    remedy = f"stale: python docs/tables/{script}"
+    assert rest.partition(f"<!-- {part}: end -->")[0].strip() == printed.strip(), remedy
 
 
 @pytest.mark.parametrize("word", get_args(Word))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -108,9 +109,9 @@ def test_a_bar_wrong_by_five_millimetres_is_told(kind: str, length: float) -> No
 def tcp_points(slip: float, **more: float):
     truth = {"joint_offset.x": 1e-3, "leg_length.x": 1e-4, "axis_tilt.y.z": 1e-3, **more}
     points = simulate_tcp(MACHINE.with_parameters(truth), seed=1)
-    p = points.p + np.random.default_rng(0).normal(0, 1e-5, points.p.shape)
-    p[7, 1] += slip
-    return replace(points, p=p, file="somewhere/points.csv")
+    reading = points.reading + np.random.default_rng(0).normal(0, 1e-5, len(points))
+    reading[3 * 7 + 1] += slip
+    return replace(points, reading=reading, file="somewhere/points.csv")
 
 
 @pytest.mark.parametrize(
@@ -124,9 +125,11 @@ def tcp_points(slip: float, **more: float):
     ],
 )  # fmt: skip
 def test_a_slip_in_a_tcp_point_is_named(slip: float, frame) -> None:
-    for ask in (og.identify, og.close_loop):
-        with pytest.raises(InputError, match=r"points.csv, line 9: .* mm off what all others say"):
-            ask(tcp_points(slip), MACHINE, frame=frame)
+    with pytest.raises(InputError, match=r"points.csv, line 9: .* mm off what all others say"):
+        og.identify(tcp_points(slip), MACHINE, frame=frame)
+    (fault,) = og.close_loop(tcp_points(slip), MACHINE, frame=frame).blunders
+    assert fault.sets_aside
+    assert re.search("points.csv, line 9: the point is .* mm off what all others", fault.message)
 
 
 @pytest.mark.thorough
@@ -175,22 +178,22 @@ def test_the_training_file_as_holdout_is_said() -> None:
 def test_points_of_the_tool_that_are_there_twice_are_said(missing: bool) -> None:
     points = tcp_points(0.0)
     if missing:
-        p = points.p.copy()
-        p[3:12, 1] = np.nan
-        points = replace(points, p=p)
-    renamed = replace(points, file="other.csv")
+        left_out = (points.axis == 1) & (points.order >= 3) & (points.order < 12)
+        points = points.subset(~left_out)
+    renamed = replace(points, name="other", file="other.csv")
 
-    def copies(*given: og.TcpPoints) -> list[Note]:
+    def copies(*given: og.Readings) -> list[Note]:
         found = og.identify(list(given), MACHINE, method="nested")
         return [w for w in found.warnings if w.kind == "copies"]
 
     assert not copies(points)
     (whole,) = copies(points, renamed)
     assert "the readings of other are those of points to the last digit" in whole
-    n = len(points)
+    at = points.points()
+    n = len(at.p)
     rows = np.r_[0:n, 3, 8]
-    some = {k: getattr(points, k)[rows] for k in ("command", "p", "sigma", "approach")}
-    (again,) = copies(replace(points, **some, line=np.arange(2, n + 4)))
+    some = (getattr(at, k)[rows] for k in ("command", "p", "sigma", "approach"))
+    (again,) = copies(og.Readings.from_points(*some, file="somewhere/points.csv"))
     assert again.lines == (n + 2, n + 3)
     assert f"points.csv, lines {n + 2}, {n + 3}: the same point as before" in again
 

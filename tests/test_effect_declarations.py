@@ -331,7 +331,6 @@ def test_a_machine_with_ones_own_effect_is_read_by_every_command(
     commands: list[tuple[str, ...]] = [
         ("forward", "310", "310", "310", *given),
         ("inverse", "0", "0", "0", *given),
-        ("view", "worn.toml", "--out", "worn.html"),
         ("export", "--force", "--out", "numbers", *given),
         ("compensate", "path.csv", "--force", "--out", "commands.csv", *given),
         ("protocol", "--out", "sheet.csv", *given),

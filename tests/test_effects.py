@@ -18,10 +18,10 @@ from orthoglide.effects import CATALOGUE, relabelled
 from orthoglide.effects.effect import Group
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Geometry
+from orthoglide.instruments.leg_dial import PLACE
 from orthoglide.mechanism.six_bars import LINES, ROTATION, TCP
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
-from orthoglide.observations import Campaign
-from orthoglide.observations.campaign import Setup
+from orthoglide.observations import Readings, Setup
 from orthoglide.prediction import Conditions, Model
 from tests.rig import Array, Pose, Rig, parameter_names
 from tests.tiers import in_turn
@@ -67,11 +67,11 @@ def model() -> Model:
 
 
 @cache
-def campaign(load: float = 5.0) -> Campaign:
+def campaign(load: float = 5.0) -> Readings:
     """Random postures of the stroke, all setups, everything that a condition can be."""
     rng = np.random.default_rng(1)
     n = 30
-    return Campaign(
+    return Readings(
         name="contract",
         setups=SETUPS,
         setup=np.arange(n) % len(SETUPS),
@@ -93,7 +93,7 @@ def tolerance(name: str) -> float:
     return CATALOGUE.effect_of(name).tolerance_si
 
 
-def rig_outputs(values: dict[str, float], seen: Campaign) -> tuple[Pose, Array]:
+def rig_outputs(values: dict[str, float], seen: Readings) -> tuple[Pose, Array]:
     """Poses and readings of the independent machine."""
     rig = Rig(errors=values, screw_pitch=PITCH)
     setups = [seen.setups[k] for k in seen.setup]
@@ -112,7 +112,7 @@ def rig_outputs(values: dict[str, float], seen: Campaign) -> tuple[Pose, Array]:
     return pose, shown
 
 
-def outputs(values: dict[str, float], seen: Campaign) -> Array:
+def outputs(values: dict[str, float], seen: Readings) -> Array:
     """TCP, rotation and bars' ends ``(n, 48)``."""
     machine = {k: v for k, v in values.items() if not CATALOGUE.effect_of(k).of_dial}
     return model().outputs(machine, Conditions.of(seen)).values
@@ -245,7 +245,7 @@ def test_derivative_by_the_gauges_place() -> None:
         moved = [Setup(s.name, s.leg, s.axis, s.sign, s.gauge + h, s.bar) for s in seen.setups]
         return model().readings(background(), replace(seen, setups=tuple(moved)))
 
-    own = model().linearised(background(), seen, []).slopes[:, 0]
+    own = model().linearised(background(), seen, []).seen.by_nuisance[:, PLACE]
     assert np.abs(own - four_point(at, 1e-3)).max() < 1e-10
     assert np.abs(own).max() > 0.1
 

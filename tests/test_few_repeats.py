@@ -11,7 +11,7 @@ import orthoglide as og
 from benchmarks.delta_readings import measured
 from orthoglide.fit import solve
 from orthoglide.fit.identifying import assemble
-from orthoglide.observations import ToolCampaign
+from orthoglide.observations import Readings
 from tests.rig_delta import DeltaRig
 from tests.test_checking import delta
 
@@ -19,7 +19,7 @@ UNTOLD = og.Machine(replace(delta().spec, instruments={}))
 """Of which no instrument's noise is declared."""
 
 
-def tracked(seed: int, scale: float, **errors: float) -> ToolCampaign:
+def tracked(seed: int, scale: float, **errors: float) -> Readings:
     """A tracker's points, the first three read again, which differ by ``scale`` of its noise."""
     rng = np.random.default_rng(seed)
     once = measured(DeltaRig(errors=errors), rng, machine=delta(), instrument="tool coordinates")

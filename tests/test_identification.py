@@ -19,15 +19,7 @@ from hypothesis import given, settings, strategies as st
 from orthoglide import reduction
 from orthoglide.effects import relabelled
 from orthoglide.errors import CrossCheckError, InputError, SolverError, UnidentifiableError
-from orthoglide.fit import (
-    Estimate,
-    Problem,
-    build_problem,
-    crosscheck as crosscheck_module,
-    identify,
-    noise_of,
-    solve,
-)
+from orthoglide.fit import Estimate, Problem, crosscheck as crosscheck_module, identify, solve
 from orthoglide.fit.least_squares import Nuisances, linearise, normal, nuisances
 from orthoglide.fit.nlp import Nlp, NlpResult
 from orthoglide.geometry import LEGS
@@ -35,6 +27,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial, MachineFile
 from orthoglide.observations import Campaign, Setup, protocol, read_campaign
 from orthoglide.simulation import simulate as simulated
+from tests.factors import problem_of
 from tests.rig import Rig
 from tests.rig_campaigns import Row, protocol_rows, simulate
 
@@ -282,14 +275,13 @@ def test_a_programme_is_built_once_for_many_readings() -> None:
 def programme_parts(campaign: Campaign) -> tuple[Problem, Nuisances, np.ndarray]:
     problem = posed(campaign)
     first = linearise(problem, problem.start)
-    nuisance = nuisances(problem, first.slopes)
+    nuisance = nuisances(problem, first.seen)
     here = normal(problem, first, nuisance)
     return problem, nuisance, 1 / np.sqrt(np.diag(here.information))
 
 
 def posed(*campaigns: Campaign, free: Sequence[str] = SIX, **options: Any) -> Problem:
-    noise = noise_of(campaigns, MACHINE.spec.dial)
-    return build_problem(MACHINE, campaigns, free, noise, **options)
+    return problem_of(MACHINE, campaigns, free, **options)
 
 
 # -- several campaigns ---------------------------------------------------------------------------
@@ -569,8 +561,7 @@ def test_covariance_is_the_scatter_of_repeated_campaigns() -> None:
     """Two hundred campaigns of one machine against the sigmas of one."""
     sheet, machine = protocol("standard"), Machine(EXACT)
     truth = machine.model.readings(PLANTED, sheet)
-    noise = noise_of([sheet.with_readings(truth)], machine.spec.dial)
-    problem = build_problem(machine, [sheet.with_readings(truth)], SIX[:3], noise, priors=False)
+    problem = problem_of(machine, [sheet.with_readings(truth)], SIX[:3], priors=False)
     held = replace(problem, held=({n: PLANTED[n] for n in SIX[3:]},))
     one = solve(held, method="nested")
     step = pss_step(one)
@@ -749,8 +740,7 @@ def test_a_lone_reading_has_no_cross_validation() -> None:
     assert np.isfinite(found.scores.cv_rms)
     sheet = measured("standard once")
     first = sheet.subset(np.unique(sheet.setup, return_index=True)[1])
-    noise = noise_of([first], MACHINE.spec.dial)
-    problem = build_problem(MACHINE, [first], MACHINE.catalogue.base, noise)
+    problem = problem_of(MACHINE, [first], MACHINE.catalogue.base)
     assert np.isnan(solve(problem).scores.cv_rms)
 
 
@@ -803,9 +793,8 @@ def test_two_bars_and_odd_places() -> None:
     rng = np.random.default_rng(11)
     blank = np.full(n, np.nan)
     sheet = Campaign(
-        "odd", setups, np.arange(n) % len(setups), 0.31025 + rng.uniform(-0.1, 0.06, (n, 3)),
-        np.ones((n, 3)), blank, blank, np.zeros(n), np.ones(n, int), np.arange(n), ("",) * n,
-        blank, blank, np.arange(n) + 2,
+        "odd", setups, np.arange(n) % len(setups),
+        command=0.31025 + rng.uniform(-0.1, 0.06, (n, 3)), reading=blank, approach=np.ones((n, 3)),
     )  # fmt: skip
     planted = PLANTED | {"bar_mismatch.y": 1e-4}
     campaign = predicted(machine, planted, sheet)

@@ -1,4 +1,5 @@
-"""What every instrument owes, run over all of them: gradient, nuisances, places, and no other name.
+"""What every kind of reading owes, run over all of them: its formula on numbers against its
+compiled derivatives, nuisances, places, and no other name.
 
 A new file under `orthoglide/instruments` is taken up by itself.
 """
@@ -6,73 +7,139 @@ A new file under `orthoglide/instruments` is taken up by itself.
 from __future__ import annotations
 
 import ast
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from orthoglide.instruments import INSTRUMENTS, Instrument, Mounting, Pose
+import orthoglide as og
+from orthoglide.effects import CATALOGUE, Effect
+from orthoglide.instruments import AT_TOOL, OBSERVATIONS, POSE, Beliefs, Observation, Row, Setup
+from orthoglide.instruments.observation import Site, Stand
+from orthoglide.observations import Readings
+from orthoglide.prediction.observed import Formula, Formulas
 
 PACKAGE = Path(__file__).parents[1] / "orthoglide"
 COUNT = 12
 
 # Where files of the command line, parts of a drawing or groups of effects have the same word.
 OTHER_MEANINGS = {
-    "effects/effect.py", "effects/page.py", "effects/plates.py", "pictures.py", "report/page.py",
-    "report/result_json.py", "report/tables.py", "request/reading.py", "request/request.py",
-    "scene/marks.py", "scene/parts.py", "klipper/calibration.py",
+    "effects/effect.py", "effects/page.py", "effects/plates.py", "pictures.py",
+    "report/page.py", "report/result_json.py", "request/reading.py",
+    "request/request.py", "scene/marks.py", "scene/parts.py",
+    "firmware/klipper/heights.py",
 }  # fmt: skip
 
-every = pytest.mark.parametrize("one", INSTRUMENTS.values(), ids=lambda one: one.kind)
+every = pytest.mark.parametrize("one", OBSERVATIONS.values(), ids=lambda one: one.kind)
+at_tool = pytest.mark.parametrize("one", AT_TOOL.values(), ids=lambda one: one.kind)
 
 
-def drawn(one: Instrument, seed: int = 3) -> tuple[Pose, Mounting]:
-    """Poses and mountings at random."""
-    rng = np.random.default_rng(seed)
+def setup_of(one: Observation) -> Setup:
+    if one.on_leg:
+        return Setup("s", 0, 1, -1, 0.155, 1, kind=one.kind, gauge2=0.11)
+    return Setup("s", kind=one.kind, beside=(0.01, -0.02, -0.03) if one.of_setup else (0.0,) * 3)
+
+
+def drawn(
+    one: Observation, stand: Stand | None = None, *, sign: float = 0.0, nuisance: float = 0.0
+) -> Rows:
+    """Poses and mountings at random, nuisances of a size; signs too where none is given."""
+    rng, effects = np.random.default_rng(3), Formulas(CATALOGUE).effects(one)
     p, apart = rng.normal(scale=0.1, size=(2, COUNT, 3))
-    R = Rotation.from_rotvec(rng.normal(scale=1e-3, size=(COUNT, 3))).as_matrix()
-    axis = np.array([one.axes[k % len(one.axes)] if one.axes else 0 for k in range(COUNT)])
-    ball = np.tile(rng.normal(scale=0.1, size=3), (COUNT, 1))
-    turn = np.tile(Rotation.from_rotvec(rng.normal(size=3)).as_matrix(), (COUNT, 1, 1))
-    return Pose(p, R, apart), Mounting(axis, rng.choice([-1.0, 1.0], COUNT), ball, turn)
+    turn = Rotation.from_rotvec(rng.normal(scale=1e-3, size=(COUNT, 3))).as_matrix()
+    pose = np.hstack([p, turn.reshape(COUNT, 9)])
+    if one.on_leg:  # ends of bars along x
+        ends = np.array([[0.0, 0.02, 0.0], [0.31, 0.02, 0.0], [0.0, -0.02, 0.0], [0.31, -0.02, 0]])
+        pose = ends.ravel() + rng.normal(scale=1e-2, size=(COUNT, POSE))
+    axis = [one.axes[k % len(one.axes)] if one.axes else 0 for k in range(COUNT)]
+    signs = rng.choice([-1.0, 1.0], COUNT) if not sign else np.full(COUNT, sign)
+    table = Readings(
+        "drawn", (setup_of(one),), setup=np.zeros(COUNT, dtype=int), command=np.zeros((COUNT, 3)),
+        reading=np.full(COUNT, np.nan), time=np.arange(COUNT) * 60.0, axis=axis, sign=signs,
+    )  # fmt: skip
+    stand = stand or Stand(Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix(), 0.1 * np.ones(3))
+    site = Site(og.Geometry(), (stand,), rng.uniform(-0.7, 0.7, (COUNT, 2)), effects)
+    mounting = one.mountings(table, np.arange(COUNT), site)
+    other = np.hstack([p + apart, pose[:, 3:]])
+    values = rng.normal(scale=1e-4, size=(COUNT, sum(len(e.parameters(("s",))) for e in effects)))
+    brought = rng.normal(scale=nuisance, size=(COUNT, one.nuisances))
+    return Rows(one, effects, table, [pose, other, mounting, brought, values])
+
+
+class Rows:
+    """Rows of one kind, whose formula is worked out in plain numbers."""
+
+    def __init__(
+        self,
+        one: Observation,
+        effects: tuple[Effect, ...],
+        table: Readings,
+        given: list[np.ndarray],
+    ) -> None:
+        self.one, self.effects, self.table, self.given = one, effects, table, given
+
+    def value(self, **other: np.ndarray) -> np.ndarray:
+        """Readings ``(COUNT,)``, some of what they follow replaced."""
+        given = dict(zip(PARTS, self.given, strict=True)) | other
+        rows = zip(*(given[part] for part in PARTS), strict=True)
+        return np.array([float(self.one.formula(Row(*row), self.effects)) for row in rows])
+
+    @property
+    def tangent(self) -> list[np.ndarray]:
+        """The compiled formula: readings, and their derivatives by all but the mounting."""
+        given = list(self.given)
+        given[4] = given[4] if given[4].shape[1] else np.zeros((COUNT, 1))
+        return list(Formula(self.one, self.effects, given[2].shape[1]).tangent(*given))
+
+    @property
+    def columns(self) -> np.ndarray:
+        """Derivatives by the nuisances, those of the last ones of a setup."""
+        return self.tangent[3]
+
+
+PARTS = ("pose", "other", "mounting", "nuisance", "values")
 
 
 @every
-def test_the_gradient_is_the_derivative_of_the_value(one: Instrument) -> None:
-    pose, mounting = drawn(one)
-    found, step = one.gradient(pose, mounting), 1e-6
-    assert found
-    for what in ("p", "R", "apart"):
-        start = getattr(pose, what)
-        slope = found.get(what, np.zeros_like(start)).reshape(COUNT, -1)  # type: ignore[call-overload]
-        for k in range(slope.shape[1]):
+def test_compiled_derivatives_are_those_of_the_formula(one: Observation) -> None:
+    rows, step = drawn(one, nuisance=1e-4), 1e-6
+    value, *slopes = rows.tangent
+    np.testing.assert_allclose(value[:, 0], rows.value(), rtol=0, atol=1e-14)
+    by = dict(zip(("pose", "other", "nuisance", "values"), slopes, strict=True))
+    assert by["pose"].any()
+    assert by["other"].any() == one.paired
+    for part, slope in by.items():
+        start = rows.given[PARTS.index(part)]
+        for k in range(start.shape[1]):
             sides = []
             for way in (step, -step):
-                moved = start.reshape(COUNT, -1).copy()
+                moved = start.copy()
                 moved[:, k] += way
-                there = Pose(**{"p": pose.p, "R": pose.R, "apart": pose.apart,
-                                what: moved.reshape(start.shape)})  # fmt: skip
-                sides.append(one.value(there, mounting))
+                sides.append(rows.value(**{part: moved}))
             np.testing.assert_allclose((sides[0] - sides[1]) / (2 * step), slope[:, k], atol=1e-8)
 
 
-@every
-def test_what_an_instrument_shows_out_of_its_place_its_nuisances_say(one: Instrument) -> None:
-    pose, mounting = drawn(one)
-    value = one.value(pose, mounting)
-    columns = np.column_stack([column for column, _ in one.nuisances(pose.p, value, mounting)])
-    assert len(columns) == COUNT
-    small, left = 1e-5, []
-    for sd in (small, small / 2):
-        shown = one.displaced(pose.p, mounting, np.random.default_rng(5), sd)
-        if shown is None:
-            return
-        rest = shown - value
-        assert np.abs(rest).max() > sd / 10
-        rest = rest - columns @ np.linalg.lstsq(columns, rest, rcond=1e-9)[0]
-        left.append(np.abs(rest).max())
+def turned(small: float) -> tuple[Stand, Stand]:
+    """An instrument in its place, and about a distance off it, turned as well."""
+    place = Rotation.from_rotvec([0.3, -0.5, 0.2])
+    moved = place.inv() * Rotation.from_rotvec(np.array([1.0, -0.7, 0.4]) * small)
+    ball = 0.1 * np.ones(3)
+    return (
+        Stand(place.as_matrix(), ball),
+        Stand(moved.inv().as_matrix(), ball + np.array([-0.5, 0.8, 1.0]) * small),
+    )
+
+
+@pytest.mark.parametrize("kind", ["tcp", "ballbar"])
+def test_what_an_instrument_shows_out_of_its_place_its_nuisances_say(kind: str) -> None:
+    one, small, left = OBSERVATIONS[kind], 1e-5, []
+    for size in (small, small / 2):
+        rows, moved = (drawn(one, stand) for stand in turned(size))
+        columns = rows.columns
+        rest = moved.value() - rows.value()
+        assert np.abs(rest).max() > size / 10
+        left.append(np.abs(rest - columns @ np.linalg.lstsq(columns, rest, rcond=1e-9)[0]).max())
     assert left[0] < 20 * small**2 / 0.01  # what is left is of the second order
     assert left[1] < left[0] / 3
 
@@ -85,33 +152,36 @@ LINEAR = {
 }
 
 
-@every
-def test_nuisances_span_what_a_setup_shows_besides_the_machine(one: Instrument) -> None:
-    """Where an instrument says itself what it shows out of its place, the test above holds it."""
-    pose, mounting = drawn(one)
-    mounting = replace(mounting, sign=np.ones(COUNT))
-    moved = one.displaced(pose.p, mounting, np.random.default_rng(5), 1e-5)
-    assert (moved is None) is (one.kind in LINEAR)
-    if moved is not None:
-        return
-    value = one.value(pose, mounting)
-    shown = LINEAR[one.kind](pose.p, value, mounting.axis)
-    columns = np.column_stack([column for column, _ in one.nuisances(pose.p, value, mounting)])
+@pytest.mark.parametrize("kind", LINEAR)
+def test_nuisances_span_what_a_setup_shows_besides_the_machine(kind: str) -> None:
+    rows = drawn(OBSERVATIONS[kind], sign=1.0)
+    pose, beside = rows.given[0], np.array(rows.table.setups[0].beside)
+    p = pose[:, :3] + pose[:, 3:].reshape(COUNT, 3, 3) @ beside
+    shown, columns = LINEAR[kind](p, rows.value(), rows.table.axis), rows.columns
     rest = shown - columns @ np.linalg.lstsq(columns, shown, rcond=1e-9)[0]
     assert np.abs(rest).max() < 1e-12
     assert np.linalg.matrix_rank(columns, tol=1e-9) < COUNT  # and not just anything
 
 
-@every
-def test_counting_the_other_way_turns_the_sign(one: Instrument) -> None:
-    pose, mounting = drawn(one)
-    other = replace(mounting, sign=-mounting.sign)
-    factor = -1.0 if one.axes else 1.0
-    np.testing.assert_array_equal(one.value(pose, other), factor * one.value(pose, mounting))
+def test_kinds_whose_nuisances_are_held_by_hand_are_all_at_the_tool() -> None:
+    assert {*LINEAR, "tcp", "ballbar"} == set(AT_TOOL)
+
+
+@at_tool
+def test_counting_the_other_way_turns_the_sign(one: Observation) -> None:
+    here, other = (drawn(one, sign=sign).value() for sign in (1.0, -1.0))
+    np.testing.assert_array_equal(other, -here if one.axes else here)
 
 
 @every
-def test_a_sheet_stays_within_its_circle(one: Instrument) -> None:
+def test_what_is_known_of_nuisances_is_said_of_each(one: Observation) -> None:
+    known = one.known(np.array([0]), Beliefs(placement=1e-4, surface_slope=1e-4))
+    assert known.shape == (one.nuisances,)
+    assert (known > 0).all()
+
+
+@at_tool
+def test_a_sheet_stays_within_its_circle(one: Observation) -> None:
     t = np.arange(12) * np.pi / 6
     points, others = one.places(np.stack([np.cos(t), np.sin(t), 0 * t], axis=1))
     assert (others is not None) is one.paired
@@ -120,10 +190,11 @@ def test_a_sheet_stays_within_its_circle(one: Instrument) -> None:
 
 
 @every
-def test_an_instrument_is_declared_whole(one: Instrument) -> None:
+def test_an_instrument_is_declared_whole(one: Observation) -> None:
     assert "" not in (one.words, one.reads)
     assert one.unit in ("mm", "mrad")
-    assert ("{}" in one.reads) is bool(one.axes)
+    shown = one.reads.format("AXIS", "LEG")
+    assert ("AXIS" in shown, "LEG" in shown) == (bool(one.axes), one.on_leg)
     assert 0 < 10 * one.repeatability < one.slip_alone <= one.slip
 
 
@@ -133,7 +204,7 @@ def test_nobody_else_knows_an_instrument_by_name() -> None:
         for path in sorted(PACKAGE.rglob("*.py"))
         if path.parent != PACKAGE / "instruments"
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Constant) and node.value in INSTRUMENTS
+        if isinstance(node, ast.Constant) and node.value in AT_TOOL
     }
     assert not found - OTHER_MEANINGS
     assert not OTHER_MEANINGS - found

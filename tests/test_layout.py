@@ -408,12 +408,13 @@ def test_points_of_any_layout_are_simulated_judged_and_drawn(geometry: Geometry)
     tilt = f"axis_tilt.{leg}.{sound.catalogue.legs.across[1][0]}"
     worn = sound.with_parameters({f"joint_offset.{leg}": 5e-4, tilt: 4e-3})
     drawn = simulate_tcp(worn)
-    assert len(drawn) == 60
-    assert geometry.in_stroke(drawn.command).all()
-    assert np.ptp(drawn.p, axis=0).min() > 0.05
+    points = drawn.points()
+    assert len(points.p) == 60
+    assert geometry.in_stroke(points.command).all()
+    assert np.ptp(points.p, axis=0).min() > 0.05
     assert list(drawn.to_frame())[:3] == [f"travel_{name}_mm" for name in geometry.leg_names]
-    noise = np.random.default_rng(0).normal(scale=1e-5, size=drawn.p.shape)
-    verdict = close_loop([replace(drawn, p=drawn.p + noise)], sound)
+    noise = np.random.default_rng(0).normal(scale=1e-5, size=len(drawn))
+    verdict = close_loop([drawn.with_readings(drawn.reading + noise)], sound)
     assert verdict.stands
     for picture in (verdict._repr_html_(), verdict.plot("tool").svg):
         assert "<svg" in picture
@@ -425,7 +426,7 @@ def test_points_of_any_layout_are_simulated_judged_and_drawn(geometry: Geometry)
 def test_points_of_a_delta_are_written_and_read_by_its_controller_s_count(tmp_path: Path) -> None:
     counting = Controller(zero=(0.2, 0.21, 0.22), sign=(-1, -1, -1))
     spec = MachineFile(geometry=DELTA, controller=counting)
-    drawn = replace(simulate_tcp(Machine(spec), 5), approach=np.ones((5, 3)))
+    drawn = replace(simulate_tcp(Machine(spec), 5), approach=np.ones((15, 3)))
     rows = tcp_rows(drawn, spec)
     assert list(rows[0]) == [
         *(f"travel_{k}_mm" for k in "abc"), *(f"p_{k}_mm" for k in "xyz"),
@@ -436,6 +437,7 @@ def test_points_of_a_delta_are_written_and_read_by_its_controller_s_count(tmp_pa
     file.write_text(csv_text(rows))
     again = read_tcp(file, spec)
     for name in ("command", "p", "approach"):
-        assert getattr(again, name) == pytest.approx(getattr(drawn, name), abs=1e-9)
+        found, given = (getattr(one.points(), name) for one in (again, drawn))
+        assert found == pytest.approx(given, abs=1e-9)
     with pytest.raises(FileError, match="give its machine file"):
         read_tcp(file)

@@ -18,11 +18,14 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import (
     Controller,
     Dial,
+    Instrument,
     MachineFile,
     ParameterValue,
     Stiffness,
+    machine_text,
     parse_machine_file,
     read_machine_file,
+    schema,
     write_machine_file,
 )
 from orthoglide.units import MM
@@ -157,7 +160,7 @@ MALFORMED: dict[str, tuple[str, str, str, int | None]] = {
     "zero of two numbers": ("[0.5, -0.25, 100]", "[0.5, 1]", "list of 3 numbers", 19),
     "zero as text": ("[0.5, -0.25, 100]", '[0.5, "a", 1]', "must be a number", 19),
     "zero far away": ("[0.5, -0.25, 100]", "[0.5, 1e9, 1]", "no more than", 19),
-    "sign of zero": ("sign = [1, -1, 1]", "sign = [1, 0, 1]", "each 1 or -1", 20),
+    "sign of zero": ("sign = [1, -1, 1]", "sign = [1, 0, 1]", "at place 2 must be 1 or -1", 20),
     "tolerance of no family": ("axis_tilt = 2e-3", "axis_tlit = 2e-3", "mean 'axis_tilt'", 24),
     "tolerance of zero": ("joint_offset = 1.5", "joint_offset = 0", "must be above 0", 23),
     "negative stiffness": ("= 4e4", "= -4e4", "must be above 0", 29),
@@ -170,7 +173,7 @@ MALFORMED: dict[str, tuple[str, str, str, int | None]] = {
     "parameter with more": ("sigma = 0.01", "sigma = 0.01, sd = 1", "no key 'sd'", 32),
     "parameter as a number": (
         '{ value = 0.25, sigma = 0.01, unit = "mm" }', "0.25", "must be a table", 32),
-    "parameter in another unit": ('unit = "mm"', 'unit = "m"', "is in mm, not m", 32),
+    "parameter in another unit": ('unit = "mm"', 'unit = "m"', "must be mm, not 'm'", 32),
     "negative sigma": ("sigma = 0.01", "sigma = -0.01", "must be at least 0", 32),
     "value not a number": ("value = 0.25", "value = nan", "finite", 32),
     "not TOML": ("L = 310.25", "L 310.25", "is not TOML", 5),
@@ -218,6 +221,88 @@ def test_broken_machine_files_are_refused(content: bytes, phrase: str, tmp_path:
         read_machine_file(write(tmp_path / "bad.toml", content))
     with pytest.raises(FileError, match="no such file"):
         read_machine_file(tmp_path / "none.toml")
+
+
+# --- The schema -----------------------------------------------------------------------------
+
+DELTA = """\
+[layout]
+kind = "linear-delta"
+radius_mm = 135
+angles_deg = [210, 330.5, 90]
+tool_mm = [0, 0, -20]
+"""
+LEGS = """\
+[layout]
+kind = "legs"
+tool_mm = [0, 0, 0]
+[layout.leg.x]
+origin_mm = [341.25, 0, 0]
+slide = [1, 0, 0]
+link = [0, 0, 1]
+[layout.leg.y]
+origin_mm = [0, 341.25, 0]
+slide = [0, 1, 0]
+link = [1, 0, 0]
+[layout.leg.z]
+origin_mm = [0, 0, 341.25]
+slide = [0, 0, 1]
+link = [0, 1, 0]
+"""
+FURTHER = """\
+[instrument.parallelism]
+resolution = 0.001
+repeatability = 0.002
+"""
+
+
+def of_layout(layout: str) -> str:
+    """The good file with a layout of its own and other instruments."""
+    text = GOOD[: GOOD.index("[parameters]")].replace("gauge_drift", "surface_slope")
+    return text.replace('cellar"\n', 'cellar"\nurdf = "here"\n') + layout + FURTHER
+
+
+@pytest.mark.parametrize("layout", [DELTA, LEGS], ids=["delta", "legs"])
+def test_every_key_is_read_and_written(layout: str) -> None:
+    text = of_layout(layout)
+    machine = parse_machine_file(text)
+    again = machine_text(machine)
+    assert parse_machine_file(again) == machine
+    placed = schema.LEG if layout is LEGS else schema.LAYOUTS["linear-delta"]
+    for section in (schema.TOP, schema.GEOMETRY, schema.DRIVE, schema.INSTRUMENT, placed,
+                    *schema.PARTS.values()):  # fmt: skip
+        for key in section.keys:
+            assert key is schema.R or f"\n{key.name} = " in f"\n{again}"
+
+
+@pytest.mark.parametrize("layout", [DELTA, LEGS], ids=["delta", "legs"])
+def test_a_misspelt_key_is_named_with_its_line(layout: str) -> None:
+    lines = of_layout(layout).splitlines()
+    keys = [k for k, line in enumerate(lines) if " = " in line]
+    assert len(keys) > 20
+    for k in keys:
+        name = lines[k].partition(" = ")[0]
+        wrong = [*lines[:k], lines[k].replace(name, f"{name}x", 1), *lines[k + 1 :]]
+        with pytest.raises(FileError) as caught:
+            parse_machine_file("\n".join(wrong))
+        if "has no key" in caught.value.reason:
+            assert (f"did you mean {name!r}?" in caught.value.reason, caught.value.line) == (
+                True, k + 1)  # fmt: skip
+        else:  # the kind of a layout says which keys there are
+            assert f"has no {name!r}: add it" in caught.value.reason
+
+
+def test_a_reference_surface_has_a_slope() -> None:
+    assert parse_machine_file(GOOD).surface_slope is None
+    text = of_layout("")
+    machine = parse_machine_file(text)
+    assert (machine.surface_slope, machine.instruments["parallelism"]) == (
+        5e-5, Instrument(1e-6, 2e-6))  # fmt: skip
+    assert "surface_slope" not in machine.tolerance
+    assert parse_machine_file(machine_text(machine)).surface_slope == 5e-5
+    for slope, told in (("-1e-4", "must be above 0 and below 1"), ('"1e-4"', "must be a number")):
+        with pytest.raises(FileError, match=rf"line 26: tolerance.surface_slope {told}"):
+            parse_machine_file(text.replace("surface_slope = 5e-5", f"surface_slope = {slope}"))
 
 
 # --- Writing --------------------------------------------------------------------------------

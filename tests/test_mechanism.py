@@ -342,7 +342,7 @@ def test_pose_does_not_depend_on_which_end_of_a_parallelogram_comes_first() -> N
 
 def same_pose_with(loops: tuple[Closure, ...], seed: int) -> None:
     own = mechanism()
-    variant = ByPinocchio(_rebuilt(NOMINAL, own._looped, replace(own.tree, loops=loops)))
+    variant = ByPinocchio(_rebuilt(NOMINAL, own.looped, replace(own.tree, loops=loops)))
     asked = given(commands(50, seed), displacements(50, seed))
     expected, expected_slopes = six_bars().tangent(*asked)
     found, slopes = variant.tangent(*asked)

@@ -8,7 +8,7 @@ import pytest
 
 from orthoglide.closing import Verdict, close_loop
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, TcpPoints
+from orthoglide.observations import Readings
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -21,20 +21,20 @@ RIG = Rig(
 )  # fmt: skip
 
 
-def tracked(count: int, noise: float, rng: np.random.Generator) -> TcpPoints:
+def tracked(count: int, noise: float, rng: np.random.Generator) -> Readings:
     table = rc.tcp_points(RIG, count, rng)
     command = np.array([[row[k] for k in rc.RHO] for row in table]) * 1e-3
     p = np.array([[row[f"p_{x}_mm"] for x in "xyz"] for row in table]) * 1e-3
     p += noise * rng.standard_normal(p.shape)
     unknown = np.full(count, noise or np.nan)
-    return TcpPoints(command, p, unknown, np.zeros((count, 3)), np.arange(count) + 2)
+    return Readings.from_points(command, p, unknown)
 
 
 @cache
 def verdicts() -> dict[str, Verdict]:
     rng = np.random.default_rng(5)
     rows = rc.simulate(RIG, rc.protocol_rows("standard"), rng)
-    dials = Campaign.from_frame({k: [row[k] for row in rows] for k in rows[0]}, name="dials")
+    dials = Readings.from_frame({k: [row[k] for row in rows] for k in rows[0]}, name="dials")
     tracker, judge = tracked(12, 3e-5, rng), tracked(60, 0.0, rng)
     given = {"dials": [dials], "tracker": [tracker], "both": [dials, tracker]}
     return {n: close_loop(g, MACHINE, tcp=judge, frame="none") for n, g in given.items()}

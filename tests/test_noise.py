@@ -11,16 +11,12 @@ import pytest
 
 import orthoglide as og
 from orthoglide.errors import InputError
-from orthoglide.fit import noise_of
-from orthoglide.fit.noise import (
-    PUBLISHED_REPEATABILITY,
-    common_rounding,
-    dial_steps,
-    repeat_variance,
-)
-from orthoglide.instruments import INSTRUMENTS
+from orthoglide.fit import Noise, noise_of
+from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, RowNoise
+from orthoglide.fit.repeats import common_rounding, dial_steps, repeat_variance
+from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine_file import Dial, Instrument
-from orthoglide.observations import Campaign, protocol
+from orthoglide.observations import Readings, protocol
 from orthoglide.planning.owning import tool_sheet
 from orthoglide.report.wording import headline
 
@@ -28,7 +24,18 @@ SPREAD = 3e-5
 EXACT = Dial(resolution=0.0)
 
 
-def campaign(sigma: float = float("nan"), drift: float = 0.0, seed: int = 0) -> Campaign:
+def by_dial(
+    tables: list[Readings],
+    dial: Dial,
+    declared: float | None = None,
+    steps: list[np.ndarray] | None = None,
+) -> tuple[Noise, tuple[RowNoise, ...]]:
+    """Noise of readings of a machine with this dial."""
+    spec = replace(og.Machine.nominal().spec, dial=dial)
+    return noise_of(tables, spec, declared, steps)
+
+
+def campaign(sigma: float = float("nan"), drift: float = 0.0, seed: int = 0) -> Readings:
     """The sweep's three rounds: readings that scatter about a slow drift."""
     sheet = protocol("sweep")
     rng = np.random.default_rng(seed)
@@ -36,29 +43,31 @@ def campaign(sigma: float = float("nan"), drift: float = 0.0, seed: int = 0) -> 
     return replace(sheet, reading=readings, sigma=np.full(len(sheet), sigma))
 
 
-def unrepeated() -> Campaign:
+def unrepeated() -> Readings:
     whole = campaign()
     return whole.subset(whole.repeat == 1)
 
 
 def test_declared_for_the_run_replaces_everything() -> None:
-    noise = noise_of([campaign(sigma=7e-5)], Dial(repeatability=1e-6), 4e-5)
+    noise, (rows,) = by_dial([campaign(sigma=7e-5)], Dial(repeatability=1e-6), 4e-5)
     assert noise.source == "declared"
     assert noise.typical == 4e-5
-    assert np.all(noise.sigma[0] == 4e-5)
+    assert np.all(rows.sigma == 4e-5)
 
 
 @pytest.mark.parametrize("bad", [0.0, -1e-5, float("nan"), float("inf"), 5e-3])
 def test_declared_noise_is_some_instruments(bad: float) -> None:
     with pytest.raises(InputError, match=r"deviation in metres, from 1e-09 to 0\.001, not"):
-        noise_of([campaign()], EXACT, bad)
+        by_dial([campaign()], EXACT, bad)
 
 
 def test_declared_by_row() -> None:
     sigma = np.linspace(1e-5, 5e-5, len(campaign()))
-    noise = noise_of([replace(campaign(), sigma=sigma)], Dial(resolution=0.0, repeatability=1e-6))
+    noise, (rows,) = by_dial(
+        [replace(campaign(), sigma=sigma)], Dial(resolution=0.0, repeatability=1e-6)
+    )
     assert noise.source == "declared"
-    assert np.array_equal(noise.sigma[0], sigma)
+    assert np.array_equal(rows.sigma, sigma)
     assert noise.typical == pytest.approx(np.sqrt(np.mean(sigma**2)))
 
 
@@ -85,10 +94,10 @@ def test_noise_declared_far_too_large_is_said() -> None:
 @pytest.mark.parametrize("count", [8, pytest.param(60, marks=pytest.mark.thorough)])
 def test_noise_declared_too_large_for_points_of_the_tool(count: int) -> None:
     points = og.simulate_tcp(og.Machine.nominal(), count, seed=1)
-    spread = np.random.default_rng(2).normal(scale=1e-5, size=points.p.shape)
-    points = replace(points, p=points.p + spread)
+    spread = np.random.default_rng(2).normal(scale=1e-5, size=len(points))
+    points = points.with_readings(points.reading + spread)
     assert caution(og.identify(points, noise=5e-4))
-    assert caution(og.identify(replace(points, sigma=np.full(count, 5e-4))))
+    assert caution(og.identify(replace(points, sigma=np.full(len(points), 5e-4))))
     assert not caution(og.identify(points, noise=1e-5))
     assert not caution(og.identify(points))
 
@@ -103,39 +112,39 @@ def test_noise_declared_about_right_is_not_doubted(seed: int) -> None:
 
 def test_rows_without_a_sigma_take_the_machines() -> None:
     half = replace(campaign(), sigma=np.where(np.arange(len(campaign())) % 2, 9e-5, np.nan))
-    noise = noise_of([half], Dial(resolution=0.0, repeatability=1e-6))
+    noise, (rows,) = by_dial([half], Dial(resolution=0.0, repeatability=1e-6))
     assert noise.source == "machine"
-    assert set(np.unique(noise.sigma[0])) == {1e-6, 9e-5}
+    assert set(np.unique(rows.sigma)) == {1e-6, 9e-5}
 
 
 def test_machine_adds_what_the_dial_rounds_away() -> None:
-    noise = noise_of([unrepeated()], Dial(resolution=3e-5, repeatability=1e-5))
+    noise, _ = by_dial([unrepeated()], Dial(resolution=3e-5, repeatability=1e-5))
     assert noise.source == "machine"
     assert noise.typical == pytest.approx(np.sqrt(1e-10 + 9e-10 / 12))
 
 
 def test_repeats_tell_the_noise() -> None:
-    noise = noise_of([campaign()], EXACT)
+    noise, _ = by_dial([campaign()], EXACT)
     assert noise.source == "repeats"
     # 252 readings at 84 stations; both sides of the sweep's way count as one where they agree.
     assert noise.typical == pytest.approx(SPREAD, rel=0.15)
 
 
 def test_a_slow_drift_is_no_noise() -> None:
-    still, drifting = noise_of([campaign()], EXACT), noise_of([campaign(drift=5e-7)], EXACT)
+    (still, _), (drifting, _) = (by_dial([campaign(drift=d)], EXACT) for d in (0.0, 5e-7))
     assert drifting.typical == pytest.approx(still.typical, rel=0.1)
     assert np.std(campaign(drift=5e-7).reading) > 1.02 * np.std(campaign().reading)
 
 
 def test_repeats_never_say_less_than_the_rounding() -> None:
     silent = campaign().with_readings(np.zeros(len(campaign())))
-    noise = noise_of([silent], Dial(resolution=1e-5))
+    noise, _ = by_dial([silent], Dial(resolution=1e-5))
     assert noise.source == "repeats"
     assert noise.typical == pytest.approx(1e-5 / np.sqrt(12))
 
 
 def test_without_repeats_the_published_figure() -> None:
-    noise = noise_of([unrepeated()], Dial(resolution=1e-5))
+    noise, _ = by_dial([unrepeated()], Dial(resolution=1e-5))
     assert noise.source == "machine"
     assert noise.typical == pytest.approx(np.sqrt(PUBLISHED_REPEATABILITY**2 + 1e-10 / 12))
 
@@ -146,7 +155,7 @@ def test_too_few_repeats_do_not_count() -> None:
     variance, dof = repeat_variance([few])
     assert np.isfinite(variance)
     assert 0 < dof < 6
-    assert noise_of([few], EXACT).source == "machine"
+    assert by_dial([few], EXACT)[0].source == "machine"
 
 
 def test_repeat_variance_of_nothing_repeated() -> None:
@@ -186,11 +195,12 @@ def test_rounding_that_repeats_have_in_common(scatter: float) -> None:
 
 def test_a_coarse_dial_sets_its_rounding_apart() -> None:
     coarse = Dial(resolution=1e-5, repeatability=1e-6)
-    noise = noise_of([campaign()], coarse)
-    assert (noise.common[0] > 0).all()
-    assert noise.sigma[0][0] ** 2 + noise.common[0][0] ** 2 == pytest.approx(noise.typical**2)
-    assert not noise_of([unrepeated()], coarse).common[0].any()
-    assert not noise_of([campaign()], replace(coarse, repeatability=2e-5)).common[0].any()
+    noise, (rows,) = by_dial([campaign()], coarse)
+    assert (rows.common > 0).all()
+    assert rows.sigma[0] ** 2 + rows.common[0] ** 2 == pytest.approx(noise.typical**2)
+    loud = replace(coarse, repeatability=2e-5)
+    for given, dial in ((unrepeated(), coarse), (campaign(), loud)):
+        assert not by_dial([given], dial)[1][0].common.any()
     assert common_rounding(1e-5, 0.0) == 0.0
 
 
@@ -201,7 +211,7 @@ DATA = Path(og.__file__).parent / "data"
 RIG = Path(__file__).parent / "data" / "rig"
 
 
-def on_grid(step: float, setups: int = 6) -> Campaign:
+def on_grid(step: float, setups: int = 6) -> Readings:
     """A sound machine whose zeros are off, its first setups read on a step without the rest."""
     worn = og.Machine.nominal().with_parameters({"joint_offset.x": 3e-3, "joint_offset.y": -2e-3})
     exact = og.simulate(worn, "sweep", noise=5e-6, seed=3)
@@ -209,7 +219,7 @@ def on_grid(step: float, setups: int = 6) -> Campaign:
     return exact.with_readings(np.where(exact.setup < setups, coarse, exact.reading))
 
 
-def steps(read: Campaign) -> list[float]:
+def steps(read: Readings) -> list[float]:
     """Step of each setup's dial, as its readings tell."""
     found = dial_steps(read, 1e-5)
     return [float(found[read.setup == k].max()) for k in range(len(read.setups))]
@@ -239,19 +249,20 @@ def test_a_step_is_never_made_up() -> None:
 
 def test_the_noise_of_a_coarse_dial_has_its_rounding() -> None:
     known = Dial(repeatability=5e-6)
-    noise = noise_of([on_grid(STEP)], known)
-    declared = noise_of([on_grid(STEP)], replace(known, resolution=STEP))
+    noise, (rows,) = by_dial([on_grid(STEP)], known)
+    declared, (as_told,) = by_dial([on_grid(STEP)], replace(known, resolution=STEP))
     assert noise.typical == declared.typical
-    assert np.array_equal(noise.sigma[0], declared.sigma[0])
+    assert np.array_equal(rows.sigma, as_told.sigma)
     assert noise.resolution == STEP
     one = on_grid(STEP, setups=1)
-    mixed, fine = noise_of([one], known), noise_of([one], known, step=[np.full(len(one), 1e-5)])
+    mixed, (by_rows,) = by_dial([one], known)
+    fine, (by_fine,) = by_dial([one], known, steps=[np.full(len(one), 1e-5)])
     assert mixed.typical == fine.typical
-    assert np.array_equal(mixed.sigma[0][one.setup > 0], fine.sigma[0][one.setup > 0])
-    station = np.hypot(mixed.sigma[0], mixed.common[0])[one.setup == 0]
+    assert np.array_equal(by_rows.sigma[one.setup > 0], by_fine.sigma[one.setup > 0])
+    station = np.hypot(by_rows.sigma, by_rows.common)[one.setup == 0]
     assert np.sqrt(25e-12 + STEP**2 / 12) == pytest.approx(station.min())
     for read in (on_grid(STEP), one):
-        assert noise_of([read], Dial()).source == "repeats"
+        assert by_dial([read], Dial())[0].source == "repeats"
 
 
 @pytest.mark.thorough(except_for=["None-6"])
@@ -357,7 +368,7 @@ def test_an_instrument_at_the_tool_that_scatters_by_more_than_declared_is_told(
     """A sound machine had something that no effect explains, and its instrument was not doubted."""
     nominal = og.Machine.nominal()
     machine = og.Machine(replace(nominal.spec, instruments={"tcp": Instrument(1e-6, 1e-5)}))
-    sheet = tool_sheet(machine, INSTRUMENTS["tcp"])
+    sheet = tool_sheet(machine, OBSERVATIONS["tcp"])
     read = og.simulate(machine, sheet, noise=times * 1e-5, seed=4)
     notes = scatter_notes(og.identify(read, machine))
     assert len(notes) == (times > 1)

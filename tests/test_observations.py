@@ -560,7 +560,7 @@ def test_a_reading_of_a_move_is_ignored_and_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("fault", "phrase", "line"),
     [
-        (cell("kind", "jump", 2), "none of leg, move", 2),
+        (cell("kind", "jump", 2), "none of leg, move, tcp, plate, distance", 2),
         (cell("kind", "move"), "has moves only", 2),
         (cell("rho_x_mm", "400", 21), "outside its stroke", 21),
         (cell("order", "20", 21), "order 20 stands for another command on line 21", 22),
@@ -647,7 +647,8 @@ def test_tcp_points_survive_their_rows(tmp_path: Path) -> None:
     points = read_tcp(write(tmp_path / "c.tcp.csv", text))
     again = tcp_from_rows(tcp_rows(points), file="c.tcp.csv")
     for name in ("command", "p", "sigma", "approach"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(points, name))
+        found, given = (getattr(one.points(), name) for one in (again, points))
+        np.testing.assert_array_equal(found, given)
 
 
 # --- The campaign itself --------------------------------------------------------------------
@@ -871,13 +872,16 @@ POINTS = ["310.25,310.25,310.25,0.1,0.2,0.3", "350.25,307.66,307.66,40.1,,0.3"]
 
 
 def test_tcp_points(tmp_path: Path) -> None:
-    points = read_tcp(write(tmp_path / "c.tcp.csv", TCP + "\n".join(POINTS)))
+    read = read_tcp(write(tmp_path / "c.tcp.csv", TCP + "\n".join(POINTS)))
+    points = read.points()
     assert points.command[0].tolist() == [0.31025] * 3
     assert points.p[0].tolist() == [1e-4, 2e-4, 3e-4]
     assert np.isnan(points.p).tolist() == [[False] * 3, [False, True, False]]
     assert not points.approach.any()
     assert np.isnan(points.sigma).all()
-    assert (len(points), points.line.tolist(), len(points.sha256)) == (2, [2, 3], 64)
+    assert points.line.tolist() == [2, 3]
+    assert (len(read), read.line.tolist(), len(read.sha256)) == (5, [2, 2, 2, 3, 3], 64)
+    assert read.kind == ("tcp",) * 5
 
 
 @pytest.mark.parametrize(

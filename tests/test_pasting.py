@@ -10,19 +10,23 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from orthoglide.add_ons import Corrections
 from orthoglide.closing import Verdict, close_loop
 from orthoglide.diagnosis.rest import rest_by_setup
-from orthoglide.klipper import AGAIN, Imported, import_printer
-from orthoglide.klipper.corrections import Corrections
-from orthoglide.klipper.left import Left, left_of
+from orthoglide.firmware.klipper import Imported, import_printer
+from orthoglide.firmware.klipper.new_numbers import left_of, why_not
+from orthoglide.firmware.klipper.numbers import Numbers
+from orthoglide.firmware.klipper.pasting import Left, paste_of
+from orthoglide.firmware.klipper.printer import AGAIN, RELATIVE, Printer
 from orthoglide.machine import Machine
-from orthoglide.machine_file import Firmware, machine_text, parse_machine_file
+from orthoglide.machine_file import machine_text, parse_machine_file
 from orthoglide.planning.suggestions import repeating
 from orthoglide.report import report_files
 from tests.klipper_files import DATA, simulated_cfg
 from tests.rig_delta import DeltaRig
 
-NUMBERS = Firmware(0.163, (210.0, 330.0, 90.0), (0.345,) * 3, (0.3,) * 3)
+FIELD = Path(__file__).parent / "data" / "field"
+NUMBERS = Numbers(0.163, (210.0, 330.0, 90.0), (0.345,) * 3, (0.3,) * 3)
 OFF = {"joint_offset.a": 4e-4, "joint_offset.b": -3e-4}
 
 
@@ -57,10 +61,9 @@ def test_z_0_does_not_hang_on_the_order_of_files(tmp_path: Path) -> None:
     )
     assert one.new.endstop == pytest.approx(other.new.endstop, abs=2e-6)
     assert one.height == pytest.approx(other.height, abs=2e-6)
-    assert one.height[1] > 0.8e-4
-    first, second = (left for left in one.left if left.kind == "heights")
-    assert first.new == pytest.approx(second.new, abs=1e-5)  # in the middle of the two
-    assert first.new == pytest.approx(0.9e-4, abs=2e-5)
+    first, second = (float(new) for _, _, new in one.left)
+    assert first == pytest.approx(second, abs=0.01)  # in the middle of the two
+    assert first == pytest.approx(0.09, abs=0.02)
 
 
 def test_z_0_belongs_to_the_heights_that_the_firmware_set_it_by() -> None:
@@ -80,39 +83,69 @@ def test_what_the_firmware_makes_of_the_readings(tmp_path: Path) -> None:
     old, mesh = NUMBERS, found.campaigns[1]
     new = replace(old, delta_radius=old.delta_radius + 2e-4, endstop=(0.3003, 0.3003, 0.3003))
     for relative in (False, True):
-        (left,) = left_of(old, new, [mesh], relative)
+        (left,) = left_of(Printer(old, {RELATIVE: relative}), new, [mesh])
         for firmware, told in ((old, left.old), (new, left.new)):
             h = mesh.command + old.zero - old.at_endstop + firmware.at_endstop
             off = firmware.points(h)[:, 2] - mesh.reading
             off -= off.mean() if relative else 0.0
             assert told == pytest.approx(np.sqrt(np.mean(off**2)), rel=1e-9)
-    calibration = import_printer(DATA / "v400-april.cfg").campaigns[0]
-    firmware = import_printer(DATA / "v400-april.cfg").machine.printer
-    assert firmware is not None
-    one, other = (
-        next(x for x in left_of(firmware, firmware, [c], relative=False) if x.kind == "distances")
-        for c in (calibration, replace(calibration, reading=calibration.reading * 1.003))
+    stored = import_printer(DATA / "v400-april.cfg")
+    printer, (calibration, *_) = stored.machine.printer, stored.campaigns
+    assert isinstance(printer, Printer)
+    heights, apart = left_of(printer, printer.numbers, [calibration])
+    assert (heights.kind, heights.count, apart.kind, apart.count) == ("heights", 7, "distances", 12)
+    (_, larger) = left_of(
+        printer, printer.numbers, [replace(calibration, reading=calibration.reading * 1.003)]
     )
-    assert other.old == pytest.approx(one.old, rel=0.01)  # a part's shrinkage does not count
-    assert one.count == 12
+    assert larger.old > 1.5 * apart.old  # rods that are too short make all distances too short
 
 
 @pytest.mark.parametrize(
-    ("height", "left", "said"),
+    ("left", "said"),
     [
-        ((1e-4, 5e-5), (9e-5, 4e-5), ""),
-        ((1e-4, 9.7e-5), (9e-5, 4e-5), "by what is known the new ones are hardly better"),
-        ((1e-4, 5e-5), (9e-5, 9.5e-5), "leave 0.095 mm rms with the new ones, and 0.090 mm with"),
-        ((1e-4, 5e-5), (9e-5, 8.8e-5), "leave 0.088 mm rms with the new ones"),
+        ([("heights", 25, 9e-5, 4e-5)], ""),
+        ([("heights", 25, 9e-5, 9.5e-5)], "leave 0.095 mm rms with the new ones, and 0.090 mm wit"),
+        ([("heights", 400, 9e-5, 8.8e-5)], "leave 0.088 mm rms with the new ones"),
+        ([("heights", 13, 1.6e-5, 1.1e-5)], "leave 0.011 mm rms"),  # less by chance
+        ([("heights", 25, 9e-5, 4e-5), ("heights", 7, 9e-5, 1e-4)], "leave 0.100 mm rms with"),
+        ([("heights", 25, 9e-5, 4e-5), ("heights", 7, 9e-5, 9e-5)], ""),
+        ([("heights", 25, 9e-5, 4e-5), ("distances", 12, 9e-5, 1e-4)], "of the distances of mesh"),
     ],
 )
-def test_numbers_must_do_better_by_the_firmware_too(
-    height: tuple[float, float], left: tuple[float, float], said: str
+def test_numbers_must_do_better_by_the_firmware_in_every_file(
+    left: list[tuple[str, int, float, float]], said: str
 ) -> None:
-    own = (Left("mesh", "heights", 25, *left),)
-    made = Corrections(NUMBERS, NUMBERS, height, (1e-4, 1e-4), own)
-    assert said in made.keep
-    assert bool(made.keep) == bool(said)
+    found = why_not(Printer(NUMBERS, {}), [Left("mesh", *one) for one in left])
+    assert said in found
+    assert bool(found) == bool(said)
+    assert "comes first" in why_not(Printer(NUMBERS, {AGAIN: True}), [])
+
+
+@pytest.mark.parametrize(
+    "name", ["printer", pytest.param("printer-with-mesh", marks=pytest.mark.thorough)]
+)
+def test_rods_that_were_entered_too_short_are_found_by_distances(name: str) -> None:
+    """Rods of 272 mm entered as 268, and twelve distances that are all one per cent too long."""
+    found = import_printer(FIELD / "rods-entered-4mm-short" / f"{name}.cfg")
+    verdict = close_loop(list(found.campaigns), Machine(found.machine))
+    made = made_of(verdict)
+    assert not made.keep
+    assert np.abs(np.array(made.new.arm) - 0.272).max() < 5e-4
+    assert re.search(
+        r"they take the rods for [34]\.\d mm longer.*: measure a rod first", made.words
+    )
+    mesh = import_printer(FIELD / "rods-entered-4mm-short" / "printer-with-mesh.cfg").campaigns[1]
+    (unused,) = left_of(found.machine.printer, made.new, [mesh])
+    assert unused.new < 0.7 * unused.old
+
+
+def test_numbers_that_an_earlier_version_kept_are_pasted() -> None:
+    kept = {"new": NUMBERS.as_dict(), "height_rms_mm": [0.1, 0.05], "keep_old_because": ""}
+    found = paste_of(NUMBERS, kept)
+    assert found.facts == {"old": NUMBERS.as_dict(), **kept}
+    assert any("delta_radius: 163.000000" in text for text in found.paragraphs)
+    for edited in (None, {}, {"new": "x"}, {**kept, "left_of_readings": [{"file": "mesh"}]}):
+        assert "missing" in paste_of(NUMBERS, edited).facts
 
 
 @pytest.mark.thorough(except_for=["v400-april"])
@@ -135,7 +168,7 @@ def test_what_is_left_stands_on_the_page_and_in_the_file(tmp_path: Path) -> None
     verdict = close_loop(list(found.campaigns), Machine(found.machine))
     files = report_files(verdict)
     made = made_of(verdict)
-    (row,) = made.left_rows
+    (row,) = made.left
     assert row[0] == "mesh-default, heights"
     page = re.sub(r"<[^>]*>", " ", unescape(str(files["report.html"])))
     for text in (" ".join(str(verdict).split()), " ".join(page.split())):
@@ -161,28 +194,11 @@ def test_the_firmware_s_own_calibration_comes_first(tmp_path: Path) -> None:
     assert "To paste" not in str(report_files(verdict)["report.html"])
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("beside", [0.0, 25.5])
-def test_a_probe_beside_the_nozzle_is_calibrated_after_new_numbers(
-    beside: float, tmp_path: Path
-) -> None:
-    """A radius that is wrong bends the plate between the probe and the nozzle."""
-    errors = {f"axis_offset.{leg}.radial": 2e-3 for leg in "abc"}
-    text = simulated_cfg(DeltaRig(errors=errors), count=7)
-    found = imported(tmp_path, text.replace("z_offset:", f"x_offset: {beside}\nz_offset:"))
-    verdict = close_loop(list(found.campaigns), Machine(found.machine))
-    made = made_of(verdict)
-    (action,) = (action for action in verdict.actions if action.kind == "zeros")
-    assert ("before a new mesh, run PROBE_CALIBRATE" in action.words) == (beside > 0)
-    assert ("RESTART, run PROBE_CALIBRATE and SAVE_CONFIG, as" in made.where) == (beside > 0)
-    assert (abs(made.offset) > 2e-5) == (beside > 0)
-
-
 def test_places_to_read_again_are_the_firmware_s() -> None:
     """Arms that differ by 2.6 mm put them elsewhere than alike ones, and below the bed."""
     found = import_printer(DATA / "v400-april.cfg")
     estimate = og.identify([found.campaigns[0]], Machine(found.machine))
-    firmware = found.machine.printer
+    firmware = found.machine.printer.numbers
     assert firmware is not None
     for one in rest_by_setup(estimate):
         words = repeating(one).reason

@@ -23,6 +23,7 @@ from orthoglide.request import states_of
 WORN = og.Machine.nominal().with_parameters({"joint_offset.x": 6e-4, "leg_length.y": 5e-5})
 DIALS = og.simulate(WORN, "standard", noise=5e-6, seed=1)
 POINTS = og.simulate_tcp(WORN, 20, seed=1)
+AT, IN_MM = POINTS.points(), POINTS.with_readings(POINTS.reading * 1e3)
 ZERO = WORN.geometry.zero
 FRAME: Any = {"leg": ["x"], "reading_mm": [0.1]}
 
@@ -118,7 +119,7 @@ def test_what_is_of_another_type(call: Callable[[], Any], words: str) -> None:
     ("rows", lambda: og.Campaign.from_frame([{"leg": "x"}]), "a list: give a data frame, or a map"),
     ("none", lambda: og.Campaign.from_frame(None), "a NoneType: give a data frame"),
     ("a path", lambda: og.Campaign.from_frame("a.csv"), "a str: give a data frame"),
-    ("points", lambda: og.Campaign.from_frame(POINTS), "a TcpPoints: give a data frame"),
+    ("points", lambda: og.Campaign.from_frame(POINTS), "a Readings: give a data frame"),
     ("a cell", lambda: og.Campaign.from_frame({"leg": 1}), "a column that is no list"),
 )
 def test_frames(call: Callable[[], Any], words: str) -> None:
@@ -137,9 +138,9 @@ def test_a_column_twice_is_said_as_of_a_file() -> None:
 def test_campaigns_without_a_file_are_named_in_python() -> None:
     other = og.simulate(WORN, "standard", noise=5e-6, seed=2)
     refused(lambda: fit([DIALS, other]), "dataclasses.replace.campaign, name='second'")
-    refused(lambda: fit([POINTS, POINTS]), "TCP points file='second.csv'")
+    refused(lambda: fit([POINTS, POINTS]), "dataclasses.replace.campaign, name='second'")
     fit([DIALS, replace(other, name="second")])
-    fit([POINTS, replace(POINTS, file="second.csv")])
+    fit([POINTS, replace(POINTS, name="second")])
 
 
 def test_one_radius_is_that_of_all_towers() -> None:
@@ -166,7 +167,7 @@ def test_paths_do_for_machines_and_points(tmp_path: Path) -> None:
     assert np.array_equal(og.simulate(str(file), seed=3).reading, og.simulate(WORN, seed=3).reading)
     judged, same = (points_of(p, WORN) for p in (points, POINTS))
     assert same is POINTS
-    assert np.allclose(judged.p, POINTS.p, atol=1e-9)
+    assert np.allclose(judged.points().p, POINTS.points().p, atol=1e-9)
 
 
 def test_states_are_read_from_results_too(tmp_path: Path) -> None:
@@ -183,9 +184,15 @@ def test_states_are_read_from_results_too(tmp_path: Path) -> None:
     refused(lambda: states_of(verdict.request, away), "machines of different dimensions")
 
 
-def test_points_are_no_campaign_to_write(tmp_path: Path) -> None:
-    refused(lambda: og.write_campaign(POINTS, tmp_path / "x.csv"), r"to_frame\(\).to_csv")  # type: ignore[arg-type]
-    for given in ("abc", None, [], [POINTS], DIALS.subset(np.zeros(len(DIALS), dtype=bool))):
+def test_points_are_written_a_row_each(tmp_path: Path) -> None:
+    og.write_campaign(POINTS, tmp_path / "points.tcp.csv")
+    again = og.read_tcp(tmp_path / "points.tcp.csv")
+    assert np.array_equal(again.reading, POINTS.reading)
+    assert np.array_equal(again.line, POINTS.line)
+
+
+def test_what_holds_no_readings_is_not_written(tmp_path: Path) -> None:
+    for given in ("abc", None, [], DIALS.subset(np.zeros(len(DIALS), dtype=bool))):
         refused(lambda given=given: og.write_campaign(given, tmp_path / "x.csv"), "with readings")
 
 
@@ -226,10 +233,14 @@ def with_one(name: str, value: Any, given: Any = DIALS) -> Any:
     return replace(given, **{name: array})
 
 
-def tool(kind: str = "ballbar") -> og.ToolCampaign:
-    found = sheet_of(og.Machine.nominal(), kind)
-    assert isinstance(found, og.ToolCampaign)
-    return found
+def tool(kind: str = "ballbar") -> og.Readings:
+    sheet = sheet_of(og.Machine.nominal(), kind)
+    return sheet.with_readings(np.nan_to_num(sheet.reading))
+
+
+def points(**changed: Any) -> og.Readings:
+    """Points of the tool with something of them changed."""
+    return og.Readings.from_points(**{"command": AT.command, "p": AT.p, **changed})
 
 
 @cases(
@@ -253,14 +264,18 @@ def tool(kind: str = "ballbar") -> og.ToolCampaign:
     ("negative sigma", lambda: with_one("sigma", -5e-6), "row 3 .*sigma is -5e-06"),
     ("no campaign", lambda: None, "a NoneType holds no readings"),
     ("an array", lambda: np.zeros(3), "a float64 holds no readings"),
-    ("points in mm", lambda: replace(POINTS, p=POINTS.p * 1e3), "give a thousandth of each"),
+    ("points in mm", lambda: IN_MM, "give a thousandth of each"),
     ("points' sigma", lambda: with_one("sigma", 0.01, POINTS), "points, row 3 .*sigma is 0.01"),
-    ("points' shape", lambda: replace(POINTS, p=POINTS.p[:10]), r"command must have shape \(10, 3"),
-    ("tool, not read", lambda: with_one("reading", np.nan, tool()), "row 3 .*the reading is empty"),
+    ("points' number", lambda: points(p=AT.p[:10]), "as many commands as points, 10"),
+    ("points' shape", lambda: points(p=AT.p[:, :2]), r"p must have shape \(m, 3\)"),
+    ("infinite point", lambda: points(p=AT.p * np.inf), "reading of row 0 .* is -?inf"),
+    ("no point", lambda: points(p=AT.p * np.nan), "row 0 .* has no coordinate"),
+    ("tool, not read", lambda: with_one("reading", np.nan, tool()), "row 3 .*reading_mm is empty"),
     ("tool's sigma", lambda: with_one("sigma", 0.005, tool()), "row 3 .*sigma is 0.005"),
     ("level's sigma", lambda: with_one("sigma", 0.2, tool("incline")), "row 3 .*1e-09 to 0.1"),
     ("tool's shape", lambda: replace(tool(), sigma=np.zeros(2)), "sigma must have shape"),
-    ("tool's kind", lambda: og.ToolSetup("a", "ruler"), "no kind of reading 'ruler'"),  # type: ignore[arg-type]
+    ("tool's kind", lambda: og.Setup("a", kind="ruler"), "no kind of reading 'ruler'"),
+    ("kind alone", lambda: og.ToolSetup("a", "plate"), "name what is its kind: kind='plate'"),  # type: ignore[arg-type]
 )  # fmt: skip
 def test_readings_that_cannot_be(call: Callable[[], Any], words: str) -> None:
     """As files are checked; of what has no unit, already where it is put together."""
@@ -270,8 +285,8 @@ def test_readings_that_cannot_be(call: Callable[[], Any], words: str) -> None:
 @cases(
     ("readings", lambda: og.close_loop(with_one("reading", np.nan)), "is empty"),
     ("hold-out", lambda: og.close_loop(DIALS, holdout=mounted(gauge=155.0)), "off the leg"),
-    ("points", lambda: og.close_loop(DIALS, tcp=replace(POINTS, p=POINTS.p * 1e3)), "thousandth"),
-    ("no points", lambda: og.close_loop(DIALS, tcp=DIALS), "a Campaign holds no TCP points: give"),
+    ("points", lambda: og.close_loop(DIALS, tcp=IN_MM), "thousandth"),
+    ("no points", lambda: og.close_loop(DIALS, tcp=DIALS), "a Readings holds no TCP points: give"),
     ("a list of points", lambda: og.close_loop(DIALS, tcp=[POINTS]), "a list holds no TCP points"),
     ("a missing file", lambda: og.close_loop(DIALS, tcp="no.tcp.csv"), "no.tcp.csv: there is no s"),
 )
@@ -281,11 +296,7 @@ def test_the_loop_checks_all_that_it_is_given(call: Callable[[], Any], words: st
 
 @pytest.mark.thorough
 def test_lists_do_for_arrays() -> None:
-    points = og.TcpPoints(
-        POINTS.command.tolist(),
-        POINTS.p.tolist(),
-        [np.nan] * 20,
-        [[0] * 3] * 20,
-        list(range(20)),  # type: ignore[arg-type]
+    lists = og.Readings.from_points(
+        AT.command.tolist(), AT.p.tolist(), [np.nan] * 20, [[0] * 3] * 20, list(range(20))
     )
-    assert fit(points).values == fit(POINTS).values
+    assert fit(lists).values == fit(POINTS).values

@@ -18,8 +18,8 @@ from click.testing import CliRunner
 
 import orthoglide as og
 from orthoglide.cli import cli
-from orthoglide.instruments import INSTRUMENTS
-from orthoglide.klipper import import_printer
+from orthoglide.firmware.klipper import import_printer
+from orthoglide.instruments import OBSERVATIONS
 from orthoglide.parameters import Parameter
 from orthoglide.planning.owning import sheet_of
 from orthoglide.rehearsal.drawing import (
@@ -167,7 +167,6 @@ def test_weak_spots_say_what_a_sheet_lacks(scope: Scope) -> None:
 
 def test_a_sheet_read_from_one_side_is_told_to_be_blind_to_lost_motion(scope: Scope) -> None:
     (sheet,) = scope.sheets
-    assert isinstance(sheet, og.Campaign)
     one_sided = replace(sheet, approach=np.ones_like(sheet.approach))
 
     def unseen(campaign: og.Campaign) -> set[str]:
@@ -378,14 +377,13 @@ def test_what_a_plate_has_for_itself_is_there_by_its_plain_name(delta: og.Machin
 def test_readings_at_the_tool_are_simulated_with_their_noise(delta: og.Machine, kind: str) -> None:
     """About the exact ones, but for datums, and no two alike."""
     sheet = sheet_of(delta, kind)
-    assert isinstance(sheet, og.ToolCampaign)
     exact = og.simulate(delta, sheet, exact=True)
     one, two = (og.simulate(delta, sheet, seed=seed) for seed in (1, 2))
     assert not np.array_equal(one.reading, two.reading)
     assert np.abs(one.reading - exact.reading).max() < 1e-2
     fit = og.identify([one], delta, ["joint_offset"])
     left = fit.scores.turn_rms if kind == "incline" else fit.scores.rms
-    assert 0.5 < left / INSTRUMENTS[kind].repeatability < 2
+    assert 0.5 < left / OBSERVATIONS[kind].repeatability < 2
 
 
 @pytest.mark.thorough

@@ -504,14 +504,14 @@ def printed(page: Path) -> int:
     return len(re.findall(rb"/Type\s*/Page[^s]", paper.read_bytes()))
 
 
-def browsed(page: Path, size: str, budget: int) -> dict[str, Any]:
+def browsed(page: Path, size: str, budget: int, *flags: str) -> dict[str, Any]:
     """What a page has written into its title after some virtual milliseconds in a browser."""
     command = [
         browser(), "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
         "--no-first-run", "--disable-background-networking", "--disable-component-update",
         "--disable-sync", "--allow-file-access-from-files", f"--virtual-time-budget={budget}",
         f"--user-data-dir={page.parent / 'profile'}", f"--window-size={size}", "--dump-dom",
-        f"file://{page}",
+        *flags, f"file://{page}",
     ]  # fmt: skip
     shown = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
     found = re.search(r"<title>(\{.*?\})</title>", shown, flags=re.DOTALL)

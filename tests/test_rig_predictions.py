@@ -42,7 +42,7 @@ def test_the_keys_are_all_read(case: str) -> None:
 
 @pytest.mark.parametrize("case", list(KEYS))
 def test_the_tcp_is_predicted_within_two_micrometres(case: str) -> None:
-    points = og.read_tcp(RIG / f"{case}.tcp.csv", MACHINE.spec)
+    points = og.read_tcp(RIG / f"{case}.tcp.csv", MACHINE.spec).points()
     apart = told(case).forward(points.command, approach=points.approach) - points.p
     assert np.linalg.norm(apart, axis=1).max() < 2e-6
 

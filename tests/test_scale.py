@@ -8,7 +8,7 @@ import pytest
 import orthoglide as og
 from orthoglide.fit import solving
 from orthoglide.posterior import columns
-from orthoglide.prediction import model
+from orthoglide.prediction import Observed, observed
 from orthoglide.simulation import simulate
 
 MACHINE = og.Machine.nominal()
@@ -19,16 +19,22 @@ def measured() -> og.Campaign:
     return simulate(BENT, "sweep", noise=5e-6, seed=3)
 
 
+def by_joints(sheet: og.Readings) -> np.ndarray:
+    """Derivatives of readings by motions of the virtual joints, one after the other."""
+    moved = Observed(sheet).by_joints(MACHINE.model, BENT.values)
+    return np.hstack([moved(joint, np.ones((len(sheet), 1))) for joint in np.eye(30)])
+
+
 def test_derivatives_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     sheet, names = measured(), ("joint_offset.x", "backlash.y", "gauge_scale.xy-0.5")
     whole = MACHINE.model.linearised(BENT.values, sheet, names)
-    joints = MACHINE.model.readings_by_joints(BENT.values, sheet)
-    monkeypatch.setattr(model, "_POSTURES", 7)
+    joints = by_joints(sheet)
+    monkeypatch.setattr(observed, "_ROWS", 7)
     parts = MACHINE.model.linearised(BENT.values, sheet, names)
     assert parts.value == pytest.approx(whole.value, abs=1e-15)
     assert parts.jacobian == pytest.approx(whole.jacobian, abs=1e-12)
-    assert parts.slopes[:, 0] == pytest.approx(whole.slopes[:, 0], abs=1e-12)
-    assert MACHINE.model.readings_by_joints(BENT.values, sheet) == pytest.approx(joints, abs=1e-12)
+    assert parts.seen.by_nuisance == pytest.approx(whole.seen.by_nuisance, abs=1e-12)
+    assert by_joints(sheet) == pytest.approx(joints, abs=1e-12)
 
 
 def test_a_start_from_some_of_the_readings(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ from orthoglide.diagnosis.signatures import signatures
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.fit import Estimate
 from orthoglide.fit.least_squares import fitted_basis, normal
-from orthoglide.fit.noise import repeat_variance
+from orthoglide.fit.repeats import repeat_variance
 from orthoglide.fit.scores import deviation_rms, tail
 from orthoglide.fit.unknowns import build_unknowns
 from orthoglide.machine_file import Dial

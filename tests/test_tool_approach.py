@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +13,10 @@ import pytest
 
 import orthoglide as og
 from orthoglide.fit.excited import excited_effects
-from orthoglide.fit.noise import repeat_steps
+from orthoglide.fit.repeats import repeat_steps
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
-from orthoglide.observations import ToolCampaign, read_readings, readings_text
+from orthoglide.observations import Readings, read_readings, readings_text
 from orthoglide.planning import owned_instruments
 from tests.rig import Rig
 from tests.rig_delta import DeltaRig
@@ -88,9 +89,8 @@ def written(path: Path, rows: list[Row]) -> Path:
     return path
 
 
-def read(path: Path, spec: MachineFile) -> ToolCampaign:
+def read(path: Path, spec: MachineFile) -> Readings:
     (found,) = read_readings(path, spec)
-    assert isinstance(found, ToolCampaign)
     return found
 
 
@@ -180,8 +180,8 @@ def test_lost_motion_that_passes_for_noise_is_not_ruled_out(tmp_path: Path) -> N
 @pytest.mark.thorough
 def test_visits_that_differ_may_be_lost_motion_where_sides_are_untold(tmp_path: Path) -> None:
     file = written(tmp_path / "april.csv", circled("xyz", LOST, 81))
-    with pytest.raises(og.InputError, match=r"or it is lost motion, .*approach_\* is empty"):
-        og.close_loop([file], Machine.nominal())
+    told = " ".join(b.message for b in og.close_loop([file], Machine.nominal()).blunders)
+    assert re.search(r"or it is lost motion, .*approach_\* is empty", told)
 
 
 @pytest.mark.thorough

@@ -15,7 +15,7 @@ from orthoglide.fit import Estimate, identify
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial
 from orthoglide.notes import Note
-from orthoglide.observations import Campaign, ToolCampaign
+from orthoglide.observations import Readings
 from orthoglide.report import report_files, result_text, summary
 from orthoglide.report.rows import score_rows
 from orthoglide.report.sections import before_and_after
@@ -29,14 +29,14 @@ ERRORS = {"joint_offset.x": 8e-4, "joint_offset.y": -5e-4}
 
 
 @cache
-def dials() -> Campaign:
+def dials() -> Readings:
     rows = rc.simulate(Rig(errors=ERRORS), rc.protocol_rows("standard"), np.random.default_rng(5))
-    return Campaign.from_frame({k: [row[k] for row in rows] for k in rows[0]}, name="dials")
+    return Readings.from_frame({k: [row[k] for row in rows] for k in rows[0]}, name="dials")
 
 
 def tool(
     kinds: tuple[str, ...], noise: float = 2e-6, odd: float = 0.0, errors: dict[str, float] = ERRORS
-) -> ToolCampaign:
+) -> Readings:
     """Places read by a tracker along all axes, or by a level about two, or touched; odd ones."""
     rng = np.random.default_rng(11)
     high = [1.0, 1.0, 0.0 if "plate" in kinds else 1.0]
@@ -55,7 +55,7 @@ def tool(
     frame["reading_mm"] = ["" if row[7] else row[6] for row in rows]
     if "incline" in kinds:
         frame["reading_mrad"] = [row[6] if row[7] else "" for row in rows]
-    return ToolCampaign.from_frame(frame, name="tool")
+    return Readings.from_frame(frame, name="tool")
 
 
 @cache
@@ -112,7 +112,7 @@ def level_alone() -> Verdict:
 
 
 def left_of(verdict: Verdict, of: str, stage: Estimate) -> float:
-    (points,) = verdict.after.problem.tool_campaigns
+    (points,) = (f.readings for f in verdict.after.problem.tool)
     return float(np.sqrt(np.mean(stage.residuals[points.of_kind(of)] ** 2)) * 1e3)
 
 
@@ -170,7 +170,7 @@ def test_what_readings_do_not_see_is_not_called_nominal() -> None:
 
 def test_residuals_stand_under_their_units() -> None:
     verdict = with_level()
-    (points,) = verdict.after.problem.tool_campaigns
+    (points,) = (f.readings for f in verdict.after.problem.tool)
     table = list(csv.DictReader(io.StringIO(report_files(verdict)["residuals.csv"])))
     assert [row["kind"] for row in table] == list(points.kind)
     residuals = verdict.after.residuals * 1e3

@@ -252,9 +252,9 @@ def test_pinocchio_finds_what_the_programme_finds_on_a_delta() -> None:
     truth = {"joint_offset.a": 4e-4, "axis_tilt.b.tangential": 1e-3, "leg_length.c": -2e-4,
              "bar_mismatch.a": 1e-4}  # fmt: skip
     points = simulate_tcp(delta.with_parameters(truth), 25, seed=3)
-    noise = np.random.default_rng(1).normal(scale=2e-5, size=points.p.shape)
+    noise = np.random.default_rng(1).normal(scale=2e-5, size=len(points))
     free = ("joint_offset", "axis_tilt", "leg_length", "bar_mismatch")
-    found = agree(replace(points, p=points.p + noise), delta, free=free, noise=2e-5)
+    found = agree(points.with_readings(points.reading + noise), delta, free=free, noise=2e-5)
     assert found.verification is not None
     assert found.verification.tcp < 1e-12
     for name, value in truth.items():

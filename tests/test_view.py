@@ -1,13 +1,15 @@
-"""Pictures of a machine: the part that is wrong, its direction and size; and a view that moves."""
+"""Pinocchio's viewer on a machine: its page, its closed postures, and errors as they are drawn."""
 
 from __future__ import annotations
 
-import html
+import base64
 import re
-from dataclasses import replace
+import sys
+import webbrowser
+import xml.etree.ElementTree as ET
 from functools import cache
 from pathlib import Path
-from xml.etree import ElementTree as ET
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,404 +17,329 @@ from click.testing import CliRunner
 
 import orthoglide as og
 from orthoglide.cli import cli
-from orthoglide.effects import Catalogue
+from orthoglide.effects.loading import load_effects
+from orthoglide.errors import FileError, InputError
 from orthoglide.machine_file import MachineFile
-from orthoglide.parameters import Parameter
-from orthoglide.pictures import causes_of, dials, option, view
-from orthoglide.scene import Dial, Mark, Posed, drawing, view_page
-from orthoglide.scene.drawing import projection
-from tests.test_first_screen import PER, SCALES
-from tests.test_layout import DELTA, freely
-from tests.test_report import browsed, printed, words
-from tests.test_report_verdict import files_of, verdict_of
+from orthoglide.mechanism.tree import load
+from orthoglide.mechanism.visual import RailPath
+from orthoglide.pictures import SHOWN
+from orthoglide.viewer import Magnified, show, static_page
+from tests.test_layout import DELTA
+from tests.test_report import browsed
 
-MOST = 1_500_000  # bytes of a page
+umsgpack = pytest.importorskip("umsgpack", reason="the viewer needs meshcat")
+pytest.importorskip("meshcat")
 
-
-@cache
-def machine(kind: str) -> og.Machine:
-    if kind != "orthoglide":
-        return og.Machine(MachineFile(geometry=DELTA if kind == "delta" else freely(DELTA)))
-    return og.Machine(replace(og.Machine.nominal().spec, screw_pitch=0.02))
-
-
-@cache
-def posed(kind: str) -> Posed:
-    return machine(kind).posed()
-
-
-PARTS = {
-    "joint_offset": "drive", "encoder_scale": "drive", "screw_error": "drive", "backlash": "drive",
-    "drive_compliance": "drive", "axis_offset": "rail", "axis_tilt": "rail", "rail_tilt": "rail",
-    "rail_bow": "rail", "rail_torsion": "carriage", "mount_tilt": "carriage",
-    "leg_length": "bar", "bar_mismatch": "bar",
-    "parallelogram_width": "link", "thermal_growth": "bar", "thermal_drift": "bar",
+OWN_FILE = str(Path(__file__).parents[1] / "examples" / "carriage_play.py")
+ERRORS = {
+    "orthoglide": {
+        "axis_tilt.x.y": 2e-3, "rail_bow.y.z": 3e-4, "leg_length.z": 4e-4, "bar_mismatch.x": 2e-4,
+        "parallelogram_width.y": 3e-4, "mount_tilt.z.a": 2e-3,
+    },
+    "delta": {"axis_tilt.a.x": 2e-3, "leg_length.b": 1e-3, "mount_tilt.c.a": 3e-3},
 }  # fmt: skip
-JOINTS = {
-    "travel": "drive",
-    "lateral": "rail",
-    "turn": "carriage",
-    "stretch": "bar",
-    "width": "link",
-}
-AGAINST = {"rail_bow", "backlash"}  # u^2 - 1 between the ends; half of it behind a move outward
+KINDS = tuple(ERRORS)
+FACTOR = 10.0
 
 
-def part_of(catalogue: Catalogue, p: Parameter) -> str:
-    """The part that an effect moves; of one that is not listed above, by its first joint."""
-    joint = catalogue.motions[p][1][0].joint
-    return PARTS.get(p.effect) or JOINTS[joint.partition("_")[0].rstrip("12")]
+def nominal(kind: str) -> og.Machine:
+    return og.Machine(MachineFile(geometry=DELTA)) if kind == "delta" else og.Machine.nominal()
 
 
-def shows(own: og.Machine, p: Parameter) -> bool:
-    """Whether it moves anything: what hangs on a screw's pitch does not on a printer's belts."""
-    return "pitch" not in own.catalogue.effect_of(p).needs or own.spec.screw_pitch is not None
+def worn(kind: str) -> og.Machine:
+    own = nominal(kind)
+    names = own.catalogue.legs.across  # directions across a tower have names of their own
+    values = {
+        n.replace("a.x", f"a.{names[0][0]}") if kind == "delta" else n: v
+        for n, v in ERRORS[kind].items()
+    }
+    return own.with_parameters(values)
 
 
-def expected(catalogue: Catalogue, p: Parameter, posture: Posed) -> np.ndarray:
-    """Direction in which the part moves, or about which it turns, for a positive value."""
-    leg = posture.geometry.legs[catalogue.legs.index(p.leg)]
-    across = dict(zip(catalogue.legs.across[catalogue.legs.index(p.leg)], leg.axes.T[1:],
-                      strict=True))  # fmt: skip
-    part = part_of(catalogue, p)
-    if part == "bar":
-        return (leg.carriage - leg.platform) / posture.geometry.L
-    if part == "link":
-        return leg.axes[:, 2]
-    sign = -1.0 if p.effect in AGAINST else 1.0
-    return sign * across.get(p.direction, leg.axes[:, 1] if p.direction == "b" else leg.axes[:, 0])
+def posture(kind: str) -> np.ndarray:
+    return nominal(kind).geometry.zero + np.array([0.01, -0.02, 0.015])
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize(
-    ("kind", "name"),
-    [(k, p) for k in ("orthoglide", "delta") for p in machine(k).catalogue.parameters],
-)
-def test_every_effect_is_marked_on_its_part_with_direction_and_size(
-    kind: str, name: Parameter, sign: float
-) -> None:
-    own = machine(kind)
-    if not shows(own, name):
-        pytest.skip("a printer's belts have no pitch")
-    value = sign * 2 * own.tolerance(name)
-    marks = option(own, "words", {name: value}).marks
-    mark: Mark = marks[0]
-    assert mark.part == part_of(own.catalogue, name)
-    assert own.geometry.leg_names[mark.leg] == name.leg
-    if name.effect not in ("drive_compliance", "screw_error"):  # which way hangs on the load
-        along = float(mark.way @ expected(own.catalogue, name, posed(kind)))
-        assert (along * sign if name.effect in PARTS else abs(along)) > 0.99
-    found = re.search(r"([\d.]+) (mm|mrad|%|µm)", mark.label)
-    assert found
-    if name.effect not in ("thermal_drift", "screw_error"):
-        size = float(found[1]) * SCALES[found[2]] * PER.get(name.effect, 1.0)
-        assert size == pytest.approx(abs(value), rel=0.06)
-    assert mark.both == ("approach" in own.catalogue.effect_of(name).needs)
-    text = drawing(posed(kind), [option(own, "words", {name: value})])
-    assert mark.label in html.unescape(text)
+class Scene:
+    """What a static page draws, by meshcat's own commands."""
+
+    def __init__(self, page: str) -> None:
+        self.objects: dict[str, dict[str, Any]] = {}
+        self.places: dict[str, np.ndarray] = {}
+        self.animations: dict[str, dict[str, Any]] = {}
+        for text in re.findall(r'fetch\("data:application/octet-binary;base64,([^"]+)"\)', page):
+            command = umsgpack.unpackb(base64.b64decode(text))
+            path = command.get("path", "").removeprefix("/meshcat/")
+            if command["type"] == "set_object":
+                self.objects[path] = command["object"]
+            elif command["type"] == "set_transform":
+                self.places[path] = np.reshape(command["matrix"], (4, 4)).T
+            elif command["type"] == "set_animation":
+                for one in command["animations"]:
+                    name = one["path"].removeprefix("/meshcat/")
+                    self.animations[name] = {t["name"]: t["keys"] for t in one["clip"]["tracks"]}
+
+    def at(self, name: str, root: str = "machine") -> np.ndarray:
+        """Placement of a solid ``(4, 4)``."""
+        return self.places[f"{root}/visuals/{name}"]
+
+    def tools(self, geometry: og.Geometry, root: str = "machine") -> np.ndarray:
+        """The tool ``(3, 3)`` as each leg's end carries it."""
+        found = []
+        for leg in geometry.legs:
+            place = self.at(f"{leg.name}_platform_1", root)
+            centre = -np.array([0.375 * geometry.r, 0.0, 0.0])
+            if geometry.layout.hanging:
+                centre = np.array([0.0, -0.45 * geometry.r, 0.0])
+            link = place[:3, 3] - place[:3, :3] @ centre
+            found.append(link - place[:3, :3] @ (leg.axes.T @ leg.platform))
+        return np.array(found)
 
 
-def test_what_is_the_same_on_all_legs_is_labelled_once() -> None:
-    marks = option(machine("orthoglide"), "", {"backlash.common": 5e-5}).marks
-    assert [m.leg for m in marks] == [0, 1, 2]
-    assert [m.label for m in marks] == ["each 0.05 mm", "", ""]
+@cache
+def page_of(kind: str, factor: float) -> str:
+    own = worn(kind)
+    drawn = Magnified(own.model, own.values, {}, factor)
+    return static_page(show(drawn, posture(kind)), drawn, "A & B")
 
 
-def test_a_dial_stands_where_it_touches_and_points_the_way_it_counts() -> None:
-    posture = posed("orthoglide")
-    sheet = og.protocol("sweep")
-    turned = replace(sheet, setups=(replace(sheet.setups[0], sign=-1, bar=2), *sheet.setups[1:]))
-    one, other = (dials(posture, [c])[0] for c in (turned, sheet))
-    setup = sheet.setups[0]
-    assert other.at[setup.leg] == pytest.approx(setup.gauge + posture.geometry.r)
-    assert one.at[2] == pytest.approx(other.at[2] - posture.geometry.d / 2)  # bar 2, under bar 1
-    assert one.way[setup.axis] == -1.0
-    assert other.way[setup.axis] == 1.0
+@cache
+def scene(kind: str, factor: float) -> Scene:
+    return Scene(page_of(kind, factor))
 
 
-@pytest.mark.parametrize("kind", ["orthoglide", "delta", "free"])
-def test_the_drawing_says_what_it_shows_and_keeps_on_its_paper(kind: str) -> None:
-    own, base = machine(kind), machine(kind).catalogue["axis_tilt"].motions
-    several = [option(own, f"cause {k} <&", {p: 3e-3}) for k, p in enumerate(base)]
-    marked = (Dial("left", posed(kind).p, np.array([0.0, 1.0, 0.0])),)
-    text = drawing(posed(kind), several, marked, title="A & B", shown=(1,))
-    root = ET.fromstring(text)
-    assert root.get("role") == "img"
-    assert root.findtext("title") == "A & B"
-    said = root.findtext("desc") or ""
-    assert all(f"cause {k} <&" in said for k in range(len(several)))
-    assert "Dials: left" in said
-    hidden = [g.get("style") for g in root.iter("g") if "option" in (g.get("class") or "")]
-    assert hidden == [None if k == 1 else "display:none" for k in range(len(several))]
+# --- The page ---------------------------------------------------------------------------------
 
 
-def rooms(root: ET.Element) -> list[tuple[str, float, float, float, float]]:
-    """Words and the box that each takes in a wide bold face."""
-    found = []
-    for element in root.iter("text"):
-        text, x, y = element.text or "", float(element.get("x", 0)), float(element.get("y", 0))
-        half = 8.5 * len(text) / 2
-        found.append((text, x - half, y - 10, x + half, y + 3))
-    return found
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_solid_of_every_link_is_in_the_page(kind: str) -> None:
+    drawn = scene(kind, 1.0)
+    shapes = {
+        f"{link.get('name')}_{k}": next(iter(visual.find("geometry") or ())).tag
+        for link in ET.fromstring(load(nominal(kind).geometry).text).iter("link")
+        for k, visual in enumerate(link.iter("visual"))
+    }
+    assert len(shapes) > 30
+    pieces = {name.rpartition("_piece")[0] for name in drawn.objects if "_piece" in name}
+    for name, shape in shapes.items():
+        path = f"machine/visuals/{name}"
+        if name.startswith("base") and path in pieces:
+            continue  # a bent rail
+        kinds = {"box": "BoxGeometry", "cylinder": "CylinderGeometry"}
+        assert drawn.objects[path]["geometries"][0]["type"] == kinds[shape]
+        assert path in drawn.places
 
 
-def apart(one: tuple[str, float, float, float, float], left: float, top: float, right: float,
-          bottom: float) -> bool:  # fmt: skip
-    _, l, t, r, b = one
-    return r <= left or right <= l or b <= top or bottom <= t
+SEEN = """<script>addEventListener("load", () => setTimeout(() => {
+  viewer.render();
+  const canvas = document.querySelector("canvas"), flat = document.createElement("canvas");
+  flat.width = canvas.width; flat.height = canvas.height;
+  const paper = flat.getContext("2d"), { width: w, height: h } = flat;
+  paper.drawImage(canvas, 0, 0);
+  const ink = (...box) => paper.getImageData(...box).data.some((v, k) => k % 4 < 3 && v < 200);
+  document.title = JSON.stringify({ middle: ink(0, 0, w, h),
+    edges: ink(0, 0, w, 3) || ink(0, h - 3, w, 3) || ink(0, 0, 3, h) || ink(w - 3, 0, 3, h),
+    moves: viewer.animator.actions.length, wide: document.documentElement.scrollWidth > innerWidth,
+    asked: performance.getEntriesByType("resource").map(e => e.name.slice(0, 5)),
+    words: document.querySelector("p").textContent });
+}, 1500));</script></body>"""
 
 
-@pytest.mark.thorough(except_for=["orthoglide-1.0", "delta--1.0", "free--1.0"])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize("kind", ["orthoglide", "delta", "free"])
-def test_sizes_stand_on_the_paper_and_cover_no_name_and_no_dial(kind: str, sign: float) -> None:
-    own, posture = machine(kind), posed(kind)
-    stand = dials(posture, [og.protocol("sweep")]) if kind == "orthoglide" else ()
-    for parameter in own.catalogue.parameters:
-        if not shows(own, parameter):
-            continue
-        cause = option(own, "", {parameter: sign * 1.23 * own.tolerance(parameter)})
-        root = ET.fromstring(drawing(posture, [cause], stand))
-        _, _, width, height = map(float, (root.get("viewBox") or "").split())
-        *names, size = sorted(rooms(root), key=lambda room: len(room[0]))
-        circles = [
-            [float(e.get(k, 0)) for k in ("cx", "cy", "r")]
-            for g in root.iter("g") if g.get("class") == "dials" for e in g.iter("circle")
-        ]  # fmt: skip
-        assert len(circles) == len(stand)
-        assert min(size[1:3]) >= 0, parameter
-        assert size[3] <= width, parameter
-        assert size[4] <= height, parameter
-        assert all(apart(size, *name[1:]) for name in names), parameter
-        assert all(apart(size, x - r, y - r, x + r, y + r) for x, y, r in circles), parameter
-
-
-@pytest.mark.parametrize("kind", ["orthoglide", "delta", "free"])
-def test_an_arrow_across_a_rail_is_seen_beside_it(kind: str) -> None:
-    """The eye stood in line with one tower: its way outward lay upon it."""
-    posture = posed(kind)
-    seen = projection(posture, posture.lines.reshape(-1, 3))
-    for leg in posture.geometry.legs:
-        (x, y), *across = ((seen.right @ a, seen.up @ a) for a in leg.axes.T)
-        for u, v in across:
-            assert abs(x * v - y * u) / np.hypot(x, y) > 0.2
-
-
-def test_a_machine_ten_times_larger_is_drawn_as_well() -> None:
-    """Arrows and dials have their size on the paper, whatever the machine's."""
-    small = og.Machine.nominal()
-    g = small.geometry
-    large = Posed(
-        replace(g, L=10 * g.L, d=10 * g.d, r=10 * g.r, stroke=(10 * g.stroke[0], 10 * g.stroke[1])),
-        *(10 * value for value in (small.posed().lines, small.posed().p, small.posed().travel)),
-    )
-    cause = option(small, "words", dict.fromkeys(("joint_offset.y", "leg_length.x"), 1e-3))
-    text = drawing(small.posed(), [cause], [Dial("x1", small.posed().carriage(0), np.eye(3)[2])])
-    assert text == drawing(large, [cause], [Dial("x1", large.carriage(0), np.eye(3)[2])])
-
-
-def test_sizes_of_causes_that_are_shown_together_keep_apart() -> None:
-    own = machine("orthoglide")
-    both = [option(own, "", {f"{e}.x.y": 2e-3}) for e in ("axis_tilt", "rail_bow")]
-    root = ET.fromstring(drawing(posed("orthoglide"), both, shown=(0, 1)))
-    one, other = [room for room in rooms(root) if len(room[0]) > 2]
-    assert apart(one, *other[1:])
-
-
-def test_a_machine_shows_itself_in_a_notebook() -> None:
-    root = ET.fromstring(og.Machine.nominal()._repr_svg_())
-    assert root.tag == "{http://www.w3.org/2000/svg}svg"
-
-
-# --- The view that moves --------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", ["orthoglide", "delta", "free"])
-def test_the_view_moves_the_machine_as_the_mechanism_does(kind: str) -> None:
-    own = machine(kind)
-    leg = own.geometry.leg_names[1]
-    way = own.catalogue.legs.across[1][0]
-    values = {f"axis_tilt.{leg}.{way}": 2e-4, f"leg_length.{leg}": 1e-4}
-    shown = view(own, [("one", values), ("dials alone", {"gauge_scale.left": 0.1})])
-    assert [w.words for w in shown.ways] == ["one"]
-    rho = own.geometry.zero + shown.travel
-    np.testing.assert_allclose(shown.p, own.forward(rho), atol=1e-12)
-    exact = own.with_parameters(values).forward(rho) - shown.p
-    assert np.abs(shown.ways[0].p - exact).max() < 0.01 * np.abs(exact).max()
-    steps = np.linalg.norm(np.diff(shown.p, axis=0), axis=1)
-    assert steps.max() < 3 * np.median(steps)  # it goes from neighbour to neighbour
-    kept = shown.data()
-    assert np.array(kept["frames"])[:, 36:] * 1e-5 == pytest.approx(shown.p, abs=6e-6)
-
-
-DRIVE = """<script>
-addEventListener("load", () => {
-  const view = document.querySelector("div.view"), canvas = view.querySelector("canvas");
-  const shots = [], seen = () => { const s = canvas.toDataURL(); shots.push(s); return s; };
-  const set = (e, act) => { act(e); e.dispatchEvent(new Event("input")); return seen(); };
-  const first = seen(), way = view.querySelector(".way");
-  const off = set(way, e => { e.checked = !e.checked; });
-  const back = set(way, e => { e.checked = !e.checked; });
-  const larger = set(view.querySelector(".times"), e => { e.value = "1000"; });
-  const moved = set(view.querySelector(".place"), e => { e.value = 3; });
-  const place = view.querySelector(".place").value;
-  const shown = k => getComputedStyle(document.querySelector(`.drawn .option-${k}`)).display;
-  const pick = document.querySelector("#pick-1"), before = pick && [shown(0), shown(1)];
-  if (pick) pick.click();
-  view.querySelector(".play").click();
-  setTimeout(() => {
-    const run = seen();
-    document.title = JSON.stringify({
-      off: off !== first, back: back === first, larger: larger !== back, moved: moved !== larger,
-      run: run !== moved && view.querySelector(".place").value !== place,
-      picked: pick && [...before, shown(0), shown(1)], hidden: view.hidden,
-      asked: performance.getEntriesByType("resource").map(e => e.name),
-      readout: view.querySelector(".readout").textContent });
-  }, 400);
-});
-</script></body>"""
-
-
-def driven(
-    page: str, folder: Path, script: str = DRIVE, size: str = "900,900"
-) -> dict[str, object]:
-    (folder / "page.html").write_text(page.replace("</body>", script), encoding="utf-8")
-    return browsed(folder / "page.html", size, 4000)
-
-
-@pytest.mark.thorough(except_for=["delta"])
-@pytest.mark.parametrize("which", ["report", "delta"])
-def test_the_switch_moves_the_drawing_and_nothing_is_asked_of_a_network(
-    which: str, tmp_path: Path
-) -> None:
-    if which == "report":
-        page = files_of("explained")["report.html"]
-    else:
-        own = machine("delta").with_parameters({"mount_tilt.b.a": 8e-3, "leg_length.a": 1e-3})
-        page = view_page(view(own, causes_of(own)), drawing(own.posed()), "A delta")
-    told = driven(page, tmp_path)
-    assert all(told[name] for name in ("off", "back", "larger", "moved", "run"))
-    assert not told["hidden"]
-    assert told["asked"] == []
-    assert told["picked"] == (None if which == "delta" else ["inline", "none", "none", "inline"])
-    assert re.search(r"off by -?\d+\.\d{3}, .* mm in x, y, z", str(told["readout"]))
-
-
-EDGES = """<script>addEventListener("load", () => {
-  const canvas = document.querySelector("canvas"), { width: w, height: h } = canvas;
-  const ink = (...box) => canvas.getContext("2d").getImageData(...box).data.some(
-    (v, k, all) => v !== all[k % 4]);  // than the paper in the corner
-  const shown = s => document.querySelector(s).offsetHeight;
-  document.title = JSON.stringify({ middle: ink(0, 0, w, h), canvas: shown("canvas"),
-    controls: shown(".controls"),
-    edges: ink(0, 0, w, 3) || ink(0, h - 3, w, 3) || ink(0, 0, 3, h) || ink(w - 3, 0, 3, h) });
-});</script></body>"""
-
-
-@pytest.mark.thorough(except_for=["orthoglide-1280,900", "delta-390,844"])
-@pytest.mark.parametrize("size", ["1280,900", "390,844"])
-@pytest.mark.parametrize("kind", ["orthoglide", "delta", "free"])
-def test_the_view_keeps_within_its_frame_and_is_printed_without_its_controls(
+@pytest.mark.parametrize("size", ["1280,900", "500,987"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_browser_draws_all_of_it_and_asks_nothing_of_a_network(
     kind: str, size: str, tmp_path: Path
 ) -> None:
-    """The letter of a tower was cut, and the page of a machine alone was printed empty."""
-    own = machine(kind)
-    page = view_page(view(own, ()), drawing(own.posed()), "A machine")
-    told = driven(page.replace("@media print", "@media all"), tmp_path, EDGES, size)
+    page = page_of(kind, FACTOR).replace("</body>", SEEN)
+    (tmp_path / "page.html").write_text(page, encoding="utf-8")
+    drawing = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+    told = browsed(tmp_path / "page.html", size, 6000, *drawing)
     assert told["middle"]
     assert not told["edges"]
-    assert int(str(told["canvas"])) > 200
-    assert told["controls"] == 0
-
-
-LAID_OUT = """<script>addEventListener("load", () => {
-  const at = s => document.querySelector(s).getBoundingClientRect();
-  document.title = JSON.stringify({ width: innerWidth, said: at(".sentence").bottom,
-    top: at(".drawn svg").top, bottom: at(".drawn svg").bottom, rivals: at(".rivals").top });
-});</script></body>"""
-
-
-def test_on_a_phone_the_drawing_stands_in_the_first_screen_whatever_many_rivals(
-    tmp_path: Path,
-) -> None:
-    page = files_of("explained")["report.html"]
-    rival = re.search(r'<ul class="rivals">\s*(<li>.*?</li>)', page, flags=re.DOTALL)
-    assert rival
-    told = driven(page.replace(rival[1], 6 * rival[1]), tmp_path, LAID_OUT, "390,844")
-    said, top, bottom, rivals = (float(str(told[k])) for k in ("said", "top", "bottom", "rivals"))
-    assert said <= top < bottom <= 844
-    assert rivals >= bottom
-
-
-@pytest.mark.thorough(except_for=["explained"])
-@pytest.mark.parametrize(
-    "which", ["explained", pytest.param("partial", marks=pytest.mark.thorough), "unexplained"]
-)
-def test_the_page_is_small_and_asks_nothing_of_a_network(which: str) -> None:
-    page = files_of(which)["report.html"]
-    assert len(page.encode()) < MOST
+    assert not told["wide"]
+    assert told["moves"] > 20
+    assert told["asked"] == []
     assert "default-src 'none'" in page
-    assert not re.search(r"\b(fetch|XMLHttpRequest|WebSocket|EventSource|sendBeacon)\b", page)
-    still = re.search(r"<noscript>(.*?)</noscript>", page, flags=re.DOTALL)
-    assert still
-    assert still[1].startswith('<svg class="machine"')
+    assert told["words"].startswith("A & B Errors are drawn 10 times as large")
 
 
-def test_what_is_folded_is_printed(tmp_path: Path) -> None:
-    (tmp_path / "page.html").write_text(files_of("explained")["report.html"], encoding="utf-8")
-    assert printed(tmp_path / "page.html") > 8  # folded it is four
+# --- The posture ------------------------------------------------------------------------------
 
 
-def test_the_first_screen_draws_what_it_says() -> None:
-    """The words beside the drawing and in it are the same, and each can be shown."""
-    verdict = verdict_of("explained")
-    page = files_of("explained")["report.html"]
-    drawn = re.search(r'<figure class="drawn">(.*?)</figure>', page, flags=re.DOTALL)
-    assert drawn
-    titles = re.findall(r"<g class=\"option[^>]*><title>(.*?)</title>", drawn[1])
-    said = [one.words for one in verdict.effects[0].explanations]
-    assert [html.unescape(title) for title in titles] == said
-    assert "2.4 mrad toward z" in words(drawn[1])
-    for k in range(len(said)):
-        assert f'id="pick-{k}"' in page
-        assert f'for="pick-{k}"' in page
-    most = verdict_of("unexplained").rest[0]
-    left = verdict_of("unexplained").picture.options[0].marks[0]
-    assert (left.part, left.setup) == ("dial", most.setup)
-    assert left.way[most.axis] == np.sign(most.most)
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_platform_stands_where_the_machine_has_it(kind: str) -> None:
+    """On all three legs, so the loops are closed as they are drawn."""
+    own = worn(kind)
+    wanted = own.forward(posture(kind))
+    assert np.abs(wanted - nominal(kind).forward(posture(kind))).max() > 1e-4
+    for tool in scene(kind, 1.0).tools(own.geometry):
+        np.testing.assert_allclose(tool, wanted, atol=1e-9)
 
 
-# --- On the command line --------------------------------------------------------------------
+@pytest.mark.parametrize("kind", KINDS)
+def test_errors_are_magnified_and_the_nominal_machine_stands_beside(kind: str) -> None:
+    geometry, start = nominal(kind).geometry, nominal(kind).forward(posture(kind))
+    one = scene(kind, 1.0).tools(geometry)[0] - start
+    many = scene(kind, FACTOR).tools(geometry)[0] - start
+    np.testing.assert_allclose(many, FACTOR * one, atol=0.1 * FACTOR * np.abs(one).max())
+    for tool in scene(kind, FACTOR).tools(geometry, "nominal"):
+        np.testing.assert_allclose(tool, start, atol=1e-9)
+    assert not any(path.startswith("nominal/visuals/") for path in scene(kind, 1.0).objects)
 
 
-def test_what_is_nothing_in_its_tolerance_has_no_switch() -> None:
-    own = machine("orthoglide")
-    values = {"rail_bow.x.z": 2e-4, "encoder_scale.x": 5e-7, "backlash.y": -1e-8}
-    assert [list(v) for _, v in causes_of(own.with_parameters(values))] == [["rail_bow.x.z"]]
+def test_bars_end_at_their_bearings_however_long_they_are() -> None:
+    own = worn("orthoglide")
+    moves = Magnified(own.model, own.values, {}, FACTOR).displacements(posture("orthoglide"))
+    drawn, length, width = scene("orthoglide", FACTOR), own.geometry.L, own.geometry.d
+    assert np.abs(moves[:, 6:]).max() > 1e-3
+    for leg, name in enumerate(own.geometry.leg_names):
+        for bar in (1, 2):
+            solid, inner, outer = (drawn.at(f"{name}_bar{bar}_{k}") for k in range(3))
+            long = length + moves[leg, 5 + bar]
+            apart = inner[:3, 3] - outer[:3, 3]
+            assert np.linalg.norm(apart) == pytest.approx(long, abs=1e-9)
+            np.testing.assert_allclose(solid[:3, 3], (inner + outer)[:3, 3] / 2, atol=1e-9)
+            scales = np.linalg.norm(solid[:3, :3], axis=0)
+            np.testing.assert_allclose(np.sort(scales), np.sort([1, 1, long / length]), atol=1e-9)
+        knuckle = drawn.at(f"{name}_knuckle_0")
+        ends = [drawn.at(f"{name}_bar{bar}_2")[:3, 3] for bar in (1, 2)]
+        np.testing.assert_allclose(knuckle[:3, 3], np.mean(ends, axis=0), atol=1e-9)
+        wide = width + moves[leg, 8] + moves[leg, 9]
+        assert np.linalg.norm(knuckle[:3, 2]) == pytest.approx(wide / width)
 
 
-def test_view_writes_a_page_of_a_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    worn = og.Machine.nominal().with_parameters({"axis_tilt.y.z": 2e-3, "joint_offset.x": 1e-3})
-    worn.save(tmp_path / "worn.toml")
-    out = tmp_path / "worn.html"
-    asked = ["view", str(tmp_path / "worn.toml"), "--out", str(out)]
+def test_a_rail_is_drawn_along_the_path_of_its_carriage() -> None:
+    own = worn("orthoglide")
+    plain, bent = Scene(page_of("orthoglide", 1.0)), scene("orthoglide", FACTOR)
+    path = Magnified(own.model, own.values, {}, FACTOR).paths()[1]  # y: a bow toward z
+    low, high = own.geometry.stroke
+    found = [place[:3, 3] for name, place in bent.places.items() if "base_5_piece" in name]
+    assert len(found) > 10
+    for point in found:
+        travel = point[1] - path.origin[1]
+        if low < travel < high:
+            aside = np.interp(travel, path.travel, path.aside[:, 2])
+            assert point[2] - 0.95 * own.geometry.d == pytest.approx(aside, abs=2e-4)
+    assert np.ptp(path.aside[:, 2]) > 1e-3
+    straight = "machine/visuals/base_10"  # z is neither tilted nor bowed
+    np.testing.assert_array_equal(bent.places[straight], plain.places[straight])
+
+
+def test_beyond_the_stroke_a_path_goes_on_straight() -> None:
+    travel = np.linspace(-0.1, 0.1, 21)
+    aside = np.outer(travel, [0.0, 0.2, 0.0])
+    path = RailPath(np.zeros(3), np.array([1.0, 0.0, 0.0]), travel, aside)
+    for along in (-0.3, 0.0, 0.25):
+        moved, direction = path.at(along)
+        np.testing.assert_allclose(moved, [0.0, 0.2 * along, 0.0], atol=1e-12)
+        np.testing.assert_allclose(direction, [1.0, 0.2, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_tool_moves_to_and_fro_along_each_axis(kind: str) -> None:
+    keys = scene(kind, 1.0).animations[
+        f"machine/visuals/{nominal(kind).geometry.leg_names[0]}_platform_1"
+    ]
+    assert [key["time"] for key in keys[".position"]] == list(range(len(keys[".position"])))
+    points = np.array([key["value"] for key in keys[".position"]])
+    np.testing.assert_allclose(points[0], points[-1], atol=1e-6)
+    for axis, part in enumerate(np.split(points[1:], 3) - points[0]):
+        reach = np.abs(part).max(axis=0)
+        assert reach[axis] > 0.02
+        assert np.delete(reach, axis).max() < 0.1 * reach[axis]
+        assert part[:, axis].min() < -0.01 < 0.01 < part[:, axis].max()
+
+
+# --- In Python, and what is refused -------------------------------------------------------------
+
+
+def test_a_machine_shows_itself_and_writes_its_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own, out = worn("orthoglide"), tmp_path / "machine.html"
+    viewer = own.show(magnify=5.0, out=out)
+    assert type(viewer).__name__ == "MeshcatVisualizer"
+    assert viewer.viewer.url() in capsys.readouterr().out
+    drawn = Scene(out.read_text(encoding="utf-8"))
+    start = nominal("orthoglide").forward(own.geometry.zero)
+    np.testing.assert_allclose(drawn.tools(own.geometry, "nominal")[0], start, atol=1e-9)
+    with pytest.raises(FileError, match=r"machine\.html"):
+        own.show(out=out)
+
+
+def test_conditions_count_as_they_do_for_a_pose() -> None:
+    own = og.Machine.nominal().with_parameters({"backlash.x": 2e-3})
+    rho = own.geometry.zero
+    drawn = Magnified(own.model, own.values, SHOWN, 1.0)
+    tool = Scene(static_page(show(drawn, rho), drawn, "")).tools(own.geometry)[0]
+    np.testing.assert_allclose(tool, own.forward(rho, **SHOWN), atol=1e-9)
+    assert np.abs(tool - own.forward(rho)).max() > 5e-4
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"magnify": 5000.0}, "do not close with errors 5000 times as large: choose a smaller"),
+        ({"magnify": -1.0}, "a magnification is a number from 0 on, not -1.0"),
+        ({"magnify": float("nan")}, "a magnification is a number from 0 on"),
+        ({"rho": np.full((2, 3), 0.31)}, r"one command of shape \(3,\), not \(2, 3\)"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused(options: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        worn("orthoglide").show(**options)
+
+
+def test_without_meshcat_it_is_told_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "meshcat", None)
+    with pytest.raises(InputError, match=r"pip install orthoglide\[viewer\]"):
+        og.Machine.nominal().show()
+    told = CliRunner().invoke(cli, ["view", "--out", str(tmp_path / "x.html")])
+    assert told.exit_code == 2
+    assert "pip install orthoglide[viewer]" in told.output
+    assert not list(tmp_path.iterdir())
+
+
+# --- On the command line ------------------------------------------------------------------------
+
+
+def test_view_writes_a_page(tmp_path: Path) -> None:
+    own, out = worn("orthoglide"), tmp_path / "worn.html"
+    own.save(tmp_path / "worn.toml")
+    asked = ["view", str(tmp_path / "worn.toml"), "--magnify", "20", "--out", str(out)]
     told = CliRunner().invoke(cli, asked)
-    assert told.exit_code == 0
-    assert "with 2 of its errors to switch on" in told.output
-    page = out.read_text()
-    assert "the path of the y carriage is out of square toward z by 2 mrad" in words(page)
-    assert len(page.encode()) < 300_000
+    assert told.exit_code == 0, told.output
+    zero = own.geometry.zero
+    off = own.forward(zero) - nominal("orthoglide").forward(zero)
+    size = ", ".join(f"{1e3 * v:.3f}" for v in off)
+    assert f"errors 20 times as large; its errors put the tool {size} mm off in x" in told.output
+    page = out.read_text(encoding="utf-8")
+    assert "20 times as large" in page
+    assert "nominal/visuals/x_bar1_0" in Scene(page).objects
     again = CliRunner().invoke(cli, asked)
     assert again.exit_code == 2
-    assert out.read_text() == page
-    monkeypatch.chdir(tmp_path)
-    for name in ("worn-2.html", "worn-3.html"):  # where no name is given, and none is replaced
-        told = CliRunner().invoke(cli, asked[:2])
-        assert told.output.startswith(f"{name}: ")
-        assert (tmp_path / name).read_text() == page
-    assert CliRunner().invoke(cli, ["view"]).output.startswith("orthoglide.html: ")
-    plain = CliRunner().invoke(cli, ["view", "--out", str(tmp_path / "plain.html")])
-    assert (plain.exit_code, "without errors" in plain.output) == (0, True)
-    missing = CliRunner().invoke(cli, ["view", "nowhere.toml", "--out", str(tmp_path / "x.html")])
+    assert out.read_text(encoding="utf-8") == page
+
+
+def test_view_opens_a_browser_or_prints_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", lambda url, **_: opened.append(url))
+    told = CliRunner().invoke(cli, ["view", "--no-open"])
+    assert (told.exit_code, opened) == (0, [])
+    assert re.match(r"http://127\.0\.0\.1:\d+/static/ shows the machine, without err", told.output)
+    told = CliRunner().invoke(cli, ["view"])
+    assert told.exit_code == 0
+    assert [url in told.output for url in opened] == [True]
+
+
+def test_view_reads_ones_own_effects(tmp_path: Path) -> None:
+    own = og.Machine.nominal().with_effects(load_effects(Path(OWN_FILE)))
+    own.with_parameters({"carriage_play.y.b": 1.5e-4}).save(tmp_path / "worn.toml")
+    asked = ["view", str(tmp_path / "worn.toml"), "--out", str(tmp_path / "worn.html")]
+    assert CliRunner().invoke(cli, asked).exit_code == 2
+    told = CliRunner().invoke(cli, [*asked, "--effects-file", OWN_FILE])
+    assert told.exit_code == 0, told.output
+    missing = CliRunner().invoke(cli, ["view", str(tmp_path / "nowhere.toml")])
     assert missing.exit_code == 2
-    assert not (tmp_path / "x.html").exists()

@@ -10,7 +10,7 @@ import pytest
 
 import orthoglide as og
 from orthoglide.errors import SolverError
-from orthoglide.fit.noise import repeat_variance, total_variance
+from orthoglide.fit.repeats import repeat_variance, total_variance
 from orthoglide.fit.weighing import Weighing
 from orthoglide.machine_file import Dial
 from orthoglide.simulation import simulate
@@ -72,9 +72,10 @@ def test_the_noise_of_a_reading_from_what_repeats_show(scatter: float) -> None:
 def test_repeats_tell_the_part_that_averaging_reduces() -> None:
     """At a fifth of a step neither all of the rounding is shared nor none."""
     campaign = simulate(with_dial(1e-5), "sweep", noise=2e-6, seed=1)
-    noise = og.identify(campaign, with_dial(1e-5)).problem.noise
+    problem = og.identify(campaign, with_dial(1e-5)).problem
+    noise = problem.noise
     assert noise.source == "repeats"
-    assert noise.sigma[0][0] ** 2 == pytest.approx(repeat_variance([campaign])[0], rel=0.02)
+    assert problem.sigma[0] ** 2 == pytest.approx(repeat_variance([campaign])[0], rel=0.02)
     assert noise.typical == pytest.approx(np.sqrt(2e-6**2 + 1e-10 / 12), rel=0.15)
 
 

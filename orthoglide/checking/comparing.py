@@ -234,7 +234,9 @@ def _of_both(together: Verdict, later: Collection[str]) -> Iterator[Difference]:
     names = _compared(together)
     problem, request = together.before.problem, together.request
     # Rows taken for faulty have lost their weight there.
-    kept = [*problem.campaigns, *(replace(f.points, sigma=f.sigma) for f in problem.points)]
+    kept = [
+        f.readings if f.on_legs else replace(f.readings, sigma=f.sigma) for f in problem.factors
+    ]
     noise = request.noise if request.campaigns else None
     both = assemble(kept, request.machine, names, own=names, noise=noise)
     apart = account_for_changes(solve(_two_states(both, later)))

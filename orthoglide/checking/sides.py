@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, Readings, ToolCampaign
+from orthoglide.observations import Readings
 from orthoglide.request import Request
 
 
@@ -21,8 +21,8 @@ def of_all(
     """The request of both states, and whether it lacks readings of the old one: a fit has the dials
     first and takes the tool's readings for those of the last state.
     """
-    dials = tuple(r for r in (*before, *after) if isinstance(r, Campaign))
-    tool = [r for r in (*before, *after) if isinstance(r, ToolCampaign)]
+    dials = tuple(r for r in (*before, *after) if not r.of_tool)
+    tool = [r for r in (*before, *after) if r.of_tool]
     past = [r for r in before if r in tool and any(d in after for d in dials)]
     points = tuple(r for r in tool if r not in past)
     request = Request("close-loop", dials, machine, (), noise, seed, points=points)
@@ -31,10 +31,8 @@ def of_all(
 
 def of_one(request: Request, side: Sequence[Readings]) -> Request:
     """The request of one state alone."""
-    dials = tuple(r for r in side if isinstance(r, Campaign))
-    return replace(
-        request, campaigns=dials, points=tuple(r for r in side if isinstance(r, ToolCampaign))
-    )
+    dials = tuple(r for r in side if not r.of_tool)
+    return replace(request, campaigns=dials, points=tuple(r for r in side if r.of_tool))
 
 
 def told_apart(
@@ -47,7 +45,7 @@ def told_apart(
     called = {name: now[kind] for kind, name in then.items() if kind in now}
 
     def renamed(one: Readings) -> Readings:
-        if not isinstance(one, ToolCampaign):
+        if not one.of_tool:
             return one
         names = [called.get(s.name, s.name) for s in one.setups]
         if len(set(names)) < len(names):
@@ -72,11 +70,11 @@ def told_apart(
 
 def _at_tool(one: Readings) -> list[str]:
     """Names of the setups at the tool, none of dials on legs."""
-    return [s.name for s in one.setups] if isinstance(one, ToolCampaign) else []
+    return [s.name for s in one.setups] if one.of_tool else []
 
 
 def _only_ones(side: Sequence[Readings]) -> dict[str, str]:
     """Names of setups at the tool by their kind, where there is one of it."""
-    named = {(s.kind, s.name) for c in side if isinstance(c, ToolCampaign) for s in c.setups}
+    named = {(s.kind, s.name) for c in side if c.of_tool for s in c.setups}
     count = Counter(kind for kind, _ in named)
     return {kind: name for kind, name in named if count[kind] == 1}

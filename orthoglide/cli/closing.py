@@ -22,7 +22,7 @@ DEMO_MACHINE = "made-up.toml"
 
 judge_options = opt.together(
     click.option("--holdout", type=opt.PATH, metavar="FILE",
-                 help="Campaign that only judges the finished result."),
+                 help="Readings that only judges the finished result."),
     click.option("--tcp", type=opt.PATH, metavar="FILE",
                  help="Measured TCP points that only judge the finished result."),
 )  # fmt: skip

@@ -18,7 +18,7 @@ from orthoglide.text import text_width
 
 if TYPE_CHECKING:
     from orthoglide.machine import Machine
-    from orthoglide.observations import Campaign
+    from orthoglide.observations import Readings
 
 _COUNT = 24
 _OTHERWISE = (
@@ -44,9 +44,10 @@ _OTHERWISE = (
               help="Accuracies wanted, in the units of files, TCP=0.01 among them: how often to "
                    "repeat.")  # fmt: skip
 @click.option("--owns", type=opt.Names(), default=(), metavar="KIND,...",
-              help="Instruments that you have (leg, tcp, plate, distance, ballbar, incline): what "
-                   "they would tell together, and what each of the others would add; with --count "
-                   "as many of the tool's readings as tell most together.")  # fmt: skip
+              help="Instruments that you have (leg, parallelism, tcp, plate, distance, ballbar, "
+                   "incline): what they would tell together, and what each of the "
+                   "others would add; with --count as many of the tool's readings as tell most "
+                   "together.")  # fmt: skip
 @click.option("--detect", is_flag=True, help="Also tell the smallest effects found and named.")
 @opt.noise()
 @opt.seed
@@ -144,21 +145,21 @@ def _of_owned(
             placed = machine.spec.kinematics is not None
             if placed:
                 lines.append("Send the tool to x_mm, y_mm, z_mm, with its numbers as they are.")
-            for one in (sheet.setups[0].instrument for sheet in sheets):
+            for one in (sheet.setups[0].observation for sheet in sheets):
                 lines.append(f"{one.words}: {(one.fill_place if placed else '') or one.fill}.")
     hidden = len(found.tells.invisible)
     line = f"{len(found.tells.by_effect)} effects are seen, {hidden} parameters are not visible."
     tell(wrapped("\n".join(lines), text_width()), line, quiet, out is not None)
 
 
-def _sheets(machine: Machine, paths: tuple[Path, ...]) -> dict[str, Campaign]:
+def _sheets(machine: Machine, paths: tuple[Path, ...]) -> dict[str, Readings]:
     """The sheets given, or the protocols there are."""
     from orthoglide.observations import protocol
 
     if paths:
         read = [opt.dial_sheet(p, machine, _OTHERWISE) for p in paths]
         return {c.name: c for c in read}
-    return {kind: protocol(kind, machine.geometry) for kind in opt.PROTOCOLS}  # type: ignore[arg-type]
+    return {kind: protocol(kind, machine.geometry) for kind in opt.DIAL_PROTOCOLS}  # type: ignore[arg-type]
 
 
 _LEAST, _MOST = 1e-6, 1e3  # millimetres, that anybody wants of a tool

@@ -43,9 +43,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "forward 310.25 310.25 310.25",
         "forward --csv commands.csv --out points.csv --machine april/calibrated.toml",
     ),
-    "view": ("view", "view april/calibrated.toml --out april.html"),
+    "view": ("view", "view april/calibrated.toml --magnify 50 --out april.html"),
     "inverse": ("inverse 10 0 -5 --machine april/calibrated.toml",),
     "import klipper": ("import klipper printer.cfg --out printer",),
+    "import plates": ("import plates heightmap.csv --machine machine.toml --out plate",),
 }
 """Command lines by command, without the program's name."""
 

@@ -1,4 +1,4 @@
-"""``import``: a machine file and campaigns from what a firmware stored."""
+"""``import``: machine file and readings from what a firmware stored."""
 
 from __future__ import annotations
 
@@ -13,18 +13,17 @@ import orthoglide.cli.options as opt
 from orthoglide.cli.run import Listed
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results
-from orthoglide.errors import InputError, NumericsError
+from orthoglide.errors import InputError
 
 if TYPE_CHECKING:
-    from orthoglide.klipper import Imported
-
+    from orthoglide.firmware.imported import Imported
 
 _TURN = 360.0  # degrees
 
 
 @click.group("import", cls=Listed)
 def import_() -> None:
-    """Machine file and campaigns from what a firmware stored."""
+    """Machine file and readings from what a firmware stored."""
 
 
 @import_.command()
@@ -37,15 +36,35 @@ def import_() -> None:
 )  # fmt: skip
 def klipper(config: Path, out: Path, turned: tuple[str, ...]) -> None:
     """Read a linear delta's printer.cfg: its numbers, heights, distances and meshes."""
-    from orthoglide.klipper import import_printer
+    from orthoglide.add_ons import add_on
     from orthoglide.machine_file import machine_files
+
+    found = add_on("klipper").read(config, turned=_degrees(turned))
+    machine = machine_files(found.machine, "machine.toml")
+    _write(found, out, dict(machine), out / "machine.toml")
+
+
+@import_.command()
+@click.argument("points", metavar="FILE", type=opt.PATH)
+@click.option(
+    "--machine", "machine_path", type=opt.PATH, metavar="FILE", required=True,
+    help="Machine file (machine.toml) of the linear delta.",
+)  # fmt: skip
+@opt.out(help="Folder for the campaigns; must be new or empty.")
+def plates(points: Path, machine_path: Path, out: Path) -> None:
+    """Read a list of a plate's points: a heightmap.csv, lines 'Bed X: Y: Z:', or x, y, z."""
+    from orthoglide.firmware.plate_lists import import_plates
+
+    machine = opt.load_machine(machine_path, None)
+    _write(import_plates(points, machine.spec), out, {}, machine_path)
+
+
+def _write(found: Imported, out: Path, files: dict[str, str | bytes], machine: Path) -> None:
+    """Write what was imported, and say what it is and what to run next."""
     from orthoglide.observations import campaign_text
 
-    found = import_printer(config, _degrees(turned))
-    files: dict[str, str | bytes] = dict(machine_files(found.machine, "machine.toml"))
     for campaign in found.campaigns:
         files[f"{campaign.name}.csv"] = campaign_text(campaign, found.machine)
-    proposed = list(_next(found, out))
     write_results(out, files)
     for note in found.notes:
         say(f"warning: {note}", err=True)
@@ -53,12 +72,12 @@ def klipper(config: Path, out: Path, turned: tuple[str, ...]) -> None:
         kinds = {s.name: s.kind for s in campaign.setups}
         what = ", ".join(f"{name} ({kind})" for name, kind in kinds.items())
         say(f"{campaign.name}.csv: {len(campaign)} readings: {what}")
-    for line in proposed:
+    for line in _next(found, out, machine):
         say(line)
 
 
 def _degrees(items: tuple[str, ...]) -> dict[str, float]:
-    """By name of a mesh how far its plate was turned.
+    """Return by name of a mesh how far its plate was turned.
 
     Raises:
         InputError: where one is not of that form.
@@ -75,43 +94,22 @@ def _degrees(items: tuple[str, ...]) -> dict[str, float]:
     return found
 
 
-def _next(found: Imported, out: Path) -> Iterator[str]:
-    """What to run with the files that go together; with each alone where that is not known."""
+def _next(found: Imported, out: Path, machine: Path) -> Iterator[str]:
+    """Return what to run with the files that go together; with each alone where that is not
+    known.
+    """
 
     def command(files: str) -> str:
-        machine = click.format_filename(out / "machine.toml")
-        return f"orthoglide close-loop {files} --machine {machine} --out OUT"
+        file = click.format_filename(machine)
+        return f"orthoglide close-loop {files} --machine {file} --out OUT"
 
     folder = click.format_filename(out)
-    absurd = dict(_absurd(found))
-    for name, reason in absurd.items():
-        yield f"\nclose-loop would refuse {name}.csv ({reason}): probe it again"
-    names = [name for name in found.together if name not in absurd]
-    out_of = list(dict.fromkeys([*(one.name for one in found.apart), *absurd]))
-    if len(absurd) == len(found.campaigns):
-        return
-    if not out_of:
+    left = [f"{c.name}.csv" for c in found.campaigns if c.name not in found.together]
+    if not left:
         yield f"\nNext: {command(f'{folder}/*.csv')}"
-    elif names:
-        left = ", ".join(f"{name}.csv" for name in out_of)
-        yield f"\nNext, without {left}: probe again, or for now"
-        yield command(" ".join(f"{folder}/{name}.csv" for name in names))
+    elif found.together:
+        yield f"\nNext, without {', '.join(left)}: probe again, or for now"
+        yield command(" ".join(f"{folder}/{name}.csv" for name in found.together))
     else:
         yield "\nThese files must not go together. Next, probe again, or take one alone:"
-        alone = (c.name for c in found.campaigns if c.name not in absurd)
-        yield from (command(f"{folder}/{name}.csv") for name in alone)
-
-
-def _absurd(found: Imported) -> Iterator[tuple[str, str]]:
-    """Names of readings with touches so far from all others that close-loop refuses them, and why.
-
-    Only of the rough ones is it asked.
-    """
-    import orthoglide as og
-
-    machine = og.Machine(found.machine)
-    for campaign in found.rough:
-        try:
-            og.identify([campaign], machine)
-        except (InputError, NumericsError) as error:
-            yield campaign.name, str(error).partition(": correct")[0]
+        yield from (command(f"{folder}/{c.name}.csv") for c in found.campaigns)

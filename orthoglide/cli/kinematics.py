@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -121,30 +122,24 @@ def _run(
         found = _solved(to_tcp, machine, np.array([numbers]) * 1e-3, _refuse)
         say(" ".join(_number(value) for value in found[0]), needed=True)
         return
-    from orthoglide.observations.columns import (
-        APPROACHED,
-        DIRECTION_OF_MOVE,
-        MM,
-        POINT,
-        by_leg,
-        columns,
-        command_names,
-        of_commands,
-    )
-    from orthoglide.observations.table import Column, number, read_table
+    from orthoglide.observations.columns import own_commands, stated_commands
+    from orthoglide.observations.schema import APPROACH, POINT
+    from orthoglide.observations.table import read_table
 
     rows = read_table(table)
     machine = opt.load_machine(machine_path, effects_file)
+    layout = machine.geometry.layout.names
+    column, computed = own_commands(layout), POINT
     if to_tcp:
-        names, new = command_names(rows, machine.spec), POINT
+        column = stated_commands(rows, machine.spec)
     else:
-        names, new = POINT, of_commands(machine.geometry.layout.names)
+        column, computed = replace(POINT, empty=None), column
+    names, new = column.names(layout.legs), computed.names(layout.legs)
     rows.check_names((*names, *(n for n in rows.names if n not in names)), names)
-    given = columns(rows, names, Column(number(MM)))
+    given = rows.array(column, layout.legs)
     travelled = names[0].startswith("travel")
-    arrives = by_leg(APPROACHED, machine.geometry.leg_names)
-    known = set(arrives) <= set(rows.names)
-    seen = {"approach": columns(rows, arrives, DIRECTION_OF_MOVE)} if known else {}
+    known = set(APPROACH.names(layout.legs)) <= set(rows.names)
+    seen = {"approach": rows.array(APPROACH, layout.legs)} if known else {}
     found = _solved(to_tcp, machine, given, rows.fail, travelled, **seen)
     if new[0].startswith("travel"):
         found = machine.spec.controller.from_rho(found, machine.geometry)

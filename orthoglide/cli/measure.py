@@ -16,7 +16,7 @@ from orthoglide.text import is_terminal
 
 @click.command()
 @click.option("--out", type=opt.PATH, required=True, metavar="CAMPAIGN.csv",
-              help="Campaign to write, or to go on with.")  # fmt: skip
+              help="Readings to write, or to go on with.")  # fmt: skip
 @opt.machine()
 @click.option("--sheet", type=opt.PATH, metavar="SHEET.csv",
               help="Measuring sheet to read first; its own where absent.")  # fmt: skip

@@ -17,7 +17,7 @@ from orthoglide.units import NOISE
 if TYPE_CHECKING:
     from orthoglide.effects import Catalogue
     from orthoglide.machine import Machine
-    from orthoglide.observations import Campaign
+    from orthoglide.observations import Readings
 
 Decorator = Callable[[Any], Any]
 
@@ -48,7 +48,8 @@ def together(*options: Decorator) -> Decorator:
     return decorate
 
 
-PROTOCOLS = ("standard", "sweep", "two-gauges")
+DIAL_PROTOCOLS = ("standard", "sweep", "two-gauges")
+PROTOCOLS = (*DIAL_PROTOCOLS, "parallelism")
 
 effects = click.option(
     "--effects-file", type=PATH, metavar="FILE.py",
@@ -138,7 +139,8 @@ def noise(otherwise: str = "the machine file's", least: float = NOISE[0]) -> Dec
     return click.option(
         "--noise", type=float, metavar="MM",
         callback=_metres,
-        help=f"Standard deviation of one reading; else {otherwise}.",
+        help=f"Standard deviation of one reading of a leg, or of the tool where no leg is read; "
+             f"else {otherwise}.",
     )  # fmt: skip
 
 
@@ -161,30 +163,31 @@ fit_options = together(
 )  # fmt: skip
 
 
-def dial_sheet(path: Path, machine: Machine, otherwise: str) -> Campaign:
-    """A measuring sheet of dials on legs, filled in or not; ``otherwise`` is what to do with one of
-    readings at the tool, as a clause.
+def dial_sheet(path: Path, machine: Machine, otherwise: str) -> Readings:
+    """A measuring sheet of single dials on legs, filled in or not; ``otherwise`` is what to do with
+    one of other readings, as a clause.
 
     Raises:
-        FileError: where it cannot be read, or holds readings at the tool.
+        FileError: where it cannot be read, or holds other readings.
     """
-    from orthoglide.observations import ToolCampaign, read_readings
+    from orthoglide.observations import read_readings
 
     sheet = read_readings(path, machine.spec, require_readings=False)[-1]
-    if isinstance(sheet, ToolCampaign):
-        kinds = ", ".join(dict.fromkeys(sheet.kind))
-        raise FileError(f"holds readings at the tool ({kinds}): {otherwise}", file=shown(path))
+    others = dict.fromkeys(s.kind for s in sheet.setups if s.observation.dials != 1)
+    if others:
+        what = "readings at the tool" if sheet.of_tool else "readings of two dials at a time"
+        raise FileError(f"holds {what} ({', '.join(others)}): {otherwise}", file=shown(path))
     return sheet
 
 
 def load_machine(path: Path | None, effects_file: Path | None) -> Machine:
     """The machine of ``--machine``, with the effects of ``--effects-file``."""
     from orthoglide.effects.loading import load_effects
-    from orthoglide.klipper import doubted_rods
     from orthoglide.machine import Machine
 
     effects = load_effects(effects_file)
     machine = Machine.nominal() if path is None else Machine.load(path, effects)
-    for warning in filter(None, (doubted_rods(machine), *machine.warnings)):
+    doubts = "" if machine.spec.printer is None else machine.spec.printer.doubts(machine)
+    for warning in filter(None, (doubts, *machine.warnings)):
         say(f"warning: {warning}", err=True)
     return machine.with_effects(effects)

@@ -22,8 +22,8 @@ from orthoglide.errors import InputError
               help="Measuring sheet; the protocol sweep where absent, or a probe on a plate where "
                    "no dial stands on a leg.")  # fmt: skip
 @click.option("--owns", type=opt.Names(), default=(), metavar="KIND,...",
-              help="In place of a sheet, readings you can take: leg (dials), tcp, plate, distance, "
-                   "ballbar, incline.")  # fmt: skip
+              help="In place of a sheet, readings you can take: leg (dials), parallelism, tcp, "
+                   "plate, distance, ballbar, incline.")  # fmt: skip
 @click.option("--campaigns", type=int, default=90, show_default=True, help="How many to simulate.")
 @opt.seed
 @click.option("--jobs", type=int, metavar="N",

@@ -21,7 +21,7 @@ from orthoglide.text import shown
 
 if TYPE_CHECKING:
     from orthoglide.closing import Verdict
-    from orthoglide.fit import Frame
+    from orthoglide.instruments import Frame
     from orthoglide.progress import Progress
     from orthoglide.request import Command, Request
 

@@ -15,7 +15,8 @@ from orthoglide.errors import InputError
 
 _kind_option = click.option(
     "--kind", type=click.Choice(opt.PROTOCOLS), default="standard", show_default=True,
-    help="Zero, Max and Min; the stroke in steps, both ways; the same at two places of a leg.",
+    help="Zero, Max and Min; the stroke in steps, both ways; the same at two places of a leg; two "
+         "dials on a leg at a time, whose difference is read at Zero, Max and Min.",
 )  # fmt: skip
 
 
@@ -37,7 +38,7 @@ def protocol(out: Path, kind: str, machine_path: Path | None, effects_file: Path
 @opt.machine(required=True, help="Machine file; its [parameters] are errors of the machine.")
 @click.option("--error", "errors", type=opt.Names(), default=(), metavar="NAME=NUMBER,...",
               help="More errors of the machine, in the units of files.")  # fmt: skip
-@click.option("--out", type=opt.PATH, required=True, metavar="CSV", help="Campaign to write.")
+@click.option("--out", type=opt.PATH, required=True, metavar="CSV", help="Readings to write.")
 @_kind_option
 @click.option("--sheet", type=opt.PATH, metavar="SHEET.csv",
               help="Rows to be read in place of a protocol's; of any instruments.")  # fmt: skip
@@ -64,8 +65,6 @@ def simulate(
     Each dial has its own datum and stands up to some placement error off its place, each instrument
     at the tool has its own datum and frame; readings are noisy and rounded to their resolution.
     """
-    from dataclasses import replace
-
     import numpy as np
 
     from orthoglide import simulation
@@ -95,7 +94,9 @@ def simulate(
     texts = {out: readings_text(filled, file)}
     if tcp is not None:
         points = simulation.simulate_tcp(machine, seed=draw)
-        texts[tcp] = csv_text(tcp_rows(replace(points, p=np.round(points.p, 9)), machine.spec))
+        texts[tcp] = csv_text(
+            tcp_rows(points.with_readings(np.round(points.reading, 9)), machine.spec)
+        )
     write_texts(texts)
     for name, lacking in simulation.unshown(machine, *filled).items():
         say(f"warning: {name} changes no reading, as {lacking}", err=True)

@@ -13,7 +13,7 @@ from orthoglide.text import shown
 
 if TYPE_CHECKING:
     from orthoglide.machine import Machine
-    from orthoglide.observations import Campaign
+    from orthoglide.observations import Readings
 
 
 def next_free(path: Path) -> Path:
@@ -33,7 +33,7 @@ def write_texts(texts: Mapping[Path, str]) -> None:
     write_files(texts, commit=committing)
 
 
-def write_sheet(path: Path, sheet: Campaign, machine: Machine) -> str:
+def write_sheet(path: Path, sheet: Readings, machine: Machine) -> str:
     """A new measuring sheet in the coordinates of the machine's controller, and the page to print
     beside it; what they hold.
     """

@@ -14,7 +14,7 @@ from orthoglide.errors import InputError, NumericsError
 from orthoglide.geometry import LEGS, Array, Geometry, axial
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.perfect_legs import Spheres, commands
-from orthoglide.observations import Campaign
+from orthoglide.observations import Readings
 from orthoglide.observations.protocols import Kind, protocol
 from orthoglide.prediction import Conditions
 from orthoglide.reduction.spheres import Mode, intersect_spheres
@@ -53,7 +53,7 @@ class Circumstances:
             load=self.load,
         )
 
-    def campaign(self, geometry: Geometry) -> Campaign:
+    def campaign(self, geometry: Geometry) -> Readings:
         """A sheet of the protocol that warms up evenly, under the load."""
         blank = protocol(self.kind, geometry)
         warmth = 20.0 + self.warming * blank.time / blank.time.max()
@@ -108,7 +108,7 @@ class Comparison:
         self.mode: Mode = "machine" if np.abs(zero).max() < SAME else "other"
 
     @cached_property
-    def campaign(self) -> Campaign:
+    def campaign(self) -> Readings:
         """Of dials on legs: the Orthoglide's alone."""
         return self.circumstances.campaign(self.geometry)
 

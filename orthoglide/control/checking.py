@@ -9,7 +9,7 @@ import numpy as np
 
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, protocol
+from orthoglide.observations import Readings, protocol
 from orthoglide.ordering import best_of
 
 Shown = tuple[float, float, float]
@@ -122,7 +122,7 @@ def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
     return tuple(found)
 
 
-def _pairs(sheet: Campaign, setup: int) -> list[tuple[int, int]]:
+def _pairs(sheet: Readings, setup: int) -> list[tuple[int, int]]:
     """First rows of a setup at Zero and at each of its other postures."""
     rows = np.flatnonzero(sheet.setup == setup)
     first = {sheet.posture[row]: int(row) for row in rows[::-1]}
@@ -130,7 +130,7 @@ def _pairs(sheet: Campaign, setup: int) -> list[tuple[int, int]]:
     return [(zero, row) for row in first.values()]
 
 
-def _readings(machine: Machine, sheet: Campaign, by: Array) -> Array:
+def _readings(machine: Machine, sheet: Readings, by: Array) -> Array:
     """All come to with every drive moving away from the origin."""
     command = sheet.command + by
     return machine.readings(replace(sheet, command=command, approach=np.ones_like(command)))

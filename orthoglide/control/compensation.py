@@ -13,14 +13,15 @@ from orthoglide.accuracy import tcp_slopes
 from orthoglide.control.acting import not_withheld
 from orthoglide.errors import ClosureError, InputError, UnreachableError, numbers
 from orthoglide.frames import Framed
-from orthoglide.geometry import Array
+from orthoglide.geometry import LEGS, Array
 from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.layout.leg import triple
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.perfect_legs import UNITS
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
-from orthoglide.observations.columns import APPROACHED, PLACE, POINT, TRAVELLED, by_leg, of_commands
+from orthoglide.observations.columns import of_commands
+from orthoglide.observations.schema import APPROACH, PLACE, POINT, TRAVEL
 from orthoglide.prediction import Conditions
 
 RESOLUTION = 1e-9
@@ -103,12 +104,12 @@ class Compensation(Framed):
         legs = self.legs.legs
         ends = (self.residual, self.shape, np.full(len(self), self.place), self.accuracy)
         groups: dict[tuple[str, ...], Array] = {
-            POINT: self.wanted * 1e3,
+            POINT.names(): self.wanted * 1e3,
             of_commands(self.legs): self.rho * 1e3,
-            by_leg(TRAVELLED, legs): self.travel * 1e3,  # the same columns on other layouts
-            **({} if self.sent is None else {PLACE: self.sent * 1e3}),
-            by_leg(APPROACHED, legs): self.approach,
-            by_leg("sigma_{}_mm"): self.shape_sigma * 1e3,
+            TRAVEL.names(legs): self.travel * 1e3,  # the same columns on other layouts
+            **({} if self.sent is None else {PLACE.names(): self.sent * 1e3}),
+            APPROACH.names(legs): self.approach,
+            tuple(f"sigma_{axis}_mm" for axis in LEGS): self.shape_sigma * 1e3,
             _ENDS: np.column_stack([*ends, self.error_before, self.shape_before]) * 1e3,
         }
         return {n: v[:, k].tolist() for names, v in groups.items() for k, n in enumerate(names)}

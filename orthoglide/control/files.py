@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,8 +16,8 @@ from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.tree import load
 from orthoglide.notes import Note
-from orthoglide.observations.columns import MM, POINT, columns
-from orthoglide.observations.table import Column, number, read_table
+from orthoglide.observations.schema import POINT
+from orthoglide.observations.table import read_table
 from orthoglide.text import csv_text
 from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, closures_text, parallel_robot_files
 
@@ -44,8 +44,8 @@ def read_path(path: str | os.PathLike[str]) -> PathPoints:
         FileError: naming the line and what would be right.
     """
     table = read_table(path)
-    warnings = table.check_names(POINT, POINT)
-    p = columns(table, POINT, Column(number(MM)))
+    warnings = table.check_names(POINT.names(), POINT.names())
+    p = table.array(replace(POINT, empty=None))
     if len(p) > 1 and 0 < np.abs(p).max() < _SMALL:
         told = f"all points lie within {_SMALL * 1e3:g} mm of the middle: are they metres?"
         warnings = (*warnings, Note(told, "units"))

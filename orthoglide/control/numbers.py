@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
+from orthoglide.add_ons import Paste, add_on_of
 from orthoglide.control.acting import not_withheld
 from orthoglide.control.checking import COUNTING, ZeroCheck, check_zeros
-from orthoglide.control.firmware import FirmwareNumbers
 from orthoglide.effects import OF_DRIVES
 from orthoglide.effects.wording import by_effect
 from orthoglide.frames import Framed
-from orthoglide.klipper import corrections_of
 from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.machine import Machine, MachineSource
 
@@ -143,7 +142,7 @@ class ControllerNumbers(Framed):
     zeros_only: tuple[float, ...]
     checks: tuple[ZeroCheck, ...]
     expected: dict[str, ExpectedError]
-    firmware: FirmwareNumbers | None = None
+    firmware: Paste | None = None
     calibrated: bool = True
     _index = "drive"
 
@@ -181,7 +180,7 @@ class ControllerNumbers(Framed):
     def as_dict(self) -> dict[str, Any]:
         """For JSON; lengths in millimetres."""
         if self.firmware:
-            return {"machine": self.name, "firmware": self.firmware.as_dict()}
+            return {"machine": self.name, "firmware": dict(self.firmware.facts)}
         return {
             "machine": self.name,
             "rule": self.rule,
@@ -197,7 +196,7 @@ class ControllerNumbers(Framed):
     def text(self) -> str:
         """For people: the rule in words, one worked line, a table, and the checks."""
         if self.firmware:
-            told = (t if "\n" in t else _fill(t) for t in self.firmware.paragraphs())
+            told = (t if "\n" in t else _fill(t) for t in self.firmware.paragraphs)
             return "\n\n".join((self.title, *told)) + "\n"
         shape = {name: f"{error.shape * 1e3:.4f}" for name, error in self.expected.items()}
         named = zip(self.drives, self.zeros_only, strict=True)
@@ -246,7 +245,8 @@ def controller_numbers(
     fitted = left_over or machine.geometry.layout.hanging  # which leaves the tool at its height
     best = _ZEROS if zeros_only else "these numbers" if fitted else ""
     identified = _by_kind(machine, machine.values).get("zero", np.zeros(3))
-    controller, length, printer = machine.spec.controller, machine.geometry.L, machine.spec.printer
+    controller, length = machine.spec.controller, machine.geometry.L
+    firmware = add_on_of(machine.spec.provenance)
     none = np.zeros(3)
     drives = [
         DriveNumbers(
@@ -270,7 +270,7 @@ def controller_numbers(
         tuple((np.array(controller.zero) - np.array(controller.sign) * alone).tolist()),
         check_zeros(machine, held.get("zero", none)),
         {name: expected_error(machine, given) for name, given in settings.items()},
-        None if printer is None else FirmwareNumbers(printer, corrections_of(machine)),
+        None if firmware is None else firmware.paste(machine),
         bool(machine.spec.parameters),
     )
 

@@ -19,18 +19,19 @@ from orthoglide.diagnosis.command_faults import all_put_right, put_right
 from orthoglide.diagnosis.faults import DATUMS, Fault, Kind, Rows, message, parts, places, steps
 from orthoglide.diagnosis.fit_faults import fit_fault, unit_faults
 from orthoglide.diagnosis.joint_faults import joint_fault
-from orthoglide.diagnosis.misreadings import restored, silenced
+from orthoglide.diagnosis.misreadings import restored, with_noise_of_the_rest, without_weight
 from orthoglide.diagnosis.repeat_faults import repeat_faults, scatter_faults, searches
 from orthoglide.diagnosis.scatter import Scatter
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.diagnosis.stuck_faults import stuck_faults
+from orthoglide.diagnosis.tool_faults import solved_without, tool_slips
 from orthoglide.errors import InputError, NumericsError
-from orthoglide.fit import Estimate, Noise, Problem, noise_of, solve
+from orthoglide.fit import Estimate, Factor, Problem, solve
 from orthoglide.fit.least_squares import known_rows
 from orthoglide.fit.scores import rms_by_unit
 from orthoglide.geometry import Array
-from orthoglide.observations import Campaign
+from orthoglide.observations import Readings
 
 _MOST = 8
 """Slips: what is left beyond them is for a person to look at."""
@@ -59,7 +60,7 @@ class Blunder:
     # outlier, knocked_stand, zeroed, command, sign, label, exchanged_labels, shifted, unit, turns,
     # stuck or scatter
     kind: Kind
-    # campaign and row within it; of a knocked stand the rows after the knock, of dials set to zero
+    # factor and row within it; of a knocked stand the rows after the knock, of dials set to zero
     # anew at each repeat those after the first
     rows: tuple[tuple[int, int], ...]
     setups: tuple[str, ...]  # names of the setups concerned
@@ -101,13 +102,13 @@ class Blunder:
         muted = _muted(problem, silent) if silent else problem
         return muted, muted if self.fault is None else restored(muted, self.fault)
 
-    def lines(self, campaigns: Sequence[Campaign]) -> dict[str, tuple[int, ...]]:
+    def lines(self, given: Sequence[Readings]) -> dict[str, tuple[int, ...]]:
         """Lines of the rows by file, or by campaign where there is none."""
         found: dict[str, tuple[int, ...]] = {}
         for k, row in self.rows:
-            name = campaigns[k].file or campaigns[k].name
-            found[name] = (*found.get(name, ()), int(campaigns[k].line[row]))
-        return found
+            name = given[k].file or given[k].name
+            found[name] = (*found.get(name, ()), int(given[k].line[row]))
+        return {name: tuple(dict.fromkeys(lines)) for name, lines in found.items()}
 
 
 @dataclass(frozen=True)
@@ -126,13 +127,15 @@ def examine(estimate: Estimate) -> Findings:
 
     Every test here is closed form: the answer has no seed.
     """
+    tool, whole = tool_slips(estimate), estimate
+    estimate = solved_without(estimate, tool)
     narrow = estimate.problem.at_tolerance()
     if narrow is not estimate.problem:
         # Wrong readings lead values beyond their tolerances: here these still count.
         estimate = solve(narrow, method="nested", start=estimate.x, widen=False)
     base = signatures(estimate)
     means = StationMeans.of(base)
-    setups = [Scatter.of(estimate, s) for s in range(len(estimate.problem.setups))]
+    setups = [Scatter.of(estimate, s) for s in estimate.problem.leg_setups]
     found = stuck_faults(base, means, setups)
     found += unit_faults(estimate.problem, setups, found)
     slips = searches(estimate.problem, setups)
@@ -163,7 +166,8 @@ def examine(estimate: Estimate) -> Findings:
     limited = [f for k, f in enumerate(found) if f.kind == "zeroed" or _slips(found[:k]) < _MOST]
     found = limited + scatter_faults(estimate.problem, slips, found)
     last = means.signatures.estimate
-    return Findings(_reported(base, found), tuple(c.measured(last) for c in changes))
+    blunders = _reported(base if not tool else signatures(whole), [*tool, *found])
+    return Findings(blunders, tuple(c.measured(last) for c in changes))
 
 
 def _with(problem: Problem, faults: Sequence[Fault], fault: Fault) -> list[Fault]:
@@ -195,7 +199,7 @@ def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:
         readings -= steps(problem, fault) @ np.array(fault.offsets)
         silent[fault.rows] |= fault.sets_aside
     problem = all_put_right(problem, faults)  # the side that its neighbours were reached from, too
-    return silenced(problem.with_readings(readings), silent)
+    return without_weight(problem.with_readings(readings), silent)
 
 
 def _reported(base: Signatures, faults: Sequence[Fault]) -> tuple[Blunder, ...]:
@@ -260,9 +264,9 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
     Raises:
         InputError: where nothing is left of a campaign.
     """
-    campaigns, rows_kept = [], []
-    for k, campaign in enumerate(problem.campaigns):
-        kept = np.ones(len(campaign), dtype=bool)
+    factors = list[Factor]()
+    for k, factor in enumerate(problem.factors):
+        campaign, kept = factor.readings, np.ones(len(factor.readings), dtype=bool)
         split = campaign
         for blunder in blunders:
             rows = np.array([row for c, row in blunder.rows if c == k], dtype=np.int64)
@@ -280,15 +284,12 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
                 f"nothing is left of {campaign.name} once its faulty rows are set aside: measure "
                 f"it again ({fault.message})"
             )
-        campaigns.append(split.subset(kept))
-        rows_kept.append(kept)
-    noise: Noise = problem.noise.of(rows_kept)
-    if noise.source == "repeats":
-        noise = noise_of(campaigns, problem.machine.spec.dial, step=noise.step)
-    return replace(problem.at_tolerance(), campaigns=tuple(campaigns), noise=noise)
+        factors.append(factor.with_table(split).subset(kept))
+    problem = replace(problem.at_tolerance(), factors=tuple(factors))
+    return with_noise_of_the_rest(problem)
 
 
-def _split(campaign: Campaign, rows: Rows) -> Campaign:
+def _split(campaign: Readings, rows: Rows) -> Readings:
     """Rows of one setup as a setup of their own."""
     old = campaign.setups[int(campaign.setup[rows[0]])]
     taken = {s.name for s in campaign.setups}

@@ -36,13 +36,13 @@ def visits(problem: Problem) -> tuple[tuple[str, str, int], ...]:
         read = {k: (c.name, c.file) for k, c in enumerate(problem.campaigns)}
     else:
         read, seen = {}, list[set[str]]()
-        for k, factor in enumerate(problem.points):
+        for k, factor in enumerate(problem.tool):
             setups = set(factor.setup_names)
             if seen and seen[-1].isdisjoint(setups):
                 seen[-1] |= setups
             else:
                 seen.append(setups)
-                read[k] = factor.name, factor.points.file
+                read[k] = factor.name, factor.readings.file
         if not seen or not set.intersection(*seen):
             return ()
     rows = problem.factor_rows

@@ -20,7 +20,7 @@ from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import Problem, with_free
 from orthoglide.fit.least_squares import linearise, nuisances
 from orthoglide.geometry import LEGS, Array
-from orthoglide.observations import Campaign
+from orthoglide.observations import Readings
 from orthoglide.observations.arrays import numbered
 from orthoglide.ordering import EQUAL_ODDS, descending, ranked
 
@@ -71,7 +71,7 @@ def slopes(problem: Problem, x: Array, value: Array) -> Array:
     return found
 
 
-def put_right(campaign: Campaign, rows: Rows, drive: int, size: float) -> Campaign:
+def put_right(campaign: Readings, rows: Rows, drive: int, size: float) -> Readings:
     """The campaign with another command in some rows, metres, and the approach that follows."""
     command = campaign.command.copy()
     command[rows, drive] += size
@@ -83,13 +83,14 @@ def put_right(campaign: Campaign, rows: Rows, drive: int, size: float) -> Campai
 
 def all_put_right(problem: Problem, faults: Sequence[Fault]) -> Problem:
     """The problem with the likeliest commands in the rows of faults of that kind."""
-    campaigns = list(problem.campaigns)
+    factors = list(problem.on_legs)
     for fault in faults:
         for drive, size in fault.commands[:1]:
             k = campaign_of(problem, fault.rows)
             within = fault.rows - problem.rows[k].start
-            campaigns[k] = put_right(campaigns[k], within, drive, size)
-    return replace(problem, campaigns=tuple(campaigns))
+            moved = put_right(factors[k].readings, within, drive, size)
+            factors[k] = factors[k].with_table(moved)
+    return problem.with_factors(factors)
 
 
 @dataclass(frozen=True)
@@ -174,7 +175,7 @@ def begun(means: StationMeans) -> Signatures:
     """Everything about the machine where the fit started."""
     estimate, problem = means.signatures.estimate, means.problem
     at = linearise(problem, problem.start)
-    nuisance = nuisances(problem, at.slopes)
+    nuisance = nuisances(problem, at.seen)
     return signatures(replace(estimate, x=problem.start, at=at, nuisance=nuisance))
 
 

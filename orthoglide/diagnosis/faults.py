@@ -13,6 +13,7 @@ from orthoglide.fit import Problem
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import Controller
 from orthoglide.observations import source
+from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 from orthoglide.observations.arrays import numbered
 from orthoglide.ordering import EQUAL_ODDS, best_of
 from orthoglide.units import MISTAKEN
@@ -102,7 +103,7 @@ def parts(kind: Kind, rows: Rows, setup: Rows, repeat: Rows) -> list[Rows]:
 def untouched(problem: Problem, faults: Sequence[Fault]) -> list[int]:
     """Setups in which no fault was found."""
     touched = {s for fault in faults for s in fault.setups}
-    return [s for s in range(len(problem.setups)) if s not in touched]
+    return [s for s in problem.leg_setups if s not in touched]
 
 
 def same_place(one: Fault, other: Fault) -> bool:
@@ -139,37 +140,52 @@ def campaign_of(problem: Problem, rows: Rows) -> int:
 
 
 def places(problem: Problem, rows: Rows) -> tuple[tuple[int, int], ...]:
-    """Campaign and row within it of stacked rows."""
-    ends = [part.stop for part in problem.rows]
+    """Factor and row within it of stacked rows."""
+    ends = [part.stop for part in problem.factor_rows]
     ordered = np.sort(rows).tolist()
     homes = np.searchsorted(ends, ordered, side="right").tolist()
-    return tuple((k, row - problem.rows[k].start) for k, row in zip(homes, ordered, strict=True))
+    each = zip(homes, ordered, strict=True)
+    return tuple((k, row - problem.factor_rows[k].start) for k, row in each)
 
 
 def message(problem: Problem, fault: Fault) -> str:
     """One sentence: which file, which lines, what it looks like, what to do."""
     at = places(problem, fault.rows)
-    campaign = problem.campaigns[at[0][0]]
-    lines = _listed([int(campaign.line[row]) for k, row in at if k == at[0][0]])
+    given = problem.factors[at[0][0]].readings
+    lines = _listed([*dict.fromkeys(int(given.line[row]) for k, row in at if k == at[0][0])])
     setups = " and ".join(repr(problem.setups[s].name) for s in fault.setups)
     plural = "s" * (len(fault.setups) > 1)
-    return f"{source(campaign)}, {lines}, setup{plural} {setups}: {_clause(problem, fault)}"
+    where = "" if given.by_point else f", setup{plural} {setups}"
+    return f"{source(given)}, {lines}{where}: {_clause(problem, fault)}"
+
+
+def _slipped(problem: Problem, fault: Fault) -> str:
+    """How far off a reading or a point is, and what to look up."""
+    k, row = places(problem, fault.rows)[0]
+    given = problem.factors[k].readings
+    unit = given.setups[given.setup[row]].observation.unit
+    what = f"the reading {given.reading[row] * 1e3:.6g} {unit} is {fault.size * 1e3:+.3g} {unit}"
+    if given.by_point:
+        what = f"the point is {abs(fault.size) * 1e3:.3g} {unit}"
+    visits = np.sum(problem.station[fault.rows[0]] == problem.station)
+    rest = "the other readings of this place" if visits > 1 else "what all others say"
+    looked = "it" if visits > 1 else "it and its command"
+    lost = ""
+    if visits > 1 and not given.approach[row].all() and not given.paired[row]:
+        lost = f"; or it is lost motion, as {SIDES_UNTOLD}: {TELL_SIDES}"
+    return (
+        f"{what} off {rest}: look {looked} up in the notes and correct it, or measure this place "
+        f"again{lost}"
+    )
 
 
 def _clause(problem: Problem, fault: Fault) -> str:
     """What a fault looks like, and what to do about it."""
     first = f"{problem.measured[fault.rows[0]] * 1e3:.6g} mm"
-    size = f"{fault.size * 1e3:+.3g} mm"
     up = f"{abs(fault.size) * 1e3:.3g} mm {'higher' if fault.size > 0 else 'lower'}"
     match fault.kind:
         case "outlier":
-            visits = np.sum(problem.station[fault.rows[0]] == problem.station)
-            rest = "the other readings of this posture" if visits > 1 else "what all others say"
-            looked = "it" if visits > 1 else "it and its command"
-            return (
-                f"the reading {first} is {size} off {rest}: look {looked} up in the notes and "
-                f"correct it, or measure this posture again"
-            )
+            return _slipped(problem, fault)
         case "zeroed":
             return _zeroed(problem, fault)
         case "knocked_stand":

@@ -15,8 +15,8 @@ from orthoglide.diagnosis.command_faults import all_put_right
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, campaign_of, in_order
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.fit import Problem
-from orthoglide.fit.factors import SILENT
-from orthoglide.fit.noise import OFF_GRID, on_grid
+from orthoglide.fit.noise import noise_of, overall
+from orthoglide.fit.repeats import OFF_GRID, on_grid
 from orthoglide.geometry import Array
 from orthoglide.observations import Setup
 from orthoglide.units import INCH, MISTAKEN
@@ -156,17 +156,18 @@ def restored(problem: Problem, fault: Fault) -> Problem:
     if fault.commands:
         return all_put_right(problem, [fault])
     if labels := _labels(problem, fault):
-        numbers = iter(range(len(problem.setups)))
-        campaigns = tuple(
+        numbers = iter(problem.leg_setups)
+        tables = (
             replace(c, setups=tuple(labels.get(next(numbers), s) for s in c.setups))
             for c in problem.campaigns
         )
-        return replace(problem, campaigns=campaigns)
+        each = zip(problem.on_legs, tables, strict=True)
+        return problem.with_factors([f.with_table(table) for f, table in each])
     measured = problem.measured.copy()
     if fault.kind == "shifted":
         moved, lost = _shifted(fault.rows, int(fault.size))
         measured[fault.rows] = problem.measured[moved]
-        return silenced(problem.with_readings(measured), fault.rows[lost])
+        return without_weight(problem.with_readings(measured), fault.rows[lost])
     if fault.kind == "exchanged_labels":
         a, b = (in_order(problem, s) for s in fault.setups)
         measured[a], measured[b] = problem.measured[b], problem.measured[a]
@@ -177,12 +178,39 @@ def restored(problem: Problem, fault: Fault) -> Problem:
     return problem.with_readings(measured)
 
 
-def silenced(problem: Problem, rows: Rows | NDArray[np.bool_]) -> Problem:
+def without_weight(problem: Problem, rows: Rows | NDArray[np.bool_]) -> Problem:
     """The problem with some readings without any weight."""
-    sigma = problem.sigma.copy()
-    sigma[rows] *= SILENT
-    noise = replace(problem.noise, sigma=tuple(sigma[part] for part in problem.rows))
-    return replace(problem, noise=noise)
+    silent = np.zeros(len(problem.measured), dtype=bool)
+    silent[rows] = True
+    each = zip(problem.factors, problem.factor_rows, strict=True)
+    return replace(problem, factors=tuple(f.without_weight(silent[part]) for f, part in each))
+
+
+def with_noise_of_the_rest(problem: Problem) -> Problem:
+    """The problem with noise that came from repeats taken from those that have weight still."""
+    noise = problem.noise
+    renewed = {kind for kind, level in noise.levels.items() if level.source == "repeats"}
+    if not renewed:
+        return problem
+    kept = [f.noise.weighted for f in problem.factors]
+    each = list(zip(problem.factors, kept, strict=True))
+    again, rows = noise_of(
+        [f.readings.subset(own) for f, own in each],
+        problem.machine.spec,
+        steps=[f.noise.step[own] for f, own in each],
+    )
+    factors = []
+    for (factor, own), new in zip(each, rows, strict=True):
+        of_repeats = np.isin(factor.readings.kind, list(renewed))
+        changed = factor.with_noise(np.flatnonzero(own & of_repeats), new.of(of_repeats[own]))
+        factors.append(changed if factor.on_legs else changed.with_roughness(problem.machine))
+    levels = {k: again.levels.get(k, v) if k in renewed else v for k, v in noise.levels.items()}
+    of_legs = bool(problem.on_legs)
+    if not of_legs:
+        total = [f.noise.total[own] for f, own in zip(factors, kept, strict=True)]
+        again = replace(noise, typical=overall([f.readings.subset(o) for f, o in each], total))
+    one = again if not of_legs or noise.source == "repeats" else noise
+    return replace(problem, factors=tuple(factors), noise=replace(one, levels=levels))
 
 
 def _labels(problem: Problem, fault: Fault) -> dict[int, Setup]:

@@ -45,7 +45,7 @@ def describe_left(estimate: Estimate) -> tuple[str, ...]:
     """
     every = rest_by_setup(estimate)
     of_tool = tuple(
-        f"{r.share:.0%} of it is in {r.reads} ({r.setup})" for r in every[:1] if r.kind != "leg"
+        f"{r.share:.0%} of it is in {r.reads} ({r.setup})" for r in every[:1] if r.leg < 0
     )
     if not estimate.problem.campaigns:  # no more is looked for in readings of the tool
         return of_tool
@@ -136,7 +136,7 @@ class _Rest:
 
     def by_setup(self, column: Array) -> Array:
         """A column of its own for every setup ``(n, setups)``."""
-        setups = np.arange(len(self.problem.setups))
+        setups = np.array(self.problem.leg_setups)
         return np.asarray((self.setup[:, None] == setups) * column[:, None])
 
     def p_value(self, columns: Array, by_reading: bool = False) -> tuple[float, float]:
@@ -205,7 +205,7 @@ def _single_station(rest: _Rest) -> str:
 
 def _parity(rest: _Rest) -> str:
     """Odd or even along the stroke of the touched leg's own axis, where most of it is."""
-    setups = rest.dominant if len(rest.dominant) else np.arange(len(rest.problem.setups))
+    setups = rest.dominant if len(rest.dominant) else np.array(rest.problem.leg_setups)
     gain, degrees = np.zeros(2), np.zeros(2)  # odd, even
     for k in setups:
         for power, column in enumerate(_polynomials(rest, int(k)), start=1):

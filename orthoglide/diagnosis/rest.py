@@ -8,10 +8,10 @@ import numpy as np
 
 from orthoglide.fit import Estimate
 from orthoglide.geometry import LEGS, Array
-from orthoglide.instruments import INSTRUMENTS
+from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine import Machine
 from orthoglide.numerals import plain
-from orthoglide.observations import Campaign, Setup, TcpPoints, ToolCampaign
+from orthoglide.observations import Readings
 from orthoglide.observations.approach import Ints
 from orthoglide.ordering import descending, ranked
 
@@ -39,28 +39,26 @@ class SetupRest:
     @property
     def reads(self) -> str:
         """What is read, in words."""
-        if self.kind == "leg":
-            return f"leg {LEGS[self.leg]} along {LEGS[self.axis]}"
-        return INSTRUMENTS[self.kind].reads.format(LEGS[self.axis])
+        return OBSERVATIONS[self.kind].reads.format(LEGS[self.axis], LEGS[self.leg])
 
     @property
     def unit(self) -> str:
         """In which people read it."""
-        return "mm" if self.leg >= 0 else INSTRUMENTS[self.kind].unit
+        return OBSERVATIONS[self.kind].unit
 
 
 def rest_by_setup(estimate: Estimate) -> tuple[SetupRest, ...]:
     """What a fit leaves of every mounting of a dial, and of every axis of an instrument at the
     tool, largest share first; TCP points have no mounting.
     """
-    problem, found = estimate.problem, []
+    problem, found = estimate.problem, list[SetupRest]()
     squares = problem.weighing.whiten(estimate.residuals) ** 2
     total = float(squares.sum())
     # Of readings without noise what is left is rounding, and is nowhere more than elsewhere.
     residuals = estimate.residuals * (total > len(squares) * _ROUNDING**2)
     squares = squares / total if residuals.any() else np.zeros_like(squares)
     for factor, rows in zip(problem.factors, problem.factor_rows, strict=True):
-        if isinstance(given := factor.points, TcpPoints):
+        if (given := factor.readings).by_point:
             continue
         parts = np.column_stack([given.setup, given.axis])
         for part in np.unique(parts, axis=0):
@@ -73,7 +71,7 @@ def rest_by_setup(estimate: Estimate) -> tuple[SetupRest, ...]:
             where = own[at[most]]
             _, fresh = np.unique(given.command[where], axis=0, return_index=True)
             worst = where[np.sort(fresh)[:_PLACES]]
-            leg = setup.leg if isinstance(setup, Setup) else -1
+            leg = setup.leg
             one = SetupRest(
                 setup=setup.name,
                 kind=setup.kind,
@@ -84,17 +82,17 @@ def rest_by_setup(estimate: Estimate) -> tuple[SetupRest, ...]:
                 most=float(mean[most[0]]),
                 posture=given.posture[worst[0]],
                 command=given.command[worst[0]],
-                where=() if isinstance(given, Campaign) else _where(problem.machine, given, worst),
+                where=_where(problem.machine, given, worst) if given.of_tool else (),
             )
             found.append(one)
     return tuple(ranked(found, lambda one: one.share))
 
 
-def _where(machine: Machine, campaign: ToolCampaign, rows: Ints) -> tuple[str, ...]:
+def _where(machine: Machine, campaign: Readings, rows: Ints) -> tuple[str, ...]:
     """Places of the tool in rows ``(n,)``, or from there to the second command's; of what touches a
     plate without the height.
     """
-    kinematics, own = machine.spec.kinematics, campaign.setups[campaign.setup[rows[0]]].instrument
+    kinematics, own = machine.spec.kinematics, campaign.setups[campaign.setup[rows[0]]].observation
     told = machine.with_only({}).forward if kinematics is None else kinematics.places
     names = LEGS[:2] if own.touches else LEGS
     each = [

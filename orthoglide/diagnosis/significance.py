@@ -10,9 +10,9 @@ import numpy as np
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.least_squares import past
-from orthoglide.fit.noise import finest_of, on_grid, repeat_variance, total_variance
+from orthoglide.fit.repeats import finest_of, on_grid, repeat_variance, total_variance
 from orthoglide.geometry import Array
-from orthoglide.observations import Campaign
+from orthoglide.observations import Readings
 
 DRAWS = 1999
 """Draws of the noise from which thresholds are taken."""
@@ -66,9 +66,10 @@ def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int
     return np.asarray(rows + signatures.columns @ little)
 
 
-def _single(problem: Problem, drawn: Sequence[Sequence[Campaign]]) -> Array:
+def _single(problem: Problem, drawn: Sequence[Sequence[Readings]]) -> Array:
     """Variance of one reading from the repeats of each of some draws of all campaigns."""
-    kept = [finest_of(campaigns, problem.noise.step) for campaigns in drawn]
+    steps = [f.noise.step for f in problem.on_legs]
+    kept = [finest_of(campaigns, steps) for campaigns in drawn]
     variance = np.array([repeat_variance(campaigns)[0] for campaigns, _ in kept])
     return total_variance(variance, kept[0][1])
 
@@ -81,7 +82,7 @@ def _noise(problem: Problem, signatures: Signatures, rng: np.random.Generator, d
     scatter = np.sqrt(np.maximum(variance, 0.0))
     noise = rng.standard_normal((n, draws)) * scatter[:, None]
     nuisance = signatures.estimate.nuisance
-    placed = nuisance.placement
+    placed = nuisance.precision > 0  # where the dials stand
     if placed.any():
         places = rng.standard_normal((int(placed.sum()), draws))
         places /= np.sqrt(nuisance.precision[placed])[:, None]
@@ -90,7 +91,7 @@ def _noise(problem: Problem, signatures: Signatures, rng: np.random.Generator, d
     rounded = dials and (step > 0).all()
     if rounded and on_grid(problem.measured[:dials], resolution[:dials], _BINARY):
         value, setup = signatures.estimate.at.value[:dials, None], problem.setup_of_row[:dials]
-        datum = rng.uniform(0, 1, (len(problem.setups), draws))[setup] * step
+        datum = rng.uniform(0, 1, (len(problem.leg_setups), draws))[setup] * step
         shown = np.round((value + datum + noise[:dials]) / step) * step
         noise[:dials] = shown - value - datum
         return np.asarray(noise)

@@ -24,7 +24,7 @@ _STEPS, _SIGMAS = 5.0, 6.0  # of the dial, and of the noise, that they must have
 def stuck_faults(base: Signatures, means: StationMeans, setups: Sequence[Scatter]) -> list[Fault]:
     """Runs of equal readings that repeats contradict, or all other readings and the scatter."""
     problem = means.problem
-    runs = [(s, run) for s in range(len(problem.setups)) for run in _runs(problem, s)]
+    runs = [(s, run) for s in problem.leg_setups for run in _runs(problem, s)]
     scale = noise_scale(problem, setups)
     found = []
     residual = base.estimate.nuisance.weighing.metres(base.residual[: base.count])

@@ -1,29 +1,31 @@
-"""Readings of the tool that repeats contradict: slips, an instrument that was moved, no readings.
+"""Readings of the tool that repeats or all others contradict: slips, an instrument that was moved.
 
-They are refused, with their lines: noise that is taken from the repeats would believe all of it.
+Slips are set aside. The rest is refused, with its lines: noise that is taken from the repeats would
+believe all of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.diagnosis.faults import EVIDENCE, Fault, Rows, clock
+from orthoglide.diagnosis.faults import EVIDENCE, Fault, Rows, clock, message
+from orthoglide.diagnosis.misreadings import with_noise_of_the_rest, without_weight
 from orthoglide.diagnosis.repeat_faults import Slips
 from orthoglide.diagnosis.scatter import Scatter, median_scatter
 from orthoglide.errors import InputError
-from orthoglide.fit import Estimate
-from orthoglide.fit.tool import ToolReadings
-from orthoglide.fit.tool_noise import step_of
+from orthoglide.fit import Estimate, solve
+from orthoglide.fit.doubts import find_slips
+from orthoglide.fit.factors import Factor
 from orthoglide.geometry import Array
-from orthoglide.machine_file import Instrument
 from orthoglide.observations import source
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 from orthoglide.observations.arrays import numbered
 from orthoglide.ordering import EQUAL_ODDS, best_of, largest
+from orthoglide.prediction import Seen
 
 _BEYOND = 10.0  # times what such an instrument scatters, from which it is no noise of its own
 _KIND = 2.0  # degrees of freedom of knowing the noise by the kind of instrument
@@ -38,49 +40,86 @@ NOTHING: Evidence = (-np.inf, [])
 
 
 def check_repeats(estimate: Estimate) -> None:
-    """Refuse readings of the tool that their repeats contradict.
+    """Refuse readings of the tool that their repeats contradict, where nothing is set aside.
 
     Raises:
         InputError: naming file, line and setup, what it looks like and what to do.
     """
-    problem, own = estimate.problem, estimate.problem.machine.spec.instruments
-    found: list[str] = []
-    for k, factor, setup, mounted in problem.mounted:
-        left, instrument = estimate.residuals[problem.factor_rows[k]], own.get(mounted.kind)
-        check = _Setup(factor, setup, estimate.at.slopes[k], left, instrument or Instrument())
-        found += check.fault()
-    if found:
-        raise InputError("; ".join(found))
+    if slips := repeat_slips(estimate):
+        said = "; ".join(message(estimate.problem, fault) for fault in slips)
+        raise InputError(f"{said}; or let close-loop set aside what slipped")
+
+
+def tool_slips(estimate: Estimate) -> list[Fault]:
+    """Return readings of the tool that slipped: that repeats contradict, or all others.
+
+    Raises:
+        InputError: as :func:`repeat_slips`.
+    """
+    problem, found = estimate.problem, repeat_slips(estimate)
+    # Far from all others are readings that no repeat contradicts.
+    for slip in find_slips(solved_without(estimate, found)):
+        setup = int(problem.setup_of_row[slip.rows[0]])
+        found.append(Fault("outlier", slip.rows, (setup,), slip.size))
+    return found
+
+
+def repeat_slips(estimate: Estimate) -> list[Fault]:
+    """Return single readings of the tool that their repeats contradict.
+
+    Raises:
+        InputError: for an instrument that was moved, and repeats that scatter as no readings do,
+            naming file, line and setup, what it looks like and what to do.
+    """
+    problem, first = estimate.problem, len(estimate.problem.leg_setups)
+    found, refused = list[Fault](), list[str]()
+    for number, (k, factor, setup, _) in enumerate(problem.mounted, first):
+        rows = problem.factor_rows[k]
+        check = _Setup(factor, setup, estimate.at.seen[k], estimate.residuals[rows])
+        slips, trouble = check.fault()
+        refused += trouble
+        found += [replace(f, rows=f.rows + rows.start, setups=(number,)) for f in slips]
+    if refused:
+        raise InputError("; ".join(refused))
+    return found
+
+
+def solved_without(estimate: Estimate, faults: Sequence[Fault]) -> Estimate:
+    """Return the fit without the rows of faults; the same where there are none."""
+    if not faults:
+        return estimate
+    silent = np.concatenate([f.rows for f in faults])
+    rest = with_noise_of_the_rest(without_weight(estimate.problem, silent))
+    return solve(rest, method="nested", start=estimate.x)
 
 
 @dataclass(frozen=True)
 class _Setup:
     """Readings of one setup, ``m`` of the ``n`` of a file."""
 
-    factor: ToolReadings  # the file's
+    factor: Factor  # the file's
     setup: int  # its number
-    slopes: Array  # of the fit (n, 4)
+    seen: Seen  # of the fit
     left: Array  # of the fit (n,)
-    own: Instrument  # what the machine file says of the instrument
 
-    def fault(self) -> Iterator[str]:
-        """What the repeats contradict, in words, if anything."""
+    def fault(self) -> tuple[list[Fault], list[str]]:
+        """Single readings that the repeats contradict, or in words what else they do."""
         scatter = self._scatter
-        size, usual = self.factor.loudness(self.setup)
-        both = self._moved(scatter), self._slips(scatter)
-        _, slips = best_of(both, lambda found: found[0], EQUAL_ODDS)
-        if slips:
-            yield from slips
-        elif size > _BEYOND * usual:
-            yield self._scattered(size)
+        size, usual = self.factor.noise_and_expected(self.setup)
+        moved, slips = self._moved(scatter), self._slips(scatter)
+        if slips and _evidence(slips) >= moved[0]:
+            return slips, []
+        if moved[1]:
+            return [], moved[1]
+        return [], [self._scattered(size)] if size > _BEYOND * usual else []
 
     @property
     def _scatter(self) -> Scatter:
         """In the order they were taken, about the means of their stations, by what is usual."""
-        campaign = self.factor.points
+        campaign = self.factor.readings
         order = np.argsort(campaign.order, kind="stable")
         rows = order[campaign.setup[order] == self.setup]
-        weight = 1 / self.factor.usual[rows]
+        weight = 1 / self.factor.noise.expected[rows]
         second = np.nan_to_num(campaign.second[rows])
         alike = np.column_stack([campaign.stations, campaign.axis])[rows]
         powers = clock(campaign.time[rows], np.arange(len(rows)))[:, None] ** [1, 2, 3]
@@ -90,19 +129,18 @@ class _Setup:
             self.left[rows] * weight, np.zeros((len(rows), 0)),
         )  # fmt: skip
 
-    def _slips(self, scatter: Scatter) -> Evidence:
+    def _slips(self, scatter: Scatter) -> list[Fault]:
         """Single readings: of an instrument as sound as its kind but for these, or as noisy as most
         of its stations.
         """
         if scatter.dof < 2:
-            return NOTHING
-        step = step_of(self.factor.points.subset(scatter.rows), self.own)
+            return []
+        step = float(self.factor.noise.step[scatter.rows].max())
         for scale in dict.fromkeys((1.0, median_scatter([scatter], 1.0))):
             faults = Slips(scatter, scale, step, len(scatter.rows)).confirmed()
-            outliers = [f for f in faults if f.kind == "outlier"]
-            if outliers:
-                return max(f.evidence for f in outliers), [self._slipped(f) for f in outliers]
-        return NOTHING
+            if outliers := [f for f in faults if f.kind == "outlier"]:
+                return outliers
+        return []
 
     def _moved(self, scatter: Scatter) -> Evidence:
         """The instrument elsewhere from some moment on, where that leaves nothing unusual of its
@@ -111,7 +149,7 @@ class _Setup:
         if scatter.dof < 2 or scatter.chi2 <= _ALIKE * scatter.dof:
             return NOTHING
         count = len(scatter.rows)
-        shown = self.factor.nuisances(self.slopes).columns[scatter.rows]
+        shown = self.factor.nuisances(self.seen).columns[scatter.rows]
         shown = (shown * scatter.weight[:, None])[:, shown.any(axis=0)]
 
         def at(place: int) -> float:
@@ -127,13 +165,13 @@ class _Setup:
         best = largest(evidence, EQUAL_ODDS)
         rest = max(scatter.dof - shown.shape[1], 1)
         alike = scatter.chi2 - gains[int(places[best])] <= _ALIKE * rest
-        times = self.factor.points.time[scatter.rows]
+        times = self.factor.readings.time[scatter.rows]
         slower = self._drifted(scatter, shown) - np.log(count)
         slower += -_NEAR if np.isnan(times).any() else _NEAR
         if not alike or evidence[best] < max(EVIDENCE, slower):
             return NOTHING
         near = places[evidence >= evidence[best] - _NEAR]
-        size = _change(scatter, self.factor.points.reading, int(places[best]))
+        size = _change(scatter, self.factor.readings.reading, int(places[best]))
         return float(evidence[best]), [self._displaced(scatter.rows[near], size)]
 
     def _drifted(self, scatter: Scatter, shown: Array) -> float:
@@ -154,40 +192,32 @@ class _Setup:
 
     @property
     def _unit(self) -> str:
-        return self.factor.points.setups[self.setup].instrument.unit
+        return self.factor.readings.setups[self.setup].observation.unit
 
     def _where(self, lines: NDArray[np.int64]) -> str:
-        campaign = self.factor.points
+        campaign = self.factor.readings
         at = f", line {lines[0]}" if len(lines) == 1 else ""
         at = f", lines {lines.min()} to {lines.max()}" if len(lines) > 1 else at
         return f"{source(campaign)}{at}, setup {campaign.setups[self.setup].name!r}"
 
-    def _slipped(self, fault: Fault) -> str:
-        read = self.factor.points.reading[fault.rows[0]] * 1e3
-        return (
-            f"{self._where(self.factor.points.line[fault.rows])}: the reading {read:.6g} "
-            f"{self._unit} is {fault.size * 1e3:+.3g} {self._unit} off the others of this place: "
-            f"correct the row or remove it{self._or_lost}"
-        )
-
     @property
     def _or_lost(self) -> str:
         """What else visits of one place differ by, where nobody knows their sides."""
-        if self.factor.sided(self.setup):
+        if self.factor.approach_known(self.setup):
             return ""
         return f"; or it is lost motion, as {SIDES_UNTOLD}: {TELL_SIDES}"
 
     def _displaced(self, rows: Rows, size: float) -> str:
         when = "here" if len(rows) == 1 else "one of these"
         return (
-            f"{self._where(self.factor.points.line[rows])}: from {when} on the same places read "
+            f"{self._where(self.factor.readings.line[rows])}: from {when} on the same places read "
             f"about {size * 1e3:.2g} {self._unit} otherwise than before, as if the instrument, or "
             f"what it stands on, had been moved, or drifted: give the rows from there on a setup "
             f"name of their own, or measure the setup again{self._or_lost}"
         )
 
     def _scattered(self, size: float) -> str:
-        instrument = self.factor.points.setups[self.setup].instrument
+        instrument = self.factor.readings.setups[self.setup].observation
         near = ", or to places beside it," if instrument.touches else ""
         return (
             f"{self._where(np.zeros(0, dtype=int))}: visits to the same place{near} scatter by "
@@ -196,6 +226,10 @@ class _Setup:
             f"give repeatability in the machine file under [instrument.{instrument.kind}]"
             f"{self._or_lost}"
         )
+
+
+def _evidence(faults: Sequence[Fault]) -> float:
+    return max(f.evidence for f in faults)
 
 
 def _about_best(gain: Callable[[int], float], count: int) -> dict[int, float]:

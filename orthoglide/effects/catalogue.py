@@ -110,9 +110,9 @@ class Catalogue(Mapping[str, Effect]):
         return tuple(self.motions)
 
     @cached_property
-    def of_dials(self) -> tuple[Effect, ...]:
-        """Effects of the dials, in the order in which they change a reading."""
-        return tuple(e for e in self.effects if e.dial is not None)
+    def of_instruments(self) -> tuple[Effect, ...]:
+        """Effects of dials and plates, in the order in which they change a reading."""
+        return tuple(e for e in self.effects if e.of_dial)
 
     @cached_property
     def default_tolerance(self) -> Mapping[str, float]:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import LEGS, Array
-from orthoglide.observations import Setup, TcpPoints, ToolSetup
 
 if TYPE_CHECKING:
     from orthoglide.fit import Problem
@@ -35,13 +34,13 @@ def mountings(problem: Problem) -> Iterator[Mounting]:
     """All setups of a problem, in their order; of TCP points their coordinates."""
     several = len(problem.campaigns) > 1
     for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
-        read: Any = factor.points
-        for k, setup in enumerate(LEGS if isinstance(read, TcpPoints) else read.setups):
+        read = factor.readings
+        for k, setup in enumerate(read.setups):
             there = np.flatnonzero(factor.setup == k)
             if not len(there):
                 continue
             x, side = np.arange(1.0, len(there) + 1), np.zeros(len(there))
-            if isinstance(setup, Setup):
+            if setup.leg >= 0:
                 leg = setup.leg
                 travel = read.command[there, leg] - problem.machine.geometry.zero[leg]
                 moves = np.ptp(travel) > _MOVES
@@ -50,15 +49,10 @@ def mountings(problem: Problem) -> Iterator[Mounting]:
                 label = f"travel of carriage {LEGS[leg]}, mm" if moves else "place in the file"
                 x = travel * 1e3 if moves else read.order[there].astype(float)
                 side = read.approach[there, leg]
-            elif isinstance(setup, ToolSetup):
+            else:
                 name, label = _named(read.name, setup.name), "reading"
                 title = f"{name}, {setup.kind}"
-            else:
-                name, label = f"{read.name} · {setup}", "point"
-                title = f"{read.name}: coordinate {setup} of the TCP"
-                points = np.flatnonzero(np.isfinite(read.p[:, k]))
-                x, side = points + 1.0, read.approach[points, k]
-            unit = "mrad" if factor.turned[there[0]] else "mm"
+            unit = setup.observation.unit
             yield Mounting(name, title, label, part.start + there, x, side, unit)
 
 

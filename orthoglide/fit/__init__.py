@@ -4,9 +4,8 @@ from orthoglide.fit.change import Change as Change
 from orthoglide.fit.crosscheck import CrossCheck as CrossCheck
 from orthoglide.fit.earlier import account_for_changes as account_for_changes
 from orthoglide.fit.estimate import Estimate as Estimate
-from orthoglide.fit.factors import Frame as Frame
+from orthoglide.fit.factors import Factor as Factor
 from orthoglide.fit.identifying import (
-    Source as Source,
     assemble as assemble,
     identify as identify,
     points_of as points_of,

@@ -147,7 +147,7 @@ class Linear:
     ) -> Linear:
         """About unknowns ``(P,)`` of a machine that changed by some sizes ``(c,)``."""
         at = linearise(_with_changes(problem, candidates, sizes), x)
-        nuisance = nuisances(problem, at.slopes)
+        nuisance = nuisances(problem, at.seen)
         here, scale = normal(problem, at, nuisance), problem.tolerance
         root = np.asarray(np.linalg.inv(here.prior * scale))
         known = np.asarray(root @ here.target)

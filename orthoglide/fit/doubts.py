@@ -1,14 +1,10 @@
-"""Readings that cannot be meant as they stand: another unit throughout, a point that slipped.
-
-Both are refused: with all readings in doubt, or a machine bent by metres, nothing that a fit says
-is worth reading.
-"""
+"""Readings of the tool that slipped: far from where all others put them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,62 +19,53 @@ from orthoglide.fit.least_squares import (
     normal,
     nuisances,
 )
-from orthoglide.fit.noise import OFF_GRID, off_grid, on_grid
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import solve
 from orthoglide.fit.unknowns import with_free
 from orthoglide.geometry import Array
-from orthoglide.machine_file import Dial
-from orthoglide.observations import Campaign, ToolCampaign, source
+from orthoglide.observations import source
 from orthoglide.ordering import best_of, largest, ranked
-from orthoglide.units import INCH
 
-_FEWEST = 8  # different readings: by chance one in eight is on the grid
 _MOST = 10  # points of the tool that may have slipped
 _SLIPPED = 10.0  # times what all others leave, and their sigma
 _ALONE = 2  # points; where more are off together, the machine has a shape
 _APART = 3.0  # times as far off as the next: between the points of a bump there is less
 
 
-def check_units(campaigns: Sequence[Campaign], dial: Dial) -> None:
-    """Refuse readings of which only the inches, or only the millimetres, are what a dial shows.
+@dataclass(frozen=True)
+class Slip:
+    """Rows that were read together and are far from where all others put them."""
 
-    A dial shows multiples of its step. Multiplied by 25.4 they hardly ever are any more.
-
-    Raises:
-        InputError: naming the file, and what to do.
-    """
-    for campaign in campaigns:
-        shown, step = np.unique(campaign.reading), dial.resolution
-        if step <= 0 or len(shown) < _FEWEST or np.mean(off_grid(shown, step) < OFF_GRID) > 0.5:
-            continue
-        for factor, meant, taken in ((1 / INCH, "millimetres", "inches"),
-                                     (INCH, "inches", "millimetres")):  # fmt: skip
-            if on_grid(shown * factor, step):
-                raise InputError(
-                    f"{source(campaign)}: the readings are multiples of the dial's step of "
-                    f"{dial.resolution * 1e3:g} mm only once they are multiplied by {factor:.4g}: "
-                    f"they seem to be {meant} taken for {taken}; give reading_mm in millimetres, "
-                    f"or correct resolution in the machine file"
-                )
+    rows: NDArray[np.intp]  # stacked (m,)
+    size: float  # how far off they are, metres or radians: of several rows the distance
 
 
 def check_slips(estimate: Estimate) -> None:
-    """Refuse points of the tool that are far from where all others put them.
-
-    Points are left out one after the other, the worst first, and the rest identified again: one
-    that then is ten times as far off as what the rest leave did not come from this machine.
+    """Refuse readings of the tool that slipped, as `find_slips` has them.
 
     Raises:
         InputError: naming the file, the lines and the distances.
     """
+    if slips := find_slips(estimate):
+        raise InputError(
+            "; ".join(_said(estimate.problem, slip) for slip in slips)
+            + ": correct the row or remove it, or let close-loop set it aside"
+        )
+
+
+def find_slips(estimate: Estimate) -> tuple[Slip, ...]:
+    """Return readings of the tool that are far from where all others put them.
+
+    They are left out one after the other, the worst first, and the rest identified again: one
+    that then is ten times as far off as what the rest leave did not come from this machine.
+    """
     problem = estimate.problem
-    first = len(problem.campaigns)
-    if not problem.points or estimate.sigma_scale == 1.0:
-        return
+    first = len(problem.on_legs)
+    if not problem.tool or estimate.sigma_scale == 1.0:
+        return ()
     point = np.full(len(problem.measured), -1)
     names: list[tuple[int, int]] = []
-    for k, factor in enumerate(problem.points):
+    for k, factor in enumerate(problem.tool):
         rows = problem.factor_rows[first + k]
         point[rows] = factor.point + len(names)
         names += [(k, p) for p in range(int(factor.point.max(initial=-1)) + 1)]
@@ -93,7 +80,7 @@ def check_slips(estimate: Estimate) -> None:
         if tries and tries[-1][0].sigma_scale == 1.0:
             break
     if not tries:
-        return
+        return ()
     again, worst = best_of(tries, lambda one: -one[0].sigma_scale)
     others = (point >= 0) & ~np.isin(point, worst)
 
@@ -109,7 +96,7 @@ def check_slips(estimate: Estimate) -> None:
 
     rest = again.problem.measured - again.predicted
     if not far(rest, np.zeros(len(rest))):
-        return
+        return ()
     # A cause may be far off the base at a few places: who is off all causes there are?
     rest, spread = _with_everything(again)
     slipped = far(rest, spread)
@@ -119,9 +106,12 @@ def check_slips(estimate: Estimate) -> None:
     size = {int(p): float(np.linalg.norm(off[point == p])) for p in np.unique(point[point >= 0])}
     beyond = max((one for p, one in size.items() if p not in worst), default=0.0)
     slipped = _apart({p: size[p] for p in worst}, slipped, beyond)
-    if slipped:
-        raise InputError("; ".join(_said(problem, names[p], rest[point == p]) for p in slipped)
-                         + ": correct the row or remove it")  # fmt: skip
+    return tuple(_slip(np.flatnonzero(point == p), rest) for p in slipped)
+
+
+def _slip(rows: NDArray[np.intp], rest: Array) -> Slip:
+    size = rest[rows[0]] if len(rows) == 1 else np.linalg.norm(rest[rows])
+    return Slip(rows, float(size))
 
 
 def _apart(off: Mapping[int, float], slipped: Sequence[int], rest: float) -> list[int]:
@@ -151,7 +141,7 @@ def _with_everything(fit: Estimate) -> tuple[Array, Array]:
     problem = with_free(fit.problem, more)
     x = np.concatenate([fit.x, problem.start[len(fit.x) :]])
     at = linearise(problem, x)
-    nuisance = nuisances(problem, at.slopes)
+    nuisance = nuisances(problem, at.seen)
     here = normal(problem, at, nuisance)
     known, _ = covariance(here.jacobian, here.prior)
     step = -known @ here.gradient
@@ -163,29 +153,30 @@ def _with_everything(fit: Estimate) -> tuple[Array, Array]:
 
 def _least(problem: Problem, name: tuple[int, int], alone: bool) -> float:
     """Least distance that counts, metres or radians, of a point that is off alone or not."""
-    points = problem.points[name[0]].points
-    if not isinstance(points, ToolCampaign):
+    factor = problem.tool[name[0]]
+    row = int(np.flatnonzero(factor.point == name[1])[0])
+    instrument = factor.readings.setups[factor.setup[row]].observation
+    if factor.readings.by_point:
         return 0.0
-    instrument = points.setups[points.setup[name[1]]].instrument
     scale = 1.0 if instrument.angular else problem.machine.geometry.scale
     return scale * (instrument.slip_alone if alone else instrument.slip)
 
 
-def _said(problem: Problem, name: tuple[int, int], rest: Array) -> str:
-    """Where a point stands, and how far off it is."""
-    points = problem.points[name[0]].points
-    distance = float(np.linalg.norm(rest)) * 1e3
-    turned = isinstance(points, ToolCampaign) and points.angular[name[1]]
-    unit = "mrad" if turned else "mm"
-    where = f"{source(points)}, line {points.line[name[1]]}"
-    label = points.posture[name[1]] if isinstance(points, ToolCampaign) else ""
-    place = f" ({label})" if label else ""
-    return f"{where}{place}: {distance:.3g} {unit} off what all others say"
+def _said(problem: Problem, slip: Slip) -> str:
+    """Where readings stand, and how far off they are."""
+    k = next(k for k, rows in enumerate(problem.factor_rows) if slip.rows[0] < rows.stop)
+    given, row = problem.factors[k].readings, slip.rows[0] - problem.factor_rows[k].start
+    unit = given.setups[given.setup[row]].observation.unit
+    place = f" ({given.posture[row]})" if given.posture[row] else ""
+    return (
+        f"{source(given)}, line {given.line[row]}{place}: {abs(slip.size) * 1e3:.3g} {unit} off "
+        f"what all others say"
+    )
 
 
 def _worst(problem: Problem, at: Linearised, point: NDArray[np.int64], count: int) -> list[int]:
     """Points whose rows agree least with the rest, left out one after the other."""
-    nuisance = nuisances(problem, at.slopes)
+    nuisance = nuisances(problem, at.seen)
     here = normal(problem, at, nuisance)
     basis = fitted_basis(problem, nuisance, at)[: len(point)]
     known, _ = covariance(here.jacobian, here.prior)
@@ -206,8 +197,9 @@ def _worst(problem: Problem, at: Linearised, point: NDArray[np.int64], count: in
 
 def _without(problem: Problem, left_out: Sequence[tuple[int, int]]) -> Problem:
     """The problem with some points of the tool without weight."""
-    points = []
-    for k, factor in enumerate(problem.points):
+    problem, first = problem.at_tolerance(), len(problem.on_legs)
+    factors = list(problem.factors)
+    for k, factor in enumerate(problem.tool):
         own = [p for j, p in left_out if j == k]
-        points.append(factor.silenced(np.isin(factor.point, own)))
-    return replace(problem.at_tolerance(), points=tuple(points))
+        factors[first + k] = factor.without_weight(np.isin(factor.point, own))
+    return replace(problem, factors=tuple(factors))

@@ -10,7 +10,7 @@ import numpy as np
 
 from orthoglide.errors import check_word
 from orthoglide.fit.crosscheck import CrossCheck
-from orthoglide.fit.least_squares import Linearised, Nuisances, predict
+from orthoglide.fit.least_squares import Linearised, Nuisances, about_machine, linearise, nuisances
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.scores import Scores, score
 from orthoglide.fit.weakness import WeakDirection
@@ -128,18 +128,29 @@ class Estimate(Framed):
         return self.problem.measured - self.predicted
 
     @cached_property
+    def _before(self) -> tuple[Problem, Linearised, Nuisances]:
+        """The readings as the machine as it was explains them, about whose tool a ball or a frame
+        stands elsewhere than about the calibrated one's.
+        """
+        fixed = replace(self.problem, unknowns=(), earlier=None)
+        at = linearise(fixed, np.zeros(0))
+        near = about_machine(fixed, at)
+        if near is fixed:
+            return fixed, at, self.nuisance
+        at = linearise(near, np.zeros(0))
+        return near, at, nuisances(near, at.seen)
+
+    @cached_property
     def nominal(self) -> Scores:
         """Scores of the machine as it was before (the unknowns at zero)."""
-        fixed = replace(self.problem, unknowns=(), earlier=None)
-        value = predict(self.problem, np.zeros(len(self.x)))
-        nothing = Linearised(np.zeros(0), value, np.zeros((len(value), 0)), self.at.slopes)
-        return score(fixed, self.nuisance, nothing)
+        fixed, at, nuisance = self._before
+        return score(fixed, nuisance, at)
 
     @cached_property
     def predicted_before(self) -> Array:
         """Readings ``(n,)`` that the machine as it was predicts, datums fitted, metres."""
-        value = predict(self.problem, np.zeros(len(self.x)))
-        return value + self.nuisance.fitted(self.problem.measured - value)
+        _, at, nuisance = self._before
+        return at.value + nuisance.fitted(self.problem.measured - at.value)
 
     @property
     def machine(self) -> Machine:

@@ -48,12 +48,13 @@ def check_columns(estimate: Estimate) -> None:
 
 def _off(problem: Problem, some: tuple[int, ...], order: tuple[int, ...]) -> float:
     """Times the noise by which readings are off with some campaigns' drives exchanged."""
-    campaigns, at = list(problem.campaigns), list(order)
+    factors, at = list(problem.on_legs), list(order)
     for k in some:
-        c = campaigns[k]
+        c = factors[k].readings
         moves = replace(c.moves, command=c.moves.command[:, at])
-        campaigns[k] = replace(c, command=c.command[:, at], approach=c.approach[:, at], moves=moves)
+        c = replace(c, command=c.command[:, at], approach=c.approach[:, at], moves=moves)
+        factors[k] = factors[k].with_table(c)
     try:
-        return solve(replace(problem, campaigns=tuple(campaigns)), method="nested").sigma_scale
+        return solve(problem.with_factors(factors), method="nested").sigma_scale
     except NumericsError:
         return np.inf

@@ -38,7 +38,7 @@ def both_sides(approach: Array) -> NDArray[np.bool_]:
 def _varies(what: str) -> Callable[[Problem], bool]:
     def vary(problem: Problem) -> bool:
         for factor in problem.factors:
-            values = getattr(factor.points, what, None)
+            values = getattr(factor.readings, what, None)
             if values is None:
                 continue
             known = values[np.isfinite(values).reshape(len(values), -1).all(axis=1)]

@@ -1,46 +1,31 @@
-"""What was read, as factors: each predicts its rows, differentiates them, and has its nuisances.
+"""Readings with their noise and their instruments in place: what a problem is the sum of.
 
-A *nuisance* is a number that the rows contain besides the machine: a dial's datum, where it stands,
-the frame of a tracker. Nuisances enter linearly and are fitted
-with everything else.
+A factor predicts its rows, differentiates them, and has nuisances: numbers that the rows contain
+besides the machine, such as a dial's datum, where it stands, or the frame of a tracker. Nuisances
+are fitted with everything else.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
-from orthoglide.fit.instrument_frame import SMALL
-from orthoglide.fit.noise import NoiseSource
-from orthoglide.geometry import Array, moved_onto, small_turns
-from orthoglide.observations import Campaign, Recorded, TcpPoints
+from orthoglide.fit.noise import NoiseSource, RowNoise, expected_sigma
+from orthoglide.fit.repeats import FEWEST_REPEATS, repeat_variance
+from orthoglide.fit.roughness import LOUD, roughness
+from orthoglide.geometry import Array
+from orthoglide.instruments import Beliefs, Frame, Stand, Taken
+from orthoglide.machine import Machine
+from orthoglide.observations import Readings, source
 from orthoglide.observations.approach import Ints
-from orthoglide.prediction import Conditions, LinearRows, Model
-
-Frame = Literal["none", "translation", "rigid"]
-
-SILENT = 1e6
-"""Times its sigma: a reading of no weight."""
-
-
-def heard(sigma: Array) -> NDArray[np.bool_]:
-    """Which of some readings have any weight ``(n,)``, by their sigmas."""
-    return np.asarray(sigma < SILENT / 2 * np.min(sigma, initial=np.inf))
-
-
-TCP_SIGMA = 1e-5
-"""Metres: of a coordinate of a TCP point where its file declares none."""
-
-
-ByJoints = Callable[[Array, Array], Array]
-"""From a motion of the virtual joints ``(30,)`` and functions of the conditions ``(N, K)`` that it
-follows, to the rows ``(n, K)`` by each."""
+from orthoglide.prediction import Conditions, LinearRows, Model, Observed, Seen
+from orthoglide.prediction.observed import ByJoints
 
 
 @dataclass(frozen=True)
@@ -49,216 +34,299 @@ class Block:
 
     columns: Array  # derivative of its rows by them (n, k)
     sd: Array  # standard deviation about zero (k,); infinite where nothing is known
-    placement: NDArray[np.bool_]  # which of them are where a dial stands (k,)
 
 
 @dataclass(frozen=True)
-class OfFile:
-    """Readings of one file, a row each."""
+class Factor:
+    """Readings of one table: all of legs, or all of the tool."""
 
-    points: Recorded  # the readings
+    readings: Readings
+    noise: RowNoise
+    beliefs: Beliefs  # of how instruments stand
+    stands: tuple[Stand, ...]  # of every setup
+    # on the plates over their largest measured radius (n, 2), along their own axes, which turn with
+    # them; of the nominal machine, which is near enough
+    place: Array
+    # height of outlying touches of a plate above the surface through the others (n,), metres;
+    # 0 of all other readings
+    outlier_height: Array
+    left_out: tuple[str, ...] = ()  # a sentence for each outlying touch that was excluded
+
+    @classmethod
+    def of(
+        cls, readings: Readings, machine: Machine, noise: RowNoise, beliefs: Beliefs | None = None
+    ) -> Factor:
+        """Return readings with their instruments about where a machine has them.
+
+        Args:
+            readings: of legs, or of the tool.
+            machine: its nominal poses say where plates, balls and frames are.
+            noise: of the readings.
+            beliefs: of how instruments stand; as the machine file says where absent.
+        """
+        if beliefs is None:
+            beliefs = beliefs_of(machine)
+        n = len(readings)
+        made = cls(
+            readings, noise, beliefs, (Stand(),) * len(readings.setups), np.zeros((n, 2)),
+            np.zeros(n),
+        )  # fmt: skip
+        if made.on_legs:
+            return made
+        p, beside = machine.forward(readings.command), readings.beside
+        made = replace(made, place=_on_plates(readings, p + beside))
+        return made.about(Seen(np.zeros((n, 0)), p + beside, beside), start=True)
+
+    @classmethod
+    def unread(cls, readings: Readings, machine: Machine) -> Factor:
+        """Return readings that were not taken yet, with the noise to reckon with."""
+        sigma, n = expected_sigma(readings, machine.spec), len(readings)
+        noise = replace(RowNoise.unknown(n), sigma=sigma, expected=sigma)
+        return cls.of(readings, machine, noise)
+
+    # What is read --------------------------------------------------------------------------
 
     @property
     def name(self) -> str:
-        """Of the file, without its ending."""
-        return self.points.name
+        """Name of the file, without its ending."""
+        return self.readings.name
+
+    @property
+    def on_legs(self) -> bool:
+        """Whether it reads legs; the tool otherwise."""
+        return bool(self.readings.on_legs.all())
 
     @property
     def setup_names(self) -> tuple[str, ...]:
-        """The mountings."""
-        return tuple(s.name for s in self.points.setups)
-
-    @property
-    def measured(self) -> Array:
-        """The readings."""
-        return self.points.reading
-
-    @property
-    def turned(self) -> NDArray[np.bool_]:
-        """Which are inclinations, radians ``(n,)``; all others are lengths, metres."""
-        return self.points.angular
-
-    @property
-    def setup(self) -> Ints:
-        """The mounting of each."""
-        return self.points.setup
-
-    @property
-    def places(self) -> Array:
-        """What is read where ``(n, k)``."""
-        return self.points.places
-
-    @property
-    def stations(self) -> Array:
-        """What makes visits the same ``(n, k)``."""
-        return self.points.stations
-
-
-@dataclass(frozen=True)
-class DialReadings(OfFile):
-    """Readings of dials on the legs: one campaign."""
-
-    points: Campaign
-    placement: float = 0.0  # standard deviation of a dial's place along its leg, metres; 0: exact
-
-    def setups_of(self, effect: Effect) -> tuple[str, ...]:
-        """Mountings of which an instrument's effect has parameters."""
-        return self.setup_names if effect.dial is not None else ()
-
-    def conditions(self) -> Conditions:
-        """Of every reading."""
-        return Conditions.of(self.points)
-
-    def predict(self, model: Model, values: Mapping[str, float]) -> Array:
-        """Readings, datums apart."""
-        return model.readings(values, self.points)
-
-    def linearise(
-        self, model: Model, values: Mapping[str, float], names: Sequence[str]
-    ) -> LinearRows:
-        """Readings; the slope is by the dial's place along the leg."""
-        return model.linearised(values, self.points, names)
-
-    def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
-        """How the rows follow virtual joints that move as functions of the conditions."""
-        slopes = model.readings_by_joints(values, self.points)
-        return lambda joints, functions: (slopes @ joints)[:, None] * functions
-
-    def nuisances(self, slopes: Array) -> Block:
-        """A datum and a placement for each setup."""
-        setups = len(self.points.setups)
-        datum = np.eye(setups)[self.setup]
-        columns, sd = [datum], [np.full(setups, np.inf)]
-        if self.placement > 0:
-            columns.append(datum * slopes)
-            sd.append(np.full(setups, self.placement))
-        placed = np.arange(setups * len(columns)) >= setups
-        return Block(np.hstack(columns), np.concatenate(sd), placed)
-
-
-@dataclass(frozen=True)
-class TcpReadings:
-    """Coordinates of the TCP by a tracker or a measuring machine, in its own frame."""
-
-    points: TcpPoints  # the points; coordinates that are missing are no rows
-    # how the instrument's frame may differ from the machine's: not at all, by a translation, or by
-    # a translation and a small turn
-    frame: Frame = "rigid"
-
-    @property
-    def name(self) -> str:
-        """Of the file, without its ending."""
-        return self.points.name
-
-    @property
-    def setup_names(self) -> tuple[str, ...]:
-        """No dial has parameters here."""
-        return ()
-
-    def setups_of(self, effect: Effect) -> tuple[str, ...]:
-        """No instrument's effect has parameters here."""
-        return ()
-
-    @cached_property
-    def known(self) -> NDArray[np.bool_]:
-        """Which coordinates were measured ``(n, 3)``."""
-        return np.isfinite(self.points.p)
-
-    @property
-    def measured(self) -> Array:
-        """The coordinates, point by point."""
-        return np.asarray(self.points.p[self.known])
-
-    @property
-    def turned(self) -> NDArray[np.bool_]:
-        """None is an inclination ``(n,)``."""
-        return np.zeros(len(self.measured), dtype=bool)
-
-    @property
-    def declared(self) -> Array:
-        """Standard deviation of the coordinates of each point ``(m,)``, metres."""
-        return np.nan_to_num(self.points.sigma, nan=TCP_SIGMA)
+        """Names of the mountings."""
+        return tuple(s.name for s in self.readings.setups)
 
     @property
     def sigma(self) -> Array:
-        """Standard deviation of each row, metres."""
-        return np.asarray(self.declared[self.point])
+        """Standard deviation of each row ``(n,)``, metres or radians."""
+        return self.noise.sigma
 
-    def rated(self) -> Iterator[tuple[str, Array, NoiseSource]]:
-        """``points``, the standard deviations of its rows ``(n,)``, and where they come from."""
-        own = self.sigma[heard(self.sigma)]
-        yield "points", own, "declared" if (own != TCP_SIGMA).any() else "machine"
+    @property
+    def measured(self) -> Array:
+        """The readings ``(n,)``."""
+        return self.readings.reading
 
     @property
     def setup(self) -> Ints:
-        """The coordinate of each row: 0, 1 or 2."""
-        return np.nonzero(self.known)[1]
+        """The mounting of each row ``(n,)``."""
+        return self.readings.setup
 
-    @property
+    @cached_property
     def point(self) -> Ints:
-        """The point of each row."""
-        return np.nonzero(self.known)[0]
+        """Number of the visit at which each row was read ``(n,)``: coordinates of one point of the
+        tool are wrong together.
+        """
+        if not self.readings.by_point:
+            return np.arange(len(self.readings))
+        return np.unique(self.readings.order, return_inverse=True)[1].reshape(-1)
 
-    def silenced(self, rows: NDArray[np.bool_]) -> TcpReadings:
-        """The same with the points of some rows ``(n,)`` without weight."""
-        silent = np.isin(np.arange(len(self.points)), self.point[rows])
-        sigma = np.where(silent, SILENT * self.declared, self.declared)
-        return replace(self, points=replace(self.points, sigma=sigma))
+    def setups_of(self, effect: Effect) -> tuple[str, ...]:
+        """Return the setups of which an instrument's effect has parameters."""
+        return tuple(s.name for s in self.readings.setups if s.observation.takes(effect))
 
-    def about(self, slopes: Array) -> TcpReadings:
-        """The same with the frame turned to where a machine has each row's point ``(n, 3)``."""
-        if self.frame != "rigid" or not self.known.all():
-            return self
-        measured, known = self.points.p, heard(self.declared)
-        near = moved_onto(measured, measured[known], slopes[::3][known])
-        centred = measured - measured.mean(axis=0)
-        turned = np.linalg.norm(near - near.mean(axis=0) - centred)
-        if turned <= SMALL * np.linalg.norm(centred):
-            return self
-        return replace(self, points=replace(self.points, p=near))
+    # Other factors -------------------------------------------------------------------------
 
-    @property
-    def stations(self) -> Array:
-        """Coordinate, command, approach of all axes ``(n, 7)``."""
-        rows = np.column_stack([self.points.command, self.points.approach])[self.point]
-        return np.column_stack([self.setup, rows])
+    def with_readings(self, reading: Array) -> Factor:
+        """Return the same for other values ``(n,)``, metres or radians."""
+        return replace(self, readings=self.readings.with_readings(reading))
 
-    @property
-    def places(self) -> Array:
-        """Coordinate and command ``(n, 4)``."""
-        return np.column_stack([self.setup, self.points.command[self.point]])
+    def with_table(self, readings: Readings) -> Factor:
+        """Return the same with a changed table of as many rows."""
+        more = len(readings.setups) - len(self.stands)
+        stands = (*self.stands, *(Stand(),) * more)
+        return replace(self, readings=readings, stands=stands)
+
+    def subset(self, rows: NDArray[Any]) -> Factor:
+        """Return some of the rows, by indices or booleans ``(n,)``."""
+        used = np.unique(self.setup[rows])
+        return replace(
+            self, readings=self.readings.subset(rows), noise=self.noise.of(rows),
+            stands=tuple(self.stands[k] for k in used), place=self.place[rows],
+            outlier_height=self.outlier_height[rows],
+        )  # fmt: skip
+
+    def with_noise(self, rows: NDArray[np.intp], noise: RowNoise) -> Factor:
+        """Return the same with other noise of some rows."""
+        return replace(self, noise=self.noise.with_rows(rows, noise))
+
+    def without_weight(self, rows: NDArray[np.bool_]) -> Factor:
+        """Return the factor with the visits of some rows ``(n,)`` without weight."""
+        visits = np.isin(self.point, self.point[rows])
+        return replace(self, noise=self.noise.without_weight(visits))
+
+    def about(self, seen: Seen, start: bool = False) -> Factor:
+        """Return the same with instruments standing where a machine has them.
+
+        Args:
+            seen: where it takes the readings.
+            start: whether nothing is known of the stands yet; else they are near.
+        """
+        r, known, stands = self.readings, self.noise.weighted, list(self.stands)
+        for k, setup in enumerate(r.setups):
+            rows = np.flatnonzero((self.setup == k) & known)
+            read = np.isfinite(r.reading[rows])
+            rows = rows[read] if read.any() else rows
+            if not len(rows):
+                continue
+            taken = Taken(
+                seen.p[rows], seen.swung[rows], r.axis[rows], r.sign[rows] * r.reading[rows],
+                self.sigma[rows],
+            )  # fmt: skip
+            found = setup.observation.stand(taken, None if start else stands[k], self.beliefs)
+            if not found.near(stands[k]):
+                stands[k] = found
+        same = all(new is old for new, old in zip(stands, self.stands, strict=True))
+        return self if same else replace(self, stands=tuple(stands))
+
+    # What a machine makes of them ----------------------------------------------------------
+
+    @cached_property
+    def observed(self) -> Observed:
+        """The readings with their instruments in place."""
+        return Observed(self.readings, self.stands, self.place)
 
     def conditions(self) -> Conditions:
-        """Of every point, machine unloaded."""
-        return Conditions.at(self.points.command, approach=self.points.approach)
+        """Return conditions of every row, then of the second commands."""
+        return self.observed.conditions()
 
     def predict(self, model: Model, values: Mapping[str, float]) -> Array:
-        """Coordinates in the machine's frame."""
-        return np.asarray(model.outputs(values, self.conditions()).p[self.known])
+        """Return the rows ``(n,)`` to expect, nuisances apart."""
+        return self.observed.predict(model, values)
 
     def linearise(
         self, model: Model, values: Mapping[str, float], names: Sequence[str]
     ) -> LinearRows:
-        """Coordinates; the slopes are the point itself ``(n, 3)``."""
-        out, by_name = model.sensitivities(values, self.conditions(), names)
-        jacobian = np.asarray(by_name[:, :3][self.known])
-        return LinearRows(np.asarray(out.p[self.known]), jacobian, out.p[self.point])
+        """Return the rows and their derivatives by parameters."""
+        return self.observed.linearise(model, values, names)
 
     def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
-        """How the rows follow virtual joints that move as functions of the conditions."""
-        slopes = model.by_joints(values, self.conditions())[:, :3]
+        """Return how the rows follow virtual joints that move as functions of the conditions."""
+        return self.observed.by_joints(model, values)
 
-        def moved(joints: Array, functions: Array) -> Array:
-            return np.asarray(((slopes @ joints)[:, :, None] * functions[:, None])[self.known])
+    def nuisance_sd(self, setup: int) -> Array:
+        """Return standard deviations of a setup's nuisances ``(K,)``."""
+        observation = self.readings.setups[setup].observation
+        return observation.known(self.readings.axis[self.setup == setup], self.beliefs)
 
-        return moved
+    def nuisances(self, seen: Seen) -> Block:
+        """Return what each setup's instrument brings, setup by setup for each of its numbers."""
+        n, columns, sd = len(self.readings), list[Array](), list[float]()
+        known = [self.nuisance_sd(k) for k in range(len(self.readings.setups))]
+        for j in range(max(map(len, known), default=0)):
+            for k, own in enumerate(known):
+                if j >= len(own) or own[j] == 0:
+                    continue
+                column = np.zeros(n)
+                rows = self.setup == k
+                column[rows] = seen.by_nuisance[rows, j]
+                if np.abs(column).max(initial=0.0) > 0:  # what no row shows is no nuisance
+                    columns.append(column)
+                    sd.append(float(own[j]))
+        return Block(np.array(columns).reshape(-1, n).T, np.array(sd))
 
-    def nuisances(self, slopes: Array) -> Block:
-        """A datum a coordinate, and three turns, as far as the frame is free."""
-        datum = np.eye(3)[self.setup]
-        rigid = np.hstack([datum, small_turns(slopes, self.setup)])
-        columns = {"none": datum[:, :0], "translation": datum, "rigid": rigid}[self.frame]
-        # What no row shows (a coordinate that was never measured) is no nuisance.
-        kept = np.abs(columns).max(axis=0, initial=0.0) > 0
-        count = int(kept.sum())
-        return Block(columns[:, kept], np.full(count, np.inf), np.zeros(count, dtype=bool))
+    # Its noise -----------------------------------------------------------------------------
+
+    def with_roughness(self, machine: Machine) -> Factor:
+        """Return the same with the noise that plates' roughness shows, where none was declared."""
+        r, p = self.readings, machine.forward(self.readings.command) + self.readings.beside
+        sigma, shown = self.sigma.copy(), self.noise.from_repeats.copy()
+        off_surface = np.zeros(len(r))
+        for k, setup in enumerate(r.setups):
+            rows = self.setup == k
+            if not setup.observation.touches:
+                continue
+            height = p[rows, 2] - r.reading[rows]
+            rough, off = roughness(self.place[rows], height, r.approach[rows])
+            most = np.minimum(rough, LOUD * self.noise.expected[rows])
+            rougher = ~np.isfinite(r.sigma[rows]) & (most > sigma[rows])
+            sigma[rows], shown[rows] = np.where(rougher, most, sigma[rows]), shown[rows] | rougher
+            stations = r.stations[rows]
+            if len(np.unique(stations, axis=0)) == len(stations):
+                off_surface[rows] = off
+        noise = replace(self.noise, sigma=sigma, from_repeats=shown)
+        return replace(self, noise=noise, outlier_height=off_surface)
+
+    def without_outlying_touches(self, machine: Machine) -> Factor:
+        """Return the same without touches that are none of their surface, which it names."""
+        if not self.outlier_height.any():
+            return self
+        kept, r = self.outlier_height == 0, self.readings
+        p = machine.forward(r.command) + r.beside
+        said = list[str]()
+        for k in np.flatnonzero(~kept):
+            off = self.outlier_height[k] * 1e3
+            where = "above" if off > 0 else "below"
+            name = r.setups[r.setup[k]].name
+            said.append(
+                f"{source(r)}, line {r.line[k]}, setup {name!r}: the touch at x "
+                f"{p[k, 0] * 1e3:.0f}, y {p[k, 1] * 1e3:.0f} mm is {abs(off):.2f} mm {where} the "
+                f"surface of all others, as a speck on the plate or a bad touch is, and does not "
+                f"count: clean the plate and probe again"
+            )
+        return replace(self.subset(kept), left_out=tuple(said))
+
+    def noise_and_expected(self, setup: int) -> tuple[float, float]:
+        """Return the noise of a setup's readings, and what is usual of them: root mean squares."""
+        rows = self.setup == setup
+        each = (self.noise.total, self.noise.expected)
+        own, usual = (float(np.sqrt(np.mean(s[rows] ** 2))) for s in each)
+        return own, usual
+
+    def noise_by_kind(self) -> Iterator[tuple[str, Array, NoiseSource]]:
+        """Yield each kind of readings with the standard deviations of its rows ``(n,)``, all
+        counted, and where they come from; what a plate's roughness says is said by repeats, too.
+        """
+        for kind in dict.fromkeys(self.readings.kind):
+            rows = self.readings.of_kind(kind) & self.noise.weighted
+            told = np.isfinite(self.readings.sigma[rows]).all()
+            shown = self.noise.from_repeats[rows].any()
+            where: NoiseSource = "declared" if told else "repeats" if shown else "machine"
+            yield kind, self.noise.total[rows], where
+
+    @cached_property
+    def repeated(self) -> tuple[tuple[int, int], ...]:
+        """How many readings have their noise from repeats, by kind, and the degrees of freedom
+        behind it.
+        """
+        kinds = [
+            (kind, len(own)) for kind, own, where in self.noise_by_kind() if where == "repeats"
+        ]
+        of = self.readings
+        each = (repeat_variance([of.subset(of.of_kind(kind))]) for kind, _ in kinds)
+        found = zip(kinds, each, strict=True)
+        return tuple((n, dof) for (_, n), (_, dof) in found if dof >= FEWEST_REPEATS)
+
+    @property
+    def is_noise_capped(self) -> bool:
+        """Whether heights of a plate jump from place to place by more than plates are rough."""
+        return bool((self.readings.touching & (self.sigma == LOUD * self.noise.expected)).any())
+
+    def approach_known(self, setup: int) -> bool:
+        """Return whether it is known from which side a setup's places were come to, on every axis;
+        of distances, which have two ends, it never is, and is not asked.
+        """
+        approach = self.readings.approach[self.setup == setup]
+        return self.readings.setups[setup].observation.paired or bool(approach.all())
+
+
+def beliefs_of(machine: Machine, frame: Frame = "rigid") -> Beliefs:
+    """Return what a machine file says of how instruments stand."""
+    return Beliefs(machine.spec.dial.placement, machine.spec.surface_slope or 0.0, frame)
+
+
+def _on_plates(readings: Readings, p: Array) -> Array:
+    """Places over the largest measured radius of each plate, along axes that turn with it."""
+    place = p[:, :2].copy()
+    for k, setup in enumerate(readings.setups):
+        rows = readings.setup == k
+        place[rows] /= np.hypot(*p[rows, :2].T).max(initial=1e-3)
+        angle = np.deg2rad(setup.turned)
+        place[rows] = place[rows] @ np.array(
+            [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        )
+    return place

@@ -8,15 +8,18 @@ nuisances z are linear and are projected out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
+from orthoglide.prediction import Seen
+
+_SPANNED = 1e-10
+"""Length of a column's part beside all others, of its own, below which it is rounding."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -26,7 +29,7 @@ class Linearised:
     x: Array  # unknowns (P,), SI
     value: Array  # rows (n,), nuisances apart, metres
     jacobian: Array  # (n, P)
-    slopes: tuple[Array, ...]  # for each factor, what its nuisances need to know of the pose
+    seen: tuple[Seen, ...]  # for each factor, what its instruments need to know of the poses
 
 
 def linearise(problem: Problem, x: Array) -> Linearised:
@@ -35,9 +38,9 @@ def linearise(problem: Problem, x: Array) -> Linearised:
     for k, factor in enumerate(problem.factors):
         names, matrix = problem.elementary(k)
         linear = factor.linearise(problem.machine.model, problem.values(k, x), names)
-        found.append((linear.value, linear.jacobian @ matrix, linear.slopes))
-    values, jacobians, slopes = zip(*found, strict=True)
-    return Linearised(x, np.concatenate(values), np.concatenate(jacobians), slopes)
+        found.append((linear.value, linear.jacobian @ matrix, linear.seen))
+    values, jacobians, seen = zip(*found, strict=True)
+    return Linearised(x, np.concatenate(values), np.concatenate(jacobians), seen)
 
 
 def predict(problem: Problem, x: Array) -> Array:
@@ -46,6 +49,16 @@ def predict(problem: Problem, x: Array) -> Array:
     return np.concatenate(
         [f.predict(model, problem.values(k, x)) for k, f in enumerate(problem.factors)]
     )
+
+
+def about_machine(problem: Problem, at: Linearised) -> Problem:
+    """The problem with instruments' frames brought to a machine; itself where they are there."""
+    factors = tuple(
+        f if f.on_legs else f.about(seen) for f, seen in zip(problem.factors, at.seen, strict=True)
+    )
+    if all(new is old for new, old in zip(factors, problem.factors, strict=True)):
+        return problem
+    return replace(problem, factors=factors)
 
 
 def past(basis: Array, rows: Array) -> Array:
@@ -68,7 +81,6 @@ class Nuisances:
 
     columns: Array  # (n, k), factor by factor
     precision: Array  # about zero (k,): 0 where nothing is known of one
-    placement: NDArray[np.bool_]  # which of them are where a dial stands (k,)
     weighing: Weighing  # the noise of the rows
 
     @cached_property
@@ -78,9 +90,16 @@ class Nuisances:
 
     @cached_property
     def basis(self) -> Array:
-        """Orthonormal columns of ``augmented`` ``(n + k, k)``."""
+        """Orthonormal columns that span those of ``augmented`` ``(n + k, rank)``.
+
+        A setup may have fewer readings than numbers. A column that follows from those before it
+        adds nothing, and left in, its rounding would become a direction of other readings.
+        """
         scale = np.linalg.norm(self.augmented, axis=0)
-        return np.linalg.qr(self.augmented / np.where(scale > 0, scale, 1.0))[0]
+        columns = self.augmented / np.where(scale > 0, scale, 1.0)
+        basis, triangle = np.linalg.qr(columns)
+        new = np.abs(np.diag(triangle)) > _SPANNED
+        return basis if new.all() else np.linalg.qr(columns[:, new])[0]
 
     @property
     def count(self) -> int:
@@ -89,8 +108,8 @@ class Nuisances:
 
     @property
     def free(self) -> int:
-        """How many of them nothing is known of."""
-        return int(np.sum(self.precision == 0))
+        """How many of them nothing is known of, those that others make up left out."""
+        return self.basis.shape[1] - int(np.sum(self.precision > 0))
 
     def project(self, rows: Array) -> Array:
         """Whitened rows ``(n, ...)`` without what the nuisances explain, ``(n + k, ...)``."""
@@ -106,9 +125,9 @@ class Nuisances:
         return np.asarray(self.columns @ self.solve(rest))
 
 
-def nuisances(problem: Problem, slopes: tuple[Array, ...]) -> Nuisances:
-    """Nuisances of all factors, by the slopes of a linearisation; they are frozen for a fit."""
-    blocks = [f.nuisances(s) for f, s in zip(problem.factors, slopes, strict=True)]
+def nuisances(problem: Problem, seen: tuple[Seen, ...]) -> Nuisances:
+    """Nuisances of all factors, by what a linearisation saw; they are frozen for a fit."""
+    blocks = [f.nuisances(s) for f, s in zip(problem.factors, seen, strict=True)]
     widths = np.cumsum([0, *(b.columns.shape[1] for b in blocks)])
     columns = np.zeros((len(problem.measured), int(widths[-1])))
     for block, rows, first, end in zip(
@@ -119,8 +138,7 @@ def nuisances(problem: Problem, slopes: tuple[Array, ...]) -> Nuisances:
         columns = np.hstack([columns, problem.curves.columns])
         blocks.append(problem.curves)
     precision = np.concatenate([b.sd for b in blocks]) ** -2.0
-    placement = np.concatenate([b.placement for b in blocks])
-    return Nuisances(columns, precision, placement, problem.weighing)
+    return Nuisances(columns, precision, problem.weighing)
 
 
 @dataclass(frozen=True)

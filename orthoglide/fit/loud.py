@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.noise import repeat_steps, total_variance
 from orthoglide.fit.problem import Problem
+from orthoglide.fit.repeats import repeat_steps, total_variance
 from orthoglide.geometry import Array
 from orthoglide.machine_file import Instrument
 from orthoglide.notes import Note
@@ -73,16 +73,16 @@ def loud_instruments(estimate: Estimate) -> Iterator[Note]:
     for k, factor, number, setup in problem.mounted:
         own, rows = factor.setup == number, problem.factor_rows[k]
         told = problem.machine.spec.instruments.get(setup.kind, Instrument()).repeatability
-        if told is None or np.isfinite(factor.points.sigma[own]).any():
+        if told is None or np.isfinite(factor.readings.sigma[own]).any():
             continue
-        rest = replace(factor.points, reading=estimate.residuals[rows]).subset(own)
-        where = f"{source(factor.points)}, setup {setup.name!r}"
-        sigma = float(np.sqrt(np.mean(problem.sigma[rows][own] ** 2)))
+        rest = replace(factor.readings, reading=estimate.residuals[rows]).subset(own)
+        where = f"{source(factor.readings)}, setup {setup.name!r}"
+        sigma = float(np.sqrt(np.mean(factor.noise.total[own] ** 2)))
         one = _Repeats(where, repeat_steps(rest), sigma, float(problem.step[rows][own].max()))
         if _is_loud([one]):
             yield Note(
                 f"{where}: repeats scatter by {compact(_scatter([one]) * 1e3, 2)} "
-                f"{setup.instrument.unit}, where the machine file says "
+                f"{setup.observation.unit}, where the machine file says "
                 f"{compact(told * 1e3, 2)}: correct repeatability under "
                 f"[instrument.{setup.kind}], or look for what is loose",
                 "scatter",

@@ -14,15 +14,15 @@ import casadi as ca
 import numpy as np
 
 from orthoglide.errors import SolverError
-from orthoglide.fit.factors import DialReadings, TcpReadings
+from orthoglide.fit.factors import Factor
 from orthoglide.fit.least_squares import Nuisances
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
-from orthoglide.mechanism.six_bars import LINES, TCP
+from orthoglide.instruments import POSE
+from orthoglide.mechanism.six_bars import OUTPUTS
 from orthoglide.mechanism.symbolic_closure import closure_functions
 from orthoglide.prediction import Model
-from orthoglide.prediction.dial import mountings
 
 _OPTIONS: dict[str, Any] = {
     "print_time": False,
@@ -114,11 +114,7 @@ class Nlp:
             own = joints[:, first : first + count]
             closures.append(self._functions.residual.map(count)(own, given))
             outputs = self._functions.outputs.map(count)(own, given)
-            if isinstance(factor, DialReadings):
-                rows.append(_dials(model, factor, outputs, place, values))
-            elif isinstance(factor, TcpReadings):
-                flat = 3 * place[factor.point] + factor.setup
-                rows.append(ca.vec(outputs[TCP, :])[flat.tolist()])
+            rows.append(_rows(model, factor, ca.vec(outputs), place, values))
             first += count
         return ca.horzcat(*closures), ca.vertcat(*rows)
 
@@ -187,16 +183,37 @@ def _values(problem: Problem, factor: int, x: Any) -> dict[str, Any]:
     return values
 
 
-def _dials(model: Model, factor: DialReadings, outputs: Any, place: Any, values: Any) -> Any:
-    """Readings ``(n, 1)`` of dials, as MX."""
-    campaign, effects = factor.points, model.catalogue.of_dials
-    touched = 12 * campaign.leg[:, None] + np.arange(12)
-    flat = (36 * place[:, None] + touched).ravel()
-    ends = ca.reshape(ca.vec(outputs[LINES, :])[flat.tolist()], 12, len(campaign))
-    mounting = ca.DM(mountings(campaign, model.geometry).T)
-    by_setup = []
-    for setup in campaign.setups:
-        own = [n for effect in effects for n in effect.parameters((setup.name,))]
-        by_setup.append(ca.vertcat(*[values.get(name, ca.MX(0)) for name in own]))
-    dials = ca.horzcat(*by_setup)[:, campaign.setup.tolist()]
-    return model.reading.map(len(campaign))(ends, mounting, dials).T
+def _rows(model: Model, factor: Factor, outputs: Any, place: Any, values: Any) -> Any:
+    """Readings ``(n, 1)`` of a factor, as MX.
+
+    Args:
+        model: of the machine.
+        factor: the readings.
+        outputs: of all its postures, one behind the other ``(48 m, 1)``, as MX.
+        place: posture of every condition ``(N,)``.
+        values: all parameters of machine and instruments, as MX.
+    """
+    observed = factor.observed
+    n, second = len(factor.readings), np.array(place[: len(factor.readings)])
+    second[observed.paired] = place[n:]
+    start = {"pose": observed.start + OUTPUTS * place[:n], "other": OUTPUTS * second}
+    found, order = [], []
+    for part in observed.parts(model, {}):
+        k, count = part.rows, len(part.rows)
+
+        def poses(which: str, k: Any = k, count: int = count) -> Any:
+            flat = (start[which][k, None] + np.arange(POSE)).ravel()
+            return ca.reshape(outputs[flat.tolist()], POSE, count)
+
+        width = part.values.shape[1]
+        by_setup = []
+        for names in part.names:
+            own = [values.get(name, ca.MX(0)) for name in names]
+            by_setup.append(ca.vertcat(*own, *(ca.MX(0) for _ in range(width - len(own)))))
+        effects = ca.horzcat(*by_setup)[:, factor.setup[k].tolist()]
+        given = ca.DM(part.mounting.T), ca.DM(part.nuisance.T), effects
+        reading = part.formula.function.map(count)(poses("pose"), poses("other"), *given)
+        found.append(reading.T)
+        order.append(k)
+    behind = np.argsort(np.concatenate(order))
+    return ca.vertcat(*found)[behind.tolist()]

@@ -1,140 +1,287 @@
-"""How far one reading scatters: declared, from the machine file, or from the repeats."""
+"""Standard deviation of one reading: declared, from the machine file, from repeats, or usual.
+
+The same rules hold for all kinds of readings. The rounding of an instrument's display is added.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from numbers import Real
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from orthoglide.errors import InputError
+from orthoglide.fit.repeats import (
+    FEWEST_REPEATS,
+    OFF_GRID,
+    common_rounding,
+    dial_steps,
+    finest_of,
+    off_grid,
+    repeat_variance,
+    shown_step,
+    total_variance,
+)
 from orthoglide.geometry import Array
-from orthoglide.machine_file import Dial
-from orthoglide.observations import Campaign, Recorded
+from orthoglide.instruments import LegDial, Observation
+from orthoglide.machine_file import Instrument, MachineFile
+from orthoglide.observations import Readings
 from orthoglide.observations.arrays import numbered
 from orthoglide.units import NOISE
 
 NoiseSource = Literal["declared", "machine", "repeats"]
+"""Where a standard deviation comes from; ``machine``: the machine file, or what is usual."""
 
-PUBLISHED_REPEATABILITY = 2e-5
+NO_WEIGHT = 1e6
+"""Factor on the standard deviation of a reading that is not to count."""
+
+PUBLISHED_REPEATABILITY = LegDial.repeatability
 """Metres: the repeatability stated in 2008, section 4.1; used where nothing better is known."""
 
-OFF_GRID = 0.06
-"""Steps by which six decimals of a millimetre, in metres or inches, miss a multiple of a dial's."""
-
 _COUNTS = 0.01  # share of a variance below which a part of it is not kept apart
-_STEPS = 2.0  # scatter, in steps of a dial, from which its rounding is spread out evenly
 _QUIET = 4.0  # sigmas within a step of the dial: no scatter makes two digits of one value
 _RANGE = 2 / np.sqrt(np.pi)  # sigmas that two readings are apart, in the mean
 _OFTENER = 0.25  # share of stations at such edges that is no chance, beside what scatter makes
-_GRIDS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6, 1e-6)  # steps of instruments
-_INCHES = (25.4e-6, 12.7e-6)  # a thousandth and half of it: steps of dials
-_EXACT = 1e-3  # of a step, by which a figure that is printed in it may be off
-_CHANCE = 1e-3  # of readings that all fall on a coarser step than their dial has
-_FEWEST_ON_GRID = 8  # readings: of a finer grid one in two or more is on the next by chance
-FEWEST_REPEATS = 6  # degrees of freedom below which repeats say too little of the noise
 
 
 @dataclass(frozen=True, repr=False)
-class Noise:
-    """Standard deviation of every reading."""
+class RowNoise:
+    """Noise of the readings of one table."""
 
-    sigma: tuple[Array, ...]  # by campaign, each (n,), metres: what averaging repeats reduces
-    # one figure for a single reading of a length, metres, all counted; radians where nothing but
-    # inclinations was read
-    typical: float
-    source: NoiseSource  # where it comes from
-    # by campaign, each (n,), metres: standard deviation of what a dial rounds away alike at every
-    # visit to a station; 0 where the scatter spreads the rounding out
-    common: tuple[Array, ...]
-    step: tuple[Array, ...]  # by campaign, each (n,), metres: of every reading's dial
-    resolution: float  # the commonest of the steps, which `typical` counts, metres
-    # degrees of freedom behind `typical`; infinite where it was not estimated
-    dof: float = float("inf")
-    declared: float = float("nan")  # what was told of one dial, before its rounding, metres
+    sigma: Array  # standard deviation of each (n,), metres or radians: what averaging reduces
+    # standard deviation of the rounding error that all visits to a station share; 0 where scatter
+    # makes it independent (n,)
+    common: Array
+    step: Array  # of every reading's instrument, as far as it is counted (n,)
+    # what the machine file or the kind's default says, or what is declared (n,)
+    expected: Array
+    from_repeats: NDArray[np.bool_]  # whether repeats, or a plate's roughness, say it (n,)
+    weighted: NDArray[np.bool_]  # whether the readings have any weight (n,)
 
-    def of(self, rows: Sequence[NDArray[Any]]) -> Noise:
-        """Of some rows of each campaign, by indices or booleans ``(n,)``."""
-        sigma, common, step = (
-            tuple(value[k] for value, k in zip(values, rows, strict=True))
-            for values in (self.sigma, self.common, self.step)
-        )
-        return replace(self, sigma=sigma, common=common, step=step)
+    @property
+    def total(self) -> Array:
+        """Standard deviation of one reading, all counted ``(n,)``."""
+        return np.hypot(self.sigma, self.common)
+
+    @classmethod
+    def unknown(cls, n: int) -> RowNoise:
+        """Return the noise of ``n`` readings of which nothing is known yet: zeros, to be filled."""
+        sigma, common, step, expected = np.zeros((4, n))
+        no = np.zeros(n, dtype=bool)
+        return cls(sigma, common, step, expected, no, ~no)
+
+    def fill(self, rows: NDArray[Any], noise: RowNoise) -> None:
+        """Put the noise of some rows in its place."""
+        for name, values in vars(noise).items():
+            getattr(self, name)[rows] = values
+
+    def with_rows(self, rows: NDArray[Any], noise: RowNoise) -> RowNoise:
+        """Return the noise with that of some rows in its place."""
+        changed = RowNoise(*(values.copy() for values in vars(self).values()))
+        changed.fill(rows, noise)
+        return changed
+
+    def of(self, rows: NDArray[Any]) -> RowNoise:
+        """Return the noise of some rows, by indices or booleans ``(n,)``."""
+        return RowNoise(*(values[rows] for values in vars(self).values()))
+
+    def without_weight(self, rows: NDArray[np.bool_]) -> RowNoise:
+        """Return the noise with some rows ``(n,)``, booleans, without any weight."""
+        more = rows & self.weighted
+        sigma = np.where(more, NO_WEIGHT * self.sigma, self.sigma)
+        return replace(self, sigma=sigma, weighted=self.weighted & ~rows)
 
 
 @dataclass(frozen=True)
-class _Level:
-    """What one reading scatters by."""
+class Level:
+    """What one reading of a kind scatters by."""
 
-    total: float  # standard deviation, rounding to `step` counted, metres
-    step: float  # of the dials that it was found for, metres
+    total: float  # standard deviation, rounding to `step` counted, metres or radians
+    step: float  # of the instruments that it was found for
     source: NoiseSource  # where it comes from
-    dof: float = float("inf")  # degrees of freedom behind it
+    dof: float = float("inf")  # degrees of freedom behind it; infinite where it was not estimated
 
     def at(self, step: Array) -> Array:
-        """The same of dials of other steps."""
+        """Return the standard deviation of readings of instruments with other steps."""
         scatter = max(self.total**2 - self.step**2 / 12, 0.0)
         return np.where(step == self.step, self.total, np.sqrt(scatter + step**2 / 12))
 
 
-def noise_of(
-    campaigns: Sequence[Campaign],
-    dial: Dial,
-    declared: float | None = None,
-    step: Sequence[Array] | None = None,
-) -> Noise:
-    """Noise of the readings, with the part that averaging does not reduce set apart.
+@dataclass(frozen=True, repr=False)
+class Noise:
+    """Noise of readings in one figure: of dials on legs, where there are any.
 
-    A figure declared for the run counts first, then ``sigma_mm`` of the rows, then the machine
-    file's repeatability, then the scatter of repeats (successive differences, so that slow drift
-    does not count), then the published repeatability. What a dial rounds away is added, and never
-    less: step^2 / 12, where the step is the dial's, or the coarser one that its readings show.
+    Of readings of the tool alone it is the root mean square of lengths, or of inclinations where
+    there are no lengths.
+    """
+
+    typical: float  # standard deviation of a single reading, metres or radians, all counted
+    # where it comes from; of readings of the tool `declared` or `machine`, see `levels` for kinds
+    source: NoiseSource
+    resolution: float  # the commonest step of the first kind, which `typical` counts
+    dof: float = float("inf")  # degrees of freedom behind the level of the first kind
+    declared: float = float("nan")  # declared standard deviation before rounding; nan if none
+    levels: Mapping[str, Level] = field(default_factory=dict)  # by kind of reading
+
+
+def instrument_of(spec: MachineFile, observation: Observation) -> Instrument:
+    """Return what a machine file says of the instrument of a kind of readings."""
+    own, dial = spec.instruments.get(observation.kind), spec.dial
+    if own is not None or not observation.dials:
+        return own or Instrument()
+    one = dial.repeatability
+    total = None if one is None else one * observation.dials**0.5
+    return Instrument(dial.resolution, total)
+
+
+def noise_of(
+    given: Sequence[Readings],
+    spec: MachineFile,
+    declared: float | None = None,
+    steps: Sequence[Array] | None = None,
+) -> tuple[Noise, tuple[RowNoise, ...]]:
+    """Return the noise of readings, and apart from it the rounding that averaging does not reduce.
+
+    A figure declared for the run counts first (of dials on legs, where there are any), then the
+    ``sigma`` of the rows, then the machine file's repeatability, then the scatter of repeats
+    (successive differences, so that slow drift does not count), then what is usual of the kind.
+    What an instrument rounds away is added, and never less: step^2 / 12, where the step is the
+    instrument's, or the coarser one that its readings show.
 
     Args:
-        campaigns: the readings.
-        dial: of the machine.
+        given: tables of readings.
+        spec: of the machine, says how its instruments read.
         declared: standard deviation of one reading, metres; replaces all others.
-        step: of every reading's dial, by campaign, each ``(n,)``, metres, where it is known.
+        steps: of every reading's instrument, by table, each ``(n,)``, metres, where it is known.
 
     Raises:
-        InputError: where ``declared`` is nothing that a dial scatters by.
+        InputError: where ``declared`` is nothing that an instrument scatters by.
     """
-    steps = tuple(dial_steps(c, dial.resolution) for c in campaigns) if step is None else step
-    every = np.concatenate([np.zeros(0), *steps])
-    sizes, count = np.unique(every, return_counts=True)
-    commonest = float(sizes[np.argmax(count)]) if len(sizes) else dial.resolution
-    fine, finest = finest_of(campaigns, steps) if len(sizes) else (campaigns, dial.resolution)
-    level = _level(fine, replace(dial, resolution=finest), declared)
-    # What is declared may be told of readings that were averaged, or never rounded.
-    told = level.source == "declared"
-    # Whether all are multiples of their dials' steps; those not taken yet will be.
-    shown = [
-        s * bool(s.all() and not (off_grid(c.reading, s) > OFF_GRID).any())
-        for c, s in zip(campaigns, steps, strict=True)
-    ]
-    counted = commonest if not told or any(s.any() for s in shown) else 0.0
-    typical = float(level.at(np.array([counted]))[0])
-    # Whether any station is visited twice from the same side.
-    again = any(len(np.unique(c.stations, axis=0)) < len(c) for c in campaigns)
-    sigmas, commons = [], []
-    for campaign, size, own in zip(campaigns, steps, shown, strict=True):
-        given = np.isfinite(campaign.sigma) & (declared is None)
-        rounding = np.where(given | told, own, size)
-        total = level.at(rounding)
-        common = _common(total, rounding) if again else np.zeros(len(campaign))
-        total = np.where(given, np.hypot(campaign.sigma, rounding / np.sqrt(12)), total)
-        if common.any():
-            own = np.sqrt(np.maximum(total**2 - common**2, _COUNTS * total**2))
-            total = np.where(common > 0, _at_edges(campaign, own, common, rounding), total)
-        sigmas.append(total)
-        commons.append(common)
-    return Noise(
-        tuple(sigmas), typical, level.source, tuple(commons), tuple(steps), commonest, level.dof,
-        level.total if told else float("nan"),
-    )  # fmt: skip
+    each = tuple(RowNoise.unknown(len(one)) for one in given)
+    on_legs = any(one.on_legs.any() for one in given)
+    levels, noises = dict[str, Level](), dict[str, Noise]()
+    of_kind = dict.fromkeys(o for one in given for o, _ in one.observations)
+    for observation in of_kind:
+        found = [(k, one.of_kind(observation.kind)) for k, one in enumerate(given)]
+        found = [(k, own) for k, own in found if own.any()]
+        tables = [given[k].subset(own) for k, own in found]
+        told = None if on_legs and not observation.on_leg else declared
+        known = None if steps is None else [steps[k][own] for k, own in found]
+        of = _Kind(observation, instrument_of(spec, observation), tables, told, known)
+        noises[observation.kind], levels[observation.kind] = of.summary, of.level
+        for (k, own), one in zip(found, of.rows(), strict=True):
+            each[k].fill(own, one)
+    first = next(iter(noises.values()), Noise(float("nan"), "machine", 0.0))
+    if not on_legs:
+        first = _of_tool(given, each, noises, first)
+    return replace(first, levels=levels), each
+
+
+def _of_tool(
+    given: Sequence[Readings], rows: Sequence[RowNoise], noises: Mapping[str, Noise], first: Noise
+) -> Noise:
+    """The one figure of readings of the tool alone."""
+    typical = overall(given, [r.total for r in rows]) if rows else first.typical
+    told = all(one.source == "declared" for one in noises.values())
+    return replace(first, typical=typical, source="declared" if told else "machine")
+
+
+def overall(given: Sequence[Readings], sigma: Sequence[Array]) -> float:
+    """Return the root mean square of the noise of lengths, or of turns where there are none.
+
+    Args:
+        given: tables of readings.
+        sigma: standard deviations of each ``(n,)``, metres or radians.
+    """
+    every, turned = np.concatenate(sigma), np.concatenate([one.angular for one in given])
+    of = every[~turned] if (~turned).any() else every
+    return float(np.sqrt(np.mean(of**2)))
+
+
+class _Kind:
+    """Readings of one kind in all tables."""
+
+    def __init__(
+        self,
+        observation: Observation,
+        instrument: Instrument,
+        tables: Sequence[Readings],
+        declared: float | None,
+        steps: Sequence[Array] | None,
+    ) -> None:
+        self._observation, self._own, self._declared = observation, instrument, declared
+        self._tables = tables
+        resolution = instrument.resolution or 0.0
+        self._steps = [_steps(one, resolution) for one in tables] if steps is None else steps
+        every = np.concatenate([np.zeros(0), *self._steps])
+        sizes, count = np.unique(every, return_counts=True)
+        self._commonest = float(sizes[np.argmax(count)]) if len(sizes) else resolution
+        fine, finest = finest_of(tables, self._steps) if len(sizes) else (tables, resolution)
+        self.level = _level(fine, observation, replace(instrument, resolution=finest), declared)
+        # A declared noise may refer to averaged or unrounded readings: rounding is added to it only
+        # if the instrument is known to round, and the readings lie on its grid.
+        self._told = self.level.source == "declared"
+        # Steps of tables whose readings all are multiples of them, else 0; readings that were not
+        # taken yet count as such.
+        rounds = resolution > 0
+        self._shown = [
+            s * bool(rounds and s.all() and not (off_grid(one.reading, s) > OFF_GRID).any())
+            for one, s in zip(tables, self._steps, strict=True)
+        ]
+
+    @property
+    def summary(self) -> Noise:
+        """All of it in one figure."""
+        counted = any(s.any() for s in self._shown)
+        step = self._commonest if not self._told or counted else 0.0
+        typical = float(self.level.at(np.array([step]))[0])
+        told = self.level.total if self._told else float("nan")
+        return Noise(typical, self.level.source, self._commonest, self.level.dof, told)
+
+    def rows(self) -> Iterator[RowNoise]:
+        """Of each table."""
+        # Whether any station is visited twice from the same side.
+        again = any(len(np.unique(one.stations, axis=0)) < len(one) for one in self._tables)
+        usual = self._own.repeatability or self._observation.repeatability
+        for table, size, own in zip(self._tables, self._steps, self._shown, strict=True):
+            given = np.isfinite(table.sigma) & (self._declared is None)
+            rounding = np.where(given | self._told, own, size)
+            total = self.level.at(rounding)
+            common = _common(total, rounding) if again else np.zeros(len(table))
+            declared = np.hypot(table.sigma, rounding / np.sqrt(12))
+            total = np.where(given, declared, total)
+            if common.any():
+                part = np.sqrt(np.maximum(total**2 - common**2, _COUNTS * total**2))
+                total = np.where(common > 0, _at_edges(table, part, common, rounding), total)
+            expected = np.hypot(usual, size / np.sqrt(12))
+            told = given if self._declared is None else np.ones(len(table), dtype=bool)
+            repeats = ~told & (self.level.source == "repeats")
+            weighted = np.ones(len(table), dtype=bool)
+            counted = np.where(told, total, expected)
+            yield RowNoise(total, common, rounding, counted, repeats, weighted)
+
+
+def expected_sigma(given: Readings, spec: MachineFile) -> Array:
+    """Return the noise to reckon with before anything is read ``(n,)``, metres or radians."""
+    found = np.empty(len(given))
+    for observation, rows in given.observations:
+        own = instrument_of(spec, observation)
+        level = own.repeatability or observation.repeatability
+        found[rows] = np.hypot(level, (own.resolution or 0.0) / np.sqrt(12))
+    return np.where(np.isfinite(given.sigma), given.sigma, found)
+
+
+def _steps(given: Readings, resolution: float) -> Array:
+    """Step of every reading's instrument ``(n,)``: of a resolution that is known, or a coarser one
+    that readings show; else what all readings are multiples of.
+    """
+    if resolution > 0:
+        return dial_steps(given, resolution)
+    shown = 0.0 if given.on_legs.any() else shown_step(given.reading)
+    return np.full(len(given), shown)
 
 
 def _common(total: Array, step: Array) -> Array:
@@ -148,78 +295,7 @@ def _common(total: Array, step: Array) -> Array:
     return found
 
 
-def finest_of(
-    campaigns: Sequence[Campaign], step: Sequence[Array]
-) -> tuple[Sequence[Campaign], float]:
-    """Readings of the dials of the smallest step, which show best what readings scatter by, and
-    that step.
-
-    Args:
-        campaigns: the readings.
-        step: of every reading's dial, by campaign, each ``(n,)``, metres.
-    """
-    finest = float(np.concatenate(step).min())
-    if all((s == finest).all() for s in step):
-        return campaigns, finest
-    kept = [(c, s == finest) for c, s in zip(campaigns, step, strict=True)]
-    return [c.subset(rows) for c, rows in kept if rows.any()], finest
-
-
-def dial_steps(campaign: Campaign, resolution: float) -> Array:
-    """Step of every reading's dial ``(n,)``, metres: the resolution, or a coarser one of which all
-    readings off the datum are multiples, of the campaign or else of one setup whose repeats show
-    that it is no other unit.
-
-    Args:
-        campaign: the readings.
-        resolution: of the machine's dial, metres; 0 where it does not round.
-    """
-    found = np.full(len(campaign), resolution)
-    if resolution <= 0:
-        return found
-    apart = [_off_datum(campaign.reading[campaign.setup == k]) for k in range(len(campaign.setups))]
-    whole = _coarser(np.concatenate(apart), resolution)
-    for k, readings in enumerate(apart):
-        rows, larger = campaign.setup == k, _coarser(readings, whole)
-        found[rows] = larger if _is_coarse(campaign, rows, whole, larger) else whole
-    return found
-
-
-def _is_coarse(campaign: Campaign, rows: NDArray[np.bool_], step: float, larger: float) -> bool:
-    """Whether repeats in some rows ``(n,)`` scatter less, in steps, than the rest does in its own:
-    else these are readings of the same dial in a smaller unit.
-    """
-    if larger == step:
-        return False
-    own, dof = repeat_variance([campaign.subset(rows)])
-    rest, _ = repeat_variance([campaign.subset(~rows)])
-    less = own / larger**2 < rest / step**2 * np.sqrt(step / larger)
-    return bool(less and dof >= FEWEST_REPEATS)
-
-
-def _off_datum(readings: Array) -> Array:
-    """Different readings of a setup less the first of them, metres; itself left out."""
-    read = readings[np.isfinite(readings)]
-    apart = np.unique(np.round(read - read[:1], 9))
-    return np.asarray(apart[apart != 0])
-
-
-def _coarser(apart: Array, step: float) -> float:
-    """The largest step that different readings are multiples of; a smaller one where that may be
-    by chance, which is of k readings ``(smaller / larger)^k``.
-
-    Args:
-        apart: readings off their datum, all different in a setup ``(k,)``, metres.
-        step: that the dial has, metres.
-    """
-    for larger in sorted((*_GRIDS, *_INCHES)):
-        few = larger <= step or (step / larger) ** len(apart) >= _CHANCE
-        if not few and np.abs(apart).min() > larger / 2 and on_grid(apart, larger, _EXACT):
-            step = larger
-    return step
-
-
-def _at_edges(campaign: Campaign, sigma: Array, common: Array, resolution: Array) -> Array:
+def _at_edges(campaign: Readings, sigma: Array, common: Array, resolution: Array) -> Array:
     """Sigmas ``(n,)`` of dials, half a step where a station's visits show two neighbouring digits.
 
     There the true value stands at the edge between them, and a quiet dial shows one or the other:
@@ -244,74 +320,6 @@ def _at_edges(campaign: Campaign, sigma: Array, common: Array, resolution: Array
     return np.where(edge, np.maximum(sigma, resolution / 2), sigma)
 
 
-def off_grid(readings: Array, step: float | Array) -> Array:
-    """How far readings ``(n,)`` are from multiples of a dial's step, both metres; in steps."""
-    return np.abs(readings / step - np.round(readings / step))
-
-
-def on_grid(readings: Array, step: float | Array, miss: float = OFF_GRID) -> bool:
-    """Whether readings ``(n,)`` are multiples of their dials' steps, but for less than ``miss``."""
-    return bool((off_grid(readings, step) < miss).all())
-
-
-def shown_step(readings: Array) -> float:
-    """The step that readings ``(n,)`` are multiples of, metres or radians; 0 where there is none,
-    or they are too few to tell.
-    """
-    for step in _GRIDS if len(readings) >= _FEWEST_ON_GRID else ():
-        if on_grid(readings, step, _EXACT) and np.ptp(readings) > step / 2:
-            return step
-    return 0.0
-
-
-def common_rounding(sigma: ArrayLike, resolution: float) -> Array:
-    """Standard deviation of the rounding that repeats have in common, metres.
-
-    The rounding of a value x that scatters by s (both in steps of the dial) has the mean
-    ``sum_k (-1)^k sin(2 pi k x) exp(-2 (pi k s)^2) / (pi k)``. Over all x its variance is a
-    twelfth of a squared step without scatter, and next to nothing once s is half a step.
-
-    Args:
-        sigma: of one reading, its rounding counted, metres.
-        resolution: step of the dial, metres.
-    """
-    total = np.asarray(sigma, dtype=float)
-    if resolution <= 0:
-        return np.zeros_like(total)
-    scatter = np.sqrt(np.maximum(total**2 - resolution**2 / 12, 0.0))[..., None] / resolution
-    k = np.arange(1, 200)
-    share = np.exp(-((2 * np.pi * k * scatter) ** 2)) / (2 * (np.pi * k) ** 2)
-    return np.asarray(resolution * np.sqrt(share.sum(axis=-1)))
-
-
-def total_variance(within: ArrayLike, resolution: float) -> Array:
-    """Variance of one rounded reading from that of repeats about their mean, square metres.
-
-    Repeats do not show the rounding that they share: with a scatter s before it, one reading
-    has ``s^2 + step^2 / 12``, of which repeats show ``s^2 + step^2 / 12 - common(s)^2``. A dial
-    that scatters by much less than its step shows hardly any variance at all.
-
-    Args:
-        within: from repeats, see :func:`repeat_variance`.
-        resolution: step of the dial, metres.
-    """
-    if resolution <= 0:
-        return np.asarray(within, dtype=float)
-    scatter = np.concatenate([[0.0], np.geomspace(1e-3, _STEPS, 400)])
-    total = (scatter**2 + 1 / 12) * resolution**2
-    shown = np.maximum.accumulate(total - common_rounding(np.sqrt(total), resolution) ** 2)
-    seen = np.asarray(within, dtype=float)
-    return np.asarray(np.interp(seen, shown, total) + np.maximum(seen - shown[-1], 0.0))
-
-
-def repeat_steps(campaign: Recorded) -> Array:
-    """Each reading that repeats one, less the one at the visit before, metres."""
-    table = campaign.stations
-    order = np.lexsort([campaign.order, *table.T[::-1]])
-    same = np.all(np.diff(table[order], axis=0) == 0, axis=1)
-    return np.asarray(np.diff(campaign.reading[order])[same])
-
-
 def check_noise(noise: float, least: float = NOISE[0]) -> float:
     """The noise, a zero without its sign; refuses what no instrument scatters by, such as
     millimetres taken for metres.
@@ -327,32 +335,23 @@ def check_noise(noise: float, least: float = NOISE[0]) -> float:
     return noise + 0.0
 
 
-def _level(campaigns: Sequence[Campaign], dial: Dial, declared: float | None) -> _Level:
-    step, rounding = dial.resolution, dial.resolution**2 / 12
+def _level(
+    given: Sequence[Readings],
+    observation: Observation,
+    instrument: Instrument,
+    declared: float | None,
+) -> Level:
+    step = instrument.resolution or 0.0
+    rounding = step**2 / 12
     if declared is not None:
-        return _Level(check_noise(declared), 0.0, "declared")
-    given = np.concatenate([np.zeros(0), *(c.sigma for c in campaigns)])
-    if len(given) and np.isfinite(given).all():
-        return _Level(float(np.sqrt(np.mean(given**2))), 0.0, "declared")
-    if dial.repeatability is not None:
-        return _Level(float(np.sqrt(dial.repeatability**2 + rounding)), step, "machine")
-    variance, dof = repeat_variance(campaigns)
-    if dof >= FEWEST_REPEATS and (variance > 0 or step > 0):
+        return Level(check_noise(declared), 0.0, "declared")
+    told = np.concatenate([np.zeros(0), *(one.sigma for one in given)])
+    if len(told) and np.isfinite(told).all():
+        return Level(float(np.sqrt(np.mean(told**2))), 0.0, "declared")
+    if instrument.repeatability is not None:
+        return Level(float(np.sqrt(instrument.repeatability**2 + rounding)), step, "machine")
+    variance, dof = repeat_variance(given)
+    if dof >= FEWEST_REPEATS and (variance > 0 or (step > 0 and observation.on_leg)):
         total = float(np.sqrt(total_variance(variance, step)))
-        return _Level(total, step, "repeats", dof)
-    return _Level(float(np.sqrt(PUBLISHED_REPEATABILITY**2 + rounding)), step, "machine")
-
-
-def repeat_variance(campaigns: Sequence[Recorded]) -> tuple[float, int]:
-    """Variance of one reading from repeats, and its degrees of freedom.
-
-    Repeats share all that the machine is told, the approach of all three axes included; successive
-    ones are differenced, so that a slow drift hardly counts: ``mean (y_k+1 - y_k)^2 / 2``.
-    """
-    total, count = 0.0, 0
-    for campaign in campaigns:
-        steps = repeat_steps(campaign)
-        total += float(np.sum(steps**2)) / 2
-        count += len(steps)
-    # Differences of a run share readings: n of them carry about two thirds n degrees of freedom.
-    return (total / count if count else float("nan")), int(np.floor(2 * count / 3))
+        return Level(max(total, observation.quietest), step, "repeats", dof)
+    return Level(float(np.sqrt(observation.repeatability**2 + rounding)), step, "machine")

@@ -9,26 +9,20 @@ import numpy as np
 from orthoglide.effects.wording import parameter_words
 from orthoglide.fit.copies import copied, repeated_points, twice
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.instrument_frame import plane_of
 from orthoglide.fit.loud import loud_dials, loud_instruments
-from orthoglide.fit.noise import OFF_GRID, off_grid
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.quiet import quieter
-from orthoglide.fit.tool import ToolReadings
-from orthoglide.fit.tool_noise import LOUD
-from orthoglide.geometry import LEGS
-from orthoglide.klipper import imported
+from orthoglide.fit.repeats import OFF_GRID, off_grid
+from orthoglide.fit.roughness import LOUD
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
-from orthoglide.observations import Campaign, TcpPoints, source
+from orthoglide.observations import Readings, source
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 
 _CHANCE = 1e-3  # of a campaign in which noise alone makes a reading that is said to be off
 _ABOUT = 0.999  # of the loudest that a plate's roughness may count as
 _SAID = 8  # lines
 _FEW = 1.0  # degrees of freedom: less is no test of a model
-_BESIDE = 0.1  # of the extent of its places, how far a ball is from their plane
-_ASKEW = 3.0  # standard deviations
 _FEWEST = 8  # different readings: by chance one in eight is a multiple of the step
 _ON_STEP = 0.9  # share of the readings of a setup that its dial's step tells
 _TURNED = (
@@ -42,16 +36,16 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     bounds, tolerances, the check.
     """
     problem, scores = estimate.problem, estimate.scores
-    given = [f.points for f in problem.factors]
+    given = [f.readings for f in problem.factors]
     found = [Note(text, "machine") for text in problem.machine.warnings]
-    found += imported(problem.machine.spec, {points.name for points in given})
+    if (printer := problem.machine.spec.printer) is not None:
+        found += printer.imported({points.name for points in given})
     for points in given:
         file = f"{source(points)}: " if len(given) > 1 else ""
         found += [Note(file + text, "campaign") for text in points.warnings]
     found += [*coarse(problem), *off_step(problem)]
     found += copies(problem)
-    told = (t for f in problem.points if isinstance(f, ToolReadings) for t in f.left_out)
-    found += [Note(text, "stray") for text in told]
+    found += [Note(text, "stray") for f in problem.tool for text in f.left_out]
     if estimate.sigma_scale > 1 and scores.dof >= _FEW:
         text = (
             f"the residuals are {estimate.sigma_scale:.1f} times the noise of "
@@ -67,7 +61,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         found += slips(estimate)
     found += [*quieter(estimate), *louder(estimate), *loud_dials(estimate)]
     found += loud_instruments(estimate)
-    found += [*askew(problem), *mirrored(estimate)]
+    found += standing(estimate)
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         found.append(Note(text, "bound"))
@@ -84,24 +78,23 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
 
 def copies(problem: Problem) -> Iterator[Note]:
     """Readings that are the same to the last digit as others, and so may be copies of them."""
-    tool = [f.points for f in problem.points]
-    for text in twice([*problem.campaigns, *tool]):
+    given = [f.readings for f in problem.factors]
+    for text in twice(given):
         yield Note(text, "copies")
-    for campaign in (*problem.campaigns, *problem.tool_campaigns):
-        if count := copied(campaign):
+    for one in given:
+        if one.by_point and (lines := repeated_points(one)):
             text = (
-                f"all {count} repeats of {campaign.name} are the same to the last digit as the "
+                f"{_lines(one, lines)}: the same point as before to the last "
+                f"digit: a copy tells nothing that the other does not, so leave it out"
+            )
+            yield Note(text, "copies", lines)
+        elif count := copied(one):
+            text = (
+                f"all {count} repeats of {one.name} are the same to the last digit as the "
                 f"visit before: if they are copies they say nothing of the noise, so leave them "
                 f"out and declare it"
             )
             yield Note(text, "copies")
-    for points in tool:
-        if isinstance(points, TcpPoints) and (lines := repeated_points(points)):
-            text = (
-                f"{_lines(points, lines)}: the same point as before to the last "
-                f"digit: a copy tells nothing that the other does not, so leave it out"
-            )
-            yield Note(text, "copies", lines)
 
 
 def far_off(estimate: Estimate) -> Iterator[Note]:
@@ -124,7 +117,8 @@ def far_off(estimate: Estimate) -> Iterator[Note]:
 def coarse(problem: Problem) -> Iterator[Note]:
     """Campaigns and setups whose readings show a coarser step than that of the machine's dial."""
     declared = problem.machine.spec.dial.resolution
-    for campaign, step in zip(problem.campaigns, problem.noise.step, strict=True):
+    for factor in problem.on_legs:
+        campaign, step = factor.readings, factor.noise.step
         if (least := float(step.min())) > declared:
             told = f"{least * 1e3:g} mm"
             yield Note(
@@ -165,62 +159,33 @@ def off_step(problem: Problem) -> Iterator[Note]:
 def louder(estimate: Estimate) -> Iterator[Note]:
     """Instruments whose repeats, or whose plate, have them count as far noisier than their kind."""
     for _, factor, k, setup in estimate.problem.mounted:
-        size, kind = factor.loudness(k)
+        size, kind = factor.noise_and_expected(k)
         if size > _ABOUT * LOUD * kind:
-            plate = ", or the plate's roughness," if setup.instrument.touches else ""
-            turned = _TURNED if setup.instrument.touches else ""
+            plate = ", or the plate's roughness," if setup.observation.touches else ""
+            turned = _TURNED if setup.observation.touches else ""
             yield Note(
-                f"{source(factor.points)}, setup {setup.name!r}: repeats{plate} have a reading "
-                f"count as good to {compact(size * 1e3, 2)} {setup.instrument.unit}, "
+                f"{source(factor.readings)}, setup {setup.name!r}: repeats{plate} have a reading "
+                f"count as good to {compact(size * 1e3, 2)} {setup.observation.unit}, "
                 f"{compact(size / kind, 2)} "
                 f"times worse than is usual: smaller errors are not seen; something that moved "
                 f"half way looks like this too, so read some places again at the end{turned}",
                 "loud",
             )
-            if not factor.sided(k):
+            if not factor.approach_known(k):
                 yield Note(
-                    f"{source(factor.points)}, setup {setup.name!r}: {SIDES_UNTOLD}, so lost "
+                    f"{source(factor.readings)}, setup {setup.name!r}: {SIDES_UNTOLD}, so lost "
                     f"motion passes for the noise of its repeats: {TELL_SIDES}",
                     "side",
                 )
 
 
-def askew(problem: Problem) -> Iterator[Note]:
-    """Dials at the tool that point beside their direction, by more than one is held askew."""
-    for _, factor, k, setup in problem.mounted:
-        axis = factor.points.axis[factor.setup == k]
-        sd = setup.instrument.turn_sd(axis)
-        if not 0 < sd < np.inf:
-            continue
-        along = factor.turn[k][axis[0]]
-        angle = float(np.arccos(np.clip(along[axis[0]], -1.0, 1.0)))
-        if angle > _ASKEW * sd:
-            yield Note(
-                f"{source(factor.points)}, setup {setup.name!r}: by its readings it points "
-                f"{np.rad2deg(angle):.1f} degrees beside {LEGS[axis[0]]} (along "
-                f"{', '.join(f'{v:.3f}' for v in along)}), and is taken so: look how it is "
-                f"held, and whether the direction in the file is right",
-                "askew",
-            )
-
-
-def mirrored(estimate: Estimate) -> Iterator[Note]:
-    """Balls beside the one plane of all places about them, which could be on its other side."""
+def standing(estimate: Estimate) -> Iterator[Note]:
+    """What is odd in where instruments at the tool stand by their readings."""
     for k, factor, j, setup in estimate.problem.mounted:
-        p, rows = estimate.at.slopes[k][:, :3], factor.setup == j
-        if not setup.instrument.about_ball or (across := plane_of(p[rows])) is None:
-            continue
-        ball = factor.mounting_at(p).ball
-        size = float(np.sqrt(np.mean((p[rows] - p[rows].mean(axis=0)) ** 2)))
-        beside = float(abs((ball[rows] - p[rows]).mean(axis=0) @ across))
-        if beside > _BESIDE * size:
-            yield Note(
-                f"{source(factor.points)}, setup {setup.name!r}: its places lie in one plane, "
-                f"and the ball {compact(beside * 1e3, 2)} mm beside it; on which side no "
-                f"reading says, below was taken: on the other one, what is told of the "
-                f"machine across that plane has the other sign; read places out of it as well",
-                "mirrored",
-            )
+        rows = factor.setup == j
+        p, axis = estimate.at.seen[k].p[rows], factor.readings.axis[rows]
+        for text, kind in setup.observation.remarks(factor.stands[j], p, axis):
+            yield Note(f"{source(factor.readings)}, setup {setup.name!r}: {text}", kind)
 
 
 def slips(estimate: Estimate) -> Iterator[Note]:
@@ -247,7 +212,7 @@ def slips(estimate: Estimate) -> Iterator[Note]:
             yield Note(text, "slip", lines)
 
 
-def _lines(given: Campaign | TcpPoints, lines: tuple[int, ...]) -> str:
+def _lines(given: Readings, lines: tuple[int, ...]) -> str:
     """Lines of a file, the first of many."""
     told = ", ".join(map(str, lines[:_SAID])) + (" and more" if len(lines) > _SAID else "")
     return f"{source(given)}, line{'s' * (len(lines) > 1)} {told}"

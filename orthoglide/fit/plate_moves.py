@@ -12,9 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.fit.factors import heard
 from orthoglide.fit.problem import Problem
-from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import Array, plane_columns
 from orthoglide.numerals import plain
 
@@ -92,14 +90,14 @@ def _touches(
     problem: Problem, values: dict[str, float], names: Collection[str]
 ) -> Iterator[tuple[str, Array]]:
     """Setups, and place, height and noise of the touches of each ``(m, 4)``, metres."""
-    for factor in problem.points:
-        if factor.name not in names or not isinstance(factor, ToolReadings):
+    for factor in problem.tool:
+        if factor.name not in names:
             continue
-        place = problem.machine.forward(factor.points.command)
+        place = problem.machine.forward(factor.readings.command)
         height = factor.predict(problem.machine.model, values) - factor.measured
-        for k, setup in enumerate(factor.points.setups):
-            rows = (factor.setup == k) & heard(factor.sigma)
-            if setup.instrument.touches and rows.sum() >= _FEWEST:
+        for k, setup in enumerate(factor.readings.setups):
+            rows = (factor.setup == k) & factor.noise.weighted
+            if setup.observation.touches and rows.sum() >= _FEWEST:
                 yield setup.name, np.column_stack([place[:, :2], height, factor.sigma])[rows]
 
 

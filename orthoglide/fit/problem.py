@@ -11,23 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.fit.factors import Block, DialReadings, TcpReadings
+from orthoglide.fit.factors import Block, Factor
 from orthoglide.fit.noise import Noise, NoiseSource
-from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.numerals import ByUnit
-from orthoglide.observations import Campaign, Setup, ToolCampaign, ToolSetup
+from orthoglide.observations import Readings, Setup
 from orthoglide.observations.arrays import numbered
 from orthoglide.parameters import Parameter
-
-Beside = TcpReadings | ToolReadings
-"""Readings beside those of dials: where the tool is."""
-
-Factor = DialReadings | Beside
-"""All kinds of readings: each predicts its rows, differentiates them, and has its nuisances."""
 
 FAR = 4.0
 """Tolerances: one parameter in sixteen thousand of a machine as it is expected to be."""
@@ -94,22 +87,19 @@ def rows_about(
 class Problem:
     """An identification, ready to be solved by any of the methods.
 
-    Minimised is the sum of the squares of its factors: dial readings, TCP points, the tolerances
-    as priors, and what an earlier calibration says.
+    Minimised is the sum of the squares of its factors, the tolerances as priors, and what an
+    earlier calibration says.
     """
 
     machine: Machine  # nominal dimensions, tolerances, and the parameters that are held
-    campaigns: tuple[Campaign, ...]  # dial readings
+    factors: tuple[Factor, ...]  # all that was read: of legs first, then of the tool
     unknowns: tuple[Unknown, ...]  # what is free, `P` of them
-    noise: Noise  # of the dial readings
+    noise: Noise  # of the readings in one figure
     priors: bool  # whether tolerances act as priors about zero
     held: tuple[Mapping[str, float], ...]  # for each factor, parameters that are not free, SI
-    placement: float  # standard deviation of a dial's place along its leg, metres; 0: exact
     # what has a value of its own in each campaign, free or not yet: effects and parameters; with
     # `@` and a file's stem, from that campaign on
     own: tuple[str, ...] = ()
-    # readings of the tool: TCP points and what instruments at the tool say
-    points: tuple[Beside, ...] = ()
     earlier: Posterior | None = None  # what an earlier calibration says
     # rows and target `|W x - t|^2` in place of the tolerances and what was earlier
     prior: tuple[Array, Array] | None = None
@@ -117,34 +107,42 @@ class Problem:
     curves: Block | None = None
 
     @cached_property
-    def factors(self) -> tuple[Factor, ...]:
-        """All that was read: campaigns, then TCP points."""
-        dials = (DialReadings(c, self.placement) for c in self.campaigns)
-        return (*dials, *self.points)
+    def on_legs(self) -> tuple[Factor, ...]:
+        """Readings of legs, which come first."""
+        return tuple(f for f in self.factors if f.on_legs)
 
     @property
-    def dials_alone(self) -> bool:
-        """Whether dials on the legs are all that was read."""
-        return bool(self.campaigns) and not self.points
+    def tool(self) -> tuple[Factor, ...]:
+        """Readings of the tool."""
+        return self.factors[len(self.on_legs) :]
 
     @property
-    def tool_campaigns(self) -> tuple[ToolCampaign, ...]:
-        """Readings of the tool but TCP points."""
-        return tuple(p.points for p in self.points if isinstance(p.points, ToolCampaign))
+    def campaigns(self) -> tuple[Readings, ...]:
+        """Tables of the readings of legs."""
+        return tuple(f.readings for f in self.on_legs)
+
+    @property
+    def legs_alone(self) -> bool:
+        """Whether legs are all that was read."""
+        return not self.tool
+
+    def with_factors(self, on_legs: Sequence[Factor]) -> Problem:
+        """Return the same problem with other readings of legs, as many tables."""
+        return replace(self, factors=(*on_legs, *self.tool))
 
     def padded(self, x: Array) -> Array:
         """Unknowns ``x`` of a problem that this one extends, its further ones at nothing behind."""
         return np.pad(x, (0, len(self.unknowns) - len(x)))
 
     @property
-    def mounted(self) -> Iterator[tuple[int, ToolReadings, int, ToolSetup]]:
+    def mounted(self) -> Iterator[tuple[int, Factor, int, Setup]]:
         """Setups of the tool's instruments: place of the factor, itself, number of the setup in it,
         and the setup.
         """
-        for k, factor in enumerate(self.factors):
-            if isinstance(factor, ToolReadings):
-                for number, setup in enumerate(factor.points.setups):
-                    yield k, factor, number, setup
+        first = len(self.on_legs)
+        for k, factor in enumerate(self.tool, first):
+            for number, setup in enumerate(factor.readings.setups):
+                yield k, factor, number, setup
 
     @property
     def names(self) -> tuple[Parameter, ...]:
@@ -159,8 +157,8 @@ class Problem:
 
     @property
     def rows(self) -> tuple[slice, ...]:
-        """Each campaign's place among the stacked rows."""
-        return self.factor_rows[: len(self.campaigns)]
+        """Place of the readings of legs among the stacked rows, table by table."""
+        return self.factor_rows[: len(self.on_legs)]
 
     @cached_property
     def measured(self) -> Array:
@@ -170,28 +168,28 @@ class Problem:
     @cached_property
     def turned(self) -> NDArray[np.bool_]:
         """Which rows are inclinations, radians ``(n,)``; all others are lengths, metres."""
-        return np.concatenate([f.turned for f in self.factors])
+        return np.concatenate([f.readings.angular for f in self.factors])
 
     @cached_property
     def sigma(self) -> Array:
         """Standard deviation of all rows ``(n,)``, metres or radians."""
-        return np.concatenate([*self.noise.sigma, *(f.sigma for f in self.points)])
+        return np.concatenate([f.noise.sigma for f in self.factors])
 
     @cached_property
     def common(self) -> Array:
-        """What a dial rounds away alike at every visit, of all rows ``(n,)``, metres."""
-        return np.concatenate([*self.noise.common, *(np.zeros(len(f.sigma)) for f in self.points)])
+        """What an instrument rounds away alike at every visit, of all rows ``(n,)``, metres."""
+        return np.concatenate([f.noise.common for f in self.factors])
 
     @cached_property
     def step(self) -> Array:
-        """Step of the dial of all rows ``(n,)``, metres; 0 of what is read at the tool."""
-        return np.concatenate([*self.noise.step, *(np.zeros(len(f.sigma)) for f in self.points)])
+        """Step of the instrument of all rows ``(n,)``, metres or radians; 0 where none shows."""
+        return np.concatenate([f.noise.step for f in self.factors])
 
     @property
     def one_reading(self) -> ByUnit:
         """Standard deviation of a single reading: of a length, and of an inclination."""
         length = float("nan") if self.turned.all() else self.noise.typical
-        turns = self.sigma[self.turned]
+        turns = np.hypot(self.sigma, self.common)[self.turned]
         return ByUnit(length, float(np.sqrt(np.mean(turns**2))) if len(turns) else float("nan"))
 
     @property
@@ -207,10 +205,15 @@ class Problem:
         source.
         """
         found: dict[str, tuple[float, NoiseSource]] = {}
-        if self.campaigns:
-            found["leg"] = (self.noise.typical, self.noise.source)
-        told = self.noise.source == "declared" and not self.campaigns
-        rated = [one for factor in self.points for one in factor.rated()]
+        for kind in dict.fromkeys(k for f in self.on_legs for k in f.readings.kind):
+            level = self.noise.levels.get(kind) if found else None
+            found[kind] = (
+                (self.noise.typical, self.noise.source)
+                if level is None
+                else (level.total, level.source)
+            )
+        told = self.noise.source == "declared" and not self.on_legs
+        rated = [one for factor in self.tool for one in factor.noise_by_kind()]
         for kind in dict.fromkeys(kind for kind, _, _ in rated):
             sigma = np.concatenate([own for k, own, _ in rated if k == kind])
             sources = [source for k, _, source in rated if k == kind]
@@ -230,15 +233,15 @@ class Problem:
         """Readings of the tool whose noise is from repeats, by instrument, and the degrees of
         freedom behind each.
         """
-        tool = (f for f in self.points if isinstance(f, ToolReadings))
-        return tuple(one for factor in tool for one in factor.repeated)
+        return tuple(one for factor in self.tool for one in factor.repeated)
 
     @cached_property
     def noise_dof(self) -> float:
         """Degrees of freedom behind the noise of all readings together: each instrument's by its
         share of them (Satterthwaite); infinite where none has it from repeats.
         """
-        each = ((sum(map(len, self.noise.sigma)), self.noise.dof), *self.repeated)
+        legs = sum(len(f.measured) for f in self.on_legs)
+        each = ((legs, self.noise.dof), *self.repeated)
         unsure = sum((n / len(self.measured)) ** 2 / dof for n, dof in each)
         return 1 / unsure if unsure > 0 else float("inf")
 
@@ -311,21 +314,26 @@ class Problem:
     @property
     def last(self) -> int:
         """The factor whose machine is the one as it is now: the last campaign, or the last file."""
-        return (len(self.campaigns) or len(self.factors)) - 1
+        return (len(self.on_legs) or len(self.factors)) - 1
 
     @cached_property
     def setup_of_row(self) -> NDArray[np.int64]:
-        """Setup of each row, numbered over all factors ``(n,)``; a TCP coordinate counts as one."""
+        """Setup of each row, numbered over all factors ``(n,)``."""
         found, first = [], 0
         for factor in self.factors:
             found.append(factor.setup + first)
-            first += len(factor.setup_names) or 3
+            first += len(factor.setup_names)
         return np.concatenate(found)
 
     @cached_property
     def setups(self) -> tuple[Setup, ...]:
-        """Mountings of dials, numbered over all campaigns."""
-        return tuple(s for c in self.campaigns for s in c.setups)
+        """Mountings, numbered over all factors."""
+        return tuple(s for f in self.factors for s in f.readings.setups)
+
+    @property
+    def leg_setups(self) -> range:
+        """Numbers of the mountings on legs, which come first."""
+        return range(sum(len(c.setups) for c in self.campaigns))
 
     def of_dials(self, column: str) -> NDArray[Any]:
         """A column of all readings of dials, such as ``command``, stacked ``(n, ...)``."""
@@ -334,12 +342,12 @@ class Problem:
     @cached_property
     def station(self) -> NDArray[np.int64]:
         """Station of each row ``(n,)``: visits that differ in nothing share one."""
-        return _numbered([f.stations for f in self.factors])
+        return _numbered([f.readings.stations for f in self.factors])
 
     @cached_property
     def place(self) -> NDArray[np.int64]:
         """Place of each row ``(n,)``: one for each setup and command, whatever the approach."""
-        return _numbered([f.places for f in self.factors])
+        return _numbered([f.readings.places for f in self.factors])
 
     @property
     def elastic(self) -> bool:
@@ -350,7 +358,8 @@ class Problem:
     @cached_property
     def representable(self) -> bool:
         """Whether the reduction's six parameters say all that is asked and held."""
-        if self.points or self.earlier is not None or self.machine.spec.urdf or self.elastic:
+        plain = all(s.observation.dials == 1 for s in self.setups)
+        if not plain or self.earlier is not None or self.machine.spec.urdf or self.elastic:
             return False
         named = [n for k in range(len(self.factors)) for n in self.elementary(k)[0]]
         held = [n for values in self.held for n, v in values.items() if v]
@@ -363,12 +372,11 @@ class Problem:
         return self if narrow == self.unknowns else replace(self, unknowns=narrow)
 
     def with_readings(self, readings: Array) -> Problem:
-        """The same problem for other readings ``(n,)``, metres; TCP points keep theirs."""
-        campaigns = tuple(
-            c.with_readings(readings[rows])
-            for c, rows in zip(self.campaigns, self.rows, strict=True)
-        )
-        return replace(self, campaigns=campaigns)
+        """Return the same problem for other readings of legs, the first rows of those given
+        ``(n,)``, metres; those of the tool stay.
+        """
+        each = zip(self.on_legs, self.rows, strict=True)
+        return self.with_factors([f.with_readings(readings[rows]) for f, rows in each])
 
 
 def _numbered(tables: Sequence[Array]) -> NDArray[np.int64]:

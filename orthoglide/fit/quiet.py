@@ -17,7 +17,7 @@ from orthoglide.fit.least_squares import fitted_basis
 from orthoglide.fit.problem import Factor, Problem
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
-from orthoglide.observations import Campaign, ToolCampaign, source
+from orthoglide.observations import source
 
 # Of the noise; inches are 25 times too small, degrees 57 times, and what the machine does in a way
 # that no fit explains is left of them as well.
@@ -73,7 +73,7 @@ def _all_together(estimate: Estimate) -> Iterator[Note]:
     from scipy.special import chdtr
 
     problem, scores = estimate.problem, estimate.scores
-    told = all(np.isfinite(f.points.sigma).all() for f in problem.points if problem.campaigns)
+    told = all(np.isfinite(f.readings.sigma).all() for f in problem.tool if problem.on_legs)
     if problem.noise.source != "declared" or not told or estimate.sigma_scale > 1:
         return
     if chdtr(max(scores.dof, 1e-9), _HALF**2 * scores.chi2) < _CHANCE:
@@ -103,28 +103,27 @@ def _said(problem: Problem, part: _Part, sigma: float, ratio: float) -> str:
 
 def _parts(problem: Problem) -> Iterator[_Part]:
     for factor, span in zip(problem.factors, problem.factor_rows, strict=True):
-        rows, points = np.arange(span.start, span.stop), factor.points
-        if isinstance(points, Campaign):
+        rows, readings = np.arange(span.start, span.stop), factor.readings
+        if factor.on_legs:
             if problem.noise.source != "declared":  # of which notes speak that count all readings
                 told = _FROM_FILE if problem.machine.spec.dial.repeatability else ""
                 told = "from their repeats" if problem.noise.source == "repeats" else told
-                yield _Part(source(points), rows, told, f"{_IN_FILE}[dial_mm]")
-        elif isinstance(points, ToolCampaign):
-            for k, setup in enumerate(points.setups):
-                own = factor.setup == k
-                if own.any():
-                    yield _Part(
-                        f"{source(points)}, setup {setup.name!r}", rows[own],
-                        _of_tool(problem, factor, own, setup.kind),
-                        f"{_IN_FILE}[instrument.{setup.kind}]",
-                    )  # fmt: skip
-        else:
-            told = _DECLARED if np.isfinite(points.sigma).any() else ""
-            yield _Part(source(points), rows, told, " in a column sigma_mm")
+                yield _Part(source(readings), rows, told, f"{_IN_FILE}[dial_mm]")
+            continue
+        for k, setup in enumerate(readings.setups):
+            own = factor.setup == k
+            where = "" if readings.by_point else f", setup {setup.name!r}"
+            declare = f"{_IN_FILE}[instrument.{setup.kind}]"
+            if own.any():
+                yield _Part(
+                    f"{source(readings)}{where}", rows[own],
+                    _of_tool(problem, factor, own, setup.kind),
+                    " in a column sigma_mm" if readings.by_point else declare,
+                )  # fmt: skip
 
 
 def _of_tool(problem: Problem, factor: Factor, own: NDArray[np.bool_], kind: str) -> str:
-    told = np.isfinite(factor.points.sigma[own]).all()
+    told = np.isfinite(factor.readings.sigma[own]).all()
     if told or (problem.noise.source == "declared" and not problem.campaigns):
         return _DECLARED
     instrument = problem.machine.spec.instruments.get(kind)

@@ -147,7 +147,9 @@ def tail(chi2: float, count: int, shares: Array, known: float = np.inf) -> float
 
 
 def deviation_rms(problem: Problem, residual: Array) -> float:
-    """Root mean square of averaged deviations from each dial setup's first posture, metres."""
+    """Root mean square of averaged deviations from each dial setup's first posture, metres; from
+    nothing of readings without a datum.
+    """
     dials = slice(0, problem.rows[-1].stop) if problem.rows else slice(0, 0)
     place, setup = problem.place[dials], problem.setup_of_row[dials]
     if not len(place):
@@ -158,8 +160,9 @@ def deviation_rms(problem: Problem, residual: Array) -> float:
     first = place[row[np.unique(setup[row], return_index=True)[1]]]  # a place a setup
     home = np.zeros(len(count), dtype=np.int64)
     home[place] = setup
-    others = np.setdiff1d(np.arange(len(count)), first)
-    apart = average[others] - average[first[home[others]]]
+    datum = np.array([problem.setups[k].observation.from_datum for k in problem.leg_setups])
+    others = np.setdiff1d(np.arange(len(count)), first[datum])
+    apart = average[others] - np.where(datum, average[first], 0.0)[home[others]]
     return float(np.sqrt(np.mean(apart**2))) if len(apart) else float("nan")
 
 

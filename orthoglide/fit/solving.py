@@ -15,6 +15,7 @@ from orthoglide.fit.least_squares import (
     Linearised,
     Normal,
     Nuisances,
+    about_machine,
     covariance,
     linearise,
     normal,
@@ -24,7 +25,6 @@ from orthoglide.fit.nested import solve_nested
 from orthoglide.fit.notes import notes
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.scores import LACK_OF_FIT, score
-from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.weakness import weak_directions
 from orthoglide.geometry import Array
 from orthoglide.ordering import canonical_basis
@@ -77,15 +77,6 @@ def _fitted(problem: Problem, method: Method, start: Array | None) -> Estimate:
         if found.scores.chi2 > _WORTH * last.scores.chi2:
             break  # not the instruments' place is what these readings have wrong, if anything
     return found
-
-
-def about_machine(problem: Problem, at: Linearised) -> Problem:
-    """The problem with instruments' frames brought to a machine; itself where they are there."""
-    slopes = at.slopes[len(problem.campaigns) :]
-    points = tuple(f.about(s) for f, s in zip(problem.points, slopes, strict=True))
-    if all(new is old for new, old in zip(points, problem.points, strict=True)):
-        return problem
-    return replace(problem, points=points)
 
 
 def widened(found: Estimate, method: Method = "auto") -> Estimate:
@@ -145,13 +136,17 @@ def tempered(found: Estimate) -> Estimate:
 
 def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
     if method == "reduction" and not problem.representable:
-        if problem.points:
-            raise InputError("the reduction predicts dials only: leave out the tool's readings")
+        others = dict.fromkeys(s.kind for s in problem.setups if s.observation.dials != 1)
+        if others:
+            raise InputError(
+                f"the reduction predicts dials only, each by itself: leave out the readings of "
+                f"kind {', '.join(others)}, or take another method"
+            )
         raise InputError("the reduction has joint offsets and leg lengths only: free nothing else")
     begin = _begin(problem, method) if start is None else start
     first = linearise(problem, begin)
     # Slopes at a first Gauss-Newton step: nearer to the fitted machine than the nominal one.
-    nuisance = nuisances(problem, first.slopes)
+    nuisance = nuisances(problem, first.seen)
     began = normal(problem, first, nuisance)
     _determined(problem, began)
     known = np.vstack([began.prior, np.diag(1 / problem.tolerance)])
@@ -159,7 +154,7 @@ def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
     near = linearise(problem, np.clip(x, -problem.bound, problem.bound))
     if start is not None and normal(problem, near, nuisance).cost > began.cost:
         near = first  # from a fit nearby the step went too far
-    nuisance = nuisances(problem, near.slopes)
+    nuisance = nuisances(problem, near.seen)
     began = normal(problem, first, nuisance)
     at, iterations, used = _solved(problem, nuisance, began, near, method)
     optimality = _verified(problem, nuisance, at, began)
@@ -179,12 +174,11 @@ def _begin(problem: Problem, method: Method) -> Array:
     if count < _MANY or method == "reduction":
         return problem.start
     every = count // _SOME
-    kept = []
-    for campaign in problem.campaigns:
-        some = [np.flatnonzero(campaign.setup == s)[::every] for s in range(len(campaign.setups))]
-        kept.append(np.isin(np.arange(len(campaign)), np.concatenate(some)))
-    campaigns = tuple(c.subset(k) for c, k in zip(problem.campaigns, kept, strict=True))
-    thin = replace(problem, campaigns=campaigns, noise=problem.noise.of(kept))
+    thinned = []
+    for factor in problem.on_legs:
+        some = [np.flatnonzero(factor.setup == s)[::every] for s in range(len(factor.setup_names))]
+        thinned.append(factor.subset(np.sort(np.concatenate(some))))
+    thin = problem.with_factors(thinned)
     try:
         return solve(thin, method="nested", widen=False).x
     except (NumericsError, InputError):
@@ -225,14 +219,13 @@ def _solved(
         at, steps = solve_nested(reference, nuisance, linearise(reference, near.x))
         return linearise(problem, at.x), steps + 1, "pinocchio"
     elastic = problem.elastic
-    tool = any(isinstance(p, ToolReadings) for p in problem.points)
     if elastic and method == "nlp":
         raise InputError("the programme closes unloaded loops: take the nested method under load")
-    if tool and method == "nlp":
-        raise InputError("the programme reads dials and coordinates only: take the nested method")
     postures = sum(len(np.unique(f.conditions().command, axis=0)) for f in problem.factors)
     large = postures > NLP_POSTURES or len(problem.names) > NLP_UNKNOWNS
-    if method == "nested" or (method == "auto" and (large or elastic or tool)):
+    # A programme is worth its time where the reduction checks it too.
+    other = not problem.legs_alone
+    if method == "nested" or (method == "auto" and (large or elastic or other)):
         at, steps = solve_nested(problem, nuisance, near)
         return at, steps + 1, "nested"
     from orthoglide.fit.nlp import Nlp

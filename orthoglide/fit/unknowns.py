@@ -8,16 +8,17 @@ from itertools import pairwise
 
 from orthoglide.effects import Catalogue
 from orthoglide.errors import InputError, check_word
+from orthoglide.fit.factors import Factor
 from orthoglide.fit.noise import Noise
-from orthoglide.fit.problem import Beside, Factor, Problem, Unknown
+from orthoglide.fit.problem import Problem, Unknown
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
-from orthoglide.observations import Campaign
 from orthoglide.parameters import Parameter, plain_and_campaign
 
 # Beyond these a machine would not be an Orthoglide: they keep a solver from running away, and a
 # parameter that ends on one is reported.
 _BOUND_SD = 50.0
+_NOTHING = "nothing is free: name at least one parameter or family to identify"
 _LEAST_BOUND = {"mm": 0.05, "rad": 0.1}
 
 
@@ -40,9 +41,9 @@ def build_unknowns(
     if len(set(stems)) != len(stems):
         remedy = (
             "rename one file, or leave one out where it is the same"
-            if all(s.points.file for s in sources)
+            if all(s.readings.file for s in sources)
             else "give one a name of its own, dataclasses.replace(campaign, name='second'), as "
-            "from_frame(..., name='second') does, or TCP points file='second.csv'"
+            "from_frame(..., name='second') does"
         )
         raise InputError(f"two campaigns are called alike ({', '.join(stems)}): {remedy}")
     catalogue, unknowns = machine.catalogue, list[Unknown]()
@@ -79,7 +80,7 @@ def _expanded(
     setups = tuple(dict.fromkeys(s for source in sources for s in source.setup_names))
     found = tuple(p.plain for p in catalogue.expand(free, setups))
     if not found:
-        raise InputError("nothing is free: name at least one parameter or family to identify")
+        raise InputError(_NOTHING)
     return tuple(dict.fromkeys(found))
 
 
@@ -95,29 +96,25 @@ def _parts(catalogue: Catalogue, name: Parameter, source: Factor) -> Mapping[str
 
 def build_problem(
     machine: Machine,
-    campaigns: Sequence[Campaign],
+    factors: Sequence[Factor],
     free: Sequence[str],
     noise: Noise,
     *,
     own: Sequence[str] = (),
     priors: bool = True,
     bounds: Mapping[str, float] | None = None,
-    points: Sequence[Beside] = (),
     earlier: Posterior | None = None,
 ) -> Problem:
-    """Put an identification together; arguments as of :func:`identify`, but the noise of the dial
-    readings, readings of the tool as ``points``, and what an earlier calibration says. What is own
-    to each campaign need not be free.
+    """Put an identification together; arguments as of :func:`identify`, but readings with their
+    noise, those of legs first, that noise in one figure, and what an earlier calibration says. What
+    is own to each campaign need not be free.
 
     Raises:
         InputError: where these do not fit together.
     """
-    if not campaigns and not points:
+    if not factors:
         raise InputError("there is no campaign: give at least one file of readings")
-    nothing = Problem(
-        machine, tuple(campaigns), (), noise, priors, (), machine.spec.dial.placement, tuple(own),
-        tuple(points), earlier,
-    )  # fmt: skip
+    nothing = Problem(machine, tuple(factors), (), noise, priors, (), tuple(own), earlier)
     stems = [s.name for s in nothing.factors]
     for name in own:
         plain, stem = plain_and_campaign(name)
@@ -125,6 +122,8 @@ def build_problem(
             raise InputError(f"{name}: there is no campaign {stem!r}, only {', '.join(stems)}")
         _expanded(machine.catalogue, [plain], nothing.factors)
     unknowns = build_unknowns(machine, nothing.factors, free, own)
+    if not unknowns:  # all of instruments that none of these readings are of
+        raise InputError(_NOTHING)
     if bounds:
         unknowns = _bounded(unknowns, bounds)
     every = tuple(machine.values for _ in nothing.factors)

@@ -1,18 +1,30 @@
-"""Instruments that read where the tool is, each a file that owes all that the rest asks."""
+"""Kinds of readings, each a file that owes all that the rest asks, and mountings of instruments."""
 
-from orthoglide.instruments.ball_bar import BallBar as BallBar
+# Imported in the order in which kinds are listed for people.
+# isort: off
+from orthoglide.instruments.leg_dial import LegDial as LegDial
+from orthoglide.instruments.tcp import Coordinate as Coordinate
+from orthoglide.instruments.plate import PlateTouch as PlateTouch
 from orthoglide.instruments.distance import Distance as Distance
-from orthoglide.instruments.instrument import (
-    Instrument as Instrument,
-    Mounting as Mounting,
-    Pose as Pose,
-    unit_vectors as unit_vectors,
-)
-from orthoglide.instruments.level import Level as Level
-from orthoglide.instruments.probe import Probe as Probe
-from orthoglide.instruments.tracker import Tracker as Tracker
+from orthoglide.instruments.ball_bar import BallBar as BallBar
+from orthoglide.instruments.inclination import Inclination as Inclination
+from orthoglide.instruments.parallelism import Parallelism as Parallelism
 
-INSTRUMENTS: dict[str, Instrument] = {
-    own.kind: own for own in (Tracker(), Probe(), Distance(), BallBar(), Level())
-}
-"""By what files call their readings."""
+# isort: on
+from orthoglide.instruments.observation import (
+    BESIDE as BESIDE,
+    OBSERVATIONS as OBSERVATIONS,
+    POSE as POSE,
+    TURNED as TURNED,
+    Beliefs as Beliefs,
+    Frame as Frame,
+    Observation as Observation,
+    Row as Row,
+    Setup as Setup,
+    Site as Site,
+    Stand as Stand,
+    Taken as Taken,
+)
+
+AT_TOOL: dict[str, Observation] = {k: one for k, one in OBSERVATIONS.items() if not one.on_leg}
+"""Kinds of readings of the tool, by what files call them."""

@@ -1,6 +1,6 @@
 """The machine file (TOML): what is known of one machine, read strictly and written exactly."""
 
-from orthoglide.machine_file.firmware import TOWERS as TOWERS, Firmware as Firmware
+from orthoglide.machine_file.kinematics import DeltaKinematics as DeltaKinematics
 from orthoglide.machine_file.model import (
     Controller as Controller,
     Dial as Dial,

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection
 from decimal import Decimal
-from difflib import get_close_matches
 from typing import Any, NoReturn
 
 from orthoglide.errors import FileError
-from orthoglide.text import brief, leaves, unseen_in
+from orthoglide.text import brief, leaves, nearest, unseen_in
 
 _LONGEST_REASON = 120
 _MOST_BITS = 1024  # of a whole number: as far as floats go
-
-Parser = Callable[[Any], Any]
-"""Turns a value of the file into SI, or raises ValueError with what would be right."""
 
 
 class Document:
@@ -49,11 +45,11 @@ class Document:
             raise FileError(trouble, file=file)
 
     def fail(self, message: str, *path: str) -> NoReturn:
-        """Refuses the file for the value at a path."""
+        """Refuse the file for the value at a path."""
         raise FileError(message, file=self.file, line=_key_line(self.text, path))
 
     def table(self, *path: str) -> dict[str, Any]:
-        """The table at a path; empty where there is none."""
+        """Return the table at a path, which is empty where there is none."""
         found: Any = self.data
         for key in path:
             found = found.get(key, {})
@@ -61,37 +57,33 @@ class Document:
             self.fail(f"{'.'.join(path)} must be a table, not a single value", *path)
         return found
 
-    def check_keys(self, names: Any, *path: str) -> None:
-        """Fails at the first key of a table that is none of ``names``."""
+    def plain(self, name: str) -> dict[str, Any]:
+        """Return a table of any keys with ordinary floats in place of decimals."""
+        return tomllib.loads(self.text).get(name, {}) if self.table(name) else {}
+
+    def check_keys(self, names: Collection[str], *path: str) -> None:
+        """Refuse the first key of a table that is none of ``names``."""
         for key in self.table(*path):
             if key not in names:
                 place = f"[{path[0]}]" if path else "the machine file"
                 self.fail(f"{place} has no key {brief(key)!r}: {advice(key, names)}", *path, key)
 
-    def section(
-        self, parsers: Mapping[str, Parser], required: Iterable[str], *path: str
-    ) -> dict[str, Any]:
-        """The values of a table, each turned to SI by the parser of its key."""
-        table = self.table(*path)
-        for key in required:
-            if key not in table:
-                self.fail(f"{'.'.join(path) or 'the machine file'} has no {key!r}: add it", *path)
-        return {
-            key: self.value(parse, *path, key) for key, parse in parsers.items() if key in table
-        }
-
-    def value(self, parse: Parser, *path: str) -> Any:
-        """One value, SI."""
+    def value(self, parse: Callable[[Any], Any], *path: str) -> Any:
+        """Return the value at a path as ``parse`` makes it, whose ValueError names a remedy."""
+        *within, key = path
+        table = self.table(*within)
+        if key not in table:
+            self.fail(f"{'.'.join(within) or 'the machine file'} has no {key!r}: add it", *within)
         try:
-            return parse(self.table(*path[:-1])[path[-1]])
+            return parse(table[key])
         except ValueError as error:
             self.fail(f"{'.'.join(path)} {error}", *path)
 
 
-def advice(key: str, names: Any) -> str:
-    """What to write instead of an unknown key."""
-    close = get_close_matches(key, list(names), n=1, cutoff=0.6)
-    return f"did you mean {close[0]!r}?" if close else f"it takes {', '.join(names)}"
+def advice(key: str, names: Collection[str]) -> str:
+    """Return what to write in place of an unknown key."""
+    near = nearest(key, names)
+    return f"did you mean {near!r}?" if near else f"it takes {', '.join(names)}"
 
 
 def _toml_trouble(message: str, text: str) -> tuple[str, int]:
@@ -106,7 +98,7 @@ _DOTTED = rf"{_KEY}(?:\s*\.\s*{_KEY})*"
 
 
 def _key_line(text: str, path: tuple[str, ...]) -> int | None:
-    """Line on which a key stands, or else the table that should hold it."""
+    """Return the line of a key, or that of the table that should hold it."""
     header: tuple[str, ...] = ()
     best: tuple[int, int | None] = (0, None)
     for number, line in enumerate(text.split("\n"), start=1):

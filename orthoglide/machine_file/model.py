@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from orthoglide.add_ons import MARK, Kinematics, Printer, printer_of, table_of
 from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.layout import LinearDelta
-from orthoglide.machine_file.firmware import DeltaKinematics, Firmware, Triple
+from orthoglide.machine_file.kinematics import DeltaKinematics
 from orthoglide.machine_file.posterior import Posterior
+
+Triple = tuple[float, float, float]
 
 SCHEMA = 1
 """Version of the machine file that this package reads and writes."""
@@ -124,6 +128,8 @@ class MachineFile:
         screw_pitch: lead of the drives' screws, metres; None: a screw error is no candidate.
         controller: the controller's zero and sign.
         tolerance: standard deviation to expect, by family; defaults fill what is not given.
+        surface_slope: standard deviation of the slope of the reference surface of readings of kind
+            ``parallelism``, radians; None: the surface is taken as exact.
         stiffness: elastic constants.
         urdf: folder of a URDF and its closures that say where the joints are; ``""``: the
             dimensions do.
@@ -143,6 +149,7 @@ class MachineFile:
     screw_pitch: float | None = None
     controller: Controller = field(default_factory=Controller)
     tolerance: Mapping[str, float] = field(default_factory=dict)
+    surface_slope: float | None = None
     stiffness: Stiffness = field(default_factory=Stiffness)
     urdf: str = ""
     parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
@@ -159,32 +166,32 @@ class MachineFile:
         return self.name or "The machine"
 
     @property
+    def independent(self) -> Posterior:
+        """The parameters as independent Gaussians with their standard deviations."""
+        known = {n: e for n, e in self.parameters.items() if e.sigma > 0}
+        mean = np.array([entry.value for entry in known.values()])
+        return Posterior(tuple(known), mean, np.diag(np.square([e.sigma for e in known.values()])))
+
+    @property
     def firmware(self) -> str:
         """Mark of the firmware's numbers that travel was computed with; empty of others."""
-        kept = self.provenance.get("klipper")
-        return str(kept.get("numbers", "")) if isinstance(kept, Mapping) else ""
+        return str(table_of(self.provenance)[1].get(MARK, ""))
+
+    @cached_property
+    def printer(self) -> Printer | None:
+        """The numbers of the firmware that the machine was imported from; ``None`` of others."""
+        return printer_of(self.provenance)
 
     @property
-    def printer(self) -> Firmware | None:
-        """What the firmware believes of a machine that was imported; ``None`` of another."""
-        kept = self.provenance.get("klipper")
-        if not isinstance(kept, Mapping):
-            return None
-        try:
-            return Firmware.of(kept)
-        except (KeyError, TypeError, ValueError):  # the table was edited
-            return None
-
-    @property
-    def kinematics(self) -> DeltaKinematics | None:
+    def kinematics(self) -> Kinematics | None:
         """Where the controller of a delta sends the carriages for a place, by its firmware's
         numbers where these are known; ``None`` of other machines.
         """
         if not isinstance(self.geometry.layout, LinearDelta):
             return None
-        return (
-            DeltaKinematics.of(self.geometry) if self.printer is None else self.printer.kinematics
-        )
+        if self.printer is None:
+            return DeltaKinematics.of(self.geometry)
+        return self.printer.kinematics
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "catalogue", self.catalogue.of_layout(self.geometry.layout))

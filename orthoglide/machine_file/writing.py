@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import os
-from dataclasses import asdict, replace
+from dataclasses import replace
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-from orthoglide import files, units
+from orthoglide import files
 from orthoglide.effects import catalogue_of
 from orthoglide.errors import InputError, path_of
-from orthoglide.geometry import Geometry
-from orthoglide.layout import FreeLegs, LinearDelta
+from orthoglide.layout import ORTHOGLIDE, FreeLegs
+from orthoglide.machine_file import schema
 from orthoglide.machine_file.model import SCHEMA, MachineFile
 from orthoglide.machine_file.posterior import posterior_bytes, posterior_path
 from orthoglide.machine_file.reading import parse_machine_file
@@ -20,9 +21,9 @@ from orthoglide.machine_file.reading import parse_machine_file
 def write_machine_file(
     machine: MachineFile, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
-    """Writes a machine file that reads back exactly, with its covariance beside it.
+    """Write a machine file that reads back exactly, with its covariance beside it.
 
-    Each file appears whole or not at all; one without the other is told on reading.
+    Each file appears whole or not at all; one without the other is reported on reading.
 
     Args:
         machine: what to write.
@@ -50,7 +51,7 @@ def write_machine_file(
 
 
 def machine_files(machine: MachineFile, path: str) -> dict[str, str | bytes]:
-    """A machine file and, where its covariance is known, the file of that, by name.
+    """Return a machine file and, where its covariance is known, the file of that, by name.
 
     Raises:
         InputError: where the machine holds what no machine file can.
@@ -65,7 +66,7 @@ def machine_files(machine: MachineFile, path: str) -> dict[str, str | bytes]:
 
 
 def machine_text(machine: MachineFile, file: str = "") -> str:
-    """The text of a machine file, which reads back exactly; errors name the ``file``.
+    """Return the text of a machine file, which reads back exactly; errors name the ``file``.
 
     Raises:
         InputError: where the machine holds what no machine file can.
@@ -83,78 +84,45 @@ def machine_text(machine: MachineFile, file: str = "") -> str:
     return text
 
 
-def _mm(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return [_mm(inner) for inner in value]
-    return None if value is None else units.from_si(value, 1e-3)
-
-
-def _layout(geometry: Geometry) -> dict[str, Any]:
-    layout = geometry.layout
-    if isinstance(layout, FreeLegs):
-        tables = {
-            leg.name: {
-                "origin_mm": _mm(leg.origin), "slide": list(leg.slide), "link": list(leg.link)
-            }
-            for leg in layout.free
-        }  # fmt: skip
-        return {"kind": layout.kind, "tool_mm": _mm(layout.tool), "leg": tables}
-    if not isinstance(layout, LinearDelta):
-        return {}
-    return {
-        "kind": layout.kind,
-        "radius_mm": _mm(layout.radius),
-        "angles_deg": list(layout.angles_deg),
-        "tool_mm": _mm(layout.tool),
-    }
-
-
 def _tables(machine: MachineFile) -> dict[str, Any]:
-    stiffness, controller, catalogue = machine.stiffness, machine.controller, machine.catalogue
-    bar = None if stiffness.bar is None else units.from_si(stiffness.bar, 1e3)
-    tables: dict[str, Any] = {
-        "geometry_mm": {n: _mm(getattr(machine.geometry, n)) for n in ("L", "d", "r", "stroke")},
-        "layout": _layout(machine.geometry),
-        "dial_mm": {key: _mm(value) for key, value in asdict(machine.dial).items()},
-        "instrument": {
-            kind: {k: v for k, v in ((k, _mm(v)) for k, v in asdict(one).items()) if v is not None}
-            for kind, one in machine.instruments.items()
-        },
-        "drive": {"screw_pitch_mm": _mm(machine.screw_pitch)},
-        "controller": {"zero_mm": _mm(controller.zero), "sign": list(controller.sign)},
-        "tolerance": {
-            name: units.from_si(value, catalogue.effect_of(name).unit.si)
-            for name, value in machine.tolerance.items()
-            # Without need of it, a file that names a user's effect could not be read alone.
-            if name in catalogue_of(catalogue.legs)
-            or value != catalogue.default_tolerance.get(name)
-        },
-        "stiffness": {"torsion_Nmm_per_rad": _mm(stiffness.torsion), "bar_N_per_mm": bar},
+    catalogue, layout = machine.catalogue, machine.geometry.layout
+    tolerance = {
+        name: value
+        for name, value in machine.tolerance.items()
+        # Without need of it, a file that names a user's effect could not be read alone.
+        if name in catalogue_of(catalogue.legs) or value != catalogue.default_tolerance.get(name)
     }
-    given = {
-        name: {key: value for key, value in table.items() if value is not None}
-        for name, table in tables.items()
+    tables = {p.name: p.write(getattr(machine, name)) for name, p in schema.PARTS.items()} | {
+        "geometry_mm": schema.GEOMETRY.write(machine.geometry),
+        "instrument": {k: schema.INSTRUMENT.write(one) for k, one in machine.instruments.items()},
+        "drive": schema.DRIVE.write(machine),
+        "tolerance": schema.tolerances(catalogue).write(
+            tolerance | {"surface_slope": machine.surface_slope}
+        ),
+        "provenance": dict(machine.provenance),
     }
-    kept = {name: table for name, table in given.items() if table}
-    urdf = {"urdf": machine.urdf} if machine.urdf else {}
-    top = {"schema": SCHEMA, "name": machine.name, **urdf, **kept}
-    return {**top, "provenance": dict(machine.provenance)} if machine.provenance else top
-
-
-def _float(value: float, factor: float) -> str:
-    text = str(units.from_si(value, factor))
-    return text if set(text) & set(".EN") else f"{text}.0"  # a whole number would lose its -0
+    if layout != ORTHOGLIDE:
+        tables["layout"] = {"kind": layout.kind, **schema.LAYOUTS[layout.kind].write(layout)}
+    if isinstance(layout, FreeLegs):
+        tables["layout"]["leg"] = {leg.name: schema.LEG.write(leg) for leg in layout.free}
+    written = {name: tables[name] for name in schema.TABLES if tables.get(name)}
+    top = schema.TOP.write(vars(machine) | {"urdf": machine.urdf or None})
+    return {"schema": SCHEMA, **top, **written}
 
 
 def _parameter_lines(machine: MachineFile) -> str:
-    """One inline table a parameter, which the TOML writer would spread over four lines."""
-    if not machine.parameters:
-        return ""
-    lines = ["", "[parameters]"]
-    for name, parameter in machine.parameters.items():
-        factor = machine.catalogue.effect_of(name).unit.si
-        value, sigma = (_float(v, factor) for v in (parameter.value, parameter.sigma))
-        lines.append(
-            f'"{name}" = {{ value = {value}, sigma = {sigma}, unit = "{parameter.unit}" }}'
-        )
-    return "\n".join(lines) + "\n"
+    """Return an inline table for each parameter; the TOML writer would take four lines for it."""
+    lines = ["", "[parameters]"] if machine.parameters else []
+    for name, value in machine.parameters.items():
+        table = schema.parameter(machine.catalogue.effect_of(name).unit).write(value)
+        cells = ", ".join(f"{key} = {_literal(cell)}" for key, cell in table.items())
+        lines.append(f'"{name}" = {{ {cells} }}')
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _literal(value: str | Decimal) -> str:
+    """Return a value as TOML has it: text in quotes, or a number with its point."""
+    if isinstance(value, str):
+        return f'"{value}"'
+    text = str(value)
+    return text if set(text) & set(".EN") else f"{text}.0"

@@ -15,7 +15,7 @@ import numpy as np
 
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign
+from orthoglide.observations import Readings
 from orthoglide.observations.checks import DIAL_RANGE
 from orthoglide.planning.designs import shown_names
 from orthoglide.planning.linear import LinearReadings
@@ -33,13 +33,13 @@ _DATUM = 1e-2  # metres: where a dial may stand at its first reading
 class Expected:
     """What the readings of a sheet are likely to be."""
 
-    sheet: Campaign  # the readings to take
+    sheet: Readings  # the readings to take
     linear: LinearReadings  # by everything in the catalogue, in tolerances
     nominal: Array  # of the machine as it is believed to be (n,), metres
     covariance: Array  # of all readings (n, n), square metres
 
     @classmethod
-    def of(cls, sheet: Campaign, machine: Machine) -> Self:
+    def of(cls, sheet: Readings, machine: Machine) -> Self:
         """Readings of a machine within some tolerances of what its file says."""
         linear = LinearReadings.of(machine, sheet, shown_names(machine, sheet, ()))
         rows = np.arange(len(sheet))

@@ -17,7 +17,7 @@ from orthoglide.closing import Verdict
 from orthoglide.errors import OrthoglideError
 from orthoglide.fit import Estimate, identify
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign
+from orthoglide.observations import Readings
 from orthoglide.observations.protocols import check_dials, dial_at, unread
 from orthoglide.planning import next_measurements, next_sheet
 from orthoglide.planning.pool import dial_scale
@@ -58,11 +58,11 @@ class Next:
     """What to do after a verdict."""
 
     reason: str  # a sentence
-    sheet: Campaign | None = None  # to read; `None` where no further reading is worth it
+    sheet: Readings | None = None  # to read; `None` where no further reading is worth it
     settled: bool = False  # whether the verdict is
 
 
-def opening(machine: Machine, number: int = 0) -> Campaign:
+def opening(machine: Machine, number: int = 0) -> Readings:
     """The sheet to begin with: both dials on each leg in turn, up, down and back, both ways at all
     places but the ends; later numbers with other places.
 
@@ -148,7 +148,7 @@ def _fitted(verdict: Verdict, names: Sequence[str]) -> Estimate | None:
         return None
 
 
-def _renamed(sheet: Campaign, number: int) -> Campaign:
+def _renamed(sheet: Readings, number: int) -> Readings:
     """Every mounting of a sheet with a name that no earlier one has."""
     named = (replace(s, name=f"{s.name.removeprefix('next-')}-{number + 1}") for s in sheet.setups)
     return replace(sheet, setups=tuple(named))

@@ -13,9 +13,10 @@ import numpy as np
 
 from orthoglide import files
 from orthoglide.errors import FileError
+from orthoglide.instruments import LegDial
 from orthoglide.machine_file import MachineFile
-from orthoglide.observations import Campaign
-from orthoglide.observations.reading import campaign_of_table
+from orthoglide.observations import Readings
+from orthoglide.observations.reading import readings_of_table
 from orthoglide.observations.table import rows_table
 from orthoglide.observations.writing import Row, campaign_rows, command_columns
 from orthoglide.text import csv_text, shown
@@ -51,17 +52,18 @@ class Record:
     @property
     def readings(self) -> int:
         """How many there are."""
-        return sum(row["kind"] == "leg" for row in self.rows)
+        return sum(row["kind"] != "move" for row in self.rows)
 
-    def plan(self, sheet: Campaign) -> list[Row]:
+    def plan(self, sheet: Readings) -> list[Row]:
         """The rows of a sheet as this file has them, in the order they are gone through."""
         planned = campaign_rows(sheet.with_readings(np.full(len(sheet), np.nan)), self.machine_file)
         columns = (*_BEFORE, *command_columns(planned[0]), *_AFTER)
         return [
-            {name: ({"kind": "leg"} | row).get(name, "") for name in columns} for row in planned
+            {name: ({"kind": LegDial.kind} | row).get(name, "") for name in columns}
+            for row in planned
         ]
 
-    def open(self, first: Campaign) -> bool:
+    def open(self, first: Readings) -> bool:
         """Read what the file holds, or begin it with a sheet; whether it was there.
 
         Raises:
@@ -104,7 +106,7 @@ class Record:
 
     def take_back(self) -> Row | None:
         """Remove the last reading and what follows it; the reading's row, if there is one."""
-        at = max((k for k, r in enumerate(self.rows) if r["kind"] == "leg"), default=None)
+        at = max((k for k, r in enumerate(self.rows) if r["kind"] != "move"), default=None)
         if at is None:
             return None
         kept, row = self.rows[:at], self.rows[at]
@@ -118,7 +120,7 @@ class Record:
             stream.truncate(size)
             os.fsync(stream.fileno())
 
-    def campaign(self, rows: Sequence[Row]) -> Campaign:
+    def campaign(self, rows: Sequence[Row]) -> Readings:
         """Some of the rows as a campaign; mountings that were read in one place only say nothing.
 
         Raises:
@@ -126,7 +128,7 @@ class Record:
         """
         places: dict[str, set[tuple[str, ...]]] = {}
         for row in rows:
-            if row["kind"] == "leg":
+            if row["kind"] != "move":
                 places.setdefault(row["setup"], set()).add(
                     tuple(row[c] for c in command_columns(row))
                 )
@@ -136,4 +138,4 @@ class Record:
             for row in rows
         ]  # fmt: skip
         table = rows_table(used, shown(self.path))
-        return campaign_of_table(table, self.path.stem, self.machine_file)
+        return readings_of_table(table, self.path.stem, self.machine_file)[0]

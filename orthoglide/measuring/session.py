@@ -15,7 +15,7 @@ from orthoglide.measuring.answers import HELP, understood
 from orthoglide.measuring.expected import Expected
 from orthoglide.measuring.program import MOST, SETTLED, Next, following, opening
 from orthoglide.measuring.record import AGAIN, SKIPPED, Record
-from orthoglide.observations import Campaign, Moves
+from orthoglide.observations import Moves, Readings
 from orthoglide.observations.writing import Row, command_columns
 from orthoglide.report.sheet import counted, dial_words, mounted_together
 from orthoglide.text import shown
@@ -54,7 +54,7 @@ class Session:
     # puts a question and returns what is typed; `EOFError` at the end of input
     ask: Callable[[str], str]
     tell: Callable[[str], None]  # says something
-    sheet: Campaign | None = None  # to read first; the program's own where absent
+    sheet: Readings | None = None  # to read first; the program's own where absent
     most: int = MOST  # readings after which no more are asked for
     clock: Callable[[], float] = time.time  # seconds; only differences count
     _began: float = field(default=0.0, init=False)
@@ -87,7 +87,7 @@ class Session:
             except EOFError:
                 raise Stopped from None
 
-    def _through(self, sheet: Campaign) -> End:
+    def _through(self, sheet: Readings) -> End:
         """All sheets; rows that the file holds already are passed over."""
         self._at, self._live, self._told, number = 0, False, self._told[:1], 1
         while True:
@@ -102,12 +102,12 @@ class Session:
             self.tell(f"\nNot settled yet, {step.reason}: {len(step.sheet)} readings more.")
             sheet, number = step.sheet, number + 1
 
-    def _read(self, sheet: Campaign, number: int) -> Next:
+    def _read(self, sheet: Readings, number: int) -> Next:
         """Take the readings of one sheet that the file has not yet; what follows from all."""
         wait(self._ahead.values())  # the mechanism serves one at a time
         plan, taken = self.record.plan(sheet), dict[int, float]()
         expected = Expected.of(sheet, self.machine)
-        lead = [k for k, row in enumerate(plan) if row["kind"] == "leg"][-_LEAD:]
+        lead = [k for k, row in enumerate(plan) if row["kind"] != "move"][-_LEAD:]
         for k in range(lead[0]):
             self._take(sheet, plan, k, expected, taken)
         ahead = self._following(number, len(lead))
@@ -117,16 +117,16 @@ class Session:
 
     def _take(
         self,
-        sheet: Campaign,
+        sheet: Readings,
         plan: Sequence[Row],
         k: int,
         expected: Expected,
         taken: dict[int, float],
     ) -> None:
         """Take one row of a sheet, or find it in the file; its reading joins those taken."""
-        planned, reading = plan[k], sum(row["kind"] == "leg" for row in plan[:k])
+        planned, reading = plan[k], sum(row["kind"] != "move" for row in plan[:k])
         row = self._recorded(planned)
-        if row is None and planned["kind"] == "leg":
+        if row is None and planned["kind"] != "move":
             row = self._question(sheet, planned, reading, expected, taken)
         elif row is None:
             self._mounting(sheet, planned)
@@ -175,7 +175,7 @@ class Session:
     # --- Asking ---------------------------------------------------------------------------
 
     def _question(
-        self, sheet: Campaign, planned: Row, row: int, expected: Expected, taken: dict[int, float]
+        self, sheet: Readings, planned: Row, row: int, expected: Expected, taken: dict[int, float]
     ) -> Row:
         """Ask for one reading until it is given or skipped."""
         self._mounting(sheet, planned)
@@ -221,7 +221,7 @@ class Session:
         self._live = True
         return self.record.append(row)
 
-    def _mounting(self, sheet: Campaign, planned: Row) -> None:
+    def _mounting(self, sheet: Readings, planned: Row) -> None:
         """Say where the dials of a mounting stand, once."""
         names = mounted_together(self.record.plan(sheet))[planned["setup"]]
         if self._told[:1] == (" and ".join(names),):
@@ -239,7 +239,7 @@ class Session:
         self._position(planned, "go past", "and read nothing")
         return self._keep(planned)
 
-    def _again(self, sheet: Campaign, row: int) -> None:
+    def _again(self, sheet: Readings, row: int) -> None:
         """Lead the machine back, so that it comes to the next place from the side it should."""
         back = sheet.command[row] - sheet.moves.beyond * sheet.approach[row]
         alone = replace(sheet.subset([row]), command=back[None], moves=Moves())

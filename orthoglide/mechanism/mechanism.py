@@ -77,8 +77,8 @@ class Mechanism:
         self, geometry: Geometry | None = None, *, urdf: str | os.PathLike[str] = ""
     ) -> None:
         self.geometry = geometry or Geometry()
-        self._looped = load(urdf or self.geometry)
-        self._set(general_tree(self._looped))
+        self.looped = load(urdf or self.geometry)
+        self._set(general_tree(self.looped))
 
     def _set(self, tree: Tree) -> None:
         self.tree = tree
@@ -105,8 +105,8 @@ class Mechanism:
             InputError: where the tree has no link ``tool``.
         """
         found = cls.__new__(cls)
-        found.geometry, found._looped = Geometry(), load(folder)
-        tree = nominal_tree(found._looped)
+        found.geometry, found.looped = Geometry(), load(folder)
+        tree = nominal_tree(found.looped)
         if tool:
             tree = replace(tree, tool=tool)
         found._set(tree)
@@ -114,7 +114,7 @@ class Mechanism:
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Constraint objects do not pickle: another process builds its own.
-        return _rebuilt, (self.geometry, self._looped, self.tree)
+        return _rebuilt, (self.geometry, self.looped, self.tree)
 
     def __repr__(self) -> str:
         model, rows = self.tree.model, sum(loop.rows for loop in self.tree.loops)
@@ -308,7 +308,7 @@ class Mechanism:
         if not self.has_legs:
             return mobility(self.constraints, self.close(command).q)
         posture = self.close(command, legs="rigid")
-        nominal = nominal_tree(self._looped)
+        nominal = nominal_tree(self.looped)
         q = np.zeros(nominal.model.nq)
         q[nominal.drive] = posture.q[self.tree.drive]
         q[nominal.passive] = posture.q[self.tree.passive]
@@ -317,7 +317,7 @@ class Mechanism:
 
 def _rebuilt(geometry: Geometry, looped: LoopedModel, tree: Tree) -> Mechanism:
     found = Mechanism.__new__(Mechanism)
-    found.geometry, found._looped = geometry, looped
+    found.geometry, found.looped = geometry, looped
     found._set(tree)
     return found
 

@@ -1,31 +1,40 @@
-"""What was measured: campaigns of dial readings and TCP points, read from files and checked."""
+"""What was measured: one table for readings of all kinds, read from files, checked and written."""
 
 from orthoglide.observations.approach import Moves as Moves, derive_approach as derive_approach
-from orthoglide.observations.arrays import Recorded as Recorded, source as source
-from orthoglide.observations.campaign import Campaign as Campaign, Setup as Setup
-from orthoglide.observations.exchange import (
-    check_given as check_given,
-    in_sequence as in_sequence,
-    readings_rows as readings_rows,
-    readings_text as readings_text,
-    write_campaign as write_campaign,
-)
+from orthoglide.observations.checks import check_given as check_given
 from orthoglide.observations.protocols import protocol as protocol
-from orthoglide.observations.reading import Given as Given, read_campaign as read_campaign
-from orthoglide.observations.tcp import (
-    TcpPoints as TcpPoints,
+from orthoglide.observations.reading import (
+    Given as Given,
+    read_campaign as read_campaign,
+    read_readings as read_readings,
     read_tcp as read_tcp,
+    readings_from_rows as readings_from_rows,
     tcp_from_rows as tcp_from_rows,
 )
-from orthoglide.observations.tool import ToolCampaign as ToolCampaign, ToolSetup as ToolSetup
-from orthoglide.observations.tool_reading import (
+from orthoglide.observations.readings import (
+    Points as Points,
     Readings as Readings,
-    read_readings as read_readings,
-    readings_from_rows as readings_from_rows,
+    Setup as Setup,
+    source as source,
+)
+from orthoglide.observations.tables import (
+    concatenated as concatenated,
+    from_points as from_points,
+    in_sequence as in_sequence,
+    parts as parts,
 )
 from orthoglide.observations.writing import (
     campaign_rows as campaign_rows,
     campaign_text as campaign_text,
     csv_text as csv_text,
+    readings_rows as readings_rows,
+    readings_text as readings_text,
     tcp_rows as tcp_rows,
+    write_campaign as write_campaign,
 )
+
+# Names by which earlier versions called readings of some kinds, and setups of them.
+Campaign = Readings
+ToolCampaign = Readings
+TcpPoints = Readings
+ToolSetup = Setup

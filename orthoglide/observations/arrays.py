@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, NamedTuple, Self
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
-from orthoglide.layout import ORTHOGLIDE, LegNames
-from orthoglide.observations.approach import Ints, Moves
+from orthoglide.observations.approach import Ints
 
 
 class Kind(NamedTuple):
@@ -21,25 +19,33 @@ class Kind(NamedTuple):
     of: type = np.float64  # its type of numbers
     shape: tuple[int, ...] = ()  # of one entry
     empty: bool = False  # whether an entry may be nan
+    default: float | None = None  # every entry of an array that is not given; None: it must be
+
+    def filled(self, n: int) -> Array:
+        """Return the array of ``n`` entries that stands for one that is not given."""
+        return np.full((n, *self.shape), self.default, dtype=float)
 
 
-WHOLE, NUMBER, MAYBE = Kind(np.int64), Kind(), Kind(empty=True)
-VECTOR, MAYBE_VECTOR = Kind(shape=(3,)), Kind(shape=(3,), empty=True)
+WHOLE, VECTOR = Kind(np.int64), Kind(shape=(3,))
+MAYBE = Kind(empty=True, default=np.nan)
 
 OF_READINGS: Mapping[str, Kind] = {
     "setup": WHOLE,
     "command": VECTOR,
-    "approach": VECTOR,
+    "reading": MAYBE,
+    "approach": VECTOR._replace(default=0),
     "time": MAYBE,
     "temperature": MAYBE,
-    "load": NUMBER,
-    "repeat": WHOLE,
+    "load": Kind(default=0),
+    "repeat": WHOLE._replace(default=1),
     "order": WHOLE,
-    "reading": MAYBE,
     "sigma": MAYBE,
     "line": WHOLE,
+    "axis": WHOLE._replace(default=0),
+    "sign": Kind(default=1),
+    "second": VECTOR._replace(empty=True, default=np.nan),
 }
-"""What readings of every kind hold."""
+"""Arrays of a table of readings, with one entry a reading."""
 
 
 def numbered(table: Array | Ints) -> Ints:
@@ -64,10 +70,10 @@ def hold(owner: Any, what: str, kinds: Mapping[str, Kind], counted: str) -> None
             )
         wrong = np.flatnonzero(_wrong(given, kind).any(axis=tuple(range(1, given.ndim))))
         if len(wrong):
+            number = "a whole number" if kind.of is np.int64 else "a finite number"
             raise InputError(
                 f"{what}: {name} of row {wrong[0]} (counted from 0) is "
-                f"{given[wrong[0]].tolist()}, not {'a whole' if kind is WHOLE else 'a finite'} "
-                "number: correct it"
+                f"{given[wrong[0]].tolist()}, not {number}: correct it"
             )
         values: NDArray[Any] = given.astype(kind.of)
         values.setflags(write=False)
@@ -82,132 +88,6 @@ def source(given: Any) -> str:
 
 
 def _wrong(given: Array, kind: Kind) -> NDArray[np.bool_]:
-    if kind is WHOLE:
+    if kind.of is np.int64:
         return np.asarray(given != np.round(given))
     return np.asarray(np.isinf(given) if kind.empty else ~np.isfinite(given))
-
-
-@dataclass(frozen=True, eq=False)
-class Recorded:
-    """Readings of one file, with the conditions they were taken under and their mountings.
-
-    Attributes:
-        name: file stem; parameters own to the campaign carry it.
-        setups: the mountings, in order of appearance.
-        setup: index into ``setups``, shape ``(n,)``.
-        command: commanded joint coordinates ``(n, 3)``, metres, r removed.
-        approach: direction of each axis' last move ``(n, 3)``: +1, -1, or 0 where unknown.
-        time: seconds since the start ``(n,)``, nan where not recorded.
-        temperature: degrees Celsius ``(n,)``, nan where not recorded.
-        load: weight at the TCP along base -z ``(n,)``, newtons.
-        repeat: number of the repetition ``(n,)``, from 1.
-        order: place in the sequence the machine went through ``(n,)``.
-        posture: labels for people, never used in a computation.
-        reading: ``(n,)``, metres, of an inclination radians; nan in a sheet not yet filled in.
-        sigma: declared standard deviation of each reading ``(n,)``, nan where none is.
-        line: line in the file ``(n,)``, header line 1.
-        file: the file's name as the caller gave it, or ``""``.
-        sha256: digest of the file, or ``""``.
-        warnings: what was noticed on reading and is no error.
-        reference_temperature: what `temperature_rise` counts from; nan: the first one recorded.
-        legs: how the machine's legs and commands are called.
-        moves: commands gone through between the readings.
-        to_frame: the rows of the file as a data frame, in the coordinates of a machine's controller
-            where that is given.
-    """
-
-    to_frame: ClassVar[Callable[..., Any]]
-    _arrays: ClassVar[Mapping[str, Kind]] = OF_READINGS
-
-    name: str
-    setups: tuple[Any, ...]
-    setup: Ints
-    command: Array
-    approach: Array
-    time: Array
-    temperature: Array
-    load: Array
-    repeat: Ints
-    order: Ints
-    posture: tuple[str, ...]
-    reading: Array
-    sigma: Array
-    line: Ints
-    file: str = ""
-    sha256: str = ""
-    warnings: tuple[Any, ...] = ()
-    reference_temperature: float = float("nan")
-    legs: LegNames = ORTHOGLIDE.names
-    moves: Moves = field(default_factory=Moves)
-
-    def __post_init__(self) -> None:
-        hold(self, self.name, self._arrays, "reading")
-        if len(self.posture) != len(self):
-            raise InputError(f"{self.name}: {len(self)} readings need {len(self)} posture labels")
-        names = [s.name for s in self.setups]
-        for name in names:
-            if names.count(name) > 1:
-                raise InputError(
-                    f"{self.name}: two setups are called {name!r}: name each mounting apart"
-                )
-        if len(self) and (self.setup.min() < 0 or self.setup.max() >= len(names)):
-            raise InputError(f"{self.name}: setup must index one of the {len(names)} setups")
-
-    def __len__(self) -> int:
-        return len(self.reading)
-
-    @property
-    def kind(self) -> tuple[str, ...]:
-        """Of each reading: ``leg`` of a dial, else that of its instrument at the tool."""
-        return tuple(self.setups[k].kind for k in self.setup)
-
-    def of_kind(self, kind: str) -> NDArray[np.bool_]:
-        """Which readings are of a kind ``(n,)``, booleans."""
-        return np.array([s.kind == kind for s in self.setups], dtype=bool)[self.setup]
-
-    @property
-    def angular(self) -> NDArray[np.bool_]:
-        """Which readings are turns, in radians ``(n,)``, booleans; others are lengths."""
-        return np.zeros(len(self), dtype=bool)
-
-    @property
-    def temperature_rise(self) -> Array:
-        """Temperature against the campaign's first ``(n,)``, kelvin; 0 where not recorded."""
-        return np.nan_to_num(self.temperature - self._reference())
-
-    @property
-    def places(self) -> Array:
-        """What is read where: setup and command ``(n, 4)``."""
-        return np.column_stack([self.setup, self.command])
-
-    @property
-    def stations(self) -> Array:
-        """What makes visits the same: places, approach of all axes, load ``(n, k)``."""
-        return np.column_stack([self.places, self.approach, self.load])
-
-    def subset(self, rows: ArrayLike) -> Self:
-        """Some of the readings, with the setups they need.
-
-        Args:
-            rows: booleans ``(n,)`` or indices.
-
-        Returns:
-            A campaign whose temperatures still count from this one's first row.
-        """
-        kind = bool if np.asarray(rows).dtype == bool else np.int64  # an empty list is of floats
-        chosen = np.arange(len(self))[np.asarray(rows, dtype=kind)]
-        used, setup = np.unique(self.setup[chosen], return_inverse=True)
-        arrays = {name: getattr(self, name)[chosen] for name in self._arrays}
-        return replace(
-            self,
-            **(arrays | {"setup": setup.reshape(-1)}),
-            setups=tuple(self.setups[k] for k in used),
-            posture=tuple(self.posture[k] for k in chosen),
-            reference_temperature=self._reference(),
-        )
-
-    def _reference(self) -> float:
-        recorded = self.temperature[np.isfinite(self.temperature)]
-        if np.isfinite(self.reference_temperature) or not len(recorded):
-            return self.reference_temperature
-        return float(recorded[0])

@@ -6,17 +6,22 @@ raises. What is no error is returned as a warning.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.geometry import LEGS, Array
+from orthoglide.errors import InputError
+from orthoglide.geometry import Array
+from orthoglide.instruments import AT_TOOL, BESIDE, OBSERVATIONS, TURNED
 from orthoglide.machine_file import MachineFile
 from orthoglide.notes import Note
-from orthoglide.observations.approach import MOVED, Ints, impossible_approach
-from orthoglide.observations.campaign import Campaign
+from orthoglide.observations.approach import MOVED, Ints
+from orthoglide.observations.notices import HARDLY, NO_READING, NOTICES, hardly
+from orthoglide.observations.readings import Readings
+from orthoglide.observations.schema import MOVE, READINGS, TURNS
+from orthoglide.units import NOISE
 
 Fail = Callable[[str, int | None], NoReturn]
 """Raises the error for a row, counted from 0."""
@@ -28,26 +33,8 @@ that binary fractions leave no trace and files come back as they were written.""
 STROKE_SLACK = 1e-6
 """How far a command may lie beyond the stroke, metres."""
 
-HARDLY = 1e-3
-"""An axis that moves by no more than this hardly moves, metres; on a stroke of less than ten times
-as much, a tenth of that counts."""
-
 DIAL_RANGE = 20e-3
 """More than any dial shows besides what the command itself moves, metres."""
-
-STILL = 2 - 1e-6
-"""Steps of the dial: readings that spread by less, in every setup, hardly move."""
-
-NO_READING = 1e-8
-"""Readings all below this are a simulated perfect machine's zeros, metres."""
-
-_USUAL = (0.5, 0.25)
-"""Where dials stand, in lengths of the leg, whose owner measures from the tool's centre too."""
-
-_RULED = 1e-4
-"""How well a place is measured with a ruler or a drawing, metres."""
-
-_SHOWN = 5  # lines named in a warning
 
 
 def check_commands(values: Array, travelled: bool, machine: MachineFile, fail: Fail) -> Array:
@@ -98,14 +85,68 @@ def check_commands(values: Array, travelled: bool, machine: MachineFile, fail: F
     )
 
 
-def check_filled(reading: Array, fail: Fail) -> None:
-    """Refuses readings ``(n,)`` of which some were not taken yet."""
-    empty = np.flatnonzero(np.isnan(reading))
-    if len(empty) == len(reading):
-        fail("has no readings yet: fill in reading_mm", 0)
-    if len(empty):
-        more = f", and in {len(empty) - 1} rows more" if len(empty) > 1 else ""
-        fail(f"reading_mm is empty{more}: fill it in or remove the row", int(empty[0]))
+def check_layout(kinds: Sequence[str], machine: MachineFile, fail: Fail) -> None:
+    """Refuse readings of legs, by the kinds of the rows, where no dial is set against a leg."""
+    if machine.geometry.dialled:
+        return
+    on_leg = [k for k, kind in enumerate(kinds) if kind == MOVE or OBSERVATIONS[kind].on_leg]
+    if len(on_leg) < len(kinds):
+        return
+    fail(
+        f"dials on the legs are read on an Orthoglide only, and this machine's layout is "
+        f"{machine.geometry.layout.kind}: name the kind of the reading in column kind "
+        f"({', '.join(AT_TOOL)})",
+        next((k for k in on_leg if kinds[k] != MOVE), 0),
+    )
+
+
+def check_firmware(marks: Sequence[str], machine: MachineFile, fail: Fail) -> None:
+    """Refuse commands that were computed with other numbers of a firmware than the machine's."""
+    if not machine.firmware:
+        return
+    for row, mark in enumerate(marks):
+        if mark and mark != machine.firmware:
+            fail(
+                f"was imported with other numbers of the firmware ({mark}) than "
+                f"{machine.file or 'the machine file'} ({machine.firmware}): take the machine.toml "
+                f"of its own import, and leave out the campaigns of the other numbers",
+                row,
+            )
+
+
+def check_filled(given: Readings, fail: Fail) -> None:
+    """Refuse readings of which some were not taken yet."""
+    empty = np.flatnonzero(np.isnan(given.reading))
+    if not len(empty):
+        return
+    first = given.setups[given.setup[empty[0]]].observation
+    column = READINGS[first.unit].name + " or the height of the touch" * first.touches
+    if len(empty) == len(given):
+        fail(f"has no readings yet: fill in {column}", 0)
+    more = f", and in {len(empty) - 1} rows more" if len(empty) > 1 else ""
+    fail(f"{column} is empty{more}: fill it in or remove the row", int(empty[0]))
+
+
+def check_points(command: Array, p: Array, fail: Fail) -> None:
+    """Refuse measured positions of the tool ``(m, 3)`` that cannot be meant as they stand.
+
+    Args:
+        command: joint coordinates ``(m, 3)``, metres.
+        p: measured, nan where a coordinate is missing, metres.
+        fail: raises the error.
+    """
+    missing = np.isnan(p).all(axis=1)
+    if missing.any():
+        fail("all of p_x_mm, p_y_mm, p_z_mm are empty: remove the row", int(np.argmax(missing)))
+    commanded = np.ptp(command, axis=0).max()
+    measured = max(np.ptp(q[np.isfinite(q)]) if np.isfinite(q).any() else 0.0 for q in p.T)
+    if commanded > HARDLY and not commanded / 100 <= measured <= 100 * commanded:
+        other = "millimetres, not metres" if measured < commanded else "a thousandth of each"
+        fail(
+            f"the points lie within {measured * 1e3:.3g} mm while the commands span "
+            f"{commanded * 1e3:.3g} mm: give {other}",
+            0,
+        )
 
 
 def check_sequence(command: Array, order: Ints, lines: Sequence[int], fail: Fail) -> None:
@@ -121,22 +162,79 @@ def check_sequence(command: Array, order: Ints, lines: Sequence[int], fail: Fail
             )
 
 
-def check_campaign(campaign: Campaign, machine: MachineFile, fail: Fail) -> tuple[Note, ...]:
-    """Refuses a campaign, its commands already checked, that cannot be meant as it stands; ``fail``
-    raises.
+def check_readings(given: Readings, machine: MachineFile, fail: Fail) -> tuple[Note, ...]:
+    """Refuse readings, their commands already checked, that cannot be meant as they stand.
 
     Returns:
         Warnings of what is odd but possible.
     """
-    for check in _CHECKS:
-        check(campaign, machine, fail)
-    return tuple(text for notice in _NOTICES for text in notice(campaign, machine))
+    legs, found = given.on_legs, list[Note]()
+    if legs.any():
+        campaign, at = given.subset(legs), np.flatnonzero(legs)
+
+        def fail_leg(message: str, row: int | None) -> NoReturn:
+            fail(message, None if row is None else int(at[row]))
+
+        for check in _CHECKS:
+            check(campaign, machine, fail_leg)
+        found = [note for notice in NOTICES for note in notice(campaign, machine)]
+    _noise(given, fail)
+    _places(given, fail)
+    _distances(given, fail)
+    _bars(given, fail)
+    _twice_at_once(given, fail)
+    return tuple(found)
 
 
-def _motion(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
+def _noise(given: Readings, fail: Fail) -> None:
+    most = np.where(given.angular, TURNS, NOISE[1])
+    wrong = np.isfinite(given.sigma) & ((given.sigma < NOISE[0]) | (given.sigma > most))
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        fail(
+            f"sigma is {given.sigma[row]:g}: give a standard deviation in metres from "
+            f"{NOISE[0]:g} to {most[row]:g}, or nan",
+            row,
+        )
+
+
+def _places(given: Readings, fail: Fail) -> None:
+    for place, setup in enumerate(given.setups):
+        has, row = setup.observation.of_setup, int(np.argmax(given.setup == place))
+        if any(setup.beside) and not set(BESIDE) & set(has) and not setup.observation.on_leg:
+            empty = ", ".join(BESIDE)
+            fail(f"a level shows the same wherever it stands: leave {empty} empty", row)
+        if setup.turned and TURNED not in has:
+            fail(f"only a plate is turned on its seat ({TURNED}), nothing of a {setup.kind}", row)
+
+
+def _distances(given: Readings, fail: Fail) -> None:
+    paired = given.paired & np.isfinite(given.reading)
+    near = (np.abs(given.second - given.command) < 1e-6).all(axis=1)
+    same = np.flatnonzero(paired & near & (given.reading > 0))
+    if len(same):
+        fail("the two commands of this distance are the same: correct one", int(same[0]))
+    short = np.flatnonzero(paired & (given.reading <= 0))
+    if len(short):
+        fail("a distance must be above 0: correct it", int(short[0]))
+    if paired.any() and given.reading[paired].max() < 1e-3:
+        fail("all distances are below 1 mm: give millimetres, not metres", 0)
+
+
+def _bars(given: Readings, fail: Fail) -> None:
+    bars = np.flatnonzero(given.about_ball & np.isfinite(given.reading))
+    # Lengths, not deviations: these are of any sign and near zero.
+    length = np.abs(given.reading[bars])
+    turned = given.reading[bars] < 0
+    if turned.any() and not turned.all() and length.min() > length.max() / 2:
+        wrong = turned if turned.mean() < 0.5 else ~turned
+        fail("this length has another sign than the others: correct it", int(bars[wrong][0]))
+
+
+def _motion(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     if np.ptp(campaign.command, axis=0).max() <= MOVED:
         return  # one posture throughout: its own check says it better
-    if np.ptp(campaign.command, axis=0).max() <= (least := _hardly(machine)):
+    if np.ptp(campaign.command, axis=0).max() <= (least := hardly(machine)):
         fail(
             f"no axis moves by more than {least * 1e3:g} mm: give the commands in millimetres, not "
             f"metres",
@@ -144,36 +242,32 @@ def _motion(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
         )
 
 
-def _hardly(machine: MachineFile) -> float:
-    low, high = machine.geometry.stroke
-    return min(HARDLY, (high - low) / 10)
-
-
-def _gauges(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
-    gauge = campaign.gauge
+def _gauges(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     tip = campaign.command[np.arange(len(campaign)), campaign.leg]
 
     def on_leg(place: Array) -> NDArray[np.bool_]:
         return (tip - machine.geometry.L < place) & (place < tip)
 
-    metres = on_leg(gauge * 1e3) & (np.abs(gauge) < HARDLY)
-    off = np.flatnonzero(~on_leg(gauge) | metres)
-    if len(off) and metres[off[0]]:
-        fail("gauge_mm is in metres: give millimetres", int(off[0]))
-    if len(off):
-        row = int(off[0])
-        low, high = (tip[row] - machine.geometry.L) * 1e3, tip[row] * 1e3
-        fail(
-            f"the gauge at {gauge[row] * 1e3:g} mm is off the leg, which runs from {low:.1f} to "
-            f"{high:.1f} mm: correct gauge_mm or the command",
-            row,
-        )
+    last = np.array([s.gauges[-1] for s in campaign.setups])[campaign.setup]
+    for column, gauge in (("gauge_mm", campaign.gauge), ("gauge2_mm", last)):
+        metres = on_leg(gauge * 1e3) & (np.abs(gauge) < HARDLY)
+        off = np.flatnonzero(~on_leg(gauge) | metres)
+        if len(off) and metres[off[0]]:
+            fail(f"{column} is in metres: give millimetres", int(off[0]))
+        if len(off):
+            row = int(off[0])
+            low, high = (tip[row] - machine.geometry.L) * 1e3, tip[row] * 1e3
+            fail(
+                f"the gauge at {gauge[row] * 1e3:g} mm is off the leg, which runs from {low:.1f} "
+                f"to {high:.1f} mm: correct {column} or the command",
+                row,
+            )
 
 
-def _postures(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
+def _postures(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     for place, setup in enumerate(campaign.setups):
         rows = np.flatnonzero(campaign.setup == place)
-        if np.ptp(campaign.command[rows], axis=0).max() <= MOVED:
+        if setup.observation.from_datum and np.ptp(campaign.command[rows], axis=0).max() <= MOVED:
             fail(
                 f"setup {setup.name!r} has a single posture and its datum is free: measure a "
                 "second one or remove the setup",
@@ -181,7 +275,7 @@ def _postures(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
             )
 
 
-def _duplicates(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
+def _duplicates(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     seen: dict[Hashable, int] = {}
     visits = np.column_stack([campaign.setup, campaign.repeat, campaign.approach, campaign.load])
     places = np.round(campaign.command, 9)
@@ -195,7 +289,21 @@ def _duplicates(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
             )
 
 
-def _clock(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
+def _twice_at_once(given: Readings, fail: Fail) -> None:
+    """An instrument reads one value at a visit, of which column order gives each its number."""
+    seen = dict[Hashable, int]()
+    visits = np.column_stack([given.stations, given.repeat, given.order])
+    for row in np.flatnonzero(~given.on_legs):
+        first = seen.setdefault(tuple(visits[row]), int(row))
+        if first != row:
+            fail(
+                f"the reading of line {given.line[first]} stands here again (same setup, command, "
+                f"order and repeat): remove one, or number the visits in column order",
+                int(row),
+            )
+
+
+def _clock(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     rows = np.lexsort((campaign.time, campaign.order))
     rows = rows[np.isfinite(campaign.time[rows])]
     back = np.flatnonzero(np.diff(campaign.time[rows]) < 0)
@@ -208,7 +316,7 @@ def _clock(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
         )
 
 
-def _dial(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
+def _dial(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     size = np.nanmax(np.abs(campaign.reading), initial=0.0)
     if NO_READING < size < machine.dial.resolution:
         fail(
@@ -222,12 +330,15 @@ def _dial(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
             continue
         reading = campaign.reading[rows]
         limit = DIAL_RANGE + np.ptp(campaign.command[rows, setup.axis])
-        if np.ptp(reading) > limit:
-            row = rows[np.argmax(np.abs(reading - np.median(reading)))]
+        # From nothing where there is no datum.
+        datum = [] if setup.observation.from_datum else [0.0]
+        every = np.concatenate([reading, datum])
+        if np.ptp(every) > limit:
+            row = rows[np.argmax(np.abs(reading - np.median(every)))]
             fail(
                 f"reading_mm is {campaign.reading[row] * 1e3:g} in setup {setup.name!r}, whose "
-                f"readings span {np.ptp(reading) * 1e3:.4g} mm, more than its leg can move: "
-                "correct a slip, or give millimetres",
+                f"readings span {np.ptp(every) * 1e3:.4g} mm{' from 0' if datum else ''}, more "
+                "than its leg can move: correct a slip, or give millimetres",
                 int(row),
             )
 
@@ -235,75 +346,27 @@ def _dial(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
 _CHECKS = (_motion, _gauges, _postures, _duplicates, _clock, _dial)
 
 
-def _approaches(campaign: Campaign, machine: MachineFile) -> Iterator[Note]:
-    if np.array_equal(campaign.approach, campaign.derived_approach):
-        return
-    wrong = impossible_approach(campaign.command, campaign.approach, campaign.order, campaign.moves)
-    if not wrong.any():
-        return
-    columns = " and ".join(f"approach_{LEGS[k]}" for k in np.flatnonzero(wrong.any(axis=0)))
-    lines = tuple(campaign.line[wrong.any(axis=1)].tolist())
-    shown = ", ".join(map(str, lines[:_SHOWN])) + (" ..." if len(lines) > _SHOWN else "")
-    yield Note(
-        f"{columns} cannot come from the order of the rows ({len(lines)} rows: line {shown}): if "
-        "the machine made further moves enter them as rows of kind move, else correct the columns",
-        "approach",
-        lines,
-    )
+def check_given(given: Readings, machine: MachineFile) -> None:
+    """Refuse readings for which a file that holds them would be refused.
 
+    Raises:
+        InputError: naming the row, counted from 0, and what would be right.
+    """
 
-def _still_legs(campaign: Campaign, machine: MachineFile) -> Iterator[Note]:
-    for leg in np.unique(campaign.leg):
-        span = np.ptp(campaign.command[campaign.leg == leg, leg])
-        if span <= _hardly(machine):
-            yield Note(
-                f"leg {LEGS[leg]} moves by only {span * 1e3:.3g} mm along its own axis in its "
-                "setups: they say little about its length and axis",
-                "command",
-            )
+    def fail(message: str, row: int | None = None) -> NoReturn:
+        place = "" if row is None else f", row {row} (counted from 0)"
+        raise InputError(f"{given.name}{place}: {message} (arrays are in metres and radians)")
 
-
-def _gauges_with_r(campaign: Campaign, machine: MachineFile) -> Iterator[Note]:
-    length, r = machine.geometry.L, machine.geometry.r
-    beyond = campaign.gauge[:, None] - np.multiply(_USUAL, length)
-    if r > _RULED and (np.abs(beyond - r) <= _RULED).any(axis=1).all():
-        places = " and ".join(f"{place * 1e3:g}" for place in np.unique(campaign.gauge))
-        yield Note(
-            f"gauge_mm is {places} mm, which is half or a quarter of L with r = {r * 1e3:g} mm "
-            "added: it is counted with r removed, as commands are; take r away unless the dials "
-            "do stand there",
-            "gauge",
+    if not isinstance(given, Readings):
+        raise InputError(
+            f"a {type(given).__name__} holds no readings: give a campaign, which "
+            "og.Campaign.from_frame makes of a data frame, TCP points, or the path of a file"
         )
-
-
-def _still_dial(campaign: Campaign, machine: MachineFile) -> Iterator[Note]:
-    read = np.isfinite(campaign.reading)
-    if not read.any():
-        return
-    spans = [
-        np.ptp(campaign.reading[read & (campaign.setup == place)])
-        for place in np.unique(campaign.setup[read])
-    ]
-    # Two steps of the dial are what rounding and a trembling finger make of a standing one.
-    if max(spans) < max(STILL * machine.dial.resolution, NO_READING):
-        yield Note(
-            f"no setup's readings move by more than {max(spans) * 1e3:.3g} mm: is the dial "
-            "touching the leg? Unless the machine is as good as that, such readings say nothing",
-            "reading",
-        )
-
-
-def _partly_recorded(campaign: Campaign, machine: MachineFile) -> Iterator[Note]:
-    said = {
-        "time_s": (campaign.time, "these count as taken at the start"),
-        "temperature_C": (campaign.temperature, "these count as no warmer than the first"),
-        "sigma_mm": (campaign.sigma, "these take the dial's"),
-    }
-    for column, (values, consequence) in said.items():
-        missing = int(np.isnan(values).sum())
-        if 0 < missing < len(values):
-            text = f"{column} is empty in {missing} of {len(values)} rows: {consequence}"
-            yield Note(text, column, tuple(campaign.line[np.isnan(values)].tolist()))
-
-
-_NOTICES = (_approaches, _still_legs, _gauges_with_r, _still_dial, _partly_recorded)
+    if not len(given):
+        fail("has no readings: give some")
+    check_commands(given.command, False, machine, fail)
+    check_filled(given, fail)
+    if given.by_point:
+        points = given.points()
+        check_points(points.command, points.p, fail)
+    check_readings(given, machine, fail)

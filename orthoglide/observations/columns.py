@@ -1,239 +1,183 @@
-"""The columns of campaign and TCP files: names, parsers, and the commands among them."""
+"""What the columns of a table hold together: commands, and mountings of instruments."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Array
-from orthoglide.instruments import INSTRUMENTS
+from orthoglide.instruments import OBSERVATIONS, Observation, Setup
 from orthoglide.layout import LegNames
 from orthoglide.machine_file import MachineFile
-from orthoglide.observations.approach import Ints, Moves, derive_approach, overshoot
-from orthoglide.observations.checks import check_commands, check_sequence
-from orthoglide.observations.table import (
+from orthoglide.observations.approach import Ints
+from orthoglide.observations.cells import NAN
+from orthoglide.observations.checks import check_commands
+from orthoglide.observations.schema import (
+    AXES,
+    COLUMNS,
+    COMMANDS,
     DIRECTION,
-    LEG,
-    SIGN,
+    PLACE,
+    RHO,
+    TRAVEL,
     Column,
-    Table,
-    choice,
-    label,
-    number,
-    positive,
-    whole,
+    at_tool,
 )
-from orthoglide.units import NOISE
+from orthoglide.observations.table import Table
 
-MM = 1e-3
-NAN = float("nan")
+_OWN_NAME = (
+    "give each mounting of a dial a name of its own",
+    "give each instrument, each probe or tip, and each state of a plate its own setup",
+)
+"""What to do about one name of two setups, of dials and of the tool."""
 
-TRAVELLED, APPROACHED = "travel_{}_mm", "approach_{}"
-"""Columns of the controller's values, and of each drive's last move."""
+_ROUNDED = 2e-9  # metres: commands that were rounded to a nanometre
+_PLACED = 1e-8  # metres: the same of commands and places, each rounded to a nanometre
+_HEIGHT = replace(PLACE, empty=NAN)  # empty of a place that is to be touched
 
 
-PLACE, SECOND_PLACE = ("x_mm", "y_mm", "z_mm"), ("x2_mm", "y2_mm", "z2_mm")
-"""Columns of where a delta's controller was sent, and of a distance's second place."""
-
-
-def by_leg(column: str, legs: tuple[str, str, str] = LEGS) -> tuple[str, ...]:
-    """The three columns of a quantity that every leg, or base axis, has."""
-    return tuple(column.format(leg) for leg in legs)
+def own_commands(names: LegNames) -> Column:
+    """Return the columns of a layout's commands: joint coordinates, or travel."""
+    return RHO if RHO.name.startswith(names.command) else TRAVEL
 
 
 def of_commands(names: LegNames) -> tuple[str, ...]:
-    """The three columns of commands: joint coordinates of the Orthoglide, travel of others."""
-    return by_leg(f"{names.command}_{{}}_mm", names.legs)
+    """Return the names of the three columns of a layout's commands."""
+    return own_commands(names).names(names.legs)
 
 
-RHO, TRAVEL = by_leg("rho_{}_mm"), by_leg(TRAVELLED)
-APPROACH, POINT = by_leg(APPROACHED), by_leg("p_{}_mm")
+def stated_commands(table: Table, machine: MachineFile | None = None) -> Column:
+    """Return the columns in which a table states its commands.
 
-SETUP_COLUMNS: dict[str, Column] = {
-    "setup": Column(label),
-    "leg": Column(LEG),
-    "direction": Column(DIRECTION),
-    "gauge_mm": Column(number(MM)),
-    "bar": Column(choice({"1": 1, "2": 2, "1.0": 1, "2.0": 2}, "not 1, 2 or empty: correct it"), 0),
-}
-"""What one mounting of one dial has once and for all."""
-
-ROW_COLUMNS: dict[str, Column] = {
-    "kind": Column(choice({"leg": False, "move": True}), False),
-    "posture": Column(label, ""),
-    "repeat": Column(whole(1), 1),
-    "order": Column(whole(0)),
-    "time_s": Column(number(), NAN),
-    "temperature_C": Column(number(low=-40, high=100), NAN),
-    "load_N": Column(number(low=0, high=1e4), 0.0),
-    "reading_mm": Column(number(MM), NAN),
-    "sigma_mm": Column(positive(MM, NOISE[1]), NAN),
-}
-"""What each row has of its own, besides its command and approach; of ``kind``: is it a move?"""
-
-_COMMAND = Column(number(MM))
-_HEIGHT = Column(number(MM), NAN)  # empty of a place that is to be touched
-_ROUNDED = 2e-9  # metres: commands that were rounded to a nanometre
-_PLACED = 1e-8  # metres: the same of commands and places, each rounded to a nanometre
-DIRECTION_OF_MOVE = Column(SIGN, 0)
-
-BESIDE = ("beside_x_mm", "beside_y_mm", "beside_z_mm")
-"""Where a probe touches or a tip stands, from the tool on the platform."""
-
-TURNED = "turned_deg"
-"""How far a plate was turned on its seat, counter-clockwise from above."""
-
-TOOL_COLUMNS: dict[str, Column] = {
-    "kind": Column(choice({kind: kind for kind in INSTRUMENTS})),
-    "setup": Column(label),
-    "direction": Column(DIRECTION, (0, 1)),
-    "firmware": Column(label, ""),
-    **dict.fromkeys(BESIDE, Column(number(MM), 0.0)),
-    TURNED: Column(number(low=-360, high=360), 0.0),
-}
-"""What rows of the tool have besides those of `ROW_COLUMNS`."""
-
-TURNS = 0.1
-"""The largest standard deviation of a turn, radians: a level in a telephone shows hundredths."""
-
-READING_MRAD = Column(number(MM), NAN)
-SIGMA_MRAD = Column(positive(MM, TURNS), NAN)
-
-
-def command_names(table: Table, machine: MachineFile | None = None) -> tuple[str, ...]:
-    """The three columns that hold the commands: joint coordinates or the controller's values."""
-    if machine is not None and not machine.geometry.dialled:
-        own = of_commands(machine.geometry.layout.names)
-        if not set(PLACE) & set(table.names) or machine.kinematics is None:
-            return own
-        if not set(own) & set(table.names):
-            return PLACE
-        travel, p = (columns(table, names, _COMMAND) for names in (own, PLACE))
-        apart = machine.controller.to_rho(travel, machine.geometry) - machine.kinematics.travel(p)
-        if not np.abs(apart).max(initial=0.0) <= _PLACED:
-            table.fail(f"has {own[0]} and {PLACE[0]}, and they disagree: keep those of one kind")
-        return own  # as `compensate` writes them
-    if "travel_a_mm" in table.names:
+    Raises:
+        FileError: where it states them in two ways that disagree, or in one of another layout.
+    """
+    delta = machine is not None and not machine.geometry.dialled
+    legs = machine.geometry.leg_names if machine is not None and delta else LEGS
+    own, other = (TRAVEL, PLACE) if delta else (RHO, TRAVEL)
+    stated = [set(c.names(legs)) & set(table.names) for c in (own, other)]
+    if not delta and "travel_a_mm" in table.names:
         table.fail(
             "has the columns of a linear delta: give its machine file, with [layout], by --machine"
         )
-    if set(RHO) & set(table.names) and set(TRAVEL) & set(table.names):
-        if machine is not None and _agree(table, machine):  # as `compensate` writes them
-            return RHO
-        table.fail("has both rho_ and travel_ columns: keep the three of one kind")
-    return TRAVEL if set(TRAVEL) & set(table.names) else RHO
+    if not stated[1] or (machine is not None and delta and machine.kinematics is None):
+        return own
+    if not stated[0]:
+        return other
+    if machine is None or not _agree(table, machine, legs):
+        table.fail(
+            f"has {own.names(legs)[0]} and {other.names(legs)[0]}, and they disagree: keep those "
+            f"of one kind"
+            if delta
+            else "has both rho_ and travel_ columns: keep the three of one kind"
+        )
+    return own  # as `compensate` writes them
 
 
-def _agree(table: Table, machine: MachineFile) -> bool:
-    """Whether a table's commands are the same by both ways to count them."""
-    if not {*RHO, *TRAVEL} <= set(table.names):
+def _agree(table: Table, machine: MachineFile, legs: tuple[str, str, str]) -> bool:
+    """Return whether the commands of a table are the same in both ways in which it states them."""
+    if machine.geometry.dialled and not {*RHO.names(), *TRAVEL.names()} <= set(table.names):
         return False
-    rho, shown = (columns(table, names, _COMMAND) for names in (RHO, TRAVEL))
-    apart = machine.controller.to_rho(shown, machine.geometry) - rho
-    return bool(np.abs(apart).max(initial=0.0) <= _ROUNDED)
-
-
-def columns(table: Table, names: tuple[str, ...], column: Column) -> Array:
-    """Several columns of numbers ``(n, k)``."""
-    return np.array([table.values(name, column) for name in names], dtype=float).T
-
-
-def recorded(
-    table: Table, moved: ArrayLike, names: tuple[str, ...], machine: MachineFile
-) -> tuple[Table, dict[str, Any]]:
-    """The rows with readings, and what they have of their own as fields of a campaign.
-
-    The order is that of the rows where no column says; the approach as recorded, where it was, else
-    from the sequence.
-
-    Args:
-        table: of readings and moves.
-        moved: which rows are moves ``(n,)``, booleans.
-        names: columns of the commands.
-        machine: whose stroke and controller count.
-    """
-    command, order = commands(table, names, machine), np.arange(1, len(table.rows) + 1)
-    if "order" in table.names:
-        order = np.array(table.values("order", ROW_COLUMNS["order"]))
-    check_sequence(command, order, table.lines, table.fail)
-    gone = np.asarray(moved, dtype=bool)
-    beyond = overshoot(machine.geometry.stroke)
-    moves = Moves(command[gone], order[gone], np.array(table.lines)[gone], beyond)
-    command, order = command[~gone], order[~gone]
-    read = table.part(np.flatnonzero(~gone).tolist())
-    approach = by_leg(APPROACHED, machine.geometry.leg_names)
-    given = [name in table.names for name in approach]
-    told = columns(read, approach, DIRECTION_OF_MOVE)
-    own = {key: column for key, column in ROW_COLUMNS.items() if key != "kind"}
-    found = {key.partition("_")[0]: read.values(key, column) for key, column in own.items()}
-    return read, found | {
-        "command": command,
-        "order": order,
-        "moves": moves,
-        "approach": np.where(given, told, derive_approach(command, order, moves)),
-        "posture": tuple(found["posture"]),
-        "line": read.lines,
-        "file": read.file,
-        "sha256": read.sha256,
-        "legs": machine.geometry.layout.names,
-    }
-
-
-def mountings(
-    table: Table, cells: Mapping[str, Sequence[Any]], remedy: str
-) -> tuple[tuple[int, ...], Ints]:
-    """First row of every setup, in order of appearance, and the place among them of each row's.
-
-    Args:
-        table: of readings.
-        cells: what a mounting has once and for all, by column, ``setup`` among them.
-        remedy: where a setup is told to be two.
-    """
-    first: dict[str, int] = {}
-    for row, name in enumerate(cells["setup"]):
-        before = first.setdefault(name, row)
-        for key, values in cells.items():
-            if values[row] != values[before]:
-                table.fail(
-                    f"setup {name!r} has another {key} here than on line {table.lines[before]}: "
-                    f"{remedy}",
-                    row,
-                )
-    places = {name: place for place, name in enumerate(first)}
-    return tuple(first.values()), np.array([places[name] for name in cells["setup"]])
-
-
-def commands(table: Table, names: tuple[str, ...], machine: MachineFile) -> Array:
-    """Joint coordinates ``(n, 3)``, metres, of a table's commands, all within the stroke."""
-    if names == PLACE:
-        height = np.nan_to_num(columns(table, names[2:], _HEIGHT))
-        given = np.hstack([columns(table, names[:2], _COMMAND), height])
+    travelled = machine.controller.to_rho(table.array(TRAVEL, legs), machine.geometry)
+    if machine.geometry.dialled or machine.kinematics is None:
+        other, within = table.array(RHO), _ROUNDED
     else:
-        given = columns(table, names, _COMMAND)
-    travelled = names[0].startswith("travel")
-    if names[0] in (PLACE[0], SECOND_PLACE[0]) and (kinematics := machine.kinematics):
-        travel = kinematics.travel(given)
-        far = np.flatnonzero(np.isnan(travel).any(axis=1))
-        if len(far):
-            table.fail(
-                f"{', '.join(names)} is a place that no arm reaches: correct it", int(far[0])
-            )
-        given, travelled = machine.controller.from_rho(travel, machine.geometry), True
-    return check_commands(given, travelled, machine, table.fail)
+        other, within = machine.kinematics.travel(table.array(PLACE)), _PLACED
+    return bool(np.abs(travelled - other).max(initial=0.0) <= within)
 
 
-def untouched(table: Table, names: tuple[str, ...]) -> NDArray[np.bool_]:
-    """Which rows say where to go down, and not yet at what height it touched ``(n,)``."""
-    if names != PLACE:
+def commands(table: Table, column: Column, machine: MachineFile) -> Array:
+    """Return the joint coordinates ``(n, 3)``, metres, of a table's commands, or of second ones.
+
+    Raises:
+        FileError: for a command that cannot be read, or that the machine cannot reach.
+    """
+    kinematics = machine.kinematics
+    if kinematics is None or column not in (PLACE, COMMANDS[PLACE]):
+        given = table.array(column, machine.geometry.leg_names)
+        travelled = column in (TRAVEL, COMMANDS[TRAVEL])
+        return check_commands(given, travelled, machine, table.fail)
+    each = (column, column, _HEIGHT if column is PLACE else column)
+    cells = [table.values(c, n) for c, n in zip(each, column.names(), strict=True)]
+    travel = kinematics.travel(np.nan_to_num(np.array(cells, dtype=float).T))
+    far = np.flatnonzero(np.isnan(travel).any(axis=1))
+    if len(far):
+        names = ", ".join(column.names())
+        table.fail(f"{names} is a place that no arm reaches: correct it", int(far[0]))
+    shown = machine.controller.from_rho(travel, machine.geometry)
+    return check_commands(shown, True, machine, table.fail)
+
+
+def untouched(table: Table, column: Column) -> NDArray[np.bool_]:
+    """Return which rows state where to go down and not yet at what height it touched ``(n,)``."""
+    if column is not PLACE:
         return np.zeros(len(table.rows), dtype=bool)
-    return np.isnan(columns(table, names[2:], _HEIGHT)[:, 0])
+    return np.array([not cell for cell in table.cells(PLACE.names()[2])])
 
 
-def second_names(names: tuple[str, ...], legs: tuple[str, str, str]) -> tuple[str, ...]:
-    """The three columns of a distance's second command, as its first has its own."""
-    if names == PLACE:
-        return SECOND_PLACE
-    return by_leg(names[0].partition("_")[0] + "_{}2_mm", legs)
+def which(kinds: Sequence[str], test: Callable[[Observation], Any]) -> NDArray[np.bool_]:
+    """Return which rows are of a kind that passes a test ``(n,)``, booleans; moves never are."""
+    passed = {kind for kind, one in OBSERVATIONS.items() if test(one)}
+    return np.array([kind in passed for kind in kinds], dtype=bool)
+
+
+def column_cells(table: Table, column: Column, own: NDArray[np.bool_], name: str = "") -> list[Any]:
+    """Return a column's values in the rows that have it, and None elsewhere."""
+    if own.all():
+        return table.values(column, name)
+    found: list[Any] = [None] * len(own)
+    rows = np.flatnonzero(own).tolist()
+    for row, value in zip(rows, table.part(rows).values(column, name), strict=True):
+        found[row] = value
+    return found
+
+
+def mountings(table: Table, kinds: Sequence[str]) -> tuple[tuple[Setup, ...], Ints]:
+    """Return the mountings in order of appearance, and the place in them of each row's.
+
+    Raises:
+        FileError: for a mounting that cannot be, and a name of two.
+    """
+    cells = {
+        name: column_cells(table, column, own, name)
+        for column in COLUMNS
+        if (own := which(kinds, column.fixed)).any()
+        for name in column.names()
+    }
+    keys = list(zip(*cells.values(), strict=True))
+    first: dict[tuple[Any, ...], int] = {}
+    for row, key in enumerate(keys):
+        first.setdefault(key, row)
+    found = {k: _setup(table, row, dict(zip(cells, k, strict=True))) for k, row in first.items()}
+    before: dict[str, tuple[Any, ...]] = {}
+    for key, setup in found.items():
+        if (other := before.setdefault(setup.name, key)) is not key:
+            differing = next(n for n, a, b in zip(cells, key, other, strict=True) if a != b)
+            remedy = _OWN_NAME[int(which(kinds, at_tool).any())]
+            table.fail(
+                f"setup {setup.name!r} has another {differing} here than on line "
+                f"{table.lines[first[other]]}: {remedy}",
+                first[key],
+            )
+    places = {key: place for place, key in enumerate(found)}
+    return tuple(found.values()), np.array([places[key] for key in keys])
+
+
+def _setup(table: Table, row: int, cells: Mapping[str, Any]) -> Setup:
+    """Return a mounting from its cells by column."""
+    values: dict[str, Any] = {}
+    for column in COLUMNS:
+        own = tuple(cells[name] for name in column.names() if cells.get(name) is not None)
+        if column is DIRECTION and own:
+            values["axis"], values["sign"] = AXES[own[0]]
+        elif own:
+            values[column.attribute] = own if column.spread else own[0]
+    try:
+        return Setup(**values)
+    except InputError as error:
+        table.fail(str(error).removeprefix(f"setup {values['name']!r}: "), row)

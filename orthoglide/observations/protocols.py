@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike
 
 from orthoglide.errors import InputError, check_word
 from orthoglide.geometry import LEGS, Array, Geometry
+from orthoglide.instruments import Parallelism, Setup
 from orthoglide.observations.approach import Moves, derive_approach, overshoot
-from orthoglide.observations.campaign import Campaign, Setup
+from orthoglide.observations.readings import Readings
 
-Kind = Literal["standard", "sweep", "two-gauges"]
+Kind = Literal["standard", "sweep", "two-gauges", "parallelism"]
 
 REPEATS = 3
 """How often every posture is visited; the scatter of the repeats is the noise."""
@@ -29,12 +30,14 @@ MOUNTING = 600.0
 """Time planned from the last posture of a mounting to the first of the next, seconds."""
 
 
-_GAUGES: dict[str, tuple[float, ...]] = {
-    "standard": (0.5,),
-    "sweep": (0.5,),
-    "two-gauges": (0.35, 0.65),
+_GAUGES: dict[str, tuple[tuple[float, ...], ...]] = {
+    "standard": ((0.5,),),
+    "sweep": ((0.5,),),
+    "two-gauges": ((0.35,), (0.65,)),
+    "parallelism": ((0.35, 0.65),),
 }
-"""Where the dials stand, as fractions of the leg."""
+"""Where the dials stand, as fractions of the leg: those of one mounting, one mounting after the
+other."""
 
 _PARTS = (3, 4)  # of the upper and the lower half stroke: about equal steps on the default one
 
@@ -59,14 +62,15 @@ def check_dials(geometry: Geometry) -> None:
         )
 
 
-def protocol(kind: Kind, geometry: Geometry | None = None) -> Campaign:
+def protocol(kind: Kind, geometry: Geometry | None = None) -> Readings:
     """A campaign without readings, to be measured in its order.
 
     Args:
         kind: ``"standard"``: Zero, Max and Min of every axis with the dial at mid-leg, the
             chapter's own; ``"sweep"``: up and down the stroke in steps, so that every posture is
             reached from both sides; ``"two-gauges"``: the sweep with the dials at 0.35 and then
-            at 0.65 of the leg.
+            at 0.65 of the leg; ``"parallelism"``: the standard postures with two dials along each
+            direction, at 0.35 and at 0.65 of the leg, whose difference is read.
         geometry: whose stroke and length count; the nominal one if None.
 
     Returns:
@@ -82,41 +86,49 @@ def protocol(kind: Kind, geometry: Geometry | None = None) -> Campaign:
     check_dials(geometry)
     low, high = geometry.stroke
     named = [("zero", 0.0), ("max", high), ("min", low)]
-    postures = named if kind == "standard" else _swept(geometry)
+    postures = named if kind in ("standard", "parallelism") else _swept(geometry)
     visits = [
-        (leg, gauge, repeat, posture)
+        (leg, repeat, posture)
         for leg in range(3)
-        for gauge in _GAUGES[kind]
+        for _ in _GAUGES[kind]
         for repeat in range(1, REPEATS + 1)
         for posture in postures
     ]
     setups = tuple(
-        dial_at(geometry, leg, axis, gauge)
+        dial_at(geometry, leg, axis, shares[0], second=shares[1] if shares[1:] else None)
         for leg in range(3)
-        for gauge in _GAUGES[kind]
+        for shares in _GAUGES[kind]
         for axis in range(3)
         if axis != leg
     )
     visit = np.repeat(np.arange(len(visits)), 2)  # two dials read at each
     mounting = visit // (REPEATS * len(postures))
-    command = [geometry.command_on_axis(leg, travel) for leg, _, _, (_, travel) in visits]
+    command = [geometry.command_on_axis(leg, travel) for leg, _, (_, travel) in visits]
     sheet = unread(
         geometry,
         kind,
         setups,
         2 * mounting + np.arange(len(visit)) % 2,
         np.round(command, 9)[visit],  # what fits on a sheet
-        posture=[visits[k][3][0] for k in visit],
-        repeat=np.array([repeat for _, _, repeat, _ in visits])[visit],
+        posture=[visits[k][2][0] for k in visit],
+        repeat=np.array([repeat for _, repeat, _ in visits])[visit],
         time=visit * VISIT + mounting * (MOUNTING - VISIT),
     )
     return sheet.with_moves()
 
 
-def dial_at(geometry: Geometry, leg: int, axis: int, share: float, bar: int = 0) -> Setup:
-    """A mounting at a share of the leg, named after where it stands; ``bar`` as of `Setup`."""
+def dial_at(
+    geometry: Geometry, leg: int, axis: int, share: float, bar: int = 0, second: float | None = None
+) -> Setup:
+    """A mounting at a share of the leg, or of two dials at two shares, named after where it stands;
+    ``bar`` as of `Setup`.
+    """
     name = f"{LEGS[leg]}{LEGS[axis]}-{share:g}" + (f"-bar{bar}" if bar else "")
-    return Setup(name, leg, axis, 1, round(share * geometry.L, 9), bar)
+    gauge = round(share * geometry.L, 9)
+    if second is None:
+        return Setup(name, leg, axis, 1, gauge, bar)
+    kind, other = Parallelism.kind, round(second * geometry.L, 9)
+    return Setup(f"{name}-{second:g}", leg, axis, 1, gauge, bar, kind, other)
 
 
 def unread(
@@ -131,7 +143,7 @@ def unread(
     repeat: ArrayLike = 1,
     time: ArrayLike = np.nan,
     load: float = 0.0,
-) -> Campaign:
+) -> Readings:
     """A campaign whose rows, to be gone through in their order, have no readings yet.
 
     Args:
@@ -147,22 +159,17 @@ def unread(
         load: at the TCP, newtons.
     """
     n = len(command)
-    order, nothing = np.arange(n), np.full(n, np.nan)
-    return Campaign(
+    return Readings(
         name=name,
         setups=tuple(setups),
         setup=np.asarray(setup),
         command=command,
-        approach=derive_approach(command, order) if approach is None else approach,
+        reading=np.full(n, np.nan),
+        approach=derive_approach(command, np.arange(n)) if approach is None else approach,
         time=np.broadcast_to(np.asarray(time, dtype=float), n),
-        temperature=nothing,
         load=np.full(n, load),
         repeat=np.broadcast_to(np.asarray(repeat), n),
-        order=order,
         posture=tuple(posture),
-        reading=nothing,
-        sigma=nothing,
-        line=order + 2,
         moves=Moves(beyond=overshoot(geometry.stroke)),
     )
 

@@ -1,39 +1,72 @@
-"""Campaigns from CSV files, data frames, and rows as results keep them."""
+"""Readings of all kinds from CSV files, data frames, and rows as results keep them."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from orthoglide.instruments import INSTRUMENTS
-from orthoglide.machine_file import AnyMachine, Controller, machine_file_of
+from orthoglide.geometry import Array
+from orthoglide.machine_file import AnyMachine, Controller, MachineFile, machine_file_of
 from orthoglide.notes import Note
-from orthoglide.observations.approach import Ints
-from orthoglide.observations.campaign import Campaign, Setup
-from orthoglide.observations.checks import check_campaign, check_filled
-from orthoglide.observations.columns import (
-    APPROACH,
-    RHO,
-    ROW_COLUMNS,
-    SETUP_COLUMNS,
-    TRAVEL,
-    command_names,
-    mountings,
-    recorded,
+from orthoglide.observations.approach import Moves, derive_approach, overshoot
+from orthoglide.observations.checks import (
+    check_filled,
+    check_firmware,
+    check_layout,
+    check_points,
+    check_readings,
+    check_sequence,
 )
-from orthoglide.observations.table import Column, Table, frame_table, read_table
+from orthoglide.observations.columns import (
+    column_cells,
+    commands,
+    mountings,
+    stated_commands,
+    untouched,
+    which,
+)
+from orthoglide.observations.readings import Readings
+from orthoglide.observations.schema import (
+    APPROACH,
+    AXES,
+    COLUMNS,
+    COMMANDS,
+    DIRECTION,
+    FIRMWARE,
+    KIND,
+    MOVE,
+    ORDER,
+    POINT,
+    POSTURE,
+    READINGS,
+    RHO,
+    SETUP,
+    SIGMAS,
+    TRAVEL,
+    Column,
+    at_tool,
+    columns_with,
+    names_of,
+)
+from orthoglide.observations.table import Table, frame_table, read_table, rows_table
+from orthoglide.observations.tables import concatenated, from_points
+
+Given = Readings | str | os.PathLike[str]
+"""Readings, or the path of their file."""
 
 
 def read_campaign(
     path: str | os.PathLike[str],
     machine_file: AnyMachine | None = None,
     require_readings: bool = True,
-) -> Campaign:
-    """Reads a campaign and looks for faults that need no fit.
+) -> Readings:
+    """Read a file of readings of any kinds and look for faults that need no fit.
 
     Args:
         path: the CSV file (UTF-8; commas, or semicolons with decimal points or commas).
@@ -42,32 +75,110 @@ def read_campaign(
         require_readings: False: a sheet not yet filled in is welcome.
 
     Returns:
-        The campaign, with what was noticed and is no error in ``warnings``.
+        One table, with what was noticed and is no error in ``warnings``.
+
+    Raises:
+        FileError: naming the line and what would be right.
+    """
+    return concatenated(read_readings(path, machine_file, require_readings=require_readings))
+
+
+def read_readings(
+    path: str | os.PathLike[str],
+    machine_file: AnyMachine | None = None,
+    *,
+    require_readings: bool = True,
+) -> tuple[Readings, ...]:
+    """Read a file of readings of any kinds, those of legs and of the tool apart.
+
+    Args:
+        path: the CSV file, as for `read_campaign`.
+        machine_file: the machine whose stroke, dial and controller count, or its file; the nominal
+            one if None.
+        require_readings: False: a sheet not yet filled in is welcome.
+
+    Returns:
+        A table of readings of legs, with the moves, a table of those of the tool, or both.
 
     Raises:
         FileError: naming the line and what would be right.
     """
     table = read_table(path)
-    return campaign_of_table(table, Path(table.file).stem, machine_file, require_readings)
+    return readings_of_table(table, Path(table.file).stem, machine_file, require_readings)
 
 
-Given = Campaign | str | os.PathLike[str]
-"""A campaign, or the path of its file."""
+def read_tcp(path: str | os.PathLike[str], machine_file: AnyMachine | None = None) -> Readings:
+    """Read a file with a row for each measured position of the tool.
+
+    Args:
+        path: the CSV file, as for `read_campaign`.
+        machine_file: the machine whose layout, stroke and controller count, or its file; the
+            nominal one if None.
+
+    Returns:
+        Readings of kind ``tcp``, one for each coordinate that is not left empty.
+
+    Raises:
+        FileError: naming the line and what would be right.
+    """
+    return _points(read_table(path), machine_file_of(machine_file))
 
 
-def campaign_from_frame(
+def readings_from_rows(
+    rows: Sequence[Mapping[str, str]],
+    machine_file: AnyMachine | None = None,
+    *,
+    name: str,
+    lines: Sequence[int] = (),
+    file: str = "",
+    sha256: str = "",
+) -> tuple[Readings, ...]:
+    """Readings from rows of text, as a result keeps those of its files.
+
+    Args:
+        rows: from column to text; the first row names all columns.
+        machine_file: as for `read_readings`.
+        name: of the readings.
+        lines: line of each row in the file; from 2 on where empty.
+        file: the file's name.
+        sha256: digest of the file.
+
+    Raises:
+        FileError: as `read_readings`.
+    """
+    table = rows_table(rows, file or name, lines, sha256)
+    return tuple(replace(r, file=file) for r in readings_of_table(table, name, machine_file))
+
+
+def tcp_from_rows(
+    rows: Sequence[Mapping[str, str]],
+    machine_file: AnyMachine | None = None,
+    *,
+    file: str,
+    lines: Sequence[int] = (),
+    sha256: str = "",
+) -> Readings:
+    """Positions of the tool from rows of text; arguments as for `readings_from_rows`.
+
+    Raises:
+        FileError: as `read_tcp`.
+    """
+    return _points(rows_table(rows, file, lines, sha256), machine_file_of(machine_file))
+
+
+def readings_from_frame(
     df: Any,
     *,
     name: str = "frame",
     machine_file: AnyMachine | None = None,
     controller: Controller | None = None,
     require_readings: bool = True,
-) -> Campaign:
-    """A campaign from a data frame with the columns of a campaign file.
+) -> Readings:
+    """Readings from a data frame with the columns of a file of readings.
 
     Args:
         df: a pandas data frame, or a mapping of columns; missing values are empty fields.
-        name: the campaign's name.
+        name: of the readings.
         machine_file: as for `read_campaign`.
         controller: to convert ``travel_*_mm``; the machine file's if None.
         require_readings: as for `read_campaign`.
@@ -78,88 +189,157 @@ def campaign_from_frame(
     machine = machine_file_of(machine_file)
     if controller is not None:
         machine = replace(machine, controller=controller)
-    found = campaign_of_table(frame_table(df, name), name, machine, require_readings)
-    return replace(found, file="")
+    found = readings_of_table(frame_table(df, name), name, machine, require_readings)
+    return replace(concatenated(found), file="")
 
 
-Campaign.from_frame = staticmethod(campaign_from_frame)
+Readings.from_frame = staticmethod(readings_from_frame)
 
 
-def campaign_of_table(
+def readings_of_table(
     table: Table,
     name: str,
     machine_file: AnyMachine | None,
     require_readings: bool = True,
-    others: tuple[str, ...] = (),
-) -> Campaign:
-    """A campaign of dial readings from a table of cells, in which ``others`` are columns of other
-    readings of its file.
+) -> tuple[Readings, ...]:
+    """Readings from a table of cells, those of legs and of the tool apart; moves go with legs.
 
     Raises:
         FileError: naming the line and what would be right.
     """
     machine = machine_file_of(machine_file)
-    if of_tool := set(INSTRUMENTS).intersection(table.values("kind", Column(str, ""))):
-        table.fail(
-            f"holds readings at the tool ({', '.join(sorted(of_tool))}), and is no campaign of "
-            f"dials on legs alone: read it with og.read_readings"
-        )
-    moved = table.values("kind", ROW_COLUMNS["kind"])
-    if not machine.geometry.dialled:
-        table.fail(
-            f"dials on the legs are read on an Orthoglide only, and this machine's layout is "
-            f"{machine.geometry.layout.kind}: name the kind of the reading in column kind "
-            f"({', '.join(INSTRUMENTS)})",
-            int(np.argmin(moved)),
-        )
-    names = command_names(table)
-    known = (*SETUP_COLUMNS, *ROW_COLUMNS, *RHO, *TRAVEL, *APPROACH, *others)
-    needed = ("setup", "leg", "direction", *names, "gauge_mm")
-    readings = ("reading_mm",) if require_readings else ()
-    warnings = table.check_names(known, (*needed, *readings))
-    if all(moved):
+    of_points = set(POINT.names()) & set(table.names)
+    if of_points and not {SETUP.name, READINGS["mm"].name} & set(table.names):
+        return (_points(table, machine),)
+    kinds = table.values(KIND)
+    tool = which(kinds, at_tool)
+    if not tool.any() or all(kinds[k] == MOVE for k in np.flatnonzero(~tool)):
+        return (_readings(table, name, machine, require_readings, kinds),)
+    halves = ((~tool, name), (tool, f"{name}-tool"))
+    return tuple(
+        _readings(table.part(np.flatnonzero(rows)), called, machine, require_readings, kinds)
+        for rows, called in halves
+    )
+
+
+def _readings(
+    table: Table, name: str, machine: MachineFile, require_readings: bool, every: Sequence[str]
+) -> Readings:
+    """Return the readings of a table; ``every`` has the kinds of rows of its whole file."""
+    named, legs = table.values(KIND), machine.geometry.leg_names
+    kinds, moved = [k for k in named if k != MOVE], np.array([kind == MOVE for kind in named])
+    check_layout(named, machine, table.fail)
+    command = stated_commands(table, machine)
+    warnings = table.check_names(
+        [*names_of(_known(every, command), legs), *names_of((RHO, TRAVEL), legs)],
+        names_of(_needed(kinds, command, require_readings), legs),
+    )
+    if moved.all():
         table.fail("has moves only: add rows with readings", 0)
-    read, fields = recorded(table, moved, names, machine)
-    setups, setup = _setups(read)
-    campaign = Campaign(name=name, setups=setups, setup=setup, **fields)
+    check_firmware(table.values(FIRMWARE), machine, table.fail)
+    read, sequence = _in_sequence(table, moved, command, machine)
+    setups, setup = mountings(read, kinds)
+    sequence["second"] = _second(read, which(kinds, COMMANDS[command].of), command, machine)
+    fields = _values(read, kinds)
+    fields["reading"] = np.where(untouched(read, command), np.nan, fields["reading"])
+    made = Readings(
+        name=name, setups=setups, setup=setup, line=np.array(read.lines), file=read.file,
+        sha256=read.sha256, legs=machine.geometry.layout.names,
+        **fields | sequence,
+    )  # fmt: skip
     if require_readings:
-        check_filled(campaign.reading, read.fail)
-    noticed = check_campaign(campaign, machine, read.fail)
-    unread = _moves_with_readings(table.part(np.flatnonzero(moved).tolist()))
-    return replace(campaign, warnings=(*warnings, *unread, *noticed))
+        check_filled(made, read.fail)
+    noticed = check_readings(made, machine, read.fail)
+    unread = _moves_with_readings(table.part(np.flatnonzero(moved)))
+    return replace(made, warnings=(*warnings, *unread, *noticed))
+
+
+def _known(kinds: Sequence[str], command: Column) -> list[Column]:
+    """Return the columns that a file may have; any of the schema where the tool is read."""
+    known = columns_with(command)
+    if which(kinds, at_tool).any():
+        return known
+    return [column for column in known if column is KIND or which(kinds, column.of).any()]
+
+
+def _needed(kinds: Sequence[str], command: Column, require_readings: bool) -> list[Column]:
+    """Return the columns that a file must have."""
+
+    def needed(column: Column) -> bool:
+        if column in READINGS.values():
+            return require_readings
+        return column.required and column is not ORDER
+
+    named = [KIND] if which(kinds, at_tool).any() else []
+    found = [column for column in columns_with(command) if needed(column)]
+    return named + [column for column in found if which(kinds, column.of).any()]
+
+
+def _in_sequence(
+    table: Table, gone: NDArray[np.bool_], command: Column, machine: MachineFile
+) -> tuple[Table, dict[str, Any]]:
+    """Return the rows with readings, and what depends on the sequence that all rows share.
+
+    The order is that of the rows where no column states it; the approach as recorded, where it was,
+    else from the sequence.
+    """
+    legs, rho = machine.geometry.leg_names, commands(table, command, machine)
+    order = np.arange(1, len(table.rows) + 1)
+    if ORDER.name in table.names:
+        order = np.array(table.values(ORDER))
+    check_sequence(rho, order, table.lines, table.fail)
+    beyond = overshoot(machine.geometry.stroke)
+    moves = Moves(rho[gone], order[gone], np.array(table.lines)[gone], beyond)
+    rho, order, read = rho[~gone], order[~gone], table.part(np.flatnonzero(~gone))
+    approach, given = read.array(APPROACH, legs), [n in read.names for n in APPROACH.names(legs)]
+    if not all(given):
+        approach = np.where(given, approach, derive_approach(rho, order, moves))
+    return read, {"command": rho, "order": order, "moves": moves, "approach": approach}
+
+
+def _values(table: Table, kinds: Sequence[str]) -> dict[str, Any]:
+    """Return what each row has for itself, by attribute of `Readings`."""
+    found: dict[str, Any] = {}
+    for column in COLUMNS:
+        if column.of_setup or column.spread or not column.attribute:
+            continue
+        own = which(kinds, column.of)
+        given = not column.required or own.all()
+        values = table.values(column) if given else column_cells(table, column, own)
+        before = found.get(column.attribute)
+        found[column.attribute] = values if before is None else np.where(own, values, before)
+    axes = [AXES.get(cell, (0, 1)) for cell in found.pop(DIRECTION.attribute)]
+    axis, sign = np.array(axes).T
+    return found | {"posture": tuple(found[POSTURE.attribute]), "axis": axis, "sign": sign}
+
+
+def _second(table: Table, own: NDArray[np.bool_], command: Column, machine: MachineFile) -> Array:
+    """Return the second commands ``(n, 3)`` of rows that have one, metres; nan elsewhere."""
+    found = np.full((len(own), 3), np.nan)
+    if own.any():
+        found[own] = commands(table.part(np.flatnonzero(own)), COMMANDS[command], machine)
+    return found
 
 
 def _moves_with_readings(moves: Table) -> tuple[Note, ...]:
-    read = [k for k, cell in enumerate(moves.values("reading_mm", Column(str, ""))) if cell]
-    if not read:
-        return ()
-    lines = tuple(moves.lines[k] for k in read)
-    return (
-        Note(
-            f"the reading of line {', '.join(map(str, lines))} was ignored: a row of kind move "
-            "is gone through, not read",
-            "reading",
-            lines,
-        ),
+    cells = zip(moves.lines, moves.cells(READINGS["mm"].name), strict=True)
+    lines = tuple(line for line, cell in cells if cell)
+    told = (
+        f"the reading of line {', '.join(map(str, lines))} was ignored: a row of kind {MOVE} is "
+        f"gone through, not read"
     )
+    return (Note(told, "reading", lines),) if lines else ()
 
 
-def _setups(table: Table) -> tuple[tuple[Setup, ...], Ints]:
-    """The mountings in order of appearance, and the place in them of each row's."""
-    cells = {key: table.values(key, column) for key, column in SETUP_COLUMNS.items()}
-    for row, (leg, direction) in enumerate(zip(cells["leg"], cells["direction"], strict=True)):
-        if leg == direction[0]:
-            table.fail("direction is the leg's own axis: name one across the leg", row)
-    first, setup = mountings(table, cells, "give each mounting of a dial a name of its own")
-    setups = tuple(
-        Setup(
-            name=cells["setup"][row],
-            leg=cells["leg"][row],
-            axis=cells["direction"][row][0],
-            sign=cells["direction"][row][1],
-            gauge=cells["gauge_mm"][row],
-            bar=cells["bar"][row],
-        )
-        for row in first
-    )
-    return setups, setup
+def _points(table: Table, machine: MachineFile) -> Readings:
+    column, legs = stated_commands(table, machine), machine.geometry.leg_names
+    known = (column, RHO, TRAVEL, APPROACH, POINT, SIGMAS["mm"])
+    warnings = table.check_names(names_of(known, legs), names_of((column, POINT), legs))
+    p = table.array(POINT)
+    command = commands(table, column, machine)
+    check_points(command, p, table.fail)
+    return from_points(
+        command, p, table.values(SIGMAS["mm"]), table.array(APPROACH, legs), table.lines,
+        name=Path(table.file).stem or "points", file=table.file, sha256=table.sha256,
+        warnings=warnings, legs=machine.geometry.layout.names,
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""A CSV file or data frame as cells of text, and the parsers that turn a cell into SI."""
+"""A CSV file or data frame as cells of text, with the line that each row stands on."""
 
 from __future__ import annotations
 
@@ -6,38 +6,29 @@ import csv
 import io
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Any, NoReturn
 
-from orthoglide import files, units
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide import files
 from orthoglide.errors import FileError
-from orthoglide.geometry import LEGS
+from orthoglide.geometry import LEGS, Array
 from orthoglide.notes import Note
 from orthoglide.numerals import MINUS
+from orthoglide.observations.cells import NUMBER
+from orthoglide.observations.schema import Column
 from orthoglide.text import brief, cell_text, shown, unseen
 
 _DELIMITERS = ",;\t"
 _SEPARATOR = re.compile(rf'"?sep=([{_DELIMITERS}])"?', re.IGNORECASE)
 _SCHEMA = re.compile(r"^schema\b", re.MULTILINE)  # of machine files, after any comments
 _MOST_COLUMNS = 200
-_LONGEST_LABEL = 100
 _MISSING = ("nan", "NaN", "None", "<NA>", "NaT")  # how data frames spell an empty cell
 _SIGN = re.compile(rf"^{MINUS}(?=[.,]?[0-9])")  # as this package prints it
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
-_NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
-
-
-@dataclass(frozen=True)
-class Column:
-    """What a column holds."""
-
-    # turns a cell into its value (SI), or raises ValueError with what would be right
-    parse: Callable[[str], Any]
-    # value of an empty cell, and of every row where the column is absent; None: the column must be
-    # there and filled in
-    empty: Any = None
 
 
 @dataclass(frozen=True)
@@ -54,22 +45,40 @@ class Table:
         """Refuses the table, for a row of it where one is to blame."""
         raise FileError(message, file=self.file, line=1 if row is None else self.lines[row])
 
-    def values(self, name: str, column: Column) -> list[Any]:
-        """A column's values (SI)."""
+    def cells(self, name: str) -> list[str]:
+        """Return the cells of a column; empty ones if there is none of that name."""
+        if name not in self.names:
+            return [""] * len(self.rows)
+        place = self.names.index(name)
+        return [cells[place] for cells in self.rows]
+
+    def values(self, column: Column, name: str = "") -> list[Any]:
+        """Return the values of a column in SI, or of the one of its columns that is named.
+
+        Raises:
+            FileError: for the first cell that cannot be read.
+        """
+        name = name or column.name
         if name not in self.names:
             return [column.empty] * len(self.rows)
-        place = self.names.index(name)
-        return [self._value(name, column, row, cells[place]) for row, cells in enumerate(self.rows)]
+        cells, found = self.cells(name), dict[str, Any]()
+        for cell in dict.fromkeys(cells):
+            try:
+                found[cell] = column.kind.read(cell) if cell else column.empty
+            except ValueError as error:
+                self.fail(f"{name} is {brief(cell)!r}, {error}", cells.index(cell))
+            if not cell and column.required:
+                self.fail(f"{name} is empty: fill it in or remove the row", cells.index(cell))
+        return [found[cell] for cell in cells]
 
-    def _value(self, name: str, column: Column, row: int, cell: str) -> Any:
-        if not cell:
-            if column.empty is None:
-                self.fail(f"{name} is empty: fill it in or remove the row", row)
-            return column.empty
-        try:
-            return column.parse(cell)
-        except ValueError as error:
-            self.fail(f"{name} is {brief(cell)!r}, {error}", row)
+    def array(self, column: Column, legs: tuple[str, str, str] = LEGS) -> Array:
+        """Return the values of three columns ``(n, 3)``, by legs or base axes.
+
+        Raises:
+            FileError: as `values`.
+        """
+        names = column.names(legs)
+        return np.array([self.values(column, name) for name in names], dtype=float).T
 
     def check_names(self, known: Iterable[str], needed: Iterable[str]) -> tuple[Note, ...]:
         """Refuses missing and misspelt columns; returns warnings of those that are ignored."""
@@ -91,7 +100,7 @@ class Table:
             if name
         )
 
-    def part(self, rows: Sequence[int]) -> Table:
+    def part(self, rows: Sequence[int] | NDArray[np.intp]) -> Table:
         """Some of the rows, by place."""
         return replace(
             self,
@@ -166,10 +175,13 @@ def rows_table(
 
 def _cells(text: str, delimiter: str, file: str) -> tuple[list[str], list[list[str]], list[int]]:
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+    marked = "'" in text or MINUS in text  # marks of a spreadsheet, and of printed numbers
     rows, lines = [], []
     try:
         for row in reader:
-            cells = [_SIGN.sub("-", cell_text(cell)) for cell in row]
+            cells = [cell.strip() for cell in row]
+            if marked:
+                cells = [_SIGN.sub("-", cell_text(cell)) for cell in cells]
             if any(cells):
                 rows.append(cells)
                 lines.append(reader.line_num)
@@ -219,95 +231,9 @@ def _check_distinct(names: Sequence[str], file: str) -> None:
 
 def _decimal_point(cell: str) -> str:
     pointed = cell.replace(",", ".", 1)
-    return pointed if _NUMBER.fullmatch(pointed) else cell
+    return pointed if NUMBER.fullmatch(pointed) else cell
 
 
 def _frame_cell(value: Any) -> str:
     text = str(value).strip()
     return "" if text in _MISSING else text
-
-
-# Parsers of one cell.
-
-
-def number(factor: float = 1.0, low: float = -1e9, high: float = 1e9) -> Callable[[str], float]:
-    """Parser of a number in a unit worth ``factor``; the limits are in the column's own unit."""
-
-    def parse(cell: str) -> float:
-        if _NOT_FINITE.fullmatch(cell):
-            raise ValueError("not a finite number: measure again, or remove the row")
-        if not _NUMBER.fullmatch(cell):
-            raise ValueError("not a number: write it like 12.34, without its unit")
-        if not low <= float(cell) <= high:
-            raise ValueError(f"which is out of range: give a number from {low:g} to {high:g}")
-        return units.to_si(cell, factor)
-
-    return parse
-
-
-def label(cell: str) -> str:
-    """Parser of a name for people: one line, and not a page."""
-    if "\n" in cell or "\r" in cell:
-        raise ValueError("which has several lines: write it on one")
-    if len(cell) > _LONGEST_LABEL:
-        raise ValueError(f"of {len(cell)} characters: shorten it to {_LONGEST_LABEL}")
-    return cell
-
-
-def positive(factor: float, most: float) -> Callable[[str], float]:
-    """Parser of a standard deviation, SI no larger than ``most``, in a unit worth ``factor``."""
-    any_number = number(factor)
-
-    def parse(cell: str) -> float:
-        value = any_number(cell)
-        if value <= 0:
-            raise ValueError("not a standard deviation: give one above 0 or leave the field empty")
-        if not units.NOISE[0] <= value <= most:
-            raise ValueError(
-                "which no instrument has: give a standard deviation from "
-                f"{units.NOISE[0] / factor:g} to {most / factor:g} or leave the field empty"
-            )
-        return value
-
-    return parse
-
-
-def whole(low: int) -> Callable[[str], int]:
-    """Parser of a whole number; ``3.0`` counts as one, as spreadsheets write it."""
-    any_number = number()
-
-    def parse(cell: str) -> int:
-        value = any_number(cell)
-        if value != int(value) or value < low:
-            raise ValueError(f"not a whole number from {low} on: correct it")
-        return int(value)
-
-    return parse
-
-
-def choice(meanings: dict[str, Any], hint: str = "") -> Callable[[str], Any]:
-    """Parser of one of a few words."""
-
-    def parse(cell: str) -> Any:
-        if cell not in meanings:
-            raise ValueError(hint or f"which is none of {', '.join(meanings)}: write one of these")
-        return meanings[cell]
-
-    return parse
-
-
-SIGN = choice(
-    {spelt: sign for sign in (1, -1) for spelt in (f"{sign:+d}", f"{sign}", f"{sign}.0")}
-    | dict.fromkeys(("0", "0.0"), 0),
-    "not +1 or -1: give the direction of the axis' last move, or leave the field empty",
-)
-"""Parser of the direction of a move."""
-
-LEG = choice({name: leg for leg, name in enumerate(LEGS)})
-"""Parser of a leg's name."""
-
-DIRECTION = choice(
-    {mark + name: (axis, sign)
-     for mark, sign in (("", 1), ("-", -1), ("+", 1)) for axis, name in enumerate(LEGS)}
-)  # fmt: skip
-"""Parser of a direction into axis and sign."""

@@ -1,47 +1,64 @@
-"""Readings of any kind, measuring sheets and TCP points as rows of text; they read back."""
+"""Readings of any kind, measuring sheets and TCP points as rows, files and data frames, which all
+read back.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide import text, units
+from orthoglide import files, text
+from orthoglide.errors import InputError
+from orthoglide.frames import data_frame
 from orthoglide.geometry import LEGS, Array
+from orthoglide.instruments import LegDial
 from orthoglide.layout import LegNames
 from orthoglide.machine_file import AnyMachine, Controller, MachineFile, machine_file_of
-from orthoglide.observations.campaign import Campaign
 from orthoglide.observations.checks import DECIMALS
-from orthoglide.observations.columns import (
+from orthoglide.observations.columns import own_commands
+from orthoglide.observations.readings import Readings
+from orthoglide.observations.schema import (
     APPROACH,
-    APPROACHED,
-    BESIDE,
-    MM,
+    COLUMNS,
+    COMMANDS,
+    DIRECTION,
+    FIRMWARE,
+    KIND,
+    MOVE,
+    ORDER,
     PLACE,
     POINT,
-    SECOND_PLACE,
-    TRAVELLED,
-    TURNED,
-    by_leg,
-    of_commands,
-    second_names,
+    POSTURE,
+    READINGS,
+    RHO,
+    SETUP,
+    SIGMAS,
+    TIME,
+    TRAVEL,
+    Column,
+    columns_with,
+    names_of,
 )
-from orthoglide.observations.tcp import TcpPoints
-from orthoglide.observations.tool import ToolCampaign
+from orthoglide.observations.tables import concatenated, in_sequence, parts
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Row = dict[str, str]
 """From column to text."""
 
-Columns = dict[str, Sequence[Any] | None]
-"""Cells by column; None where a column says nothing."""
+Columns = dict[str, Sequence[str]]
+"""Cells by column."""
 
+_TEXTS = {column.name for column in COLUMNS if column.text}
 _PLACED = 9  # decimals of a metre, of where a tool is sent
-_MOUNTING: tuple[str, ...] = ("setup", "leg", "direction", "gauge_mm", "bar")
 
 
-def campaign_text(campaign: Campaign | ToolCampaign, machine_file: AnyMachine | None = None) -> str:
+def campaign_text(campaign: Readings, machine_file: AnyMachine | None = None) -> str:
     """The CSV text of readings; arguments as for `campaign_rows`."""
     return csv_text(campaign_rows(campaign, machine_file))
 
@@ -57,7 +74,7 @@ def command_columns(row: Row) -> list[str]:
 
 
 def campaign_rows(
-    campaign: Campaign | ToolCampaign,
+    campaign: Readings,
     machine_file: AnyMachine | None = None,
     *,
     places: bool = False,
@@ -76,121 +93,141 @@ def campaign_rows(
         approaches: give the approach even where it follows from the order.
 
     Returns:
-        From column to text; all rows have the same columns, in the order of FORMAT's table.
+        From column to text; all rows have the same columns, in the order of the schema.
     """
     machine = None if machine_file is None else machine_file_of(machine_file)
-    of, angles = _legs(campaign.legs, machine), campaign.angular
-    plain, legs = machine is None or machine.controller == Controller(), of.legs
-    names = of_commands(of) if plain else by_leg(TRAVELLED, legs)
+    names = _names(campaign.legs, machine)
+    plain = machine is None or machine.controller == Controller()
+    command = own_commands(names) if plain else TRAVEL
     if places and machine is not None and machine.kinematics is not None:
-        names = PLACE
-    timed = np.isfinite(campaign.time).any()
-    taken = np.isfinite(campaign.reading)  # the time of a reading not taken yet is none
-    columns: Columns = {
-        "kind": campaign.kind,
-        "setup": [campaign.setups[k].name for k in campaign.setup],
-        **dict.fromkeys(("leg", "direction")),
-        "posture": campaign.posture,
-        **_commands(campaign.command, machine, names),
-        **dict.fromkeys(("gauge_mm", "bar", *second_names(names, legs))),
-        "repeat": campaign.repeat.tolist(),
-        "order": campaign.order.tolist(),
-        **_approaches(campaign.approach, legs),
-        "time_s": numbers(np.where(taken, campaign.time, np.nan)) if timed else None,
-        "temperature_C": _told(numbers(campaign.temperature)),
-        "load_N": numbers(campaign.load) if campaign.load.any() else None,
-        "reading_mm": None if angles.all() else _numbers_of(~angles, campaign.reading),
-        "reading_mrad": _numbers_of(angles, campaign.reading) if angles.any() else None,
-        "sigma_mm": _told(_numbers_of(~angles, campaign.sigma)),
-        "sigma_mrad": _told(_numbers_of(angles, campaign.sigma)),
-    }
-    if isinstance(campaign, Campaign):
-        own, told = _of_dials(campaign, approaches), _MOUNTING
-    else:
-        own, told = _of_tool(campaign, machine, names), _MOUNTING[:1]
-    rows = rows_of(columns | own)
-    moves = rows_of(_commands(campaign.moves.command, machine, names))
-    return _with_moves(rows, campaign, moves, told)
+        command = PLACE
+    on_legs, columns = bool(campaign.on_legs.all()), Columns()
+    for column in _written(campaign, command, on_legs, approaches):
+        own = np.array([column.of(s.observation) for s in campaign.setups])[campaign.setup]
+        if own.any():
+            columns |= _cells(column, _held(campaign, column, machine), names.legs, own)
+    if np.isfinite(campaign.time).any():  # the time of a reading not taken yet is none
+        taken = np.isfinite(campaign.reading)
+        columns |= _cells(TIME, campaign.time, own=taken, always=True)
+    if machine is not None and machine.firmware and not on_legs:
+        columns[FIRMWARE.name] = [machine.firmware] * len(campaign)
+    if command is PLACE:
+        columns |= _touches(campaign, columns)
+    gone = _cells(command, _shown(campaign.moves.command, command, machine), names.legs)
+    leads = [c for c in COLUMNS if c is SETUP or (on_legs and (c.of_setup or c is DIRECTION))]
+    return _with_moves(rows_of(columns), campaign, rows_of(gone), names_of(leads))
 
 
-def _legs(own: LegNames, machine: MachineFile | None) -> LegNames:
+def _names(own: LegNames, machine: MachineFile | None) -> LegNames:
     """Names of a machine's legs; readings' ``own`` where none is given."""
     return own if machine is None else machine.geometry.layout.names
 
 
-def _of_dials(campaign: Campaign, approaches: bool) -> Columns:
-    """The columns that dials on legs have of their own."""
-    setups = [campaign.setups[k] for k in campaign.setup]
-    derived = not approaches and np.array_equal(campaign.approach, campaign.derived_approach)
-    return {
-        **({} if len(campaign.moves) else {"kind": None}),
-        "leg": [LEGS[s.leg] for s in setups],
-        "direction": [s.direction for s in setups],
-        "gauge_mm": [units.from_si(s.gauge, MM) for s in setups],
-        "bar": _told([str(s.bar or "") for s in setups]),
-        **(dict.fromkeys(APPROACH) if derived else {}),
-    }
+def _written(
+    campaign: Readings, command: Column, on_legs: bool, approaches: bool
+) -> Iterator[Column]:
+    """Yield the columns that a file may have; one of dials on legs alone leaves out a kind that is
+    plain, and an approach that follows from the order.
+    """
+    left_out = set()
+    if on_legs and not len(campaign.moves) and set(campaign.kind) <= {LegDial.kind}:
+        left_out.add(KIND)
+    if on_legs and not approaches and np.array_equal(campaign.approach, campaign.derived_approach):
+        left_out.add(APPROACH)
+    yield from (c for c in columns_with(command) if c not in left_out and c.attribute)
 
 
-def _of_tool(
-    campaign: ToolCampaign, machine: MachineFile | None, names: tuple[str, ...]
+def _held(campaign: Readings, column: Column, machine: MachineFile | None) -> Any:
+    """Return the values of a column, of each reading."""
+    if column.of_setup:
+        values = [getattr(setup, column.attribute) for setup in campaign.setups]
+        return [values[place] for place in campaign.setup.tolist()]
+    held = getattr(campaign, column.attribute)
+    return _shown(held, column, machine) if column in (*COMMANDS, *COMMANDS.values()) else held
+
+
+def _cells(
+    column: Column,
+    values: Any,
+    legs: tuple[str, str, str] = LEGS,
+    own: NDArray[np.bool_] | None = None,
+    always: bool = False,
 ) -> Columns:
-    """The columns that readings of the tool have of their own."""
-    named = [
-        ("-" if sign < 0 else "") + LEGS[axis] if campaign.setups[k].instrument.axes else ""
-        for axis, sign, k in zip(campaign.axis, campaign.sign, campaign.setup, strict=True)
-    ]
-    others = second_names(names, _legs(campaign.legs, machine).legs)
-    beside = zip(BESIDE, campaign.beside.T, strict=True)
-    return {
-        "direction": _told(named),
-        **(_commands(campaign.second, machine, others) if campaign.paired.any() else {}),
-        "firmware": _told([machine.firmware if machine else ""] * len(campaign)),
-        **{name: numbers(values, MM) if values.any() else None for name, values in beside},
-        TURNED: numbers(campaign.turned_by) if campaign.turned_by.any() else None,
-        **(_touches(campaign, machine) if names == PLACE else {}),
-    }
+    """Return the cells of a column, or of those of three, that state something.
+
+    Args:
+        column: of the schema.
+        values: ``(n,)``, or ``(n, 3)`` of three columns.
+        legs: names of the machine's legs.
+        own: which rows have it ``(n,)``; all if None. The cells of others are empty.
+        always: whether it is given even where it states nothing.
+    """
+    found = Columns()
+    each = np.asarray(values).T if column.spread else [values]
+    for name, one in zip(column.names(legs), each, strict=True):
+        given = one.tolist() if isinstance(one, np.ndarray) else list(one)
+        if own is not None and not own.all():
+            given = [value if has else None for value, has in zip(given, own.tolist(), strict=True)]
+        distinct = dict.fromkeys(given)
+        texts = {v: "" if v is None else column.kind.write(v) for v in distinct}
+        stated = any(v is not None and v == v and v != column.empty for v in distinct)
+        if stated or always or column.always or column.required:
+            found[name] = [texts[value] for value in given]
+    return found
 
 
-def _touches(campaign: ToolCampaign, machine: MachineFile | None) -> Columns:
+def _shown(command: Array, column: Column, machine: MachineFile | None) -> Array:
+    """Return commands ``(n, 3)`` as columns state them: joint coordinates, what the controller of a
+    machine shows, or where it sends the tool.
+    """
+    places = column in (PLACE, COMMANDS[PLACE])
+    if places and machine is not None and machine.kinematics is not None:
+        shown, known = np.full(command.shape, np.nan), np.isfinite(command).all(axis=1)
+        shown[known] = np.round(machine.kinematics.places(command[known]), _PLACED) + 0.0
+        return shown
+    if column in (RHO, COMMANDS[RHO]):
+        return command
+    shown = command if machine is None else machine.controller.from_rho(command, machine.geometry)
+    return np.asarray(np.round(shown, DECIMALS) + 0.0)
+
+
+def _touches(campaign: Readings, columns: Columns) -> Columns:
     """Heights and readings where a plate is still to be touched: the height is what is read."""
-    open_ = campaign.touching & np.isnan(campaign.reading)
-    if not open_.any():
-        return {}
-    height = _commands(campaign.command, machine, PLACE)[PLACE[2]]
-    read = _numbers_of(~campaign.angular, campaign.reading)
+    waiting = campaign.touching & np.isnan(campaign.reading)
+    height, read = PLACE.names()[2], READINGS["mm"].name
     return {
-        PLACE[2]: ["" if is_open else cell for cell, is_open in zip(height, open_, strict=True)],
-        "reading_mm": ["0" if is_open else cell for cell, is_open in zip(read, open_, strict=True)],
-    }
+        name: [cell if not waits else there
+               for cell, waits in zip(columns[name], waiting.tolist(), strict=True)]
+        for name, there in ((height, ""), (read, "0")) if name in columns
+    }  # fmt: skip
 
 
-def tcp_rows(points: TcpPoints, machine_file: AnyMachine | None = None) -> list[Row]:
-    """The rows of a file of TCP points; optional columns only where they say something. Commands
-    are joint coordinates, or the controller's values of a machine that is no Orthoglide.
+def tcp_rows(given: Readings, machine_file: AnyMachine | None = None) -> list[Row]:
+    """The rows of a file with a row a point; optional columns only where they say something.
+    Commands are joint coordinates, or the controller's values of a machine that is no Orthoglide.
+
+    Raises:
+        InputError: where there are readings of another kind than coordinates of the tool.
     """
     machine = None if machine_file is None else machine_file_of(machine_file)
-    legs = _legs(points.legs, machine)
-    approach = _approaches(points.approach, legs.legs)
+    points, names = given.points(), _names(given.legs, machine)
+    command = own_commands(names)
+    approach = _cells(APPROACH, points.approach, names.legs) if points.approach.any() else {}
     return rows_of(
-        {
-            **_commands(points.command, machine, of_commands(legs)),
-            **{name: numbers(points.p[:, axis], MM) for axis, name in enumerate(POINT)},
-            **(approach if points.approach.any() else {}),
-            "sigma_mm": _told(numbers(points.sigma, MM)),
-        }
+        _cells(command, _shown(points.command, command, machine), names.legs)
+        | _cells(POINT, points.p, always=True)
+        | approach
+        | _cells(SIGMAS["mm"], points.sigma)
     )
 
 
-def rows_of(columns: Mapping[str, Sequence[Any] | None]) -> list[Row]:
-    """Rows of columns of equal length; without those that are None."""
-    said = {name: cells for name, cells in columns.items() if cells is not None}
-    cells = zip(*said.values(), strict=True)
-    return [dict(zip(said, map(str, row), strict=True)) for row in cells]
+def rows_of(columns: Mapping[str, Sequence[str]]) -> list[Row]:
+    """Rows of columns of equal length."""
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def _with_moves(
-    rows: list[Row], campaign: Campaign | ToolCampaign, shown: Sequence[Row], told: Sequence[str]
+    rows: list[Row], campaign: Readings, shown: Sequence[Row], told: Sequence[str]
 ) -> list[Row]:
     """Moves among the readings by line, each with the columns ``told`` of the mounting that it
     leads to, for people.
@@ -203,46 +240,83 @@ def _with_moves(
     found = list(zip(campaign.line.tolist(), rows, strict=True))
     for k, place in enumerate(np.minimum(following, len(rows) - 1).tolist()):
         cells = {n: c if n in told else "" for n, c in rows[sequence[place]].items()}
-        own = {"kind": "move", "posture": "move", "order": str(moves.order[k])}
+        own = {KIND.name: MOVE, POSTURE.name: MOVE, ORDER.name: str(moves.order[k])}
         found.append((int(moves.line[k]), cells | shown[k] | own))
     return [row for _, row in sorted(found, key=lambda at: at[0])]
 
 
-def _commands(
-    command: Array, machine: MachineFile | None, names: tuple[str, ...]
-) -> dict[str, list[str]]:
-    """Cells of commands ``(n, 3)`` by their columns: joint coordinates, what the controller of a
-    machine shows, or where it sends the tool; nan is empty.
+def readings_rows(given: Readings, machine_file: AnyMachine | None = None) -> list[Row]:
+    """The rows of the file of readings of any kind; arguments as for `write_campaign`."""
+    rows = tcp_rows if given.by_point else campaign_rows
+    return rows(given, machine_file)
+
+
+def readings_text(
+    given: Sequence[Readings], machine_file: AnyMachine | None = None, *, places: bool = False
+) -> str:
+    """The CSV text of one file of readings of several kinds; arguments as for `campaign_rows`."""
+    said = {"places": places, "approaches": len(given) > 1}  # empty is unknown, if one gives them
+    rows = [row for one in given for row in campaign_rows(one, machine_file, **said)]
+    names = dict.fromkeys(name for row in rows for name in row)
+    return csv_text([{name: row.get(name, "") for name in names} for row in rows])
+
+
+def write_campaign(
+    campaign: Readings | Sequence[Readings],
+    path: str | os.PathLike[str],
+    machine_file: AnyMachine | None = None,
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Writes readings or a measuring sheet; optional columns only where they say something.
+
+    Args:
+        campaign: what to write, of dials or of the tool; readings that are nan are left empty.
+            Several go into one file, dials first, each in order behind the one before.
+        path: where to.
+        machine_file: the machine, or its file: where its controller counts in a way of its own,
+            commands are written as it shows them; as the campaign has them if None.
+        overwrite: whether an existing file may be replaced.
+
+    Raises:
+        FileError: where a file stands already and may not be replaced, or none can be written.
+        InputError: where several cannot be one file: of different machines, two with dials, or two
+            with a setup of the same name.
     """
-    shown = command
-    if names in (PLACE, SECOND_PLACE) and machine is not None and machine.kinematics is not None:
-        shown, told = np.full(command.shape, np.nan), np.isfinite(command).all(axis=1)
-        shown[told] = np.round(machine.kinematics.places(command[told]), _PLACED) + 0.0
-    elif names[0].startswith("travel"):
-        if machine is not None:
-            shown = machine.controller.from_rho(command, machine.geometry)
-        shown = np.round(shown, DECIMALS) + 0.0
-    return {name: numbers(shown[:, axis], MM) for axis, name in enumerate(names)}
+    several = campaign if isinstance(campaign, Sequence) else (campaign,)
+    if not several or not all(isinstance(one, Readings) and len(one) for one in several):
+        raise InputError("give a campaign with readings, or a list of such, to write")
+    if len(several) == 1 and several[0].by_point:
+        points = csv_text(tcp_rows(several[0], machine_file))
+        files.write_whole(path, points, overwrite=overwrite)
+        return
+    given = [part for one in several for part in parts(one)]
+    if sum(bool(one.on_legs.any()) for one in given) > 1:
+        raise InputError("one file has one campaign of dials: write the others to their own files")
+    # Dials take all moves of a file for theirs: those behind their readings are nothing to them.
+    ordered = sorted(given, key=lambda one: not one.on_legs.any())
+    concatenated(ordered)  # refuses what cannot be one file
+    files.write_whole(path, readings_text(in_sequence(ordered), machine_file), overwrite=overwrite)
 
 
-def _approaches(approach: Array, legs: tuple[str, str, str]) -> dict[str, list[str]]:
-    """Cells of directions of the last move ``(n, 3)``; 0 is empty."""
-    return {
-        name: ["" if v == 0 else f"{v:.0f}" for v in approach[:, axis].tolist()]
-        for axis, name in enumerate(by_leg(APPROACHED, legs))
-    }
+def readings_frame(campaign: Readings, machine_file: AnyMachine | None = None) -> pd.DataFrame:
+    """The rows of the file of readings as a data frame, which ``from_frame`` takes back; arguments
+    as for `write_campaign`. Frames of several kinds put together are those of a mixed file.
+
+    Raises:
+        InputError: where pandas is not installed.
+    """
+    rows = (
+        tcp_rows(campaign, machine_file)
+        if campaign.by_point
+        else campaign_rows(campaign, machine_file, approaches=True)
+    )
+
+    def value(name: str, cell: str) -> Any:
+        return cell if name in _TEXTS else float(cell or "nan")
+
+    names = list(rows[0]) if rows else []
+    return data_frame({name: [value(name, row[name]) for row in rows] for name in names})
 
 
-def numbers(values: Array, factor: float = 1.0) -> list[str]:
-    """Cells of SI numbers in a unit worth ``factor``; nan is empty."""
-    return ["" if np.isnan(v) else str(units.from_si(v, factor)) for v in values.tolist()]
-
-
-def _numbers_of(chosen: NDArray[np.bool_], values: Array) -> list[str]:
-    """Cells of some of the values ``(n,)``, thousandths; the others are empty."""
-    return numbers(np.where(chosen, values, np.nan), MM)
-
-
-def _told(cells: list[str]) -> list[str] | None:
-    """Cells, or None where all are empty."""
-    return cells if any(cells) else None
+Readings.to_frame = readings_frame

@@ -11,7 +11,7 @@ import numpy as np
 from orthoglide.errors import InputError, check_list, check_word
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.observations import Campaign
+from orthoglide.observations import Readings
 from orthoglide.ordering import EQUAL_ODDS, descending
 from orthoglide.planning.choosing import choose
 from orthoglide.planning.criteria import Determinant, EffectSeparation
@@ -55,7 +55,7 @@ class Design:
 
     criterion: Criterion
     names: tuple[str, ...]
-    campaign: Campaign
+    campaign: Readings
     value: float
     indices: Observability
     closest: tuple[Pair, ...] = ()
@@ -85,7 +85,7 @@ def design(
     criterion: Criterion = "d-optimal",
     *,
     noise: float | None = None,
-    pool: Campaign | None = None,
+    pool: Readings | None = None,
 ) -> Design:
     """Choose readings before any is taken: greedily, then by exchange of whole mountings.
 
@@ -135,7 +135,7 @@ def design(
     return Design(criterion, names, campaign, value, seen, closest, never)
 
 
-def shown_names(machine: Machine, pool: Campaign, free: Sequence[str]) -> tuple[str, ...]:
+def shown_names(machine: Machine, pool: Readings, free: Sequence[str]) -> tuple[str, ...]:
     """Parameters of the machine that names stand for; all that a design can show where empty.
 
     Raises:

@@ -19,7 +19,7 @@ from orthoglide.fit.change_search import CLASS_WIDTH
 from orthoglide.frames import Framed
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.observations import Campaign, Readings
+from orthoglide.observations import Readings
 from orthoglide.ordering import EQUAL_ODDS, best_of, largest, ranked
 from orthoglide.parameters import Parameter
 from orthoglide.planning.linear import foreseen
@@ -119,7 +119,7 @@ class Detectability(Framed):
 
 def smallest_effects(
     machine: MachineSource,
-    campaign: Campaign | Sequence[Readings],
+    campaign: Readings | Sequence[Readings],
     *,
     names: Sequence[str] = (),
     level: float = 0.01,

@@ -16,12 +16,10 @@ import numpy as np
 
 from orthoglide.effects.wording import cause_short
 from orthoglide.fit import Problem
-from orthoglide.fit.factors import Block
+from orthoglide.fit.factors import Block, Factor
 from orthoglide.fit.least_squares import linearise, nuisances
-from orthoglide.fit.tool import ToolReadings
-from orthoglide.fit.tool_noise import expected_sigma
 from orthoglide.geometry import Array
-from orthoglide.instruments import INSTRUMENTS
+from orthoglide.instruments import AT_TOOL
 from orthoglide.numerals import compact
 from orthoglide.ordering import EQUAL, ranked
 from orthoglide.parameters import plain_and_campaign
@@ -103,7 +101,7 @@ def _instruments(problem: Problem) -> Iterator[Proposal]:
     plates = [
         (int(np.sum(f.setup == s)), k, s, f)
         for k, f, s, setup in problem.mounted
-        if setup.instrument.touches
+        if setup.observation.touches
     ]
     if plates:
         yield Proposal(
@@ -114,42 +112,38 @@ def _instruments(problem: Problem) -> Iterator[Proposal]:
             _turned(problem, *max(plates)[1:]),
         )
     long = f"{_LONGER * 1e3:.0f}"
-    several = [
-        (i, 0.0, i.words, i.how, _SHEET.format(i.kind)) for i in INSTRUMENTS.values() if i.how
-    ]
+    several = [(i, 0.0, i.words, i.how, _SHEET.format(i.kind)) for i in AT_TOOL.values() if i.how]
     several += [
         (i, _LONGER, f"{i.reads} by a tool {long} mm longer", f", a pen or a rod, around the rim "
          f"and across it, commanded {long} mm higher, as a setup of their own with -{long} under "
          f"beside_z_mm", "")
-        for i in INSTRUMENTS.values() if i.how and i.paired
+        for i in AT_TOOL.values() if i.how and i.paired
     ]  # fmt: skip
     for instrument, longer, brief, how, told in several:
         sheet = tool_sheet(problem.machine, instrument, longer)
-        sigma = expected_sigma(sheet, problem.machine.spec.instruments)
-        factor = replace(ToolReadings.of(sheet, problem.machine), sigma=sigma)
-        known = f"{how}, to {compact(float(sigma[0]) * 1e3, 2)} {instrument.unit} each"
+        factor = Factor.unread(sheet, problem.machine)
+        known = f"{how}, to {compact(float(factor.sigma[0]) * 1e3, 2)} {instrument.unit} each"
         yield Proposal(brief, known, told, _alone(problem, problem.last, factor))
 
 
-def _turned(problem: Problem, k: int, setup: int, factor: ToolReadings) -> Problem:
+def _turned(problem: Problem, k: int, setup: int, factor: Factor) -> Problem:
     """One setup's touches of a plate again, with the plate turned on its seat."""
-    rows, own = factor.setup == setup, factor.points.setups[setup]
+    rows, own = factor.setup == setup, factor.readings.setups[setup]
     lies = replace(own, turned=own.turned + _TURNED)
-    points = replace(factor.points.subset(rows), setups=(lies,), setup=np.zeros(rows.sum(), int))
-    again = replace(ToolReadings.of(points, problem.machine), sigma=factor.sigma[rows])
+    points = replace(factor.readings.subset(rows), setups=(lies,), setup=np.zeros(rows.sum(), int))
+    again = Factor.of(points, problem.machine, factor.noise.of(rows))
     # Shapes without a name, of one degree as likely along all directions, are so when turned, too.
     curves, at = problem.curves, problem.factor_rows[k]
     if curves is not None:
-        curves = Block(curves.columns[at][rows], curves.sd, curves.placement)
+        curves = Block(curves.columns[at][rows], curves.sd)
     return _alone(problem, k, again, curves)
 
 
-def _alone(problem: Problem, k: int, factor: ToolReadings, curves: Block | None = None) -> Problem:
+def _alone(problem: Problem, k: int, factor: Factor, curves: Block | None = None) -> Problem:
     """Other readings alone, of the machine as it is to a factor of the problem."""
     return replace(
         problem,
-        campaigns=(),
-        points=(factor,),
+        factors=(factor,),
         unknowns=tuple(replace(u, parts=(u.parts[k],)) for u in problem.unknowns),
         held=(problem.held[k],),
         curves=curves,
@@ -166,7 +160,7 @@ def _apart(known: FullPosterior, new: Problem, pairs: Sequence[Pair]) -> dict[Pa
     x = problem.padded(known.before.x)
     at, then = linearise(problem, x), linearise(new, x)
     old = np.vstack([known.after.nuisance.project(at.jacobian), known.about.known_rows[0]])
-    more = nuisances(new, then.slopes).project(then.jacobian)
+    more = nuisances(new, then.seen).project(then.jacobian)
     base = np.diag(np.where(np.isnan(fixed), known.share, fixed) * problem.tolerance)
     several = list(dict.fromkeys(one for pair in pairs for one in pair))
     columns = np.hstack([base, np.stack([_of(one, problem) for one in several], axis=1)])

@@ -16,14 +16,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orthoglide.fit import Problem, assemble, build_problem, noise_of
-from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, common_rounding
+from orthoglide.errors import InputError
+from orthoglide.fit import Problem, assemble, noise_of
+from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, expected_sigma
 from orthoglide.fit.problem import weight_matrix
-from orthoglide.fit.tool_noise import expected_sigma
+from orthoglide.fit.repeats import common_rounding
 from orthoglide.geometry import Array
+from orthoglide.instruments.leg_dial import PLACE
 from orthoglide.machine import Machine
-from orthoglide.machine_file import Dial
-from orthoglide.observations import Campaign, Readings
+from orthoglide.machine_file import MachineFile
+from orthoglide.observations import Readings
 from orthoglide.observations.arrays import numbered
 from orthoglide.ordering import largest
 from orthoglide.simulation import simulate
@@ -55,7 +57,7 @@ class Steps:
 class LinearReadings:
     """Readings of a campaign or a pool, with their derivatives and what they scatter by."""
 
-    campaign: Campaign  # without readings
+    campaign: Readings  # without readings
     columns: Array  # derivative of each reading (n, P) by whatever is asked for
     slope: Array  # by the dial's place (n,)
     sigma: Array  # standard deviation of one visit (n,), metres
@@ -64,7 +66,7 @@ class LinearReadings:
 
     @classmethod
     def of(
-        cls, machine: Machine, campaign: Campaign, names: Sequence[str], noise: float | None = None
+        cls, machine: Machine, campaign: Readings, names: Sequence[str], noise: float | None = None
     ) -> LinearReadings:
         """Readings by parameters, each in its tolerance.
 
@@ -74,17 +76,27 @@ class LinearReadings:
             names: parameters or structured members.
             noise: standard deviation of one reading, metres; else of the rows, the machine file,
                 or as published.
+
+        Raises:
+            InputError: where these are other readings than of single dials.
         """
+        if any(s.observation.dials != 1 for s in campaign.setups):
+            kinds = ", ".join(dict.fromkeys(campaign.kind))
+            raise InputError(
+                f"{campaign.name}: only readings of single dials on legs are planned one by one, "
+                f"and these are of kind {kinds}: smallest_effects says what they show"
+            )
         setups = tuple(s.name for s in campaign.setups)
         parts, weights = in_tolerances(machine, names, setups)
         at = machine.model.linearised(machine.values, campaign, parts)
-        level = noise_of([campaign], _known(machine.spec.dial), noise)
-        total = np.hypot(level.sigma[0], level.common[0])
-        return cls.around(machine, campaign, at.jacobian @ weights, at.slopes[:, 0], total)
+        _, (rows,) = noise_of([campaign], _careful(machine.spec), noise)
+        total = np.hypot(rows.sigma, rows.common)
+        slope = at.seen.by_nuisance[:, PLACE]
+        return cls.around(machine, campaign, at.jacobian @ weights, slope, total)
 
     @classmethod
     def around(
-        cls, machine: Machine, campaign: Campaign, columns: Array, slope: Array, total: ArrayLike
+        cls, machine: Machine, campaign: Readings, columns: Array, slope: Array, total: ArrayLike
     ) -> LinearReadings:
         """Readings whose derivatives are known.
 
@@ -204,25 +216,25 @@ def in_tolerances(
     return parts, weight_matrix(parts, stands_for) * tolerance
 
 
-def _known(dial: Dial) -> Dial:
-    """A dial with its repeatability, as published where the machine file says none."""
-    return replace(dial, repeatability=dial.repeatability or PUBLISHED_REPEATABILITY)
+def _careful(spec: MachineFile) -> MachineFile:
+    """A machine file with the dial's repeatability, as published where it says none."""
+    dial = spec.dial
+    return replace(
+        spec, dial=replace(dial, repeatability=dial.repeatability or PUBLISHED_REPEATABILITY)
+    )
 
 
 def foreseen(
-    machine: Machine, sheet: Campaign | Sequence[Readings], noise: float | None = None
+    machine: Machine, sheet: Readings | Sequence[Readings], noise: float | None = None
 ) -> Problem:
     """Zeros and lengths to be identified from the readings predicted for a sheet, or for several
     of several instruments.
     """
-    if not isinstance(sheet, Campaign):
-        careful = replace(machine, spec=replace(machine.spec, dial=_known(machine.spec.dial)))
-        # Exact, with their noise declared: repeats that agree are no witnesses of it.
-        several = [simulate(machine, one, exact=True) for one in sheet]
-        for k, one in enumerate(several):
-            if not isinstance(one, Campaign):
-                several[k] = replace(one, sigma=expected_sigma(one, machine.spec.instruments))
-        return assemble(several, careful, machine.catalogue.base, noise=noise)
-    exact = sheet.with_readings(machine.readings(sheet))
-    level = noise_of([exact], _known(machine.spec.dial), noise)
-    return build_problem(machine, [exact], machine.catalogue.base, level)
+    careful = replace(machine, spec=_careful(machine.spec))
+    # Exact, with their noise declared: repeats that agree are no witnesses of it.
+    sheets = [sheet] if isinstance(sheet, Readings) else sheet
+    several = [simulate(machine, one, exact=True) for one in sheets]
+    for k, one in enumerate(several):
+        if one.of_tool:
+            several[k] = replace(one, sigma=expected_sigma(one, machine.spec))
+    return assemble(several, careful, machine.catalogue.base, noise=noise)

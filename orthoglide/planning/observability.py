@@ -19,7 +19,7 @@ import numpy as np
 
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign
+from orthoglide.observations import Readings
 from orthoglide.planning.linear import LinearReadings
 
 _NOTHING = 1e-9  # of the largest singular value: rounding
@@ -70,7 +70,7 @@ def of_jacobian(jacobian: Array, readings: int) -> Observability:
 
 
 def observability(
-    machine: Machine, campaign: Campaign, free: Sequence[str], noise: float | None = None
+    machine: Machine, campaign: Readings, free: Sequence[str], noise: float | None = None
 ) -> Observability:
     """Observability indices of a campaign or protocol.
 

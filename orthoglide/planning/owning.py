@@ -15,9 +15,9 @@ from orthoglide.fit import solve, with_others
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.least_squares import linearise
 from orthoglide.geometry import Array
-from orthoglide.instruments import INSTRUMENTS, Instrument
+from orthoglide.instruments import OBSERVATIONS, Observation
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.observations import Readings, ToolCampaign, ToolSetup, in_sequence, protocol
+from orthoglide.observations import Readings, Setup, in_sequence, protocol
 from orthoglide.observations.approach import Moves, overshoot
 from orthoglide.observations.checks import DECIMALS
 from orthoglide.ordering import EQUAL, largest
@@ -25,7 +25,10 @@ from orthoglide.planning.detectable import Detectability, smallest_effects
 from orthoglide.planning.linear import foreseen
 from orthoglide.threads import on_one_thread
 
-TAKEN_BY = {"leg": "dials on the legs"} | {kind: one.words for kind, one in INSTRUMENTS.items()}
+TAKEN_BY = {
+    kind: one.words
+    for kind, one in sorted(OBSERVATIONS.items(), key=lambda item: not item[1].on_leg)
+}
 """Kinds of readings, and what takes them."""
 
 LARGEST = 3.0
@@ -76,9 +79,9 @@ class Owned:
         listed = ", ".join(f"{TAKEN_BY[k]} ({len(s)})" for k, s in self.sheets.items())
         return f"<Owned: {listed}>"
 
-    def to_fill_in(self) -> list[ToolCampaign]:
+    def to_fill_in(self) -> list[Readings]:
         """The sheets of the tool's readings without these, in one sequence."""
-        of_tool = [s for s in self.sheets.values() if isinstance(s, ToolCampaign)]
+        of_tool = [s for s in self.sheets.values() if s.of_tool]
         return in_sequence([replace(s, reading=np.full(len(s), np.nan)) for s in of_tool])
 
 
@@ -101,13 +104,14 @@ def owned_instruments(
     machine = Machine.of(machine)
     sheets = sheets_of(machine, kinds)
     if count is not None:
-        of_tool = [s for s in sheets.values() if isinstance(s, ToolCampaign)]
+        of_tool = [s for s in sheets.values() if s.of_tool]
         chosen = {s.name: s for s in mixed_sheet(machine, of_tool, count)}
-        sheets = {k: chosen.get(k, s) for k, s in sheets.items() if k in chosen or k == "leg"}
+        sheets = {k: chosen.get(k, s) for k, s in sheets.items() if k in chosen or s.on_legs.any()}
     tells = smallest_effects(machine, list(sheets.values()), seed=seed)
     gains = []
     for kind in TAKEN_BY:
-        if kind not in sheets and (kind != "leg" or machine.geometry.dialled):
+        on_leg = OBSERVATIONS[kind].on_leg
+        if kind not in sheets and (machine.geometry.dialled or not on_leg):
             more = [*sheets.values(), sheet_of(machine, kind)]
             of_machine = {e.name for e in machine.catalogue.effects if not e.of_dial}
             gained = smallest_effects(machine, more, seed=seed)
@@ -161,12 +165,13 @@ def sheet_of(machine: Machine, kind: str) -> Readings:
     Raises:
         InputError: where dials cannot be set against the machine's legs.
     """
-    if kind == "leg":
-        return protocol("sweep", machine.geometry)
-    return tool_sheet(machine, INSTRUMENTS[kind])
+    instrument = OBSERVATIONS[kind]
+    if instrument.on_leg:
+        return protocol(instrument.protocol, machine.geometry)
+    return tool_sheet(machine, instrument)
 
 
-def tool_sheet(machine: Machine, instrument: Instrument, longer: float = 0.0) -> ToolCampaign:
+def tool_sheet(machine: Machine, instrument: Observation, longer: float = 0.0) -> Readings:
     """The same of an instrument at the tool.
 
     Args:
@@ -181,34 +186,26 @@ def tool_sheet(machine: Machine, instrument: Instrument, longer: float = 0.0) ->
     n = len(points) * len(axes)
     command = np.repeat(_sent(machine, points + up), len(axes), axis=0)
     second = np.full((n, 3), np.nan) if others is None else _sent(machine, others + up)
-    reading = np.linalg.norm(points - ball, axis=1) if instrument.about_ball else np.zeros(n)
-    nothing, count = np.full(n, np.nan), np.arange(1, n + 1)
-    return ToolCampaign(
+    reading = np.full(n, np.nan)
+    if instrument.about_ball:  # where the ball stands is said by its distance
+        reading = np.linalg.norm(points - ball, axis=1)
+    labels = (" ".join(f"{v * 1e3 + 0.0:.0f}" for v in p) for p in points)
+    return Readings(
         name=instrument.kind,
-        setups=(ToolSetup(instrument.kind, instrument.kind, (0.0, 0.0, -longer)),),
+        setups=(Setup(instrument.kind, kind=instrument.kind, beside=(0.0, 0.0, -longer)),),
         setup=np.zeros(n, dtype=np.int64),
-        axis=np.tile(axes, len(points)),
-        sign=np.ones(n),
         command=command,
-        second=second,
-        approach=np.zeros((n, 3)),
-        time=nothing,
-        temperature=nothing,
-        load=np.zeros(n),
-        repeat=np.ones(n, dtype=np.int64),
-        order=count,
-        posture=tuple(" ".join(f"{v * 1e3 + 0.0:.0f}" for v in p) for p in np.repeat(
-            points, len(axes), axis=0)),
         reading=reading,
-        sigma=nothing,
-        line=count + 1,
+        axis=np.tile(axes, len(points)),
+        second=second,
+        posture=tuple(label for label in labels for _ in axes),
         legs=machine.geometry.layout.names,
         moves=Moves(beyond=overshoot(machine.geometry.stroke)),
-    ).in_order()  # fmt: skip
+    ).in_order()
 
 
 def _places(
-    machine: Machine, instrument: Instrument, up: Array
+    machine: Machine, instrument: Observation, up: Array
 ) -> tuple[Array, Array | None, Array]:
     """Points ``(n, 3)``, the others of distances, and the centre of a ball; ``up`` of each the
     machine's own tool has to be within reach.
@@ -247,9 +244,7 @@ def _widest(machine: Machine, points: Callable[[float], Array]) -> float:
     return 0.9 * low
 
 
-def mixed_sheet(
-    machine: Machine, sheets: Sequence[ToolCampaign], count: int
-) -> tuple[ToolCampaign, ...]:
+def mixed_sheet(machine: Machine, sheets: Sequence[Readings], count: int) -> tuple[Readings, ...]:
     """The ``count`` readings, of sheets of one instrument each, that together tell most of
     everything that could be wrong with a machine.
 
@@ -284,7 +279,7 @@ def mixed_sheet(
     return tuple(s.subset(at).in_order() for s, at in zip(sheets, chosen, strict=True) if len(at))
 
 
-def whitened(machine: Machine, sheets: Sequence[ToolCampaign]) -> tuple[Array, int, Array]:
+def whitened(machine: Machine, sheets: Sequence[Readings]) -> tuple[Array, int, Array]:
     """Rows ``(n, P + k)`` by parameters in tolerances and by datums, ``P``, and precisions."""
     estimate = solve(foreseen(machine, sheets), method="nested")
     problem = estimate.problem

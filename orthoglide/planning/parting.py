@@ -8,11 +8,10 @@ from itertools import combinations
 
 import numpy as np
 
-from orthoglide.fit.factors import DialReadings
-from orthoglide.fit.tool import ToolReadings
-from orthoglide.fit.tool_noise import expected_sigma
-from orthoglide.instruments import INSTRUMENTS
-from orthoglide.observations import ToolCampaign
+from orthoglide.fit.factors import Factor
+from orthoglide.instruments import AT_TOOL
+from orthoglide.instruments.leg_dial import PLACE
+from orthoglide.observations import Readings
 from orthoglide.ordering import ranked
 from orthoglide.planning.criteria import RivalSeparation
 from orthoglide.planning.linear import LinearReadings
@@ -24,7 +23,7 @@ from orthoglide.posterior import FullPosterior, Located
 from orthoglide.posterior.members import Members
 
 _MOST, _COUNT = 6, 12  # places that are parted, the likeliest; readings that may part them
-_AT_TOOL = tuple(kind for kind, one in INSTRUMENTS.items() if not one.touches)
+_AT_TOOL = tuple(kind for kind, one in AT_TOOL.items() if not one.touches)
 """A plate may have any shape, which a free function of any part draws as well."""
 
 
@@ -50,11 +49,11 @@ def _by_dials(members: Members) -> tuple[Suggestion, ...]:
     posterior = members.posterior
     fit, machine = posterior.after, posterior.machine
     pool = reading_pool(machine.geometry, load=usual_load(fit))
-    rows, slopes = members.rows(DialReadings(pool.with_moves()))
+    rows, seen = members.rows(Factor.unread(pool.with_moves(), machine))
     expected = rows @ np.stack([one.mean for one in members.each], axis=1)
     total = fit.problem.noise.typical * max(fit.sigma_scale, 1.0)
     columns = np.hstack([rows, expected])
-    readings = LinearReadings.around(machine, pool, columns, slopes[:, 0], total)
+    readings = LinearReadings.around(machine, pool, columns, seen.by_nuisance[:, PLACE], total)
     names = tuple(str(k) for k in members.at)
     rivals = [
         Rival(f'"{one.words}"', one.machine, names, np.eye(len(names)), one.covariance)
@@ -81,7 +80,7 @@ def _at_tool(members: Members) -> Iterator[Suggestion]:
     none does.
     """
     sheets = sheets_of(members.posterior.after.problem.machine, _AT_TOOL)
-    every = {k: _apart(members, s) for k, s in sheets.items() if isinstance(s, ToolCampaign)}
+    every = {k: _apart(members, s) for k, s in sheets.items() if s.of_tool}
     chance = [one.probability for one in members.each]
 
     def worth(kind: str) -> float:
@@ -95,7 +94,7 @@ def _at_tool(members: Members) -> Iterator[Suggestion]:
         told = {pair: s for pair, s in every[kind].items() if s >= DECIDES}
         more = f" (and {len(told) - 1} further pairs)" if told.keys() - {min(told)} else ""
         yield Suggestion(
-            f"to tell the places apart measure with {INSTRUMENTS[kind].words}: expected to "
+            f"to tell the places apart measure with {AT_TOOL[kind].words}: expected to "
             f"separate {said(min(told), told[min(told)])}{more}; a sheet for it: orthoglide design "
             f"--owns {kind} --machine machine.toml --out {kind}.csv",
             "none", max(told.values()), None,
@@ -110,13 +109,13 @@ def _at_tool(members: Members) -> Iterator[Suggestion]:
         )  # fmt: skip
 
 
-def _apart(members: Members, sheet: ToolCampaign) -> Pairs:
+def _apart(members: Members, sheet: Readings) -> Pairs:
     """Sigmas between each two by an instrument's own sheet."""
     machine = members.posterior.after.problem.machine
-    sigma = expected_sigma(sheet, machine.spec.instruments)
-    factor = replace(ToolReadings.of(sheet, machine), sigma=sigma)
-    rows, slopes = members.rows(factor)
-    of_setup = factor.nuisances(slopes)
+    factor = Factor.unread(sheet, machine)
+    sigma = factor.sigma
+    rows, seen = members.rows(factor)
+    of_setup = factor.nuisances(seen)
     columns = np.hstack([rows, rows @ np.stack([one.mean for one in members.each], axis=1)])
     columns, own = columns / sigma[:, None], of_setup.columns / sigma[:, None]
     across = own.T @ columns

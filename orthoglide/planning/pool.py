@@ -10,7 +10,7 @@ import numpy as np
 
 from orthoglide import reduction
 from orthoglide.geometry import LEGS, Array, Geometry
-from orthoglide.observations import Campaign, Setup
+from orthoglide.observations import Readings, Setup
 from orthoglide.observations.approach import overshoot
 from orthoglide.observations.protocols import check_dials, dial_at, unread
 
@@ -94,7 +94,7 @@ def visible(station: Station, setup: Setup, geometry: Geometry) -> bool:
     return bool(np.abs(aside).max() <= DIAL_TRAVEL * small)
 
 
-def reading_pool(geometry: Geometry, *, load: float = 0.0) -> Campaign:
+def reading_pool(geometry: Geometry, *, load: float = 0.0) -> Readings:
     """Every reading there is to choose from, as a campaign without readings.
 
     Args:
@@ -127,7 +127,7 @@ def reading_pool(geometry: Geometry, *, load: float = 0.0) -> Campaign:
     )
 
 
-def sheet(pool: Campaign, chosen: Sequence[int], name: str = "next") -> Campaign:
+def sheet(pool: Readings, chosen: Sequence[int], name: str = "next") -> Readings:
     """Chosen rows of a pool, mounting by mounting, visits numbered, with the moves they take.
 
     Args:

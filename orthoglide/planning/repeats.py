@@ -11,7 +11,7 @@ import numpy as np
 from orthoglide.accuracy import tcp_slopes, without_place, workspace
 from orthoglide.errors import InputError
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.observations import Campaign
+from orthoglide.observations import Readings
 from orthoglide.planning.linear import LinearReadings, in_tolerances
 from orthoglide.prediction import Conditions
 
@@ -39,7 +39,7 @@ class Repeats:
 
 def sigma_by_repeats(
     machine: Machine,
-    campaign: Campaign,
+    campaign: Readings,
     free: Sequence[str],
     what: str,
     noise: float | None = None,
@@ -83,7 +83,7 @@ def sigma_by_repeats(
 
 def repeats_needed(
     machine: MachineSource,
-    campaign: Campaign,
+    campaign: Readings,
     free: Sequence[str],
     what: str,
     wanted: float,

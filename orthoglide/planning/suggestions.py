@@ -16,9 +16,10 @@ from orthoglide.diagnosis.rest import SetupRest
 from orthoglide.fit import Estimate, WeakDirection
 from orthoglide.frames import Framed
 from orthoglide.geometry import LEGS, Array, Geometry
-from orthoglide.instruments import INSTRUMENTS
+from orthoglide.instruments import OBSERVATIONS
+from orthoglide.instruments.leg_dial import PLACE
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, campaign_rows
+from orthoglide.observations import Readings, campaign_rows
 from orthoglide.ordering import EQUAL_ODDS, best_of, ranked
 from orthoglide.planning.choosing import choose
 from orthoglide.planning.criteria import LeastVariance, RivalSeparation
@@ -70,12 +71,12 @@ class Suggestion(Framed):
     reason: str
     aim: Aim
     gain: float
-    pool: Campaign | None
+    pool: Readings | None
     chosen: tuple[int, ...] = ()
     what: str = ""
 
     @property
-    def campaign(self) -> Campaign | None:
+    def campaign(self) -> Readings | None:
         """The readings without their values; ``None`` where nothing helps."""
         return sheet(self.pool, self.chosen) if self.chosen and self.pool is not None else None
 
@@ -102,7 +103,7 @@ class Suggestion(Framed):
         return tuple({k: v for k, v in row.items() if k != "reading_mm"} for row in table)
 
 
-def next_sheet(suggestions: Sequence[Suggestion]) -> Campaign | None:
+def next_sheet(suggestions: Sequence[Suggestion]) -> Readings | None:
     """One measuring sheet for all suggestions of a run; ``None`` where nothing helps.
 
     A visit that serves two purposes stands once.
@@ -122,7 +123,7 @@ def next_measurements(
     pairs: Sequence[tuple[int, int]] | None = None,
     count: int = 12,
     directions: Sequence[WeakDirection] | None = None,
-    pool: Campaign | None = None,
+    pool: Readings | None = None,
 ) -> tuple[Suggestion, ...]:
     """The few readings that would tell most, out of those that the machine can reach.
 
@@ -152,7 +153,9 @@ def next_measurements(
     choice = pool or reading_pool(machine.geometry, load=usual_load(fit))
     at = machine.model.linearised(own.values, choice, names)
     total = fit.problem.noise.typical * scale
-    readings = LinearReadings.around(machine, choice, at.jacobian, at.slopes[:, 0], total)
+    readings = LinearReadings.around(
+        machine, choice, at.jacobian, at.seen.by_nuisance[:, PLACE], total
+    )
     found: list[Suggestion] = []
     every = [*combinations(range(len(several)), 2)] if pairs is None else pairs
     if every:
@@ -275,7 +278,7 @@ def _to_narrow(
     return Suggestion(reason, "narrow", gain, here.campaign, rows)
 
 
-def _size(pool: Campaign, rows: Sequence[int]) -> str:
+def _size(pool: Readings, rows: Sequence[int]) -> str:
     setups = len(np.unique(pool.setup[list(rows)]))
     return f"{len(rows)} readings in {setups} {'setup' if setups == 1 else 'setups'} are"
 
@@ -310,7 +313,7 @@ def repeating(rest: SetupRest) -> Suggestion:
     """Readings of the instrument at the tool that shows most of what is left, again, at the places
     where that is.
     """
-    own = INSTRUMENTS[rest.kind]
+    own = OBSERVATIONS[rest.kind]
     sides = "" if own.touches or own.paired else " and coming from either side"
     reason = (
         f"what nothing explains shows most in {rest.reads} ({rest.setup}): read it again with the "

@@ -13,7 +13,7 @@ from orthoglide.errors import InputError
 from orthoglide.frames import Framed, html_table
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.observations import Campaign
+from orthoglide.observations import Readings
 from orthoglide.observations.protocols import check_dials
 from orthoglide.ordering import ranked
 from orthoglide.planning.linear import LinearReadings, foreseen
@@ -94,7 +94,7 @@ class NeededTolerances(Framed):
 
 @on_one_thread
 def needed_tolerances(
-    machine: MachineSource, wanted: float, sheet: Campaign | None = None, noise: float | None = None
+    machine: MachineSource, wanted: float, sheet: Readings | None = None, noise: float | None = None
 ) -> NeededTolerances:
     """The tolerances that a wanted error of the tool needs, by linear propagation.
 
@@ -222,7 +222,7 @@ class Sources:
     rows: Array | None
 
     @classmethod
-    def of(cls, machine: Machine, sheet: Campaign | None, noise: float | None) -> Sources:
+    def of(cls, machine: Machine, sheet: Readings | None, noise: float | None) -> Sources:
         """Of a machine without errors; arguments as of ``needed_tolerances``."""
         catalogue, pitch = machine.catalogue, machine.spec.screw_pitch
         counted = [e for e in catalogue.values() if e.at_rest and (pitch or "pitch" not in e.needs)]

@@ -16,10 +16,15 @@ from orthoglide.effects import Effect
 from orthoglide.effects.places import Place
 from orthoglide.fit import Estimate, Problem, with_others
 from orthoglide.fit.excited import excited_effects
-from orthoglide.fit.least_squares import Linearised, Nuisances, linearise, nuisances, predict
+from orthoglide.fit.least_squares import (
+    Linearised,
+    Nuisances,
+    about_machine,
+    linearise,
+    nuisances,
+    predict,
+)
 from orthoglide.fit.problem import rows_about, weight_matrix
-from orthoglide.fit.solving import about_machine
-from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 from orthoglide.posterior.compressed import MANY, compressed
@@ -137,7 +142,7 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     problem = estimate.problem
     free = len(problem.unknowns)
     wide, x, here = _linearised(estimate, at)
-    nuisance = nuisances(wide, here.slopes)
+    nuisance = nuisances(wide, here.seen)
     project, sd = nuisance.project, wide.tolerance
     free_rows, found = curves(wide, x)
     of_dials, dials = curves_of_dials(wide, here.value)
@@ -216,7 +221,7 @@ def _with_plates(linear: Linear, problem: Problem) -> Linear:
         likely = tuple(s for s in SLABS if s <= _LIKELY)
         rare = 2 * RARE if only_plates(problem) else RARE
         linear = replace(linear, slabs=likely, wide=(_QUIET, rare))
-    if any(isinstance(f, ToolReadings) and f.jumps for f in problem.points):
+    if any(f.is_noise_capped for f in problem.tool):
         linear = replace(linear, rough=-RARE)  # these have been seen
     return linear
 

@@ -15,8 +15,8 @@ from orthoglide.effects.places import Place
 from orthoglide.errors import ClosureError, NumericsError, SolverError
 from orthoglide.fit import Estimate
 from orthoglide.fit.factors import Block
-from orthoglide.fit.least_squares import linearise, nuisances
-from orthoglide.fit.solving import about_machine, assessed, solve, widened
+from orthoglide.fit.least_squares import about_machine, linearise, nuisances
+from orthoglide.fit.solving import assessed, solve, widened
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
@@ -209,7 +209,7 @@ class FullPosterior:
         at = linearise(problem, x)
         if (near := about_machine(problem, at)) is not problem:
             problem, at = near, linearise(near, x)
-        estimate = assessed(problem, nuisances(problem, at.slopes), at, "posterior",
+        estimate = assessed(problem, nuisances(problem, at.seen), at, "posterior",
                             len(mixture.children), self.about.apart)  # fmt: skip
         # What of the base could be wrong in place of what is told.
         far = () if self.instead is None else self.instead.warnings
@@ -233,7 +233,7 @@ class FullPosterior:
         if not len(at):
             return None
         sd = np.where(linear.unnamed, 1.0, np.sqrt(np.diag(prior)))[at]
-        return Block(self.about.rows[:, at], sd, np.zeros(len(at), dtype=bool))
+        return Block(self.about.rows[:, at], sd)
 
 
 def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior:

@@ -12,12 +12,11 @@ from orthoglide.effects.places import BUILD_UP, Place, Session, all_dials, dial_
 from orthoglide.effects.plates import own_shapes
 from orthoglide.fit import Problem
 from orthoglide.fit.excited import both_sides
-from orthoglide.fit.factors import DialReadings
 from orthoglide.fit.problem import Factor
 from orthoglide.geometry import LEGS, Array
-from orthoglide.instruments import Instrument
+from orthoglide.instruments import Observation
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
-from orthoglide.observations import Campaign
+from orthoglide.observations import Readings
 from orthoglide.prediction import Model
 
 _STILL = 1e-6  # metres: less moves no dial
@@ -27,19 +26,16 @@ _APART = 3.0  # times their scatter, by which readings of both ways have to diff
 
 def one_surface(problem: Problem) -> bool:
     """Whether plates and distances on them are all that was read."""
-    return all(i and (i.touches or i.paired) for i in _instruments(problem))
+    return all(o.touches or o.paired for o in _observations(problem))
 
 
 def only_plates(problem: Problem) -> bool:
     """Whether plates are all that was read."""
-    return all(i and i.touches for i in _instruments(problem))
+    return all(o.touches for o in _observations(problem))
 
 
-def _instruments(problem: Problem) -> list[Instrument | None]:
-    """That read; ``None`` for dials, and for points."""
-    tools = problem.tool_campaigns
-    others = [None] * (len(problem.factors) - len(tools))
-    return [*others, *(s.instrument for tool in tools for s in tool.setups)]
+def _observations(problem: Problem) -> list[Observation]:
+    return [s.observation for f in problem.factors for s in f.readings.setups]
 
 
 def places_of(problem: Problem) -> tuple[Place, ...]:
@@ -51,7 +47,7 @@ def places_of(problem: Problem) -> tuple[Place, ...]:
     if one_surface(problem):
         return ()
     sessions: list[Session] = []
-    if len(problem.campaigns) == 1 and not problem.points:
+    if len(problem.campaigns) == 1 and not problem.tool:
         (campaign,) = problem.campaigns
         for leg in (*range(len(LEGS)), None):
             time = campaign.time if leg is None else campaign.time[campaign.leg == leg]
@@ -64,7 +60,7 @@ def places_of(problem: Problem) -> tuple[Place, ...]:
         found = tuple(p for p in found if not p.moves_lines)
     approach = np.concatenate([f.conditions().approach for f in problem.factors])
     one_sided = ~both_sides(approach)  # which shows no difference between sides
-    hidden = {"approach": one_sided, "reversal": one_sided | bool(problem.points)}
+    hidden = {"approach": one_sided, "reversal": one_sided | bool(problem.tool)}
     return tuple(p for p in found if p.against not in hidden or not hidden[p.against][p.leg])
 
 
@@ -88,16 +84,16 @@ def by_places(
     """
     by_joints = factor.by_joints(model, values)
     legs = model.leg_conditions(values, factor.conditions())
-    if isinstance(factor, DialReadings) and any(p.against == "reversal" for p in several):
+    if factor.on_legs and any(p.against == "reversal" for p in several):
         half = np.ptp(model.geometry.stroke) / 2
-        after = factor.points.built_up([half * length for length in BUILD_UP.lengths])
+        after = factor.readings.built_up([half * length for length in BUILD_UP.lengths])
         legs = tuple(replace(c, built_up=tuple(after[:, :, k])) for k, c in enumerate(legs))
     found = []
     for place in several:
         functions = place.unit * np.stack(place.functions(legs[place.leg]), axis=1)
         rows = by_joints(_joints(place), functions)
-        if place.moves_lines and isinstance(factor, DialReadings):
-            rows += _touching(place, factor.points)[:, None] * functions
+        if place.moves_lines and factor.on_legs:
+            rows += _touching(place, factor.readings)[:, None] * functions
         found.append(rows)
     return found
 
@@ -106,7 +102,7 @@ def plates(problem: Problem) -> tuple[Array, Array]:
     """Rows ``(n, F)`` by the own shapes of every probed plate, and their standard deviations."""
     columns, sd = [np.zeros((len(problem.measured), 0))], list[float]()
     for k, factor, number, setup in problem.mounted:
-        if setup.instrument.touches:
+        if setup.observation.touches:
             at = np.flatnonzero(factor.setup == number)
             for shape, size in own_shapes(factor.place[at], problem.machine.geometry.scale):
                 column = np.zeros((len(problem.measured), 1))
@@ -125,7 +121,7 @@ def _joints(place: Place) -> Array:
     return joints
 
 
-def _touching(place: Place, campaign: Campaign) -> Array:
+def _touching(place: Place, campaign: Readings) -> Array:
     """What dials show ``(n,)`` of a leg that moves along a place's direction as a whole."""
     sees = [s.sign * (s.leg == place.leg and LEGS[s.axis] == place.direction)
             for s in campaign.setups]  # fmt: skip
@@ -172,7 +168,7 @@ def curves_of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place,
     return np.hstack(columns), tuple(found)
 
 
-def _side(campaign: Campaign, rows: NDArray[np.int64], shown: Array, off: Array) -> Array:
+def _side(campaign: Readings, rows: NDArray[np.int64], shown: Array, off: Array) -> Array:
     """Which way a dial's plunger came to some readings ``(k,)``: 1 as the reading grew, -1 as it
     fell, as before where it did not move; 0 where that is not known.
 

@@ -16,8 +16,7 @@ from orthoglide.diagnosis.signatures import signatures
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import Estimate
 from orthoglide.fit.solving import solve
-from orthoglide.fit.tool import ToolReadings
-from orthoglide.observations import ToolCampaign, source
+from orthoglide.observations import Readings, source
 from orthoglide.ordering import EQUAL_ODDS, best_of
 from orthoglide.posterior.everything import FullPosterior, full_posterior
 
@@ -34,7 +33,7 @@ class _Sense:
     factor: float = 1.0  # of all of them
     said: str = ""  # how they fit, and what to do
 
-    def of(self, points: ToolCampaign) -> ToolCampaign:
+    def of(self, points: Readings) -> Readings:
         """The same readings with that meaning."""
         level = points.angular
         sign = np.where(level, np.take(self.signs, points.axis % 2), 1.0) * points.sign
@@ -64,9 +63,9 @@ def check_levels(known: FullPosterior) -> None:
     """
     problem = known.before.problem
     levels = [
-        f"{source(f.points)}, setup {s.name!r}"
+        f"{source(f.readings)}, setup {s.name!r}"
         for _, f, _, s in problem.mounted
-        if s.instrument.angular
+        if s.observation.angular
     ]
     if not levels:
         return
@@ -84,12 +83,11 @@ def _weighed(before: Estimate) -> Iterator[tuple[_Sense, float]]:
     """Log of what the readings weigh with each other meaning that could be likelier."""
     problem, least = before.problem, _roughly(before) + EVIDENCE
     for sense in _SENSES:
-        points = tuple(
-            replace(f, points=sense.of(f.points)) if isinstance(f, ToolReadings) else f
-            for f in problem.points
+        factors = tuple(
+            f if f.on_legs else replace(f, readings=sense.of(f.readings)) for f in problem.factors
         )
         try:
-            fit = solve(replace(problem, points=points), method="nested", start=before.x)
+            fit = solve(replace(problem, factors=factors), method="nested", start=before.x)
             found = full_posterior(fit) if _roughly(fit) > least else None
         except NumericsError:
             continue

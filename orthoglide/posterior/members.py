@@ -17,6 +17,7 @@ from orthoglide.posterior.causes import Located
 from orthoglide.posterior.everything import FullPosterior
 from orthoglide.posterior.free import by_places
 from orthoglide.posterior.instead import Alternatives
+from orthoglide.prediction import Seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +70,9 @@ class Members:
             each.append(Member(words, lasts, float(odds[k]), machine, mean[at], covariance))
         return cls(posterior, tuple(each), at, places)
 
-    def rows(self, factor: Factor) -> tuple[Array, Array]:
+    def rows(self, factor: Factor) -> tuple[Array, Seen]:
         """Readings yet to be taken of the machine as it is in the last campaign, by the
-        coefficients ``(n, k)``, and their slopes for nuisances.
+        coefficients ``(n, k)``, and what their instruments see.
 
         What does not last is not in them.
         """
@@ -87,7 +88,7 @@ class Members:
             again, by_places(factor, machine.model, values, again), strict=True
         ):
             rows[:, posterior.about.coefficients(place)] = columns
-        return rows[:, self.at], here.slopes
+        return rows[:, self.at], here.seen
 
 
 def _lasts(place: Place) -> bool:

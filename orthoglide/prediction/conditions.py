@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.errors import InputError, check_word
 from orthoglide.geometry import Array
-from orthoglide.observations import Campaign
+from orthoglide.observations import Readings
 
 _PARTS: dict[str, int | slice] = {
     "command": slice(0, 3), "approach": slice(3, 6), "time": 6, "warming": 7, "load": 8,
@@ -59,6 +59,10 @@ class Conditions:
         """Return some of the postures."""
         return Conditions(self.table[rows])
 
+    def some(self, rows: NDArray[np.intp]) -> Conditions:
+        """Return some of the postures, by their numbers ``(k,)``."""
+        return Conditions(self.table[rows])
+
     @classmethod
     def at(cls, command: ArrayLike, **seen: ArrayLike) -> Conditions:
         """Return conditions for commands ``(..., 3)``.
@@ -105,11 +109,15 @@ class Conditions:
         return cls(np.column_stack([command, approach, time, warming, load]))
 
     @classmethod
-    def of(cls, campaign: Campaign) -> Conditions:
-        """Conditions of every row of a campaign; what was not recorded counts as 0."""
-        time = np.nan_to_num(campaign.time)
-        warming = campaign.temperature_rise
-        return cls.of_parts(campaign.command, campaign.approach, time, warming, campaign.load)
+    def of(cls, readings: Readings) -> Conditions:
+        """Return conditions of every reading; what was not recorded counts as 0."""
+        return cls.of_parts(
+            readings.command,
+            readings.approach,
+            np.nan_to_num(readings.time),
+            readings.temperature_rise,
+            readings.load,
+        )
 
     def merged(self, needs: Collection[str]) -> tuple[Conditions, NDArray[np.intp]]:
         """Distinct conditions and, for each row, which of them it has.

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
@@ -17,18 +16,11 @@ from orthoglide.geometry import Array, Geometry
 from orthoglide.machine_file.model import Stiffness
 from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.engine import ByPinocchio, Engine, Outputs, SixBars
-from orthoglide.mechanism.rows import Rows, blocks
-from orthoglide.mechanism.six_bars import LINES, MOVES, OUTPUTS
+from orthoglide.mechanism.rows import blocks
+from orthoglide.mechanism.six_bars import MOVES, OUTPUTS
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
-from orthoglide.observations import Campaign
+from orthoglide.observations import Readings
 from orthoglide.prediction.conditions import Conditions
-from orthoglide.prediction.dial import (
-    BY_GAUGE,
-    dial_values,
-    mountings,
-    reading_function,
-    reading_tangent,
-)
 from orthoglide.prediction.displacement import (
     COMMAND,
     CONDITIONS,
@@ -43,35 +35,12 @@ from orthoglide.prediction.load import (
     tensions,
     tensions_tangent,
 )
-
-_POSTURES = 4096
-"""Whose derivatives by all parameters are held at once."""
-
-_ALL = slice(None)
+from orthoglide.prediction.observed import Formulas, LinearRows, Observed
 
 # Each round of stretching leaves of the last one's error the share of its length by which a bar
 # gives, a hundred-thousandth as a rule: three rounds, and some more where bars are of rubber.
 _ELASTIC_ROUNDS = 200
 _SETTLED = 1e-14  # metres by which bars still change: what is left is that share of it
-
-
-def _parts(place: NDArray[np.intp]) -> Iterator[tuple[slice, NDArray[np.intp], NDArray[np.intp]]]:
-    """Postures in pieces, with the rows ``(n,)`` that show them and their posture within it."""
-    order = np.argsort(place, kind="stable")
-    for part in blocks(int(place.max(initial=-1)) + 1, _POSTURES):
-        rows = order[slice(*np.searchsorted(place[order], [part.start, part.stop]))]
-        yield part, rows, place[rows] - part.start
-
-
-@dataclass(frozen=True)
-class LinearRows:
-    """Predicted readings around one machine, datums apart."""
-
-    value: Array  # (n,), metres (radians of a level)
-    jacobian: Array  # by the parameters asked for (n, P), SI
-    # what their nuisances need to know of the pose (n, k); of dials the derivative by the dial's
-    # place along the leg
-    slopes: Array
 
 
 class Model:
@@ -198,17 +167,9 @@ class Model:
         return Displacements(self.catalogue, self.geometry, self.pitch, self._compile)
 
     @cached_property
-    def reading(self) -> Any:
-        """CasADi function of one dial's reading, for the NLP."""
-        return reading_function(self.catalogue.of_dials)
-
-    @cached_property
-    def _reading(self) -> Rows:
-        return Rows(self.reading)
-
-    @cached_property
-    def _reading_tangent(self) -> Rows:
-        return Rows(reading_tangent(self.reading))
+    def formulas(self) -> Formulas:
+        """Formulas of all kinds of readings."""
+        return Formulas(self.catalogue)
 
     def vector(self, values: Mapping[str, float]) -> Array:
         """All parameters of the machine ``(P,)``, see :meth:`Displacements.vector`."""
@@ -292,57 +253,23 @@ class Model:
         return needs | soft
 
     @cached_property
-    def _prepared(self) -> WeakKeyDictionary[Campaign, dict[Any, Any]]:
-        """What is the same for every set of parameters: merged conditions, mountings."""
+    def _prepared(self) -> WeakKeyDictionary[Readings, dict[Any, Any]]:
+        """What is the same for every set of parameters: merged conditions."""
         return WeakKeyDictionary()
 
-    def _merged(
-        self, campaign: Campaign, names: Iterable[str]
-    ) -> tuple[Conditions, np.ndarray[Any, Any]]:
-        kept, needs = self._prepared.setdefault(campaign, {}), self._needs(names)
+    def merged_for(
+        self, observed: Observed, names: Iterable[str]
+    ) -> tuple[Conditions, NDArray[np.intp]]:
+        """Return :meth:`merged` conditions of readings, kept for the next call."""
+        kept, needs = self._prepared.setdefault(observed.readings, {}), self._needs(names)
         if needs not in kept:
-            kept[needs] = Conditions.of(campaign).merged(needs)
-        found: tuple[Conditions, np.ndarray[Any, Any]] = kept[needs]
+            kept[needs] = observed.conditions().merged(needs)
+        found: tuple[Conditions, NDArray[np.intp]] = kept[needs]
         return found
-
-    def readings(self, values: Mapping[str, float], campaign: Campaign) -> Array:
-        """Readings ``(n,)``, datums apart, metres."""
-        conditions, place = self._merged(campaign, values)
-        lines = self.outputs(values, conditions).lines
-        return self._reading(*self._dial_arguments(values, campaign, lines[place]))[0][:, 0]
-
-    def _dial_arguments(
-        self,
-        values: Mapping[str, float],
-        campaign: Campaign,
-        lines: Array,
-        rows: slice | NDArray[np.intp] = _ALL,
-    ) -> tuple[Array, Array, Array]:
-        leg = campaign.leg[rows]
-        touched = lines[np.arange(len(leg)), leg].reshape(len(leg), 12)
-        dials = dial_values(campaign, values, self.catalogue.of_dials)
-        kept = self._prepared.setdefault(campaign, {})
-        if "mountings" not in kept:
-            kept["mountings"] = mountings(campaign, self.geometry)
-        return touched, kept["mountings"][rows], dials[rows]
 
     def by_joints(self, values: Mapping[str, float], conditions: Conditions) -> Array:
         """Derivative of poses and bars by the virtual joints ``(n, 48, 30)``, loops closed."""
         return np.asarray(self.tangent(values, conditions)[1][:, :, 3:])
-
-    def readings_by_joints(self, values: Mapping[str, float], campaign: Campaign) -> Array:
-        """Derivative of the readings by the virtual joints ``(n, 30)``, loops closed."""
-        conditions, place = self._merged(campaign, values)
-        lines = self.outputs(values, conditions).lines
-        _, by_ends, _, _ = self._reading_tangent(
-            *self._dial_arguments(values, campaign, lines[place])
-        )
-        found = np.empty((len(campaign), 3 * MOVES))
-        for part, rows, at in _parts(place):
-            moved = self.by_joints(values, conditions.part(part))[:, LINES]
-            ends = moved.reshape(len(moved), 3, 12, moved.shape[2])
-            found[rows] = (by_ends[rows, None] @ ends[at, campaign.leg[rows]])[:, 0]
-        return found
 
     def leg_conditions(
         self, values: Mapping[str, float], conditions: Conditions
@@ -356,39 +283,14 @@ class Model:
             for leg, k in enumerate(drives)
         )
 
-    def linearised(
-        self, values: Mapping[str, float], campaign: Campaign, names: Sequence[str]
-    ) -> LinearRows:
-        """Readings with their derivative by parameters of the machine and of the dials.
+    def readings(self, values: Mapping[str, float], readings: Readings) -> Array:
+        """Return readings ``(n,)`` to expect of instruments in the base frame, nuisances apart."""
+        return Observed(readings).predict(self, values)
 
-        Args:
-            values: all parameters that are not zero, SI.
-            campaign: says conditions and setups.
-            names: the parameters to differentiate by.
+    def linearised(
+        self, values: Mapping[str, float], readings: Readings, names: Sequence[str]
+    ) -> LinearRows:
+        """Return the same with their derivative by parameters; arguments as of
+        :meth:`Observed.linearise`.
         """
-        dials: dict[str, tuple[int, int]] = {
-            name: (row, k)
-            for k, effect in enumerate(self.catalogue.of_dials)
-            for row, setup in enumerate(campaign.setups)
-            for name in effect.parameters((setup.name,))
-        }
-        machine = [name for name in names if name in self.moving.place]
-        conditions, place = self._merged(campaign, [*values, *names])
-        n = len(campaign)
-        shown, by_gauge = np.empty(n), np.empty(n)
-        by_dial = np.empty((n, len(self.catalogue.of_dials)))
-        of_machine, jacobian = np.empty((n, len(machine))), np.zeros((n, len(names)))
-        for part, rows, at in _parts(place):
-            outputs, by_name = self.sensitivities(values, conditions.part(part), machine)
-            value, by_ends, by_mounting, dial = self._reading_tangent(
-                *self._dial_arguments(values, campaign, outputs.lines[at], rows)
-            )
-            ends = by_name[:, LINES].reshape(len(outputs.values), 3, 12, len(machine))
-            of_machine[rows] = (by_ends[:, None] @ ends[at, campaign.leg[rows]])[:, 0]
-            shown[rows], by_gauge[rows], by_dial[rows] = value[:, 0], by_mounting[:, BY_GAUGE], dial
-        jacobian[:, [k for k, name in enumerate(names) if name in self.moving.place]] = of_machine
-        for column, name in zip(jacobian.T, names, strict=True):
-            if name in dials:
-                row, k = dials[name]
-                column[:] = np.where(campaign.setup == row, by_dial[:, k], 0.0)
-        return LinearRows(shown, jacobian, by_gauge[:, None])
+        return Observed(readings).linearise(self, values, names)

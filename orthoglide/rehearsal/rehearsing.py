@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import get_args
 
 from orthoglide.errors import InputError, NumericsError, check_whole
-from orthoglide.instruments import Probe
+from orthoglide.instruments import LegDial, PlateTouch
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.observations import Campaign, Readings, ToolCampaign, protocol, read_readings
+from orthoglide.observations import Readings, protocol, read_readings
 from orthoglide.observations.protocols import Kind
 from orthoglide.planning import sheets_of
 from orthoglide.progress import Progress, Step, silent
@@ -84,9 +84,9 @@ def _sheets(
     if sheet is not None and owns:
         raise InputError("sheet and owns exclude each other: each instrument has its own sheet")
     if sheet is None:
-        kinds = owns or (("leg",) if machine.geometry.dialled else (Probe.kind,))
+        kinds = owns or ((LegDial.kind,) if machine.geometry.dialled else (PlateTouch.kind,))
         return tuple(sheets_of(machine, kinds).values())
-    if isinstance(sheet, Campaign | ToolCampaign):
+    if isinstance(sheet, Readings):
         return (sheet,)
     if sheet in get_args(Kind):
         return (protocol(sheet, machine.geometry),)  # type: ignore[arg-type]

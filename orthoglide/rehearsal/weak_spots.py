@@ -10,7 +10,6 @@ import numpy as np
 from orthoglide.accuracy import tcp_slopes, without_place
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.effects.wording import cause_short, size_words
-from orthoglide.observations import Campaign
 from orthoglide.ordering import best_of
 from orthoglide.parameters import Parameter
 from orthoglide.planning import SmallestEffect, smallest_effects
@@ -54,7 +53,7 @@ def weak_spots(scope: Scope, seed: int = 0) -> tuple[WeakSpot, ...]:
 
 def _not_recorded(scope: Scope, judged: Collection[str]) -> Iterator[WeakSpot]:
     catalogue = scope.machine.catalogue
-    dials = any(isinstance(sheet, Campaign) for sheet in scope.sheets)
+    dials = any(not sheet.of_tool for sheet in scope.sheets)
     for effect in catalogue.values():
         if effect.name in (*catalogue.base, *judged) or effect.instead_of or effect.plate:
             continue

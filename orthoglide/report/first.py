@@ -151,10 +151,9 @@ def tiles(result: Result) -> list[Tile]:
     height over the plate, which is all that its numbers are for.
     """
     if result.firmware is not None and (found := result.firmware.corrections) is not None:
-        sizes = zip(_NUMBERS, found.height, found.sideways, strict=True)
         told = [
-            Tile(what, f"{up * 1e3:.3f}", ("of height, rms", f"along the plate {along * 1e3:.2f}"))
-            for what, up, along in sizes
+            Tile(what, f"{size * 1e3:.3f}", ("of the heights", "that were read, rms"))
+            for what, size in zip(_NUMBERS, found.height, strict=True)
         ]
         return told if result.stands and not withheld(result.machine) else told[:1]
     expected = result.numbers.expected

@@ -15,8 +15,6 @@ from orthoglide import __version__
 from orthoglide.figures.style import Drawing
 from orthoglide.report.phrases import listed
 from orthoglide.report.rendering import rendered
-from orthoglide.scene import view_html
-from orthoglide.scene.view import view_style
 
 if TYPE_CHECKING:
     from orthoglide.result import Result
@@ -24,7 +22,7 @@ if TYPE_CHECKING:
 _JUDGES = {"holdout": "held out to judge by", "tcp": "measured at the TCP to judge by"}
 
 
-_OPEN = ("finding", "view", "left", "firmware", "controller", "changes")
+_OPEN = ("finding", "left", "firmware", "controller", "changes")
 
 
 @dataclass(frozen=True)
@@ -52,7 +50,6 @@ def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
         title="What is wrong with this machine" if searches else "Calibration report",
         subtitle=_subtitle(result),
         sections=list(_sections(result, {d.name: d for d in drawings}, sheet)),
-        view_style=view_style(),
         version=__version__,
         command=result.request.command,
     )
@@ -61,8 +58,6 @@ def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
 def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Iterator[Section]:
     searches = result.request.searches
     yield Section("finding", "", first.finding(result))
-    html = view_html(result.view, result.picture.svg())
-    yield Section("view", "The machine in motion", {"html": html})
     if result.blunders:
         yield Section("faults", "Faults of the data", sections.faults(result))
     if result.pattern:
@@ -100,11 +95,11 @@ def _subtitle(result: Result) -> str:
     judges = [f"{i['file']} {_JUDGES[i['role']]}" for i in inputs if i.get("role") in _JUDGES]
     count, read = sum(map(len, problem.campaigns)), []
     if count:
-        read.append(f"{count} readings in {len(problem.setups)} setups")
-    tool = problem.tool_campaigns
-    points = sum(len(p.points) for p in problem.points) - sum(map(len, tool))
+        read.append(f"{count} readings in {len(problem.leg_setups)} setups")
+    tool = sum(len(f.readings) for f in problem.tool if not f.readings.by_point)
+    points = sum(int(f.point.max()) + 1 for f in problem.tool if f.readings.by_point)
     if tool:
-        read.append(f"{sum(map(len, tool))} readings of the tool")
+        read.append(f"{tool} readings of the tool")
     if points:
         read.append(f"{points} TCP points")
     return "; ".join([f"{files}: {listed(read)}", *judges])

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from orthoglide import __version__
 from orthoglide.geometry import LEGS
-from orthoglide.instruments import INSTRUMENTS
+from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine_file import machine_text
 from orthoglide.machine_file.posterior import posterior_bytes
 from orthoglide.report.wording import headline, located_words
@@ -53,7 +53,7 @@ def _mm(metres: float, digits: int = _DIGITS) -> float | None:
 
 def _mapping(result: Result) -> dict[str, Any]:
     after, before, legs = result.after, result.before, result.machine.catalogue.legs.legs
-    faulty = result.first.problem.campaigns
+    faulty = [f.readings for f in result.first.problem.factors]
     return {
         **_head(result.request, after),
         "summary": headline(result),
@@ -113,7 +113,7 @@ def _head(request: Request, after: Estimate) -> dict[str, Any]:
         **_mrad(noise=after.problem.one_reading.turn),
         "noise_source": after.problem.noise_source,
         "noise_of": {
-            kind: {getattr(INSTRUMENTS.get(kind), "unit", "mm"): _mm(sigma), "source": source}
+            kind: {OBSERVATIONS[kind].unit: _mm(sigma), "source": source}
             for kind, (sigma, source) in after.problem.noises.items()
         },
         "sigma_scale": number(after.sigma_scale),

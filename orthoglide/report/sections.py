@@ -23,12 +23,12 @@ from orthoglide.report.embed import panels, whole
 from orthoglide.report.phrases import listed, sentence, unvaried_words, weak_sentences
 from orthoglide.report.rows import millimetres, parameter_rows, score_rows
 from orthoglide.report.wording import effects_named, located_words
-from orthoglide.result.firmware import UNSEEN
 from orthoglide.result.unvaried import unshown
 
 if TYPE_CHECKING:
     from orthoglide.diagnosis.rest import SetupRest
-    from orthoglide.observations import Campaign, Setup
+    from orthoglide.fit import Problem
+    from orthoglide.observations import Readings, Setup
     from orthoglide.posterior import BudgetItem
     from orthoglide.result import Result, Workspace
 
@@ -107,7 +107,7 @@ def left(result: Result) -> Data:
 
 
 def _most(rest: SetupRest) -> str:
-    if rest.kind != "leg":
+    if rest.leg < 0:
         return f"{compact(rest.most * 1e3, 2)} {rest.unit}"
     way = toward(LEGS[rest.axis], rest.most)
     return f"{compact(abs(rest.most) * 1e3, 2)} mm toward {way}"
@@ -215,7 +215,7 @@ def too_early(result: Result) -> tuple[str, str]:
 
 def firmware(result: Result) -> Data:
     """Numbers for a firmware, old and new, and what it cannot hold."""
-    return {"early": too_early(result), "heading": UNSEEN}
+    return {"early": too_early(result)}
 
 
 _AIMS = {
@@ -248,7 +248,7 @@ def _reason(text: str) -> str:
     return sentence(_MINUS.sub("−", text))
 
 
-def _stations(sheet: Campaign) -> Iterator[tuple[Setup, str, str, int]]:
+def _stations(sheet: Readings) -> Iterator[tuple[Setup, str, str, int]]:
     """Stations of a sheet, each once: its setup, the command and its side, and how often it is
     visited.
     """
@@ -315,7 +315,7 @@ def unseen(result: Result, figures: Figures) -> Data:
 def _has_one_place(result: Result) -> bool:
     """Whether some leg was read by dials at a single place along it."""
     setups = [setup for campaign in result.after.problem.campaigns for setup in campaign.setups]
-    places = {(setup.leg, round(setup.gauge, 3)) for setup in setups}
+    places = {(setup.leg, round(gauge, 3)) for setup in setups for gauge in setup.gauges}
     return 1 in Counter(leg for leg, _ in places).values()
 
 
@@ -340,4 +340,25 @@ def method(result: Result) -> Data:
         "machine": Path(fit.problem.machine.spec.file).name or "the nominal Orthoglide",
         "method": _METHODS[fit.method],
         "source": _SOURCES[fit.problem.noise_source],
+        "of_setups": " ".join(_of_setups(fit.problem)),
     }
+
+
+def _of_setups(problem: Problem) -> Iterator[str]:
+    """What was fitted with every setup, in sentences."""
+    spec = problem.machine.spec
+    if any(s.observation.from_datum for s in problem.setups):
+        placement = compact(spec.dial.placement * 1e3, 2)
+        yield (
+            f"The dial's zero is free in every setup, and its place along the leg is known to "
+            f"{placement} mm."
+        )
+    if any(not s.observation.from_datum for s in problem.setups):
+        slope = spec.surface_slope
+        surface = f"may slope by {compact(slope * 1e3, 2)} mrad" if slope else "is taken as exact"
+        yield (
+            f"Of two dials on a leg the difference was read, which has no zero of its own; the "
+            f"surface that they were set to zero against {surface}."
+        )
+    if not problem.setups:
+        yield "What belongs to a setup is free: a plate's height and slopes, an instrument's frame."

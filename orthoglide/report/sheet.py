@@ -9,14 +9,14 @@ from typing import Any
 
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
-from orthoglide.observations import Campaign, Setup
+from orthoglide.observations import Readings, Setup
 from orthoglide.observations.writing import Row, campaign_rows, command_columns
 from orthoglide.pictures import dials
 from orthoglide.report.rendering import rendered
 from orthoglide.scene import drawing
 
 
-def sheet_page(sheet: Campaign, machine: Machine, file: str) -> str:
+def sheet_page(sheet: Readings, machine: Machine, file: str) -> str:
     """A measuring sheet, whose moves are planned, as HTML, to be printed and filled in with a
     pencil; ``file`` is the name of the CSV with the same rows.
     """
@@ -28,6 +28,7 @@ def sheet_page(sheet: Campaign, machine: Machine, file: str) -> str:
         counted=counted(machine),
         readings=len(sheet),
         pages=list(_pages(sheet, machine)),
+        pairs=any(len(s.gauges) > 1 for s in sheet.setups),
     )
 
 
@@ -55,24 +56,33 @@ def dial_words(setup: Setup, machine: Machine, otherwise: str) -> tuple[str, ...
         2: f"bar 2, the one on the −{short_link} side",
     }[setup.bar]
     counts = "+" if setup.sign > 0 else "−"
-    return (
+    places = " and ".join(f"{gauge * 1e3:.4g}" for gauge in setup.gauges)
+    shares = " and ".join(f"{100 * gauge / L:.0f}" for gauge in setup.gauges)
+    told = (
         f"On leg {leg}, against {touched}.",
-        f"{setup.gauge * 1e3:.4g} mm from the leg's joints at the platform, to a millimetre, with "
-        f"the machine at mechanical zero ({100 * setup.gauge / L:.0f} % of the way to the "
-        f"carriage).",
+        f"{places} mm from the leg's joints at the platform, to a millimetre, with the machine at "
+        f"mechanical zero ({shares} % of the way to the carriage).",
         f"It reads along {axis}: its number must grow when the leg moves toward {counts}{axis}; "
         f"if it falls, {otherwise}.",
     )
+    if len(setup.gauges) == 1:
+        return told
+    return (
+        *told,
+        f"Two dials, both set to zero against the surface that the leg should be parallel to, "
+        f"across {axis}: write what the one at {setup.gauge2 * 1e3:.4g} mm shows less what the one "
+        f"at {setup.gauge * 1e3:.4g} mm shows.",
+    )
 
 
-def _pages(sheet: Campaign, machine: Machine) -> Iterator[dict[str, Any]]:
+def _pages(sheet: Readings, machine: Machine) -> Iterator[dict[str, Any]]:
     """One mounting each: the dials that are read together, where they stand, and where to go."""
     rows = campaign_rows(sheet, machine.spec)
     commands = command_columns(rows[0])
     together = mounted_together(rows)
     by_name = {s.name: s for s in sheet.setups}
     posed = machine.with_only({}).posed()
-    stand = {dial.name: dial for dial in dials(posed, [sheet])}
+    stand = dials(posed, [sheet])
     numbered = enumerate(rows, start=2)
     for names, lines in groupby(numbered, key=lambda line: together[line[1]["setup"]]):
         told = []
@@ -81,7 +91,9 @@ def _pages(sheet: Campaign, machine: Machine) -> Iterator[dict[str, Any]]:
             otherwise = f"write {turned.direction} in column direction"
             told.append((setup.name, dial_words(setup, machine, otherwise)))
         title = " and ".join(names)
-        here = drawing(posed, dials=[stand[n] for n in names], title=f"Where to mount {title}")
+        here = drawing(
+            posed, dials=[d for d in stand if d.name in names], title=f"Where to mount {title}"
+        )
         steps = list(_steps(list(lines), names, commands))
         yield {"title": title, "dials": told, "steps": steps, "drawing": here}
 

@@ -11,7 +11,7 @@ import numpy as np
 from orthoglide import __version__
 from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile
-from orthoglide.observations import Campaign, Setup, TcpPoints, ToolCampaign
+from orthoglide.observations import Readings
 from orthoglide.observations.columns import of_commands
 from orthoglide.text import csv_text
 
@@ -54,6 +54,7 @@ def residual_table(result: Result) -> str:
     columns = [measured, problem.sigma, *predicted, *(measured - p for p in predicted)]
     figures, rows = np.column_stack(columns), list[list[Any]]()
     none, several = [""] * len(_FIGURES), bool(turned.any())
+    both = any(s.observation.dials > 1 for f in problem.factors for s in f.readings.setups)
 
     def add(cells: list[Any], row: int, kind: str) -> None:
         shown = [*map(_mm, figures[row])]
@@ -62,42 +63,38 @@ def residual_table(result: Result) -> str:
             [*cells, *(none if turned[row] else shown), "", kind, *(mrad if several else ())]
         )
 
-    for each, part in zip(problem.factors, problem.factor_rows, strict=True):
-        factor: Any = each
-        read = factor.points
+    for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
+        read = factor.readings
         for k, row in enumerate(range(part.start, part.stop)):
-            if isinstance(read, TcpPoints):
-                add(_point_cells(read, int(factor.point[k]), int(factor.setup[k])), row, "tcp")
-            else:
-                add(_cells(read, k), row, read.setups[read.setup[k]].kind)
+            add(_cells(read, k, both), row, read.setups[read.setup[k]].kind)
     for blunder in result.blunders:
         for place, row in blunder.rows if blunder.sets_aside else ():
-            read = result.first.problem.campaigns[place]
-            first = [*_cells(read, row), _mm(read.reading[row]), *none[1:], blunder.kind, "leg"]
-            rows.append([*first, *(none if several else ())])
+            read = result.first.problem.factors[place].readings
+            setup = read.setups[read.setup[row]]
+            shown = [_mm(read.reading[row]), *none[1:]]
+            cells = [*_cells(read, row, both), *(none if setup.observation.angular else shown)]
+            mrad = shown if setup.observation.angular else none
+            rows.append([*cells, blunder.kind, setup.kind, *(mrad if several else ())])
     places = (
         "campaign", "line", "setup", "leg", "direction", "posture",
-        *of_commands(problem.machine.geometry.layout.names), "gauge_mm", "repeat", "order",
+        *of_commands(problem.machine.geometry.layout.names),
+        "gauge_mm", *(("gauge2_mm",) if both else ()), "repeat", "order",
     )  # fmt: skip
     last = ("set_aside", "kind", *(_IN_MRAD if several else ()))
     return csv_text((*places, *_IN_MM, *last), rows)
 
 
-def _cells(read: Campaign | ToolCampaign, row: int) -> list[Any]:
+def _cells(read: Readings, row: int, both: bool) -> list[Any]:
+    """What was read where; ``both`` where there are columns of two dials on a leg."""
     setup = read.setups[read.setup[row]]
-    leg, gauge = (LEGS[setup.leg], _mm(setup.gauge)) if isinstance(setup, Setup) else ("", "")
-    directed = isinstance(setup, Setup) or setup.instrument.axes
-    direction = f"{'-' if read.sign[row] < 0 else ''}{LEGS[read.axis[row]]}" if directed else ""
+    leg, gauge = (LEGS[setup.leg], _mm(setup.gauge)) if setup.leg >= 0 else ("", "")
+    second = [_mm(setup.gauge2) if setup.observation.dials > 1 else ""] if both else []
+    name = "" if read.by_point else setup.name
     return [
-        read.name, read.line[row], setup.name, leg, direction, read.posture[row],
-        *map(_mm, read.command[row]), gauge, read.repeat[row], read.order[row],
-    ]  # fmt: skip
-
-
-def _point_cells(points: TcpPoints, point: int, axis: int) -> list[Any]:
-    return [
-        points.name, points.line[point], "", "", LEGS[axis], "",
-        *map(_mm, points.command[point]), "", "", point + 1,
+        read.name, read.line[row], name, leg, read.direction[row], read.posture[row],
+        *map(_mm, read.command[row]), gauge, *second,
+        "" if read.by_point else read.repeat[row],
+        read.order[row] + read.by_point,
     ]  # fmt: skip
 
 

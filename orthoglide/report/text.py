@@ -18,7 +18,6 @@ from orthoglide.report.phrases import (
 from orthoglide.report.rows import parameter_rows, score_rows
 from orthoglide.report.sections import too_early
 from orthoglide.report.wording import headline
-from orthoglide.result.firmware import UNSEEN
 from orthoglide.text import is_terminal, text_width
 
 if TYPE_CHECKING:
@@ -54,16 +53,12 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
     parts += [Text(line) for line in to_do(result)]
     if result.firmware is not None and result.firmware.corrections is not None:
         found = result.firmware.corrections
-        parts += _table(("printer.cfg", "old", "new"), found.rows)
+        parts += _table((found.file, "old", "new"), found.rows)
         of = "left by the firmware's equations, rms, mm"
-        parts += _table((of, "old", "new"), found.left_rows)
+        parts += _table((of, "old", "new"), found.left)
         instead, why = too_early(result)
         if instead:
             parts.append(Text(f"{instead}: {why}.", style="bold"))
-        unseen = [sentence(one.brief) for one in result.firmware.unseen]
-        parts += [Text(f"- {UNSEEN}")] if unseen else []
-        rest = "{} others of the causes above stand in a report."
-        parts += [Text(line) for line in _first(unseen, rest)]
     parts += [Text(f"Warning: {caution}", style="bold") for caution in result.cautions]
     return console_text(parts)
 

@@ -131,7 +131,7 @@ def _weighed(result: Result) -> str:
         given += " and small shapes of the plate's own"
     if none_left_over(result):
         return f"With {given}, {_fall(result)}, and too few readings are left over to judge that."
-    of = "the dial" if result.after.problem.dials_alone else "the readings"
+    of = "the dial" if result.after.problem.legs_alone else "the readings"
     what = f"the noise of {of}"
     if any(w.kind == "side" for w in result.warnings):
         what = "what repeats scatter by: noise of the readings, or lost motion of the machine"
@@ -215,7 +215,7 @@ def _nothing_explains(result: Result) -> str:
 def _why_significant(result: Result) -> str:
     """What is left against the noise: its size, or its pattern where it is no larger."""
     noise, left = result.after.problem.one_reading, result.after.scores.left
-    whose = "the dial's noise" if result.after.problem.dials_alone else "the noise of one"
+    whose = "the dial's noise" if result.after.problem.legs_alone else "the noise of one"
     if any(left.shown[unit] > of_one for unit, of_one in noise.shown.items()):
         return f"Single readings are left with {left.said()} rms, where {whose} is {noise.said()}."
     if math.isnan(result.left.p_value):

@@ -15,14 +15,7 @@ from orthoglide.files import decode, read_bytes
 from orthoglide.machine import Machine
 from orthoglide.machine_file import parse_machine_file
 from orthoglide.machine_file.posterior import parse_posterior
-from orthoglide.observations import (
-    Campaign,
-    Readings,
-    TcpPoints,
-    ToolCampaign,
-    readings_from_rows,
-    tcp_from_rows,
-)
+from orthoglide.observations import Readings, readings_from_rows, tcp_from_rows
 from orthoglide.request.request import COMMANDS, Request
 from orthoglide.text import brief, shown, unseen_in
 
@@ -101,10 +94,10 @@ def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] =
         ) from None
     by_role = {role: [i for i in inputs if i.get("role", _ROLES[0]) == role] for role in _ROLES}
     read = [r for i in by_role["campaign"] for r in _readings(i, machine)]
-    tool = [r for r in read if isinstance(r, ToolCampaign)]
+    tool = [r for r in read if r.of_tool]
     request = Request(
         result["command"],
-        tuple(r for r in read if isinstance(r, Campaign)),
+        tuple(r for r in read if not r.of_tool),
         machine,
         own=tuple(given["own"]),
         noise=None if noise is None else noise * 1e-3,
@@ -134,11 +127,11 @@ def _machine(given: Mapping[str, Any], effects: Sequence[Effect]) -> Machine:
 
 
 def _readings(found: Mapping[str, Any], machine: Machine) -> tuple[Readings, ...]:
-    name = Path(found["file"]).stem
+    name = found.get("name", Path(found["file"]).stem)
     return readings_from_rows(found["rows"], machine.spec, name=name, **_origin(found))
 
 
-def _points(found: Mapping[str, Any], machine: Machine) -> TcpPoints:
+def _points(found: Mapping[str, Any], machine: Machine) -> Readings:
     return tcp_from_rows(found["rows"], machine.spec, **_origin(found))
 
 
@@ -179,6 +172,7 @@ def _check_inputs(found: Any) -> None:
         raise ValueError("inputs is no list of files")
     for item in found:
         _check_name(item["file"])
+        _check_name(item.get("name", item["file"]))
         if not isinstance(item["sha256"], str):
             raise ValueError(f"{item['file']} has no digest")
         if item.get("role", _ROLES[0]) not in _ROLES:

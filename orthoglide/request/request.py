@@ -11,16 +11,9 @@ from typing import Any, Literal, get_args
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import check_whole
 from orthoglide.files import sha256
-from orthoglide.fit.factors import Frame
+from orthoglide.instruments import Frame
 from orthoglide.machine import Machine
-from orthoglide.observations import (
-    Campaign,
-    Readings,
-    TcpPoints,
-    ToolCampaign,
-    csv_text,
-    readings_rows,
-)
+from orthoglide.observations import Readings, csv_text, readings_rows
 
 Command = Literal["identify", "close-loop", "diagnose", "demo"]
 COMMANDS: tuple[Command, ...] = get_args(Command)
@@ -34,19 +27,19 @@ class Request:
     """All that has an influence on the numbers of a run."""
 
     command: Command  # of the command line
-    campaigns: tuple[Campaign, ...]  # the readings
+    campaigns: tuple[Readings, ...]  # the readings
     machine: Machine  # to start from
     own: tuple[str, ...] = ()  # effects or parameters that each campaign has for itself
     # standard deviation of one reading, metres; `None` where files or repeats say it
     noise: float | None = None
     seed: int = 0  # of every random draw
     holdout: tuple[Readings, ...] = ()  # readings that judge the finished result
-    tcp: TcpPoints | None = None  # points that judge the finished result
+    tcp: Readings | None = None  # points that judge the finished result
     free: tuple[str, ...] = CATALOGUE.base  # effects or parameters that `identify` frees
     priors: bool = True  # whether tolerances act as priors in `identify`
     reduced: bool = False  # whether the analytic reduction identifies
     # readings of the tool: TCP points to be fitted, and files of other kinds
-    points: tuple[TcpPoints | ToolCampaign, ...] = ()
+    points: tuple[Readings, ...] = ()
     frame: Frame = "rigid"  # how the instrument of `points` may stand to the machine
     effects_file: str = ""  # name of the file with the user's own effects, where one was given
 
@@ -85,18 +78,13 @@ class Request:
         return found | options
 
     @property
-    def _fitted(self) -> tuple[TcpPoints, ...]:
-        return tuple(p for p in self.points if isinstance(p, TcpPoints))
-
-    @property
-    def tool(self) -> tuple[ToolCampaign, ...]:
-        """Files of other kinds than dials on legs and TCP points."""
-        return tuple(p for p in self.points if isinstance(p, ToolCampaign))
+    def _fitted(self) -> tuple[Readings, ...]:
+        return tuple(p for p in self.points if p.by_point)
 
     @property
     def readings(self) -> tuple[Readings, ...]:
-        """Files of all kinds but TCP points."""
-        return (*self.campaigns, *self.tool)
+        """Files of all kinds but those with a row for each point of the tool."""
+        return (*self.campaigns, *(p for p in self.points if not p.by_point))
 
     @property
     def inputs(self) -> list[dict[str, Any]]:
@@ -105,14 +93,14 @@ class Request:
 
     def _inputs(self) -> Iterator[dict[str, Any]]:
         for given in (*self.campaigns, *self.points):
-            yield self._input(given, "fit_tcp" if isinstance(given, TcpPoints) else "campaign")
+            yield self._input(given, "fit_tcp" if given.by_point else "campaign")
         for given in self.holdout:
             yield self._input(given, "holdout")
         if self.tcp is not None:
             yield self._input(self.tcp, "tcp")
 
-    def _input(self, given: Readings | TcpPoints, role: str) -> dict[str, Any]:
-        machine = None if isinstance(given, Campaign) else self.machine.spec
+    def _input(self, given: Readings, role: str) -> dict[str, Any]:
+        machine = self.machine.spec if given.of_tool else None
         return _input(given, role, readings_rows(given, machine))
 
     @property
@@ -144,23 +132,26 @@ class Request:
         return shlex.join([*words, *(flag for flag, given in flags.items() if given)])
 
 
-def name_of(given: Readings | TcpPoints) -> str:
+def name_of(given: Readings) -> str:
     """The name of a file of readings without its folder; one is made up where there is no file."""
     if given.file:
         return Path(given.file).name
-    return "points.tcp.csv" if isinstance(given, TcpPoints) else f"{given.name}.csv"
+    return "points.tcp.csv" if given.by_point else f"{given.name}.csv"
 
 
-def _input(given: Readings | TcpPoints, role: str, rows: list[dict[str, str]]) -> dict[str, Any]:
+def _input(given: Readings, role: str, rows: list[dict[str, str]]) -> dict[str, Any]:
     found: dict[str, Any] = {
         "file": name_of(given),
         "sha256": given.sha256 or sha256(csv_text(rows).encode()),
     }
     if role != "campaign":
         found["role"] = role
-    lines = [int(line) for line in given.line]
-    if not isinstance(given, TcpPoints):
-        lines = sorted([*lines, *(int(line) for line in given.moves.line)])
+    if given.name != Path(found["file"]).stem and not given.by_point:  # a part of its file
+        found["name"] = given.name
+    if given.by_point:
+        lines = given.points().line.tolist()
+    else:
+        lines = sorted([*given.line.tolist(), *given.moves.line.tolist()])
     if lines != list(range(2, len(rows) + 2)):
         found["lines"] = lines
     return found | {"rows": rows}

@@ -9,13 +9,13 @@ from pathlib import Path
 from orthoglide.effects import Effect
 from orthoglide.errors import InputError
 from orthoglide.files import inside
-from orthoglide.fit import Source, readings_of
+from orthoglide.fit import readings_of
 from orthoglide.machine import Machine
-from orthoglide.observations import Readings
+from orthoglide.observations import Given, Readings
 from orthoglide.request.reading import read_result, request_of
 from orthoglide.request.request import Request
 
-State = Source | Sequence[Source] | Request
+State = Given | Sequence[Given] | Request
 """Readings, or a run that has them; of its result the path of ``result.json`` or of its folder."""
 
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Literal
 from orthoglide.control import withheld
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.fit import Change
-from orthoglide.klipper import FIRST
 from orthoglide.numerals import plain
 from orthoglide.ordering import ranked
 from orthoglide.posterior import Cause, Curve, Explanation, Located
@@ -52,7 +51,7 @@ class Action:
     kind: Kind
     words: str  # what to do, a sentence without its full stop
     # by how much the tool's mean error over the workspace falls, best shift removed, of numbers for
-    # a firmware its rms height over the plate, metres; nan of what changes nothing on the machine
+    # a firmware what its equations leave of heights; nan of what changes nothing on the machine
     gain: float = math.nan
     gain_sigma: float = math.nan  # standard deviation of that; nan where it is not known
     options: tuple[Suspect, ...] = ()  # causes to look for, most probable first
@@ -68,7 +67,7 @@ def actions(result: Result) -> tuple[Action, ...]:
     """
     decides, told = _measure(result)
     if result.firmware is not None and result.firmware.again:
-        return (Action("measure", FIRST[:-1]), *told)
+        return (Action("measure", result.firmware.again[:-1]), *told)
     if withheld(result.machine):
         noisy = [
             Action("confirm", f"Before more is measured: {one}")
@@ -107,15 +106,10 @@ def _zeros(result: Result) -> Iterator[Action]:
     if result.firmware is not None:
         found = result.firmware.corrections
         if found is None:
-            touch = (
-                "Touch the plate too, out to its rim, for numbers for the firmware: its z = 0 is "
-                "the plate"
-            )
-            yield Action("measure", touch)
+            yield Action("measure", result.firmware.touch)
         if found is None or found.keep:
             return
-        probe = f"; after RESTART, before a new mesh, {found.probe}" if found.probe else ""
-        words = f"Enter the numbers for the firmware, {found.words}{probe}"
+        words = f"Enter the numbers for the firmware, {found.words}"
         yield Action("zeros", words, found.height[0] - found.height[1])
         return
     of = result.catalogue.effect_of

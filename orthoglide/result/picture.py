@@ -13,9 +13,9 @@ from orthoglide.fit import Change
 from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 from orthoglide.numerals import compact
-from orthoglide.pictures import Cause as Shown, dials, joint_mark, option, view
-from orthoglide.posterior import Curve, Explanation
-from orthoglide.scene import Dial, Mark, Option, Posed, View, drawing
+from orthoglide.pictures import dials, joint_mark, option
+from orthoglide.posterior import Curve
+from orthoglide.scene import Dial, Mark, Option, Posed, drawing
 
 if TYPE_CHECKING:
     from orthoglide.result.result import Result
@@ -96,20 +96,3 @@ def _left(result: Result) -> Option:
     size = f"{compact(abs(most.most) * 1e3, 2)} mm toward {toward(LEGS[most.axis], most.most)}"
     words = f"what nothing explains shows most on leg {LEGS[most.leg]}: {size}"
     return Option(words, (Mark("dial", most.leg, way, size, setup=most.setup),))
-
-
-def view_of(result: Result) -> View:
-    """The machine over its workspace, with a switch for each explanation and for the base."""
-    machine = result.machine
-    explained: list[Explanation] = [e for c in result.effects for e in c.explanations]
-    causes: list[Shown] = [(one.words, one.values) for one in explained]
-    causes += [(c.words[0], {c.parameter: c.after - c.before}) for c in result.moved]
-    values, of = result.values_before, result.catalogue.effect_of
-    for place in (curve.place for found in result.located for curve in found.members):
-        own = {n: v for n, v in machine.values.items() if of(n).name == place.effect.name}
-        causes.append((place.words, own))
-    for name in machine.catalogue.base:
-        effect = machine.catalogue[name]
-        own = {n: v for n, v in values.items() if of(n).name == name}
-        causes.append((effect.words.many or effect.sentence, own))
-    return view(machine, causes)

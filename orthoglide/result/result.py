@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 from orthoglide.accuracy import Map, tcp_map
+from orthoglide.add_ons import AddOn, Corrections, Section, add_on_of
 from orthoglide.control import ControllerNumbers, controller_numbers
 from orthoglide.diagnosis.blunders import Blunder
 from orthoglide.diagnosis.changes import Change
@@ -17,12 +17,10 @@ from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
 from orthoglide.fit import Estimate, Scores
 from orthoglide.frames import Framed
-from orthoglide.instruments import Tracker
 from orthoglide.judging import HoldOut, TcpErrors
-from orthoglide.klipper import Corrections
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
-from orthoglide.observations import Campaign
+from orthoglide.observations import Readings
 from orthoglide.parameters import Parameter
 from orthoglide.posterior import (
     BudgetItem,
@@ -35,12 +33,9 @@ from orthoglide.posterior import (
 )
 from orthoglide.request import Request
 from orthoglide.result.actions import Action, actions
-from orthoglide.result.corrections import corrections
-from orthoglide.result.firmware import FirmwareAdvice, apart, assumed, firmware_advice
 from orthoglide.result.following import next_measurements
-from orthoglide.result.picture import Picture, picture, view_of
+from orthoglide.result.picture import Picture, picture
 from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_of
-from orthoglide.scene import View
 
 if TYPE_CHECKING:
     from orthoglide.planning import Suggestion
@@ -169,18 +164,21 @@ class Result(Framed):
             kept["located"] = [found.name for found in self.located]
         if self.cautions:
             kept["cautions"] = list(self.cautions)
-        stored = self.request.machine.spec.provenance.get("klipper")
-        if isinstance(stored, Mapping):  # what its firmware believes stays with it
-            kept["klipper"] = {k: v for k, v in stored.items() if k != "corrected"}
-            if self._corrections is not None:
-                kept["klipper"]["corrected"] = self._corrections.kept
+        if (printer := self.request.machine.spec.printer) is not None:
+            kept |= printer.provenance(self.corrections)
         return self._machine.with_provenance(kept)
 
     @cached_property
-    def _corrections(self) -> Corrections | None:
-        old = self.request.machine.spec.printer
+    def corrections(self) -> Corrections | None:
+        """New numbers for the firmware of a machine that was imported from it; ``None`` for others,
+        and where the readings give none.
+        """
         fit = self.after if self.stands else self.before  # which the machine is of
-        return None if old is None else corrections(old, self._machine, fit)
+        return None if self._add_on is None else self._add_on.corrections(self._machine, fit)
+
+    @property
+    def _add_on(self) -> AddOn | None:
+        return add_on_of(self.request.machine.spec.provenance)
 
     @property
     def _machine(self) -> Machine:
@@ -249,10 +247,7 @@ class Result(Framed):
         """Kinds of readings that were taken, ``leg``, ``plate`` ..., and what takes them."""
         from orthoglide.planning import TAKEN_BY
 
-        problem = self.after.problem
-        several = (*problem.campaigns, *problem.tool_campaigns)
-        kinds = {setup.kind for campaign in several for setup in campaign.setups}
-        kinds |= {Tracker.kind} if len(several) < len(problem.factors) else set()
+        kinds = {s.kind for f in self.after.problem.factors for s in f.readings.setups}
         return {kind: words for kind, words in TAKEN_BY.items() if kind in kinds}
 
     @property
@@ -282,12 +277,12 @@ class Result(Framed):
     @cached_property
     def rest(self) -> tuple[SetupRest, ...]:
         """What the last fit leaves of every mounting of a dial, largest share first."""
-        return tuple(one for one in rest_by_setup(self.after) if one.kind == "leg")
+        return tuple(one for one in rest_by_setup(self.after) if one.leg >= 0)
 
     @cached_property
     def rest_of_tool(self) -> tuple[SetupRest, ...]:
         """The same of every instrument at the tool."""
-        return tuple(one for one in rest_by_setup(self.after) if one.kind != "leg")
+        return tuple(one for one in rest_by_setup(self.after) if one.leg < 0)
 
     @property
     def dials_hold_most(self) -> bool:
@@ -302,11 +297,6 @@ class Result(Framed):
         """The machine with what was found."""
         return picture(self)
 
-    @cached_property
-    def view(self) -> View:
-        """The machine over its workspace, a switch for each explanation."""
-        return view_of(self)
-
     # --- What follows -----------------------------------------------------------------------
 
     @cached_property
@@ -320,7 +310,7 @@ class Result(Framed):
         return next_measurements(self) if self.request.searches else ()
 
     @cached_property
-    def next_sheet(self) -> Campaign | None:
+    def next_sheet(self) -> Readings | None:
         """The proposed readings as one sheet to fill in; ``None`` where nothing helps."""
         from orthoglide.planning import next_sheet
 
@@ -353,14 +343,15 @@ class Result(Framed):
         return controller_numbers(self.machine, zeros_only=True, force=True)
 
     @cached_property
-    def firmware(self) -> FirmwareAdvice | None:
-        """Numbers for the firmware of a machine that was imported from it; ``None`` for others."""
-        return firmware_advice(self._corrections, self.machine, self.after, self.effects)
+    def firmware(self) -> Section | None:
+        """What the firmware of an imported machine has to say of it; ``None`` for others."""
+        return None if self._add_on is None else self._add_on.section(self)
 
     @property
     def cautions(self) -> tuple[str, ...]:
         """What speaks against acting on what was found as it stands, a sentence each."""
-        found = [f"{note}." for note in apart(self.request)]
+        printer = self.request.machine.spec.printer
+        found = [f"{note}." for note in (printer.cautions(self.request.points) if printer else ())]
         if self.word == "partial":
             found.append(
                 "What was found explains only part of what is wrong, and may stand in for "
@@ -378,7 +369,9 @@ class Result(Framed):
     @property
     def warnings(self) -> tuple[Note, ...]:
         """Of the final fit, lack of fit apart: the verdict's word says it already."""
-        found = (*self.after.warnings, *assumed(self.request.machine, self.effects))
+        machine, found = self.request.machine, list(self.after.warnings)
+        if (printer := machine.spec.printer) is not None:
+            found += printer.assumptions(machine, self.effects)
         return tuple(w for w in found if w.kind != "lack_of_fit")
 
     @property

@@ -111,7 +111,7 @@ def drawing(
 
 def _told(posed: Posed, dials: Sequence[Dial], options: str) -> str:
     names = ", ".join(posed.geometry.leg_names)
-    where = f" Dials: {', '.join(dial.name for dial in dials)}." if dials else ""
+    where = f" Dials: {', '.join(dict.fromkeys(dial.name for dial in dials))}." if dials else ""
     said = f" Marked: {options}." if options else ""
     legs = f"Three legs {names}, each a carriage on its rail and two bars to the platform."
     return f"{legs}{where}{said}"

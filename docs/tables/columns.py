@@ -1,0 +1,85 @@
+"""The columns of files of readings and the kinds of readings, from their schema.
+
+``python docs/tables/columns.py`` prints the tables of ``docs/files.md``.
+"""
+
+from __future__ import annotations
+
+from orthoglide.instruments import OBSERVATIONS, Observation
+from orthoglide.observations import schema
+from orthoglide.observations.schema import COLUMNS, COMMANDS, ORDER, Column
+
+COLUMN_HEAD = "| column | unit | kinds | if empty | value | meaning |\n|---|---|---|---|---|---|"
+KIND_HEAD = (
+    "| kind | taken by | reading | further columns | fitted with every setup |\n"
+    "|---|---|---|---|---|"
+)
+WAYS = (schema.TRAVEL, schema.PLACE)  # to state commands instead of joint coordinates
+
+
+def names(column: Column) -> str:
+    """Return the names of a column on an Orthoglide."""
+    return ", ".join(f"`{name}`" for name in column.names())
+
+
+def has(column: Column, observation: Observation) -> bool:
+    """Return whether readings of a kind have a column, by the kind's own list if it is on one."""
+    name = column.names()[0]
+    listed = any(name in one.of_setup for one in OBSERVATIONS.values())
+    if column.of_setup and listed:
+        return name in observation.of_setup
+    return column.of(observation)
+
+
+def kinds(column: Column) -> str:
+    """Return the kinds of readings that have a column."""
+    found = [kind for kind, one in OBSERVATIONS.items() if has(column, one)]
+    tool = [kind for kind, one in OBSERVATIONS.items() if not one.on_leg]
+    if len(found) == len(OBSERVATIONS):
+        return "all"
+    return "all of the tool" if found == tool else ", ".join(f"`{kind}`" for kind in found)
+
+
+def empty(column: Column) -> str:
+    """Return what an empty cell or an absent column stands for."""
+    if column in schema.READINGS.values() or column.required:
+        return "" if column is ORDER or column in WAYS else "required"
+    written = column.kind.write(column.empty)
+    shown = f"{column.empty:g}" if isinstance(column.empty, float) else written
+    return f"`{shown}`" if written else ""
+
+
+def column_table() -> str:
+    """Return the table of the columns, without those of a second command."""
+    lines = [
+        f"| {names(c)} | {c.kind.unit} | {kinds(c)} | {empty(c)} | {c.kind.allowed} | {c.meaning} |"
+        for c in COLUMNS
+        if c not in COMMANDS.values()
+    ]
+    return "\n".join([COLUMN_HEAD, *lines]).replace("|  |", "| |").replace("|  |", "| |")
+
+
+def kind_table() -> str:
+    """Return the table of the kinds of readings, with the columns that not all of them have."""
+    skipped = {*schema.READINGS.values(), *schema.SIGMAS.values(), *COMMANDS.values()}
+    skipped -= {COMMANDS[schema.TRAVEL]}  # the second command in one of its ways is enough
+    further = [c for c in COLUMNS if kinds(c) != "all" and c.attribute and c not in skipped]
+    lines = [
+        f"| `{kind}` | {one.words} | {one.fill} | "
+        f"{', '.join(names(c) for c in further if has(c, one))} | {one.fitted} |"
+        for kind, one in OBSERVATIONS.items()
+    ]
+    return "\n".join([KIND_HEAD, *lines]).replace("|  |", "| |")
+
+
+def markdown() -> str:
+    """Return the tables of the page."""
+    return f"{column_table()}\n\n{kind_table()}\n"
+
+
+def main() -> None:
+    print(markdown(), end="")
+
+
+if __name__ == "__main__":
+    main()

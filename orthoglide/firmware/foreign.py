@@ -1,0 +1,98 @@
+"""Files of firmware by their contents: which one wrote a file, and what to do with it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from pathlib import Path
+
+from orthoglide.errors import FileError
+from orthoglide.text import shown
+
+_LIST = ", which is a list of plate points: read it with orthoglide import plates {} --machine FILE"
+_NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
+_FILES = {  # files that describe no machine: what stands in no others, and what to do with them
+    "archive": (
+        r"\A(?:PK\x03\x04|\x1f|BZh|7z\xbc\xaf|\xfd7zXZ|Rar!)",
+        "is an archive: unpack it, and give the file in it",
+    ),
+    "log": (
+        r"^=+ Config file =+|^Starting Klippy",
+        "is Klipper's log, in which numbers may be of any time: give the printer.cfg that the "
+        "firmware saved",
+    ),
+    "klipper": (
+        r"^\[(?:printer|stepper_\w+|include [^\]]+)\]",
+        "is Klipper's printer.cfg: read it with orthoglide import klipper {}",
+    ),
+    "height map": (
+        r"^RepRapFirmware height map file", f"is RepRapFirmware's height map{_LIST}",
+    ),
+    "bed lines": (
+        r"^.*\b[Bb]ed +[Xx] *:.*\b[Yy] *:.*\b[Zz] *:", f"has Marlin's lines of touches{_LIST}",
+    ),
+}  # fmt: skip
+_M665 = (r"^.*\bM665\b[^;\n]*?\bL *([\d.:]+)", r"^.*\bM665\b[^;\n]*?\bR *([\d.:]+)")
+_BED_LINES = "probe the plate (G29), save its lines 'Bed X: Y: Z:' and read them"
+_MACHINES = {  # files that describe a machine: what stands in no others, how the firmware touches
+    # the plate, and where lengths of the arms and the radius less the platform's stand
+    "Smoothieware's config": (
+        r"^[ \t]*(?:arm_solution|(?:alpha|beta|gamma)_[\w.]+|zprobe\.\w+|leveling-strategy\.\S+)"
+        r"[ \t]+\S|^;Optional arm solution specific",
+        "probe a grid (G29), save its touches as lines x, y, z and read them",
+        rf"^[ \t]*arm_length[ \t]+{_NUMBER}", rf"^[ \t]*arm_radius[ \t]+{_NUMBER}",
+    ),
+    "Marlin's configuration": (
+        r"^[ \t]*(?://[ \t]*)?#define[ \t]+\w", _BED_LINES,
+        rf"^[ \t]*#define[ \t]+DELTA_DIAGONAL_ROD[ \t]+{_NUMBER}",
+        rf"^[ \t]*#define[ \t]+DELTA_(?:CONFIGURABLE_)?RADIUS[ \t]+{_NUMBER}",
+    ),
+    "RepRapFirmware's config.g or config-override.g": (
+        r"^[ \t]*;.*\bconfig(?:-override)?\.g\b|^[ \t]*(?:M584|M569 P|M558|M574|M950|M550|M563)\b"
+        r"|^[ \t]*M665\b(?![^;\n]*\bS *\d)[^;\n]*\b(?:L *[\d.]+:|B *\d)"
+        r"|^[ \t]*M666\b[^;\n]*\b[AB] *-?[\d.]",
+        "probe the plate (G29 S0) and read heightmap.csv", *_M665,
+    ),
+    "what Marlin's M503 prints": (
+        r"^(?:Recv: *)?(?:echo: *)?[ \t]*(?:M665|M666|M92|M851)\b", _BED_LINES, *_M665,
+    ),
+}  # fmt: skip
+_BEFORE = ("archive", "log")  # of kinds that may have another one's contents
+
+
+def refuse_foreign(path: Path, content: bytes, own: Collection[str]) -> None:
+    """Refuse a file that another firmware wrote, or that another command reads.
+
+    Args:
+        path: of the file.
+        content: its first bytes.
+        own: kinds that are welcome, as is one that nobody knows.
+
+    Raises:
+        FileError: saying what the file is and what to write instead.
+    """
+    text = content.decode("latin-1").replace("\r\n", "\n").replace("\r", "\n")
+    for kind, (pattern, message) in _FILES.items():
+        if re.search(pattern, text, re.MULTILINE):
+            if kind in own and kind not in _BEFORE:
+                return
+            raise FileError(message.format(Path(path).name), file=shown(path))
+    for name, (pattern, touch, arm, radius) in _MACHINES.items():
+        if re.search(pattern, text, re.MULTILINE):
+            sizes = [f"L = {value:.7g}" for value in _values(arm, text)]
+            sizes += [f"radius_mm less r_mm = {value:.7g}" for value in _values(radius, text)]
+            given = f" with {' and '.join(sizes)}" if sizes else ""
+            raise FileError(
+                f'is {name}, which is not read: write a machine file of kind "linear-delta"'
+                f"{given}, as docs/linear-deltas.md says; then {touch} by orthoglide import plates",
+                file=shown(path),
+            )
+
+
+def _values(pattern: str, text: str) -> list[float]:
+    """Return the number of a file, or the mean of several parted by colons, as a list of one; an
+    empty list where there is none.
+    """
+    found = re.search(pattern, text, re.MULTILINE | re.IGNORECASE)
+    values = [float(v) for v in re.findall(_NUMBER, found[1])] if found else []
+    return [sum(values) / len(values)] if values else []

@@ -1,0 +1,104 @@
+"""What an import gives: a machine file, readings, and notes for the owner."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orthoglide.geometry import Array
+from orthoglide.instruments import BESIDE, OBSERVATIONS, TURNED
+from orthoglide.layout import LinearDelta
+from orthoglide.machine_file import MachineFile
+from orthoglide.notes import Note
+from orthoglide.observations import Readings, readings_from_rows
+from orthoglide.observations.schema import APPROACH, COMMANDS, TRAVEL
+
+_DIGITS = 9  # of millimetres that are kept
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What a printer stored.
+
+    Attributes:
+        machine: nominal, with the firmware's numbers kept in its provenance.
+        campaigns: readings, a campaign for each list of the file.
+        notes: what an owner should know, in sentences.
+        together: names of the campaigns that go with one another; none where that is not known.
+    """
+
+    machine: MachineFile
+    campaigns: tuple[Readings, ...]
+    notes: tuple[Note, ...]
+    together: tuple[str, ...]
+
+    @property
+    def apart(self) -> tuple[Note, ...]:
+        """Notes of campaigns that are not of one plate and one set of numbers."""
+        return tuple(note for note in self.notes if note.kind == "apart")
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One reading, SI."""
+
+    kind: str  # of the instrument
+    setup: str
+    label: str  # for people
+    travel: Array  # of the carriages from mechanical zero (3,), metres
+    reading: float  # metres
+    second: Array | None = None  # travel at the other end of a distance (3,), metres
+    beside: Array | None = None  # where the probe is from the nozzle (2,), metres
+    sigma: float = float("nan")  # metres; nan: the machine file's
+    turned: float = 0.0  # by how much the plate was turned on its seat, degrees
+
+    def cells(self) -> dict[str, str]:
+        """Return the reading as a row of a file."""
+        touches, legs = OBSERVATIONS[self.kind].touches, LinearDelta.names.legs
+        second = [None] * 3 if self.second is None else self.second
+        cells: dict[str, float | None] = {
+            **dict(zip(TRAVEL.names(legs), self.travel, strict=True)),
+            **dict(zip(COMMANDS[TRAVEL].names(legs), second, strict=True)),
+            **dict(zip(BESIDE, [0.0] * 2 if self.beside is None else self.beside, strict=False)),
+            "reading_mm": self.reading,
+            "sigma_mm": self.sigma,
+        }
+        return {
+            "kind": self.kind,
+            "setup": self.setup,
+            "posture": self.label,
+            **{name: _millimetres(value) for name, value in cells.items()},
+            **dict.fromkeys(APPROACH.names(legs), "-1" if touches else ""),  # from above
+            TURNED: f"{self.turned:g}" if touches else "",
+        }
+
+
+def _millimetres(value: float | None) -> str:
+    return "" if value is None or np.isnan(value) else repr(round(float(value) * 1e3, _DIGITS))
+
+
+def readings_of(
+    name: str,
+    rows: Sequence[Mapping[str, str]],
+    machine: MachineFile,
+    lines: Sequence[int] = (),
+    file: str = "",
+) -> Readings:
+    """Return rows as the readings of a machine.
+
+    Args:
+        name: of the readings.
+        rows: by column the cells of a file of readings, one row at least.
+        machine: whose commands they are.
+        lines: line of each row in the file that it was read from.
+        file: name of that file, for errors.
+
+    Raises:
+        FileError: where the readings cannot be used as they stand.
+    """
+    used = {key for row in rows for key, cell in row.items() if cell}
+    cells = [{key: cell for key, cell in row.items() if key in used} for row in rows]
+    (found,) = readings_from_rows(cells, machine, name=name, lines=lines, file=file)
+    return found

@@ -1,0 +1,301 @@
+"""A ``printer.cfg`` as sections of text with their lines: written, included and saved ones."""
+
+from __future__ import annotations
+
+import glob
+import math
+import os
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NoReturn
+
+from orthoglide import files
+from orthoglide.errors import FileError
+from orthoglide.firmware.foreign import refuse_foreign
+from orthoglide.notes import Note
+from orthoglide.text import shown
+
+_SAVED = "#*#"
+_HEADER = re.compile(r"#\*#\s*<-+ *SAVE_CONFIG *-+>")
+_SECTION = re.compile(r"\[([^\]]+)\]")
+_ENTRY = re.compile(r"([^\s:=#;\[][^:=]*?)\s*[:=]\s*(.*)$")
+_COMMENT = re.compile(r"#.*$|(?:^|\s);.*$")
+_ROW = re.compile(r"[-+.,\d\seE]+$")
+_READ = ("printer", "stepper_a", "stepper_b", "stepper_c", "delta_calibrate", "bed_mesh", "probe")
+_DEEPEST = 8  # files that include one another
+_MOST = 1e6  # of anything that a printer's file counts
+
+Lines = Sequence[tuple[int, str]]
+"""Lines of text with their numbers."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A value with the line and file in which its key stands."""
+
+    text: str
+    line: int
+    file: str
+
+    @property
+    def values(self) -> list[float | str]:
+        """Cells of the value, those that are numbers as such."""
+        return [_cell(text) for text in re.split(r"[\s,]+", self.text)]
+
+
+def _cell(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+@dataclass
+class Section:
+    """A section of the file."""
+
+    name: str  # between the brackets
+    header: Entry  # where it stands
+    entries: dict[str, Entry] = field(default_factory=dict)  # values by key, lower case
+    missing: Sequence[str] = ()  # included files that were not found and may have more of its keys
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.entries
+
+    def fail(self, key: str, message: str) -> NoReturn:
+        """Refuse the value of a key, or its absence."""
+        at = self.entries.get(key, self.header)
+        raise FileError(f"[{self.name}] {key} {message}", file=at.file, line=at.line)
+
+    def text(self, key: str) -> str:
+        """Return the value of a key that must be there."""
+        if key not in self.entries:
+            remedy = f"add it, or take the file that the firmware saved{_elsewhere(self.missing)}"
+            self.fail(key, f"is missing: {remedy}")
+        return self.entries[key].text
+
+    def number(
+        self, key: str, default: float | None = None, low: float = -_MOST, high: float = _MOST
+    ) -> float:
+        """Return a number between two limits, the limits themselves excluded."""
+        if key not in self.entries and default is not None:
+            return default
+        return self._number(key, self.text(key), low, high)
+
+    def table(self, key: str) -> list[list[float]]:
+        """Return rows of numbers, one a line, parted by commas."""
+        lines = [line.strip().removesuffix(",") for line in self.text(key).split("\n")]
+        return [
+            [self._number(key, cell.strip(), -1e9, 1e9) for cell in line.split(",")]
+            for line in lines
+            if line
+        ]
+
+    def numbers(self, key: str, count: int) -> list[float]:
+        """Return so many numbers, parted by commas."""
+        cells = [cell for row in self.table(key) for cell in row]
+        if len(cells) != count:
+            self.fail(key, f"has {len(cells)} numbers where {count} belong: correct it")
+        return cells
+
+    def _number(self, key: str, text: str, low: float, high: float) -> float:
+        value = _cell(text)
+        if isinstance(value, str):
+            self.fail(key, f"is {text[:40]!r}, which is no number: correct it")
+        if not (math.isfinite(value) and low < value < high):
+            self.fail(key, f"is {text[:40]}, out of the range from {low:g} to {high:g}: correct it")
+        return value
+
+
+@dataclass
+class Config:
+    """The file, with those that it includes."""
+
+    file: str  # its name
+    sha256: str  # its digest
+    folder: Path  # in which it stands: nothing outside it is read
+    sections: dict[str, Section] = field(default_factory=dict)  # in the order of the file
+    missing: list[str] = field(default_factory=list)  # included files that were not found
+    notes: list[Note] = field(default_factory=list)  # of what was noticed on reading it
+
+    def note(self, kind: str, text: str) -> None:
+        """Note something for the owner."""
+        self.notes.append(Note(text, kind))
+
+    def usable(self, name: str, key: str, low: float, high: float) -> float:
+        """Return a number of a section, or 0 with a note where it is missing or of no use."""
+        section = self.sections.get(name)
+        try:
+            return section.number(key, 0.0, low, high) if section else 0.0
+        except FileError as error:
+            self.note("readings", f"{error}; 0 is taken")
+            del self.sections[name].entries[key]
+            return 0.0
+
+    def section(self, name: str) -> Section:
+        """Return a section that must be there.
+
+        Raises:
+            FileError: where it is not.
+        """
+        if name not in self.sections:
+            message = f"has no section [{name}]: add it{_elsewhere(self.missing)}"
+            raise FileError(message, file=self.file)
+        return self.sections[name]
+
+    def optional(self, name: str) -> Section:
+        """Return a section, empty where it is not there."""
+        return self.sections.get(name) or Section(name, Entry("", 1, self.file))
+
+    def named(self, *kinds: str) -> Iterator[Section]:
+        """Return sections whose first word is one of these, in the order of the file."""
+        return (s for name, s in self.sections.items() if name.split(" ")[0] in kinds)
+
+
+def read_config(path: str | os.PathLike[str]) -> Config:
+    """Read a ``printer.cfg``, or that of a folder, and the files that it includes.
+
+    As in the firmware, what its owner wrote goes before what SAVE_CONFIG wrote at its end.
+
+    Raises:
+        FileError: where it is missing, is another firmware's, or the firmware would not read what
+            it saved.
+    """
+    path = Path(files.inside(path, "printer.cfg"))
+    content = files.read_bytes(path)
+    refuse_foreign(path, content[: files.TEXT], own=("klipper",))
+    if len(content) > files.TEXT:
+        raise FileError(
+            f"is larger than {files.TEXT // 2**20} MB: give the right file", file=shown(path)
+        )
+    config = Config(shown(path), files.sha256(content), path.parent)
+    lines = _lines(content, path)
+    _parse(config, _own(lines), path, (path,))
+    saved = Config(config.file, config.sha256, path.parent)
+    _parse(saved, _saved(lines, shown(path)), path, (path,))
+    _add_saved(config, saved)
+    for section in config.sections.values():
+        section.missing = config.missing
+    return config
+
+
+def _lines(content: bytes, path: Path) -> Lines:
+    """Return lines with their numbers; of comments in any alphabet, as only numbers are read."""
+    text = files.decode(content, path, errors="replace")
+    return list(enumerate(re.split(r"\r\n|\r|\n", text), start=1))
+
+
+def _own(lines: Lines) -> Lines:
+    """Return the lines that SAVE_CONFIG did not write."""
+    return [(k, line) for k, line in lines if not line.lstrip().startswith(_SAVED)]
+
+
+def _saved(lines: Lines, file: str) -> Lines:
+    """Return the lines that SAVE_CONFIG wrote, without their marks.
+
+    Raises:
+        FileError: where the firmware would leave them out.
+    """
+    headers = [k for k, line in lines if _HEADER.match(line.lstrip())]
+    first = headers[0] if headers else 1
+    below = [k for k, line in _own(lines) if k > first and line.strip()]
+    for wrong, what in ((headers[1:], "a second header"), (below, f"a line without {_SAVED}")):
+        if headers and wrong:
+            raise FileError(
+                f"{what} stands below the header of SAVE_CONFIG (line {first}), and the firmware "
+                f"then leaves the whole block out: move it above the header, or remove it",
+                file=file,
+                line=wrong[0],
+            )
+    return [
+        (k, line.lstrip().removeprefix(_SAVED).removeprefix(" "))
+        for k, line in lines
+        if line.lstrip().startswith(_SAVED) and k >= first
+    ]
+
+
+def _add_saved(config: Config, saved: Config) -> None:
+    """Add what SAVE_CONFIG wrote where nothing else gives it, with a note of other values above."""
+    twice = list[str]()
+    config.notes += saved.notes
+    for name, section in saved.sections.items():
+        own = config.sections.setdefault(name, section)
+        for key, below in section.entries.items():
+            above = own.entries.setdefault(key, below)
+            if above.values != below.values and name.partition(" ")[0] in _READ:
+                values = f"{_value(above, config)}, below {_value(below, config)}"
+                twice.append(f"[{name}] {key}: {values}")
+    if twice:
+        config.notes.insert(0, Note(
+            f"{Path(config.file).name} has other values above the header of SAVE_CONFIG than below "
+            f"it, and the firmware takes those above, as is done here: {'; '.join(twice)}. Remove "
+            f"the lines that are not meant: what is pasted below the header has no effect while "
+            f"the same key stands above it", "twice",
+        ))  # fmt: skip
+
+
+def _value(entry: Entry, config: Config) -> str:
+    file = f" of {entry.file}" if entry.file != config.file else ""
+    return f"{' '.join(entry.text.split())[:40]} (line {entry.line}{file})"
+
+
+def _elsewhere(missing: Sequence[str]) -> str:
+    if not missing:
+        return ""
+    names = ", ".join(map(repr, dict.fromkeys(missing)))
+    return f" (it may stand in {names}: put that beside this file)"
+
+
+def _parse(config: Config, lines: Lines, path: Path, within: tuple[Path, ...]) -> None:
+    """Add the sections of lines to those of a file; ``within``: the files that led here."""
+    section: Section | None = None
+    key, level = "", 0
+    for number, line in lines:
+        bare = _COMMENT.sub("", line).rstrip()
+        text = bare.strip()
+        if not text:
+            continue
+        indent = len(bare) - len(bare.lstrip())
+        row = key == "points" and _ROW.match(text)  # pasted without its indentation
+        if section is not None and key and (indent > level or row):
+            before = section.entries[key]
+            section.entries[key] = replace(before, text=f"{before.text}\n{text}")
+            continue
+        level = indent
+        if found := _SECTION.match(text):
+            name, key = " ".join(found[1].split()), ""
+            section = Section(name, Entry("", number, shown(path)))
+            if name.startswith("include "):
+                _include(config, name.removeprefix("include "), path, within)
+            else:
+                section = config.sections.setdefault(name, section)
+        elif (found := _ENTRY.match(text)) and section is not None:
+            key = found[1].strip().lower()
+            section.entries[key] = Entry(found[2].strip(), number, shown(path))
+        elif (section is not None and section.name.partition(" ")[0] in _READ) or found:
+            why = "it is no 'key: value'" if section else "no section stands above it"
+            at = f"{shown(path)}, line {number}"
+            config.note("line", f"{at}: {text[:40]!r} is left out, as {why}")
+
+
+def _include(config: Config, pattern: str, path: Path, within: tuple[Path, ...]) -> None:
+    """Read files that one names from where it stands, within the first one's folder.
+
+    What lies elsewhere on the printer's own computer is looked for beside, by its name.
+    """
+    folder = glob.escape(os.path.relpath(path.parent, config.folder))
+    wanted = os.path.normpath(os.path.join(folder, pattern))
+    if os.path.isabs(wanted) or wanted.split(os.sep)[0] == os.pardir:
+        wanted = os.path.normpath(os.path.join(folder, glob.escape(Path(pattern).name)))
+    try:
+        found = sorted(config.folder.glob(wanted))
+    except (ValueError, OSError, NotImplementedError):  # no pattern that a folder has
+        found = []
+    if not found:
+        config.missing.append(pattern)
+    for other in found:
+        if other.is_file() and other not in within and len(within) < _DEEPEST:
+            lines = _lines(files.read_bytes(other, files.TEXT), other)
+            _parse(config, _own(lines), other, (*within, other))

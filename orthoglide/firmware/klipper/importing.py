@@ -1,0 +1,215 @@
+"""A ``printer.cfg`` as a machine file and readings."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orthoglide.add_ons import MARK
+from orthoglide.effects import catalogue_of
+from orthoglide.effects.printers import of_printers
+from orthoglide.errors import FileError, InputError
+from orthoglide.firmware.imported import Imported, Row, readings_of
+from orthoglide.firmware.klipper.config import Config, read_config
+from orthoglide.firmware.klipper.heights import CALIBRATE, CALIPER, probe_section, stored_readings
+from orthoglide.firmware.klipper.meshes import stored_meshes
+from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
+from orthoglide.firmware.klipper.printer import (
+    AGAIN,
+    ASSUMED,
+    CALIBRATION,
+    NAME,
+    RELATIVE,
+    WARNINGS,
+    disagreements,
+    rods_words,
+)
+from orthoglide.geometry import Array, Geometry
+from orthoglide.instruments import Distance, PlateTouch
+from orthoglide.layout import LinearDelta
+from orthoglide.machine_file import Instrument, MachineFile, ParameterValue
+from orthoglide.observations import Readings
+from orthoglide.text import shown
+
+PLATFORM, WIDTH, DROP = 0.032, 0.050, 0.040
+"""What the firmware does not store, metres: radius of the platform, distance of an arm's two rods,
+nozzle below the platform's joints. Typical ones; effects that turn the platform depend on them."""
+
+PROBE = 1.8e-5
+"""Repeatability of a touch, metres."""
+
+FEW = 30
+"""Touches: three endstops, six coordinates of towers, three arms and a plane leave half of them."""
+
+_OF_ONE_PLACE = ("zero_reference_position", "relative_reference_index")
+_DRAWN = 3e-3  # metres: standard deviation of a radius that no calibration has fitted
+_NOT_KEPT = ("line", "mesh", "readings", "rods")  # kinds of notes that a result says itself
+
+
+def import_printer(
+    path: str | os.PathLike[str], turned: Mapping[str, float] | None = None
+) -> Imported:
+    """Read what a printer stores; what cannot be read is left out, with a note.
+
+    Args:
+        path: its ``printer.cfg``, or the folder that it is in.
+        turned: by profile of a mesh, how far the plate was turned on its seat, counter-clockwise
+            from above, degrees.
+
+    Raises:
+        FileError: naming the line and what would be right.
+        InputError: where a mesh that is said to be of a turned plate is not stored.
+    """
+    config = read_config(path)
+    try:
+        return _imported(config, turned or {})
+    except FileError as error:
+        twice = [note for note in config.notes if note.kind == "twice"]
+        if not twice:
+            raise
+        message = f"{error.reason}; {twice[0]}"
+        raise FileError(message, file=error.file, line=error.line) from None
+
+
+def _imported(config: Config, turned: Mapping[str, float]) -> Imported:
+    """Return what a file has."""
+    numbers = Numbers.read(config)
+    calibration, moved = stored_readings(config, numbers)
+    rows = {CALIBRATION: calibration, **stored_meshes(config, numbers, turned, moved)}
+    if not any(rows.values()):
+        raise _nothing(config)
+    machine = _machine(config, numbers, [row for each in rows.values() for row in each])
+    campaigns = list(_campaigns(config, rows, machine))
+    if not campaigns:
+        raise _nothing(config)
+    relative = any(key in config.optional("bed_mesh") for key in _OF_ONE_PLACE)
+    apart = list(disagreements(numbers, campaigns, relative=relative))
+    _remark(config, numbers, campaigns, relative)
+    notes = [*config.notes, *(note for _, _, note in apart)]
+    ordered = sorted(dict.fromkeys(notes), key=lambda note: note.kind not in ("twice", "rods"))
+    words = [shown(note) for note in ordered if note.kind not in _NOT_KEPT]
+    table: dict[str, Any] = {
+        "file": Path(config.file).name,
+        "sha256": config.sha256,
+        MARK: numbers.mark,
+        **numbers.as_dict(),
+        RELATIVE: relative,
+        **({WARNINGS: words} if words else {}),
+        **({AGAIN: True} if any(note.kind == CALIBRATE for note in ordered) else {}),
+        ASSUMED: {"r": PLATFORM * 1e3, "d": WIDTH * 1e3, "tool_below": DROP * 1e3},
+    }
+    machine = replace(machine, provenance={NAME: table})
+    known, out = all(other == CALIBRATION for _, other, _ in apart), {name for name, *_ in apart}
+    together = tuple(c.name for c in campaigns if known and c.name not in out)
+    return Imported(machine, tuple(campaigns), tuple(ordered), together)
+
+
+def _nothing(config: Config) -> FileError:
+    """Return the refusal of a file of which no readings remain, with what was left out."""
+    out = [str(note) for note in config.notes if note.kind in _NOT_KEPT]
+    why = f" ({'; '.join(out[:2])}{', and more' * (len(out) > 2)})" if out else ""
+    return FileError(
+        f"has no readings that can be used: run DELTA_CALIBRATE or BED_MESH_CALIBRATE and "
+        f"SAVE_CONFIG, and take the file that the firmware saved{why}",
+        file=config.file,
+    )
+
+
+def _campaigns(
+    config: Config, rows: Mapping[str, Sequence[Row]], machine: MachineFile
+) -> Iterator[Readings]:
+    """Readings of every list that has some."""
+    for name, own in rows.items():
+        if not own:
+            continue
+        try:
+            yield readings_of(name, [row.cells() for row in own], machine)
+        except FileError as error:
+            config.note("mesh", f"left out: {name}.csv: {error.reason}")
+
+
+def _machine(config: Config, numbers: Numbers, rows: Sequence[Row]) -> MachineFile:
+    """Return the nominal machine of the firmware's numbers, with all rows in its stroke."""
+    arm = numbers.mean_arm
+    ends = [end for row in rows for end in (row.travel, row.second) if end is not None]
+    every = np.concatenate([np.array(ends), _around(config, numbers) - numbers.zero])
+    low = min(np.floor((float(every.min()) - 1e-3) * 1e3) * 1e-3, -1e-3)
+    high = max(float(every.max()), float((numbers.at_endstop - numbers.zero).max()))
+    stroke = (round(float(low), 6), round(max(float(np.ceil(high * 1e3)) * 1e-3, 1e-3), 6))
+    radius = round(numbers.delta_radius + PLATFORM, 9)
+    layout = LinearDelta((radius,) * 3, numbers.angle, (0.0, 0.0, -DROP))
+    try:
+        geometry = Geometry(arm, WIDTH, PLATFORM, stroke, layout)
+    except InputError as error:
+        config.section(f"stepper_{TOWERS[0]}").fail(
+            "position_endstop",
+            f"does not go with the stored positions ({error}): give it in millimetres, or probe "
+            f"again",
+        )
+    catalogue = catalogue_of(TOWERS)
+    length = next(e.name for e in catalogue.effects if e.controller == "bar_length")
+    # Nobody has fitted what was taken from a drawing: the radius.
+    drawn = catalogue.held_as("place") if numbers.are_nominal else ()
+    return MachineFile(
+        name=Path(config.file).stem,
+        geometry=geometry,
+        instruments={
+            PlateTouch.kind: Instrument(repeatability=PROBE),
+            Distance.kind: Instrument(repeatability=CALIPER),
+        },
+        tolerance=of_printers(catalogue) | dict.fromkeys(drawn, _DRAWN),
+        parameters={
+            f"{length}.{name}": ParameterValue(round(own - arm, 9), 0.0, "mm")
+            for name, own in zip(TOWERS, numbers.arm, strict=True)
+            if abs(own - arm) > 1e-9
+        },
+    )
+
+
+def _around(config: Config, numbers: Numbers) -> Array:
+    """Return heights of the carriages ``(n, 3)`` around the plate, if the firmware says how far it
+    is; above its middle where the arms do not reach so far.
+    """
+    radius = config.usable("printer", "print_radius", -1, 5000) * 1e-3
+    angle = np.deg2rad(np.arange(0.0, 360.0, 5.0))
+    ring = numbers.heights(radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1))
+    return numbers.heights(np.zeros((1, 3))) if np.isnan(ring).any() else ring
+
+
+def _remark(config: Config, numbers: Numbers, stored: Sequence[Readings], relative: bool) -> None:
+    """Note what an owner should know of the numbers and readings that are there."""
+    meshes = any(c.name != CALIBRATION for c in stored)
+    most = max(int(c.touching.sum()) for c in stored)
+    if words := rods_words(numbers):
+        config.note("rods", words)
+    if most < FEW:
+        config.note(
+            "mesh",
+            f"{most} touches of the plate leave hardly anything to look for a cause with: probe a "
+            f"mesh of 9 by 9 or more over a round bed's full radius",
+        )
+    if not meshes:
+        return
+    if config.missing and probe_section(config) is None:
+        config.note(
+            "probe",
+            f"{', '.join(map(repr, config.missing))} is not where it is included from: if it "
+            f"describes the probe, put it there; the probe is taken to touch where the nozzle is",
+        )
+    if relative:
+        config.note(
+            "relative",
+            "[bed_mesh] takes the height at one place out of every mesh (zero_reference_position): "
+            "how high the nozzle stands there is not known; set it by hand once new numbers are "
+            "entered, or remove the key and probe again",
+        )
+    config.note(
+        "mesh",
+        "a mesh is taken as probed with the numbers that are stored now; if they were changed "
+        "since, probe it again",
+    )

@@ -1,0 +1,172 @@
+"""Meshes of the plate that are stored in profiles (klippy/extras/bed_mesh.py)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.errors import FileError, InputError
+from orthoglide.firmware.imported import Row
+from orthoglide.firmware.klipper.config import Config, Section
+from orthoglide.firmware.klipper.heights import plane_of, probe_offset
+from orthoglide.firmware.klipper.numbers import Numbers
+from orthoglide.geometry import Array
+from orthoglide.instruments import PlateTouch
+from orthoglide.numerals import signed
+
+_MOST_TOUCHES = 1000  # of a mesh: a bed's shape is smooth, and a scan's neighbours read alike
+_LONGEST = 60  # of a campaign's name
+
+
+def stored_meshes(
+    config: Config, numbers: Numbers, turned: Mapping[str, float], moved: bool
+) -> dict[str, list[Row]]:
+    """Return the touches of every mesh by the name of its campaign.
+
+    Args:
+        config: the file.
+        numbers: the firmware's present ones, with which a mesh is taken as probed.
+        turned: by profile of a mesh, how far the plate was turned on its seat, degrees.
+        moved: whether z = 0 was moved before a mesh or after it: meshes are shifted to it.
+
+    Raises:
+        InputError: where a mesh that is said to be of a turned plate is not stored.
+    """
+    profiles = {s.name.partition(" ")[2]: s for s in config.named("bed_mesh") if "points" in s}
+    profiles.pop("", None)
+    if unknown := set(turned).difference(profiles):
+        raise InputError(
+            f"there is no mesh {min(unknown)!r} whose plate was turned: take one of "
+            f"{', '.join(map(repr, profiles)) or 'none'}"
+        )
+    found: dict[str, list[Row]] = {}
+    known: dict[tuple[float, bytes], str] = {}
+    for profile, section in profiles.items():
+        name = _name(profile, found)
+        try:
+            rows = list(_touches(config, numbers, section, name, turned.get(profile, 0.0)))
+        except FileError as error:
+            config.note("mesh", f"left out: mesh {profile!r}: {error}")
+            continue
+        command = np.array([row.travel for row in rows])
+        other = known.setdefault((rows[0].turned, command.tobytes()), profile)
+        if other != profile:
+            config.note(
+                "mesh",
+                f"the mesh {profile!r} is {other!r} to the last digit, saved under another "
+                f"name: it is left out, for it would count twice",
+            )
+            continue
+        if moved:
+            reading = np.array([row.reading for row in rows])
+            higher, *_ = plane_of(numbers.points(command + numbers.zero), reading)
+            rows = [replace(row, reading=row.reading + higher) for row in rows]
+            config.note(
+                "mesh",
+                f"the mesh {profile!r} is shifted by {signed(-higher * 1e3, 2)} mm, to z = 0 in "
+                f"the middle, as the endstops were moved before it or after it",
+            )
+        found[f"mesh-{name}"] = rows
+    return found
+
+
+def _name(profile: str, taken: Mapping[str, object]) -> str:
+    """Return a profile's name as files and parameters may carry it, in capitals or not unlike
+    those that are taken.
+    """
+    plain = re.sub(r"[^A-Za-z0-9_-]+", "-", profile).strip("-")[:_LONGEST] or "mesh"
+    name, number, names = plain, 1, {one.lower() for one in taken}
+    while f"mesh-{name}".lower() in names:
+        number += 1
+        name = f"{plain}-{number}"
+    return name
+
+
+def _touches(
+    config: Config,
+    numbers: Numbers,
+    section: Section,
+    setup: str,
+    turned: float,
+) -> Iterator[Row]:
+    """Touches of a profile.
+
+    Raises:
+        FileError: where the profile is none, or lies beyond the arms.
+    """
+    if section.number("version", 0) != 1:
+        section.fail(
+            "version",
+            "is missing or not 1, as in meshes of before December 2019, which the firmware leaves "
+            "out as well: probe the mesh again, or remove the profile",
+        )
+    table = section.table("points")
+    if not np.any([value for line in table for value in line]):
+        section.fail("points", "are nothing but zeros, as no probe reads: probe the mesh again")
+    columns = int(section.number("x_count", len(table[0]), 0))
+    lines = int(section.number("y_count", len(table), 0))
+    if len(table) != lines or any(len(line) != columns for line in table):
+        section.fail("points", f"are not {lines} rows of {columns}: probe the mesh again")
+    spans = []
+    for axis, count in (("x", columns), ("y", lines)):
+        low, high = section.number(f"min_{axis}"), section.number(f"max_{axis}")
+        if not low < high:
+            section.fail(f"max_{axis}", f"is not above min_{axis}: correct it")
+        spans.append(np.linspace(low, high, count) * 1e-3)
+    height, beside = probe_offset(config)
+    places, z = np.stack(np.meshgrid(*spans), axis=-1).reshape(-1, 2), np.array(table)
+    kept = np.flatnonzero(_probed(config, z, places, beside))
+    p = np.column_stack([places - beside, height + z.ravel() * 1e-3])[kept]
+    travel = numbers.heights(p) - numbers.zero
+    if np.isnan(travel).any():
+        away = float(np.hypot(*places[kept].T).max())
+        section.fail(
+            "points",
+            f"reach {away * 1e3:.0f} mm out, beyond the arms: probe the mesh again, or remove the "
+            f"profile",
+        )
+    for at, (x, y) in zip(travel, places[kept] * 1e3, strict=True):
+        label = f"{x:.6g} {y:.6g}"
+        yield Row(PlateTouch.kind, setup, label, at, height, beside=beside, turned=turned)
+
+
+def _probed(config: Config, table: Array, place: Array, offset: Array) -> NDArray[np.bool_]:
+    """Return which values of a mesh ``(rows, columns)`` at places ``(rows * columns, 2)`` the
+    probe touched ``(rows * columns,)``: no padding, no faulty regions.
+    """
+    general, (lines, columns) = config.optional("bed_mesh"), table.shape
+    kept = np.ones(len(place), dtype=bool)
+    stride = int(np.ceil(np.sqrt(len(place) / _MOST_TOUCHES)))
+    if stride > 1:
+        every = [(np.arange(n) - n // 2) % stride == 0 for n in (lines, columns)]
+        kept &= np.outer(*every).ravel()
+        config.note(
+            "mesh",
+            f"a mesh of {lines} by {columns} is finer than any cause needs: of its rows and "
+            f"columns one in {stride} is taken",
+        )
+    radius = config.usable("bed_mesh", "mesh_radius", 0, 5000) * 1e-3
+    if radius:  # about the profile's own middle: mesh_origin may have been another one then
+        middle = (place.min(axis=0) + place.max(axis=0)) / 2
+        kept &= np.hypot(*(place - middle).T) <= radius * (1 + 1e-9) + 1e-5
+    if min(table.shape) > 2 and (table[[0, 0, -1, -1], [0, -1, 0, -1]]
+                                 == table[[0, 0, -1, -1], [1, -2, 1, -2]]).all():  # fmt: skip
+        # Round, whatever [bed_mesh] says: beyond the circle the firmware repeats what is next.
+        apart = (place - place.mean(axis=0)) / (np.ptp(place, axis=0) / 2)
+        kept &= np.hypot(*apart.T) <= 1 + 1e-6
+    for k in range(1, 100):  # where the probe cannot work the firmware takes its neighbours
+        low, high = f"faulty_region_{k}_min", f"faulty_region_{k}_max"
+        if low not in general:
+            break
+        try:
+            ends = np.array([general.numbers(low, 2), general.numbers(high, 2)]) * 1e-3
+        except FileError as error:
+            config.note("mesh", f"left out: {error}")
+            continue
+        for at in (place, place - offset):
+            kept &= ~((at >= ends[0]) & (at <= ends[1])).all(axis=1)
+    return kept

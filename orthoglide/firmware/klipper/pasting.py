@@ -1,0 +1,134 @@
+"""New numbers for the firmware as tables and words: what to paste, and what they leave."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from orthoglide.add_ons import Corrections, Paste
+from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
+from orthoglide.firmware.klipper.printer import SPREAD
+from orthoglide.numerals import signed
+from orthoglide.ordering import best_of
+
+FILE = "printer.cfg"
+WHERE = (
+    "Replace the values in the block below the header of SAVE_CONFIG (#*#) at the end of "
+    "printer.cfg, and leave #*# before every line; they have no effect while a line above that "
+    "header gives the same key: remove such lines, or put the new ones in their place. Then "
+    "RESTART, run PROBE_CALIBRATE where the probe touches beside the nozzle, and probe the mesh "
+    "again (BED_MESH_CALIBRATE); DELTA_CALIBRATE would put numbers of its own in their place."
+)
+"""How new numbers come into the file."""
+
+_LACKING = (
+    "There are none: the plate is the firmware's z = 0, and no readings of it out to its rim are "
+    "kept with this machine. Take calibrated.toml of a run of close-loop that has some."
+)
+
+
+@dataclass(frozen=True)
+class Left:
+    """Root mean squares of the residuals of the readings of a file, metres."""
+
+    file: str  # name of the readings
+    kind: str  # ``heights`` or ``distances``
+    count: int  # of the readings
+    old: float  # by the firmware's equations with the old numbers
+    new: float  # with the new ones
+
+
+def corrections_of(old: Numbers, new: Numbers, left: Sequence[Left], keep: str) -> Corrections:
+    """Return new numbers beside the old ones.
+
+    Args:
+        old: the present ones.
+        new: those that bring the calibrated machine nearest to where it is commanded to be.
+        left: what both leave of the readings.
+        keep: why the new ones are not to be entered, a clause; empty where they are better.
+    """
+    # Every file counts alike, as heights of two days lie apart by more than touches scatter.
+    each = [(one.old, one.new) for one in left if one.kind == "heights"] or [(0.0, 0.0)]
+    before, after = np.sqrt(np.mean(np.square(each), axis=0)).tolist()
+    changed = {"delta_radius": new.delta_radius - old.delta_radius}
+    for name, one, other in zip(TOWERS, old.endstop, new.endstop, strict=True):
+        changed[f"position_endstop of tower {name}"] = other - one
+    most = best_of(changed, lambda name: abs(changed[name]))
+    longer, rods = float(np.mean(new.arm) - np.mean(old.arm)), ""
+    if abs(longer) > SPREAD:
+        way = "longer" if longer > 0 else "shorter"
+        rods = (
+            f"; they take the rods for {abs(longer) * 1e3:.1f} mm {way}, as distances say, and a "
+            f"print that shrank makes distances shorter: measure a rod first"
+        )
+    values = new.values
+    return Corrections(
+        old,
+        new,
+        rows=[(" ".join(key), value, values[key]) for key, value in old.values.items()],
+        left=[(f"{x.file}, {x.kind}", f"{x.old * 1e3:.3f}", f"{x.new * 1e3:.3f}") for x in left],
+        height=(before, after),
+        keep=keep,
+        words=(
+            f"most of all {most} by {signed(changed[most] * 1e3, 3)} mm; of heights over the plate "
+            f"its equations leave {after * 1e3:.3f} mm rms, and {before * 1e3:.3f} mm with the old "
+            f"ones{rods}"
+        ),
+        where=WHERE,
+        kept={
+            "new": new.as_dict(),
+            "height_rms_mm": [round(before * 1e3, 6), round(after * 1e3, 6)],
+            "keep_old_because": keep,
+            "left_of_readings": [
+                {"file": x.file, "kind": x.kind, "count": x.count,
+                 "old_rms_mm": round(x.old * 1e3, 6), "new_rms_mm": round(x.new * 1e3, 6)}
+                for x in left
+            ],
+        },
+        file=FILE,
+    )  # fmt: skip
+
+
+def paste_of(old: Numbers, table: object) -> Paste:
+    """Return the numbers that a machine file keeps in place of old ones, to paste."""
+    facts: dict[str, object] = {"old": old.as_dict()}
+    try:
+        found = _kept(old, table)
+    except (KeyError, TypeError, ValueError):  # nothing was kept, or the table was edited
+        lacking = facts | {"missing": _LACKING}
+        return Paste({"drive": [], "old": [], "new": []}, lacking, (_LACKING,))
+    drive, before, after = zip(*found.rows, strict=True)
+    columns = {"drive": [*drive], "old": [*map(float, before)], "new": [*map(float, after)]}
+    named = [f"  {name:28}{one:>14}{other:>14}" for name, one, other in found.rows]
+    left = [f"  {name:40}{one:>8}{other:>8}" for name, one, other in found.left]
+    return Paste(columns, facts | dict(found.kept), (
+        "These bring the tool nearest to where the firmware believes it is over the plate, the "
+        "plate being its z = 0. Enter all of them or none, and keep the old ones: they undo it.",
+        "\n".join((f"{found.file:30}{'old':>14}{'new':>14}", *named)),
+        "\n".join(("Left of the readings by its equations, rms, mm, old and new:", *left)),
+        *((f"Keep the old ones: {found.keep}.",) if found.keep else ()),
+        found.where,
+        "\n".join(("To paste:", *found.new.lines())),
+        "\n".join(("To undo:", *found.old.lines())),
+        "What no number of the firmware holds stands in the report.",
+    ))  # fmt: skip
+
+
+def _kept(old: Numbers, table: Any) -> Corrections:
+    """Return the new numbers of a machine file; one of an earlier version has no residuals.
+
+    Raises:
+        KeyError, TypeError, ValueError: where nothing was kept, or the table was edited.
+    """
+    if not isinstance(table, Mapping):
+        raise TypeError
+    left = [
+        Left(str(x["file"]), str(x["kind"]), int(x["count"]), float(x["old_rms_mm"]) * 1e-3,
+             float(x["new_rms_mm"]) * 1e-3)
+        for x in table.get("left_of_readings", ())
+    ]  # fmt: skip
+    keep = str(table.get("keep_old_because", ""))
+    return replace(corrections_of(old, Numbers.of(table["new"]), left, keep), kept=table)

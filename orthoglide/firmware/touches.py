@@ -1,0 +1,237 @@
+"""Touches of a plate in files of firmware and people: height maps, logs, and plain tables."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from orthoglide.errors import FileError
+
+FEWEST = 3
+"""Places that tell of a plane: a list of fewer is none."""
+
+_MAP = re.compile(r"RepRapFirmware height map file", re.IGNORECASE)
+_NUMBER = r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?|nan"
+_LABELLED = [re.compile(rf"(?<![A-Za-z]){axis}\s*[:=]\s*({_NUMBER})", re.I) for axis in "xyz"]
+_BED = re.compile(r"\bbed\s+x\s*[:=]", re.IGNORECASE)
+_POSITION = re.compile(r"\bE\s*:|\bCount\b", re.IGNORECASE)  # where a tool stands, no touch
+_PROBING = re.compile(r"\bG(?:29|32|33)\b")  # commands after which the plate is touched anew
+_COMMENT = re.compile(r"^\s*(?:#|//|;\s*[A-Za-z]).*")
+_UNTOUCHED = ("", "nan", "-", "null", "none", "n/a")
+_AXES = {"x": 0, "y": 1, "z": 2, "height": 2}
+_UNITS = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "micron": 1e-3, "microns": 1e-3,
+          "m": 1e3, "cm": 10.0, "in": 25.4, "inch": 25.4, "inches": 25.4}  # fmt: skip
+_SAME = 0.01  # millimetres: places that are one
+_CLOSE = 1.0  # millimetres: places of a list that is in metres are not further from the centre
+_WIDEST = 1e5  # millimetres: no plate is wider
+_LINES = 1000  # of a height map
+
+Columns = Mapping[int, tuple[int, float]]
+"""Column of each axis in a table, and its unit in millimetres."""
+
+
+@dataclass(frozen=True)
+class Touch:
+    """A touch as a file has it, millimetres."""
+
+    line: int
+    x: float
+    y: float
+    z: float
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Where it is, so that equal places are equal."""
+        return round(self.x / _SAME), round(self.y / _SAME)
+
+
+@dataclass
+class Read:
+    """What was found in a file."""
+
+    lists: list[list[Touch]] = field(default_factory=list)  # touches of one probing each
+    # lines that were left out, by the reason, each with what stands there
+    out: dict[str, dict[int, str]] = field(default_factory=dict)
+    places: set[tuple[int, int]] = field(default_factory=set)  # of the last list
+    begins: bool = True  # whether the next touch is the first of a probing
+
+    def leave(self, why: str, line: int, value: str = "") -> None:
+        """Leave a line out."""
+        self.out.setdefault(why, {}).setdefault(line, value.strip())
+
+    def add(self, touch: Touch) -> None:
+        """Add a touch to the last list, or to a new one where a probing begins: on a new heading,
+        or where a place is touched again that is not the one before.
+        """
+        if not (abs(touch.x) < _WIDEST and abs(touch.y) < _WIDEST):
+            self.leave("no place on a plate", touch.line, f"x {touch.x:g}, y {touch.y:g}")
+            return
+        if not math.isfinite(touch.z):
+            self.leave("not touched", touch.line, f"x {touch.x:g}, y {touch.y:g}")
+            return
+        again = touch.place in self.places and touch.place != self.lists[-1][-1].place
+        if self.begins or again:
+            self.lists.append([])
+            self.places.clear()
+        self.lists[-1].append(touch)
+        self.places.add(touch.place)
+        self.begins = False
+
+
+def read_touches(lines: Sequence[str], file: str) -> Read:
+    """Read the lines of a file by what stands in them."""
+    read = Read()
+    if any(_MAP.search(line) for line in lines):
+        _read_maps(lines, file, read)
+    elif any(all(p.search(line) for p in _LABELLED) for line in lines):
+        _read_labelled(lines, read)
+    else:
+        _read_table(lines, file, read)
+    return read
+
+
+def _read_labelled(lines: Sequence[str], read: Read) -> None:
+    """Read lines that name x, y and z; of a log those of touches only."""
+    bed = any(map(_BED.search, lines))
+    for number, line in enumerate(lines, start=1):
+        cells = [found[1] for pattern in _LABELLED if (found := pattern.search(line))]
+        touch = _BED.search(line) if bed else not _POSITION.search(line)
+        if touch and len(cells) == len(_LABELLED):
+            read.add(Touch(number, *map(_number, cells)))
+        elif _PROBING.search(line):
+            read.begins = True
+
+
+def _read_maps(lines: Sequence[str], file: str, read: Read) -> None:
+    """Read height maps: a heading, names of sizes, the sizes, and a row of heights for each y."""
+    rows = [(k, line) for k, line in enumerate(lines, start=1) if line.strip()]
+    starts = [k for k, (_, line) in enumerate(rows) if _MAP.search(line)]
+    for start, end in zip(starts, [*starts[1:], len(rows)], strict=True):
+        block, read.begins = rows[start + 1 : end], True
+        try:
+            (_, names), (_, values), *heights = block
+            sizes = _sizes(_cells(names), _cells(values))
+            across, along = (_span(sizes, axis) for axis in range(2))
+            heights[0]
+        except (KeyError, ValueError, IndexError):
+            line, names = block[0] if block else rows[start]
+            raise FileError(
+                f"has a height map whose sizes or heights are missing or not understood, "
+                f"{names[:60]!r}: give the whole file",
+                file=file,
+                line=line,
+            ) from None
+        radius = _number(sizes.get("radius", "-1"))
+        swapped = sizes.get("axis0", "x").lower() == "y"
+        _read_heights(heights, (across, along), radius if radius > 0 else math.inf, swapped, read)
+
+
+def _sizes(names: Sequence[str], values: Sequence[str]) -> dict[str, str]:
+    """Return sizes of a height map by their names of today: ``xmin`` was ``min0`` before."""
+    found = dict(zip((name.lower() for name in names), values, strict=False))
+    for name in [*found]:
+        if name[0] in "xy":
+            found[f"{name[1:]}{'xy'.index(name[0])}"] = found[name]
+    return found
+
+
+def _span(sizes: Mapping[str, str], axis: int) -> list[float]:
+    """Return the places of a height map along an axis, millimetres."""
+    low, count = _number(sizes[f"min{axis}"]), int(_number(sizes[f"num{axis}"]))
+    step = _number(sizes.get(f"spacing{axis}") or sizes["spacing"])
+    if not (math.isfinite(low + step) and 0 < count <= _LINES):
+        raise ValueError(axis)
+    return [low + k * step for k in range(count)]
+
+
+def _read_heights(
+    rows: Sequence[tuple[int, str]],
+    spans: tuple[Sequence[float], Sequence[float]],
+    radius: float,
+    swapped: bool,
+    read: Read,
+) -> None:
+    """Read the heights of a map. A bare 0 is what stands for a place that was not touched, and no
+    place beyond the radius is.
+    """
+    across, along = spans
+    for (number, line), y in zip(rows, along, strict=False):
+        cells = _cells(line)
+        if len(cells) != len(across):
+            read.leave(f"{len(cells)} heights where {len(across)} belong", number, line)
+            continue
+        for x, cell in zip(across, cells, strict=True):
+            if math.hypot(x, y) <= radius + _SAME:
+                place = (y, x) if swapped else (x, y)
+                read.add(Touch(number, *place, math.nan if cell == "0" else _number(cell)))
+    if len(rows) < len(along):
+        read.leave(f"{len(rows)} rows of {len(along)}; more are missing below", *rows[-1])
+    for number, line in rows[len(along) :]:
+        read.leave(f"more than the {len(along)} rows of the height map", number, line)
+
+
+def _read_table(lines: Sequence[str], file: str, read: Read) -> None:
+    """Read a table of x, y, z with or without a line of names, which may be a comment."""
+    columns: Columns = {axis: (axis, 1.0) for axis in range(3)}
+    named = False
+    for number, line in enumerate(lines, start=1):
+        cells, comment = _cells(line.lstrip("#/; ")), bool(_COMMENT.match(line))
+        if found := _columns(cells):
+            columns, named, read.begins = found, True, True
+        elif comment or not line.strip():
+            continue
+        elif (touch := _row(number, cells, columns)) and (named or len(cells) == 3):
+            read.add(touch)
+        else:
+            read.leave("no row of x, y and z", number, line)
+    every = [touch for touches in read.lists for touch in touches]
+    if len(every) >= FEWEST and max(max(abs(t.x), abs(t.y)) for t in every) < _CLOSE:
+        raise FileError(
+            "has all places within a millimetre of the centre: give millimetres, or the unit "
+            "behind the names of the columns (x_m)", file=file, line=every[0].line,
+        )  # fmt: skip
+
+
+def _row(line: int, cells: Sequence[str], columns: Columns) -> Touch | None:
+    """Return the touch of a row, its height nan where none was given; ``None`` of another row."""
+    if max(column for column, _ in columns.values()) >= len(cells):
+        return None
+    x, y, z = (_number(cells[columns[axis][0]]) * columns[axis][1] for axis in range(3))
+    touched = math.isfinite(z) or cells[columns[2][0]].lower() in _UNTOUCHED
+    return Touch(line, x, y, z) if math.isfinite(x + y) and touched else None
+
+
+def _columns(cells: Sequence[str]) -> Columns:
+    """Return the columns of a row of names; empty where it does not name all axes."""
+    found: dict[int, tuple[int, float]] = {}
+    for column, cell in enumerate(cells):
+        words = re.findall(r"[a-zµμ]+", cell.lower())
+        axes = [_AXES[word] for word in words if word in _AXES]
+        if axes and axes[0] not in found:
+            unit = next((size for name, size in _UNITS.items() if name in words), 1.0)
+            found[axes[0]] = (column, unit)
+    return found if len(found) == 3 else {}
+
+
+def _cells(line: str) -> list[str]:
+    """Return the cells of a line, parted by semicolons, tabs, commas or blanks; a comma between
+    digits is a decimal one unless commas part the cells.
+    """
+    line = line.strip().strip("\ufeff")
+    blanks = line.split()
+    if len(blanks) == 3 and all(re.fullmatch(_NUMBER, cell, re.I) for cell in blanks):
+        return blanks
+    mark = next((mark for mark in ";\t," if mark in line), None)
+    cells = [cell.strip().strip('"') for cell in line.split(mark)]
+    return cells[:-1] if len(cells) > 3 and not cells[-1] else cells
+
+
+def _number(cell: str) -> float:
+    """Return a number with a decimal point or comma; nan of anything else."""
+    try:
+        value = float(cell.strip().strip('"').replace(",", "."))
+    except ValueError:
+        return math.nan
+    return value if math.isfinite(value) else math.nan

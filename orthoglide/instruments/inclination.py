@@ -1,0 +1,59 @@
+"""A level on the platform: its turn about a base axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.effects import Effect
+from orthoglide.geometry import Array
+from orthoglide.instruments.observation import (
+    Beliefs,
+    Ints,
+    Observation,
+    Row,
+    Site,
+    Table,
+    add,
+    counted,
+    dot,
+    vector,
+)
+
+
+class Inclination(Observation):
+    """Turns of the platform, right-handed about an axis."""
+
+    kind = "incline"
+    words = "a level on the platform"
+    reads = "the platform's turn about {}"
+    fill = "reading_mrad is the platform's turn about the direction, right-handed: 1 mm a metre"
+    how = ", read about x and y around the rim"
+    fitted = "datum of each direction"
+    repeatability = 2e-5
+    slip = slip_alone = 2e-3
+    angular = True
+    of_setup = ()
+    axes = (0, 1)
+    nuisances = 3
+
+    def formula(self, row: Row, effects: Sequence[Effect]) -> Any:
+        """Return the turn about the axis, the sine of the angle times the axis, past a datum."""
+        R = [vector(row.pose, 3 + 3 * k) for k in range(3)]
+        twice = [R[2][1] - R[1][2], R[0][2] - R[2][0], R[1][0] - R[0][1]]
+        return dot(vector(row.mounting), add((0.5, twice), (1, vector(row.nuisance))))
+
+    def mountings(self, table: Table, rows: NDArray[np.intp], site: Site) -> Array:
+        """Return the axis that is read, with its sign."""
+        return counted(table, rows)
+
+    def known(self, axis: Ints, beliefs: Beliefs) -> Array:
+        """Return that nothing is known of a datum an axis."""
+        return np.full(3, np.inf)
+
+    def places(self, ring: Array) -> tuple[Array, Array | None]:
+        """Return the middle and the ring."""
+        return np.concatenate([np.zeros((1, 3)), ring]), None

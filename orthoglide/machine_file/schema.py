@@ -1,0 +1,137 @@
+"""The schema of the machine file: every table and key, stated once.
+
+Reading, checking and writing use these tables, and the reference in ``docs/files.md`` is printed
+from them.
+"""
+
+from __future__ import annotations
+
+from orthoglide.effects import Catalogue
+from orthoglide.geometry import Geometry
+from orthoglide.instruments import OBSERVATIONS
+from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta, Orthoglide
+from orthoglide.machine_file import model
+from orthoglide.machine_file.keys import Key, Section
+from orthoglide.quantities import TEXT, one_of, quantity, several
+from orthoglide.units import MM, NOISE, ONE, RAD, Unit
+
+INSTRUMENT_KINDS = tuple(kind for kind, one in OBSERVATIONS.items() if one.dials != 1)
+"""Kinds of readings that may have a table; one dial on a leg has ``[dial_mm]``."""
+
+_LENGTH = quantity(MM, -1e4, 1e4, closed=True)
+_POINT = several(_LENGTH, 3)
+_DIRECTION = several(quantity(ONE, -1e6, 1e6, closed=True), 3)
+_ANGLE = quantity(Unit("deg", 1.0), -3600, 3600, closed=True)
+_PLATFORM = quantity(MM, 1)
+_STIFFEST = 1e15  # in the file's units: beyond any part
+
+TABLES = {
+    "geometry_mm": "Nominal dimensions.",
+    "layout": "Where the legs stand. Its keys depend on its kind.",
+    "dial_mm": "The dial on the legs.",
+    "instrument": "Other instruments, with a table `[instrument.KIND]` for each kind of reading, "
+    f"which is one of {', '.join(f'`{kind}`' for kind in INSTRUMENT_KINDS)}.",
+    "drive": "The drives.",
+    "controller": "How the controller counts.",
+    "tolerance": "Standard deviations to expect, one number an effect. Names, units and defaults "
+    "are those of the [catalogue](effects.md).",
+    "stiffness": "Elastic constants.",
+    "provenance": "Where the parameters come from: any keys.",
+    "parameters": "Parameters of a calibrated machine, with an inline table for each.",
+}
+"""The tables of a file in the order of writing, with a sentence about each."""
+
+
+def _check_stroke(low: float, high: float) -> None:
+    if low > high:
+        raise ValueError("is reversed: give the lower limit first")
+    if low > 0:
+        raise ValueError("must be counted from mechanical zero, from below 0 to above 0")
+
+
+# fmt: off
+TOP = Section("", model.MachineFile, (
+    Key("schema", one_of((model.SCHEMA,), "this program reads no other version"),
+        "Version of the format.", required=True, attribute=None),
+    Key("name", TEXT, "Name of the machine, for people."),
+    Key("urdf", TEXT, "Folder, seen from this file, with `orthoglide.urdf` and "
+        "`orthoglide.closures.toml`, which then state where the joints are."),
+), tuple(TABLES))
+GEOMETRY = Section("geometry_mm", Geometry, (
+    Key("L", quantity(MM, 5), "Length of the long bars.", required=True),
+    Key("d", quantity(MM, 1), "Length of the short links.", required=True),
+    Key("r", _PLATFORM, "Distance from the TCP, or the platform's middle, to the legs' last "
+        "revolutes. It is required here or as `r_mm` of `[layout]`."),
+    Key("stroke", several(_LENGTH, 2, check=_check_stroke),
+        "Lower and upper limit of travel, from mechanical zero.", required=True),
+))
+DIAL = Section("dial_mm", model.Dial, (
+    Key("resolution", quantity(MM, 5e-5, 10), "Step of the display."),
+    Key("repeatability", quantity(MM, 1e-7, NOISE[1] / MM.si), "Standard deviation of one reading. "
+        "If absent, it is estimated from the repeats."),
+    Key("placement", quantity(MM, 0, 100, closed=True), "Standard deviation of `gauge_mm`."),
+))
+INSTRUMENT = Section("instrument", model.Instrument, (
+    Key("resolution", quantity(MM, 0, 10), "Step of the display; mrad for `incline`."),
+    Key("repeatability", quantity(MM, 0, 10), "Standard deviation of one reading; mrad for "
+        "`incline`. If absent, it is estimated from the repeats."),
+))
+DRIVE = Section("drive", model.MachineFile, (
+    Key("screw_pitch_mm", quantity(MM, 0.1, 1000), "Lead of the drives' screws. If absent, "
+        "errors within a turn of a screw are no candidates."),
+))
+CONTROLLER = Section("controller", model.Controller, (
+    Key("zero_mm", _POINT, "What the controller shows at mechanical zero, by leg."),
+    Key("sign", several(one_of((1, -1)), 3), "1 where the controller counts away from the origin, "
+        "-1 where it counts toward the origin, by leg."),
+))
+STIFFNESS = Section("stiffness", model.Stiffness, (
+    Key("torsion_Nmm_per_rad", quantity(Unit("N mm/rad", 1e-3), 0, _STIFFEST, closed=True),
+        "Torsional stiffness of a leg. It is no longer modelled: a warning says from which value "
+        "it matters.", attribute="torsion"),
+    Key("bar_N_per_mm", quantity(Unit("N/mm", 1e3), 0, _STIFFEST), "Axial stiffness of a bar. If "
+        "absent, bars are rigid.", attribute="bar"),
+))
+KIND = Key("kind", one_of((Orthoglide.kind, LinearDelta.kind, FreeLegs.kind)),
+           "Kind of the layout.", required=True, attribute=None)
+R = Key("r_mm", _PLATFORM, "The `r` of `[geometry_mm]`, if it is not given there.", attribute=None)
+_TOOL = Key("tool_mm", _POINT, "The tool's tip from the middle of the platform's joints.")
+LAYOUTS = {
+    Orthoglide.kind: Section("layout", Orthoglide, (KIND,)),
+    LinearDelta.kind: Section("layout", LinearDelta, (
+        KIND,
+        Key("radius_mm", several(quantity(MM, 1), 3, alike=True), "Horizontal distance of the "
+            "towers' joints from the centre.", required=True),
+        Key("angles_deg", several(_ANGLE, 3, alike=True),
+            "Directions of the towers from the centre, counter-clockwise from +x."),
+        R,
+        _TOOL,
+    )),
+    FreeLegs.kind: Section("layout", FreeLegs, (KIND, R, _TOOL), ("leg",)),
+}
+LEG = Section("layout.leg.NAME", FreeLeg, (
+    Key("origin_mm", _POINT, "The carriage's joint at mechanical zero, with the tool at the "
+        "origin.", required=True),
+    Key("slide", _DIRECTION, "Direction of travel, away from the platform.", required=True),
+    Key("link", _DIRECTION, "Direction of the short links.", required=True),
+))
+SURFACE_SLOPE = Key("surface_slope", quantity(RAD, 0, 1), "Slope of the reference surface in "
+                    "readings of kind `parallelism`. If absent, the surface is taken as exact.")
+PARTS = {"dial": DIAL, "controller": CONTROLLER, "stiffness": STIFFNESS}  # by attribute
+# fmt: on
+
+
+def tolerances(catalogue: Catalogue) -> Section:
+    """Return ``[tolerance]``: a key for each effect, and one for the reference surface."""
+    keys = (Key(e.name, quantity(e.unit, 0, 1e6), e.sentence) for e in catalogue.values())
+    return Section("tolerance", model.MachineFile, (*keys, SURFACE_SLOPE))
+
+
+def parameter(unit: Unit) -> Section:
+    """Return the inline table of a parameter whose effect is in a unit."""
+    keys = (
+        Key("value", quantity(unit, -1e9, 1e9, closed=True), "Estimated value.", required=True),
+        Key("sigma", quantity(unit, 0, 1e9, closed=True), "Standard deviation.", required=True),
+        Key("unit", one_of((unit.name,), "convert it"), "Unit of both.", required=True),
+    )
+    return Section("parameters", model.ParameterValue, keys)

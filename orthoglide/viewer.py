@@ -1,0 +1,257 @@
+"""A machine in Pinocchio's meshcat viewer: loops closed, errors magnified, and as a static page."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from html import escape
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from orthoglide.errors import ClosureError, InputError, UnreachableError
+from orthoglide.geometry import Array
+from orthoglide.mechanism.mechanism import Posture
+from orthoglide.mechanism.perfect_legs import commands as commands_of
+from orthoglide.mechanism.tree import VIRTUAL_NAMES
+from orthoglide.mechanism.visual import RailPath, bend_rails, fit_bars, visual_model
+from orthoglide.prediction import Conditions, Model
+
+_STATIONS = 49  # of a carriage's path over the stroke
+_NEAR = 1.5  # d: distance of a rail from its carriage's path, of this package's own URDF 1.2 d
+_KEYS, _KEYS_A_SECOND = 5, 8  # key frames from the middle to the end of a way
+_GHOST = [0.45, 0.5, 0.55, 0.3]  # red, green, blue, opacity of the nominal machine
+_DISTANCE = 0.85  # of the eye, in diagonals of the machine: all is within meshcat's 75 degrees
+_NARROW = (
+    "<script>viewer.camera.zoom = Math.min(1, innerWidth / innerHeight); "
+    "viewer.camera.updateProjectionMatrix();</script>"
+)
+_CONTENT = (
+    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
+    "connect-src data:; img-src data: blob:"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Magnified:
+    """A machine with its errors magnified.
+
+    Attributes:
+        model: of the machine.
+        values: its parameters, SI.
+        seen: conditions besides the command, as :meth:`orthoglide.Machine.pose` takes them.
+        factor: by which displacements of virtual joints are multiplied.
+    """
+
+    model: Model
+    values: Mapping[str, float]
+    seen: Mapping[str, ArrayLike]
+    factor: float
+
+    def displacements(self, rho: Array) -> Array:
+        """Return displacements of the virtual joints ``(3, 10)`` at a command ``(3,)``."""
+        moves = self.model.moves(self.values, Conditions.at(rho, **self.seen))
+        return self.factor * moves.reshape(3, -1)
+
+    def close(self, rho: Array, guess: Posture | None = None) -> Posture:
+        """Close the loops at a command ``(3,)``, metres.
+
+        Raises:
+            InputError: where they do not close with errors as large.
+        """
+        mechanism = self.model.mechanism
+        try:
+            return mechanism.close(rho, self.displacements(rho), guess=guess)
+        except ClosureError as error:
+            if self.factor <= 1:
+                raise
+            raise InputError(
+                f"the loops do not close with errors {self.factor:g} times as large: choose a "
+                f"smaller magnification"
+            ) from error
+
+    def paths(self) -> list[RailPath]:
+        """Return the paths of the three carriages over the stroke, as the drawing of a report does.
+
+        One leg moves at a time. Where the platform hangs all move together, for one alone would
+        leave the others' reach.
+        """
+        geometry = self.model.geometry
+        travel, found = np.linspace(*geometry.stroke, _STATIONS), []
+        together = geometry.layout.hanging
+        lateral = [VIRTUAL_NAMES.index(name) for name in ("lateral_b", "lateral_c")]
+        for k, leg in enumerate(geometry.legs):
+            command = np.repeat(geometry.zero[None], _STATIONS, axis=0)
+            command[:, slice(None) if together else slice(k, k + 1)] += travel[:, None]
+            moves = self.model.displacements(self.values, Conditions.at(command, **self.seen))
+            across = self.factor * moves.reshape(_STATIONS, 3, -1)[:, k, lateral]
+            aside = across @ leg.axes[:, 1:].T
+            found.append(RailPath(leg.carriage, leg.axes[:, 0], travel, aside))
+        return found
+
+    def along_axes(self, rho: Array) -> Iterator[Array]:
+        """Yield commands ``(3,)`` that lead the nominal tool to and fro along x, y and z."""
+        mechanism = self.model.mechanism
+        start, outward = mechanism.close(rho).p, np.arange(1, _KEYS + 1) / _KEYS
+        for way in np.stack([np.eye(3), -np.eye(3)], axis=1).reshape(6, 3):
+            shares = self._reach(start, way) * np.array([*outward, *(1 - outward)])
+            yield from commands_of(mechanism.spheres, start + np.outer(shares, way))
+
+    def _reach(self, start: Array, way: Array) -> float:
+        """Return how far the nominal tool can go along a unit vector, metres: at most half a
+        stroke, all carriages within theirs.
+        """
+        geometry = self.model.geometry
+        low, high = geometry.stroke
+        for share in np.linspace(0.5, 0.05, 10):
+            goal = start + share * (high - low) * way
+            try:
+                (rho,) = commands_of(self.model.mechanism.spheres, goal[None])
+            except UnreachableError:
+                continue
+            if (low <= rho - geometry.zero).all() and (rho - geometry.zero <= high).all():
+                return float(share * (high - low))
+        return 0.0
+
+
+def show(machine: Magnified, rho: Array, *, open_browser: bool = False) -> Any:
+    """Return Pinocchio's ``MeshcatVisualizer`` with a machine, animated along each axis.
+
+    Args:
+        machine: with its errors as large as they are drawn.
+        rho: command ``(3,)``, metres.
+        open_browser: whether a browser opens at the viewer's address.
+
+    Raises:
+        InputError: where meshcat is not installed, or the loops do not close with errors as large.
+    """
+    visualizer = _visualizer()
+    if rho.shape != (3,):
+        raise InputError(f"the viewer shows one command of shape (3,), not {rho.shape}")
+    if not (np.isfinite(machine.factor) and machine.factor >= 0):
+        raise InputError(f"a magnification is a number from 0 on, not {machine.factor}")
+    mechanism, geometry = machine.model.mechanism, machine.model.geometry
+    tree, displacements, paths = mechanism.tree, machine.displacements(rho), machine.paths()
+    posture = machine.close(rho)
+    visual = visual_model(tree, mechanism.looped)
+    fit_bars(visual, tree, displacements)
+    bent = bend_rails(visual, paths, _NEAR * geometry.d)
+    viewer = visualizer(tree.model, None, visual)
+    viewer.initViewer()
+    viewer.loadViewerModel("machine")
+    viewer.display(posture.q)
+    if machine.factor > 1 and (displacements.any() or bent):
+        nominal = visual_model(tree, mechanism.looped)
+        fixed = [str(item.name) for item in nominal.geometryObjects if item.parentJoint == 0]
+        for name in set(fixed) - set(bent):
+            nominal.removeGeometryObject(name)
+        ghost = visualizer(tree.model, None, nominal)
+        ghost.initViewer(viewer=viewer.viewer)
+        ghost.loadViewerModel("nominal", visual_color=_GHOST)
+        ghost.display(mechanism.close(rho).q)
+    _animate(viewer, machine, rho, posture)
+    _look(viewer, 270.0 if geometry.layout.hanging else 230.0)
+    if open_browser:
+        viewer.viewer.open()
+    return viewer
+
+
+def _visualizer() -> Any:
+    """Return Pinocchio's class of viewers."""
+    try:
+        import meshcat  # noqa: F401
+    except ImportError:
+        raise InputError("the viewer needs meshcat: pip install orthoglide[viewer]") from None
+    from pinocchio.visualize import MeshcatVisualizer
+
+    return MeshcatVisualizer
+
+
+def _animate(viewer: Any, machine: Magnified, rho: Array, posture: Posture) -> None:
+    """Give the viewer a way of the tool along each axis, which its controls play."""
+    import pinocchio as pin
+    from meshcat.animation import Animation
+
+    animation = Animation(default_framerate=_KEYS_A_SECOND)
+    moving = [item for item in viewer.visual_model.geometryObjects if item.parentJoint > 0]
+    data, placed = viewer.model.createData(), viewer.visual_model.createData()
+    for k, command in enumerate([rho, *machine.along_axes(rho)]):
+        posture = machine.close(command, posture)
+        pin.updateGeometryPlacements(viewer.model, data, viewer.visual_model, placed, posture.q)
+        with animation.at_frame(viewer.viewer, k) as frame:
+            for item in moving:
+                node = viewer.getViewerNodeName(item, pin.GeometryType.VISUAL)
+                place = placed.oMg[viewer.visual_model.getGeometryId(item.name)]
+                frame[node].set_transform(place.homogeneous)
+    viewer.viewer.set_animation(animation, play=False)
+
+
+def _look(viewer: Any, azimuth: float) -> None:
+    """Look at the machine from an azimuth in degrees, on white paper."""
+    corners = []
+    items, placed = viewer.visual_model.geometryObjects, viewer.visual_data.oMg
+    for item, place in zip(items, placed, strict=True):
+        item.geometry.computeLocalAABB()
+        box = item.geometry.aabb_local
+        for corner in product(*zip(box.min_, box.max_, strict=True)):
+            corners.append(place.act(item.meshScale * np.array(corner)))
+    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    # Meshcat's camera turns about the origin, so the machine's middle is put there.
+    moved = np.eye(4)
+    moved[:3, 3] = -(low + high) / 2
+    turn, rise = np.deg2rad([azimuth, 22.0])
+    flat = np.cos(rise)
+    away = np.array([flat * np.cos(turn), flat * np.sin(turn), np.sin(rise)])
+    x, y, z = (_DISTANCE * float(np.linalg.norm(high - low)) * away).tolist()
+    scene = viewer.viewer
+    scene.set_transform(moved)
+    # The camera's y points up, the machine's z does.
+    scene["/Cameras/default/rotated/<object>"].set_property("position", [x, z, -y])
+    viewer.setBackgroundColor("white")
+    for helper in ("/Grid", "/Axes"):
+        scene[helper].set_property("visible", False)
+
+
+def static_page(viewer: Any, machine: Magnified, title: str) -> str:
+    """Return meshcat's static page of a viewer: one file, which asks nothing of a network.
+
+    Args:
+        viewer: what :func:`show` returned.
+        machine: which it shows.
+        title: of the page.
+    """
+    head = (
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f'<meta http-equiv="Content-Security-Policy" content="{_CONTENT}">'
+        f"<title>{escape(title)}</title>"
+    )
+    foot = (
+        '<p style="position:fixed;left:0;bottom:0;margin:0;padding:.5rem .8rem;'
+        "background:rgba(255,255,255,.85);color:#1f2a33;font:.875rem/1.4 'Segoe UI','Noto Sans',"
+        f"'DejaVu Sans',Arial,sans-serif\"><strong>{escape(title)}</strong> "
+        f"{escape(_caption(machine))}</p>"
+    )
+    page = textwrap.dedent(viewer.viewer.static_html()).strip()
+    if "<title>MeshCat</title>" not in page or "</body>" not in page:
+        raise InputError("meshcat writes another page than 0.3 does: pip install 'meshcat<0.4'")
+    page = page.replace("<title>MeshCat</title>", head, 1)
+    before, body, after = page.rpartition("</body>")
+    return f"{before}{foot}{_NARROW}{body}{after}\n"
+
+
+def _caption(machine: Magnified) -> str:
+    """Return the words below the scene."""
+    red, green, blue = machine.model.geometry.leg_names
+    errors = "True to scale."
+    if machine.factor > 1:
+        errors = (
+            f"Errors are drawn {machine.factor:g} times as large as they are. Grey: the nominal "
+            f"machine."
+        )
+    return (
+        f"{errors} Carriages: {red} red, {green} green, {blue} blue. Drag to turn. Under Open "
+        f"Controls, Animations, the tool moves along x, y and z."
+    )

@@ -1,0 +1,320 @@
+"""Firmware as an add-on: how one is found, and lists of plate points as readings of a machine."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from orthoglide import add_ons
+from orthoglide.errors import FileError, InputError
+from orthoglide.firmware.klipper import import_printer
+from orthoglide.firmware.plate_lists import import_plates
+from orthoglide.machine_file import machine_text, parse_machine_file, read_machine_file
+from orthoglide.observations import read_readings
+from tests.command_line import run as call
+from tests.klipper_files import DATA
+
+FIELD = Path(__file__).parent / "data" / "field"
+WORDS = FIELD / "other-firmware-words"
+MACHINE = read_machine_file(WORDS / "machine.toml")
+
+
+# How an add-on is found ---------------------------------------------------------------------------
+
+
+class Other:
+    """An add-on that somebody else wrote."""
+
+    def stored(self, table: Any) -> None:
+        return None
+
+
+def test_the_add_ons_of_the_package_need_no_installation(monkeypatch: pytest.MonkeyPatch) -> None:
+    add_ons._found.cache_clear()
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: ())
+    found = add_ons.add_on("klipper").read(DATA / "electrocally.cfg")
+    assert len(found.campaigns) == 2
+    assert found.machine.firmware == found.machine.provenance["klipper"]["numbers"]
+    with pytest.raises(InputError, match=r"no firmware 'other': it is one of klipper"):
+        add_ons.add_on("other")
+    add_ons._found.cache_clear()
+
+
+def test_another_add_on_is_found_by_its_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = replace(og.MachineFile(), provenance={"other": {"numbers": "other-1"}})
+    assert parse_machine_file(machine_text(spec)).firmware == ""  # a table of nobody
+    add_ons._found.cache_clear()
+    mine = EntryPoint("other", "tests.test_firmware:Other", add_ons.GROUP)
+    broken = EntryPoint("broken", "tests.nowhere:Other", add_ons.GROUP)
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: (mine, broken))
+    assert add_ons.add_on("other").__name__ == "Other"
+    assert spec.firmware == "other-1"
+    with pytest.raises(InputError, match="for the firmware broken cannot be loaded"):
+        add_ons.add_on("broken")
+    add_ons._found.cache_clear()
+
+
+def test_an_edited_table_is_no_printer_s() -> None:
+    spec = import_printer(DATA / "electrocally.cfg").machine
+    table = {**spec.provenance["klipper"], "arm_length_mm": "long"}
+    edited = replace(spec, provenance={"klipper": table})
+    assert edited.printer is None
+    assert edited.kinematics is not None
+
+
+# What is read of a printer's file -----------------------------------------------------------------
+
+
+def test_distances_of_other_microsteps_than_the_heights(tmp_path: Path) -> None:
+    found = import_printer(FIELD / "distances-in-other-microsteps")
+    (calibration,) = found.campaigns
+    assert (calibration.touching.sum(), calibration.paired.sum()) == (7, 12)
+    assert any("positions of heights" in n and "0.5 times the microsteps" in n for n in found.notes)
+    assert not any("positions of distances" in n for n in found.notes)  # of now
+    machine = og.Machine(found.machine)
+    ends = [machine.forward(c[7:]) for c in (calibration.command, calibration.second)]
+    apart = np.linalg.norm(ends[0] - ends[1], axis=1) - calibration.reading[7:]
+    assert np.abs(apart).max() < 2e-4
+    run = call(
+        "import", "klipper", FIELD / "distances-in-other-microsteps", "--out", tmp_path / "in"
+    )
+    assert run.code == 0
+
+
+# Files of other firmware --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["klipper", "plates"])
+@pytest.mark.parametrize(
+    ("name", "firmware", "sizes"),
+    [
+        ("rrf.g", "RepRapFirmware's config.g", ("L = 269.5477", "= 135.916")),
+        ("smoothie.txt", "Smoothieware's config", ("L = 215", "= 106")),
+    ],
+)
+def test_a_configuration_of_another_firmware_is_answered(
+    command: str, name: str, firmware: str, sizes: tuple[str, str], tmp_path: Path
+) -> None:
+    machine = ("--machine", WORDS / "machine.toml") if command == "plates" else ()
+    run = call("import", command, WORDS / name, *machine, "--out", tmp_path / "o")
+    text = run.text
+    assert run.code == 2
+    assert not (tmp_path / "o").exists()
+    assert f"is {firmware}" in text
+    assert "Traceback" not in text
+    for part in (*sizes, 'kind "linear-delta"', "docs/linear-deltas.md", "import plates"):
+        assert part in text, part
+
+
+@pytest.mark.parametrize("name", ["heightmap.csv", "g29.txt"])
+def test_a_list_that_is_given_to_the_other_command(name: str) -> None:
+    with pytest.raises(FileError, match=f"import plates {name} --machine FILE"):
+        import_printer(WORDS / name)
+
+
+def test_a_printer_s_file_is_sent_to_its_own_command() -> None:
+    with pytest.raises(FileError, match=r"import klipper electrocally\.cfg"):
+        import_plates(DATA / "electrocally.cfg", MACHINE)
+
+
+def test_the_radius_of_marlin_s_configuration(tmp_path: Path) -> None:
+    (tmp_path / "Configuration.h").write_text(
+        "#define DELTA\n#define DELTA_DIAGONAL_ROD 218.0 // mm\n#define DELTA_RADIUS 100.5\n"
+    )
+    with pytest.raises(FileError, match=r"Marlin's .* L = 218 and radius_mm less r_mm = 100\.5"):
+        import_plates(tmp_path / "Configuration.h", MACHINE)
+
+
+# Lists of plate points ----------------------------------------------------------------------------
+
+
+def listed(folder: Path, text: str, name: str = "points.csv") -> og.Imported:
+    """A list of that text, imported."""
+    (folder / name).write_text(text)
+    return import_plates(folder / name, MACHINE)
+
+
+def points(found: og.Imported, k: int = 0) -> np.ndarray:
+    """Where the firmware had the nozzle at the touches of a list ``(n, 3)``, millimetres."""
+    kinematics = found.machine.kinematics
+    assert kinematics is not None
+    return np.round(kinematics.places(found.campaigns[k].command) * 1e3, 6) + 0.0
+
+
+def test_a_height_map_is_read_where_it_was_touched(tmp_path: Path) -> None:
+    (campaign,) = import_plates(WORDS / "heightmap.csv", MACHINE).campaigns
+    assert len(campaign) == 13
+    assert set(campaign.kind) == {"plate"}
+    p = points(import_plates(WORDS / "heightmap.csv", MACHINE))
+    assert p[:4].tolist() == [[0, -80, 0.105], [-40, -40, 0.031], [0, -40, 0.022], [40, -40, 0.045]]
+    assert (campaign.approach == -1).all()
+    run = call("import", "plates", WORDS / "heightmap.csv", "--machine", WORDS / "machine.toml",
+               "--out", tmp_path / "in")  # fmt: skip
+    assert run.code == 0, run.output
+    assert f"close-loop {tmp_path}/in/*.csv --machine {WORDS}/machine.toml" in run.output
+    assert [file.name for file in (tmp_path / "in").iterdir()] == ["heightmap.csv"]
+    (again,) = read_readings(tmp_path / "in" / "heightmap.csv", MACHINE)
+    assert np.array_equal(again.command, campaign.command)
+
+
+def test_a_mesh_is_the_same_from_either_file(tmp_path: Path) -> None:
+    """A profile of a printer's file, and its points as a list for the same machine."""
+    found = import_printer(DATA / "v400-april.cfg")
+    mesh = found.campaigns[1]
+    kinematics = found.machine.kinematics
+    assert kinematics is not None
+    rows = kinematics.places(mesh.command) * 1e3
+    text = "x,y,z\n" + "".join(f"{x:.6f},{y:.6f},{z:.9f}\n" for x, y, z in rows)
+    (tmp_path / "mesh.csv").write_text(text)
+    (campaign,) = import_plates(tmp_path / "mesh.csv", found.machine).campaigns
+    assert np.abs(campaign.command - mesh.command).max() < 2e-9
+    both = [og.close_loop([one], og.Machine(found.machine)) for one in (mesh, campaign)]
+    assert both[0].word == both[1].word
+    first, second = ([e.name for e in one.effects] for one in both)
+    assert [name.replace("default_9Probe", "mesh") for name in first] == second
+
+
+PLAIN = [(0, 0, 0.1), (50, 0, -0.25), (0, 50.5, 1.5)]
+TABLES = {
+    "commas": "0,0,0.1\n50,0,-0.25\n0,50.5,1.5\n",
+    "blanks": "0 0 0.1\n 50\t0 -0.25\n0 50.5 1.5\n",
+    "tabs": "x\ty\tz\n0\t0\t0.1\n50\t0\t-0.25\n0\t50.5\t1.5\n",
+    "semicolons": "X [mm];Y [mm];Z [mm]\n0;0;0,1\n50;0;-0,25\n0;50,5;1,5\n",
+    "decimal commas": "0 0 0,1\n50 0 -0,25\n0 50,5 1,5\n",
+    "another order": "n,z_um,y_mm,x_mm\n1,100,0,0\n2,-250,0,50\n3,1500,50.5,0\n",
+    "metres": "x_m,y_m,z_m\n0,0,0.0001\n0.05,0,-0.00025\n0,0.0505,0.0015\n",
+    "comments": "# bed of May\n0, 0, 0.1\n\n50, 0, -0.25\n// again\n0, 50.5, 1.5\n",
+    "labels": "X:0 Y:0 Z:0.1\nX:50 Y:0 Z:-0.25\nX=0 Y=50.5 Z=1.5\n",
+    "names in a comment": "# z x y\n0.1 0 0\n-0.25 50 0\n1.5 0 50.5\n",
+    "words of units": "x in mm,y in mm,z in um\n0,0,100\n50,0,-250\n0,50.5,1500\n",
+    "quotes": '"X","Y","Z"\n"0","0","0.1"\n"50","0","-0.25"\n"0","50.5","1.5"\n',
+    "Windows": "0,0,0.1\r\n50,0,-0.25\r\n0,50.5,1.5\r\n",
+}
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_plain_tables_in_whatever_form(kind: str, tmp_path: Path) -> None:
+    assert points(listed(tmp_path, TABLES[kind])).tolist() == [list(p) for p in PLAIN]
+
+
+def test_a_log_gives_its_touches_alone(tmp_path: Path) -> None:
+    """Two probings, one point touched twice, positions reported between them."""
+    touch = "Recv: Bed X: {} Y: {} Z: {}\n".format
+    grid = [(0, 0, 5.1), (40, 0, 5.2), (0, 40, 5.3), (-40, 0, 5.25)]
+    text = (
+        "Send: G28\nRecv: X:0.00 Y:0.00 Z:200.00 E:0.00 Count X:0 Y:0 Z:0\nSend: G29\n"
+        + "".join(touch(*p) for p in grid[:2]) + touch(40, 0, 5.21) + "Recv: echo:busy\n"
+        + "".join(touch(*p) for p in grid[2:])
+        + "Send: G29\n" + touch(20, 20, "nan")
+        + "".join(touch(x - 20, y, z + 0.01) for x, y, z in grid)
+        + touch(10, 10, "nan") + "ok\n"
+    )  # fmt: skip
+    found = listed(tmp_path, text, "octo print.log")
+    assert [c.name for c in found.campaigns] == ["octo-print-1", "octo-print-2"]
+    first, second = found.campaigns
+    assert first.repeat.tolist() == [1, 1, 2, 1, 1]
+    assert points(found)[2].tolist() == [40, 0, 5.21]
+    assert points(found, 1)[0].tolist() == [-20, 0, 5.11]
+    assert any("left out: lines 11, 16: not touched ('x 20, y 20')" in n for n in found.notes)
+    assert len(second) == 4
+
+
+def test_height_maps_of_older_versions_and_with_gaps(tmp_path: Path) -> None:
+    head = "RepRapFirmware height map file v1 generated at 2017-04-09 17:01, mean error 0.1\n"
+    sizes = (
+        "xmin,xmax,ymin,ymax,radius,spacing,xnum,ynum\n-30.00,31.00,-30.00,31.00,-1.00,30.00,3,3\n"
+    )
+    rows = "  0.100,  0.000,  0.200\n      0,    nan,  0.300\n  0.400,  0.500,  0.600\n"
+    found = listed(tmp_path, head + sizes + rows)
+    assert points(found)[:3].tolist() == [[-30, -30, 0.1], [0, -30, 0], [30, -30, 0.2]]
+    assert len(found.campaigns[0]) == 7
+    assert any("left out: line 5: not touched" in n for n in found.notes)
+    twice = listed(tmp_path, (head + sizes + rows) * 2 + head + sizes + rows.replace("0.6", "0.7"))
+    assert len(twice.campaigns) == 2
+    assert any("line 10: a copy of the list of line 4" in n for n in twice.notes)
+    short = listed(tmp_path, head + sizes + rows.replace("  0.100,", ""))
+    assert len(short.campaigns[0]) == 4
+    assert any("line 4: 2 heights where 3 belong" in n for n in short.notes)
+
+
+def test_a_height_map_of_a_spreadsheet(tmp_path: Path) -> None:
+    """Semicolons and decimal commas; the axes may be named the other way round."""
+    head = "RepRapFirmware height map file v2 generated at 2024-01-01 10:00, min error -0.1\n"
+    sizes = "axis0,axis1,min0,max0,min1,max1,radius,spacing0,spacing1,num0,num1\n".replace(",", ";")
+    told = "{};{};-40,0;40,0;-20,0;20,0;-1;40,0;20,0;3;3\n".format
+    rows = "0,1;0,2;0,3\n0,4;0;0,6\n0,7;0,8;0,000\n"
+    p = points(listed(tmp_path, head + sizes + told("X", "Y") + rows))
+    assert p[[0, 1, -1]].tolist() == [[-40, -20, 0.1], [0, -20, 0.2], [40, 20, 0]]
+    assert len(p) == 8
+    q = points(listed(tmp_path, head + sizes + told("Y", "X") + rows))
+    assert np.array_equal(q, p[:, [1, 0, 2]])
+
+
+def test_heights_in_another_unit_are_told(tmp_path: Path) -> None:
+    micrometres = "0,0,4\n50,0,-9\n0,50,7\n-50,0,2\n0,-50,-8\n"
+    assert any("off a plane" in note for note in listed(tmp_path, micrometres).notes)
+    with pytest.raises(FileError, match="give millimetres"):
+        listed(tmp_path, micrometres.replace("\n", "0\n"))
+
+
+@pytest.mark.parametrize(
+    ("text", "firmware"),
+    [
+        ("M665 R105.6 L215.0 B80 H250\nM666 X0.2 Y0.1 Z-0.3\n", "RepRapFirmware's config"),
+        ("M665 L215.00 R105.60 H250.00 S80.00 X0.00 Y0.00 Z0.00\n", "what Marlin's M503 prints"),
+        ("alpha_steps_per_mm 80 # steps\narm_length 215\n", "Smoothieware's config"),
+    ],
+)
+def test_whose_words_they_are(text: str, firmware: str, tmp_path: Path) -> None:
+    (tmp_path / "settings").write_text(text)
+    with pytest.raises(FileError, match=f"is {firmware}.*with L = 215"):
+        import_plates(tmp_path / "settings", MACHINE)
+
+
+def test_what_no_plate_has_is_left_out_by_its_line(tmp_path: Path) -> None:
+    text = TABLES["commas"] + "20,20,0.3\n30,30,400\n900,0,0.1\nten,0,0.1\n-40,0,\n"
+    found = listed(tmp_path, text)
+    assert len(found.campaigns[0]) == 4
+    told = " ".join(found.notes)
+    for why in (
+        "5: more than 20 mm from the height of most; give millimetres ('z 400')",
+        "6: beyond the arms of the machine file ('x 900, y 0')",
+        "7: no row of x, y and z ('ten,0,0.1')",
+        "8: not touched ('x -40, y 0')",
+    ):
+        assert f"left out: line {why}" in told, why
+
+
+REFUSED = {
+    "nothing": ("# none\n", "has no list of plate points"),
+    "words": ("some words\nand more of them\n", "no row of x, y and z"),
+    "two points": ("0,0,0.1\n50,0,0.2\n", "fewer than 3 places"),
+    "metres": ("0,0,0.0001\n0.05,0,0.0002\n0,0.05,0.0003\n", "give millimetres"),
+    "a map of nothing": ("RepRapFirmware height map file v2\nX\n", "give the whole file"),
+    "unknown sizes": ("RepRapFirmware height map file v9\na,b\n1,2\n0.1\n", "not understood"),
+    "unprobed": ("x,y,z\n0,0,nan\n1,1,nan\n2,2,\n", "not touched"),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_what_is_no_list_is_refused(kind: str, tmp_path: Path) -> None:
+    text, why = REFUSED[kind]
+    (tmp_path / "points.csv").write_text(text)
+    with pytest.raises(FileError, match=re.escape(why)) as caught:
+        import_plates(tmp_path / "points.csv", MACHINE)
+    assert "points.csv" in str(caught.value)
+    run = call("import", "plates", tmp_path / "points.csv", "--machine", WORDS / "machine.toml",
+               "--out", tmp_path / "o")  # fmt: skip
+    assert run.code == 2
+
+
+def test_lists_are_of_a_linear_delta() -> None:
+    with pytest.raises(FileError, match="layout orthoglide: lists of plate points are read for a"):
+        import_plates(WORDS / "g29.txt", og.Machine.nominal())
