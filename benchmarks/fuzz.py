@@ -104,7 +104,6 @@ COMMANDS: dict[str, tuple[int, dict[str, str], tuple[str, ...]]] = {
     "check": (3, {"a.csv": "small", "b.csv": "small"}, ("--out", "out")),
     "check results": (2, {"a.json": "result", "b.csv": "small"}, ("--quiet",)),
     "design sheet": (2, {"sheet.csv": "sheet", "--machine": "machine"}, ("--quiet",)),
-    "tolerances": (2, {"--machine": "machine"}, ("--tcp", "0.05")),
     "view": (2, {"m.toml": "legs"}, ("--out", "out")),
     "protocol": (2, {"--machine": "machine"}, ("--out", "out")),
 }  # fmt: skip
@@ -116,7 +115,6 @@ _SLOW = (
     "close-loop",
     "diagnose tool",
     "design sheet",
-    "tolerances",
 )
 _SPOIL = {"machine": spoil_toml, "result": spoil_json, "printer": spoil_config}
 _SPOIL |= {"calibrated printer": spoil_config}

@@ -79,13 +79,14 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
     )
     from orthoglide.planning import (
         Design as Design,
-        Owned as Owned,
         Suggestion as Suggestion,
         design as design,
-        needed_tolerances as needed_tolerances,
         next_measurements as next_measurements,
-        owned_instruments as owned_instruments,
         repeats_needed as repeats_needed,
+    )
+    from orthoglide.prospects import (
+        Owned as Owned,
+        owned_instruments as owned_instruments,
         smallest_effects as smallest_effects,
     )
     from orthoglide.rehearsal import Rehearsal as Rehearsal, rehearse as rehearse
@@ -127,10 +128,8 @@ _WHERE = {
         "read_readings read_tcp write_campaign"
     ),
     "as_pinocchio": "PinocchioModel pinocchio_model",
-    "planning": (
-        "Design Owned Suggestion design needed_tolerances next_measurements owned_instruments "
-        "repeats_needed smallest_effects"
-    ),
+    "planning": "Design Suggestion design next_measurements repeats_needed",
+    "prospects": "Owned owned_instruments smallest_effects",
     "rehearsal": "Rehearsal rehearse",
     "simulation": "simulate simulate_tcp",
     "transmission": "CubeTransmission transmission_factors transmission_over_cube",

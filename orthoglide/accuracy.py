@@ -113,23 +113,6 @@ def variance_by_effect(machine: Machine) -> dict[str, float]:
     return shares
 
 
-def mean_length(covariance: Array) -> float:
-    """Mean length of normal vectors of zero mean, averaged over their covariances ``(g, 3, 3)``.
-
-    ``E |x| = int (1 - E exp(-t |x|^2)) t^(-3/2) dt / (2 sqrt(pi))`` from zero to infinity, with
-    ``E exp(-t |x|^2) = prod (1 + 2 t l_i)^(-1/2)`` over the eigenvalues; by the trapezoidal rule in
-    ``log t``, which is as good as exact.
-    """
-    values = np.maximum(np.linalg.eigvalsh(covariance), 0.0)
-    largest = values.max(axis=1, keepdims=True)
-    length = np.sqrt(np.where(largest > 0, largest, 1.0))
-    log, step = np.linspace(-60, 60, 481, retstep=True)
-    t = np.exp(log)
-    decay = np.exp(-0.5 * np.log1p(2 * t[:, None, None] * values / length**2).sum(axis=2))
-    mean = (step / (2 * np.sqrt(np.pi))) * np.einsum("t,tg->g", t**-0.5, 1 - decay)
-    return float(np.mean(mean * length[:, 0]))
-
-
 @dataclass(frozen=True)
 class ExpectedError:
     """Mean distance of the TCP from where it is wanted over the workspace, metres."""

@@ -34,6 +34,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"diagnosis"}),
     frozenset({"posterior", "judging", "simulation"}),
     frozenset({"planning", "request"}),
+    frozenset({"prospects"}),
     frozenset({"result"}),
     frozenset({"firmware", "report"}),
     frozenset({"closing"}),
@@ -156,8 +157,8 @@ def test_only_commands_name_a_firmware() -> None:
 
 
 # What draws a result computes nothing of it: the page, the file and Python cannot differ.
-COMPUTING = ("fit", "diagnosis", "planning", "accuracy", "judging", "posterior", "prediction",
-             "mechanism", "reduction", "closing")  # fmt: skip
+COMPUTING = ("fit", "diagnosis", "planning", "prospects", "accuracy", "judging", "posterior",
+             "prediction", "mechanism", "reduction", "closing")  # fmt: skip
 
 
 def test_reports_only_draw() -> None:
@@ -174,6 +175,41 @@ def test_reports_only_draw() -> None:
 def test_reduction_and_mechanism_know_nothing_of_each_other() -> None:
     assert not {("reduction", "mechanism"), ("mechanism", "reduction")} & set(edges())
     assert not NEVER & set(edges(types=True))
+
+
+# Readings are planned for any identification; what would be found by a search is asked above it.
+SEARCH = ("posterior", "diagnosis", "closing", "result", "prospects")
+
+
+def imports_of_the_search(part: str) -> list[str]:
+    """Return what the files of a part import of the search, or of a module inside `fit`, for types
+    and within functions too.
+    """
+    inside = {".".join(p.relative_to(ROOT).with_suffix("").parts) for p in modules()}
+    inside = {module for module in inside if module.startswith("orthoglide.fit.")}
+    search = {f"orthoglide.{one}" for one in SEARCH} | inside
+    return [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in modules()
+        if part_of(path) == part
+        for name in imports(path, types=True)
+        if {".".join(name.split(".")[:k]) for k in (2, 3)} & search
+    ]
+
+
+def test_planning_knows_nothing_of_the_search() -> None:
+    assert not imports_of_the_search("planning")
+    found = " ".join(imports_of_the_search("prospects"))
+    assert all(f": orthoglide.{one}." in found for one in ("posterior", "diagnosis", "fit"))
+    # Nor by way of the package's own names, which are fetched when they are used, or of others.
+    parts = {part_of(path) for path in modules()}
+    for path in modules():
+        if part_of(path) == "planning":
+            named = [n.split(".") for n in imports(path, types=True)]
+            assert all(n[1:] and n[1] in parts for n in named if n[0] == "orthoglide"), path
+    loaded = fresh("import sys, orthoglide.planning; print(*sys.modules)").split()
+    assert "orthoglide.planning.sheets" in loaded
+    assert not {f"orthoglide.{one}" for one in SEARCH} & set(loaded)
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "tests").glob("rig*.py")), ids=lambda p: p.name)
@@ -242,7 +278,7 @@ OF_ONE_LAYOUT = {
     "comparison/comparing.py:Comparison._spheres": "the same",
     "firmware/klipper/printer.py:Printer.objection": "an arm against L",
     "mechanism/six_bars.py:_turn": "the two other axes of a rotation",
-    "planning/owning.py:_widest": "a size between 0 and L that is searched for",
+    "planning/sheets.py:_widest": "a size between 0 and L that is searched for",
     # Names that files have
     "firmware/touches.py": "names of the base axes",
     "firmware/touches.py:_read_maps": "the same",

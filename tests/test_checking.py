@@ -24,7 +24,7 @@ from orthoglide.firmware.klipper import import_printer
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file import Instrument, MachineFile
 from orthoglide.observations import Readings, campaign_text
-from orthoglide.planning.owning import sheet_of
+from orthoglide.planning.sheets import sheet_of
 from orthoglide.simulation import simulate
 from tests import rig_campaigns as rc
 from tests.factors import factor_of

@@ -305,7 +305,6 @@ IDLE = [
     (("diagnose", "experiment2.csv", "--frame", "rigid"), "--frame has no effect without"),
     (("rehearse", "--sheet", "a.csv", "--owns", "leg"), "sheet and owns exclude each other"),
     (("rehearse", "--dask", "tcp://here:1", "--jobs", "1"), "--dask and --jobs exclude each other"),
-    (("tolerances", "--tcp", "0.05", "--noise", "0.01"), "without --calibrated-by: add it"),
     (("forward", "310", "310", "310", "--effects-file", "a.py"), "no effect without --machine"),
     (("protocol", "--effects-file", "a.py"), "no effect without --machine"),
     (("view", "--effects-file", "a.py"), "--effects-file has no effect without MACHINE"),
@@ -373,7 +372,6 @@ def test_a_sheet_of_the_tool_is_told_where_dials_are_read(here: Path) -> None:
     done("design", "--owns", "tcp", "--quiet", "--out", "s.csv")
     for command, words in (
         (("design", "s.csv"), "design --owns says what its instruments tell"),
-        (("tolerances", "--tcp", "0.05", "--calibrated-by", "s.csv"), "name one of dials"),
         (("measure", "--sheet", "s.csv", "--out", "m.csv"), "give it to close-loop"),
     ):
         result = run(*command)

@@ -21,8 +21,8 @@ from orthoglide.errors import InputError
 from orthoglide.fit import identify
 from orthoglide.machine import Machine
 from orthoglide.observations import Setup, read_readings
-from orthoglide.planning import owned_instruments
-from orthoglide.planning.owning import mixed_sheet, sheet_of, whitened
+from orthoglide.planning.sheets import mixed_sheet, sheet_of, whitened
+from orthoglide.prospects import owned_instruments
 from orthoglide.report import report_files
 from orthoglide.report.wording import headline
 from tests.klipper_files import DATA

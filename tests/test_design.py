@@ -29,7 +29,6 @@ from orthoglide.planning import (
     observability,
     reading_pool,
     repeats_needed,
-    smallest_effects,
 )
 from orthoglide.planning.choosing import choose
 from orthoglide.planning.criteria import (
@@ -38,13 +37,15 @@ from orthoglide.planning.criteria import (
     LeastVariance,
     RivalSeparation,
 )
-from orthoglide.planning.detectable import noncentrality, separation
 from orthoglide.planning.linear import LinearReadings
 from orthoglide.planning.observability import of_jacobian
 from orthoglide.planning.pool import DIAL_TRAVEL, sheet
 from orthoglide.planning.repeats import sigma_by_repeats
 from orthoglide.planning.rivals import inseparable_groups
-from orthoglide.planning.wording import detectable_rows, repeats_row
+from orthoglide.planning.wording import repeats_row
+from orthoglide.prospects import smallest_effects
+from orthoglide.prospects.detectable import noncentrality, separation
+from orthoglide.prospects.wording import detectable_rows
 from tests.factors import problem_of
 from tests.rig import Rig
 from tests.rig_campaigns import APPROACH, protocol_rows, read_csv, simulate, write_csv

@@ -314,7 +314,7 @@ def test_every_command_that_takes_a_machine_takes_effects_of_ones_own() -> None:
         for name, command in cli.commands.items()
     }
     of_machine = {name for name, options in takes.items() if {"--machine", "machine"} & options}
-    assert len(of_machine) == 16
+    assert len(of_machine) == 15
     assert {name for name in of_machine if "--effects-file" not in takes[name]} == set()
 
 
@@ -335,7 +335,6 @@ def test_a_machine_with_ones_own_effect_is_read_by_every_command(
         ("compensate", "path.csv", "--force", "--out", "commands.csv", *given),
         ("protocol", "--out", "sheet.csv", *given),
         ("simulate", "--error", "carriage_play.x.b=0.1", "--out", "shown.csv", *given),
-        ("tolerances", "--tcp", "0.05", *given),
         ("design", "--count", "6", *given),
         ("compare", "--effects", "carriage_play", "--no-figures", "--out", "compared", *given),
     ]

@@ -29,7 +29,7 @@ from orthoglide.machine_file import (
 from orthoglide.mechanism.constraints import Constraints
 from orthoglide.observations import csv_text, read_tcp, tcp_rows, write_campaign
 from orthoglide.parameters import Parameter
-from orthoglide.planning.owning import sheet_of
+from orthoglide.planning.sheets import sheet_of
 from orthoglide.prediction import Conditions
 from orthoglide.reduction.spheres import intersect_spheres
 from orthoglide.simulation import simulate, simulate_tcp

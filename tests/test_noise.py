@@ -17,7 +17,7 @@ from orthoglide.fit.repeats import common_rounding, dial_steps, repeat_variance
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine_file import Dial, Instrument
 from orthoglide.observations import Readings, protocol
-from orthoglide.planning.owning import tool_sheet
+from orthoglide.planning.sheets import tool_sheet
 from orthoglide.report.wording import headline
 
 SPREAD = 3e-5

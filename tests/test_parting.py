@@ -14,7 +14,7 @@ import pytest
 import orthoglide as og
 from benchmarks.delta_readings import measured as read_by
 from benchmarks.delta_truth import machine as delta
-from orthoglide.planning import parting
+from orthoglide.prospects import parting
 from orthoglide.report import report_files
 from tests.rig import Rig
 from tests.rig_campaigns import hysteresis, s_curve

@@ -19,7 +19,7 @@ from orthoglide.cli import cli
 from orthoglide.errors import FileError
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings, read_readings, readings_text
-from orthoglide.planning import owned_instruments
+from orthoglide.prospects import owned_instruments
 from tests.klipper_files import simulated_cfg
 from tests.rig_delta import DeltaRig
 from tests.test_tool_readings import SPEC

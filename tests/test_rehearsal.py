@@ -21,7 +21,7 @@ from orthoglide.cli import cli
 from orthoglide.firmware.klipper import import_printer
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.parameters import Parameter
-from orthoglide.planning.owning import sheet_of
+from orthoglide.planning.sheets import sheet_of
 from orthoglide.rehearsal.drawing import (
     EFFECT,
     KINDS,

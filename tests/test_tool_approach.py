@@ -17,7 +17,7 @@ from orthoglide.fit.repeats import repeat_steps
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations import Readings, read_readings, readings_text
-from orthoglide.planning import owned_instruments
+from orthoglide.prospects import owned_instruments
 from tests.rig import Rig
 from tests.rig_delta import DeltaRig
 from tests.test_tool_readings import SPEC

@@ -23,8 +23,8 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller, Instrument, MachineFile
 from orthoglide.observations import Readings, campaign_text, read_readings
 from orthoglide.observations.checks import check_readings
-from orthoglide.planning import owned_instruments
-from orthoglide.planning.owning import sheet_of
+from orthoglide.planning.sheets import sheet_of
+from orthoglide.prospects import owned_instruments
 from tests.factors import factor_of
 from tests.klipper_files import DATA
 from tests.rig_delta import DeltaRig

@@ -50,7 +50,7 @@ def cli() -> None:
 for _command in (
     closing.demo, closing.close_loop, closing.diagnose, closing.identify, check.check,
     rerun.rerun, sheets.protocol, sheets.simulate, measure.measure, design.design,
-    rehearse.rehearse, design.tolerances, compensate.compensate, compensate.export,
+    rehearse.rehearse, compensate.compensate, compensate.export,
     compare.compare, kinematics.forward, kinematics.inverse, view.view, importing.import_,
 ):  # fmt: skip
     cli.add_command(_command)

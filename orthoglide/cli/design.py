@@ -1,4 +1,4 @@
-"""``design`` and ``tolerances``: which readings to take, and what a machine must keep to."""
+"""``design``: which readings to take."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import click
 
 import orthoglide.cli.options as opt
-from orthoglide.cli.idle import exclude, need
+from orthoglide.cli.idle import exclude
 from orthoglide.cli.progress import progress
-from orthoglide.cli.terminal import say, tell, wrapped
+from orthoglide.cli.terminal import tell, wrapped
 from orthoglide.cli.writing import write_sheet, write_texts
 from orthoglide.errors import InputError
 from orthoglide.progress import Step
@@ -68,9 +68,10 @@ def design(
     quiet: bool,
 ) -> None:
     """Choose readings before any is taken, and compare protocols and sheets by what they see."""
-    from orthoglide import planning
+    from orthoglide import planning, prospects
     from orthoglide.files import check_new
-    from orthoglide.planning.wording import detectable_rows, index_rows, pair_rows, repeats_row
+    from orthoglide.planning.wording import index_rows, pair_rows, repeats_row
+    from orthoglide.prospects.wording import detectable_rows
 
     exclude(
         "owns", "campaigns", "free", "criterion", "want", "detect", "noise",
@@ -105,7 +106,7 @@ def design(
                 lines.append(f"{name}, {repeats_row(answer, machine.catalogue)}")
         for name, c in sheets.items() if detect else ():
             step(Step("computing", f"smallest effects: {name}"))
-            smallest = planning.smallest_effects(machine, c, noise=noise, seed=seed)
+            smallest = prospects.smallest_effects(machine, c, noise=noise, seed=seed)
             lines += ["", f"{name}:", *detectable_rows(smallest, text_width())]
         lines += [] if out is None else [write_sheet(out, found.campaign, machine)]
     seen = f"{found.indices.rank} of {found.indices.unknowns} unknowns"
@@ -123,8 +124,8 @@ def _of_owned(
 ) -> None:
     """``--owns``: smallest effects, what others would add, and a sheet of the tool's readings."""
     from orthoglide.observations import readings_text
-    from orthoglide.planning import TAKEN_BY, owned_instruments
-    from orthoglide.planning.wording import detectable_rows
+    from orthoglide.prospects import TAKEN_BY, owned_instruments
+    from orthoglide.prospects.wording import detectable_rows
 
     with progress(quiet) as step:
         step(Step("computing", "what each instrument would tell"))
@@ -160,42 +161,3 @@ def _sheets(machine: Machine, paths: tuple[Path, ...]) -> dict[str, Readings]:
         read = [opt.dial_sheet(p, machine, _OTHERWISE) for p in paths]
         return {c.name: c for c in read}
     return {kind: protocol(kind, machine.geometry) for kind in opt.DIAL_PROTOCOLS}  # type: ignore[arg-type]
-
-
-_LEAST, _MOST = 1e-6, 1e3  # millimetres, that anybody wants of a tool
-
-
-@click.command()
-@click.option("--tcp", "tcp_mm", type=float, required=True, metavar="MM",
-              help="Mean error wanted of the tool, over the workspace after the best "
-                   "translation.")  # fmt: skip
-@opt.machine()
-@click.option("--calibrated-by", "sheet", type=opt.PATH, metavar="SHEET.csv",
-              help="Also if every machine is calibrated by this sheet.")  # fmt: skip
-@opt.noise()
-def tolerances(
-    tcp_mm: float,
-    machine_path: Path | None,
-    effects_file: Path | None,
-    sheet: Path | None,
-    noise: float | None,
-) -> None:
-    """Tell how large tolerances may be for a wanted error of the tool, and which cost most.
-
-    Linear, from the tolerances of the machine file taken as standard deviations: all scaled alike,
-    and shared out so that every effect makes the same part of the error.
-    """
-    from orthoglide.planning import needed_tolerances
-
-    need("noise", "sheet")
-    if not _LEAST <= tcp_mm <= _MOST:
-        raise InputError(
-            f"--tcp must be a positive number of millimetres from {_LEAST:g} to {_MOST:g}, "
-            f"not {tcp_mm:g}"
-        )
-    machine = opt.load_machine(machine_path, effects_file)
-    answers = [needed_tolerances(machine, tcp_mm * 1e-3)]
-    if sheet is not None:
-        read = opt.dial_sheet(sheet, machine, "name one of dials on legs")
-        answers.append(needed_tolerances(machine, tcp_mm * 1e-3, read, noise))
-    say("\n\n".join(map(str, answers)), needed=True)

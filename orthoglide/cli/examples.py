@@ -35,7 +35,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "rehearse --machine machine.toml --sheet sheet.csv --out rehearsal",
         "rehearse --machine machine.toml --campaigns 900 --dask tcp://cluster:8786 --out rehearsal",
     ),
-    "tolerances": ("tolerances --tcp 0.05 --machine machine.toml --calibrated-by sheet.csv",),
     "compensate": ("compensate path.csv --machine april/calibrated.toml --out commands.csv",),
     "export": ("export --machine april/calibrated.toml --out controller",),
     "compare": ("compare --machine april/calibrated.toml --out comparison",),

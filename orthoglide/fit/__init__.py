@@ -4,6 +4,7 @@ from orthoglide.fit.change import Change as Change
 from orthoglide.fit.crosscheck import CrossCheck as CrossCheck
 from orthoglide.fit.earlier import account_for_changes as account_for_changes
 from orthoglide.fit.estimate import Estimate as Estimate
+from orthoglide.fit.excited import excited_effects as excited_effects
 from orthoglide.fit.factors import Factor as Factor
 from orthoglide.fit.identifying import (
     assemble as assemble,
@@ -12,8 +13,15 @@ from orthoglide.fit.identifying import (
     readings_of as readings_of,
     sorted_out as sorted_out,
 )
-from orthoglide.fit.noise import Noise as Noise, noise_of as noise_of
-from orthoglide.fit.problem import Problem as Problem
+from orthoglide.fit.least_squares import linearise as linearise, normal as normal
+from orthoglide.fit.noise import (
+    PUBLISHED_REPEATABILITY as PUBLISHED_REPEATABILITY,
+    Noise as Noise,
+    expected_sigma as expected_sigma,
+    noise_of as noise_of,
+)
+from orthoglide.fit.problem import Problem as Problem, weight_matrix as weight_matrix
+from orthoglide.fit.repeats import common_rounding as common_rounding
 from orthoglide.fit.scores import Scores as Scores
 from orthoglide.fit.solving import solve as solve, tempered as tempered
 from orthoglide.fit.unknowns import (

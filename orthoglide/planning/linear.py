@@ -17,10 +17,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.errors import InputError
-from orthoglide.fit import Problem, assemble, noise_of
-from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, expected_sigma
-from orthoglide.fit.problem import weight_matrix
-from orthoglide.fit.repeats import common_rounding
+from orthoglide.fit import (
+    PUBLISHED_REPEATABILITY,
+    Problem,
+    assemble,
+    common_rounding,
+    expected_sigma,
+    noise_of,
+    weight_matrix,
+)
 from orthoglide.geometry import Array
 from orthoglide.instruments.leg_dial import PLACE
 from orthoglide.machine import Machine

@@ -10,8 +10,7 @@ import numpy as np
 
 from orthoglide.accuracy import workspace
 from orthoglide.errors import InputError
-from orthoglide.fit import Estimate, Problem, with_free
-from orthoglide.fit.least_squares import linearise, normal
+from orthoglide.fit import Estimate, Problem, linearise, normal, with_free
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.prediction import Conditions

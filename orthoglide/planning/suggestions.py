@@ -1,6 +1,4 @@
-"""What to measure next: the few readings that separate rivals, pin down a weak direction, or follow
-what nothing explains, where most of it is.
-"""
+"""What to measure next: the few readings that separate rivals or pin down a weak direction."""
 
 from __future__ import annotations
 
@@ -12,11 +10,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from orthoglide.diagnosis.rest import SetupRest
 from orthoglide.fit import Estimate, WeakDirection
 from orthoglide.frames import Framed
-from orthoglide.geometry import LEGS, Array, Geometry
-from orthoglide.instruments import OBSERVATIONS
+from orthoglide.geometry import Array
 from orthoglide.instruments.leg_dial import PLACE
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings, campaign_rows
@@ -47,8 +43,6 @@ DECIDES = 2.0  # sigmas: less leaves both in one class, which is a chi2 of 4 wid
 _WORTH = 0.9  # of a sigma before: readings that leave more are not worth taking
 _MOST_DIRECTIONS = 2
 _MOUNTING = 4.0  # readings that mounting a dial, with its first two, is worth
-_TWICE = 2  # visits: a single one may be misread
-_MID = 0.5  # of the leg
 
 
 @dataclass(frozen=True)
@@ -281,44 +275,3 @@ def _to_narrow(
 def _size(pool: Readings, rows: Sequence[int]) -> str:
     setups = len(np.unique(pool.setup[list(rows)]))
     return f"{len(rows)} readings in {setups} {'setup' if setups == 1 else 'setups'} are"
-
-
-def tracing(rest: SetupRest, geometry: Geometry) -> Suggestion:
-    """A sheet for the dial that shows most of what is left, for which no rival needs to be known.
-
-    Both bars of the leg are touched along the direction in which most is left, at every step of its
-    travel, reached from both sides: a curve tells a bend from a tilt, two sides lost motion, two
-    bars a twist from a shift.
-    """
-    pool = reading_pool(geometry)
-    gauge = _MID * geometry.L
-    dials = [
-        k
-        for k, s in enumerate(pool.setups)
-        if (s.leg, s.axis) == (rest.leg, rest.axis) and s.bar and abs(s.gauge - gauge) < 1e-6
-    ]
-    own = [axis for axis in range(3) if axis != rest.leg]
-    along = np.ptp(pool.command[:, own], axis=1) < 1e-6  # the other two stand alike: on the axis
-    rows = np.flatnonzero(np.isin(pool.setup, dials) & along)
-    axis = LEGS[rest.axis]
-    reason = (
-        f"what nothing explains shows most on {rest.reads}: {len(rows) * _TWICE} "
-        f"readings of both its bars along {axis}, over its whole travel and from both sides, "
-        f"tell whether a part is bent or turned, has lost motion, or a bar is wrong"
-    )
-    return Suggestion(reason, "trace", float("nan"), pool, tuple(np.repeat(rows, _TWICE).tolist()))
-
-
-def repeating(rest: SetupRest) -> Suggestion:
-    """Readings of the instrument at the tool that shows most of what is left, again, at the places
-    where that is.
-    """
-    own = OBSERVATIONS[rest.kind]
-    sides = "" if own.touches or own.paired else " and coming from either side"
-    reason = (
-        f"what nothing explains shows most in {rest.reads} ({rest.setup}): read it again with the "
-        f"tool at {'; '.join(rest.where)} mm, three times each{sides}. What "
-        f"comes back is of the machine or of what the instrument stands on; what does not is a "
-        f"loose part, lost motion, or the instrument itself"
-    )
-    return Suggestion(reason, "trace", float("nan"), None)

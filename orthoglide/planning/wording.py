@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-
-import numpy as np
+from collections.abc import Sequence
 
 from orthoglide.effects import Catalogue
 from orthoglide.planning.designs import Design
-from orthoglide.planning.detectable import Detectability
 from orthoglide.planning.observability import Observability
 from orthoglide.planning.repeats import TCP, Repeats
 from orthoglide.units import MM
@@ -57,39 +54,3 @@ def repeats_row(answer: Repeats, catalogue: Catalogue) -> str:
         f"{answer.what}: sigma {wanted:.3g}{unit.behind} takes {answer.repeats} "
         f"{'visit' if answer.repeats == 1 else 'visits'} to every station (then {sigma:.3g})"
     )
-
-
-def detectable_rows(found: Detectability, width: int) -> list[str]:
-    """A row for the parameters of an effect that are found from about the same size: the largest
-    sizes that one of them takes to be found, and to be named.
-
-    Args:
-        found: of a sheet.
-        width: in characters; what is nearest stands below its row where that is too narrow.
-    """
-    head = f"{'effect':<20}{'tolerance':>11}{'found from':>12}{'named from':>12}  unit"
-    rows = list(_effect_rows(found))
-    if max((len(size) + len(near) + 2 for size, near in rows), default=0) <= width:
-        lines = [f"{head}  nearest", *(f"{size}  {near}" for size, near in rows)]
-    else:
-        lines = [
-            head,
-            *(text for size, near in rows for text in (size.rstrip(), f"    nearest: {near}")),
-        ]
-    if found.invisible:
-        groups: dict[str, list[str]] = {}
-        for name in found.invisible:
-            groups.setdefault(name.effect, []).append(name.behind)
-        told = [f"{effect} ({', '.join(members)})" for effect, members in groups.items()]
-        lines.append(f"not visible, which is not absent: {', '.join(told)}")
-    return lines
-
-
-def _effect_rows(told: Detectability) -> Iterator[tuple[str, str]]:
-    """Sizes of each row, and what its hardest is taken for; which parameters, where not all."""
-    for row in zip(*told.columns.values(), strict=True):
-        effect, unit, tolerance, found, named, hardest, nearest, parameters = row
-        size = f"{named:.2g}" if np.isfinite(named) else "never"
-        sizes = f"{effect:<20}{tolerance:>11.2g}{found:>12.2g}{size:>12}"
-        of = f" (of {parameters})" if parameters and parameters != hardest.behind else ""
-        yield f"{sizes}  {unit:<4}", f"{nearest} for {hardest}{of}"

@@ -12,7 +12,7 @@ from orthoglide.effects import Catalogue, Effect
 from orthoglide.effects.wording import cause_short, size_words
 from orthoglide.ordering import best_of
 from orthoglide.parameters import Parameter
-from orthoglide.planning import SmallestEffect, smallest_effects
+from orthoglide.prospects import SmallestEffect, smallest_effects
 from orthoglide.rehearsal.drawing import Scope
 from orthoglide.simulation import lacks
 

@@ -13,14 +13,14 @@ _MOST_RIVALS = 6  # between which readings are proposed
 
 def next_measurements(result: Result) -> tuple[Suggestion, ...]:
     """Readings to take next, what follows something unexplained first."""
-    from orthoglide import planning
+    from orthoglide import planning, prospects
 
     geometry, follow = result.request.machine.geometry, not result.stands
-    again = tuple(map(planning.repeating, result.rest_of_tool[:follow]))
+    again = tuple(map(prospects.repeating, result.rest_of_tool[:follow]))
     known = result.posterior
-    parts = [s for one in result.located if known for s in planning.parting(known, one)]
+    parts = [s for one in result.located if known for s in prospects.parting(known, one)]
     if not geometry.dialled:
-        apart = () if known is None else planning.deciding_instruments(known, result.effects)
+        apart = () if known is None else prospects.deciding_instruments(known, result.effects)
         return (*apart, *parts, *again)
     sets = [(c.chosen, *c.rivals) for c in result.effects if c.rivals]
     sets = sets or [tuple(result.alone[:_MOST_RIVALS])]
@@ -29,5 +29,5 @@ def next_measurements(result: Result) -> tuple[Suggestion, ...]:
     apart = planning.next_measurements(result.after, rivals, pairs=pairs, directions=())
     more = planning.next_measurements(result.before)
     if result.dials_hold_most:
-        again = tuple(planning.tracing(rest, geometry) for rest in result.rest[:follow])
+        again = tuple(prospects.tracing(rest, geometry) for rest in result.rest[:follow])
     return (*again, *apart, *parts, *more)

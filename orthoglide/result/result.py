@@ -245,7 +245,7 @@ class Result(Framed):
     @cached_property
     def instruments(self) -> dict[str, str]:
         """Kinds of readings that were taken, ``leg``, ``plate`` ..., and what takes them."""
-        from orthoglide.planning import TAKEN_BY
+        from orthoglide.prospects import TAKEN_BY
 
         kinds = {s.kind for f in self.after.problem.factors for s in f.readings.setups}
         return {kind: words for kind, words in TAKEN_BY.items() if kind in kinds}

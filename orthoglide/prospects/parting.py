@@ -15,9 +15,9 @@ from orthoglide.observations import Readings
 from orthoglide.ordering import ranked
 from orthoglide.planning.criteria import RivalSeparation
 from orthoglide.planning.linear import LinearReadings
-from orthoglide.planning.owning import sheets_of
 from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.rivals import Rival
+from orthoglide.planning.sheets import sheets_of
 from orthoglide.planning.suggestions import DECIDES, Pairs, Suggestion, to_separate, usual_load
 from orthoglide.posterior import FullPosterior, Located
 from orthoglide.posterior.members import Members

@@ -19,14 +19,17 @@ from orthoglide.fit import Problem
 from orthoglide.fit.factors import Block, Factor
 from orthoglide.fit.least_squares import linearise, nuisances
 from orthoglide.geometry import Array
-from orthoglide.instruments import AT_TOOL
+from orthoglide.instruments import AT_TOOL, OBSERVATIONS
 from orthoglide.numerals import compact
 from orthoglide.ordering import EQUAL, ranked
 from orthoglide.parameters import plain_and_campaign
 from orthoglide.planning.criteria import EffectSeparation
-from orthoglide.planning.owning import tool_sheet
+from orthoglide.planning.sheets import KINDS, tool_sheet
 from orthoglide.planning.suggestions import Suggestion
 from orthoglide.posterior import Cause, Explanation, FullPosterior
+
+TAKEN_BY = {kind: OBSERVATIONS[kind].words for kind in KINDS}
+"""Kinds of readings, and what takes them."""
 
 _TELLS = 3.0
 """Sigmas: the wrong one of two becomes less likely by a factor of 90, more than the odds between

@@ -1,0 +1,55 @@
+"""Readings that follow a residual without an explanation, taken where the residual is largest."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orthoglide.diagnosis.rest import SetupRest
+from orthoglide.geometry import LEGS, Geometry
+from orthoglide.instruments import OBSERVATIONS
+from orthoglide.planning.pool import reading_pool
+from orthoglide.planning.suggestions import Suggestion
+
+_TWICE = 2  # visits: a single one may be misread
+_MID = 0.5  # of the leg
+
+
+def tracing(rest: SetupRest, geometry: Geometry) -> Suggestion:
+    """Return a sheet for the dial whose residual is largest; no rival explanation is needed.
+
+    Both bars of the leg are touched along the direction in which most is left, at every step of its
+    travel, reached from both sides: a curve tells a bend from a tilt, two sides lost motion, two
+    bars a twist from a shift.
+    """
+    pool = reading_pool(geometry)
+    gauge = _MID * geometry.L
+    dials = [
+        k
+        for k, s in enumerate(pool.setups)
+        if (s.leg, s.axis) == (rest.leg, rest.axis) and s.bar and abs(s.gauge - gauge) < 1e-6
+    ]
+    own = [axis for axis in range(3) if axis != rest.leg]
+    along = np.ptp(pool.command[:, own], axis=1) < 1e-6  # the other two stand alike: on the axis
+    rows = np.flatnonzero(np.isin(pool.setup, dials) & along)
+    axis = LEGS[rest.axis]
+    reason = (
+        f"what nothing explains shows most on {rest.reads}: {len(rows) * _TWICE} "
+        f"readings of both its bars along {axis}, over its whole travel and from both sides, "
+        f"tell whether a part is bent or turned, has lost motion, or a bar is wrong"
+    )
+    return Suggestion(reason, "trace", float("nan"), pool, tuple(np.repeat(rows, _TWICE).tolist()))
+
+
+def repeating(rest: SetupRest) -> Suggestion:
+    """Return the advice to repeat the readings of an instrument at the tool at the places where its
+    residual is largest.
+    """
+    own = OBSERVATIONS[rest.kind]
+    sides = "" if own.touches or own.paired else " and coming from either side"
+    reason = (
+        f"what nothing explains shows most in {rest.reads} ({rest.setup}): read it again with the "
+        f"tool at {'; '.join(rest.where)} mm, three times each{sides}. What "
+        f"comes back is of the machine or of what the instrument stands on; what does not is a "
+        f"loose part, lost motion, or the instrument itself"
+    )
+    return Suggestion(reason, "trace", float("nan"), None)
