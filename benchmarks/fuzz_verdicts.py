@@ -140,7 +140,7 @@ def judged(number: int) -> Judged:
 
 def _off(verdict: og.Verdict, moved: Array) -> float:
     """Largest residual of the rows that were moved and not set aside, stated sigmas."""
-    aside = [row for fault in verdict.blunders for _, row in fault.rows]
+    aside = [row for fault in verdict.blunders for _, row in fault.rows_in_request]
     kept = np.asarray(moved, dtype=bool).copy()
     kept[aside] = False
     times = np.abs(public.residual_sigmas(verdict))

@@ -6,8 +6,8 @@ compares them with that file. Where the package's attributes change, this module
 Attributes used beside ``og.__all__``:
 
 - of a verdict: ``word``, ``effects``, ``located``, ``blunders``, ``changed``, ``budget``, ``tcp``,
-  ``before``, ``after``, ``machine``, ``columns``, ``numbers``, ``left``, ``share``, ``stopped``,
-  ``warnings``, ``invisible``, ``unexcited``, ``firmware``, ``next_measurements``, ``report``;
+  ``before``, ``after``, ``machine``, ``columns``, ``numbers``, ``left``, ``readings``,
+  ``warnings``, ``invisible``, ``unseen``, ``next_measurements``, ``report``;
 - of a check: ``changes``; of a machine: ``forward``, ``inverse``, ``values``, ``spec``.
 """
 
@@ -71,22 +71,22 @@ def verdict_of(verdict: og.Verdict) -> Result:
         "effects": [_cause(cause) for cause in verdict.effects],
         "located": [
             {
-                "class": [_place(member.place) for member in found.members],
+                "class": [_place(member) for member in found.members],
                 "class_probability": found.probability,
                 "resembling": list(found.resembling),
             }
             for found in verdict.located
         ],
         "blunders": [
-            {"kind": b.kind, "rows": [row for _, row in b.rows], "setups": list(b.setups),
-             "message": b.message}
+            {"kind": b.kind, "rows": [row for _, row in b.rows_in_request],
+             "setups": list(b.setups), "message": b.message}
             for b in verdict.blunders
         ],
         "before": _scores(verdict.before.scores),
         "after": _scores(verdict.after.scores),
         "left": {
-            "lack_of_fit_p": verdict.left.p_value, "background": verdict.share,
-            "stopped": verdict.stopped,
+            "lack_of_fit_p": verdict.left.p_value, "background": verdict.left.background,
+            "stopped": verdict.left.stopped,
         },
     }  # fmt: skip
 
@@ -100,17 +100,9 @@ def _cause(cause: Any) -> Result:
     return {**first, "set": [first, *others]}
 
 
-def _place(place: Any) -> Result:
-    legs = "xyz" if not hasattr(place, "names") else place.names.legs
-    return {
-        "leg": legs[place.leg] if place.leg >= 0 else None,
-        "part": place.part,
-        "direction": place.direction or None,
-        "against": place.against,
-        "by_leg": legs[place.by] if place.against == "command" else None,
-        "setup": place.setup or None,
-        "short_waves": place.short,
-    }
+def _place(curve: Any) -> Result:
+    keys = ("leg", "part", "direction", "against", "by_leg", "setup", "short_waves")
+    return {key: getattr(curve, key) for key in keys}
 
 
 def _scores(scores: Any) -> Result:
@@ -209,12 +201,14 @@ def budget_of(verdict: og.Verdict) -> list[Result]:
 
 def changes_of(found: og.Verdict | og.Check) -> list[Result]:
     """Return what changed, by a verdict or by a check, SI."""
-    changes = found.changed if isinstance(found, og.Verdict) else found.changes
-    return [
-        {"parameter": str(c.parameter), "members": [str(n) for n in c.members], "from": c.before,
-         "to": c.after, "sigma": c.sigma}
-        for c in changes
-    ]  # fmt: skip
+    changed: list[Result] = []
+    for c in found.changed if isinstance(found, og.Verdict) else found.changes:
+        si = found.catalogue.effect_of(c.parameter).unit.si if isinstance(found, og.Verdict) else 1
+        changed.append({
+            "parameter": str(c.parameter), "members": [str(n) for n in c.members],
+            "from": c.before * si, "to": c.after * si, "sigma": c.sigma * si,
+        })  # fmt: skip
+    return changed
 
 
 def command_faults(result: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
@@ -242,7 +236,7 @@ def warned_of_noise(verdict: og.Verdict) -> bool:
 
 def unseen_of(verdict: og.Verdict) -> list[str]:
     """Return the effects that the readings cannot show."""
-    return [*map(str, verdict.invisible), *map(str, verdict.unexcited)]
+    return [*verdict.invisible, *verdict.unseen.unexcited]
 
 
 def result_json(verdict: og.Verdict) -> Result:
@@ -257,9 +251,9 @@ def result_json(verdict: og.Verdict) -> Result:
 # -- without a public name -----------------------------------------------------------------------
 
 INSIDE = (
-    "orthoglide.accuracy", "orthoglide.cli", "orthoglide.effects.plates", "orthoglide.judging",
-    "orthoglide.machine_file", "orthoglide.measuring", "orthoglide.observations",
-    "orthoglide.report.wording",
+    "orthoglide.accuracy", "orthoglide.cli", "orthoglide.closing.judging",
+    "orthoglide.effects.plates", "orthoglide.machine_file", "orthoglide.measuring",
+    "orthoglide.observations", "orthoglide.report.wording",
 )  # fmt: skip
 """Modules of the package that the functions below import, as nothing public does the same."""
 
@@ -297,10 +291,11 @@ def predicted_rms_mm(
     """Return by how much readings that were not used are off, root mean squares in millimetres: by
     the machine given, by the base model and by the verdict's machine.
     """
-    from orthoglide.judging import hold_out
+    from orthoglide.closing.judging import hold_out
 
     stored = hold_out({}, verdict.values, machine, [other])
-    base = hold_out(verdict.values_before, verdict.values, machine, [other])
+    known = {**machine.values, **verdict.before.values}
+    base = hold_out(known, verdict.values, machine, [other])
     found = (stored.before.length, base.before.length, base.after.length)
     return found[0] * 1e3, found[1] * 1e3, found[2] * 1e3
 
@@ -326,8 +321,8 @@ def firmware_of(found: og.Imported) -> Any:
 
 def residual_sigmas(verdict: og.Verdict) -> Array:
     """Return the residuals of the last fit, in stated sigmas ``(n,)``."""
-    problem = verdict.after.problem
-    return np.asarray(verdict.after.residuals / np.hypot(problem.sigma, problem.common))
+    read = verdict.readings
+    return np.asarray((read.measured - read.after) / np.hypot(read.sigma, read.common))
 
 
 def tool_map(verdict: og.Verdict) -> tuple[Array, Array, Array]:

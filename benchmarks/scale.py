@@ -9,7 +9,6 @@ import resource
 import subprocess
 import sys
 import time
-from dataclasses import replace
 
 import numpy as np
 
@@ -28,13 +27,11 @@ def sheet_of(rows: int, stations: int) -> og.Campaign:
     leg, length = np.array([s.leg for s in base.setups])[setup], og.Machine.nominal().geometry.L
     command = np.repeat(np.sqrt(length**2 - travel**2)[:, None], 3, axis=1)
     command[np.arange(len(setup)), leg] = length + travel
-    n, none = len(setup), np.full(len(setup), np.nan)
-    return replace(
-        base, setup=setup, command=np.round(command, 9), approach=np.ones((n, 3)), time=none,
-        temperature=none, load=np.zeros(n),
+    n = len(setup)
+    return og.Campaign(
+        base.name, base.setups, setup, command=np.round(command, 9), approach=np.ones((n, 3)),
         repeat=1 + np.tile(np.repeat(np.arange(rounds), per), 6),
-        order=np.arange(n), posture=("",) * n, reading=np.zeros(n), sigma=none,
-        line=np.arange(2, n + 2),
+        order=np.arange(n), reading=np.zeros(n), line=np.arange(2, n + 2),
     )  # fmt: skip
 
 

@@ -35,6 +35,6 @@ before, after = verdict.before.scores, verdict.after.scores
 tool = verdict.tcp["translation"]
 print("\n                        before    after")
 print(f"readings, rms           {1e3 * before.rms:.3f}     {1e3 * after.rms:.3f} mm")
-print(f"tool, mean              {1e3 * tool.before[0]:.3f}     {1e3 * tool.after[0]:.3f} mm")
-verified = verdict.after.verification
+print(f"tool, mean              {1e3 * tool.before_mean:.3f}     {1e3 * tool.after_mean:.3f} mm")
+verified = verdict.verification
 print(f"Pinocchio closes all {verified.postures} postures again: TCP within {verified.tcp:.0e} m")

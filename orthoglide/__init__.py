@@ -14,7 +14,6 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
         pinocchio_model as pinocchio_model,
     )
     from orthoglide.checking import Check as Check, check as check
-    from orthoglide.closing import Verdict as Verdict, close_loop as close_loop
     from orthoglide.comparison import (
         compare_effects as compare_effects,
         compare_machine as compare_machine,
@@ -90,6 +89,7 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
         smallest_effects as smallest_effects,
     )
     from orthoglide.rehearsal import Rehearsal as Rehearsal, rehearse as rehearse
+    from orthoglide.result import Result as Result
     from orthoglide.simulation import simulate as simulate, simulate_tcp as simulate_tcp
     from orthoglide.transmission import (
         CubeTransmission as CubeTransmission,
@@ -97,13 +97,13 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
         transmission_over_cube as transmission_over_cube,
     )
     from orthoglide.units import MM as MM, ONE as ONE, RAD as RAD, Unit as Unit
+    from orthoglide.verdict import Verdict as Verdict, close_loop as close_loop
 
 __version__ = "0.1.0"
 
 # Pinocchio and CasADi take a third of a second to load: names are fetched when they are used.
 _WHERE = {
     "checking": "Check check",
-    "closing": "Verdict close_loop",
     "comparison": "compare_effects compare_machine",
     "control": (
         "Compensation ControllerNumbers calibrated_urdf compensate controller_numbers "
@@ -131,9 +131,11 @@ _WHERE = {
     "planning": "Design Suggestion design next_measurements repeats_needed",
     "prospects": "Owned owned_instruments smallest_effects",
     "rehearsal": "Rehearsal rehearse",
+    "result": "Result",
     "simulation": "simulate simulate_tcp",
     "transmission": "CubeTransmission transmission_factors transmission_over_cube",
     "units": "MM ONE RAD Unit",
+    "verdict": "Verdict close_loop",
 }
 _MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import pkgutil
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 GROUP = "orthoglide.firmware"
 """Group of the entry points, and the package with the add-ons that come with this one."""
+
+EXACT = 17
+"""Digits of a number that come back as the same: a firmware's numbers are not rounded."""
 
 MARK = "numbers"
 """Key of a firmware's table: what tells its numbers from others, short."""
@@ -47,28 +50,33 @@ class Corrections:
     """New numbers of a firmware beside the old ones.
 
     Attributes:
-        old: numbers of the add-on's own kind, whose ``lines()`` are those of the firmware's file.
-        new: the same of the new ones.
         rows: key, old and new value of every number, as the file has them.
         left: residuals of the readings by the firmware's equations: what, old, new, millimetres.
         height: what the numbers leave of heights over the plate (old, new), metres, rms.
         keep: why the old numbers are to be kept, a clause; empty where the new ones are better.
         words: what the new numbers change, a clause.
         where: how the numbers come into the file, and what is to be done after that.
-        kept: what the file of a calibrated machine keeps of them beside the old numbers.
         file: name of the firmware's file.
+        paste: lines of the firmware's file with the new numbers.
+        undo: the same with the old ones.
+        kept: what the file of a calibrated machine keeps of them beside the old numbers; that of a
+            result has it under `Section.facts`.
+        old: numbers of the add-on's own kind, while it works with them; no file keeps these.
+        new: the same of the new ones.
     """
 
-    old: Any
-    new: Any
     rows: Sequence[tuple[str, str, str]]
     left: Sequence[tuple[str, str, str]]
     height: tuple[float, float]
     keep: str
     words: str
     where: str
-    kept: Mapping[str, object]
     file: str
+    paste: tuple[str, ...]
+    undo: tuple[str, ...]
+    kept: Mapping[str, Any] = field(default_factory=dict, metadata={"in_file": False})
+    old: Any = field(default=None, metadata={"in_file": False})
+    new: Any = field(default=None, metadata={"in_file": False})
 
 
 @dataclass(frozen=True)
@@ -92,10 +100,10 @@ class Section:
     touch: str
     holds: str
     beyond: tuple[str, ...]
-    facts: Mapping[str, object]
+    facts: Mapping[str, Any] = field(metadata={"digits": EXACT})
 
-    def as_dict(self) -> dict[str, object]:
-        """Return a dictionary for JSON."""
+    def derived(self) -> dict[str, Any]:
+        """Return keys of ``result.json`` that follow from the others."""
         return dict(self.facts)
 
 
@@ -104,7 +112,7 @@ class Paste:
     """Numbers of a firmware for ``export``, in the place of a controller's zeros."""
 
     columns: dict[str, list[Any]]  # of a table with a row a number
-    facts: Mapping[str, object]  # for JSON
+    facts: Mapping[str, Any]  # for JSON
     paragraphs: tuple[str, ...]  # for people; the lines of a table stay as they are
 
 
@@ -152,13 +160,22 @@ class AddOn(Protocol):
         use.
         """
 
-    def corrections(self, machine: Any, fit: Any) -> Corrections | None:
-        """New numbers for a calibrated machine; ``None`` where the readings of a fit give none, or
-        the machine was not imported.
+    def corrections(self, machine: Any, readings: Sequence[Any]) -> Corrections | None:
+        """New numbers for a calibrated machine; ``None`` where the readings of its tool give none,
+        or the machine was not imported.
         """
 
-    def section(self, result: Any) -> Section | None:
-        """What a report says of a result; ``None`` of a machine that was not imported."""
+    def section(
+        self, given: Any, calibrated: Any, corrections: Corrections | None, causes: Sequence[Any]
+    ) -> Section | None:
+        """What a report says of a calibrated machine; ``None`` of one that was not imported.
+
+        Args:
+            given: the machine as it was imported.
+            calibrated: the machine found.
+            corrections: new numbers for it, where the readings give any.
+            causes: explanations of what is wrong with it, as `orthoglide.result.Explanation`.
+        """
 
     def paste(self, machine: Any) -> Paste | None:
         """Numbers that a calibrated machine keeps; ``None`` of a machine that was not imported."""

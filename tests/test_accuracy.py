@@ -13,11 +13,11 @@ import pytest
 
 import orthoglide as og
 from orthoglide.accuracy import expected_error, tcp_map, workspace
-from orthoglide.closing import Verdict, close_loop
 from orthoglide.control import compensate
 from orthoglide.errors import FileError, InputError
 from orthoglide.machine_file import Posterior
 from orthoglide.report import result_text
+from orthoglide.verdict import Verdict, close_loop
 from tests.rig import Array, Rig
 from tests.rig_campaigns import simulate
 

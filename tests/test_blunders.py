@@ -9,7 +9,6 @@ import pytest
 
 from benchmarks.attribution_cases import Case
 from benchmarks.attribution_run import draw
-from orthoglide.closing import close_loop
 from orthoglide.diagnosis.blunders import Blunder, examine, without
 from orthoglide.diagnosis.misreadings import misreadings
 from orthoglide.diagnosis.signatures import signatures
@@ -20,6 +19,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
 from orthoglide.observations import Campaign, read_campaign
 from orthoglide.simulation import simulate_tcp
+from orthoglide.verdict import close_loop
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -596,7 +596,7 @@ def test_a_machine_that_looks_like_exchanged_labels_is_told_as_that(machine):
     assert not verdict.blunders
     assert verdict.word == "located"
     (found,) = verdict.located
-    assert [c.place.name for c in found.members] == ["drive.y/command.z"]
+    assert [c.name for c in found.members] == ["drive.y/command.z"]
 
 
 @pytest.mark.thorough

@@ -11,6 +11,7 @@ import orthoglide as og
 from orthoglide.checking import check
 from orthoglide.fit.change_search import WIDTHS, Hypotheses
 from orthoglide.geometry import Array
+from tests.studied import studied
 from tests.test_second_visit import ERRORS, SHEET, TILT, measured
 
 COUNT, ROWS = 7, 30
@@ -103,7 +104,7 @@ TRUE = {
 def test_four_changes_since_a_calibration(visits: tuple[og.Campaign, og.Campaign]) -> None:
     """A bar was told to be 0.7 mm longer where a zero had been entered."""
     monday, tuesday = visits
-    again = og.close_loop(tuesday, og.close_loop(monday, SHEET).machine)
+    again = studied(tuesday, og.close_loop(monday, SHEET).machine)
     assert again.word == "adequate"
     told = {str(c.parameter).replace("rail_tilt", "axis_tilt"): c for c in again.changed}
     assert set(told) == set(TRUE)

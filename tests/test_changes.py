@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.closing import close_loop
 from orthoglide.diagnosis.blunders import examine
 from orthoglide.diagnosis.changes import Change
 from orthoglide.errors import InputError
 from orthoglide.fit import identify
 from orthoglide.observations import Campaign
+from orthoglide.verdict import close_loop
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -92,7 +92,7 @@ def test_a_tilt_that_was_put_right(machine, tmp_path):
     verdict = close_loop(tilted(machine, 1.5e-3, 0.3e-3), machine)
     (change,) = verdict.changed
     assert set(change.members) == {"axis_tilt.y.z", "rail_tilt.y.z"}
-    assert change.between == ("c0", "c1")
+    assert change.files == ("c0", "c1")
     assert change.before == pytest.approx(1.5e-3, abs=3 * change.sigma)
     assert change.after == pytest.approx(0.3e-3, abs=3 * change.sigma)
     assert change.sigma < 1.5e-4

@@ -410,7 +410,7 @@ def test_failed_numerics_exit_with_3(here: Path, monkeypatch: pytest.MonkeyPatch
     def disagree(*_: object, **__: object) -> None:
         raise CrossCheckError("the mechanism and the reduction disagree", difference=1.0)
 
-    monkeypatch.setattr("orthoglide.closing.identify", disagree)
+    monkeypatch.setattr("orthoglide.closing.loop.identify", disagree)
     result = run("identify", "experiment2.csv", "--out", "out")
     assert (result.exit_code, result.stdout) == (3, "")
     assert result.stderr == "orthoglide: the mechanism and the reduction disagree\n"
@@ -488,7 +488,7 @@ def test_interrupted_inside_a_compiled_solver(
             return real(*arguments, **options)
         raise SolverError("stopped at the user's request")
 
-    monkeypatch.setattr("orthoglide.closing.identify", interrupted)
+    monkeypatch.setattr("orthoglide.closing.loop.identify", interrupted)
     with listening(monkeypatch):
         result = run("identify", "experiment2.csv", "--out", "out")
     assert result.exit_code == 130
@@ -512,7 +512,7 @@ def listening(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 # What is called on the way: the command in which its interrupt is lost.
 WRITING: dict[str, tuple[str, ...]] = {
-    "orthoglide.closing.run": ("close-loop", "experiment2.csv", "--out", "out"),
+    "orthoglide.verdict.run": ("close-loop", "experiment2.csv", "--out", "out"),
     "orthoglide.control.read_path":
         ("compensate", "path.csv", "--machine", "planted.toml", "--out", "out"),
     "orthoglide.control.export_files": ("export", "--machine", "planted.toml", "--out", "out"),

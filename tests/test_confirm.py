@@ -14,7 +14,6 @@ import pytest
 
 import orthoglide as og
 from orthoglide.effects.wording import confirm_words
-from orthoglide.result.actions import confirm
 from tests.rig import LEGS, Array, Rig
 from tests.rig_campaigns import simulate
 
@@ -115,7 +114,7 @@ def test_the_confirming_test_shows_what_its_words_expect(name: str, value: float
     verdict = og.close_loop(og.Campaign.from_frame(table, machine_file=machine.spec), machine)
     named = {e.name: e for cause in verdict.effects for e in cause.explanations}
     assert name in named, list(named)
-    words = confirm(named[name])
+    words = named[name].confirm
     effect, leg, *across = name.split(".")
     pattern, measure, signs = MEASURED[effect]
     found = pattern.search(words)

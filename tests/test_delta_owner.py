@@ -14,7 +14,6 @@ from benchmarks.delta_readings import INSTRUMENTS, measured
 from benchmarks.delta_truth import machine as nominal
 from benchmarks.deltas import forty_one_points
 from orthoglide.cli import cli
-from orthoglide.closing import Verdict, close_loop
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.errors import InputError
@@ -25,6 +24,7 @@ from orthoglide.planning.sheets import mixed_sheet, sheet_of, whitened
 from orthoglide.prospects import owned_instruments
 from orthoglide.report import report_files
 from orthoglide.report.wording import headline
+from orthoglide.verdict import Verdict, close_loop
 from tests.klipper_files import DATA
 from tests.rig_delta import DeltaRig
 
@@ -485,7 +485,7 @@ def test_what_nothing_explains_of_the_tool_is_shown_and_followed(word: str, tilt
     assert verdict.word == word
     at = nominal().forward(sound.command[farthest]) * 1e3
     place = ", ".join(f"{n} {round(v)}" for n, v in zip("xyz", at, strict=True)).replace("-", "−")
-    most = verdict.rest_of_tool[0]
+    most = verdict.left.by_instrument[0]
     assert (most.reads, most.where[0]) == ("the tool along x", place)
     assert 3e-4 < most.most < 8e-4  # the fit takes a part of it
     assert f"shows in the tool along x ({most.setup})" in headline(verdict)

@@ -38,7 +38,7 @@ def test_one_dial_that_lags_is_told_with_its_size(setup: str, size: float) -> No
     assert verdict.word == "located"
     (found,) = verdict.located
     first = found.members[0]
-    assert first.place.name == f"dial.{setup}/approach"
+    assert first.name == f"dial.{setup}/approach"
     assert first.value == pytest.approx(-size * 1e-3, abs=4e-6)  # less on the way up
     assert f"the dial of {setup} reads more or less by the way that its plunger came" in str(
         verdict
@@ -56,7 +56,7 @@ def test_dials_of_one_make_lag_together(size: float) -> None:
     assert verdict.word == "located"
     (found,) = verdict.located
     first = found.members[0]
-    assert first.place.name == "dial/approach"
+    assert first.name == "dial/approach"
     assert first.value == pytest.approx(-size * 1e-3, abs=2e-6)
     told = json.loads(result_text(verdict))["located"][0]
     assert (told["part"], told["against"], told["leg"], told["setup"]) == (
@@ -85,7 +85,7 @@ def test_moves_too_small_to_go_by_their_sign(seed: int) -> None:
     verdict = og.close_loop(campaign_of(rows))
     assert verdict.word == "located"
     (found,) = verdict.located
-    assert found.members[0].place.name == "dial/approach"
+    assert found.members[0].name == "dial/approach"
     assert found.members[0].value == pytest.approx(-3e-5, abs=2e-6)
 
 

@@ -9,13 +9,13 @@ import pytest
 
 import orthoglide as og
 from orthoglide.cli import cli
-from orthoglide.closing import Word
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.catalogue import catalogue_of
 from orthoglide.effects.page import GROUPS, effects_page
 from orthoglide.errors import OrthoglideError
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file import parse_machine_file
+from orthoglide.result import Word
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])

@@ -128,7 +128,7 @@ def test_a_slip_in_a_tcp_point_is_named(slip: float, frame) -> None:
     with pytest.raises(InputError, match=r"points.csv, line 9: .* mm off what all others say"):
         og.identify(tcp_points(slip), MACHINE, frame=frame)
     (fault,) = og.close_loop(tcp_points(slip), MACHINE, frame=frame).blunders
-    assert fault.sets_aside
+    assert fault.excluded
     assert re.search("points.csv, line 9: the point is .* mm off what all others", fault.message)
 
 

@@ -300,7 +300,7 @@ def test_the_first_screen_draws_what_it_says() -> None:
     for k in range(len(said)):
         assert f'id="pick-{k}"' in page
         assert f'for="pick-{k}"' in page
-    most = verdict_of("unexplained").rest[0]
+    most = verdict_of("unexplained").left.by_dial[0]
     left = verdict_of("unexplained").picture.options[0].marks[0]
     assert (left.part, left.setup) == ("dial", most.setup)
     assert left.way[most.axis] == np.sign(most.most)

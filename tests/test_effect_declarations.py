@@ -17,6 +17,7 @@ from click.testing import CliRunner
 
 import orthoglide as og
 from orthoglide.cli import cli
+from orthoglide.closing.actions import confirm
 from orthoglide.effects import CATALOGUE, Effect, Motion, Words, cos, once, sin
 from orthoglide.effects.loading import load_effects
 from orthoglide.effects.motions import Constant, sideways
@@ -26,7 +27,6 @@ from orthoglide.errors import InputError
 from orthoglide.parameters import Parameter
 from orthoglide.posterior import Explanation
 from orthoglide.prediction import Conditions, Model
-from orthoglide.result.actions import confirm
 from orthoglide.units import MM
 
 PACKAGE = Path(og.__file__).parent

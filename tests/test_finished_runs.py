@@ -213,7 +213,7 @@ def test_failing_arithmetic_is_failed_numerics(
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr("orthoglide.closing.identify", fail)
+    monkeypatch.setattr("orthoglide.closing.loop.identify", fail)
     result = run("identify", "c.csv", "--out", "out")
     assert result.exit_code == 3
     assert "the numerics failed" in result.stderr

@@ -14,8 +14,10 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.closing import Verdict
+from orthoglide.closing import Closed, filled
+from orthoglide.closing.actions import _one_of_two
 from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
+from orthoglide.effects.wording import cause_short
 from orthoglide.fit import Change
 from orthoglide.layout import LinearDelta
 from orthoglide.numerals import ByUnit
@@ -26,9 +28,12 @@ from orthoglide.report.first import finding, sure_words
 from orthoglide.report.rendering import rendered
 from orthoglide.report.text import to_do
 from orthoglide.report.wording import _falls
-from orthoglide.result.actions import Action, Suspect, _one_of_two
-from tests.test_report import result_of, words
-from tests.test_report_verdict import verdict_of
+from orthoglide.result import Action, BudgetItem, Suspect
+from orthoglide.result.result import sheet_of
+from orthoglide.verdict import Verdict
+from tests.studied import studied
+from tests.test_report import closed_of, words
+from tests.test_report_verdict import closed_of as loop_of, verdict_of
 from tests.tiers import in_turn
 
 DELTA = catalogue_of(LinearDelta.names)
@@ -44,22 +49,30 @@ def explained(name: str, value: float, catalogue: Catalogue, probability: float)
 
 
 @cache
-def base() -> Verdict:
-    """Some result to put made-up causes into; its own numbers are the ones identified."""
-    result = result_of("rig")
-    result.numbers  # noqa: B018  computed once for all copies
-    return result
+def base() -> Closed:
+    """Something to put made-up causes into; its own numbers are the ones identified."""
+    closed = closed_of("rig")
+    closed.numbers  # noqa: B018  computed once for all copies
+    return closed
 
 
-def made_up(word: str, *causes: Cause, changed: tuple[Change, ...] = ()) -> Verdict:
+def made_up(
+    word: str,
+    *causes: Cause,
+    changed: tuple[Change, ...] = (),
+    budget: tuple[BudgetItem, ...] = (),
+    drawn: bool = False,
+) -> Verdict:
+    """A verdict with causes of any layout; only those of the Orthoglide can be ``drawn``."""
     request = replace(base().request, command="close-loop")
-    verdict = replace(base(), request=request, word=word, effects=causes, changed=changed)
-    drawn = replace(base().picture, options=())
+    closed = replace(base(), request=request, word=word, effects=causes, changed=changed)
     kept: dict[str, Any] = {
-        "next_measurements": (), "numbers": base().numbers, "budget": (), "picture": drawn,
+        "next_measurements": (), "numbers": base().numbers, "budget": budget, "pattern": (),
+        "identified": base().identified,
     }  # fmt: skip
-    verdict.__dict__.update(kept)
-    return verdict
+    kept |= {} if drawn else {"picture": replace(base().picture, options=())}
+    closed.__dict__.update(kept)
+    return filled(closed, Verdict)
 
 
 def screen(verdict: Verdict) -> str:
@@ -189,8 +202,7 @@ def test_a_reader_finds_what_changed_in_words_on_the_drawing_and_in_what_to_do(
         abs(value) / 20, abs(value) / 20,
     )  # fmt: skip
     for change, state in ((new, "Now"), (replace(new, before=value, after=0.0), "Before")):
-        verdict = made_up("adequate", changed=(change,))
-        del verdict.__dict__["picture"]
+        verdict = made_up("adequate", changed=(change,), drawn=True)
         text = screen(verdict)
         said = re.search(
             r"Between calibrated.toml and second the .* changed from (\S+) to (\S+)", text
@@ -313,37 +325,41 @@ def test_where_something_is_left_nothing_is_to_be_changed() -> None:
 
 def test_what_is_left_is_found_where_it_is() -> None:
     """One dial sees a bend that no part makes: it is named, with its direction and its size."""
-    verdict = verdict_of("unexplained")
-    most = verdict.rest[0]
-    assert sum(rest.share for rest in verdict.rest) == pytest.approx(1.0)
-    fit = verdict.after
+    verdict, fit = verdict_of("unexplained"), loop_of("unexplained").after
+    most = verdict.left.by_dial[0]
+    assert sum(rest.share for rest in verdict.left.by_dial) == pytest.approx(1.0)
     rows = np.flatnonzero(fit.problem.setup_of_row == 0)
     name = fit.problem.campaigns[0].setups[0].name
-    one = next(rest for rest in verdict.rest if rest.setup == name)
+    one = next(rest for rest in verdict.left.by_dial if rest.setup == name)
     assert one.rms == pytest.approx(np.sqrt(np.mean(fit.residuals[rows] ** 2)))
     text = screen(verdict)
     leg, axis = "xyz"[most.leg], "xyz"[most.axis]
     sign = "−" if most.most < 0 else ""
     assert f"shows on leg {leg} read along {axis}" in text
     assert re.search(rf"up to [\d.]+ mm, toward {sign}{axis}\b", text)
-    sheet = verdict.next_measurements[0]
-    assert sheet.aim == "trace"
-    assert {(s.leg, s.axis) for s in sheet.campaign.setups} == {(most.leg, most.axis)}
-    assert {s.bar for s in sheet.campaign.setups} == {1, 2}
-    assert set(np.unique(sheet.campaign.approach[:, most.leg])) == {-1.0, 1.0}
+    assert verdict.next_measurements[0].aim == "trace"
+    sheet = sheet_of(verdict.next_measurements[0].readings, verdict.request.machine)
+    assert {(s.leg, s.axis) for s in sheet.setups} == {(most.leg, most.axis)}
+    assert {s.bar for s in sheet.setups} == {1, 2}
+    assert set(np.unique(sheet.approach[:, most.leg])) == {-1.0, 1.0}
     kept = json.loads(result_text(verdict))["left"]["by_setup"]
     assert kept[0]["setup"] == most.setup
 
 
 def test_identify_says_what_to_enter_and_what_to_run_next() -> None:
-    text = screen(result_of())
-    zero = result_of().numbers.zeros_only[0] * 1e3
+    text = screen(filled(closed_of(), Verdict))
+    zero = closed_of().numbers.zeros_only[0] * 1e3
     assert f"Enter new zeros in the controller: x {zero:.3f}" in text
     assert "orthoglide close-loop takes the same files" in text
 
 
 @cache
 def lost(which: str) -> Verdict:
+    return filled(lost_loop(which), Verdict)
+
+
+@cache
+def lost_loop(which: str) -> Closed:
     """A machine that loses 0.2 mm in a way that no catalogue knows, by its own simulator."""
     from tests import rig_campaigns as rc
     from tests.rig import Rig
@@ -356,7 +372,7 @@ def lost(which: str) -> Verdict:
     sheet = "fine-sweep" if which == "reversal" else "sweep"
     rows = rc.simulate(rig, sheet, np.random.default_rng(5))
     table = {key: [row[key] for row in rows] for key in rows[0]}
-    return og.close_loop([og.Campaign.from_frame(table, name="lost")], og.Machine.nominal())
+    return studied([og.Campaign.from_frame(table, name="lost")], og.Machine.nominal())
 
 
 @pytest.mark.thorough
@@ -437,15 +453,13 @@ def test_a_place_in_the_budget_is_its_own_words_and_nothing_is_below_zero_that_r
 ):
     """`rail.x.y/travel` is of one leg, not of all."""
     from orthoglide.effects.places import places
-    from orthoglide.effects.wording import cause_short
     from orthoglide.report.sections import budget
 
     place = next(p for p in places() if p.name == "rail.x.y/travel")
     own = CATALOGUE.with_effects([place.effect])
     assert cause_short(own, place.effect.name) == place.words
-    verdict = made_up("explained")
     item = replace(lost("platform").budget[0], gain=-1e-9, share=-1e-6)
-    verdict.__dict__["budget"] = (item,)
+    verdict = made_up("explained", budget=(item,))
     page = rendered("sections/budget.html.j2", data=budget(verdict))
     assert '"put right, gains mm">0.0000 ±' in page
     assert '"of all">0%<' in page
@@ -460,11 +474,11 @@ def test_a_cause_that_is_a_whole_family_gains_its_own_not_what_the_rest_of_it_ga
         "axis_tilt", tilt, 1.0, dict.fromkeys(tilt, 9e-3), dict.fromkeys(tilt, 1e-5), {},
         np.zeros(0), CATALOGUE,
     )  # fmt: skip
-    verdict = made_up("explained", Cause(cause, (), ()))
     known = lost("platform").budget[0]
-    found = replace(known, cause="axis_tilt", members=tilt, gain=1.75e-4, rest=False)
+    said = cause_short(CATALOGUE, "axis_tilt")
+    found = replace(known, cause="axis_tilt", words=said, members=tilt, gain=1.75e-4, rest=False)
     left = replace(found, members=rest, gain=2.2e-10, rest=True)
-    verdict.__dict__["budget"] = (found, left)
+    verdict = made_up("explained", Cause(cause, (), ()), budget=(found, left))
     (action,) = (a for a in verdict.actions if a.kind == "mend")
     assert action.gain == found.gain
     assert not action.whichever
@@ -476,9 +490,8 @@ def test_the_gain_of_one_of_several_causes_is_said_to_be_that() -> None:
     chosen, rival = (
         explained(name, 2e-3, CATALOGUE, 0.5) for name in ("axis_tilt.y.z", "rail_tilt.y.z")
     )
-    verdict = made_up("ambiguous", Cause(chosen, (rival,), ()))
     item = replace(lost("platform").budget[0], cause=chosen.name, gain=1e-4, rest=False)
-    verdict.__dict__["budget"] = (item,)
+    verdict = made_up("ambiguous", Cause(chosen, (rival,), ()), budget=(item,))
     said = "gains 0.1 mm at the tool on average, whichever of these it is"
     assert any(said in line for line in to_do(verdict))
     assert "gains 0.1 mm on average, whichever of these it is" in screen(verdict)
@@ -486,10 +499,9 @@ def test_the_gain_of_one_of_several_causes_is_said_to_be_that() -> None:
 
 def test_a_cause_that_may_be_a_place_instead_names_it_on_the_first_screen() -> None:
     """It was ambiguous, and nobody was told with what."""
-    curve = lost("reversal").located[0].members[0]
+    curve = lost_loop("reversal").located[0].members[0]
     chosen = explained("backlash.y", 2e-4, CATALOGUE, 0.6)
-    verdict = made_up("ambiguous", Cause(chosen, (), (), (curve,)))
-    del verdict.__dict__["picture"]
+    verdict = made_up("ambiguous", Cause(chosen, (), (), (curve,)), drawn=True)
     assert "drive y goes wrong along its axis by the way gone since" in screen(verdict).lower()
     assert len(verdict.picture.options) == 2
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+import orthoglide as og
+from orthoglide.report import report_files
 from tests.golden.compare import beyond, differences
 from tests.golden.results import HERE, Case, cases, result_of
 
@@ -22,6 +24,12 @@ def test_a_campaign_gives_its_golden_result(case: Case, tmp_path: Path) -> None:
     if wrong:
         lines = "\n  ".join(map(str, wrong))
         pytest.fail(f"{case.name}: {len(wrong)} beyond tolerance\n  {lines}", pytrace=False)
+    # The result that is read from its file writes the same report.
+    written = tmp_path / "result"
+    again = report_files(og.Verdict.load(written, case.own_effects))
+    for name, content in again.items():
+        data = content.encode() if isinstance(content, str) else content
+        assert data == (written / name).read_bytes(), name
 
 
 def test_every_golden_file_has_its_case() -> None:

@@ -82,6 +82,11 @@ def found(here: Path, name: str, names: tuple[str, ...]) -> tuple[dict[str, Any]
     return json.loads((here / name / "result.json").read_text()), shown.stdout
 
 
+def figures(fit: dict[str, Any]) -> dict[str, Any]:
+    """Figures of a fit, those by parameter in their order and without its name."""
+    return {k: list(v.values()) if isinstance(v, dict) else v for k, v in fit.items()}
+
+
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str]:
     """Result and page of setups with plain names."""
@@ -128,8 +133,9 @@ def test_names_of_setups_change_no_number(
             assert name == Parameter("gauge_scale", setup=meant)
             assert CATALOGUE.parameter(name, names).setup == meant
             assert CATALOGUE.parameter(name).setup == meant
-    for key in ("verdict", "before", "after"):
-        assert result[key] == plain_result[key]
+    assert result["verdict"] == plain_result["verdict"]
+    for key in ("before", "after"):
+        assert figures(result[key]) == figures(plain_result[key])
     page = (here / "out" / "report.html").read_text()
     assert Texts(page).kinds == Texts(plain_page).kinds
     for name in names:

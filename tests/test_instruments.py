@@ -26,8 +26,8 @@ COUNT = 12
 # Where files of the command line, parts of a drawing or groups of effects have the same word.
 OTHER_MEANINGS = {
     "effects/effect.py", "effects/page.py", "effects/plates.py", "pictures.py",
-    "report/page.py", "report/result_json.py", "request/reading.py",
-    "request/request.py", "scene/marks.py", "scene/parts.py",
+    "report/page.py", "result/reading.py", "result/request.py", "scene/marks.py",
+    "scene/parts.py",
     "firmware/klipper/heights.py",
 }  # fmt: skip
 

@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 import orthoglide as og
 from orthoglide.cli import cli
-from orthoglide.closing import close_loop
 from orthoglide.errors import FileError, InputError
 from orthoglide.firmware.klipper import Imported, import_printer
 from orthoglide.firmware.klipper.new_numbers import new_numbers, plate_of
@@ -24,9 +23,11 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text, parse_machine_file
 from orthoglide.numerals import MINUS
 from orthoglide.observations import campaign_rows, campaign_text, read_readings, readings_from_rows
+from orthoglide.verdict import close_loop
 from tests.factors import factor_of
 from tests.klipper_files import DATA, simulated_cfg
 from tests.rig_delta import DeltaRig
+from tests.studied import studied
 
 CONFIGS = sorted(DATA.glob("*.cfg"))
 V400 = DATA / "v400-april.cfg"
@@ -138,7 +139,8 @@ def test_prints_keep_the_size_that_distances_gave() -> None:
     calibration = found.campaigns[0]
     heights = calibration.subset(np.array([kind == "plate" for kind in calibration.kind]))
     for campaign in (calibration, heights):
-        made = close_loop([campaign], machine).firmware.corrections
+        made = studied([campaign], machine).corrections
+        assert made is not None
         angle = np.arange(6) * np.pi / 3
         ring = 0.05 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
         same = made.old.heights(ring) - made.old.at_endstop + made.new.at_endstop
@@ -749,8 +751,8 @@ def test_where_the_owner_set_the_nozzle_stays(tmp_path: Path, moved: float) -> N
     assert ("another machine" in note) == (abs(moved) > 3)
     height = []
     for found in (before, after):
-        verdict = close_loop([found.campaigns[0]], Machine(found.machine))
-        made = verdict.firmware.corrections
+        made = studied([found.campaigns[0]], Machine(found.machine)).corrections
+        assert made is not None
         carriage = made.old.heights(np.zeros((1, 3))) - made.old.at_endstop
         height.append(made.new.points(carriage + made.new.at_endstop)[0, 2])
     assert height[1] == pytest.approx(height[0], abs=max(3e-6, 2e-6 * abs(moved)))

@@ -11,12 +11,12 @@ from click.testing import CliRunner
 
 import orthoglide as og
 from orthoglide.cli import cli
-from orthoglide.closing import close_loop
 from orthoglide.errors import FileError
 from orthoglide.firmware.klipper import Imported, import_printer
 from orthoglide.firmware.klipper.pasting import WHERE
 from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text, parse_machine_file
+from orthoglide.verdict import close_loop
 from tests.klipper_files import DATA, simulated_cfg
 from tests.rig_delta import DeltaRig
 
@@ -264,5 +264,5 @@ def test_a_touch_that_is_none_is_set_aside_by_its_row(tmp_path: Path) -> None:
     found = imported(tmp_path, text.replace(rows[2], ", ".join(cells)))
     (fault,) = close_loop(list(found.campaigns), found.machine).blunders
     assert fault.kind == "outlier"
-    assert fault.sets_aside
+    assert fault.excluded
     assert "mm off what all others say" in fault.message

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from orthoglide.accuracy import workspace
-from orthoglide.closing import close_loop
+from orthoglide.closing import filled
 from orthoglide.effects import catalogue_of, relabelled
 from orthoglide.effects.places import places
 from orthoglide.effects.wording import cause_words, parameter_words
@@ -33,8 +33,10 @@ from orthoglide.planning.sheets import sheet_of
 from orthoglide.prediction import Conditions
 from orthoglide.reduction.spheres import intersect_spheres
 from orthoglide.simulation import simulate, simulate_tcp
+from orthoglide.verdict import Verdict
 from tests.engines import forward, mechanism
 from tests.rig_delta import DeltaRig, parameter_names
+from tests.studied import studied
 from tests.test_cli import run
 
 RIG = DeltaRig()
@@ -414,11 +416,12 @@ def test_points_of_any_layout_are_simulated_judged_and_drawn(geometry: Geometry)
     assert np.ptp(points.p, axis=0).min() > 0.05
     assert list(drawn.to_frame())[:3] == [f"travel_{name}_mm" for name in geometry.leg_names]
     noise = np.random.default_rng(0).normal(scale=1e-5, size=len(drawn))
-    verdict = close_loop([drawn.with_readings(drawn.reading + noise)], sound)
+    closed = studied([drawn.with_readings(drawn.reading + noise)], sound)
+    verdict = filled(closed, Verdict)
     assert verdict.stands
     for picture in (verdict._repr_html_(), verdict.plot("tool").svg):
         assert "<svg" in picture
-    space = verdict.workspace
+    space = closed.workspace
     assert space is not None
     assert np.abs(space.at - sound.forward(workspace(geometry))).max() < 1e-9
 

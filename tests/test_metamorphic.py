@@ -14,7 +14,7 @@ import pytest
 import orthoglide as og
 from orthoglide.effects import relabelled
 from orthoglide.effects.wording import cause_words
-from orthoglide.result import Result as Verdict
+from orthoglide.verdict import Verdict
 
 RIG = Path(__file__).parent / "data" / "rig"
 CASES = ("rig-2", "rig-4")  # one explained, one ambiguous

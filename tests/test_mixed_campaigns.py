@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orthoglide.closing import Verdict, close_loop
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings
+from orthoglide.verdict import Verdict, close_loop
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 

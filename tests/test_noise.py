@@ -19,6 +19,8 @@ from orthoglide.machine_file import Dial, Instrument
 from orthoglide.observations import Readings, protocol
 from orthoglide.planning.sheets import tool_sheet
 from orthoglide.report.wording import headline
+from orthoglide.result import Fit
+from tests.studied import studied
 
 SPREAD = 3e-5
 EXACT = Dial(resolution=0.0)
@@ -71,7 +73,7 @@ def test_declared_by_row() -> None:
     assert noise.typical == pytest.approx(np.sqrt(np.mean(sigma**2)))
 
 
-def caution(estimate: og.Estimate) -> str:
+def caution(estimate: og.Estimate | Fit) -> str:
     """What is said of readings that scatter less than was declared."""
     return " ".join(w for w in estimate.warnings if w.kind == "quiet")
 
@@ -355,9 +357,9 @@ def test_noise_declared_too_small_is_said_before_the_machine_is_blamed() -> None
 def test_a_datasheets_figure_locates_no_place_in_repeats_that_scatter(told: float) -> None:
     """Neighbouring digits of a loud dial passed for edges of its steps; bars grew with time."""
     fit = scattering(5e-6, told=told)
-    verdict = og.close_loop(fit.problem.campaigns, fit.problem.machine)
-    assert not verdict.located
-    (note,) = scatter_notes(verdict.after)
+    closed = studied(fit.problem.campaigns, fit.problem.machine)
+    assert not closed.located
+    (note,) = scatter_notes(closed.after)
     assert "where the machine file says 0.000" in note
 
 
@@ -390,7 +392,8 @@ def test_the_source_of_the_noise_is_told_of_each_instrument(tmp_path: Path) -> N
     assert kept["noise_source"] == "repeats"
     assert kept["noise_of"]["tcp"]["source"] == "repeats"
     assert kept["noise_of"]["tcp"]["mm"] == pytest.approx(0.03, rel=0.4)
-    assert kept["noise_of"]["plate"] == {"mm": 0.02, "source": "machine"}
+    plate = {"mm": 0.02, "source": "machine", "sigma_si": 2e-5, "unit": "mm"}
+    assert kept["noise_of"]["plate"] == plate
     assert "from the scatter of the repeats" in (tmp_path / "out" / "report.html").read_text()
     own = replace(machine.spec, instruments={"tcp": og.Instrument(repeatability=3e-5)})
     told = og.identify(read[0], replace(machine, spec=own)).problem

@@ -14,11 +14,13 @@ import pytest
 import orthoglide as og
 from benchmarks.delta_readings import measured as read_by
 from benchmarks.delta_truth import machine as delta
+from orthoglide.closing import filled
 from orthoglide.prospects import parting
 from orthoglide.report import report_files
 from tests.rig import Rig
 from tests.rig_campaigns import hysteresis, s_curve
 from tests.rig_delta import DeltaRig
+from tests.studied import studied
 from tests.test_design import RIG, driven, measured
 
 TRUE = "rail.x.z/travel"
@@ -28,10 +30,10 @@ BENT = Rig(errors=OFF, extra=(s_curve(0, 2, 4e-5),))
 
 @cache
 def located(seed: int) -> Any:
-    """A sweep of a machine with a rail bent like an S, and its verdict."""
+    """A sweep of a machine with a rail bent like an S, and what the search left of it."""
     machine = og.Machine.load(RIG / "machine.toml")
     campaign = measured(machine, BENT, "sweep", seed)
-    return machine, campaign, og.close_loop([campaign], machine)
+    return machine, campaign, studied([campaign], machine)
 
 
 def proposed(verdict: Any) -> list[Any]:
@@ -44,11 +46,11 @@ def test_the_readings_proposed_for_a_class_of_places_leave_the_true_one(
     seed: int, tmp_path: Path
 ) -> None:
     """Nothing was proposed. At the second seed the true place is not the likeliest at first."""
-    machine, campaign, verdict = located(seed)
-    (found,) = verdict.located
+    machine, campaign, closed = located(seed)
+    (found,) = closed.located
     assert TRUE in {c.place.name for c in found.members}
     assert len(found.members) > 1
-    (one,) = proposed(verdict)
+    (one,) = proposed(closed)
     assert all(f'"{c.place.words}"' in one.reason for c in found.members)
     assert one.gain > 2
     og.write_campaign(one.campaign, tmp_path / "next.csv")
@@ -62,10 +64,11 @@ def test_the_readings_proposed_for_a_class_of_places_leave_the_true_one(
 
 @pytest.mark.thorough
 def test_the_sheet_and_the_page_hold_them_and_they_come_first() -> None:
-    _, _, verdict = located(6)
+    _, _, closed = located(6)
+    verdict = filled(closed, og.Verdict)
     (one,) = proposed(verdict)
     files = report_files(verdict)
-    for row in {row["setup"] for row in one.rows if row["setup"]}:
+    for row in {row["setup"] for row in one.readings if row["setup"]}:
         assert row in files["next_measurements.csv"]
     assert "To tell apart what these readings cannot" in files["report.html"]
     assert verdict.actions[0].words == f"Measure more: {one.reason}"
@@ -75,33 +78,33 @@ def test_a_place_that_is_alone_needs_no_readings(machine: og.Machine) -> None:
     rig = Rig(errors=OFF, extra=(hysteresis(0, 1.2e-4),))
     verdict = og.close_loop([measured(machine, rig, "sweep", 6)], machine)
     (found,) = verdict.located
-    assert [c.place.name for c in found.members] == ["drive.x/reversal"]
+    assert [c.name for c in found.members] == ["drive.x/reversal"]
     assert found.probability > 0.9
     assert not proposed(verdict)
 
 
-def class_of(verdict: Any, *names: str) -> Any:
+def class_of(closed: Any, *names: str) -> Any:
     """A class of other places in the place of the one found."""
-    (found,) = verdict.located
-    places = {p.name: p for p in verdict.posterior.about.places}
+    (found,) = closed.located
+    places = {p.name: p for p in closed.posterior.about.places}
     return replace(found, members=tuple(SimpleNamespace(name=n, place=places[n]) for n in names))
 
 
 def test_places_that_no_reading_parts_are_said_to_be_such() -> None:
-    _, _, verdict = located(6)
+    _, _, closed = located(6)
     still = "drive.z/approach", "bar.y.1/approach"  # neither does anything here
-    (one,) = parting(verdict.posterior, class_of(verdict, *still))
+    (one,) = parting(closed.posterior, class_of(closed, *still))
     assert (one.hopeless, one.rows) == (True, ())
     assert one.reason.startswith('no few readings of a dial on a leg tell "')
     gone = "dial.xz-0.5/time", "dial.xz-0.5/reading"
-    (one,) = parting(verdict.posterior, class_of(verdict, *gone))
+    (one,) = parting(closed.posterior, class_of(closed, *gone))
     assert (one.hopeless, one.rows) == (True, ())
     assert "no new readings tell" in one.reason
 
 
 def test_a_dial_is_told_from_a_rail_by_another_dial() -> None:
-    _, _, verdict = located(6)
-    (one,) = parting(verdict.posterior, class_of(verdict, TRUE, "dial.xz-0.5/reading"))
+    _, _, closed = located(6)
+    (one,) = parting(closed.posterior, class_of(closed, TRUE, "dial.xz-0.5/reading"))
     assert one.aim == "separate"
     assert one.reason.endswith("; take another dial for them than before")
 
@@ -112,7 +115,7 @@ def test_places_of_a_delta_are_parted_by_what_one_may_own() -> None:
     points = read_by(rig, rng, machine=delta(), instrument="tool coordinates")
     verdict = og.close_loop([points], delta())
     (found,) = verdict.located
-    rail, drive = (c.place.words for c in found.members)
+    rail, drive = (c.description for c in found.members)
     told = [s for s in verdict.next_measurements if "places apart" in s.reason]
     assert {s.reason.split(":")[0].rpartition(" with ")[2] for s in told} == {
         "a tracker at the tool", "a ball bar",

@@ -11,7 +11,7 @@ import pytest
 
 import orthoglide as og
 from orthoglide.add_ons import Corrections
-from orthoglide.closing import Verdict, close_loop
+from orthoglide.closing import Closed, filled
 from orthoglide.diagnosis.rest import rest_by_setup
 from orthoglide.firmware.klipper import Imported, import_printer
 from orthoglide.firmware.klipper.new_numbers import left_of, why_not
@@ -22,8 +22,10 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text, parse_machine_file
 from orthoglide.prospects import repeating
 from orthoglide.report import report_files
+from orthoglide.verdict import Verdict, close_loop
 from tests.klipper_files import DATA, simulated_cfg
 from tests.rig_delta import DeltaRig
+from tests.studied import studied
 
 FIELD = Path(__file__).parent / "data" / "field"
 NUMBERS = Numbers(0.163, (210.0, 330.0, 90.0), (0.345,) * 3, (0.3,) * 3)
@@ -35,10 +37,9 @@ def imported(folder: Path, text: str) -> Imported:
     return import_printer(folder / "printer.cfg")
 
 
-def made_of(verdict: Verdict) -> Corrections:
-    assert verdict.firmware is not None
-    assert verdict.firmware.corrections is not None
-    return verdict.firmware.corrections
+def made_of(closed: Closed) -> Corrections:
+    assert closed.corrections is not None
+    return closed.corrections
 
 
 def two_meshes(folder: Path, higher: float) -> Imported:
@@ -56,8 +57,7 @@ def test_z_0_does_not_hang_on_the_order_of_files(tmp_path: Path) -> None:
     assert not found.apart
     machine = Machine(found.machine)
     one, other = (
-        made_of(close_loop(list(every), machine))
-        for every in (found.campaigns, found.campaigns[::-1])
+        made_of(studied(list(every), machine)) for every in (found.campaigns, found.campaigns[::-1])
     )
     assert one.new.endstop == pytest.approx(other.new.endstop, abs=2e-6)
     assert one.height == pytest.approx(other.height, abs=2e-6)
@@ -69,7 +69,7 @@ def test_z_0_does_not_hang_on_the_order_of_files(tmp_path: Path) -> None:
 def test_z_0_belongs_to_the_heights_that_the_firmware_set_it_by() -> None:
     found = import_printer(DATA / "t1-stock.cfg")
     for every in (found.campaigns, found.campaigns[::-1]):
-        made = made_of(close_loop(list(every), Machine(found.machine)))
+        made = made_of(studied(list(every), Machine(found.machine)))
         heights = found.campaigns[0]
         old = made.old
         travel = heights.command + old.zero - old.at_endstop + made.new.at_endstop
@@ -127,8 +127,7 @@ def test_numbers_must_do_better_by_the_firmware_in_every_file(
 def test_rods_that_were_entered_too_short_are_found_by_distances(name: str) -> None:
     """Rods of 272 mm entered as 268, and twelve distances that are all one per cent too long."""
     found = import_printer(FIELD / "rods-entered-4mm-short" / f"{name}.cfg")
-    verdict = close_loop(list(found.campaigns), Machine(found.machine))
-    made = made_of(verdict)
+    made = made_of(studied(list(found.campaigns), Machine(found.machine)))
     assert not made.keep
     assert np.abs(np.array(made.new.arm) - 0.272).max() < 5e-4
     assert re.search(
@@ -156,7 +155,8 @@ def test_heights_that_the_numbers_were_fitted_to_give_no_new_ones(name: str) -> 
     """With distances or without."""
     found = import_printer(DATA / f"{name}.cfg")
     verdict = close_loop([found.campaigns[0]], Machine(found.machine))
-    assert made_of(verdict).keep
+    assert verdict.corrections is not None
+    assert verdict.corrections.keep
     assert not [action for action in verdict.actions if action.kind == "zeros"]
     if verdict.stands:
         assert "Keep the stored numbers: " in " ".join(str(verdict).split())
@@ -165,9 +165,9 @@ def test_heights_that_the_numbers_were_fitted_to_give_no_new_ones(name: str) -> 
 @pytest.mark.thorough
 def test_what_is_left_stands_on_the_page_and_in_the_file(tmp_path: Path) -> None:
     found = imported(tmp_path, simulated_cfg(DeltaRig(errors=OFF), count=5))
-    verdict = close_loop(list(found.campaigns), Machine(found.machine))
+    closed = studied(list(found.campaigns), Machine(found.machine))
+    made, verdict = made_of(closed), filled(closed, Verdict)
     files = report_files(verdict)
-    made = made_of(verdict)
     (row,) = made.left
     assert row[0] == "mesh-default, heights"
     page = re.sub(r"<[^>]*>", " ", unescape(str(files["report.html"])))

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from orthoglide.checking import states_of
 from orthoglide.effects import CATALOGUE
 from orthoglide.fit import points_of
 from orthoglide.observations import csv_text, tcp_rows
 from orthoglide.parameters import MEMBERS
 from orthoglide.planning.sheets import sheet_of
 from orthoglide.report import result_text
-from orthoglide.request import states_of
 
 WORN = og.Machine.nominal().with_parameters({"joint_offset.x": 6e-4, "leg_length.y": 5e-5})
 DIALS = og.simulate(WORN, "standard", noise=5e-6, seed=1)

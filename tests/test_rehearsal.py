@@ -235,7 +235,7 @@ def test_a_failed_campaign_counts_and_is_shown(scope: Scope, monkeypatch: Any) -
     def fail(*_: Any, **__: Any) -> None:
         raise og.SolverError("it does not settle")
 
-    monkeypatch.setattr("orthoglide.rehearsal.outcome.close_loop", fail)
+    monkeypatch.setattr("orthoglide.rehearsal.outcome.close", fail)
     tried = outcome_of(scope, 0, 0)
     assert tried.failed == "SolverError: it does not settle"
     assert not tried.missed

@@ -17,19 +17,21 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.closing import Verdict, close_loop
+from orthoglide.closing import Closed, filled
 from orthoglide.diagnosis.pattern import describe_left
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import cause_short, cause_words
 from orthoglide.errors import FileError
 from orthoglide.fit import Estimate, identify
-from orthoglide.judging import HoldOut
 from orthoglide.numerals import ByUnit
 from orthoglide.observations import Campaign, protocol
 from orthoglide.report import report_files, summary
 from orthoglide.report.phrases import dealt_with
 from orthoglide.report.sections import before_and_after
 from orthoglide.report.wording import evidence, headline
+from orthoglide.result import HoldOut
+from orthoglide.verdict import Verdict, close_loop
+from tests.studied import studied
 from tests.test_report import RIG, browsed, check_page, check_timeless, opened, words
 
 CASES = ("explained", "partial", "unexplained", "faulty")
@@ -69,16 +71,21 @@ def faulty() -> Campaign:
 
 @cache
 def verdict_of(which: str) -> Verdict:
+    return filled(closed_of(which), Verdict)
+
+
+@cache
+def closed_of(which: str) -> Closed:
     machine = rig_machine()
     if which == "partial":
         tilted = machine.with_parameters({"axis_tilt.y.z": 5e-3})
         sheet = protocol("sweep")
         more = tilted.readings(sheet) - machine.readings(sheet)
-        return close_loop(swept(odd() + more), machine, holdout=swept(seed=1))
+        return studied(swept(odd() + more), machine, holdout=swept(seed=1))
     if which == "explained":
         points = og.read_tcp(RIG / "rig-2.tcp.csv", machine.spec)
-        return close_loop(og.read_campaign(RIG / "rig-2.csv", machine.spec), machine, tcp=points)
-    return close_loop(swept(odd()) if which == "unexplained" else faulty(), machine)
+        return studied(og.read_campaign(RIG / "rig-2.csv", machine.spec), machine, tcp=points)
+    return studied(swept(odd()) if which == "unexplained" else faulty(), machine)
 
 
 @cache
@@ -168,7 +175,7 @@ def test_the_key_numbers_are_on_the_page(which: str) -> None:
         assert any(f"{value * 1e3:.{places}f}" in text for places in (2, 3, 4))
     for blunder in verdict.blunders:
         assert blunder.message in text
-    for line in verdict.pattern:
+    for line in verdict.left.pattern:
         assert line[1:] in text
     assert "orthoglide rerun result.json" in text
     assert "Not visible, which is not absent" in text or not verdict.invisible
@@ -232,9 +239,9 @@ def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
     faults = headline(verdict_of("faulty"))
     assert faults.startswith("Drive x has 0.056 mm of lost motion.")
     assert faults.endswith("1 fault in the data had to be dealt with first.")
-    left_out = len(verdict_of("faulty").after.problem.measured) // 4
+    left_out = len(verdict_of("faulty").readings) // 4
     (known,) = verdict_of("faulty").blunders
-    many = replace(known, kind="label", rows=tuple((0, k) for k in range(left_out)))
+    many = replace(known, kind="label", rows_in_request=tuple((0, k) for k in range(left_out)))
     told = dealt_with(replace(verdict_of("faulty"), blunders=(many,)))
     assert re.search(rf"{left_out} of \d+ readings do not count", told)
 
@@ -279,7 +286,7 @@ def test_the_list_counts_the_readings_of_the_sheet() -> None:
 def test_what_is_left_and_no_larger_than_the_noise_is_said_so() -> None:
     """A verdict by pattern does not pretend that a size exceeds the noise."""
     verdict = verdict_of("partial")
-    scores = replace(verdict.after.scores, rms=0.8 * verdict.after.problem.noise.typical)
+    scores = replace(verdict.after.scores, rms=0.8 * verdict.noise.single_reading.length)
     text = headline(replace(verdict, after=replace(verdict.after, scores=scores)))
     assert "no larger than the dial's noise" in text
     assert "by its pattern" in text

@@ -27,8 +27,9 @@ from orthoglide.report import report_files, result_text
 DATA = Path(__file__).parent / "data"
 RIG = DATA / "rig"
 PUBLISHED = Path(og.__file__).parent / "data" / "experiment2.csv"
-# What was given, how many steps it took, and checks that measure rounding.
-APART = ("version", "inputs", "machine", "method", "verification")
+# What was given, how many steps it took, checks that measure rounding, and the machine as a text of
+# all digits, whose numbers are those of `calibrated`.
+APART = ("version", "inputs", "machine", "method", "verification", "calibrated_machine")
 
 Close = Callable[[og.Machine], og.Verdict]
 

@@ -13,6 +13,7 @@ from benchmarks import second_visit
 from orthoglide.checking import check
 from tests.rig import Rig
 from tests.rig_campaigns import drive_step, protocol_rows, s_curve, simulate
+from tests.studied import studied
 from tests.test_checking import delta, probed
 
 SHEET = og.Machine.load(Path(__file__).parent / "data" / "rig" / "machine.toml")
@@ -116,7 +117,7 @@ def test_a_fault_put_right_leaves_nothing(tmp_path: Path, name: str, size: float
     first = og.close_loop(measured({**ERRORS, name: size}, 5, "first"), SHEET)
     first.machine.save(tmp_path / "calibrated.toml")
     known = og.Machine.load(tmp_path / "calibrated.toml")
-    again = og.close_loop(measured(ERRORS, 6, "second"), known)
+    again = studied(measured(ERRORS, 6, "second"), known)
     assert again.word == "adequate"
     (change,) = again.changed
     assert name in change.members
@@ -180,7 +181,7 @@ def test_a_plate_that_bent_since_the_calibration_is_in_the_class(
     together as single ones.
     """
     known = og.close_loop([probed("probe", 1, **before)], delta()).machine
-    again = og.close_loop([probed("probe", 2, **after)], known)
+    again = studied([probed("probe", 2, **after)], known)
     (change,) = again.changed
     for name, size in by.items():
         assert change.moved[name] == pytest.approx(size, rel=0.25)
@@ -196,7 +197,7 @@ def test_one_plate_that_bent_under_two_setups_is_one_change() -> None:
     known = og.close_loop([probed("probe", 1)], delta()).machine
     one, other = probed("probe", 2, **BENT), probed("probe", 3, **BENT)
     setups = tuple(replace(s, name="fine") for s in other.setups)
-    again = og.close_loop([one, replace(other, name="other", setups=setups)], known)
+    again = studied([one, replace(other, name="other", setups=setups)], known)
     (change,) = again.changed
     assert change.moved["plate_bow.common"] == pytest.approx(1.5e-4, rel=0.25)
     assert "axis_offset.radial.common" in change.members
@@ -290,7 +291,7 @@ def test_a_cause_that_was_one_of_several_is_told_by_how_much_it_changed(tmp_path
     assert {"mount_tilt.z.b", "bar_mismatch.z"} <= rivals | {c.name for c in first.effects}
     first.machine.save(tmp_path / "calibrated.toml")
     known = og.Machine.load(tmp_path / "calibrated.toml")
-    again = og.close_loop(measured({**hinge, "mount_tilt.z.b": -3e-4}, 2, "second"), known)
+    again = studied(measured({**hinge, "mount_tilt.z.b": -3e-4}, 2, "second"), known)
     (note,) = [str(note) for note in again.warnings if "told best by orthoglide check" in str(note)]
     assert "bar_mismatch.z" in note
     for change in again.changed:

@@ -51,9 +51,9 @@ def test_located_as_such_and_kept(
     verdict = og.close_loop(rows, machine())
     assert (verdict.word, verdict.effects) == ("located", ())
     ((curve,),) = (found.members for found in verdict.located)
-    assert curve.place.name == f"{part}.b.{direction}/waves"
-    assert curve.place.words.startswith(words)
-    assert curve.place.words.endswith("in short waves along its travel")
+    assert curve.name == f"{part}.b.{direction}/waves"
+    assert curve.description.startswith(words)
+    assert curve.description.endswith("in short waves along its travel")
     # As large as it is, where it was read; its band says how well.
     low, high = np.percentile(rows.command, [5, 95])
     read = (curve.at > low) & (curve.at < high)
@@ -118,5 +118,5 @@ def test_the_rail_of_a_stage_with_bars_of_31_mm_is_found(seed: int) -> None:
     )
     verdict = og.close_loop(readings_from_rows(small, spec, name="stage"), og.Machine(spec))
     (located,) = verdict.located
-    place = located.members[0].place
+    place = located.members[0]
     assert place.name == f"rail.{'xyz'[leg]}.{'xyz'[axis]}/travel"

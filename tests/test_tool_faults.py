@@ -78,7 +78,7 @@ def test_a_visit_that_disagrees_with_the_other_is_told() -> None:
     reading = campaign.reading.copy()
     reading[row] += 1.5e-4
     (fault,) = og.close_loop([replace(campaign, reading=reading)], MACHINE).blunders
-    assert (fault.kind, fault.rows) == ("outlier", ((0, row),))
+    assert (fault.kind, fault.rows_in_request) == ("outlier", ((0, row),))
     said = rf"line {campaign.line[row]}, .* off the other readings of this place"
     assert re.search(said, fault.message)
 
@@ -94,8 +94,10 @@ def test_a_slip_among_repeats_hides_no_other_in_the_noise() -> None:
     reading = campaign.reading.copy()
     reading[rows] += [-0.6e-3, 1e-3]
     verdict = og.close_loop([replace(campaign, reading=reading)], MACHINE)
-    assert sorted(row for fault in verdict.blunders for _, row in fault.rows) == sorted(rows)
-    noise = (float(np.mean(v.after.problem.sigma)) for v in (verdict, sound))
+    assert sorted(row for fault in verdict.blunders for _, row in fault.rows_in_request) == sorted(
+        rows
+    )
+    noise = (float(np.mean(v.readings.sigma)) for v in (verdict, sound))
     assert next(noise) == pytest.approx(next(noise), rel=0.1)
 
 
@@ -115,7 +117,7 @@ def test_two_visits_that_were_exchanged_are_told() -> None:
     assert apart > 2e-4
     reading[[one, other]] = reading[[other, one]]
     found = og.close_loop([replace(campaign, reading=reading)], MACHINE).blunders
-    assert {row for fault in found for _, row in fault.rows} == {one, other}
+    assert {row for fault in found for _, row in fault.rows_in_request} == {one, other}
 
 
 @pytest.mark.thorough(except_for=["tcp-<lambda>0", "ballbar-<lambda>"])

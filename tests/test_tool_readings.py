@@ -28,6 +28,7 @@ from orthoglide.prospects import owned_instruments
 from tests.factors import factor_of
 from tests.klipper_files import DATA
 from tests.rig_delta import DeltaRig
+from tests.studied import studied
 
 RIG = DeltaRig()
 SPEC = MachineFile(
@@ -703,7 +704,7 @@ def test_a_slip_of_an_exact_instrument_is_told(kind: str, size: float, tmp_path:
     wrong = campaign.reading.copy()
     wrong[8] += size
     (fault,) = og.close_loop([replace(campaign, reading=wrong)], MACHINE).blunders
-    assert fault.sets_aside
+    assert fault.excluded
     assert re.search(
         rf"tool.csv, line 10, .* is \+{size * 1e3:.1g}\d* mm off what all others", fault.message
     )
@@ -867,7 +868,7 @@ def test_one_plate_probed_twice_hides_its_bowl_as_if_probed_once() -> None:
         read = [replace(og.simulate(machine, once, noise=2e-5, seed=k), name=s,
                         setups=(replace(once.setups[0], name=s),))
                 for k, s in enumerate(setups)]  # fmt: skip
-        posterior = og.close_loop(read, machine).posterior
+        posterior = studied(read, machine).posterior
         assert posterior is not None
         hidden = {n.setup for n in posterior.invisible if n.effect == "plate_bow"}
         assert hidden == set(setups)

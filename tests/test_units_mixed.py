@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from orthoglide.closing import Verdict, close_loop, run
+from orthoglide.closing import Closed, filled
 from orthoglide.fit import Estimate, identify
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial
@@ -20,9 +20,11 @@ from orthoglide.report import report_files, result_text, summary
 from orthoglide.report.rows import score_rows
 from orthoglide.report.sections import before_and_after
 from orthoglide.report.wording import headline, where_left
-from orthoglide.request import Request
+from orthoglide.result import Request
+from orthoglide.verdict import Verdict, close_loop, run
 from tests import rig_campaigns as rc
 from tests.rig import Rig
+from tests.studied import studied
 
 MACHINE = Machine.nominal()
 ERRORS = {"joint_offset.x": 8e-4, "joint_offset.y": -5e-4}
@@ -60,26 +62,31 @@ def tool(
 
 @cache
 def odd_tool() -> Verdict:
+    return filled(odd_loop(), Verdict)
+
+
+@cache
+def odd_loop() -> Closed:
     """The dials find nothing odd, the tracker's places are off without pattern."""
-    return close_loop([dials(), tool(("tcp",), odd=4e-4)], MACHINE)
+    return studied([dials(), tool(("tcp",), odd=4e-4)], MACHINE)
 
 
 @pytest.mark.thorough
 def test_what_is_left_is_shared_by_all_that_was_read() -> None:
     verdict = odd_tool()
     assert not verdict.stands
-    everything = (*verdict.rest, *verdict.rest_of_tool)
-    assert sum(one.share for one in everything) == pytest.approx(1.0)
-    squares = verdict.after.problem.weighing.whiten(verdict.after.residuals) ** 2
+    assert sum(one.share for one in verdict.left.mountings) == pytest.approx(1.0)
+    after = odd_loop().after
+    squares = after.problem.weighing.whiten(after.residuals) ** 2
     on_dials = float(squares[: len(dials())].sum() / squares.sum())
-    assert sum(one.share for one in verdict.rest) == pytest.approx(on_dials)
+    assert sum(one.share for one in verdict.left.by_dial) == pytest.approx(on_dials)
     assert on_dials < 0.1
 
 
 @pytest.mark.thorough
 def test_what_is_left_at_the_tool_is_told_and_followed_there() -> None:
     verdict = odd_tool()
-    most = verdict.rest_of_tool[0]
+    most = verdict.left.by_instrument[0]
     said = f"({100 * most.share:.0f} %) shows in {most.reads} (tcp)"
     assert said in headline(verdict)
     assert "shows on leg" not in headline(verdict)
@@ -87,12 +94,13 @@ def test_what_is_left_at_the_tool_is_told_and_followed_there() -> None:
     assert follow.aim == "trace"
     assert f"shows most in {most.reads}" in follow.reason
     assert not any("shows on leg" in option.words for option in verdict.picture.options)
-    assert verdict.pattern[0] == f"{most.share:.0%} of it is in {most.reads} (tcp)"
+    assert verdict.left.pattern[0] == f"{most.share:.0%} of it is in {most.reads} (tcp)"
 
 
 def test_a_single_dial_is_not_all_dials() -> None:
-    one = replace(odd_tool())
-    vars(one).update(rest=(replace(odd_tool().rest[0], share=1.0),), rest_of_tool=())
+    left = odd_tool().left
+    only = replace(left, mountings=(replace(left.by_dial[0], share=1.0),))
+    one = replace(odd_tool(), left=only)
     assert "(100 %) shows on leg" in where_left(one)
     assert "though" not in where_left(one)
 
@@ -101,27 +109,27 @@ TWISTED = {**ERRORS, "mount_tilt.x.a": 0.012}
 
 
 @cache
-def with_level() -> Verdict:
+def with_level() -> Closed:
     """A hinge that hardly moves the tool, and turns the platform."""
-    return close_loop([tool(("tcp", "incline"), errors=TWISTED)], MACHINE)
+    return studied([tool(("tcp", "incline"), errors=TWISTED)], MACHINE)
 
 
 @cache
-def level_alone() -> Verdict:
-    return close_loop([tool(("incline",), errors=TWISTED)], MACHINE)
+def level_alone() -> Closed:
+    return studied([tool(("incline",), errors=TWISTED)], MACHINE)
 
 
-def left_of(verdict: Verdict, of: str, stage: Estimate) -> float:
-    (points,) = (f.readings for f in verdict.after.problem.tool)
+def left_of(closed: Closed, of: str, stage: Estimate) -> float:
+    (points,) = (f.readings for f in closed.after.problem.tool)
     return float(np.sqrt(np.mean(stage.residuals[points.of_kind(of)] ** 2)) * 1e3)
 
 
 @pytest.mark.thorough
 def test_millimetres_and_milliradians_are_told_apart() -> None:
-    verdict = with_level()
-    before, after = verdict.before, verdict.after
+    closed, verdict = with_level(), filled(with_level(), Verdict)
+    before, after = closed.before, closed.after
     mm, mrad = (
-        [left_of(verdict, kind, stage) for stage in (before, after)] for kind in ("tcp", "incline")
+        [left_of(closed, kind, stage) for stage in (before, after)] for kind in ("tcp", "incline")
     )
     assert mrad[0] > 50 * mrad[1]
     told = json.loads(result_text(verdict))
@@ -147,16 +155,16 @@ def test_millimetres_and_milliradians_are_told_apart() -> None:
 
 
 def test_of_a_level_alone_nothing_is_in_millimetres() -> None:
-    verdict = level_alone()
+    closed, verdict = level_alone(), filled(level_alone(), Verdict)
     told = json.loads(result_text(verdict))
     assert told["noise_mm"] is None
     assert told["before"]["rms_mm"] is None
-    assert told["before"]["rms_mrad"] == pytest.approx(left_of(verdict, "incline", verdict.before))
+    assert told["before"]["rms_mrad"] == pytest.approx(left_of(closed, "incline", closed.before))
     assert " mrad rms, which is the noise" in headline(verdict)
     assert " mm rms" not in headline(verdict)
     assert {tile.unit.split()[0].strip(",") for tile in before_and_after(verdict)} == {"mrad"}
     assert not any(", mm" in row.what for row in score_rows(verdict))
-    assert " mm" not in repr(verdict.after)
+    assert " mm" not in repr(closed.after)
 
 
 def test_what_readings_do_not_see_is_not_called_nominal() -> None:
@@ -169,11 +177,12 @@ def test_what_readings_do_not_see_is_not_called_nominal() -> None:
 
 
 def test_residuals_stand_under_their_units() -> None:
-    verdict = with_level()
-    (points,) = (f.readings for f in verdict.after.problem.tool)
-    table = list(csv.DictReader(io.StringIO(report_files(verdict)["residuals.csv"])))
+    closed = with_level()
+    (points,) = (f.readings for f in closed.after.problem.tool)
+    files = report_files(filled(closed, Verdict))
+    table = list(csv.DictReader(io.StringIO(files["residuals.csv"])))
     assert [row["kind"] for row in table] == list(points.kind)
-    residuals = verdict.after.residuals * 1e3
+    residuals = closed.after.residuals * 1e3
     for row, left, reading in zip(table, residuals, points.reading * 1e3, strict=True):
         own, other = ("mrad", "mm") if row["kind"] == "incline" else ("mm", "mrad")
         assert float(row[f"residual_after_{own}"]) == pytest.approx(left, abs=1e-6)

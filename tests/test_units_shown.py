@@ -11,7 +11,7 @@ import pytest
 
 import orthoglide as og
 from orthoglide.cli.rerun import compare
-from orthoglide.closing import run
+from orthoglide.closing import Closed, close, filled
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import confirm_words, one_words, size_words
 from orthoglide.effects.words import mm, mrad, percent, slope
@@ -19,7 +19,7 @@ from orthoglide.mechanism.tree import load, nominal_tree
 from orthoglide.numerals import compact
 from orthoglide.report import result_text
 from orthoglide.report.rows import parameter_rows
-from orthoglide.request import Request
+from orthoglide.result import Request
 
 RIG = Path(__file__).parent / "data" / "rig"
 
@@ -86,11 +86,16 @@ def test_a_misfit_is_as_large_as_its_largest_entry_whatever_its_sign() -> None:
 
 @cache
 def found() -> og.Verdict:
+    return filled(closed(), og.Verdict)
+
+
+@cache
+def closed() -> Closed:
     """An identification of lengths, angles, ratios and speeds."""
     machine = og.Machine.load(RIG / "machine.toml")
     free = ["joint_offset", "leg_length", "axis_tilt", "gauge_drift", "gauge_scale"]
     campaign = og.read_campaign(RIG / "rig-2.csv", machine.spec)
-    return run(Request("identify", (campaign,), machine, free=tuple(free)))
+    return close(Request("identify", (campaign,), machine, free=tuple(free)))
 
 
 def test_values_sigmas_and_tolerances_share_one_unit() -> None:
@@ -120,7 +125,7 @@ def test_values_sigmas_and_tolerances_share_one_unit() -> None:
 
 
 def test_keys_in_millimetres_hold_millimetres() -> None:
-    told, after = json.loads(result_text(found())), found().after
+    told, after = json.loads(result_text(found())), closed().after
     assert told["noise_mm"] == pytest.approx(after.problem.noise.typical * 1e3)
     for side, scores in (("after", after.scores), ("nominal", after.nominal)):
         for key in ("rms", "deviation_rms", "max", "cv_rms"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.closing import SIGNIFICANT
+from orthoglide.closing.loop import SIGNIFICANT
 from orthoglide.fit import solve
 from orthoglide.fit.identifying import assemble
 from orthoglide.posterior import full_posterior, outstanding, remains
@@ -14,6 +14,7 @@ from orthoglide.posterior.causes import Outstanding
 from orthoglide.report.wording import headline
 from tests import rig_campaigns as rc
 from tests.rig import LEGS, Rig
+from tests.studied import studied
 
 NOTHING = Outstanding((), (), ())
 
@@ -39,7 +40,7 @@ def test_a_verdict_and_its_table_agree(size: float) -> None:
         moved[:, 0, 0] = size * (travel[:, 1] / 0.1) ** 2
         return moved
 
-    verdict = og.close_loop(campaign_of(Rig(extra=(bent,))))
+    verdict = studied(campaign_of(Rig(extra=(bent,))))
     assert verdict.word == "located"
     members = verdict.located[0].members  # the mean is over all of them
     assert len(members) > 1

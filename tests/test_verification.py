@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.closing import Verdict, close_loop, run
 from orthoglide.errors import ClosureError, CrossCheckError, SolverError
 from orthoglide.fit import Estimate, identify, solving
 from orthoglide.fit.verification import MOST_POSTURES, verify
@@ -24,8 +23,9 @@ from orthoglide.mechanism.engine import Outputs, SixBars
 from orthoglide.mechanism.six_bars import TCP
 from orthoglide.observations import Campaign, protocol
 from orthoglide.report import result_text
-from orthoglide.request import Request
+from orthoglide.result import Request
 from orthoglide.simulation import simulate_tcp
+from orthoglide.verdict import Verdict, close_loop, run
 from tests.test_layout import UNEVEN
 
 RIG = Path(__file__).parent / "data" / "rig"
@@ -74,9 +74,8 @@ def test_a_result_says_how_far_pinocchio_is_from_it(result: Callable[[], Verdict
     assert written["tcp_max_difference_mm"] < 1e-9
     assert written["sensitivity_max_relative_difference"] < 1e-9
     assert 0 < written["postures"] <= MOST_POSTURES
-    verification = found.after.verification
-    assert verification is not None
-    assert written == verification.as_dict()
+    assert found.verification is not None
+    assert written == found.verification.as_dict()
 
 
 def test_of_many_postures_as_many_are_drawn() -> None:

@@ -123,12 +123,12 @@ def test_digits_that_change_at_an_edge_are_no_drift(noise: float) -> None:
     campaign = simulate(with_dial(1e-5, **offsets), "sweep", noise=noise, seed=0)
     verdict = og.close_loop(campaign, machine)
     assert (verdict.word, verdict.effects, verdict.located) == ("adequate", (), ())
-    problem = verdict.after.problem
-    edge = problem.sigma == 5e-6
+    read = verdict.readings
+    edge = read.sigma == 5e-6
     assert 0 < edge.sum() < 0.2 * len(campaign)
-    assert problem.sigma[~edge].max() < 1e-5 / 4
-    for station in set(problem.station[edge]):
-        shown = campaign.reading[problem.station == station]
+    assert read.sigma[~edge].max() < 1e-5 / 4
+    for station in set(read.station[edge]):
+        shown = campaign.reading[read.station == station]
         assert np.ptp(shown) == pytest.approx(1e-5)
 
 

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 import orthoglide as og
-from orthoglide.closing import Verdict, close_loop
 from orthoglide.numerals import probability
 from orthoglide.observations import Campaign
+from orthoglide.verdict import Verdict, close_loop
 
 DATA = Path(str(files("orthoglide") / "data"))
 
@@ -94,7 +94,8 @@ def alone(verdicts: dict[str, Verdict]) -> Iterator[str]:
         scale = verdict.before.sigma_scale
         yield (
             f"- {name}: what offsets and lengths leave is {scale:.1f} times the noise. Effects "
-            f"that do not stand out are off by about {verdict.share:.1f} of their tolerances; "
+            f"that do not stand out are off by about {verdict.left.background:.1f} of their "
+            f"tolerances; "
             f"the probability that noise alone leaves what is left then is "
             f"{probability(verdict.left.p_value)}."
         )
@@ -112,7 +113,7 @@ def differences() -> Iterator[str]:
     for k in (1, 2, 3):
         verdict = close_loop(campaign(f"experiment{k}-differences"))
         named = ", ".join(e.name for e in verdict.effects)
-        why = f"named: {named}" if named else verdict.stopped
+        why = f"named: {named}" if named else verdict.left.stopped
         rms = verdict.before.scores.deviation_rms * 1e3
         yield f"| {k} | **{verdict.word}** | {rms:.3f} | {why} |"
     yield ""

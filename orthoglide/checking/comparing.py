@@ -12,7 +12,8 @@ import numpy as np
 from orthoglide.checking.difference import COLUMNS, Difference
 from orthoglide.checking.entered import entered
 from orthoglide.checking.sides import of_all, of_one, told_apart
-from orthoglide.closing import Verdict, run
+from orthoglide.checking.states import State, states_of
+from orthoglide.closing import Closed, close, filled
 from orthoglide.diagnosis.changes import visits
 from orthoglide.effects.wording import parameter_words
 from orthoglide.fit import Change, Estimate, Problem, account_for_changes, assemble, solve
@@ -23,8 +24,8 @@ from orthoglide.machine import Machine, MachineSource
 from orthoglide.ordering import ranked
 from orthoglide.posterior import Located
 from orthoglide.progress import Progress, Step, silent
-from orthoglide.request import State, states_of
 from orthoglide.threads import on_one_thread
+from orthoglide.verdict import Verdict
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Check(Framed):
     Attributes:
         old: names of the campaigns of the old state.
         new: of the new one.
-        verdict: of the machine as it is now, from the new readings alone.
+        closed: the machine as it is now, from the new readings alone.
         differences: of the base parameters, of the causes found and of what changed.
         changes: what changed, plates that were probed among it.
         moves: plates that lie elsewhere than before.
@@ -46,7 +47,7 @@ class Check(Framed):
 
     old: tuple[str, ...]
     new: tuple[str, ...]
-    verdict: Verdict
+    closed: Closed
     differences: tuple[Difference, ...]
     changes: tuple[Change, ...] = ()
     moves: tuple[PlateMove, ...] = ()
@@ -94,9 +95,14 @@ class Check(Framed):
         )
 
     @cached_property
+    def verdict(self) -> Verdict:
+        """Of the machine as it is now, from the new readings alone."""
+        return filled(self.closed, Verdict)
+
+    @cached_property
     def told(self) -> Verdict:
         """The verdict with what changed since the old readings, to draw and to act upon."""
-        return replace(self.verdict, changed=self.changes)
+        return filled(replace(self.closed, changed=self.changes), Verdict)
 
     @cached_property
     def sentences(self) -> tuple[str, ...]:
@@ -125,7 +131,7 @@ class Check(Framed):
         names += ["where the plate lies"] * bool(self.moves)
         names += ["what is located"] * bool(self.places)
         what = f"Changed: {', '.join(names)}" if names else "Nothing changed"
-        return f"{what}. Verdict {self.verdict.word}."
+        return f"{what}. Verdict {self.closed.word}."
 
     def __str__(self) -> str:
         return "\n".join(self.sentences)
@@ -167,19 +173,19 @@ def check(
     machine, *sides = states_of(old, new, None if machine is None else Machine.of(machine))
     before, after = told_apart(*sides)
     request, past = of_all(machine, before, after, noise, seed)
-    together = run(request, progress)
+    together = close(request, progress)
     # A change that is one of several leaves open what there was before: not so the new readings.
-    verdict = run(of_one(request, after), progress)
+    closed = close(of_one(request, after), progress)
     old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
     jointly = not past and len(visits(together.before.problem)) > 1
     was, gone, come = None, tuple[Located, ...](), tuple[Located, ...]()
     if not jointly or together.changed or together.word in ("located", "unexplained"):
-        was = run(of_one(request, before), progress)
-        gone, come = _unlike(was, verdict), _unlike(verdict, was)
+        was = close(of_one(request, before), progress)
+        gone, come = _unlike(was, closed), _unlike(closed, was)
         jointly = jointly and not gone and not come
     progress(Step("comparing"))
     each, changed = (None, together.changed) if jointly else (was, ())
-    differences = tuple(_of_each(each, verdict) if each else _of_both(together, new_names))
+    differences = tuple(_of_each(each, closed) if each else _of_both(together, new_names))
     none = Change(
         differences[0].parameter, (), "", (", ".join(old_names), ", ".join(new_names)),
         float("nan"), machine.catalogue,
@@ -188,10 +194,10 @@ def check(
     after_all = together.after
     moves = plate_moves(after_all.problem, after_all.x, old_names, new_names)
     told = () if was is None or machine.spec.printer else tuple(entered(was.machine, differences))
-    return Check(old_names, new_names, verdict, differences, changes, moves, gone, come, told)
+    return Check(old_names, new_names, closed, differences, changes, moves, gone, come, told)
 
 
-def _unlike(one: Verdict, other: Verdict) -> tuple[Located, ...]:
+def _unlike(one: Closed, other: Closed) -> tuple[Located, ...]:
     """Places located in one state of which none is in the other, that was read at the same places,
     nor any cause of their legs.
     """
@@ -209,11 +215,11 @@ def _unlike(one: Verdict, other: Verdict) -> tuple[Located, ...]:
     )
 
 
-def _read(verdict: Verdict) -> set[tuple[float, ...]]:
+def _read(closed: Closed) -> set[tuple[float, ...]]:
     """Where dials read what, to a tenth of a millimetre."""
     return {
         (s.leg, s.axis, s.bar, round(s.gauge, 3), *command)
-        for campaign in verdict.request.campaigns
+        for campaign in closed.request.campaigns
         for s, command in zip(
             (campaign.setups[k] for k in campaign.setup),
             np.round(campaign.command, 4).tolist(),
@@ -229,7 +235,7 @@ def _words(located: Located) -> str:
     return f"{first.words}{more}"
 
 
-def _of_both(together: Verdict, later: Collection[str]) -> Iterator[Difference]:
+def _of_both(together: Closed, later: Collection[str]) -> Iterator[Difference]:
     """A fit of all readings with one value of each parameter before and one in later campaigns."""
     names = _compared(together)
     problem, request = together.before.problem, together.request
@@ -243,7 +249,7 @@ def _of_both(together: Verdict, later: Collection[str]) -> Iterator[Difference]:
     yield from _differences(apart, names, together.changed)
 
 
-def _of_each(was: Verdict, now: Verdict) -> Iterator[Difference]:
+def _of_each(was: Closed, now: Closed) -> Iterator[Difference]:
     """Parameters as each state's own readings have them, all that they leave open allowed for, as
     other instruments see other errors.
     """
@@ -285,14 +291,14 @@ def _two_states(problem: Problem, later: Collection[str]) -> Problem:
     return replace(problem, unknowns=tuple(joined[key] for key in old_first))
 
 
-def _compared(verdict: Verdict) -> list[str]:
+def _compared(closed: Closed) -> list[str]:
     """Parameters of the machine in the base model, of the causes found and of what is seen to have
     changed, without campaigns.
     """
-    catalogue = verdict.request.machine.catalogue
+    catalogue = closed.request.machine.catalogue
     base = catalogue.expand(catalogue.base)
-    causes = [n for c in verdict.effects for n in c.chosen.parameters]
-    found = (*map(verdict.catalogue.parameter, causes), *(c.parameter for c in verdict.changed))
+    causes = [n for c in closed.effects for n in c.chosen.parameters]
+    found = (*map(closed.catalogue.parameter, causes), *(c.parameter for c in closed.changed))
     known = (n.plain for n in found if n.effect in catalogue)  # others are of places
     named = (n for n in known if not catalogue.effect_of(n).of_dial)
     return list(dict.fromkeys(map(str, (*base, *named))))

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings
-from orthoglide.request import Request
+from orthoglide.result import Request
 
 
 def of_all(

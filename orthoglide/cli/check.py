@@ -39,11 +39,10 @@ def check(
     """
     with progress(quiet) as step:
         step(Step("reading"))
-        from orthoglide.checking import COLUMNS, check as compare
+        from orthoglide.checking import COLUMNS, check as compare, states_of
         from orthoglide.cli.changes import changes_page, changes_text
         from orthoglide.effects.loading import load_effects
-        from orthoglide.fit.copies import twice
-        from orthoglide.request import states_of
+        from orthoglide.fit import twice
 
         effects = load_effects(effects_file)
         given = None if machine_path is None else opt.load_machine(machine_path, effects_file)

@@ -13,7 +13,7 @@ import orthoglide.cli.options as opt
 from orthoglide.cli.running import execute, performed, read_request
 
 if TYPE_CHECKING:
-    from orthoglide.request import Request
+    from orthoglide.result import Request
 
 DEMO_FOLDER = "orthoglide-demo"
 DEMO_CAMPAIGN, DEMO_HELD_OUT = "experiment2.csv", "experiment3.csv"

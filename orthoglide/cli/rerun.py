@@ -24,7 +24,8 @@ SAME = 1e-6
 
 _TINY = 1e-9  # millimetres, or what else a number stands for: rounding of what should be zero
 # What was given, how the numbers were found, and checks that measure rounding.
-_APART = ("version", "inputs", "machine", "method", "verification")
+_APART = ("version", "inputs", "machine", "method", "verification", "calibrated_machine")
+_OF_SOLVERS = ("iterations", "last_step_in_sigmas")  # of any fit
 _FEW_SAID = 5
 
 _WITHIN = 0.2
@@ -51,24 +52,28 @@ def rerun(
     the same, 3 where they are not.
     """
     from orthoglide.files import inside
-    from orthoglide.request import read_result, request_of
+    from orthoglide.result import read_result, request_of
+    from orthoglide.result.reading import EDITED, as_edited
 
     result = inside(result, "result.json")
     old = read_result(result)
     with progress(quiet) as step:
         step(Step("reading"))
-        from orthoglide.closing import run
         from orthoglide.effects.loading import load_effects
         from orthoglide.report import report_files, result_text
+        from orthoglide.verdict import run
 
         found = run(request_of(old, str(result), load_effects(effects_file)), step)
         files = report_files(found, step) if out is not None else {}
         new = json.loads(files.get("result.json") or result_text(found))
         older = not old.keys() >= new.keys()
         numbers = _numbers(new)
-        differences = list(_apart(old, new) if older else compare(_numbers(old), numbers))
         folders = (inputs,) if inputs else (result.parent, result.parent.parent, Path())
-        told = [line for line in input_lines(old, folders) if not quiet or "changed" in line]
+        try:
+            differences = list(_apart(old, new) if older else compare(_numbers(old), numbers))
+            told = [line for line in input_lines(old, folders) if not quiet or "changed" in line]
+        except EDITED as error:
+            raise as_edited(error, str(result)) from None
         if older:
             version = brief(str(old["version"]))
             told.append(
@@ -161,7 +166,10 @@ def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
 
 def compare(old: Any, new: Any) -> Iterator[str]:
     """Where two results differ by more than rounding, in words."""
-    before, after = dict(leaves(old)), dict(leaves(new))
+    before, after = (
+        {place: one for place, one in leaves(every) if not place.endswith(_OF_SOLVERS)}
+        for every in (old, new)
+    )
     for place in dict.fromkeys((*before, *after)):
         if place not in after:
             yield f"{place} was {_brief(before[place])} and is gone"

@@ -20,10 +20,10 @@ from orthoglide.progress import Step
 from orthoglide.text import shown
 
 if TYPE_CHECKING:
-    from orthoglide.closing import Verdict
     from orthoglide.instruments import Frame
     from orthoglide.progress import Progress
-    from orthoglide.request import Command, Request
+    from orthoglide.result import Command, Request
+    from orthoglide.verdict import Verdict
 
 
 def read_request(
@@ -50,7 +50,7 @@ def read_request(
     """
     from orthoglide.fit import readings_of, sorted_out
     from orthoglide.observations import read_tcp
-    from orthoglide.request import Request
+    from orthoglide.result import Request
 
     need("frame", "fit_tcp")
     if not campaigns and not fit_tcp:
@@ -72,8 +72,8 @@ def performed(
     """The result of a request and, where they are to be drawn, the files of its folder."""
     step(Step("reading"))
     request = read()
-    from orthoglide.closing import run
     from orthoglide.report import report_files
+    from orthoglide.verdict import run
 
     result = run(request, step)
     return result, report_files(result, step) if draw else {}

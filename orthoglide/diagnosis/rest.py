@@ -2,56 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from orthoglide.fit import Estimate
-from orthoglide.geometry import LEGS, Array
-from orthoglide.instruments import OBSERVATIONS
+from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 from orthoglide.numerals import plain
 from orthoglide.observations import Readings
 from orthoglide.observations.approach import Ints
 from orthoglide.ordering import descending, ranked
+from orthoglide.result import SetupResidual
 
 _PLACES = 3  # at which most is left
 _ROUNDING = 1e-6  # of the noise of a reading, root mean square
 
 
-@dataclass(frozen=True, eq=False)
-class SetupRest:
-    """What a fit leaves of a mounting of a dial or an instrument, along its axis if it has any."""
-
-    setup: str  # its name
-    kind: str  # of its readings
-    leg: int  # 0, 1 or 2: that a dial touches; -1 at the tool
-    axis: int  # 0, 1 or 2: base axis along or about which it reads
-    share: float  # of everything left, in squares of the noise
-    rms: float  # root mean square of it, metres or radians
-    most: float  # largest mean over one station along +axis, with its sign
-    posture: str  # label of that station; may be empty
-    command: Array  # at that station (3,), metres
-    # places at which most is left, most first, as the machine's controller tells them, in
-    # millimetres; none of a dial
-    where: tuple[str, ...]
-
-    @property
-    def reads(self) -> str:
-        """What is read, in words."""
-        return OBSERVATIONS[self.kind].reads.format(LEGS[self.axis], LEGS[self.leg])
-
-    @property
-    def unit(self) -> str:
-        """In which people read it."""
-        return OBSERVATIONS[self.kind].unit
-
-
-def rest_by_setup(estimate: Estimate) -> tuple[SetupRest, ...]:
+def rest_by_setup(estimate: Estimate) -> tuple[SetupResidual, ...]:
     """What a fit leaves of every mounting of a dial, and of every axis of an instrument at the
     tool, largest share first; TCP points have no mounting.
     """
-    problem, found = estimate.problem, list[SetupRest]()
+    problem, found = estimate.problem, list[SetupResidual]()
     squares = problem.weighing.whiten(estimate.residuals) ** 2
     total = float(squares.sum())
     # Of readings without noise what is left is rounding, and is nowhere more than elsewhere.
@@ -72,7 +42,7 @@ def rest_by_setup(estimate: Estimate) -> tuple[SetupRest, ...]:
             _, fresh = np.unique(given.command[where], axis=0, return_index=True)
             worst = where[np.sort(fresh)[:_PLACES]]
             leg = setup.leg
-            one = SetupRest(
+            one = SetupResidual(
                 setup=setup.name,
                 kind=setup.kind,
                 leg=leg,

@@ -10,20 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import orthoglide.figures.style as style
-from orthoglide.figures.setups import Mounting, mountings
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import Array
 from orthoglide.ordering import descending
+from orthoglide.result import Cause, Curve, Explanation, Located, Mounting, ReadingsShown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.lines import Line2D
-
-    from orthoglide.fit import Estimate
-    from orthoglide.posterior import Cause, Curve, Located
-
-MOST_CURVES = 4
-"""Causes that are drawn in one panel."""
 
 _MOST_PANELS = 6
 _LEAST_PATTERN = 0.15  # of the largest: setups that show less of a cause are left out
@@ -87,23 +81,26 @@ class Pattern:
         return [1.0, -1.0] if differ else []
 
 
-def _patterns(cause: Cause, after: Estimate) -> list[Pattern]:
-    problem = after.problem
-    shown = cause.explanations[:MOST_CURVES]
-    residual = after.residuals + cause.chosen.shown
-    predicted = [one.shown for one in shown]
+def drawn(cause: Cause) -> tuple[Explanation, ...]:
+    """Explanations of a credible set that are drawn: those whose part of the readings is known."""
+    return tuple(one for one in cause.explanations if len(one.shown))
+
+
+def _patterns(cause: Cause, read: ReadingsShown) -> list[Pattern]:
+    residual = read.measured - read.after + cause.chosen.shown
+    predicted = [one.shown for one in drawn(cause)]
     found = []
-    for mounting in mountings(problem):
+    for mounting in read.mountings:
         rows = mounting.rows
-        _, first, station = np.unique(problem.station[rows], return_index=True, return_inverse=True)
-        noise = problem.sigma[rows[first]] / np.sqrt(np.bincount(station))
+        _, first, station = np.unique(read.station[rows], return_index=True, return_inverse=True)
+        noise = read.sigma[rows[first]] / np.sqrt(np.bincount(station))
         found.append(
             Pattern(
                 mounting,
                 mounting.x[first],
                 mounting.side[first],
                 _mean(residual[rows], station),
-                2e3 * np.hypot(noise, problem.common[rows[first]]),
+                2e3 * np.hypot(noise, read.common[rows[first]]),
                 tuple(_mean(p[rows], station) for p in predicted),
             )
         )
@@ -124,9 +121,9 @@ def _shown(patterns: list[Pattern]) -> list[Pattern]:
     ]
 
 
-def draw_signatures(cause: Cause, after: Estimate, place: int) -> Drawing:
+def draw_signatures(cause: Cause, read: ReadingsShown, place: int) -> Drawing:
     """What a cause and its rivals make of the readings; its ``place`` counts from 1."""
-    patterns = _shown(_patterns(cause, after))
+    patterns = _shown(_patterns(cause, read))
     width, height = style.PANEL[0], 2.1
     figure, corners = style.sheet(len(patterns), height, strip=0.3)
     reach: dict[str, float] = {}
@@ -139,7 +136,7 @@ def draw_signatures(cause: Cause, after: Estimate, place: int) -> Drawing:
         far = reach[pattern.mounting.unit]
         axes.set_ylim(-far, far)
         style.few_ticks(axes)
-    names = [one.name for one in cause.explanations[:MOST_CURVES]]
+    names = [one.name for one in drawn(cause)]
     figure.legend(handles, names, loc="upper left", ncols=4, bbox_to_anchor=(0.0, 1.0),
                   borderaxespad=0.2, handlelength=2.2)  # fmt: skip
     title = "What is to be explained, and what each cause makes of it"
@@ -195,14 +192,13 @@ _AGAINST = {
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> None:
-    place = curve.place
-    at = curve.at * (1.0 if place.against == "time" else 1e3)
+    at = curve.at * (1.0 if curve.against == "time" else 1e3)
     value, band = curve.value * 1e3, 1.96e3 * curve.sigma
     axes.fill_between(at, value - band, value + band, color=style.BAND, linewidth=0)
     axes.plot(at, value, color=style.FIT, linewidth=1.6)
     axes.axhline(0, color=style.MUTED, linewidth=0.6)
-    axes.set_title(place.name)
-    axes.set_xlabel(_AGAINST.get(place.against, "command, mm"), labelpad=2)
+    axes.set_title(curve.name)
+    axes.set_xlabel(_AGAINST.get(curve.against, "command, mm"), labelpad=2)
     axes.set_ylabel(curve.unit)
     axes.yaxis.set_label_coords(style.LABEL, 0.5)
     axes.margins(x=0.02)

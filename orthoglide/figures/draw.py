@@ -3,36 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
+from orthoglide.effects import Catalogue
 from orthoglide.errors import InputError
 from orthoglide.figures.causes import draw_causes, draw_located, draw_signatures
 from orthoglide.figures.readings import draw_readings, draw_residuals
 from orthoglide.figures.style import Drawing, applied
 from orthoglide.figures.values import draw_correlations, draw_parameters
 from orthoglide.figures.workspace import draw_vectors, draw_workspace
+from orthoglide.frames import Framed
+from orthoglide.geometry import Array
+from orthoglide.numerals import ByUnit
+from orthoglide.result import Correlations, ReadingsShown, Result
 
-if TYPE_CHECKING:
-    from orthoglide.fit import Estimate
-    from orthoglide.geometry import Array
-    from orthoglide.result import Result
+Ways = dict[str, Callable[[], Drawing]]
 
 
 def draw(result: Result) -> list[Drawing]:
     """All figures of a result."""
-    base, after, causes = result.before, result.after, result.effects
-    before = base.predicted if result.improved else base.predicted_before
+    causes, ways = result.effects, _of_result(result)
     with applied():
         drawings = [draw_causes(causes)] if causes else []
-        drawings += [draw_signatures(c, after, k) for k, c in enumerate(causes, start=1)]
+        drawings += [draw_signatures(c, result.readings, k) for k, c in enumerate(causes, start=1)]
         drawings += [draw_located(f, k) for k, f in enumerate(result.located, start=1)]
-        drawings += [draw_residuals(after, before), draw_readings(after, before)]
+        drawings += [ways["residuals"](), ways["readings"]()]
         if result.workspace is None:
-            return [*drawings, draw_parameters(after), draw_correlations(after)]
+            return [*drawings, ways["parameters"](), ways["correlations"]()]
         return [*drawings, draw_workspace(result.workspace, result.improved)]
-
-
-Ways = dict[str, Callable[[], Drawing]]
 
 
 def draw_one(result: Result, what: str) -> Drawing:
@@ -45,9 +42,7 @@ def draw_one(result: Result, what: str) -> Drawing:
     Raises:
         InputError: for a figure that there is not, or not of this result.
     """
-    base = result.before
-    before = base.predicted if result.improved else base.predicted_before
-    ways = _of_fit(result.after, before)
+    ways = _of_result(result)
     if result.effects:
         ways["causes"] = lambda: draw_causes(result.effects)
     if (space := result.workspace) is not None:
@@ -55,25 +50,51 @@ def draw_one(result: Result, what: str) -> Drawing:
     return _drawn(ways, what)
 
 
-def draw_fit(estimate: Estimate, what: str) -> Drawing:
+def draw_fit(
+    read: ReadingsShown,
+    noise: ByUnit,
+    found: Framed,
+    correlations: Correlations,
+    catalogue: Catalogue,
+    what: str,
+) -> Drawing:
     """One figure of a fit by what it shows.
 
     Args:
-        estimate: the fit.
+        read: the readings, and what the nominal machine and the fit predict of them.
+        noise: standard deviation of one of them.
+        found: the fit, whose columns are what it found.
+        correlations: of that.
+        catalogue: of its effects.
         what: ``"residuals"``, ``"readings"``, ``"parameters"`` or ``"correlations"``.
 
     Raises:
         InputError: for a figure that there is not.
     """
-    return _drawn(_of_fit(estimate, estimate.predicted_before), what)
+    return _drawn(_ways(read, read.nominal, noise, found, correlations, catalogue), what)
 
 
-def _of_fit(estimate: Estimate, before: Array) -> Ways:
+def _of_result(result: Result) -> Ways:
+    read = result.readings
+    before = read.before if result.improved else read.nominal
+    return _ways(
+        read, before, result.noise.single_reading, result, result.correlations, result.catalogue
+    )
+
+
+def _ways(
+    read: ReadingsShown,
+    before: Array,
+    noise: ByUnit,
+    found: Framed,
+    correlations: Correlations,
+    catalogue: Catalogue,
+) -> Ways:
     return {
-        "residuals": lambda: draw_residuals(estimate, before),
-        "readings": lambda: draw_readings(estimate, before),
-        "parameters": lambda: draw_parameters(estimate),
-        "correlations": lambda: draw_correlations(estimate),
+        "residuals": lambda: draw_residuals(read, before, noise),
+        "readings": lambda: draw_readings(read, before),
+        "parameters": lambda: draw_parameters(found.columns, catalogue),
+        "correlations": lambda: draw_correlations(correlations.parameters, correlations.matrix),
     }
 
 

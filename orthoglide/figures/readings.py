@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import orthoglide.figures.style as style
-from orthoglide.figures.setups import Mounting, mountings
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import Array
+from orthoglide.numerals import ByUnit
+from orthoglide.result import Mounting, ReadingsShown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from orthoglide.fit import Estimate
 
 
 @dataclass(frozen=True)
@@ -34,12 +33,12 @@ class _Panel:
         return self.mounting.x
 
 
-def _panels(estimate: Estimate, before: Array) -> list[_Panel]:
-    problem, found = estimate.problem, []
-    for mounting in mountings(problem):
+def _panels(read: ReadingsShown, before: Array) -> list[_Panel]:
+    found = []
+    for mounting in read.mountings:
         measured, fit, was, sigma = (
             values[mounting.rows] * 1e3
-            for values in (problem.measured, estimate.predicted, before, problem.sigma)
+            for values in (read.measured, read.after, before, read.sigma)
         )
         middle = (fit.max() + fit.min()) / 2
         panel = _Panel(mounting, measured - middle, fit - middle, was - middle, sigma)
@@ -47,14 +46,14 @@ def _panels(estimate: Estimate, before: Array) -> list[_Panel]:
     return found
 
 
-def draw_readings(estimate: Estimate, before: Array) -> Drawing:
+def draw_readings(read: ReadingsShown, before: Array) -> Drawing:
     """Readings and fit by setup, with what the fit leaves of them.
 
     Args:
-        estimate: the fit.
-        before: readings ``(n,)`` predicted before it, metres.
+        read: the readings.
+        before: what was predicted of them before the fit ``(n,)``, metres or radians.
     """
-    setups = _panels(estimate, before)
+    setups = _panels(read, before)
     width, height = style.PANEL
     figure, corners = style.sheet(len(setups), height, strip=0.3)
     reach = {unit: _reach(some) for unit, some in _by_unit(setups).items()}
@@ -129,15 +128,21 @@ def _draw_left(axes: Axes, setup: _Panel) -> None:
     axes.yaxis.set_label_coords(style.LABEL, 0.5)
 
 
-def draw_residuals(estimate: Estimate, before: Array) -> Drawing:
-    """Residuals by setup, before and after; arguments as for :func:`draw_readings`."""
-    setups = _panels(estimate, before)
+def draw_residuals(read: ReadingsShown, before: Array, noise: ByUnit) -> Drawing:
+    """Residuals by setup, before and after.
+
+    Args:
+        read: the readings.
+        before: what was predicted of them before the fit ``(n,)``, metres or radians.
+        noise: standard deviation of one of them.
+    """
+    setups = _panels(read, before)
     names = [s.mounting.name for s in setups]
     height = 0.8 + 0.3 * len(setups)
     figure = style.new_figure(style.SINGLE, height)
     margin = min(0.2 + 0.055 * max(map(len, names)), 1.6)
     axes = style.place_axes(figure, margin, 0.32, style.SINGLE - margin - 0.12, height - 0.78)
-    _draw_noise(axes, setups, estimate.problem.one_reading.shown)
+    _draw_noise(axes, setups, noise.shown)
     axes.axvline(0, color=style.MUTED, linewidth=0.6)
     for k, setup in enumerate(setups):
         place, label = np.full(len(setup.x), float(k)), "_" if k else ""
@@ -149,8 +154,8 @@ def draw_residuals(estimate: Estimate, before: Array) -> Drawing:
                   label=label or "after")  # fmt: skip
     reach = 1.1 * max(float(np.abs(s.measured - s.before).max()) for s in setups)
     after = 1.1 * max(float(np.abs(s.measured - s.fit).max()) for s in setups)
-    noise = max(estimate.problem.one_reading.shown[s.mounting.unit] for s in setups)
-    reach = max(reach, after, 2 * noise * 1.2)
+    widest = max(noise.shown[s.mounting.unit] for s in setups)
+    reach = max(reach, after, 2 * widest * 1.2)
     axes.set_xlim(-reach, reach)
     axes.set_ylim(len(setups) - 0.4, -0.6)
     style.few_ticks(axes, across=6)

@@ -2,39 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import orthoglide.figures.style as style
+from orthoglide.effects import Catalogue, Effect
 from orthoglide.figures.style import Drawing
+from orthoglide.geometry import Array
 from orthoglide.numerals import signed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from orthoglide.effects import Effect
-    from orthoglide.fit import Estimate
-
 _MOST_CELLS = 8  # unknowns up to which correlations are printed as numbers
 
 
-def draw_parameters(estimate: Estimate) -> Drawing:
-    """Values with their 95 % intervals against the tolerances, a strip an effect."""
-    of = estimate.problem.machine.catalogue.effect_of
+def draw_parameters(columns: Mapping[str, Sequence[Any]], catalogue: Catalogue) -> Drawing:
+    """Values with their 95 % intervals against the tolerances, a strip an effect.
+
+    Args:
+        columns: name, value, limits of the interval and tolerance of each, as a fit has them.
+        catalogue: of their effects.
+    """
     strips: dict[Effect, list[int]] = {}
-    for k, name in enumerate(estimate.names):
-        strips.setdefault(of(name), []).append(k)
+    names = columns["parameter"]
+    for k, name in enumerate(names):
+        strips.setdefault(catalogue.effect_of(name), []).append(k)
     heights = [0.72 + 0.24 * len(members) for members in strips.values()]
     figure = style.new_figure(style.SINGLE, sum(heights) + 0.3)
-    short = [name.removeprefix(f"{of(name).name}.") for name in estimate.names]
+    short = [name.removeprefix(f"{catalogue.effect_of(name).name}.") for name in names]
     margin = min(0.2 + 0.06 * max(map(len, short)), 1.7)
     top = 0.3
     for (effect, members), height in zip(strips.items(), heights, strict=True):
         axes = style.place_axes(
             figure, margin, top + 0.2, style.SINGLE - margin - 0.12, height - 0.58
         )
-        handles = _draw_strip(axes, estimate, effect, members)
+        handles = _draw_strip(axes, columns, effect, members)
         axes.set_yticks(range(len(members)), [short[k] for k in members], color=style.INK)
         top += height
     figure.legend(
@@ -46,11 +51,15 @@ def draw_parameters(estimate: Estimate) -> Drawing:
     )
 
 
-def _draw_strip(axes: Axes, estimate: Estimate, effect: Effect, members: list[int]) -> list[Any]:
+def _draw_strip(
+    axes: Axes, columns: Mapping[str, Sequence[Any]], effect: Effect, members: list[int]
+) -> list[Any]:
     unit = effect.unit
-    value = estimate.x[members] / unit.si
-    half = estimate.coverage_factor * np.sqrt(np.diag(estimate.covariance))[members] / unit.si
-    tolerance = float(estimate.problem.tolerance[members[0]]) / unit.si
+    value, low, high, expected = (
+        np.array(columns[title], dtype=float)[members]
+        for title in ("value", "lower", "upper", "tolerance")
+    )
+    half, tolerance = (high - low) / 2, float(expected[0])
     rows = np.arange(len(members))
     band = axes.axvspan(-tolerance, tolerance, color=style.BAND, alpha=0.25, linewidth=0)
     axes.axvline(0, color=style.MUTED, linewidth=0.6)
@@ -65,12 +74,11 @@ def _draw_strip(axes: Axes, estimate: Estimate, effect: Effect, members: list[in
     return [dots, band]
 
 
-def draw_correlations(estimate: Estimate) -> Drawing:
-    """How far values can only be stated together."""
+def draw_correlations(names: Sequence[str], matrix: Array) -> Drawing:
+    """How far values can only be stated together, by their correlations ``(P, P)``."""
     from matplotlib.colors import to_rgba
 
-    matrix, count = estimate.correlation, len(estimate.names)
-    labels = list(estimate.names)
+    labels, count = list(names), len(names)
     margin = 0.12 + 0.056 * max(map(len, labels))
     cell = max((style.SINGLE - margin - 0.1) / count, 0.14)
     width, height = margin + 0.1 + cell * count, margin + 0.1 + cell * count

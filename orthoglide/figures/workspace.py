@@ -10,11 +10,10 @@ import orthoglide.figures.style as style
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import Array
 from orthoglide.numerals import signed
+from orthoglide.result import Workspace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from orthoglide.result import Workspace
 
 _DARKEST = 0.7  # opacity of a cell at the top of the scale
 

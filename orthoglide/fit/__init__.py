@@ -1,6 +1,7 @@
 """Identification: from readings to parameters, with their uncertainty and cross-check."""
 
 from orthoglide.fit.change import Change as Change
+from orthoglide.fit.copies import twice as twice
 from orthoglide.fit.crosscheck import CrossCheck as CrossCheck
 from orthoglide.fit.earlier import account_for_changes as account_for_changes
 from orthoglide.fit.estimate import Estimate as Estimate

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,29 +13,12 @@ from orthoglide.errors import CrossCheckError
 from orthoglide.fit.least_squares import Linearised, Nuisances
 from orthoglide.fit.problem import Problem, weight_matrix
 from orthoglide.geometry import Array
+from orthoglide.result.fits import CrossCheck
 
 AGREEMENT = 1e-9
 """Metres: two derivations of one model that disagree by more have an error."""
 
 _SIX = tuple(p for name in CATALOGUE.base for p in CATALOGUE[name].parameters())
-
-
-@dataclass(frozen=True)
-class CrossCheck:
-    """How far the independent derivations are apart, metres."""
-
-    # parameters, mechanism against the reduction's nonlinear fit, largest difference
-    reduction: float
-    linear: float  # fitted readings, mechanism against system (11), largest difference
-    # what second-order terms allow of `linear`, root mean square over the noise
-    linear_bound: float
-    linear_size: float  # the same norm of the difference itself
-    linear_values: Array  # parameters that the linear system gives (P,)
-
-    @property
-    def second_order(self) -> bool:
-        """Whether the linear system is as near as theory asks."""
-        return self.linear_size <= self.linear_bound * (1 + 1e-6) + AGREEMENT
 
 
 def reduction_fit(

@@ -218,8 +218,15 @@ class Estimate(Framed):
             InputError: for a figure that there is not.
         """
         from orthoglide.figures.draw import draw_fit
+        from orthoglide.fit.shown import readings_shown
+        from orthoglide.result import Correlations
 
-        return draw_fit(self, what)
+        problem = self.problem
+        correlations = Correlations(self.names, self.correlation)
+        return draw_fit(
+            readings_shown(self, self), problem.one_reading, self, correlations,
+            problem.machine.catalogue, what,
+        )  # fmt: skip
 
 
 def _to_tenths(left: ByUnit) -> str:

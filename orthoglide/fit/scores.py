@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,53 +9,10 @@ from orthoglide.fit.least_squares import Linearised, Normal, Nuisances, fitted_b
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
 from orthoglide.numerals import ByUnit
+from orthoglide.result.fits import Scores
 
 LACK_OF_FIT = 0.01
 """Probability of calling what is left of a complete model a lack of fit."""
-
-
-@dataclass(frozen=True)
-class Scores:
-    """Figures of one fit; metres where not dimensionless and not said otherwise."""
-
-    # root mean square of the residuals of lengths, datums fitted; nan where none was read
-    rms: float
-    # the papers' figure: residuals of the averaged deviations from each setup's first posture; nan
-    # where no dial was read
-    deviation_rms: float
-    max: float  # largest residual of a length
-    chi2: float  # of the data and their nuisances
-    prior_chi2: float  # of what is known before
-    # degrees of freedom: rows, less datums, less what the data determine of the unknowns
-    dof: float
-    lack_of_fit_p: float  # probability of a chi2 this large were the model complete
-    cv_rms: float  # residuals of stations left out, lengths, datum refitted; nan where none can be
-    turn_rms: float = float("nan")  # as `rms` of inclinations, radians; nan where none was read
-    turn_max: float = float("nan")  # as `max`
-    turn_cv_rms: float = float("nan")  # as `cv_rms`
-
-    @property
-    def left(self) -> ByUnit:
-        """What is left of single readings, root mean square."""
-        return ByUnit(self.rms, self.turn_rms)
-
-    @property
-    def left_out(self) -> ByUnit:
-        """The same of stations left out."""
-        return ByUnit(self.cv_rms, self.turn_cv_rms)
-
-    @property
-    def told(self) -> ByUnit:
-        """The papers' figure where dials were read, else what is left of lengths; beside it what is
-        left of inclinations.
-        """
-        dials = np.isfinite(self.deviation_rms)
-        return ByUnit(self.deviation_rms if dials else self.rms, self.turn_rms)
-
-    @property
-    def cost(self) -> float:
-        """What the fit minimises: data, nuisances and priors."""
-        return self.chi2 + self.prior_chi2
 
 
 def score(problem: Problem, nuisance: Nuisances, at: Linearised) -> Scores:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 
 from orthoglide.errors import CrossCheckError
@@ -12,6 +9,7 @@ from orthoglide.fit.estimate import Estimate
 from orthoglide.geometry import Array
 from orthoglide.mechanism.engine import ByPinocchio
 from orthoglide.prediction import Conditions
+from orthoglide.result.fits import Verification
 
 MOST_POSTURES = 500
 """Of more postures a random sample of this size is closed: one takes half a millisecond."""
@@ -24,33 +22,6 @@ SENSITIVITY_LIMIT = 1e-6
 
 SMALLEST_SCALE = 1e-3
 """Metres a metre: of outputs that move by less, differences count as absolute."""
-
-
-@dataclass(frozen=True)
-class Verification:
-    """How far Pinocchio's closed postures are from those that the fit used.
-
-    Attributes:
-        closure: largest closure residual by loop, metres or radians.
-        tcp: largest difference of the TCP, metres.
-        sensitivity: largest difference of a derivative by travel or a virtual joint, relative to
-            the largest derivative of the same output, or to ``SMALLEST_SCALE``.
-        postures: how many were closed.
-    """
-
-    closure: dict[str, float]
-    tcp: float
-    sensitivity: float
-    postures: int
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the keys of ``result.json``."""
-        return {
-            "closure_residual_m": {name: float(f"{v:.3g}") for name, v in self.closure.items()},
-            "tcp_max_difference_mm": float(f"{1e3 * self.tcp:.3g}"),
-            "sensitivity_max_relative_difference": float(f"{self.sensitivity:.3g}"),
-            "postures": self.postures,
-        }
 
 
 def verify(estimate: Estimate) -> Verification:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
 import numpy as np
 
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
 from orthoglide.ordering import EQUAL, canonical_basis, largest, ranked
+from orthoglide.result.fits import WeakDirection
 
 # An unknown whose sigma is ten times what it would be alone hides behind others.
 _WEAK = 0.1
@@ -18,33 +16,6 @@ _SHARE = 0.05
 _ROUNDING = 1e-9
 # Singular value of unit columns below which a direction shows nothing but rounding.
 _UNSEEN = 1e-6
-
-
-@dataclass(frozen=True)
-class WeakDirection:
-    """Unknowns that the readings cannot tell apart."""
-
-    parameters: Mapping[str, float]  # their shares along the direction; squares sum to one
-    # how far the readings alone leave the machine free along it, in `unit`; infinite where nothing
-    # is seen
-    sigma: float
-    sigma_with_priors: float  # the same with the tolerances as priors; equal without priors
-    unit: str  # of both
-
-    def __str__(self) -> str:
-        names = " and ".join(self.parameters)
-        along = " ".join(f"{share:+.2f} {name}" for name, share in self.parameters.items())
-        left = (
-            f"sigma {self.sigma:.2g} {self.unit}" if np.isfinite(self.sigma) else "nothing is seen"
-        )
-        verb = "cannot be told apart by" if len(self.parameters) > 1 else "is hardly seen by"
-        tail = ""
-        if self.sigma_with_priors < 0.5 * self.sigma:
-            tail = (
-                f" (with the tolerances as priors {self.sigma_with_priors:.2g} {self.unit}: that "
-                f"is knowledge of the tolerances, not of the readings)"
-            )
-        return f"{names} {verb} these readings: {left} along {along}{tail}"
 
 
 def weak_directions(

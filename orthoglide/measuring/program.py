@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orthoglide.closing import Verdict
+from orthoglide.closing import Closed
 from orthoglide.errors import OrthoglideError
 from orthoglide.fit import Estimate, identify
 from orthoglide.machine import Machine
@@ -55,7 +55,7 @@ _SHEETS = 6
 
 @dataclass(frozen=True)
 class Next:
-    """What to do after a verdict."""
+    """What to do after a closed."""
 
     reason: str  # a sentence
     sheet: Readings | None = None  # to read; `None` where no further reading is worth it
@@ -92,13 +92,13 @@ def opening(machine: Machine, number: int = 0) -> Readings:
     ).with_moves()
 
 
-def following(verdict: Verdict, number: int, room: int) -> Next:
+def following(closed: Closed, number: int, room: int) -> Next:
     """What to do after so many sheets, where there is room for so many readings more."""
-    machine, taken = verdict.request.machine, sum(map(len, verdict.request.campaigns))
-    left = verdict.word in ("partial", "unexplained")
-    rivals = _in_play(verdict)
+    machine, taken = closed.request.machine, sum(map(len, closed.request.campaigns))
+    left = closed.word in ("partial", "unexplained")
+    rivals = _in_play(closed)
     count = max(min(_COUNT, room), 2)
-    found = next_measurements(verdict.after, rivals, count=count, directions=())
+    found = next_measurements(closed.after, rivals, count=count, directions=())
     chosen = next_sheet([s for s in found if s.aim == "separate" and s.gain >= _TELLS])
     more = opening(machine, number)
     if left:
@@ -108,7 +108,7 @@ def following(verdict: Verdict, number: int, room: int) -> Next:
             "in play are " + ", ".join(name for name, _ in rivals),
             _renamed(chosen, number),
         )
-    elif not verdict.found and taken < _BELIEVED:
+    elif not closed.found and taken < _BELIEVED:
         reason, sheet = "nothing was found yet", _renamed(more, number)
     else:
         return Next("nothing more in reach would tell more", settled=True)
@@ -117,32 +117,32 @@ def following(verdict: Verdict, number: int, room: int) -> Next:
     return Next(reason, sheet)
 
 
-def _in_play(verdict: Verdict) -> list[tuple[str, Estimate]]:
+def _in_play(closed: Closed) -> list[tuple[str, Estimate]]:
     """Explanations between which further readings are to decide, each with its fit."""
-    base = verdict.before.names
-    chosen = [e.chosen.parameters for e in verdict.effects]
+    base = closed.before.names
+    chosen = [e.chosen.parameters for e in closed.effects]
     found: list[tuple[str, Sequence[str]]] = []
-    for k, cause in enumerate(verdict.effects):
+    for k, cause in enumerate(closed.effects):
         others = [n for j, own in enumerate(chosen) if j != k for n in own]
         if cause.rivals:
             several = (cause.chosen, *cause.rivals)
             found += [(e.name, (*others, *e.parameters)) for e in several]
     named = [n for own in chosen for n in own]
     low, high = _OPEN
-    stands = {name for e in verdict.effects for name in (e.name, *e.indistinguishable_from)}
-    doubtful = [c for c in verdict.candidates if c.parameters and low < c.probability < high]
+    stands = {name for e in closed.effects for name in (e.name, *e.indistinguishable_from)}
+    doubtful = [c for c in closed.candidates if c.parameters and low < c.probability < high]
     doubtful = [c for c in doubtful if c.name not in stands]
     if doubtful and not found:
-        found.append((" and ".join(e.name for e in verdict.effects) or "nothing", named))
+        found.append((" and ".join(e.name for e in closed.effects) or "nothing", named))
     found += [(c.name, (*named, *c.parameters)) for c in doubtful[:_MOST_OPEN]]
-    return [(n, fit) for n, parts in found if (fit := _fitted(verdict, (*base, *parts)))]
+    return [(n, fit) for n, parts in found if (fit := _fitted(closed, (*base, *parts)))]
 
 
-def _fitted(verdict: Verdict, names: Sequence[str]) -> Estimate | None:
+def _fitted(closed: Closed, names: Sequence[str]) -> Estimate | None:
     """The readings by one explanation; ``None`` where they cannot be fitted by it."""
     try:
         return identify(
-            verdict.before.problem.campaigns, verdict.request.machine, tuple(dict.fromkeys(names))
+            closed.before.problem.campaigns, closed.request.machine, tuple(dict.fromkeys(names))
         )
     except OrthoglideError:
         return None

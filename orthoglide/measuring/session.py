@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, field, replace
 
-from orthoglide.closing import Verdict, close_loop
+from orthoglide.closing import Closed, close, filled
 from orthoglide.errors import FileError, InputError, OrthoglideError
 from orthoglide.machine import Machine
 from orthoglide.measuring.answers import HELP, understood
@@ -19,6 +19,7 @@ from orthoglide.observations import Moves, Readings
 from orthoglide.observations.writing import Row, command_columns
 from orthoglide.report.sheet import counted, dial_words, mounted_together
 from orthoglide.text import shown
+from orthoglide.verdict import Verdict, requested
 
 _LEAD = 4
 """Readings of a sheet, its last, that are taken while what follows it is computed."""
@@ -95,9 +96,10 @@ class Session:
             if step.sheet is None:
                 self.tell("\nComputing the verdict.")
                 rows = self.record.rows[: self._at]  # the file may hold later sheets already
-                verdict = self._verdict(rows)
-                step = following(verdict, number, self.most - _readings(rows))
+                closed = self._closed(rows)
+                step = following(closed, number, self.most - _readings(rows))
                 if step.sheet is None:
+                    verdict = filled(closed, Verdict)
                     return End(verdict, step.settled, step.reason, self.record.readings)
             self.tell(f"\nNot settled yet, {step.reason}: {len(step.sheet)} readings more.")
             sheet, number = step.sheet, number + 1
@@ -154,8 +156,8 @@ class Session:
             )
         return row
 
-    def _verdict(self, rows: Sequence[Row]) -> Verdict:
-        return close_loop(self.record.campaign(rows), self.machine)
+    def _closed(self, rows: Sequence[Row]) -> Closed:
+        return close(requested(self.record.campaign(rows), self.machine))
 
     def _following(self, number: int, left: int) -> Future[Next]:
         """What follows a sheet, from the rows so far; computed while its last ones are read."""
@@ -168,7 +170,7 @@ class Session:
 
     def _after(self, rows: Sequence[Row], number: int, room: int) -> Next:
         try:
-            return following(self._verdict(rows), number, room)
+            return following(self._closed(rows), number, room)
         except OrthoglideError:
             return Next("")  # all of the sheet may do, or says what is wrong
 

@@ -15,39 +15,18 @@ from functools import cached_property
 import numpy as np
 
 from orthoglide.accuracy import tcp_slopes, throughout, without_place
+from orthoglide.effects.wording import cause_short
 from orthoglide.fit.scores import rms_by_unit
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.numerals import ByUnit
 from orthoglide.ordering import ranked
 from orthoglide.posterior.everything import FullPosterior
+from orthoglide.result import BudgetItem
 
 _DRAWS = 400
 _NO_GAIN = 1e-9  # metres: differences of gain below are rounding, and below anything that matters
 _STEPS = 2  # of Gauss-Newton, on a problem that is nearly linear
-
-
-@dataclass(frozen=True)
-class BudgetItem:
-    """One cause in the budget; metres where not said otherwise."""
-
-    cause: str  # name of a cause found, of a place, or of an effect with all that is left of it
-    members: tuple[str, ...]  # its parameters, others of the same readings and tool among them
-    value: float  # of a cause of one parameter, SI; nan of several
-    sigma: float  # of that
-    tolerances: float  # largest of its parameters, in tolerances
-    beyond_tolerance: float  # probability that any of them is beyond its tolerance
-    readings: ByUnit  # root mean square of its part of them, datums fitted
-    tcp_mean: float  # mean of its part of the tool's error
-    tcp_sigma: float  # standard deviation of that
-    gain: float  # by how much the mean error of the tool falls if it is put right
-    gain_sigma: float  # standard deviation of that
-    # by how much it falls if the value found is taken away, which leaves what the readings do not
-    # know of it
-    compensated: float
-    compensated_sigma: float  # standard deviation of that
-    share: float  # `gain` over the mean error
-    rest: bool = False  # whether it is what is left of an effect beside all that was found
 
 
 def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tuple[BudgetItem, ...]:
@@ -77,13 +56,16 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
         compensated = total - _mean_length(drawn - known_part)
         tolerance = np.array([machine.tolerance(n) for n in names])
         size, single = np.abs(known.mean[at] + off[:, at]) / tolerance, len(at) == 1
-        length = _mean_length(part)
+        length, unit = _mean_length(part), catalogue.effect_of(cause).unit
+        sigma = float(np.sqrt(known.covariance[at[0], at[0]])) / unit.si
         found.append(
             BudgetItem(
                 cause,
+                cause_short(catalogue, cause),
                 tuple(t for n in names for t in (n, *dict(posterior.about.twins.get(n, ())))),
-                float(known.mean[at[0]]) if single else float("nan"),
-                float(np.sqrt(known.covariance[at[0], at[0]])) if single else float("nan"),
+                float(known.mean[at[0]]) / unit.si if single else float("nan"),
+                sigma if single else float("nan"),
+                unit.name,
                 float(np.max(np.abs(known.mean[at]) / tolerance)),
                 float(np.mean((size > 1).any(axis=1))),
                 _shown(posterior, names),

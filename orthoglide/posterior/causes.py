@@ -13,6 +13,7 @@ from orthoglide.effects.wording import cause_words
 from orthoglide.geometry import Array
 from orthoglide.numerals import compact
 from orthoglide.parameters import plain_and_campaign
+from orthoglide.result import CandidateScore
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -202,17 +203,6 @@ class Located:
         found = [effect for effect in effects if effect.name in known]
         name = (found or effects)[0].name
         return name, tuple(str(part) for effect in found for part in effect.motions)
-
-
-@dataclass(frozen=True)
-class CandidateScore:
-    """A cause or place that was weighed."""
-
-    name: str  # of the cause or place
-    parameters: tuple[str, ...]  # that it consists of; none of a place
-    probability: float  # that it stands out
-    # log Bayes factor of its standing out against not, all else that was found given
-    evidence: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)

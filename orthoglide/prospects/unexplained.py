@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from orthoglide.diagnosis.rest import SetupRest
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.suggestions import Suggestion
+from orthoglide.result import SetupResidual
 
 _TWICE = 2  # visits: a single one may be misread
 _MID = 0.5  # of the leg
 
 
-def tracing(rest: SetupRest, geometry: Geometry) -> Suggestion:
+def tracing(rest: SetupResidual, geometry: Geometry) -> Suggestion:
     """Return a sheet for the dial whose residual is largest; no rival explanation is needed.
 
     Both bars of the leg are touched along the direction in which most is left, at every step of its
@@ -40,7 +40,7 @@ def tracing(rest: SetupRest, geometry: Geometry) -> Suggestion:
     return Suggestion(reason, "trace", float("nan"), pool, tuple(np.repeat(rows, _TWICE).tolist()))
 
 
-def repeating(rest: SetupRest) -> Suggestion:
+def repeating(rest: SetupResidual) -> Suggestion:
     """Return the advice to repeat the readings of an instrument at the tool at the places where its
     residual is largest.
     """

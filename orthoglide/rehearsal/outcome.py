@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 
 from orthoglide.accuracy import expected_error
-from orthoglide.closing import Verdict, close_loop
+from orthoglide.closing import Closed, close
 from orthoglide.errors import OrthoglideError
 from orthoglide.parameters import plain_and_campaign
 from orthoglide.rehearsal.drawing import Drawn, Scope, draw, kind_of
+from orthoglide.result import Result
 from orthoglide.simulation import simulate, simulate_tcp
 from orthoglide.threads import on_one_thread
+from orthoglide.verdict import requested
 
 _BEYOND = 2.0
 """Times its share by which an effect is off that stands out of the others: one in twenty is."""
@@ -90,20 +92,20 @@ def outcome_of(scope: Scope, number: int, seed: int) -> Outcome:
 def _closed(scope: Scope, drawn: Drawn, rng: np.random.Generator) -> dict[str, Any]:
     measured = [simulate(drawn.machine, sheet, seed=rng) for sheet in scope.sheets]
     points = simulate_tcp(drawn.machine, seed=rng)
-    verdict = close_loop(measured, scope.machine, tcp=points)
-    named, located, false = claims(verdict, drawn)
-    errors = dict(verdict.tcp or {})["translation"]
-    stated = expected_error(verdict.machine, verdict.machine.values).shape
-    figures = (errors.nominal[0], errors.before[0], errors.after[0], stated)
+    closed = close(requested(measured, scope.machine, tcp=points))
+    named, located, false = claims(closed, drawn)
+    errors = dict(closed.tcp or {})["translation"]
+    stated = expected_error(closed.machine, closed.machine.values).shape
+    figures = (errors.nominal_mean, errors.before_mean, errors.after_mean, stated)
     names = ("nominal_mm", "before_mm", "after_mm", "stated_mm")
     return {
-        "word": verdict.word, "named": tuple(named), "located": tuple(located),
+        "word": closed.word, "named": tuple(named), "located": tuple(located),
         "false": tuple(false), "inside": round(errors.inside, 4),
         **{n: round(1e3 * v, 5) for n, v in zip(names, figures, strict=True)},
     }  # fmt: skip
 
 
-def said(verdict: Verdict) -> dict[str, list[dict[str, Any]]]:
+def said(verdict: Closed | Result) -> dict[str, list[dict[str, Any]]]:
     """Causes with their credible sets, and classes of places, ready for JSON."""
     effects = [
         {
@@ -138,7 +140,7 @@ def is_cause(
     return name == cause or block or (of_family and name in alike)
 
 
-def claims(verdict: Verdict, drawn: Drawn) -> tuple[list[str], list[str], list[str]]:
+def claims(verdict: Closed | Result, drawn: Drawn) -> tuple[list[str], list[str], list[str]]:
     """Names of what a verdict claims: causes that are there, places that are, and what is not.
 
     On a machine of which everything is off, a cause is there if it is off by twice its share.

@@ -5,15 +5,11 @@ Everything here reads a `Result` and computes nothing of its own.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.report.folder import check_folder as check_folder, write_folder as write_folder
 from orthoglide.report.result_json import result_text as result_text
 from orthoglide.report.text import summary as summary
-
-if TYPE_CHECKING:
-    from orthoglide.result import Result
+from orthoglide.result import Result
 
 
 def report_files(result: Result, progress: Progress = silent) -> dict[str, str | bytes]:
@@ -28,7 +24,6 @@ def report_files(result: Result, progress: Progress = silent) -> dict[str, str |
     from orthoglide.report.sheet import sheet_page
     from orthoglide.report.tables import calibrated_machine, residual_table
 
-    progress(Step("suggesting"))
     proposed, spec = result.next_sheet, result.request.machine.spec
     sheet, sheets = "", dict[str, str]()
     if proposed is not None:

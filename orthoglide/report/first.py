@@ -9,24 +9,19 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from orthoglide.control import withheld
-from orthoglide.effects.wording import size_words
 from orthoglide.numerals import compact
 from orthoglide.report.phrases import meaning, sentence
-from orthoglide.report.wording import BESIDES, curve_words, evidence, standing
-from orthoglide.result.actions import loses
+from orthoglide.report.wording import BESIDES, evidence, standing
+from orthoglide.result import Cause, Change, Curve, Explanation, Result
 
 if TYPE_CHECKING:
     from orthoglide.accuracy import ExpectedError
-    from orthoglide.fit import Change
-    from orthoglide.posterior import Cause, Curve, Explanation
-    from orthoglide.result import Result
 
 Data = dict[str, Any]
 
 MOST = 5
 """Rivals that are named before the rest is folded away."""
 
-_SIDES = 1.96  # of a 95 % interval
 _CERTAIN, _SURE = 0.995, 0.9
 _CLEARLY = 50.0  # log odds
 _STAGES = {
@@ -67,7 +62,7 @@ class Tile:
 
 def finding(result: Result) -> Data:
     """The verdict, how sure it is, the tool's error, what to do, and what speaks against it."""
-    after, searches = result.after, result.request.searches
+    after, searches = result.after, result.searches
     lacking = not searches and after.sigma_scale > 1
     return {
         "first": result.firmware.first if result.firmware else "",
@@ -83,10 +78,8 @@ def finding(result: Result) -> Data:
         "tiles": tiles(result),
         "printer": result.firmware is not None and result.firmware.corrections is not None,
         "open": after.scores.left.said() if not result.stands or lacking else "",
-        "legs": bool(after.problem.campaigns),
-        "loses": any(map(loses, result.effects))
-        or any(map(loses, result.located))
-        or any(map(loses, result.moved)),
+        "legs": bool(result.request.campaigns),
+        "loses": result.loses,
         "actions": result.actions,
         "sheet": result.next_sheet is not None,
         "most": MOST,
@@ -121,20 +114,18 @@ def _of_cause(cause: Cause, option: Iterator[int]) -> Claim:
 
 def _statement(one: Explanation, probability: float, option: int) -> Statement:
     sure = sure_words(probability)
-    if one.in_unit is not None:
-        effect = one.catalogue.effect_of(one.name)
-        spread = one.in_unit[1] * effect.unit.si * _SIDES
-        sure += f", its size to ± {size_words(effect, spread)} (95 %)"
+    if one.half_width:
+        sure += f", its size to ± {one.half_width} (95 %)"
     return Statement(sentence(one.words), sure, option)
 
 
 def _of_curve(curve: Curve, option: int) -> Statement:
-    return Statement(sentence(curve_words(curve)), sure_words(curve.probability), option)
+    return Statement(sentence(curve.words_with_measure), sure_words(curve.probability), option)
 
 
 def _of_change(change: Change, option: Iterator[int]) -> Claim:
     sure = sure_words(1 / (1 + math.exp(-min(change.evidence, _CLEARLY))))
-    first, *rivals = (Statement(sentence(words), "", next(option)) for words in change.words)
+    first, *rivals = (Statement(sentence(words), "", next(option)) for words in change.each)
     which = " that one of them changed" if rivals else ""
     return Claim(replace(first, sure=f"{sure}{which}"), (), tuple(rivals))
 
@@ -157,7 +148,7 @@ def tiles(result: Result) -> list[Tile]:
         ]
         return told if result.stands and not withheld(result.machine) else told[:1]
     expected = result.numbers.expected
-    stages = ("now", "zeros") if not result.stands and result.request.searches else _STAGES
+    stages = ("now", "zeros") if not result.stands and result.searches else _STAGES
     return [_tile(_STAGES[name], expected[name]) for name in stages]
 
 

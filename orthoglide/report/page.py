@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import orthoglide.report.first as first
 import orthoglide.report.sections as sections
@@ -15,9 +15,7 @@ from orthoglide import __version__
 from orthoglide.figures.style import Drawing
 from orthoglide.report.phrases import listed
 from orthoglide.report.rendering import rendered
-
-if TYPE_CHECKING:
-    from orthoglide.result import Result
+from orthoglide.result import Result
 
 _JUDGES = {"holdout": "held out to judge by", "tcp": "measured at the TCP to judge by"}
 
@@ -43,7 +41,7 @@ def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
     """The report as HTML; ``sheet`` is the text of ``next_measurements.csv``, empty where nothing
     is proposed.
     """
-    searches = result.request.searches
+    searches = result.searches
     return rendered(
         "page.html.j2",
         result=result,
@@ -56,11 +54,11 @@ def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
 
 
 def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Iterator[Section]:
-    searches = result.request.searches
+    searches = result.searches
     yield Section("finding", "", first.finding(result))
     if result.blunders:
         yield Section("faults", "Faults of the data", sections.faults(result))
-    if result.pattern:
+    if result.left.pattern:
         yield Section("left", "What is left", sections.left(result))
     if result.firmware is not None and result.firmware.corrections is not None:
         yield Section("firmware", "Numbers for the firmware", sections.firmware(result))
@@ -89,15 +87,17 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
 
 
 def _subtitle(result: Result) -> str:
-    problem = result.first.problem
-    inputs = result.request.inputs
-    files = listed(i["file"] for i in inputs if i.get("role", "fit_tcp") == "fit_tcp")
-    judges = [f"{i['file']} {_JUDGES[i['role']]}" for i in inputs if i.get("role") in _JUDGES]
-    count, read = sum(map(len, problem.campaigns)), []
+    request = result.request
+    files = listed(i["file"] for i in request.inputs if i.get("role", "fit_tcp") == "fit_tcp")
+    judges = [
+        f"{i['file']} {_JUDGES[i['role']]}" for i in request.inputs if i.get("role") in _JUDGES
+    ]
+    count, read = sum(map(len, request.campaigns)), []
     if count:
-        read.append(f"{count} readings in {len(problem.leg_setups)} setups")
-    tool = sum(len(f.readings) for f in problem.tool if not f.readings.by_point)
-    points = sum(int(f.point.max()) + 1 for f in problem.tool if f.readings.by_point)
+        setups = sum(len(given.setups) for given in request.campaigns)
+        read.append(f"{count} readings in {setups} setups")
+    tool = sum(len(given) for given in request.points if not given.by_point)
+    points = sum(len(given.points().command) for given in request.points if given.by_point)
     if tool:
         read.append(f"{tool} readings of the tool")
     if points:

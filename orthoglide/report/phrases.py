@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
 
 from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.effects.wording import cause_short, parameter_words
 from orthoglide.numerals import compact, signed
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 from orthoglide.ordering import best_of
-from orthoglide.result.unvaried import one_sided, unshown, unvaried
-
-if TYPE_CHECKING:
-    from orthoglide.fit import WeakDirection
-    from orthoglide.result import Result
-    from orthoglide.result.actions import Action
+from orthoglide.result import Action, Result, WeakDirection
 
 _FEW = 2.0  # degrees of freedom
 _SOUND = 0.05  # probability of what the base leaves, from which nothing more is told
@@ -111,7 +105,7 @@ def _narrowed(weak: WeakDirection) -> str:
 
 def unshown_words(result: Result) -> str:
     """What these readings would not show, by effect, as a clause; empty where there is nothing."""
-    if not (hidden := unshown(result)):
+    if not (hidden := result.unseen.effects):
         return ""
     parts = (f"that {words}{f' ({listed(of)})' if of else ''}" for words, of in hidden)
     taken = listed(result.instruments.values())
@@ -130,9 +124,9 @@ _SIDES = {
 
 def unvaried_words(result: Result) -> str:
     """That lost motion would not show, and why, as a clause; empty where it would."""
-    if not (why := one_sided(result)):
+    if not (why := result.unseen.one_sided):
         return ""
-    hidden = [name for name, needs in unvaried(result).items() if "approach" in needs]
+    hidden = [name for name, needs in result.unseen.unvaried.items() if "approach" in needs]
     named = "; ".join(f"that {cause_short(result.catalogue, name)}" for name in hidden)
     return f"not visible either, which is not absent: {named}, as {_SIDES[why]}"
 
@@ -151,8 +145,8 @@ def dealt_with(result: Result) -> str:
     if not (count := len(result.blunders)):
         return ""
     faults = f"{count} fault{'s' if count > 1 else ''} in the data had to be dealt with first"
-    aside = {row for one in result.blunders if one.sets_aside for row in one.rows}
-    every = len(result.after.problem.measured) + len(aside)
+    aside = {row for one in result.blunders if one.excluded for row in one.rows_in_request}
+    every = len(result.readings) + len(aside)
     if len(aside) < _MANY * every:
         return f"{faults}."
     return (

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 from orthoglide.numerals import compact, plain, probability, signed
 from orthoglide.report.phrases import gain_words, listed, sentence
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 _WORDS = (sentence, listed, gain_words, compact, plain, signed, probability)
 
@@ -14,6 +18,12 @@ def rendered(template: str, **data: Any) -> str:
     """A template in the folder ``templates`` with the data that it names; one that is missing is an
     error. Filters there are the functions that put numbers and clauses into words, and ``fixed``.
     """
+    return _environment().get_template(template).render(**data)
+
+
+@cache
+def _environment() -> Environment:
+    """Where templates are found, each compiled once."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -25,4 +35,4 @@ def rendered(template: str, **data: Any) -> str:
         keep_trailing_newline=True,
     )
     environment.filters.update({word.__name__: word for word in _WORDS}, fixed="{:.{}f}".format)
-    return environment.get_template(template).render(**data)
+    return environment

@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from orthoglide.numerals import compact, decimals_for, probability, signed
-
-if TYPE_CHECKING:
-    from orthoglide.result import Result
-
+from orthoglide.result import Result
 
 _LEFT_OVER = 0.5  # degrees of freedom: less is no test
 
@@ -32,19 +29,20 @@ class ParameterRow:
 
 def parameter_rows(result: Result) -> list[ParameterRow]:
     """One row an unknown."""
-    rows, columns = [], result.columns
-    for name, value, sigma, low, high, tolerance, unit in zip(*columns.values(), strict=True):
-        places = decimals_for(sigma, most=9)
+    rows = []
+    for name, one in result.identified.items():
+        places = decimals_for(one.sigma, most=9)
+        low, high = (signed(end, places) for end in one.interval_95)
         rows.append(
             ParameterRow(
                 name,
-                signed(value, places),
-                f"{sigma:.{places}f}",
-                signed(low, places),
-                signed(high, places),
-                compact(tolerance),
-                unit,
-                name in result.after.on_bound,
+                signed(one.value, places),
+                f"{one.sigma:.{places}f}",
+                low,
+                high,
+                compact(one.tolerance),
+                one.unit,
+                one.on_bound,
             )
         )
     return rows
@@ -88,8 +86,9 @@ def score_rows(result: Result) -> list[ScoreRow]:
             if unit in held.before.shown:
                 what = f"readings held out, rms, {unit}"
                 rows.append(ScoreRow(what, "", *millimetres(pair)))
-    for alignment, words in _ALIGNMENTS.items() if result.tcp else ():
-        errors = result.tcp[alignment]  # type: ignore[index]
+    judged = result.tcp or {}
+    for alignment, words in _ALIGNMENTS.items() if judged else ():
+        errors = judged[alignment]
         pairs = (errors.nominal, errors.before, errors.after)
         means, most = (millimetres([pair[k] for pair in pairs]) for k in (0, 1))
         cells = [f"{mean} / {top}" for mean, top in zip(means, most, strict=True)]

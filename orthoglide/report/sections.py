@@ -8,32 +8,29 @@ import base64
 import math
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from orthoglide.control import COUNTING, withheld
 from orthoglide.effects.words import toward
-from orthoglide.figures.causes import MOST_CURVES
+from orthoglide.figures.causes import drawn
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
+from orthoglide.machine_file import MachineFile
 from orthoglide.numerals import ByUnit, compact, told_apart
+from orthoglide.observations import Readings, Setup
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.phrases import listed, sentence, unvaried_words, weak_sentences
 from orthoglide.report.rows import millimetres, parameter_rows, score_rows
-from orthoglide.report.wording import effects_named, located_words
-from orthoglide.result.unvaried import unshown
-
-if TYPE_CHECKING:
-    from orthoglide.diagnosis.rest import SetupRest
-    from orthoglide.fit import Problem
-    from orthoglide.observations import Readings, Setup
-    from orthoglide.posterior import BudgetItem
-    from orthoglide.result import Result, Workspace
+from orthoglide.report.wording import effects_named
+from orthoglide.result import BudgetItem, Proposal, Result, SetupResidual, Workspace
+from orthoglide.result.result import sheet_of
 
 Data = dict[str, Any]
 Figures = Mapping[str, Drawing]
+Station = tuple[Setup, str, str, int]
 
 _MOST_ITEMS = 12
 _MOST_SHAPES = 5  # known causes named as ruled out
@@ -66,8 +63,7 @@ class BeforeAfter:
 
 def before_and_after(result: Result) -> list[BeforeAfter]:
     """What the finding gains, at a glance."""
-    before, after = result.before, result.after
-    start = before.scores if result.improved else result.nominal
+    start, after = result.start, result.after
     found = [
         *_tiles("Readings", start.told, after.scores.told, "rms left"),
         *_tiles("Stations left out", start.left_out, after.scores.left_out, "rms"),
@@ -79,7 +75,7 @@ def before_and_after(result: Result) -> list[BeforeAfter]:
         first = errors.before if result.improved else errors.nominal
         was, now = (ByUnit(length, math.nan) for length in (first[0], errors.after[0]))
         found += _tiles("TCP, best shift removed", was, now, "mean error")
-    noise = after.problem.one_reading.shown
+    noise = result.noise.single_reading.shown
     found += [
         BeforeAfter("Noise of a reading", "", compact(value, 2), f"{unit}, sigma")
         for unit, value in noise.items()
@@ -103,10 +99,10 @@ def faults(result: Result) -> Data:
 
 def left(result: Result) -> Data:
     """The pattern of what is left."""
-    return {"rows": [(rest, _most(rest)) for rest in (*result.rest, *result.rest_of_tool)]}
+    return {"rows": [(rest, _most(rest)) for rest in result.left.mountings]}
 
 
-def _most(rest: SetupRest) -> str:
+def _most(rest: SetupResidual) -> str:
     if rest.leg < 0:
         return f"{compact(rest.most * 1e3, 2)} {rest.unit}"
     way = toward(LEGS[rest.axis], rest.most)
@@ -122,7 +118,7 @@ def judged(result: Result, figures: Figures) -> Data:
         "figure": whole(figures["residuals"]),
         "own": listed([n.replace("_", " ") + "s" for n in result.request.own]),
         "inside": f"{inside:.0%}" if math.isfinite(inside) else "",
-        "base": effects_named(result.before),
+        "base": effects_named(result),
     }
 
 
@@ -137,7 +133,7 @@ def causes(result: Result, figures: Figures) -> Data:
 def located(result: Result, figures: Figures) -> Data:
     """Places without a name: the curve found, what else it could be, what it resembles."""
     places = [
-        (located_words(one), one, panels(figures[f"located-{k}"]))
+        (one.words, one, panels(figures[f"located-{k}"]))
         for k, one in enumerate(result.located, start=1)
     ]
     return {"places": places, "most": _MOST_SHAPES}
@@ -147,11 +143,10 @@ def budget(result: Result) -> Data:
     """What is wrong by what mending it gains."""
     several = {c.name for c in result.effects if len(c.explanations) > 1}
     classes = [one for one in result.located if len(one.members) > 1]
-    several |= {one.in_machine(result.catalogue)[0] for one in classes}
+    several |= {one.in_budget for one in classes}
     named = {item.cause for item in result.budget if not item.rest}
     rows = [
-        (item, result.short(item.cause) + _counted(item, named, several))
-        for item in result.budget[:_MOST_ITEMS]
+        (item, item.words + _counted(item, named, several)) for item in result.budget[:_MOST_ITEMS]
     ]
     return {"rows": rows}
 
@@ -168,8 +163,8 @@ def _counted(item: BudgetItem, named: Collection[str], several: Collection[str])
 def apart(result: Result, figures: Figures) -> Data:
     """What each cause makes of the readings, rivals overlaid."""
     every = enumerate(result.effects, start=1)
-    causes = [(cause, panels(figures[f"signatures-{k}"])) for k, cause in every]
-    return {"causes": causes, "most": MOST_CURVES}
+    causes = [(c.name, drawn(c), c.others, panels(figures[f"signatures-{k}"])) for k, c in every]
+    return {"causes": causes}
 
 
 def readings(figures: Figures) -> Data:
@@ -185,14 +180,14 @@ def controller(result: Result) -> Data:
     spec, numbers, why = result.machine.spec, result.numbers, withheld(result.machine)
     effects = result.catalogue
     zeros = any(effects.effect_of(name).controller == "zero" for name in spec.parameters)
-    places = [found.members[0].place for found in result.located]
+    places = [found.members[0] for found in result.located]
     return {
         "drives": numbers.drives if zeros else (),
         "withheld": _WHY if result.cautions else sentence(why) if why else "",
         "counting": COUNTING,
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
         # What a calibrated machine does not hold.
-        "beyond": listed(place.words for place in places if not place.of_machine),
+        "beyond": listed(one.description for one in places if not one.of_machine),
     }
 
 
@@ -229,26 +224,27 @@ _MINUS = re.compile(r"(?<=\s)-(?=\d)")
 def following(result: Result, sheet: str) -> Data:
     """What to measure next, with the sheet as a link."""
     suggested = result.next_measurements
-    suggestions = [
-        (_AIMS[s.aim], _reason(s.reason), s.campaign, _stations(s.campaign))
-        for s in suggested
-        if s.campaign is not None
-    ]
+    suggestions = [_suggested(s, result) for s in suggested if s.readings]
     data = base64.b64encode(sheet.encode()).decode()
     return {
         "suggestions": suggestions,
-        "others": [_reason(s.reason) for s in suggested if s.pool is None and not s.hopeless],
+        "others": [_reason(s.reason) for s in suggested if s.other_instrument and not s.hopeless],
         "hopeless": [_reason(s.reason) for s in suggested if s.hopeless],
         "legs": LEGS,
         "link": f"data:text/csv;charset=utf-8;base64,{data}" if sheet else "",
     }
 
 
+def _suggested(one: Proposal, result: Result) -> tuple[str, str, Readings, Iterator[Station]]:
+    read = sheet_of(one.readings, result.request.machine)
+    return _AIMS[one.aim], _reason(one.reason), read, _stations(read)
+
+
 def _reason(text: str) -> str:
     return sentence(_MINUS.sub("−", text))
 
 
-def _stations(sheet: Readings) -> Iterator[tuple[Setup, str, str, int]]:
+def _stations(sheet: Readings) -> Iterator[Station]:
     """Stations of a sheet, each once: its setup, the command and its side, and how often it is
     visited.
     """
@@ -300,9 +296,9 @@ def unseen(result: Result, figures: Figures) -> Data:
     """What the readings cannot tell apart, and what they would not show."""
     figure = figures.get("correlations")
     return {
-        "sentences": weak_sentences(result.after.weak, result.catalogue),
-        "effects": [(words, listed(members)) for words, members in unshown(result)],
-        "unexcited": [f.replace("_", " ") for f in result.unexcited],
+        "sentences": weak_sentences(result.weak, result.catalogue),
+        "effects": [(words, listed(members)) for words, members in result.unseen.effects],
+        "unexcited": [f.replace("_", " ") for f in result.unseen.unexcited],
         "sides": sentence(one) if (one := unvaried_words(result)) else "",
         "second_place": _has_one_place(result),
         "owned": ",".join(result.instruments),
@@ -314,7 +310,7 @@ def unseen(result: Result, figures: Figures) -> Data:
 
 def _has_one_place(result: Result) -> bool:
     """Whether some leg was read by dials at a single place along it."""
-    setups = [setup for campaign in result.after.problem.campaigns for setup in campaign.setups]
+    setups = [setup for campaign in result.request.campaigns for setup in campaign.setups]
     places = {(setup.leg, round(gauge, 3)) for setup in setups for gauge in setup.gauges}
     return 1 in Counter(leg for leg, _ in places).values()
 
@@ -334,31 +330,30 @@ _SOURCES = {
 
 def method(result: Result) -> Data:
     """How it was computed, from which files, and how to do it again."""
-    fit = result.before
+    setups = result.request.setups
     return {
-        "base": effects_named(fit),
-        "machine": Path(fit.problem.machine.spec.file).name or "the nominal Orthoglide",
-        "method": _METHODS[fit.method],
-        "source": _SOURCES[fit.problem.noise_source],
-        "of_setups": " ".join(_of_setups(fit.problem)),
+        "base": effects_named(result),
+        "machine": Path(result.request.machine.spec.file).name or "the nominal Orthoglide",
+        "method": _METHODS[result.before.method],
+        "source": _SOURCES[result.noise.source],
+        "of_setups": " ".join(_of_setups(setups, result.request.machine.spec)),
     }
 
 
-def _of_setups(problem: Problem) -> Iterator[str]:
+def _of_setups(setups: Sequence[Setup], spec: MachineFile) -> Iterator[str]:
     """What was fitted with every setup, in sentences."""
-    spec = problem.machine.spec
-    if any(s.observation.from_datum for s in problem.setups):
+    if any(s.observation.from_datum for s in setups):
         placement = compact(spec.dial.placement * 1e3, 2)
         yield (
             f"The dial's zero is free in every setup, and its place along the leg is known to "
             f"{placement} mm."
         )
-    if any(not s.observation.from_datum for s in problem.setups):
+    if any(not s.observation.from_datum for s in setups):
         slope = spec.surface_slope
         surface = f"may slope by {compact(slope * 1e3, 2)} mrad" if slope else "is taken as exact"
         yield (
             f"Of two dials on a leg the difference was read, which has no zero of its own; the "
             f"surface that they were set to zero against {surface}."
         )
-    if not problem.setups:
+    if not setups:
         yield "What belongs to a setup is free: a plate's height and slopes, an instrument's frame."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,10 +13,8 @@ from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations import Readings
 from orthoglide.observations.columns import of_commands
+from orthoglide.result import Result
 from orthoglide.text import csv_text
-
-if TYPE_CHECKING:
-    from orthoglide.result import Result
 
 _FIGURES = (
     "reading_{}", "sigma_{}",
@@ -37,7 +35,7 @@ def calibrated_machine(result: Result) -> MachineFile:
         "campaigns": [{"file": i["file"], "sha256": i["sha256"]} for i in read],
         **({"machine": machine} if given.file else {}),
         **spec.provenance,
-        "sigma": "noise alone" if result.posterior is None else "everything else allowed",
+        "sigma": "everything else allowed" if result.searches else "noise alone",
     }
     name = "Orthoglide, calibrated" if spec.name == MachineFile.name else spec.name
     return replace(spec, name=name, provenance=provenance)
@@ -48,48 +46,43 @@ def residual_table(result: Result) -> str:
 
     Figures of inclinations have columns of their own, where any were read.
     """
-    problem, base = result.after.problem, result.before
-    measured, turned = problem.measured, problem.turned
-    predicted = (base.predicted_before, base.predicted, result.after.predicted)
-    columns = [measured, problem.sigma, *predicted, *(measured - p for p in predicted)]
+    given, shown = result.request.given, result.readings
+    predicted, turned = (shown.nominal, shown.before, shown.after), shown.turned
+    columns = [shown.measured, shown.sigma, *predicted, *(shown.measured - p for p in predicted)]
     figures, rows = np.column_stack(columns), list[list[Any]]()
     none, several = [""] * len(_FIGURES), bool(turned.any())
-    both = any(s.observation.dials > 1 for f in problem.factors for s in f.readings.setups)
-
-    def add(cells: list[Any], row: int, kind: str) -> None:
-        shown = [*map(_mm, figures[row])]
-        mrad = shown if turned[row] else none
-        rows.append(
-            [*cells, *(none if turned[row] else shown), "", kind, *(mrad if several else ())]
-        )
-
-    for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
-        read = factor.readings
-        for k, row in enumerate(range(part.start, part.stop)):
-            add(_cells(read, k, both), row, read.setups[read.setup[k]].kind)
+    both = any(s.observation.dials > 1 for read in given for s in read.setups)
+    places = zip(shown.file.tolist(), shown.row.tolist(), shown.setups, strict=True)
+    for k, (file, row, name) in enumerate(places):
+        read, cells = given[file], [*map(_mm, figures[k])]
+        kind = read.setups[read.setup[row]].kind
+        mm, mrad = (none, cells) if turned[k] else (cells, none)
+        place = _cells(read, row, name, both)
+        rows.append([*place, *mm, "", kind, *(mrad if several else ())])
     for blunder in result.blunders:
-        for place, row in blunder.rows if blunder.sets_aside else ():
-            read = result.first.problem.factors[place].readings
+        for file, row in blunder.rows_in_request if blunder.excluded else ():
+            read = given[file]
             setup = read.setups[read.setup[row]]
-            shown = [_mm(read.reading[row]), *none[1:]]
-            cells = [*_cells(read, row, both), *(none if setup.observation.angular else shown)]
-            mrad = shown if setup.observation.angular else none
-            rows.append([*cells, blunder.kind, setup.kind, *(mrad if several else ())])
-    places = (
+            cells = [_mm(read.reading[row]), *none[1:]]
+            mm, mrad = (none, cells) if setup.observation.angular else (cells, none)
+            place = _cells(read, row, "" if read.by_point else setup.name, both)
+            rows.append([*place, *mm, blunder.kind, setup.kind, *(mrad if several else ())])
+    titles = (
         "campaign", "line", "setup", "leg", "direction", "posture",
-        *of_commands(problem.machine.geometry.layout.names),
+        *of_commands(result.machine.geometry.layout.names),
         "gauge_mm", *(("gauge2_mm",) if both else ()), "repeat", "order",
     )  # fmt: skip
     last = ("set_aside", "kind", *(_IN_MRAD if several else ()))
-    return csv_text((*places, *_IN_MM, *last), rows)
+    return csv_text((*titles, *_IN_MM, *last), rows)
 
 
-def _cells(read: Readings, row: int, both: bool) -> list[Any]:
-    """What was read where; ``both`` where there are columns of two dials on a leg."""
+def _cells(read: Readings, row: int, name: str, both: bool) -> list[Any]:
+    """What was read where, in a setup of this name; ``both`` where there are columns of two dials
+    on a leg.
+    """
     setup = read.setups[read.setup[row]]
     leg, gauge = (LEGS[setup.leg], _mm(setup.gauge)) if setup.leg >= 0 else ("", "")
     second = [_mm(setup.gauge2) if setup.observation.dials > 1 else ""] if both else []
-    name = "" if read.by_point else setup.name
     return [
         read.name, read.line[row], name, leg, read.direction[row], read.posture[row],
         *map(_mm, read.command[row]), gauge, *second,

@@ -18,14 +18,12 @@ from orthoglide.report.phrases import (
 from orthoglide.report.rows import parameter_rows, score_rows
 from orthoglide.report.sections import too_early
 from orthoglide.report.wording import headline
+from orthoglide.result import Action, Result
 from orthoglide.text import is_terminal, text_width
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
-
-    from orthoglide.result import Result
-    from orthoglide.result.actions import Action
 
 
 _MOST = 3  # of what may be looked at
@@ -43,12 +41,12 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
     ]
     parts += [Text(f"- data: {b.message}") for b in result.blunders]
     parts += _tables(result, ranked)
-    searches = result.request.searches
-    remarks = [f"The search ended: {result.stopped}."] if searches else []
-    remarks += [] if searches else weak_sentences(result.after.weak, result.catalogue)
+    searches = result.searches
+    remarks = [f"The search ended: {result.left.stopped}."] if searches else []
+    remarks += [] if searches else weak_sentences(result.weak, result.catalogue)
     hidden = (unshown_words(result), unvaried_words(result))
     told = (*hidden, *(w for w in result.warnings if w.kind != said))
-    remarks += [*result.pattern, *(sentence(w) for w in told if w)]
+    remarks += [*result.left.pattern, *(sentence(w) for w in told if w)]
     parts += [Text(f"- {line}") for line in remarks]
     parts += [Text(line) for line in to_do(result)]
     if result.firmware is not None and result.firmware.corrections is not None:
@@ -116,7 +114,7 @@ def _tables(result: Result, ranked: bool) -> Iterator[Table]:
     identified = (
         (row.name, row.value, row.sigma, f"{row.low} to {row.high}", row.tolerance, row.unit)
         for row in parameter_rows(result)
-        if not result.request.searches
+        if not result.searches
     )
     columns = ("parameter", "value", "± sigma", "95 % interval", "tolerance", "unit")
     yield from _table(columns, identified)
@@ -148,7 +146,7 @@ def _causes(result: Result) -> Iterator[tuple[str, str]]:
         for rival in cause.rivals:
             yield hundredths(rival.probability), f"or {rival.words}\n{rival.name}"
         for c in cause.places:
-            yield hundredths(c.probability), f"or {c.place.words}\n{c.name}"
+            yield hundredths(c.probability), f"or {c.description}\n{c.name}"
 
 
 def _located(result: Result) -> Iterator[tuple[str, str, str, str]]:
@@ -156,4 +154,4 @@ def _located(result: Result) -> Iterator[tuple[str, str, str, str]]:
     for found in result.located:
         for k, c in enumerate(found.members):
             name = f"or {c.name}" if k else c.name
-            yield name, f"{c.probability:.2f}", c.size_words, c.place.words
+            yield name, f"{c.probability:.2f}", c.size_words, c.description

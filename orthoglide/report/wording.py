@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 from orthoglide.effects.wording import parameter_words
 from orthoglide.effects.words import toward
 from orthoglide.geometry import LEGS
 from orthoglide.numerals import compact, decimals_for, probability, signed, told_apart
+from orthoglide.parameters import Parameter
 from orthoglide.report.phrases import (
     NOTHING_SHOWN,
     a_little,
@@ -18,12 +18,7 @@ from orthoglide.report.phrases import (
     none_left_over,
     sentence,
 )
-
-if TYPE_CHECKING:
-    from orthoglide.fit import Change, Estimate, Scores
-    from orthoglide.parameters import Parameter
-    from orthoglide.posterior import Cause, Curve, Located
-    from orthoglide.result import Result
+from orthoglide.result import Cause, Change, Result, Scores
 
 _HARDLY = 0.95  # of the deviations before: a fit that leaves more has not helped
 _SLIGHT = 0.9  # the same of a cause that was added
@@ -41,7 +36,7 @@ BESIDES = "Something else is wrong as well."
 
 def headline(result: Result) -> str:
     """The result in a few sentences: what must be known first, what is wrong, and by what."""
-    if not result.request.searches:
+    if not result.searches:
         return claim(result)
     first = "" if result.firmware is None else result.firmware.first
     return " ".join(text for text in (first, claim(result), evidence(result)) if text)
@@ -55,9 +50,8 @@ def claim(result: Result) -> str:
 
 def standing(result: Result) -> str:
     """What is wrong but for what changed."""
-    if not result.request.searches:
-        fit = result.after
-        return f"{_found(fit)} {_gain(fit)}; {_rest(fit)}."
+    if not result.searches:
+        return f"{_found(result)} {_gain(result)}; {_rest(result)}."
     if result.found:
         more = f" {BESIDES}" if result.word == "partial" else ""
         return f"{_causes(result)}{more}"
@@ -69,19 +63,19 @@ def standing(result: Result) -> str:
     if none_left_over(result):
         return (
             f"These readings are too few to look for causes with: the "
-            f"{effects_named(result.before)} take up nearly all that they say, and too few are "
+            f"{effects_named(result)} take up nearly all that they say, and too few are "
             f"left over to tell what the rest comes from."
         )
     first = _to_enter(result)
     if a_little(result):
         return (
             f"{first}No single cause stands out{' beyond that' if first else ''}: everything is "
-            f"off by a little, about {compact(result.share, 1)} of its tolerance."
+            f"off by a little, about {compact(result.left.background, 1)} of its tolerance."
         )
     if result.nominal.rms < _NONE:
         return NOTHING_SHOWN
     nothing = "Nothing else is" if result.changed or first else "Nothing is"
-    base = effects_named(result.before)
+    base = effects_named(result)
     return f"{first}{nothing} wrong that these readings could show beyond the {base}."
 
 
@@ -113,7 +107,7 @@ def _changed(changes: Iterable[Change]) -> str:
 
 
 def _weighed(result: Result) -> str:
-    base = effects_named(result.before)
+    base = effects_named(result)
     if result.word == "unexplained":
         why = "" if _too_few(result) else f" {_why_significant(result)}"
         return f"With the {base} set right, {_fall(result)}.{why}"
@@ -127,11 +121,11 @@ def _weighed(result: Result) -> str:
     else:
         more = "all of it" if a_little(result) else "small errors of everything else"
         given = f"the {base} set right" + f" and {more} in the model" * result.improved
-    if result.posterior is not None and result.posterior.mixture.linear.unnamed.any():
+    if result.shapes_of_plate:
         given += " and small shapes of the plate's own"
     if none_left_over(result):
         return f"With {given}, {_fall(result)}, and too few readings are left over to judge that."
-    of = "the dial" if result.after.problem.legs_alone else "the readings"
+    of = "the dial" if not result.request.points else "the readings"
     what = f"the noise of {of}"
     if any(w.kind == "side" for w in result.warnings):
         what = "what repeats scatter by: noise of the readings, or lost motion of the machine"
@@ -150,11 +144,11 @@ def where_left(result: Result) -> str:
             " The plate's own shape would explain it, finer than a bowl or three lobes: touch it "
             "again, turned by 60 degrees (turned_deg of its setup); what turns with it is its own."
         )
-    shares = [*(one.share for one in result.rest), *(one.share for one in result.rest_of_tool)]
+    shares = [one.share for one in result.left.mountings]
     if shares and (points := 1 - sum(shares)) > max(shares):
         return f" The largest part of what is left ({100 * points:.0f} %) shows in the TCP points."
-    if result.dials_hold_most:
-        one = result.rest[0]
+    if result.left.dials_hold_most:
+        one = result.left.by_dial[0]
         where = f"on leg {LEGS[one.leg]} read along {LEGS[one.axis]}"
         size = f"there the dial is off by up to {compact(abs(one.most) * 1e3, 2)} mm, toward "
         size += toward(LEGS[one.axis], one.most)
@@ -166,13 +160,13 @@ def where_left(result: Result) -> str:
             f"up to {compact(abs(one.most) * 1e3, 2)} {one.unit}, with the tool at "
             f"{one.where[0]} mm",
         )
-        for one in result.rest_of_tool[:1]
+        for one in result.left.by_instrument[:1]
     )  # fmt: skip
 
 
 def _largest_part(result: Result, share: float, where: str, size: str) -> str:
     """Where the largest part of what is left shows, and whether it stands out at all."""
-    dials, tool = len(result.rest), len(result.rest_of_tool)
+    dials, tool = len(result.left.by_dial), len(result.left.by_instrument)
     alike = dials + tool > 1 and share < 2 / (dials + tool)
     spread = f", though all {'readings' if tool else 'dials'} show some" if alike else ""
     return f" The largest part of what is left ({100 * share:.0f} %) shows {where}{spread}: {size}."
@@ -201,7 +195,7 @@ def _nothing_explains(result: Result) -> str:
             "errors of everything beyond its tolerance, or by errors that have no structure. They "
             "are too few to tell more, or the tolerances are not this machine's."
         )
-    if result.left.untold > _CHANCE:
+    if result.left.with_unreported > _CHANCE:
         return (
             "Something is wrong, and what it is does not stand out: several effects of the "
             "catalogue or free functions of its parts would explain it, none of them clearly."
@@ -214,8 +208,8 @@ def _nothing_explains(result: Result) -> str:
 
 def _why_significant(result: Result) -> str:
     """What is left against the noise: its size, or its pattern where it is no larger."""
-    noise, left = result.after.problem.one_reading, result.after.scores.left
-    whose = "the dial's noise" if result.after.problem.legs_alone else "the noise of one"
+    noise, left = result.noise.single_reading, result.after.scores.left
+    whose = "the noise of one" if result.request.points else "the dial's noise"
     if any(left.shown[unit] > of_one for unit, of_one in noise.shown.items()):
         return f"Single readings are left with {left.said()} rms, where {whose} is {noise.said()}."
     if math.isnan(result.left.p_value):
@@ -229,32 +223,9 @@ def _why_significant(result: Result) -> str:
 
 def _causes(result: Result) -> str:
     told = [f"{c.chosen.words}{alternatives(c)}" for c in result.effects]
-    told += map(located_words, result.located)
+    told += [one.words for one in result.located]
     besides = (f"Besides, {one[:1].lower()}{one[1:]}" for one in told[1:])
     return " ".join(map(sentence, (told[0], *besides)))
-
-
-def located_words(found: Located) -> str:
-    """Where something without a name was found, how large it is, and what else it could be."""
-    first, *others = found.members
-    text = curve_words(first)
-    if others:
-        named = " or ".join(c.words for c in others[:_MOST_RIVALS])
-        more = len(others) - _MOST_RIVALS
-        rest = f", or {more} more places named below" if more > 0 else ""
-        text += f" (or {named}{rest}: these readings cannot tell)"
-    if found.resembling:
-        return f"{text}; it resembles {listed(found.resembling[:_MOST_RIVALS])}"
-    return f"{text}; no known shape explains it"
-
-
-def curve_words(curve: Curve) -> str:
-    """Where a curve was found and its size, as a clause, with how that is counted."""
-    of_a_place = " of coming to a place" * (not curve.place.of_dial)
-    counted = {"approach": f"between the two ways{of_a_place}", "reversal": "from the turn on"}
-    size = curve.size_words.removesuffix(" rms")
-    how = counted.get(curve.place.against, "root mean square")
-    return f"{curve.place.words}, by {size} ({how})"
 
 
 def alternatives(cause: Cause) -> str:
@@ -273,8 +244,8 @@ def alternatives(cause: Cause) -> str:
 
 
 def _fall(result: Result) -> str:
-    start = result.before.scores if result.improved else result.nominal
-    return f"the difference between readings and prediction {_falls(start, result.after.scores)}"
+    fall = _falls(result.start, result.after.scores)
+    return f"the difference between readings and prediction {fall}"
 
 
 def _falls(before: Scores, after: Scores) -> str:
@@ -294,23 +265,23 @@ def _falls(before: Scores, after: Scores) -> str:
 # --- Of an identification -------------------------------------------------------------------
 
 
-def _found(fit: Estimate) -> str:
+def _found(result: Result) -> str:
     """The values, as the subject of the sentence."""
-    catalogue = fit.problem.machine.catalogue
-    names = [catalogue.parameter(name) for name in fit.names]
-    parts = [text for effect in catalogue.base for text in _by_leg(fit, names, effect)]
+    catalogue = result.catalogue
+    names = [catalogue.parameter(name) for name in result.identified]
+    parts = [text for effect in catalogue.base for text in _by_leg(result, names, effect)]
     others = [name for name in names if name.effect not in catalogue.base]
-    parts += [f"{parameter_words(n)} {_value(fit, n)}" for n in others[:_MOST_NAMED]]
+    parts += [f"{parameter_words(n)} {_value(result, n)}" for n in others[:_MOST_NAMED]]
     if len(others) > _MOST_NAMED:
         parts.append(f"{len(others) - _MOST_NAMED} further parameters")
     text = listed(parts)
     return text[:1].upper() + text[1:]
 
 
-def _gain(fit: Estimate) -> str:
+def _gain(result: Result) -> str:
     """What the fit does to the deviations."""
     parts, last = [], ""
-    before, after = fit.nominal.told.shown, fit.scores.told.shown
+    before, after = result.nominal.told.shown, result.after.scores.told.shown
     for unit, now in after.items():
         verb = "hardly change" if now > _HARDLY * before[unit] else "reduce"
         what = f"{verb} {'them' if last else 'the deviations'} " if verb != last else ""
@@ -319,15 +290,15 @@ def _gain(fit: Estimate) -> str:
     return ", and ".join(parts)
 
 
-def _rest(fit: Estimate) -> str:
+def _rest(result: Result) -> str:
     """What remains, against the noise."""
-    noise = fit.problem.one_reading.said()
+    noise, fit = result.noise.single_reading.said(), result.after
     if fit.scores.dof <= 0:
         return "no reading is left over to judge the fit by"
     if fit.sigma_scale > 1:
         return (
             f"what is left is {fit.sigma_scale:.2g} times the noise of a reading ({noise}): "
-            f"the machine, or the measurement, has an error that {effects_named(fit)} cannot "
+            f"the machine, or the measurement, has an error that {effects_named(result)} cannot "
             f"explain"
         )
     return (
@@ -336,16 +307,18 @@ def _rest(fit: Estimate) -> str:
     )
 
 
-def effects_named(fit: Estimate) -> str:
-    """The effects that were free, in the plural; all of them where they were calibrated before."""
-    if fit.problem.earlier is not None:
+def effects_named(result: Result) -> str:
+    """The effects that were free at first, in the plural; all of them where they were calibrated
+    before.
+    """
+    if result.calibrated_before:
         return "errors calibrated before"
-    of = fit.problem.machine.catalogue.effect_of
-    names = dict.fromkeys(of(name).name.replace("_", " ") for name in fit.names)
+    of = result.catalogue.effect_of
+    names = dict.fromkeys(of(name).name.replace("_", " ") for name in result.before.names)
     return listed(f"{n}es" if n.endswith(("sh", "ch", "ss", "x")) else f"{n}s" for n in names)
 
 
-def _by_leg(fit: Estimate, every: Sequence[Parameter], effect: str) -> list[str]:
+def _by_leg(result: Result, every: Sequence[Parameter], effect: str) -> list[str]:
     """One phrase an effect and campaign: ``joint offsets x -0.51, y +0.56 mm``."""
     groups: dict[str, list[Parameter]] = {}
     for name in every:
@@ -355,33 +328,34 @@ def _by_leg(fit: Estimate, every: Sequence[Parameter], effect: str) -> list[str]
     for campaign, names in groups.items():
         what = effect.replace("_", " ") + ("s" if len(names) > 1 else "")
         where = f" ({campaign})" if campaign else ""
-        if near := _near_nominal(fit, names):
+        if near := _near_nominal(result, names):
             phrases.append(f"{what} {near}{where}")
             continue
-        values = ", ".join(f"{n.member or n.leg} {_value(fit, n, False)}" for n in names)
-        unit = fit.problem.machine.catalogue[effect].unit
+        values = ", ".join(f"{n.member or n.leg} {_value(result, n, False)}" for n in names)
+        unit = result.catalogue[effect].unit
         phrases.append(f"{what} {values}{unit.behind}{where}")
     return phrases
 
 
-def _near_nominal(fit: Estimate, names: Sequence[Parameter]) -> str:
+def _near_nominal(result: Result, names: Sequence[Parameter]) -> str:
     """What is said of lengths that are off by no more than the noise of a reading; else empty.
 
     They are nominal to that noise only where the readings know them as well as that.
     """
+    fit = result.after
     half = fit.coverage_factor * max(fit.sigmas[name] for name in names)
-    noise = fit.problem.one_reading.length
+    noise = result.noise.single_reading.length
     within = half if math.isnan(noise) else noise
     if max(abs(fit.values[name]) for name in names) > within:
         return ""
-    if all(fit.sigmas[n] > _UNSEEN * fit.problem.machine.tolerance(n) for n in names):
+    if all(fit.sigmas[n] > _UNSEEN * result.request.machine.tolerance(n) for n in names):
         return "not seen by these readings"
     return f"nominal to {compact(max(within, half) * 1e3, 1)} mm"
 
 
-def _value(fit: Estimate, name: Parameter, with_unit: bool = True) -> str:
-    unit = fit.problem.machine.catalogue.effect_of(name).unit
+def _value(result: Result, name: Parameter, with_unit: bool = True) -> str:
+    unit, one = result.catalogue.effect_of(name).unit, result.identified[name]
     # Along a weak direction sigmas are millimetres: what the readings do fix would be rounded off.
-    places = 2 if unit.name == "mm" else decimals_for(fit.sigmas[name] / unit.si, 9)
-    text = signed(fit.values[name] / unit.si, places)
+    places = 2 if unit.name == "mm" else decimals_for(one.sigma, 9)
+    text = signed(one.value, places)
     return f"{text}{unit.behind}" if with_unit else text

@@ -1,4 +1,49 @@
-"""What a run found: one typed value for every command, from which reports only read."""
+"""The result of a run as plain values.
 
-from orthoglide.result.result import Result as Result, Word as Word
-from orthoglide.result.workspace import Workspace as Workspace
+The search (`orthoglide.closing`) fills it, ``result.json`` contains it, and everything else reads
+it: reports, figures, the command line. Nothing here depends on how the values were found.
+
+A new value takes four steps: a field with its type and description in `Result` or one of its parts,
+its computation in ``closing/fill.py``, a line in the table of ``docs/files.md``, and, if earlier
+results are to be read without it, a default.
+"""
+
+from orthoglide.result.advice import (
+    Action as Action,
+    Kind as Kind,
+    Proposal as Proposal,
+    Suspect as Suspect,
+)
+from orthoglide.result.codec import decoded as decoded, encoded as encoded
+from orthoglide.result.fits import (
+    CrossCheck as CrossCheck,
+    Fit as Fit,
+    HoldOut as HoldOut,
+    Scores as Scores,
+    TcpErrors as TcpErrors,
+    Verification as Verification,
+    WeakDirection as WeakDirection,
+)
+from orthoglide.result.found import (
+    BudgetItem as BudgetItem,
+    CandidateScore as CandidateScore,
+    Cause as Cause,
+    Correlations as Correlations,
+    Curve as Curve,
+    Explanation as Explanation,
+    Identified as Identified,
+    Located as Located,
+)
+from orthoglide.result.pictured import Picture as Picture, Workspace as Workspace
+from orthoglide.result.reading import read_result as read_result, request_of as request_of
+from orthoglide.result.readings_shown import Mounting as Mounting, ReadingsShown as ReadingsShown
+from orthoglide.result.request import COMMANDS as COMMANDS, Command as Command, Request as Request
+from orthoglide.result.residuals import (
+    Change as Change,
+    DataFault as DataFault,
+    InstrumentNoise as InstrumentNoise,
+    LackOfFit as LackOfFit,
+    Noise as Noise,
+    SetupResidual as SetupResidual,
+)
+from orthoglide.result.result import Result as Result, Unseen as Unseen, Word as Word

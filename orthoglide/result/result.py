@@ -1,380 +1,347 @@
-"""``Result``: the request, the fits, what was found and what follows, each computed once."""
+"""``Result``: the result of a run as plain values."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
+from orthoglide import __version__
 from orthoglide.accuracy import Map, tcp_map
-from orthoglide.add_ons import AddOn, Corrections, Section, add_on_of
-from orthoglide.control import ControllerNumbers, controller_numbers
-from orthoglide.diagnosis.blunders import Blunder
-from orthoglide.diagnosis.changes import Change
-from orthoglide.diagnosis.rest import SetupRest, rest_by_setup
-from orthoglide.diagnosis.significance import Left
-from orthoglide.effects import Catalogue
-from orthoglide.effects.wording import cause_short
-from orthoglide.fit import Estimate, Scores
+from orthoglide.add_ons import Corrections, Section
+from orthoglide.control import ControllerNumbers, withheld
+from orthoglide.effects import Catalogue, Effect
+from orthoglide.errors import FileError, path_of
+from orthoglide.files import inside
 from orthoglide.frames import Framed
-from orthoglide.judging import HoldOut, TcpErrors
 from orthoglide.machine import Machine
+from orthoglide.machine_file import Controller
 from orthoglide.notes import Note
 from orthoglide.observations import Readings
-from orthoglide.parameters import Parameter
-from orthoglide.posterior import (
+from orthoglide.observations.reading import readings_of_table, rows_table
+from orthoglide.result.advice import Action, Proposal, advised
+from orthoglide.result.codec import Key, Metres, Share, decoded, encoded, required_keys
+from orthoglide.result.fits import (
+    CrossCheck,
+    Fit,
+    HoldOut,
+    Scores,
+    TcpErrors,
+    Verification,
+    WeakDirection,
+)
+from orthoglide.result.found import (
     BudgetItem,
     CandidateScore,
     Cause,
+    Correlations,
     Explanation,
-    FullPosterior,
+    Identified,
     Located,
-    budget,
 )
-from orthoglide.request import Request
-from orthoglide.result.actions import Action, actions
-from orthoglide.result.following import next_measurements
-from orthoglide.result.picture import Picture, picture
-from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_of
+from orthoglide.result.pictured import Picture, Workspace
+from orthoglide.result.reading import EDITED, as_edited, machine_of, read_result, request_of
+from orthoglide.result.readings_shown import ReadingsShown
+from orthoglide.result.request import Request, machine_kept
+from orthoglide.result.residuals import Change, DataFault, LackOfFit, Noise
 
-if TYPE_CHECKING:
-    from orthoglide.planning import Suggestion
+SCHEMA = 2
 
 Word = Literal["adequate", "explained", "ambiguous", "located", "partial", "unexplained"]
 
-_HARDLY = 0.95  # of the residuals: a fit that leaves more has not helped
-_NOTHING = 1e-6  # millimetres or milliradians: residuals below are rounding
+_NAMED = 3  # keys that a message names
+_HARDLY = 0.95  # ratio of residuals above which a fit is reported as no improvement
+_NOTHING = 1e-6  # millimetres or milliradians: smaller residuals are rounding
 
 
 @dataclass(frozen=True)
+class Unseen:
+    """What the readings cannot detect, with the reason."""
+
+    # effects that could not be detected at three tolerances: description, and the parameters
+    # concerned, where empty means all; of an effect that was found, its other parameters
+    effects: tuple[tuple[str, tuple[str, ...]], ...]
+    # effects for which the readings vary no condition, each with the conditions that it needs, such
+    # as `approach` or `load`; empty after `identify`
+    unvaried: Mapping[str, tuple[str, ...]]
+    # why lost motion cannot be detected: the instruments have one side only (`fixed`), all commands
+    # are approached from the `same` side, or the side is `unknown`; empty if it can be detected
+    one_sided: str
+    unexcited: tuple[str, ...]  # names of all effects for which no condition varies
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Result(Framed):
-    """What a run found.
+    """The result of a run.
+
+    All of it are values, which :meth:`load` reads back from the ``result.json`` of a report. Two
+    results are equal only if they are the same object; compare their values.
 
     Attributes:
-        request: what was asked.
-        word: adequate, explained, ambiguous, located, partial or unexplained.
+        request: readings, machine and options of the run.
+        machine: the calibrated machine with its covariance.
+        word: the verdict: adequate, explained, ambiguous, located, partial or unexplained.
+        noise: noise of the readings.
+        nominal: scores of the machine before calibration.
         before: fit of the base model: joint offsets and leg lengths, or what ``identify`` frees.
-        after: the readings as the posterior's mean has them; ``before`` of ``identify``.
-        effects: causes with a name that stand out of the background.
-        located: places without a name that do.
-        candidates: what was weighed, most probable first.
-        left: whether the last fit leaves anything.
-        posterior: what the readings say of everything; ``None`` of ``identify``.
-        blunders: faults of the data, found before any physics.
-        changed: parameters that are not the same in all campaigns, found before any physics.
-        faulty: the base fit with the faulty readings in, where there are any.
+        after: fit at the posterior mean; after ``identify`` equal to ``before``.
+        rms_of_all: residuals of the base model before data faults were excluded, root mean square.
         hold_out: scores on readings held out, or ``None``.
         tcp: errors at measured TCP points by alignment, or ``None``.
-        alone: where nothing stands out: causes of which one would be behind it on a machine that
-            is sound otherwise.
+        effects: causes that were found.
+        located: free-form errors that were found.
+        alone: if nothing was found, the causes that could each explain the residuals as the only
+            error of the machine.
+        budget: error budget, largest gain first; empty after ``identify``.
+        identified: parameters of the base model and of the causes found, by name.
+        correlations: of all parameters after ``identify``, else of those of the base model.
+        candidates: causes and free-form errors considered, most probable first.
+        blunders: data faults.
+        changed: parameters that differ between files.
+        weak: directions in the parameters that the readings hardly determine.
+        check: cross-check against the analytic reduction and the linear system (11) of the papers;
+            ``None`` if these cannot represent the fit.
+        verification: postures closed again by Pinocchio.
+        firmware: numbers and advice for the firmware of an imported machine, or ``None``.
+        next_measurements: readings to take next; empty after ``identify``.
+        sheet: all proposed readings as rows of one file, commands in joint coordinates.
+        left: residuals of the last fit against the noise.
+        workspace: TCP errors over the workspace; ``None`` after ``identify``.
+        uncertain_effects: effects with the largest shares of the TCP's variance.
+        numbers: zeros for the controller, and the TCP errors to expect.
+        actions: what to do, largest gain first.
+        invisible: names of parameters that the readings cannot detect; they may still be nonzero.
+        unseen: what the readings cannot detect, with the reason.
+        instruments: instruments used, by kind of readings.
+        cautions: reasons not to act on the result, a sentence each.
+        warnings: warnings of the last fit except lack of fit, which the verdict reports.
+        calibrated_before: whether the machine file contains an earlier calibration.
+        shapes_of_plate: whether a probed plate may have a shape that no effect describes.
+        picture: drawing of the machine with the causes marked.
+        readings: measured and predicted readings.
+        command_line: command that runs it again.
     """
 
     request: Request
-    word: Word
-    before: Estimate
-    after: Estimate
+    machine: Machine
+    word: Annotated[Word, Key("verdict")]
+    noise: Annotated[Noise, Key(inline=True)]
+    nominal: Scores
+    before: Fit
+    after: Fit
+    rms_of_all: Metres
+    hold_out: Annotated[HoldOut | None, Key("holdout")]
+    tcp: Mapping[str, TcpErrors] | None
     effects: tuple[Cause, ...]
     located: tuple[Located, ...]
+    alone: Annotated[tuple[Explanation, ...], Key("single_causes")]
+    budget: tuple[BudgetItem, ...]
+    identified: Annotated[Mapping[str, Identified], Key("parameters")]
+    correlations: Correlations
     candidates: tuple[CandidateScore, ...]
-    left: Left
-    posterior: FullPosterior | None = None
-    blunders: tuple[Blunder, ...] = ()
-    changed: tuple[Change, ...] = ()
-    faulty: Estimate | None = None
-    hold_out: HoldOut | None = None
-    tcp: dict[str, TcpErrors] | None = None
-    alone: tuple[Explanation, ...] = ()
+    blunders: tuple[DataFault, ...]
+    changed: tuple[Change, ...]
+    weak: Annotated[tuple[WeakDirection, ...], Key("weak_directions")]
+    check: Annotated[CrossCheck | None, Key("cross_check")]
+    verification: Verification | None
+    firmware: Section | None
+    next_measurements: tuple[Proposal, ...]
+    sheet: Annotated[tuple[Mapping[str, str], ...], Key("next_sheet")]
+    left: LackOfFit
+    workspace: Workspace | None
+    uncertain_effects: tuple[tuple[str, Share], ...]
+    numbers: Annotated[ControllerNumbers, Key("controller")]
+    actions: tuple[Action, ...]
+    invisible: tuple[str, ...]
+    unseen: Unseen
+    instruments: Mapping[str, str]
+    cautions: tuple[str, ...]
+    warnings: Annotated[tuple[Note, ...], Key("notes")]
+    calibrated_before: bool
+    shapes_of_plate: bool
+    picture: Picture
+    readings: ReadingsShown
+    command_line: str
     _index = "parameter"
 
-    @property
-    def nominal(self) -> Scores:
-        """Scores of the machine as it was, without what was identified."""
-        return self.before.nominal
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], effects: Sequence[Effect] = ()) -> Self:
+        """Return the result of an earlier run.
+
+        Args:
+            path: of its ``result.json``, or the folder of its report.
+            effects: the user's own effects, if the run had any.
+
+        Raises:
+            FileError: if there is no such file, or it was edited or is of an earlier version.
+        """
+        file, own = inside(path_of(path), "result.json"), tuple(effects or ())
+        found = read_result(file)
+        request = request_of(found, str(file), own)
+        if lacking := (required_keys(cls) | {"calibrated_machine"}) - found.keys():
+            raise FileError(
+                f"lacks {', '.join(sorted(lacking)[:_NAMED])}: an earlier state of the package "
+                f"wrote it, or it was edited; run it again with orthoglide rerun "
+                f"{shlex.quote(str(file))} --out DIR",
+                file=str(file),
+            )
+        try:
+            kept = {"file": None, "sha256": None, **found["calibrated_machine"]}
+            return cls.read(found, request, machine_of(kept, own))
+        except EDITED as error:
+            raise as_edited(error, str(file)) from None
+
+    @classmethod
+    def read(cls, found: Mapping[str, Any], request: Request, machine: Machine) -> Self:
+        """Return a result from decoded JSON.
+
+        Args:
+            found: keys of ``result.json``.
+            request: readings, machine and options of the run.
+            machine: the calibrated machine.
+
+        Raises:
+            KeyError, TypeError, ValueError: if the keys are not as they were written.
+        """
+        shared = [request, machine, machine.geometry, machine.geometry.layout.names]
+        made: Self = decoded(cls, found, {type(one): one for one in shared})
+        return made
+
+    def as_dict(self, summary: str) -> dict[str, Any]:
+        """Return all keys of ``result.json``; ``summary`` is the result in a few sentences."""
+        head = {"schema": SCHEMA, "version": __version__, **self.request.as_dict()}
+        kept = {"calibrated_machine": machine_kept(self.machine.spec)}
+        every: dict[str, Any] = encoded(self)
+        return head | {"summary": summary} | every | kept
+
+    def derived(self) -> dict[str, Any]:
+        """Return keys of ``result.json`` that follow from the fields."""
+        values = {}
+        for name, entry in self.machine.spec.parameters.items():
+            unit, number = self.catalogue.effect_of(name).unit, Key().number
+            value, sigma = number(entry.value / unit.si), number(entry.sigma / unit.si)
+            values[name] = {"value": value, "sigma": sigma, "unit": unit.name}
+        why = withheld(self.machine)
+        return {
+            "sigma_scale": Key().number(self.after.sigma_scale),
+            "calibrated": values,
+            "tool": {name: one.as_dict() for name, one in self.numbers.expected.items()},
+            "advice": advised(self.actions),
+            "withheld": [{"kind": k, "reason": why} for k in ("zeros", "compensate") if why],
+            "method": {
+                "name": self.after.method,
+                "iterations": self.after.iterations,
+                "last_step_in_sigmas": Key(digits=3).number(self.after.optimality),
+            },
+            "warnings": [*self.cautions, *map(str, self.after.warnings)],
+        }
+
+    def __repr__(self) -> str:
+        found = ", ".join(e.name for e in self.effects) or "no cause"
+        return f"<{type(self).__name__} {self.word}: {found}; {self.request.command}>"
 
     @property
     def catalogue(self) -> Catalogue:
-        """Of the calibrated machine: the effects that were weighed, and the places found."""
-        machine = self.request.machine if self.posterior is None else self.posterior.machine
-        return machine.catalogue
-
-    def short(self, name: str) -> str:
-        """A candidate's cause without its size, as a clause."""
-        return cause_short(self.catalogue, name)
+        """Effects of the calibrated machine, free-form errors that were found included."""
+        return self.machine.catalogue
 
     @property
-    def first(self) -> Estimate:
-        """The base fit to all readings, faulty ones included."""
-        return self.faulty or self.before
-
-    # --- The calibrated machine -------------------------------------------------------------
+    def searches(self) -> bool:
+        """Whether the run searched for causes; ``identify`` does not."""
+        return self.request.searches
 
     @property
     def found(self) -> bool:
-        """Whether anything was found that stands out of the background."""
+        """Whether a cause or a free-form error was found."""
         return bool(self.effects or self.located)
 
     @property
-    def improved(self) -> bool:
-        """Whether the readings are predicted better than by the base: by causes found, or by the
-        background of everything.
+    def stands(self) -> bool:
+        """Whether the causes found are conclusive.
+
+        They are not if significant residuals remain: the error that is missing from the model may
+        have been attributed to them.
         """
+        return self.word not in ("partial", "unexplained")
+
+    @property
+    def improved(self) -> bool:
+        """Whether a cause was found, or the full model reduces the residuals by 5 % or more."""
         before, after = (fit.scores.left.shown for fit in (self.before, self.after))
         return self.found or any(
             after[unit] < _HARDLY * was and was > _NOTHING for unit, was in before.items()
         )
 
     @property
-    def share(self) -> float:
-        """Of their tolerances, by which effects that do not stand out are off; nan of
-        ``identify``.
+    def start(self) -> Scores:
+        """Scores that reports compare the last fit with: of the base model if `improved`, else of
+        the machine before calibration.
         """
-        return float("nan") if self.posterior is None else self.posterior.share
+        return self.before.scores if self.improved else self.nominal
 
     @property
-    def stands(self) -> bool:
-        """Whether what was found counts: where something is left, a place is missing, and what
-        was found may stand in for it.
-        """
-        return self.word not in ("partial", "unexplained")
+    def moved(self) -> tuple[Change, ...]:
+        """Changes that no cause in this result reports."""
+        return tuple(c for c in self.changed if not c.covered_by_cause)
 
-    @cached_property
+    @property
+    def loses(self) -> bool:
+        """Whether anything found may be lost motion, which the expected TCP errors exclude."""
+        found = (self.effects, self.located, self.moved)
+        return any(one.loses for several in found for one in several)
+
+    @property
     def values(self) -> dict[str, float]:
-        """Parameters of the calibrated machine, SI."""
+        """Parameters of the calibrated machine by name, SI."""
         return self.machine.values
 
-    @cached_property
-    def values_before(self) -> dict[str, float]:
-        """Parameters of the base model's last campaign, dials included, SI."""
-        problem = self.before.problem
-        return problem.values(problem.last, self.before.x)
-
-    @cached_property
-    def machine(self) -> Machine:
-        """The calibrated machine with its covariance: the posterior's mean, or the base model
-        where something significant is left.
-
-        The verdict, its causes and its cautions are kept with it.
-        """
-        kept: dict[str, Any] = {"command": self.request.command, "verdict": self.word}
-        if self.effects:
-            kept["effects"] = [cause.name for cause in self.effects]
-        if rivals := {rival.name for cause in self.effects for rival in cause.rivals}:
-            kept["averaged_over"] = sorted(rivals)
-        if self.located:
-            kept["located"] = [found.name for found in self.located]
-        if self.cautions:
-            kept["cautions"] = list(self.cautions)
-        if (printer := self.request.machine.spec.printer) is not None:
-            kept |= printer.provenance(self.corrections)
-        return self._machine.with_provenance(kept)
-
-    @cached_property
+    @property
     def corrections(self) -> Corrections | None:
-        """New numbers for the firmware of a machine that was imported from it; ``None`` for others,
-        and where the readings give none.
-        """
-        fit = self.after if self.stands else self.before  # which the machine is of
-        return None if self._add_on is None else self._add_on.corrections(self._machine, fit)
-
-    @property
-    def _add_on(self) -> AddOn | None:
-        return add_on_of(self.request.machine.spec.provenance)
-
-    @property
-    def _machine(self) -> Machine:
-        if self.posterior is None:
-            return self.after.machine
-        machine = self.posterior.machine
-        if self.stands:
-            return machine
-        base = self.before.machine.values
-        return machine.with_posterior(base, machine.posterior)
-
-    @property
-    def columns(self) -> dict[str, list[Any]]:
-        """What was identified in the units of files, a row a parameter: the base, and each cause as
-        if it were the right one of its set.
-
-        ``sigma`` and the 95 % interval from ``lower`` to ``upper`` allow everything else but by
-        ``identify``, where they count the noise alone.
-        """
-        fit, causes = self.after, [e.chosen for e in self.effects]
-        names = fit.names if self.posterior is None else self.before.names
-        found = {n: (fit.values[n], fit.sigmas[n], *fit.interval(n)) for n in names}
-        for one in causes:
-            for n, value in one.values.items():
-                half = fit.coverage_factor * one.sigmas[n]
-                found[n] = (value, one.sigmas[n], value - half, value + half)
-        rows = []
-        for name, figures in found.items():
-            unit = self.catalogue.effect_of(name).unit
-            every = (*figures, self.request.machine.tolerance(name))
-            rows.append((name, *(figure / unit.si for figure in every), unit.name))
-        titles = ("parameter", "value", "sigma", "lower", "upper", "tolerance", "unit")
-        return dict(zip(titles, map(list, zip(*rows, strict=True)), strict=True))
-
-    @property
-    def shown(self) -> tuple[str, ...]:
-        """Parameters that tables show: those of the base, and of the causes found."""
-        return tuple(self.columns["parameter"])
-
-    @cached_property
-    def budget(self) -> tuple[BudgetItem, ...]:
-        """What is wrong by what mending it gains, largest first; none of ``identify``."""
-        if self.posterior is None:
-            return ()
-        causes: dict[str, tuple[str, ...]] = {c.name: c.every for c in self.effects}
-        causes |= {c.parameter: c.members for c in self.moved if c.is_cause}
-        causes |= dict(one.in_machine(self.catalogue) for one in self.located)
-        return budget(self.posterior, causes)
-
-    @cached_property
-    def moved(self) -> tuple[Change, ...]:
-        """Changes of which no cause found tells already by its first name."""
-        told = {n for c in self.effects for e in (c.chosen, *c.same) for n in e.parameters}
-        told = {self.catalogue.parameter(n).plain for n in told}
-        return tuple(c for c in self.changed if c.parameter not in told)
-
-    # --- What is left -----------------------------------------------------------------------
-
-    @cached_property
-    def invisible(self) -> tuple[Parameter, ...]:
-        """Parameters that these readings would not show at three tolerances: not absent."""
-        return () if self.posterior is None else self.posterior.invisible
-
-    @cached_property
-    def instruments(self) -> dict[str, str]:
-        """Kinds of readings that were taken, ``leg``, ``plate`` ..., and what takes them."""
-        from orthoglide.prospects import TAKEN_BY
-
-        kinds = {s.kind for f in self.after.problem.factors for s in f.readings.setups}
-        return {kind: words for kind, words in TAKEN_BY.items() if kind in kinds}
-
-    @property
-    def stopped(self) -> str:
-        """Why nothing more was found, in a sentence."""
-        if self.posterior is None:
-            return "no cause was to be added"
-        return "nothing else stands out of the noise and of the background of small errors"
-
-    @property
-    def unexcited(self) -> tuple[str, ...]:
-        """Effects whose conditions the campaigns do not vary at all."""
-        from orthoglide.fit.excited import excited_effects
-
-        excited = {*(e.name for e in excited_effects(self.after.problem)), *self.catalogue.base}
-        return tuple(name for name in self.request.machine.catalogue if name not in excited)
-
-    @cached_property
-    def pattern(self) -> tuple[str, ...]:
-        """What is left, in sentences, where causes were looked for and something significant is."""
-        from orthoglide.diagnosis.pattern import describe_left
-
-        if not self.request.searches or self.word not in ("partial", "unexplained"):
-            return ()
-        return describe_left(self.after)
-
-    @cached_property
-    def rest(self) -> tuple[SetupRest, ...]:
-        """What the last fit leaves of every mounting of a dial, largest share first."""
-        return tuple(one for one in rest_by_setup(self.after) if one.leg >= 0)
-
-    @cached_property
-    def rest_of_tool(self) -> tuple[SetupRest, ...]:
-        """The same of every instrument at the tool."""
-        return tuple(one for one in rest_by_setup(self.after) if one.leg < 0)
-
-    @property
-    def dials_hold_most(self) -> bool:
-        """Whether the mounting that shows most of what is left is a dial's, and not that of an
-        instrument at the tool; not without dials.
-        """
-        tool = max((one.share for one in self.rest_of_tool), default=-1.0)
-        return any(one.share >= tool for one in self.rest[:1])
-
-    @cached_property
-    def picture(self) -> Picture:
-        """The machine with what was found."""
-        return picture(self)
-
-    # --- What follows -----------------------------------------------------------------------
-
-    @cached_property
-    def actions(self) -> tuple[Action, ...]:
-        """What to do, most gain first."""
-        return actions(self)
-
-    @cached_property
-    def next_measurements(self) -> tuple[Suggestion, ...]:
-        """What to measure next; nothing is proposed by ``identify``."""
-        return next_measurements(self) if self.request.searches else ()
-
-    @cached_property
-    def next_sheet(self) -> Readings | None:
-        """The proposed readings as one sheet to fill in; ``None`` where nothing helps."""
-        from orthoglide.planning import next_sheet
-
-        return next_sheet(self.next_measurements)
-
-    @cached_property
-    def map(self) -> Map | None:
-        """Predicted TCP over the workspace, with its uncertainty; not of ``identify``."""
-        return None if self.posterior is None else tcp_map(self.machine)
-
-    @cached_property
-    def workspace(self) -> Workspace | None:
-        """The TCP's errors over the workspace; ``None`` of ``identify``."""
-        if self.map is None or self.posterior is None:
-            return None
-        return workspace_of(self.before, self.posterior.machine, self.map)
-
-    @cached_property
-    def uncertain_effects(self) -> tuple[tuple[str, float], ...]:
-        """Effects that make most of the TCP's uncertainty, each with its share."""
-        return () if self.posterior is None else uncertain_effects(self.machine)
-
-    @cached_property
-    def numbers(self) -> ControllerNumbers:
-        """The best zeros of a controller that takes nothing else, and the TCP's errors to expect.
-
-        They are here whatever the verdict says; where it is not to be acted on, reports do not
-        show them.
-        """
-        return controller_numbers(self.machine, zeros_only=True, force=True)
-
-    @cached_property
-    def firmware(self) -> Section | None:
-        """What the firmware of an imported machine has to say of it; ``None`` for others."""
-        return None if self._add_on is None else self._add_on.section(self)
-
-    @property
-    def cautions(self) -> tuple[str, ...]:
-        """What speaks against acting on what was found as it stands, a sentence each."""
-        printer = self.request.machine.spec.printer
-        found = [f"{note}." for note in (printer.cautions(self.request.points) if printer else ())]
-        if self.word == "partial":
-            found.append(
-                "What was found explains only part of what is wrong, and may stand in for "
-                "something that is not in the catalogue: do not act on it, nor put its numbers in "
-                "a controller, before it is confirmed."
-            )
-        held = self.hold_out
-        if self.found and held is not None and held.worse:
-            found.append(
-                "The readings held out are predicted worse with the cause than without it: it does "
-                "not carry over to them, so do not act on it before it is confirmed."
-            )
-        return tuple(found)
-
-    @property
-    def warnings(self) -> tuple[Note, ...]:
-        """Of the final fit, lack of fit apart: the verdict's word says it already."""
-        machine, found = self.request.machine, list(self.after.warnings)
-        if (printer := machine.spec.printer) is not None:
-            found += printer.assumptions(machine, self.effects)
-        return tuple(w for w in found if w.kind != "lack_of_fit")
+        """New numbers for the firmware of an imported machine, or ``None``."""
+        return None if self.firmware is None else self.firmware.corrections
 
     @property
     def scattering(self) -> tuple[str, ...]:
-        """Warnings that repeats scatter by more than was declared of them."""
+        """Warnings that repeats scatter by more than the declared noise."""
         return tuple(w for w in self.after.warnings if w.kind == "scatter")
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Names of the identified parameters."""
+        return tuple(self.identified)
+
+    @property
+    def columns(self) -> dict[str, list[Any]]:
+        """Identified parameters in the units of files, a row each.
+
+        ``sigma`` and the 95 % interval from ``lower`` to ``upper`` are those of the full model;
+        after ``identify`` they count the noise alone.
+        """
+        rows = [
+            (name, one.value, one.sigma, *one.interval_95, one.tolerance, one.unit)
+            for name, one in self.identified.items()
+        ]
+        titles = ("parameter", "value", "sigma", "lower", "upper", "tolerance", "unit")
+        return dict(zip(titles, map(list, zip(*rows, strict=True)), strict=True))
+
+    @cached_property
+    def next_sheet(self) -> Readings | None:
+        """All proposed readings as one sheet to fill in; ``None`` if there are none."""
+        return sheet_of(self.sheet, self.request.machine) if self.sheet else None
+
+    @cached_property
+    def map(self) -> Map | None:
+        """Predicted TCP over the workspace with its uncertainty; ``None`` after ``identify``."""
+        return tcp_map(self.machine) if self.searches else None
+
+
+def sheet_of(rows: Sequence[Mapping[str, str]], machine: Machine) -> Readings:
+    """Return the rows of a sheet, commands in joint coordinates, as readings to be taken."""
+    plain = replace(machine.spec, controller=Controller())
+    (found,) = readings_of_table(
+        rows_table(rows, "next_measurements.csv", (), ""), "next", plain, require_readings=False
+    )
+    return found

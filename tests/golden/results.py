@@ -26,6 +26,9 @@ HERE = Path(__file__).parent
 SEEN = 0.6
 """A parameter is frozen where its sigma is below this share of its tolerance."""
 
+FOLDERS = {"tests": HERE.parent, "inputs": HERE / "inputs", "package": files("orthoglide")}
+"""Names that command lines and files of a case may have in braces."""
+
 _SIGNIFICANT = 0.003  # lack of fit, as the verdicts count it
 Frozen = dict[str, Any]
 
@@ -58,6 +61,14 @@ class Case:
         return HERE / "expected" / f"{self.name}.json"
 
     @property
+    def own_effects(self) -> list[og.Effect]:
+        """Effects of the user's own file."""
+        if not self.effects:
+            return []
+        values = runpy.run_path(self.effects.format_map(FOLDERS)).values()
+        return [value for value in values if isinstance(value, og.Effect)]
+
+    @property
     def golden(self) -> Frozen:
         """What the case gave when it was frozen."""
         return dict(json.loads(self.file.read_text(encoding="utf-8")))
@@ -82,12 +93,7 @@ def cases() -> list[Case]:
 
 def result_of(case: Case, out: Path) -> Frozen:
     """Run a case in an empty folder and return what of its result is frozen."""
-    folders = {
-        "tests": HERE.parent,
-        "inputs": HERE / "inputs",
-        "package": files("orthoglide"),
-        "out": out,
-    }
+    folders = FOLDERS | {"out": out}
 
     def filled(text: str) -> str:
         return text.format_map(folders)
@@ -97,9 +103,7 @@ def result_of(case: Case, out: Path) -> Frozen:
         done(*map(filled, command.split()))
     done(*map(filled, last.split()), "--out", out / "result", "--quiet")
     result = json.loads((out / "result" / "result.json").read_text(encoding="utf-8"))
-    effects = []
-    if case.effects:
-        effects = [v for v in runpy.run_path(filled(case.effects)).values() if is_effect(v)]
+    effects = case.own_effects
     nominal = (
         og.Machine.load(filled(case.machine), effects) if case.machine else og.Machine.nominal()
     )
@@ -117,11 +121,6 @@ def result_of(case: Case, out: Path) -> Frozen:
         "tool": dict(tool(result)),
         "tcp_mm": tcp(nominal, calibrated, case),
     }
-
-
-def is_effect(value: Any) -> bool:
-    """Whether a value of a user's file is an effect."""
-    return isinstance(value, og.Effect)
 
 
 def rounded(value: float | None) -> float | None:

@@ -7,7 +7,7 @@ The formats and equations are those of the firmware's documentation and sources
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from orthoglide.add_ons import Corrections, Paste, Section
@@ -37,28 +37,25 @@ class Klipper:
         """Return the printer of a table of a machine file."""
         return printer_of(table)
 
-    def corrections(self, machine: Any, fit: Any) -> Corrections | None:
-        """Return new numbers for a calibrated machine; ``None`` where the readings of a fit give
-        none.
-        """
+    def corrections(self, machine: Any, readings: Sequence[Any]) -> Corrections | None:
+        """Return new numbers for a calibrated machine; ``None`` where the readings give none."""
         from orthoglide.firmware.klipper.new_numbers import new_numbers
 
-        printer, read = machine.spec.printer, [f.readings for f in fit.problem.tool]
-        return new_numbers(printer, machine, read) if isinstance(printer, Printer) else None
+        printer = machine.spec.printer
+        return new_numbers(printer, machine, readings) if isinstance(printer, Printer) else None
 
-    def section(self, result: Any) -> Section | None:
-        """Return what a report says of a result; ``None`` of a machine that was not imported."""
-        from orthoglide.result.actions import confirm
-
-        printer, found = result.request.machine.spec.printer, result.corrections
+    def section(
+        self, given: Any, calibrated: Any, corrections: Corrections | None, causes: Sequence[Any]
+    ) -> Section | None:
+        """Return what a report says of a calibrated machine; ``None`` of another machine."""
+        printer, found = given.spec.printer, corrections
         if not isinstance(printer, Printer):
             return None
         again = _FIRST if printer.table.get(AGAIN) else ""
-        first = " ".join(text for text in (again, printer.doubts(result.machine)) if text)
-        every = [one for cause in result.effects for one in cause.explanations]
-        beyond = tuple(f"{one.words}: {confirm(one) or f'look at {one.look_at}'}" for one in every)
+        first = " ".join(text for text in (again, printer.doubts(calibrated)) if text)
+        beyond = tuple(f"{c.words}: {c.confirm or f'look at {c.look_at}'}" for c in causes)
         numbers = {} if found is None else {"old": found.old.as_dict(), **found.kept}
-        facts = {**numbers, "first": first, "cannot_hold": list(beyond)}
+        facts = {**numbers, "cannot_hold": list(beyond)}
         return Section(first, again, found, _TOUCH, _HOLDS, beyond, facts)
 
     def paste(self, machine: Any) -> Paste | None:

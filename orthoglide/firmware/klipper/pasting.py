@@ -66,8 +66,6 @@ def corrections_of(old: Numbers, new: Numbers, left: Sequence[Left], keep: str) 
         )
     values = new.values
     return Corrections(
-        old,
-        new,
         rows=[(" ".join(key), value, values[key]) for key, value in old.values.items()],
         left=[(f"{x.file}, {x.kind}", f"{x.old * 1e3:.3f}", f"{x.new * 1e3:.3f}") for x in left],
         height=(before, after),
@@ -89,6 +87,10 @@ def corrections_of(old: Numbers, new: Numbers, left: Sequence[Left], keep: str) 
             ],
         },
         file=FILE,
+        paste=tuple(new.lines()),
+        undo=tuple(old.lines()),
+        old=old,
+        new=new,
     )  # fmt: skip
 
 
@@ -111,8 +113,8 @@ def paste_of(old: Numbers, table: object) -> Paste:
         "\n".join(("Left of the readings by its equations, rms, mm, old and new:", *left)),
         *((f"Keep the old ones: {found.keep}.",) if found.keep else ()),
         found.where,
-        "\n".join(("To paste:", *found.new.lines())),
-        "\n".join(("To undo:", *found.old.lines())),
+        "\n".join(("To paste:", *found.paste)),
+        "\n".join(("To undo:", *found.undo)),
         "What no number of the firmware holds stands in the report.",
     ))  # fmt: skip
 

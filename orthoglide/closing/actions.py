@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 from orthoglide.control import withheld
@@ -13,11 +13,10 @@ from orthoglide.fit import Change
 from orthoglide.numerals import plain
 from orthoglide.ordering import ranked
 from orthoglide.posterior import Cause, Curve, Explanation, Located
+from orthoglide.result import Action, Suspect
 
 if TYPE_CHECKING:
-    from orthoglide.result.result import Result
-
-Kind = Literal["zeros", "confirm", "mend", "compensate", "measure"]
+    from orthoglide.closing.closed import Closed
 
 _AGAIN = "numbers and commands made before {} hold no longer: take those of this result"
 _LOST = "lost motion, which the errors of the tool above leave out; "
@@ -33,49 +32,23 @@ _NO_GAIN = 1e-9  # metres: differences of gain below are rounding
 _WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth a line
 
 
-@dataclass(frozen=True)
-class Suspect:
-    """One of the causes that a part is looked at for."""
-
-    words: str  # what would be wrong, as a clause with sign, size and unit
-    look_at: str  # on the machine
-    confirm: str  # a test with the reading to expect; empty where there is none
-
-
-@dataclass(frozen=True)
-class Action:
-    """One thing to do."""
-
-    # `zeros` to enter, a cause to `confirm` or to `mend`, commands to `compensate`, or readings to
-    # `measure`
-    kind: Kind
-    words: str  # what to do, a sentence without its full stop
-    # by how much the tool's mean error over the workspace falls, best shift removed, of numbers for
-    # a firmware what its equations leave of heights; nan of what changes nothing on the machine
-    gain: float = math.nan
-    gain_sigma: float = math.nan  # standard deviation of that; nan where it is not known
-    options: tuple[Suspect, ...] = ()  # causes to look for, most probable first
-    whichever: bool = False  # whether `gain` is the mean over the options, of which one is there
-    plate: bool = False  # whether an option is the plate's own, which moves no tool
-
-
-def actions(result: Result) -> tuple[Action, ...]:
+def actions(closed: Closed) -> tuple[Action, ...]:
     """What to do, most gain first; what decides before everything where the verdict is open.
 
     Nothing is to be entered or mended where the verdict warns against it, or where the firmware's
     own calibration comes first.
     """
-    decides, told = _measure(result)
-    if result.firmware is not None and result.firmware.again:
-        return (Action("measure", result.firmware.again[:-1]), *told)
-    if withheld(result.machine):
+    decides, told = _measure(closed)
+    if closed.firmware is not None and closed.firmware.again:
+        return (Action("measure", closed.firmware.again[:-1]), *told)
+    if withheld(closed.machine):
         noisy = [
             Action("confirm", f"Before more is measured: {one}")
-            for one in (result.scattering if result.word == "unexplained" else ())
+            for one in (closed.scattering if closed.word == "unexplained" else ())
         ]
-        return (*noisy, *_found(result, "confirm"), *told)
-    zeros = list(_zeros(result))
-    done = [*zeros, *_found(result, "mend", bool(zeros)), *_compensate(result)]
+        return (*noisy, *_found(closed, "confirm"), *told)
+    zeros = list(_zeros(closed))
+    done = [*zeros, *_found(closed, "mend", bool(zeros)), *_compensate(closed)]
     done = ranked(done, lambda action: action.gain if math.isfinite(action.gain) else 0.0, _NO_GAIN)
     done = _one_of_two(done)
     return (*told, *done) if decides else (*done, *told)
@@ -101,19 +74,19 @@ def _one_of_two(done: list[Action]) -> list[Action]:
     return told
 
 
-def _zeros(result: Result) -> Iterator[Action]:
-    numbers, expected = result.numbers, result.numbers.expected
-    if result.firmware is not None:
-        found = result.firmware.corrections
+def _zeros(closed: Closed) -> Iterator[Action]:
+    numbers, expected = closed.numbers, closed.numbers.expected
+    if closed.firmware is not None:
+        found = closed.firmware.corrections
         if found is None:
-            yield Action("measure", result.firmware.touch)
+            yield Action("measure", closed.firmware.touch)
         if found is None or found.keep:
             return
         words = f"Enter the numbers for the firmware, {found.words}"
         yield Action("zeros", words, found.height[0] - found.height[1])
         return
-    of = result.catalogue.effect_of
-    known = any(of(name).controller == "zero" for name in result.machine.spec.parameters)
+    of = closed.catalogue.effect_of
+    known = any(of(name).controller == "zero" for name in closed.machine.spec.parameters)
     gain = expected["now"].shape - expected["zeros"].shape
     now = expected["now"]
     if known and gain > max(_WORTH * now.shape, now.shape_sigma):
@@ -123,17 +96,17 @@ def _zeros(result: Result) -> Iterator[Action]:
 
 
 def _found(
-    result: Result, kind: Literal["confirm", "mend"], zeros: bool = False
+    closed: Closed, kind: Literal["confirm", "mend"], zeros: bool = False
 ) -> Iterator[Action]:
     """Causes, places and changes found, each with what to look at and what it gains; new ``zeros``
     to be entered correct what changed of a drive's zero too.
     """
-    found = [item for item in result.budget if not item.rest]
+    found = [item for item in closed.budget if not item.rest]
     gains = {item.cause: (item.gain, item.gain_sigma) for item in found}
     what = {"confirm": "Confirm before anything is changed", "mend": _MEND}
-    claims: tuple[Cause | Located, ...] = (*result.effects, *result.located)
+    claims: tuple[Cause | Located, ...] = (*closed.effects, *closed.located)
     for one in claims:
-        name = one.name if isinstance(one, Cause) else one.in_machine(result.catalogue)[0]
+        name = one.name if isinstance(one, Cause) else one.in_machine(closed.catalogue)[0]
         options = suspects(one)
         if kind == "mend" and not loses(one):
             gain = gains.get(name, (0.0, 0.0))
@@ -142,8 +115,8 @@ def _found(
         else:
             lost = f" ({_LOST}{_made_up(one)})" if kind == "mend" else ""
             yield Action(kind, f"{what[kind]}{lost}", options=options)
-    of = result.catalogue.effect_of
-    for change in result.moved:
+    of = closed.catalogue.effect_of
+    for change in closed.moved:
         again = _AGAIN.format(change.files[1])
         of_zero = zeros and of(change.parameter).controller == "zero"
         if kind == "confirm" or change.vague:
@@ -253,24 +226,24 @@ def confirm(one: Explanation) -> str:
     return confirm_words(effect, first, value)
 
 
-def _compensate(result: Result) -> Iterator[Action]:
-    expected = result.numbers.expected
+def _compensate(closed: Closed) -> Iterator[Action]:
+    expected = closed.numbers.expected
     gain = expected["zeros"].shape - expected["compensated"].shape
-    if result.request.searches and not result.firmware and gain > _WORTH * expected["now"].shape:
+    if closed.request.searches and not closed.firmware and gain > _WORTH * expected["now"].shape:
         words = (
             f"Send compensated commands, {_PLAIN}: orthoglide compensate path.csv --machine "
-            f"calibrated.toml{result.request.effects_option} --out commands.csv"
+            f"calibrated.toml{closed.request.effects_option} --out commands.csv"
         )
         yield Action("compensate", words, gain)
 
 
-def _measure(result: Result) -> tuple[bool, list[Action]]:
+def _measure(closed: Closed) -> tuple[bool, list[Action]]:
     """The readings that would tell most, of those proposed; whether the verdict hangs on them."""
-    if not result.request.searches:
+    if not closed.request.searches:
         text = "Look for the cause of what is left: orthoglide close-loop takes the same files"
-        return False, [Action("measure", text)] if result.after.sigma_scale > 1 else []
-    sheet = result.next_sheet
-    for one in result.next_measurements:
+        return False, [Action("measure", text)] if closed.after.sigma_scale > 1 else []
+    sheet = closed.next_sheet
+    for one in closed.next_measurements:
         if one.aim == "narrow" and sheet is not None:
             text = f"Measure more only to know more: a report proposes {len(sheet)} readings"
             return False, [Action("measure", text)]

@@ -2,50 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
-
 from orthoglide.accuracy import Map, tcp_map, variance_by_effect, without_place, workspace
 from orthoglide.fit import Estimate
-from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.ordering import ranked
+from orthoglide.result import Workspace
 
 _MOST_NAMED = 3
-
-
-@dataclass(frozen=True, repr=False)
-class Workspace:
-    """The TCP over the workspace, best translation removed, metres."""
-
-    # A regular grid (g, 3): travel from mechanical zero on the Orthoglide, else where the tool is
-    # wanted. With screws, errors are of a place a part of a turn beside it.
-    at: Array
-    axis: str  # what its columns are, with the axis' name to fill in
-    now: Array  # predicted error of a controller that knows of no error (g, 3)
-    left: Array  # predicted error of one that knows of joint offsets and leg lengths (g, 3)
-    sure_before: Array  # 95 % radius about the base model, everything else allowed (g,)
-    sure: Array  # 95 % radius about the calibrated machine, everything else allowed (g,)
-
-    @property
-    def nominal(self) -> Array:
-        """Length of ``now`` ``(g,)``."""
-        return np.linalg.norm(self.now, axis=1)
-
-    @property
-    def before(self) -> Array:
-        """Length of ``left`` ``(g,)``."""
-        return np.linalg.norm(self.left, axis=1)
-
-    def figures(self) -> dict[str, Array]:
-        """By name in ``result.json``."""
-        return {
-            "predicted_error_nominal": self.nominal,
-            "predicted_error_before": self.before,
-            "uncertainty_95_before": self.sure_before,
-            "uncertainty_95_after": self.sure,
-        }
 
 
 def workspace_of(before: Estimate, known: Machine, calibrated: Map) -> Workspace:

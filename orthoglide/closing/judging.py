@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,22 +15,7 @@ from orthoglide.machine import Machine
 from orthoglide.numerals import ByUnit
 from orthoglide.observations import Readings
 from orthoglide.prediction import Conditions
-
-
-@dataclass(frozen=True)
-class HoldOut:
-    """Readings of another campaign, predicted without those scored."""
-
-    before: ByUnit  # root mean square of what the base model leaves
-    after: ByUnit  # of what the extended model leaves
-
-    @property
-    def worse(self) -> bool:
-        """Whether the extended model predicts them worse, all told: the geometric mean of what it
-        does to lengths and to inclinations.
-        """
-        before, after = (math.prod(both.shown.values()) for both in (self.before, self.after))
-        return after > before
+from orthoglide.result import HoldOut, TcpErrors
 
 
 def hold_out(
@@ -75,17 +59,6 @@ def _left_out(
     return rms_by_unit(residual / scored, problem.turned)
 
 
-@dataclass(frozen=True)
-class TcpErrors:
-    """Errors of three machines at measured points, metres: mean and largest distance."""
-
-    nominal: tuple[float, float]  # of the machine without errors
-    before: tuple[float, float]  # of the base model
-    after: tuple[float, float]  # of the extended model
-    # share of the coordinates within the 95 % interval stated for `after`; nan where none is
-    inside: float = float("nan")
-
-
 def tcp_errors(
     machine: Machine,
     given: Readings,
@@ -114,7 +87,8 @@ def tcp_errors(
         for name, p in predicted.items():
             apart = _aligned(p, points.p, fit) - points.p
             distance = np.sqrt(np.nansum(apart**2, axis=1))
-            figures[name] = (float(distance.mean()), float(distance.max()))
+            figures[f"{name}_mean"] = float(distance.mean())
+            figures[f"{name}_max"] = float(distance.max())
         if sigma is not None and fit == "translation":  # of `after`, the last
             known = np.isfinite(apart)
             inside = float(np.mean(np.abs(apart[known]) <= 1.96 * sigma[known]))

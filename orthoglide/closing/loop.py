@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from orthoglide.accuracy import tcp_map
+from orthoglide.closing.closed import Closed
+from orthoglide.closing.judging import hold_out, tcp_errors
 from orthoglide.diagnosis.significance import Left, left_over
 from orthoglide.diagnosis.tool_faults import check_repeats
-from orthoglide.effects import Effect
-from orthoglide.errors import NumericsError, check_list, path_of
-from orthoglide.fit import (
-    Estimate,
-    account_for_changes,
-    assemble,
-    identify,
-    points_of,
-    readings_of,
-    solve,
-    sorted_out,
-    tempered,
-)
+from orthoglide.errors import NumericsError
+from orthoglide.fit import Estimate, account_for_changes, assemble, identify, solve, tempered
 from orthoglide.fit.change_search import WIDTHS
 from orthoglide.fit.copies import shared
 from orthoglide.fit.earlier import vague
@@ -30,14 +20,9 @@ from orthoglide.fit.exchanged import check_columns
 from orthoglide.fit.loud import is_misdeclared
 from orthoglide.fit.plausible import check_plausible
 from orthoglide.fit.verification import verify
-from orthoglide.frames import html_table
-from orthoglide.instruments import Frame
-from orthoglide.judging import hold_out, tcp_errors
-from orthoglide.machine import Machine, MachineSource
+from orthoglide.machine import Machine
 from orthoglide.notes import Note
-from orthoglide.observations import Given, Readings
 from orthoglide.posterior import (
-    Cause,
     FullPosterior,
     Outstanding,
     check_levels,
@@ -46,16 +31,12 @@ from orthoglide.posterior import (
     remains,
 )
 from orthoglide.progress import Progress, Step, silent
-from orthoglide.request import Request
-from orthoglide.result import Result, Word
+from orthoglide.result import Request, Word
 from orthoglide.threads import on_one_thread
 
 if TYPE_CHECKING:
     from orthoglide.diagnosis.blunders import Blunder
     from orthoglide.diagnosis.changes import Change
-    from orthoglide.figures.style import Drawing
-
-__all__ = ["Cause", "Verdict", "close_loop", "judge", "run"]
 
 EVEN = 0.5
 """Probability of a machine beyond all tolerances, or of errors without structure, from which
@@ -71,114 +52,14 @@ SIGNIFICANT = 0.003
 """Probability of calling what is left significant where nothing is: one false alarm in 300."""
 
 
-class Verdict(Result):
-    """A result that writes and shows itself: what :func:`close_loop` returns."""
-
-    @on_one_thread
-    def report(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the report into a folder, as the command line does.
-
-        Args:
-            folder: where to.
-            overwrite: whether an earlier report there is replaced; the folder is new or empty
-                otherwise.
-
-        Raises:
-            FileError: where the folder is not empty and not replaced, or cannot be written.
-        """
-        from orthoglide.report import check_folder, report_files, write_folder
-
-        out = path_of(folder)
-        check_folder(out, overwrite)
-        write_folder(out, report_files(self), overwrite)
-
-    @on_one_thread
-    def plot(self, what: str = "residuals") -> Drawing:
-        """A figure of the report, which notebooks show and ``save`` writes.
-
-        Args:
-            what: ``"residuals"`` or ``"readings"`` by setup, ``"causes"`` with their rivals,
-                ``"tool"``: where it goes instead, as arrows over the workspace; or
-                ``"parameters"`` and their ``"correlations"``.
-
-        Raises:
-            InputError: for a figure that there is not, or not of this result.
-        """
-        from orthoglide.figures.draw import draw_one
-
-        return draw_one(self, what)
-
-    def __repr__(self) -> str:
-        found = ", ".join(e.name for e in self.effects) or "no cause"
-        return f"<Verdict {self.word}: {found}; {self.request.command}>"
-
-    @on_one_thread
-    def __str__(self) -> str:
-        from orthoglide.report import summary
-
-        return summary(self)
-
-    @on_one_thread
-    def _repr_html_(self) -> str:
-        from orthoglide.report.wording import headline
-
-        table = html_table(headline(self), self.columns)
-        return f'<div style="max-width: 30rem">{self.picture.svg()}</div>{table}'
-
-
-def close_loop(
-    campaigns: Given | Sequence[Given],
-    machine: MachineSource | None = None,
-    *,
-    own: Sequence[str] = (),
-    noise: float | None = None,
-    holdout: Given | Sequence[Given] | None = None,
-    tcp: Readings | str | os.PathLike[str] | None = None,
-    effects: Sequence[Effect] = (),
-    seed: int = 0,
-    progress: Progress | None = None,
-    frame: Frame = "rigid",
-) -> Verdict:
-    """Identify, ask what is left, trace it to a cause, add it, and judge.
-
-    Args:
-        campaigns: one or several, of dial readings (paths are read as by ``read_readings``) or TCP
-            points that are readings like the others.
-        machine: dimensions, tolerances, dial, or the path of its file; nominal where absent.
-        own: effects or parameters that each campaign has for itself; the rest is shared.
-        noise: standard deviation of one reading, metres.
-        holdout: readings that only judge the finished result.
-        tcp: measured points that only judge the finished result, or the path of their file.
-        effects: of one's own, weighed beside those of the machine's catalogue.
-        seed: of every random draw; the same seed gives the same answer.
-        progress: called with each step; any callable will do.
-        frame: how the instrument of TCP points may stand to the machine.
-
-    Raises:
-        InputError: where the campaigns cannot be used.
-        NumericsError: where the base model cannot be identified.
-    """
-    machine = Machine.of(machine, effects)
-    check_list("own", own)
-    several, points = sorted_out(campaigns, machine)
-    judges = None if tcp is None else points_of(tcp, machine)
-    held = () if holdout is None else readings_of(holdout, machine)
-    request = Request(
-        "close-loop", several, machine, tuple(own), noise, seed, held, judges, points=points,
-        frame=frame,
-    )  # fmt: skip
-    return run(request, progress)
-
-
 @on_one_thread
-def run(request: Request, progress: Progress | None = None) -> Verdict:
+def close(request: Request, progress: Progress = silent) -> Closed:
     """Do what was asked: once, or again from the request that a result keeps.
 
     Raises:
         InputError: where the campaigns cannot be used.
         NumericsError: where the base model cannot be identified.
     """
-    progress = progress or silent
     if not request.searches:
         return _identified(request, progress)
     progress(Step("identifying", "joint offsets and leg lengths"))
@@ -206,21 +87,21 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
         check_levels(known)
     if word == "unexplained":
         before = tempered(before)
-    verdict = Verdict(
+    closed = Closed(
         request, word, before, before if word == "unexplained" else known.after,
         found.causes, found.located,
         found.weighed, left, known, blunders,
         faulty=read if blunders else None,
         alone=found.alone if word == "adequate" else (),
     )  # fmt: skip
-    since = [c.now(verdict.after) for c in read.changes]
-    changed = (*(c for c in since if c.is_told), *(c.measured(verdict.after) for c in changes))
+    since = [c.now(closed.after) for c in read.changes]
+    changed = (*(c for c in since if c.is_told), *(c.measured(closed.after) for c in changes))
     notes = (Note(found_now, "earlier") for c in since if (found_now := c.found_only_now))
-    told = (*verdict.after.warnings, *notes, *_vague(read))
+    told = (*closed.after.warnings, *notes, *_vague(read))
     progress(Step("verifying"))
-    after = replace(verdict.after, warnings=told, verification=verify(verdict.after))
+    after = replace(closed.after, warnings=told, verification=verify(closed.after))
     progress(Step("judging"))
-    return judge(replace(verdict, changed=changed, after=after))
+    return judge(replace(closed, changed=changed, after=after))
 
 
 def _vague(read: Estimate) -> Iterator[Note]:
@@ -326,7 +207,7 @@ def _weighed(read: Estimate, blunders: tuple[Blunder, ...]) -> tuple[Blunder, ..
     return tuple(kept)
 
 
-def _identified(request: Request, progress: Progress) -> Verdict:
+def _identified(request: Request, progress: Progress) -> Closed:
     """A closed loop in which no effect may be added."""
     count = sum(map(len, request.campaigns)) + sum(map(len, request.points))
     progress(Step("identifying", f"from {count} readings"))
@@ -342,29 +223,29 @@ def _identified(request: Request, progress: Progress) -> Verdict:
     )
     check_repeats(estimate)
     left = left_over(estimate)
-    return Verdict(
+    return Closed(
         request, _word(Outstanding((), (), ()), left), estimate, estimate, (), (), (), left,
         changed=estimate.changes,
     )  # fmt: skip
 
 
-def judge(verdict: Verdict) -> Verdict:
-    """Judge a finished verdict by what its request holds back; only the scores change."""
-    request, machine = verdict.request, verdict.machine
-    before, after = verdict.values_before, verdict.values
+def judge(closed: Closed) -> Closed:
+    """Judge a closed loop by what its request holds back; only the scores change."""
+    request, machine = closed.request, closed.machine
+    before, after = closed.values_before, closed.values
     scored = errors = None
     if request.holdout:
         scored = hold_out(before, after, machine, request.holdout, request.own)
     if request.tcp is not None:
-        stated = tcp_map(verdict.machine, request.tcp.points().command).sigma
+        stated = tcp_map(closed.machine, request.tcp.points().command).sigma
         errors = tcp_errors(machine, request.tcp, before, after, stated)
     held = (*request.holdout, *([] if request.tcp is None else [request.tcp]))
     fitted = (*request.campaigns, *request.points)
     if any(shared(one, other) > 0.5 for one in held for other in fitted):
         text = "the readings held out are readings that were fitted: they judge nothing"
-        warnings = (*verdict.after.warnings, Note(text, "holdout"))
-        verdict = replace(verdict, after=replace(verdict.after, warnings=warnings))
-    return replace(verdict, hold_out=scored, tcp=errors)
+        warnings = (*closed.after.warnings, Note(text, "holdout"))
+        closed = replace(closed, after=replace(closed.after, warnings=warnings))
+    return replace(closed, hold_out=scored, tcp=errors)
 
 
 def _missing(left: Left) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from base64 import b64encode
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,10 @@ from orthoglide.errors import check_whole
 from orthoglide.files import sha256
 from orthoglide.instruments import Frame
 from orthoglide.machine import Machine
-from orthoglide.observations import Readings, csv_text, readings_rows
+from orthoglide.machine_file import MachineFile, machine_text
+from orthoglide.machine_file.posterior import posterior_bytes
+from orthoglide.observations import Readings, Setup, csv_text, readings_rows
+from orthoglide.urdf import urdf_digests
 
 Command = Literal["identify", "close-loop", "diagnose", "demo"]
 COMMANDS: tuple[Command, ...] = get_args(Command)
@@ -87,12 +91,22 @@ class Request:
         return (*self.campaigns, *(p for p in self.points if not p.by_point))
 
     @property
+    def given(self) -> tuple[Readings, ...]:
+        """All that is fitted: readings of legs, then those of the tool."""
+        return (*self.campaigns, *self.points)
+
+    @property
+    def setups(self) -> tuple[Setup, ...]:
+        """Of all these."""
+        return tuple(setup for given in self.given for setup in given.setups)
+
+    @property
     def inputs(self) -> list[dict[str, Any]]:
         """Files of readings as ``result.json`` keeps them: name, digest, role and rows."""
         return list(self._inputs())
 
     def _inputs(self) -> Iterator[dict[str, Any]]:
-        for given in (*self.campaigns, *self.points):
+        for given in self.given:
             yield self._input(given, "fit_tcp" if given.by_point else "campaign")
         for given in self.holdout:
             yield self._input(given, "holdout")
@@ -102,6 +116,22 @@ class Request:
     def _input(self, given: Readings, role: str) -> dict[str, Any]:
         machine = self.machine.spec if given.of_tool else None
         return _input(given, role, readings_rows(given, machine))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the keys of ``result.json``: enough to run it again."""
+        spec = self.machine.spec
+        return {
+            "command": self.command,
+            "arguments": self.arguments,
+            "seed": self.seed,
+            "inputs": self.inputs,
+            "machine": {
+                "file": Path(spec.file).name or None,
+                "sha256": spec.sha256 or None,
+                **machine_kept(spec),
+                **({"urdf": urdf_digests(spec.urdf)} if spec.urdf else {}),
+            },
+        }
 
     @property
     def command_line(self) -> str:
@@ -132,11 +162,22 @@ class Request:
         return shlex.join([*words, *(flag for flag, given in flags.items() if given)])
 
 
+def machine_kept(spec: MachineFile) -> dict[str, str | None]:
+    """A machine as ``result.json`` keeps it: its file's text, and its covariance if it has one."""
+    if (known := spec.posterior) is None:
+        return {"toml": machine_text(spec), "npz": None}
+    covariance = b64encode(posterior_bytes(known, spec.sha256)).decode()
+    return {"toml": machine_text(spec), "npz": covariance}
+
+
 def name_of(given: Readings) -> str:
-    """The name of a file of readings without its folder; one is made up where there is no file."""
+    """Return the name of the file of readings without its folder, or one made of their name."""
     if given.file:
         return Path(given.file).name
-    return "points.tcp.csv" if given.by_point else f"{given.name}.csv"
+    if given.by_point:
+        return "points.tcp.csv"
+    plain = given.name.replace("/", "_").replace("\0", "_")
+    return f"{plain or 'readings'}.csv"
 
 
 def _input(given: Readings, role: str, rows: list[dict[str, str]]) -> dict[str, Any]:

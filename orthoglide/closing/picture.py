@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,50 +15,33 @@ from orthoglide.machine import Machine
 from orthoglide.numerals import compact
 from orthoglide.pictures import dials, joint_mark, option
 from orthoglide.posterior import Curve
-from orthoglide.scene import Dial, Mark, Option, Posed, drawing
+from orthoglide.result import Picture
+from orthoglide.scene import Mark, Option
 
 if TYPE_CHECKING:
-    from orthoglide.result.result import Result
+    from orthoglide.closing.closed import Closed
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Picture:
-    """A drawing of what was found."""
-
-    posed: Posed  # the nominal machine at mechanical zero
-    dials: tuple[Dial, ...]  # where they stood
-    # explanations, found ones in order, each followed by what else it could be
-    options: tuple[Option, ...]
-    first: tuple[int, ...]  # which options are the most probable of what was found
-
-    def svg(self, alone: bool = False) -> str:
-        """The drawing; ``alone``: as a file of its own."""
-        title = "The machine, what was found marked on it" if self.options else "The machine"
-        return drawing(
-            self.posed, self.options, self.dials, title=title, shown=self.first, alone=alone
-        )
-
-
-def picture(result: Result) -> Picture:
+def picture(closed: Closed) -> Picture:
     """The machine with what was found, or with the dial on which most is left."""
-    machine = result.request.machine.with_only({})
+    machine = closed.request.machine.with_only({})
     posed = machine.posed()
-    stand = dials(posed, result.after.problem.campaigns)
+    stand = dials(posed, closed.after.problem.campaigns)
     options: list[Option] = []
     first = []
-    for cause in result.effects:
+    for cause in closed.effects:
         first.append(len(options))
         options += [option(machine, one.words, one.values) for one in cause.explanations]
         options += [_placed(machine, curve) for curve in cause.places]
-    for found in result.located:
+    for found in closed.located:
         first.append(len(options))
         options += [_placed(machine, curve) for curve in found.members]
-    for change in result.moved:
+    for change in closed.moved:
         first.append(len(options))
         options += _moved(machine, change)
-    if result.word == "unexplained" and result.dials_hold_most and result.request.searches:
+    if closed.word == "unexplained" and closed.dials_hold_most and closed.request.searches:
         first.append(len(options))
-        options.append(_left(result))
+        options.append(_left(closed))
     return Picture(posed, stand, tuple(options), tuple(first))
 
 
@@ -90,8 +73,8 @@ def _placed(machine: Machine, curve: Curve) -> Option:
     )
 
 
-def _left(result: Result) -> Option:
-    most = result.rest[0]
+def _left(closed: Closed) -> Option:
+    most = closed.rest[0]
     way = np.eye(3)[most.axis] * np.sign(most.most)
     size = f"{compact(abs(most.most) * 1e3, 2)} mm toward {toward(LEGS[most.axis], most.most)}"
     words = f"what nothing explains shows most on leg {LEGS[most.leg]}: {size}"

@@ -12,8 +12,8 @@ from orthoglide.files import inside
 from orthoglide.fit import readings_of
 from orthoglide.machine import Machine
 from orthoglide.observations import Given, Readings
-from orthoglide.request.reading import read_result, request_of
-from orthoglide.request.request import Request
+from orthoglide.result.reading import read_result, request_of
+from orthoglide.result.request import Request
 
 State = Given | Sequence[Given] | Request
 """Readings, or a run that has them; of its result the path of ``result.json`` or of its folder."""

@@ -1,4 +1,4 @@
-"""What a result's readings cannot show as nothing in them varies it: lost motion above all."""
+"""What readings cannot show as nothing in them varies it: lost motion above all."""
 
 from __future__ import annotations
 
@@ -10,47 +10,47 @@ from orthoglide.fit.excited import unmet
 from orthoglide.posterior.free import one_surface
 
 if TYPE_CHECKING:
-    from orthoglide.result.result import Result
+    from orthoglide.closing.closed import Closed
 
 
 _OF_ONE = "one alone, or several differently"
 
 
-def unshown(result: Result) -> tuple[tuple[str, tuple[str, ...]], ...]:
+def unshown(closed: Closed) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Effects that the readings would not show at three tolerances: in words, and which of an
     effect's parameters where it is not all of them; of one that is told, all alike, only others.
     """
-    asked = [] if result.posterior is None else result.posterior.about.asked
-    every, hidden = (Counter(n.effect for n in names) for names in (asked, result.invisible))
-    several = [one for cause in result.effects for one in cause.explanations]
+    asked = [] if closed.posterior is None else closed.posterior.about.asked
+    every, hidden = (Counter(n.effect for n in names) for names in (asked, closed.invisible))
+    several = [one for cause in closed.effects for one in cause.explanations]
     told = {one.catalogue.effect_of(one.name).name for one in several}
 
     def which(effect: str) -> tuple[str, ...]:
         if hidden[effect] == every[effect]:
             return (_OF_ONE,) if effect in told else ()
-        names = (str(n) for n in result.invisible if n.effect == effect)
+        names = (str(n) for n in closed.invisible if n.effect == effect)
         return tuple(name.removeprefix(f"{effect}.") for name in names)
 
-    return tuple((cause_short(result.catalogue, effect), which(effect)) for effect in hidden)
+    return tuple((cause_short(closed.catalogue, effect), which(effect)) for effect in hidden)
 
 
-def unvaried(result: Result) -> dict[str, tuple[str, ...]]:
+def unvaried(closed: Closed) -> dict[str, tuple[str, ...]]:
     """Effects of the machine that nothing in the readings varies, each with what would:
     ``approach``, ``load`` ...; empty where no cause was looked for.
     """
-    problem = result.after.problem
-    several = () if result.posterior is None else problem.machine.catalogue.effects
-    asked = (e for e in several if not (e.of_dial or e.instead_of) and e.name in result.unexcited)
+    problem = closed.after.problem
+    several = () if closed.posterior is None else problem.machine.catalogue.effects
+    asked = (e for e in several if not (e.of_dial or e.instead_of) and e.name in closed.unexcited)
     return {effect.name: unmet(problem, effect) for effect in asked}
 
 
-def one_sided(result: Result) -> Literal["", "fixed", "same", "unknown"]:
+def one_sided(closed: Closed) -> Literal["", "fixed", "same", "unknown"]:
     """Why lost motion is not seen: all that was read has but one side, the side that places were
     come to from is always the same, or it is not known; empty where it is seen.
     """
-    if not any("approach" in needs for needs in unvaried(result).values()):
+    if not any("approach" in needs for needs in unvaried(closed).values()):
         return ""
-    if one_surface(result.after.problem):
+    if one_surface(closed.after.problem):
         return "fixed"
-    known = (f.conditions().approach.any() for f in result.after.problem.factors)
+    known = (f.conditions().approach.any() for f in closed.after.problem.factors)
     return "same" if all(known) else "unknown"

@@ -16,7 +16,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import parse_machine_file
 from orthoglide.machine_file.posterior import parse_posterior
 from orthoglide.observations import Readings, readings_from_rows, tcp_from_rows
-from orthoglide.request.request import COMMANDS, Request
+from orthoglide.result.request import COMMANDS, Request
 from orthoglide.text import brief, shown, unseen_in
 
 _ROLES = ("campaign", "fit_tcp", "holdout", "tcp")
@@ -26,6 +26,23 @@ _LONGEST_NAME = 255  # bytes
 
 SCHEMAS = (1, 2)
 """Of results that can be run again."""
+
+
+EDITED = (FileError, KeyError, TypeError, ValueError, AttributeError, OverflowError)
+"""Errors that an edited ``result.json`` raises where its values are used."""
+
+
+def as_edited(error: Exception, file: str) -> FileError:
+    """Return the error that an edited file is reported with.
+
+    Args:
+        error: one of ``EDITED``.
+        file: name of the file.
+    """
+    if isinstance(error, FileError) and error.file == file:
+        return error
+    reason = f"it has no key {error}" if isinstance(error, KeyError) else str(error)
+    return FileError(f"is not as it was written ({reason}): take the original", file=file)
 
 
 def read_result(path: Path) -> dict[str, Any]:
@@ -81,40 +98,41 @@ def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] =
         noise = given["noise_mm"]
         if given.get("effects_file") and not effects:
             raise FileError(
-                f"had effects from {given['effects_file']}: give it with --effects-file",
+                f"had effects from {given['effects_file']}: give them too (--effects-file, "
+                f"effects=)",
                 file=file,
             )
-        machine = _machine(result["machine"], effects)
-    except FileError:  # of the machine file
-        raise
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        reason = f"no {error}" if isinstance(error, KeyError) else str(error)
-        raise FileError(
-            f"is not as it was written ({reason}): take the original", file=file
-        ) from None
-    by_role = {role: [i for i in inputs if i.get("role", _ROLES[0]) == role] for role in _ROLES}
-    read = [r for i in by_role["campaign"] for r in _readings(i, machine)]
-    tool = [r for r in read if r.of_tool]
-    request = Request(
-        result["command"],
-        tuple(r for r in read if not r.of_tool),
-        machine,
-        own=tuple(given["own"]),
-        noise=None if noise is None else noise * 1e-3,
-        seed=seed,
-        holdout=tuple(r for i in by_role["holdout"] for r in _readings(i, machine)),
-        tcp=next((_points(i, machine) for i in by_role["tcp"]), None),
-        points=(*tool, *(_points(i, machine) for i in by_role["fit_tcp"])),
-        frame=given.get("frame", "rigid"),
-        effects_file=given.get("effects_file", ""),
-    )
-    if not single:
-        return request
-    free, priors, reduced = tuple(given["free"]), given["priors"], given["reduced"]
-    return replace(request, free=free, priors=priors, reduced=reduced)
+        machine = machine_of(result["machine"], effects)
+        by_role = {role: [i for i in inputs if i.get("role", _ROLES[0]) == role] for role in _ROLES}
+        read = [r for i in by_role["campaign"] for r in _readings(i, machine)]
+        tool = [r for r in read if r.of_tool]
+        request = Request(
+            result["command"],
+            tuple(r for r in read if not r.of_tool),
+            machine,
+            own=tuple(given["own"]),
+            noise=None if noise is None else noise * 1e-3,
+            seed=seed,
+            holdout=tuple(r for i in by_role["holdout"] for r in _readings(i, machine)),
+            tcp=next((_points(i, machine) for i in by_role["tcp"]), None),
+            points=(*tool, *(_points(i, machine) for i in by_role["fit_tcp"])),
+            frame=given.get("frame", "rigid"),
+            effects_file=given.get("effects_file", ""),
+        )
+        if not single:
+            return request
+        free, priors, reduced = tuple(given["free"]), given["priors"], given["reduced"]
+        return replace(request, free=free, priors=priors, reduced=reduced)
+    except EDITED as error:
+        raise as_edited(error, file) from None
 
 
-def _machine(given: Mapping[str, Any], effects: Sequence[Effect]) -> Machine:
+def machine_of(given: Mapping[str, Any], effects: Sequence[Effect] = ()) -> Machine:
+    """A machine that a ``result.json`` keeps.
+
+    Raises:
+        FileError, KeyError, TypeError, ValueError: where it is not as it was written.
+    """
     name = given["file"] or ""
     if name:
         _check_name(name)
@@ -148,7 +166,7 @@ def _check_arguments(given: Mapping[str, Any], single: bool) -> None:
         return isinstance(value, list) and all(isinstance(n, str) for n in value)
 
     def number(value: Any) -> bool:
-        return value is None or (type(value) in (int, float) and 0 < value < float("inf"))
+        return value is None or (type(value) in (int, float) and 0 < float(value) < float("inf"))
 
     checks: dict[str, Callable[[Any], bool]] = {
         "campaigns": names,
@@ -172,7 +190,8 @@ def _check_inputs(found: Any) -> None:
         raise ValueError("inputs is no list of files")
     for item in found:
         _check_name(item["file"])
-        _check_name(item.get("name", item["file"]))
+        if not isinstance(item.get("name", ""), str):
+            raise ValueError(f"{item['file']} has no name of its readings")
         if not isinstance(item["sha256"], str):
             raise ValueError(f"{item['file']} has no digest")
         if item.get("role", _ROLES[0]) not in _ROLES:

@@ -1,0 +1,383 @@
+"""``Closed``: a closed loop as the search left it, and what follows, each computed once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from orthoglide.accuracy import tcp_map
+from orthoglide.add_ons import AddOn, Corrections, Section, add_on_of
+from orthoglide.closing.actions import actions
+from orthoglide.closing.following import next_measurements
+from orthoglide.closing.picture import picture
+from orthoglide.closing.values import explanation_value
+from orthoglide.closing.workspace import uncertain_effects, workspace_of
+from orthoglide.control import ControllerNumbers, controller_numbers
+from orthoglide.diagnosis.blunders import Blunder
+from orthoglide.diagnosis.changes import Change
+from orthoglide.diagnosis.rest import rest_by_setup
+from orthoglide.diagnosis.significance import Left
+from orthoglide.effects import Catalogue
+from orthoglide.effects.wording import cause_short
+from orthoglide.fit import Estimate
+from orthoglide.machine import Machine
+from orthoglide.notes import Note
+from orthoglide.observations import Readings
+from orthoglide.parameters import Parameter
+from orthoglide.posterior import Cause, Explanation, FullPosterior, Located, budget
+from orthoglide.result import (
+    Action,
+    BudgetItem,
+    CandidateScore,
+    HoldOut,
+    Identified,
+    Picture,
+    Request,
+    Scores,
+    SetupResidual,
+    TcpErrors,
+    Word,
+    Workspace,
+)
+
+if TYPE_CHECKING:
+    from orthoglide.planning import Suggestion
+
+_HARDLY = 0.95  # of the residuals: a fit that leaves more has not helped
+_NOTHING = 1e-6  # millimetres or milliradians: residuals below are rounding
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Closed:
+    """A closed loop as the search left it.
+
+    Attributes:
+        request: what was asked.
+        word: adequate, explained, ambiguous, located, partial or unexplained.
+        before: fit of the base model: joint offsets and leg lengths, or what ``identify`` frees.
+        after: the readings as the posterior's mean has them; ``before`` of ``identify``.
+        effects: causes with a name that stand out of the background.
+        located: places without a name that do.
+        candidates: what was weighed, most probable first.
+        left: whether the last fit leaves anything.
+        posterior: what the readings say of everything; ``None`` of ``identify``.
+        blunders: faults of the data, found before any physics.
+        changed: parameters that are not the same in all campaigns, found before any physics.
+        faulty: the base fit with the faulty readings in, where there are any.
+        hold_out: scores on readings held out, or ``None``.
+        tcp: errors at measured TCP points by alignment, or ``None``.
+        alone: where nothing stands out: causes of which one would be behind it on a machine that
+            is sound otherwise.
+    """
+
+    request: Request
+    word: Word
+    before: Estimate
+    after: Estimate
+    effects: tuple[Cause, ...]
+    located: tuple[Located, ...]
+    candidates: tuple[CandidateScore, ...]
+    left: Left
+    posterior: FullPosterior | None = None
+    blunders: tuple[Blunder, ...] = ()
+    changed: tuple[Change, ...] = ()
+    faulty: Estimate | None = None
+    hold_out: HoldOut | None = None
+    tcp: dict[str, TcpErrors] | None = None
+    alone: tuple[Explanation, ...] = ()
+
+    @property
+    def nominal(self) -> Scores:
+        """Scores of the machine as it was, without what was identified."""
+        return self.before.nominal
+
+    @property
+    def catalogue(self) -> Catalogue:
+        """Of the calibrated machine: the effects that were weighed, and the places found."""
+        machine = self.request.machine if self.posterior is None else self.posterior.machine
+        return machine.catalogue
+
+    def short(self, name: str) -> str:
+        """A candidate's cause without its size, as a clause."""
+        return cause_short(self.catalogue, name)
+
+    @property
+    def first(self) -> Estimate:
+        """The base fit to all readings, faulty ones included."""
+        return self.faulty or self.before
+
+    # --- The calibrated machine -------------------------------------------------------------
+
+    @property
+    def found(self) -> bool:
+        """Whether anything was found that stands out of the background."""
+        return bool(self.effects or self.located)
+
+    @property
+    def improved(self) -> bool:
+        """Whether the readings are predicted better than by the base: by causes found, or by the
+        background of everything.
+        """
+        before, after = (fit.scores.left.shown for fit in (self.before, self.after))
+        return self.found or any(
+            after[unit] < _HARDLY * was and was > _NOTHING for unit, was in before.items()
+        )
+
+    @property
+    def share(self) -> float:
+        """Of their tolerances, by which effects that do not stand out are off; nan of
+        ``identify``.
+        """
+        return float("nan") if self.posterior is None else self.posterior.share
+
+    @property
+    def stands(self) -> bool:
+        """Whether what was found counts: where something is left, a place is missing, and what
+        was found may stand in for it.
+        """
+        return self.word not in ("partial", "unexplained")
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """Parameters of the calibrated machine, SI."""
+        return self.machine.values
+
+    @cached_property
+    def values_before(self) -> dict[str, float]:
+        """Parameters of the base model's last campaign, dials included, SI."""
+        problem = self.before.problem
+        return problem.values(problem.last, self.before.x)
+
+    @cached_property
+    def machine(self) -> Machine:
+        """The calibrated machine with its covariance: the posterior's mean, or the base model
+        where something significant is left.
+
+        The verdict, its causes and its cautions are kept with it.
+        """
+        kept: dict[str, Any] = {"command": self.request.command, "verdict": self.word}
+        if self.effects:
+            kept["effects"] = [cause.name for cause in self.effects]
+        if rivals := {rival.name for cause in self.effects for rival in cause.rivals}:
+            kept["averaged_over"] = sorted(rivals)
+        if self.located:
+            kept["located"] = [found.name for found in self.located]
+        if self.cautions:
+            kept["cautions"] = list(self.cautions)
+        if (printer := self.request.machine.spec.printer) is not None:
+            kept |= printer.provenance(self.corrections)
+        return self._machine.with_provenance(kept)
+
+    @cached_property
+    def corrections(self) -> Corrections | None:
+        """New numbers for the firmware of a machine that was imported from it; ``None`` for others,
+        and where the readings give none.
+        """
+        if self._add_on is None:
+            return None
+        fit = self.after if self.stands else self.before  # which the machine is of
+        return self._add_on.corrections(self._machine, [f.readings for f in fit.problem.tool])
+
+    @property
+    def _add_on(self) -> AddOn | None:
+        return add_on_of(self.request.machine.spec.provenance)
+
+    @property
+    def _machine(self) -> Machine:
+        if self.posterior is None:
+            return self.after.machine
+        machine = self.posterior.machine
+        if self.stands:
+            return machine
+        base = self.before.machine.values
+        return machine.with_posterior(base, machine.posterior)
+
+    @cached_property
+    def identified(self) -> dict[str, Identified]:
+        """What was identified in the units of files: the base, and each cause as if it were the
+        right one of its set.
+
+        Sigmas and intervals allow everything else but by ``identify``, where they count the noise
+        alone.
+        """
+        fit, causes = self.after, [e.chosen for e in self.effects]
+        names = fit.names if self.posterior is None else self.before.names
+        found = {n: (fit.values[n], fit.sigmas[n], *fit.interval(n)) for n in names}
+        for one in causes:
+            for n, value in one.values.items():
+                half = fit.coverage_factor * one.sigmas[n]
+                found[n] = (value, one.sigmas[n], value - half, value + half)
+        rows = {}
+        for name, figures in found.items():
+            unit, tolerance = self.catalogue.effect_of(name).unit, self.request.machine.tolerance
+            value, sigma, low, high, expected = (v / unit.si for v in (*figures, tolerance(name)))
+            bound = name in fit.on_bound
+            rows[str(name)] = Identified(value, sigma, unit.name, (low, high), expected, bound)
+        return rows
+
+    @cached_property
+    def budget(self) -> tuple[BudgetItem, ...]:
+        """What is wrong by what mending it gains, largest first; none of ``identify``."""
+        if self.posterior is None:
+            return ()
+        causes: dict[str, tuple[str, ...]] = {c.name: c.every for c in self.effects}
+        causes |= {c.parameter: c.members for c in self.moved if c.is_cause}
+        causes |= dict(one.in_machine(self.catalogue) for one in self.located)
+        return budget(self.posterior, causes)
+
+    @cached_property
+    def moved(self) -> tuple[Change, ...]:
+        """Changes of which no cause found tells already by its first name."""
+        told = {n for c in self.effects for e in (c.chosen, *c.same) for n in e.parameters}
+        told = {self.catalogue.parameter(n).plain for n in told}
+        return tuple(c for c in self.changed if c.parameter not in told)
+
+    @property
+    def shapes_of_plate(self) -> bool:
+        """Whether a probed plate may have a shape that no effect names."""
+        known = self.posterior
+        return known is not None and bool(known.mixture.linear.unnamed.any())
+
+    # --- What is left -----------------------------------------------------------------------
+
+    @cached_property
+    def invisible(self) -> tuple[Parameter, ...]:
+        """Parameters that these readings would not show at three tolerances: not absent."""
+        return () if self.posterior is None else self.posterior.invisible
+
+    @cached_property
+    def instruments(self) -> dict[str, str]:
+        """Kinds of readings that were taken, ``leg``, ``plate`` ..., and what takes them."""
+        from orthoglide.prospects import TAKEN_BY
+
+        kinds = {s.kind for f in self.after.problem.factors for s in f.readings.setups}
+        return {kind: words for kind, words in TAKEN_BY.items() if kind in kinds}
+
+    @property
+    def stopped(self) -> str:
+        """Why nothing more was found, in a sentence."""
+        if self.posterior is None:
+            return "no cause was to be added"
+        return "nothing else stands out of the noise and of the background of small errors"
+
+    @property
+    def unexcited(self) -> tuple[str, ...]:
+        """Effects whose conditions the campaigns do not vary at all."""
+        from orthoglide.fit.excited import excited_effects
+
+        excited = {*(e.name for e in excited_effects(self.after.problem)), *self.catalogue.base}
+        return tuple(name for name in self.request.machine.catalogue if name not in excited)
+
+    @cached_property
+    def pattern(self) -> tuple[str, ...]:
+        """What is left, in sentences, where causes were looked for and something significant is."""
+        from orthoglide.diagnosis.pattern import describe_left
+
+        if not self.request.searches or self.word not in ("partial", "unexplained"):
+            return ()
+        return describe_left(self.after)
+
+    @cached_property
+    def rest(self) -> tuple[SetupResidual, ...]:
+        """What the last fit leaves of every mounting of a dial, largest share first."""
+        return tuple(one for one in rest_by_setup(self.after) if one.leg >= 0)
+
+    @cached_property
+    def rest_of_tool(self) -> tuple[SetupResidual, ...]:
+        """The same of every instrument at the tool."""
+        return tuple(one for one in rest_by_setup(self.after) if one.leg < 0)
+
+    @property
+    def dials_hold_most(self) -> bool:
+        """Whether the mounting that shows most of what is left is a dial's, and not that of an
+        instrument at the tool; not without dials.
+        """
+        tool = max((one.share for one in self.rest_of_tool), default=-1.0)
+        return any(one.share >= tool for one in self.rest[:1])
+
+    @cached_property
+    def picture(self) -> Picture:
+        """The machine with what was found."""
+        return picture(self)
+
+    # --- What follows -----------------------------------------------------------------------
+
+    @cached_property
+    def actions(self) -> tuple[Action, ...]:
+        """What to do, most gain first."""
+        return actions(self)
+
+    @cached_property
+    def next_measurements(self) -> tuple[Suggestion, ...]:
+        """What to measure next; nothing is proposed by ``identify``."""
+        return next_measurements(self) if self.request.searches else ()
+
+    @cached_property
+    def next_sheet(self) -> Readings | None:
+        """The proposed readings as one sheet to fill in; ``None`` where nothing helps."""
+        from orthoglide.planning import next_sheet
+
+        return next_sheet(self.next_measurements)
+
+    @cached_property
+    def workspace(self) -> Workspace | None:
+        """The TCP's errors over the workspace; ``None`` of ``identify``."""
+        if self.posterior is None:
+            return None
+        return workspace_of(self.before, self.posterior.machine, tcp_map(self.machine))
+
+    @cached_property
+    def uncertain_effects(self) -> tuple[tuple[str, float], ...]:
+        """Effects that make most of the TCP's uncertainty, each with its share."""
+        return () if self.posterior is None else uncertain_effects(self.machine)
+
+    @cached_property
+    def numbers(self) -> ControllerNumbers:
+        """The best zeros of a controller that takes nothing else, and the TCP's errors to expect.
+
+        They are here whatever the verdict says; where it is not to be acted on, reports do not
+        show them.
+        """
+        return controller_numbers(self.machine, zeros_only=True, force=True)
+
+    @cached_property
+    def firmware(self) -> Section | None:
+        """What the firmware of an imported machine has to say of it; ``None`` for others."""
+        if self._add_on is None:
+            return None
+        causes = [explanation_value(one) for cause in self.effects for one in cause.explanations]
+        given = self.request.machine
+        return self._add_on.section(given, self.machine, self.corrections, causes)
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What speaks against acting on what was found as it stands, a sentence each."""
+        printer = self.request.machine.spec.printer
+        found = [f"{note}." for note in (printer.cautions(self.request.points) if printer else ())]
+        if self.word == "partial":
+            found.append(
+                "What was found explains only part of what is wrong, and may stand in for "
+                "something that is not in the catalogue: do not act on it, nor put its numbers in "
+                "a controller, before it is confirmed."
+            )
+        held = self.hold_out
+        if self.found and held is not None and held.worse:
+            found.append(
+                "The readings held out are predicted worse with the cause than without it: it does "
+                "not carry over to them, so do not act on it before it is confirmed."
+            )
+        return tuple(found)
+
+    @property
+    def warnings(self) -> tuple[Note, ...]:
+        """Of the final fit, lack of fit apart: the verdict's word says it already."""
+        machine, found = self.request.machine, list(self.after.warnings)
+        if (printer := machine.spec.printer) is not None:
+            found += printer.assumptions(machine, self.effects)
+        return tuple(w for w in found if w.kind != "lack_of_fit")
+
+    @property
+    def scattering(self) -> tuple[str, ...]:
+        """Warnings that repeats scatter by more than was declared of them."""
+        return tuple(w for w in self.after.warnings if w.kind == "scatter")

@@ -1,0 +1,153 @@
+"""The result of a finished run: every value that a report shows, computed once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TypeVar
+
+from orthoglide.closing.closed import Closed
+from orthoglide.closing.unvaried import one_sided, unshown, unvaried
+from orthoglide.closing.values import (
+    cause_value,
+    change_value,
+    correlation_values,
+    data_fault_value,
+    explanation_value,
+    fit_value,
+    located_value,
+)
+from orthoglide.fit import CrossCheck
+from orthoglide.fit.shown import readings_shown, rows_in
+from orthoglide.instruments import OBSERVATIONS
+from orthoglide.observations import campaign_rows
+from orthoglide.planning import Suggestion
+from orthoglide.progress import Progress, Step, silent
+from orthoglide.result import InstrumentNoise, LackOfFit, Noise, Proposal, Result, Unseen, encoded
+from orthoglide.threads import on_one_thread
+
+# Metres. Two derivations that differ by less agree; the difference below is rounding, which differs
+# from one processor to the next.
+_ROUNDING = 1e-12
+
+R = TypeVar("R", bound=Result)
+
+
+@on_one_thread
+def filled(closed: Closed, cls: type[R], progress: Progress = silent) -> R:
+    """Return a finished run as an instance of ``cls``, `Result` or a subclass of it.
+
+    The values are encoded as in ``result.json`` and decoded again, so that a result that is loaded
+    later equals this one to the last digit.
+    """
+    progress(Step("suggesting"))
+    request, machine = closed.request, closed.machine
+    return cls.read(encoded(_result(closed)), request, machine)
+
+
+def _result(closed: Closed) -> Result:
+    request, base, after, catalogue = closed.request, closed.before, closed.after, closed.catalogue
+    tables = [factor.readings for factor in closed.first.problem.factors]
+    rows = [rows_in(part, whole) for part, whole in zip(tables, request.given, strict=True)]
+    blunders = [data_fault_value(b, tables, lambda k, r: int(rows[k][r])) for b in closed.blunders]
+    names = after.names if closed.posterior is None else base.names
+    moved = {id(change) for change in closed.moved}
+    sheet = closed.next_sheet
+    return Result(
+        request=request,
+        machine=closed.machine,
+        word=closed.word,
+        noise=_noise(closed),
+        nominal=closed.nominal,
+        before=fit_value(base),
+        after=fit_value(after),
+        rms_of_all=closed.first.scores.rms,
+        hold_out=closed.hold_out,
+        tcp=closed.tcp,
+        effects=tuple(map(cause_value, closed.effects)),
+        located=tuple(located_value(one, catalogue) for one in closed.located),
+        alone=tuple(map(explanation_value, closed.alone)),
+        budget=closed.budget,
+        identified=closed.identified,
+        correlations=correlation_values(after, names),
+        candidates=tuple(
+            replace(c, words=closed.short(c.name) if c.parameters else "")
+            for c in closed.candidates
+        ),
+        blunders=tuple(blunders),
+        changed=tuple(change_value(c, id(c) not in moved) for c in closed.changed),
+        weak=after.weak,
+        check=base.check and _floored(base.check),
+        verification=after.verification,
+        firmware=closed.firmware,
+        next_measurements=tuple(map(_proposal, closed.next_measurements)),
+        sheet=() if sheet is None else tuple(campaign_rows(sheet)),
+        left=_left(closed),
+        workspace=closed.workspace,
+        uncertain_effects=closed.uncertain_effects,
+        numbers=closed.numbers,
+        actions=closed.actions,
+        invisible=tuple(map(str, (*closed.invisible, *catalogue.expand(list(unvaried(closed)))))),
+        unseen=Unseen(
+            effects=unshown(closed),
+            unvaried=unvaried(closed),
+            one_sided=one_sided(closed),
+            unexcited=closed.unexcited,
+        ),
+        instruments=closed.instruments,
+        cautions=closed.cautions,
+        warnings=closed.warnings,
+        calibrated_before=base.problem.earlier is not None,
+        shapes_of_plate=closed.shapes_of_plate,
+        picture=closed.picture,
+        readings=readings_shown(after, base, request.given),
+        command_line=request.command_line,
+    )
+
+
+def _floored(check: CrossCheck) -> CrossCheck:
+    return replace(
+        check,
+        reduction=max(check.reduction, _ROUNDING),
+        linear=max(check.linear, _ROUNDING),
+        linear_size=max(check.linear_size, _ROUNDING),
+    )
+
+
+def _noise(closed: Closed) -> Noise:
+    problem = closed.after.problem
+    each = {
+        kind: InstrumentNoise(float(sigma), OBSERVATIONS[kind].unit, source)
+        for kind, (sigma, source) in problem.noises.items()
+    }
+    return Noise(
+        declared=problem.told_noise,
+        single_reading=problem.one_reading,
+        source=problem.noise_source,
+        by_instrument=each,
+    )
+
+
+def _left(closed: Closed) -> LackOfFit:
+    left = closed.left
+    return LackOfFit(
+        p_value=left.p_value,
+        background=closed.share,
+        rare=left.rare,
+        shaped=left.shaped,
+        with_unreported=left.untold,
+        stopped=closed.stopped,
+        pattern=closed.pattern,
+        mountings=(*closed.rest, *closed.rest_of_tool),
+    )
+
+
+def _proposal(one: Suggestion) -> Proposal:
+    return Proposal(
+        reason=one.reason,
+        aim=one.aim,
+        gain=one.gain,
+        readings=one.rows,
+        what=one.what,
+        other_instrument=one.pool is None,
+        hopeless=one.hopeless,
+    )

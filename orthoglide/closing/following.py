@@ -1,0 +1,33 @@
+"""What to measure next: where most is left, and what would tell a cause from its rivals."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from orthoglide.closing.closed import Closed
+    from orthoglide.planning import Suggestion
+
+_MOST_RIVALS = 6  # between which readings are proposed
+
+
+def next_measurements(closed: Closed) -> tuple[Suggestion, ...]:
+    """Readings to take next, what follows something unexplained first."""
+    from orthoglide import planning, prospects
+
+    geometry, follow = closed.request.machine.geometry, not closed.stands
+    again = tuple(map(prospects.repeating, closed.rest_of_tool[:follow]))
+    known = closed.posterior
+    parts = [s for one in closed.located if known for s in prospects.parting(known, one)]
+    if not geometry.dialled:
+        apart = () if known is None else prospects.deciding_instruments(known, closed.effects)
+        return (*apart, *parts, *again)
+    sets = [(c.chosen, *c.rivals) for c in closed.effects if c.rivals]
+    sets = sets or [tuple(closed.alone[:_MOST_RIVALS])]
+    rivals = [(e.name, e.machine) for each in sets for e in each]
+    pairs = planning.pairs_within(map(len, sets))
+    apart = planning.next_measurements(closed.after, rivals, pairs=pairs, directions=())
+    more = planning.next_measurements(closed.before)
+    if closed.dials_hold_most:
+        again = tuple(prospects.tracing(rest, geometry) for rest in closed.rest[:follow])
+    return (*again, *apart, *parts, *more)

@@ -1,0 +1,210 @@
+"""Figures of a fit: how well it does, what it found, and how it was checked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import numpy as np
+
+from orthoglide.geometry import Array
+from orthoglide.notes import Note
+from orthoglide.numerals import ByUnit
+from orthoglide.result.codec import SHORT, Key, Metres, encoded
+
+_FEW = 3  # digits of figures that are rounding themselves
+_MM = 1e-3
+
+_AGREEMENT = 1e-9
+"""Metres: what rounding may add to the bound of the linear system."""
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Figures of one fit; metres where not dimensionless and not said otherwise."""
+
+    # root mean square of the residuals of lengths, datums fitted; nan where none was read
+    rms: Metres
+    # the papers' figure: residuals of the averaged deviations from each setup's first posture; nan
+    # where no dial was read
+    deviation_rms: Metres
+    max: Metres  # largest residual of a length
+    chi2: float  # of the data and their nuisances
+    prior_chi2: float  # of what is known before
+    # degrees of freedom: rows, less datums, less what the data determine of the unknowns
+    dof: float
+    lack_of_fit_p: float  # probability of a chi2 this large were the model complete
+    cv_rms: Metres  # residuals of stations left out, lengths, datum refitted; nan where none can be
+    # as `rms` of inclinations, radians; nan where none was read
+    turn_rms: Annotated[float, Key("rms", "_mrad", _MM, omit_if_nan=True)] = math.nan
+    turn_max: Annotated[float, Key("max", "_mrad", _MM, omit_if_nan=True)] = math.nan  # as `max`
+    # as `cv_rms`
+    turn_cv_rms: Annotated[float, Key("cv_rms", "_mrad", _MM, omit_if_nan=True)] = math.nan
+
+    @property
+    def left(self) -> ByUnit:
+        """What is left of single readings, root mean square."""
+        return ByUnit(self.rms, self.turn_rms)
+
+    @property
+    def left_out(self) -> ByUnit:
+        """The same of stations left out."""
+        return ByUnit(self.cv_rms, self.turn_cv_rms)
+
+    @property
+    def told(self) -> ByUnit:
+        """The papers' figure where dials were read, else what is left of lengths; beside it what is
+        left of inclinations.
+        """
+        dials = math.isfinite(self.deviation_rms)
+        return ByUnit(self.deviation_rms if dials else self.rms, self.turn_rms)
+
+    @property
+    def cost(self) -> float:
+        """What the fit minimises: data, nuisances and priors."""
+        return self.chi2 + self.prior_chi2
+
+
+@dataclass(frozen=True)
+class Fit:
+    """One fit of a result: what it found, and what it leaves."""
+
+    scores: Annotated[Scores, Key(inline=True)]
+    # by the names of the parameters, SI
+    values: Annotated[Mapping[str, float], Key("values_si")]
+    # standard deviations, the noise of the readings multiplied by `sigma_scale`
+    sigmas: Annotated[Mapping[str, float], Key("sigmas_si")]
+    sigma_scale: float  # sqrt(chi2 / dof) where lack of fit remains, else 1
+    coverage_factor: float  # half width of a 95 % interval in sigmas
+    on_bound: tuple[str, ...]  # names of values that ended on a bound
+    method: str  # `nlp`, `nested`, `pinocchio`, `reduction` or `posterior`
+    iterations: int  # of the solver
+    # step that a Newton iteration would still make, in sigmas
+    optimality: Annotated[float, Key("last_step_in_sigmas", digits=_FEW)]
+    warnings: tuple[Note, ...]  # what a user should know, in sentences
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of what was identified."""
+        return tuple(self.values)
+
+
+@dataclass(frozen=True)
+class HoldOut:
+    """Readings of another campaign, predicted without those scored."""
+
+    # root mean square of what the base model leaves, and of what the extended one does
+    before: Annotated[ByUnit, Key("before_rms")]
+    after: Annotated[ByUnit, Key("after_rms")]
+
+    @property
+    def worse(self) -> bool:
+        """Whether the extended model predicts them worse, all told: the geometric mean of what it
+        does to lengths and to inclinations.
+        """
+        before, after = (math.prod(both.shown.values()) for both in (self.before, self.after))
+        return after > before
+
+
+@dataclass(frozen=True)
+class TcpErrors:
+    """Errors of three machines at measured points, metres: mean and largest distance."""
+
+    nominal_mean: Metres  # of the machine without errors
+    nominal_max: Metres
+    before_mean: Metres  # of the base model
+    before_max: Metres
+    after_mean: Metres  # of the extended model
+    after_max: Metres
+    # share of the coordinates within the 95 % interval stated for `after`; nan where none is
+    inside: Annotated[float, Key("inside_95", digits=SHORT, omit_if_nan=True)] = math.nan
+
+    @property
+    def nominal(self) -> tuple[float, float]:
+        """Mean and largest error of the machine without errors."""
+        return self.nominal_mean, self.nominal_max
+
+    @property
+    def before(self) -> tuple[float, float]:
+        """Mean and largest error of the base model."""
+        return self.before_mean, self.before_max
+
+    @property
+    def after(self) -> tuple[float, float]:
+        """Mean and largest error of the extended model."""
+        return self.after_mean, self.after_max
+
+
+@dataclass(frozen=True)
+class WeakDirection:
+    """Unknowns that the readings cannot tell apart."""
+
+    # their shares along the direction; squares sum to one
+    parameters: Annotated[Mapping[str, float], Key(digits=SHORT)]
+    # how far the readings alone leave the machine free along it, in `unit`; infinite where nothing
+    # is seen
+    sigma: Annotated[float, Key(digits=SHORT, null=math.inf)]
+    # the same with the tolerances as priors; equal without priors
+    sigma_with_priors: Annotated[float, Key(digits=SHORT, null=math.inf)]
+    unit: str  # of both
+
+    def __str__(self) -> str:
+        names = " and ".join(self.parameters)
+        along = " ".join(f"{share:+.2f} {name}" for name, share in self.parameters.items())
+        left = (
+            f"sigma {self.sigma:.2g} {self.unit}"
+            if math.isfinite(self.sigma)
+            else "nothing is seen"
+        )
+        verb = "cannot be told apart by" if len(self.parameters) > 1 else "is hardly seen by"
+        tail = ""
+        if self.sigma_with_priors < 0.5 * self.sigma:
+            tail = (
+                f" (with the tolerances as priors {self.sigma_with_priors:.2g} {self.unit}: that "
+                f"is knowledge of the tolerances, not of the readings)"
+            )
+        return f"{names} {verb} these readings: {left} along {along}{tail}"
+
+
+@dataclass(frozen=True)
+class CrossCheck:
+    """How far the independent derivations are apart, metres."""
+
+    # parameters, mechanism against the reduction's nonlinear fit, largest difference
+    reduction: Annotated[float, Key("reduction_max_difference", "_mm", _MM, _FEW)]
+    # fitted readings, mechanism against system (11), largest difference
+    linear: Annotated[float, Key("linear_system_max_difference", "_mm", _MM, _FEW)]
+    # what second-order terms allow of `linear`, root mean square over the noise
+    linear_bound: Annotated[float, Key("linear_system_rms_bound", "_mm", _MM, _FEW)]
+    # the same norm of the difference itself
+    linear_size: Annotated[float, Key("linear_system_rms_difference", "_mm", _MM, _FEW)]
+    # parameters that the linear system gives (P,); not in the file
+    linear_values: Annotated[Array, Key(in_file=False)] = field(
+        default_factory=lambda: np.zeros(0), repr=False, compare=False
+    )
+
+    @property
+    def second_order(self) -> bool:
+        """Whether the linear system is as near as theory asks."""
+        return self.linear_size <= self.linear_bound * (1 + 1e-6) + _AGREEMENT
+
+
+@dataclass(frozen=True)
+class Verification:
+    """How far Pinocchio's closed postures are from those that the fit used."""
+
+    # largest closure residual by loop, metres or radians
+    closure: Annotated[Mapping[str, float], Key("closure_residual_m", digits=_FEW)]
+    # largest difference of the TCP, metres
+    tcp: Annotated[float, Key("tcp_max_difference", "_mm", _MM, _FEW)]
+    # largest difference of a derivative by travel or a virtual joint, relative to the largest
+    # derivative of the same output, or to a thousandth
+    sensitivity: Annotated[float, Key("sensitivity_max_relative_difference", digits=_FEW)]
+    postures: int  # how many were closed
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the keys of ``result.json``."""
+        found: dict[str, Any] = encoded(self)
+        return found

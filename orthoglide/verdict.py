@@ -1,0 +1,165 @@
+"""``Verdict``: a result with a report and figures, and the functions that compute one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from orthoglide.effects import Effect
+from orthoglide.errors import check_list, path_of
+from orthoglide.fit import points_of, readings_of, sorted_out
+from orthoglide.frames import html_table
+from orthoglide.instruments import Frame
+from orthoglide.machine import Machine, MachineSource
+from orthoglide.observations import Given, Readings
+from orthoglide.progress import Progress, silent
+from orthoglide.result import Request, Result
+from orthoglide.threads import on_one_thread
+
+if TYPE_CHECKING:
+    from orthoglide.figures.style import Drawing
+
+
+class Verdict(Result):
+    """A result that writes its report and draws its figures; returned by :func:`close_loop`."""
+
+    @on_one_thread
+    def report(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the report into a folder, as the command line does.
+
+        Args:
+            folder: where to.
+            overwrite: whether an earlier report there is replaced; the folder is new or empty
+                otherwise.
+
+        Raises:
+            FileError: where the folder is not empty and not replaced, or cannot be written.
+        """
+        from orthoglide.report import check_folder, report_files, write_folder
+
+        out = path_of(folder)
+        check_folder(out, overwrite)
+        write_folder(out, report_files(self), overwrite)
+
+    @on_one_thread
+    def plot(self, what: str = "residuals") -> Drawing:
+        """A figure of the report, which notebooks show and ``save`` writes.
+
+        Args:
+            what: ``"residuals"`` or ``"readings"`` by setup, ``"causes"`` with their rivals,
+                ``"tool"``: where it goes instead, as arrows over the workspace; or
+                ``"parameters"`` and their ``"correlations"``.
+
+        Raises:
+            InputError: for a figure that there is not, or not of this result.
+        """
+        from orthoglide.figures.draw import draw_one
+
+        return draw_one(self, what)
+
+    def rerun(self, progress: Progress | None = None) -> Verdict:
+        """Run it again from the readings in the result.
+
+        Args:
+            progress: called with each step; any callable will do.
+
+        Raises:
+            NumericsError: if the base model cannot be identified.
+        """
+        return run(self.request, progress)
+
+    @on_one_thread
+    def __str__(self) -> str:
+        from orthoglide.report import summary
+
+        return summary(self)
+
+    @on_one_thread
+    def _repr_html_(self) -> str:
+        from orthoglide.report.wording import headline
+
+        table = html_table(headline(self), self.columns)
+        return f'<div style="max-width: 30rem">{self.picture.svg()}</div>{table}'
+
+
+def close_loop(
+    campaigns: Given | Sequence[Given],
+    machine: MachineSource | None = None,
+    *,
+    own: Sequence[str] = (),
+    noise: float | None = None,
+    holdout: Given | Sequence[Given] | None = None,
+    tcp: Readings | str | os.PathLike[str] | None = None,
+    effects: Sequence[Effect] = (),
+    seed: int = 0,
+    progress: Progress | None = None,
+    frame: Frame = "rigid",
+) -> Verdict:
+    """Calibrate a machine, test for lack of fit, and identify the causes of what the base model
+    does not explain.
+
+    Args:
+        campaigns: one or several, of dial readings (paths are read as by ``read_readings``) or TCP
+            points that are readings like the others.
+        machine: dimensions, tolerances, dial, or the path of its file; nominal where absent.
+        own: effects or parameters that are specific to each campaign; all others are shared.
+        noise: standard deviation of one reading, metres.
+        holdout: readings that are not fitted and only judge the result.
+        tcp: measured points that are not fitted and only judge the result, or the path of their
+            file.
+        effects: the user's own effects, in addition to those of the machine's catalogue.
+        seed: of every random draw; equal seeds give equal results.
+        progress: called with each step; any callable will do.
+        frame: how the instrument of TCP points may stand to the machine.
+
+    Raises:
+        InputError: if the campaigns cannot be used.
+        NumericsError: if the base model cannot be identified.
+    """
+    request = requested(
+        campaigns, machine, own=own, noise=noise, holdout=holdout, tcp=tcp, effects=effects,
+        seed=seed, frame=frame,
+    )  # fmt: skip
+    return run(request, progress)
+
+
+def requested(
+    campaigns: Given | Sequence[Given],
+    machine: MachineSource | None = None,
+    *,
+    own: Sequence[str] = (),
+    noise: float | None = None,
+    holdout: Given | Sequence[Given] | None = None,
+    tcp: Readings | str | os.PathLike[str] | None = None,
+    effects: Sequence[Effect] = (),
+    seed: int = 0,
+    frame: Frame = "rigid",
+) -> Request:
+    """Return the request that :func:`close_loop` runs for equal arguments.
+
+    Raises:
+        InputError: if the campaigns cannot be used.
+    """
+    machine = Machine.of(machine, effects)
+    check_list("own", own)
+    several, points = sorted_out(campaigns, machine)
+    judges = None if tcp is None else points_of(tcp, machine)
+    held = () if holdout is None else readings_of(holdout, machine)
+    return Request(
+        "close-loop", several, machine, tuple(own), noise, seed, held, judges, points=points,
+        frame=frame,
+    )  # fmt: skip
+
+
+def run(request: Request, progress: Progress | None = None) -> Verdict:
+    """Run a request and return its result.
+
+    Raises:
+        InputError: if the campaigns cannot be used.
+        NumericsError: if the base model cannot be identified.
+    """
+    from orthoglide.closing import close, filled
+
+    step = progress or silent
+    return filled(close(request, step), Verdict, step)

@@ -1,0 +1,240 @@
+"""A result as values: what is written is read back, and a report needs nothing else."""
+
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import FrozenInstanceError, dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+import orthoglide as og
+from orthoglide.notes import Note
+from orthoglide.numerals import ByUnit
+from orthoglide.result import decoded, encoded
+from orthoglide.result.codec import Key, Metres, MetresField
+
+RIG = Path(__file__).parent / "data" / "rig"
+
+
+@dataclass(frozen=True)
+class Part:
+    """A value within another."""
+
+    name: str
+    length: Metres
+
+    def derived(self) -> dict[str, Any]:
+        """For readers of the file."""
+        return {"twice_mm": Key(si=1e-3).number(2 * self.length)}
+
+
+@dataclass(frozen=True)
+class Whole:
+    """A value with a field of every type that results have."""
+
+    flag: bool
+    count: int
+    share: float
+    length: Metres
+    short: Annotated[float, Key("brief", "_mm", 1e-3, digits=3)]
+    turn: Annotated[float, Key("turn", "_mrad", 1e-3, omit_if_nan=True)]
+    endless: Annotated[float, Key(null=math.inf)]
+    both: ByUnit
+    parts: tuple[Part, ...]
+    pair: tuple[float, str]
+    flat: Annotated[Part, Key(inline=True)]
+    perhaps: Part | None
+    note: Note
+    by_name: Mapping[str, float]
+    kind: Literal["one", "other"]
+    field: MetresField
+    numbers: np.ndarray[Any, np.dtype[np.int64]]
+    unwritten: Annotated[int, Key(in_file=False)] = 7
+
+
+def whole(x: float, *, turn: float = math.nan, perhaps: bool = False) -> Whole:
+    """A value that depends on one number."""
+    part = Part("a", x)
+    return Whole(
+        True, 3, x, x, x, turn, math.inf, ByUnit(x, turn), (part, Part("b", 2 * x)), (x, "mm"),
+        part, part if perhaps else None, Note("look", "side", (2, 3)), {"x": x, "y": math.nan},
+        "one", np.array([[x, 0.0]]), np.array([4, 5]),
+    )  # fmt: skip
+
+
+@given(st.floats(-1e3, 1e3, allow_subnormal=False), st.booleans())
+def test_what_was_written_is_read_back_and_written_the_same(x: float, known: bool) -> None:
+    first = decoded(Whole, encoded(whole(x, turn=x if known else math.nan, perhaps=known)), {})
+    text = json.dumps(encoded(first), allow_nan=False)
+    again = decoded(Whole, json.loads(text), {})
+    assert json.dumps(encoded(again), allow_nan=False) == text
+    assert again.length == pytest.approx(x, rel=1e-9, abs=1e-300)
+    assert again.short == pytest.approx(x, rel=1e-2, abs=1e-300)
+    assert (again.perhaps is not None) == known == math.isfinite(again.turn)
+    assert again.endless == math.inf
+    assert math.isnan(again.by_name["y"])
+    assert (again.note, again.note.kind, again.note.lines) == ("look", "side", (2, 3))
+    assert again.unwritten == 7
+    assert again.numbers.dtype == np.int64
+
+
+def test_keys_have_their_units_and_only_what_is_known_of_inclinations() -> None:
+    data = encoded(whole(0.5))
+    assert data["length_mm"] == data["brief_mm"] == data["both_mm"] == 500.0
+    assert data["twice_mm"] == 1000.0  # of the part that is flat
+    assert data["parts"][1] == {"name": "b", "length_mm": 1000.0, "twice_mm": 2000.0}
+    assert data["field_mm"] == [[500.0, 0.0]]
+    assert not {"turn_mrad", "both_mrad", "unwritten", "flat"} & data.keys()
+    known = encoded(whole(0.5, turn=0.002))
+    assert known["turn_mrad"] == known["both_mrad"] == 2.0
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("flag", 1), ("count", "3"), ("parts", [{"name": "b"}]), ("pair", [1.0]), ("name", None)],
+)
+def test_what_was_edited_is_refused(key: str, value: Any) -> None:
+    data = encoded(whole(0.5)) | {key: value}
+    with pytest.raises((KeyError, TypeError, ValueError)):
+        decoded(Whole, data, {})
+
+
+def test_what_no_file_holds_is_refused() -> None:
+    with pytest.raises(TypeError, match="complex"):
+        encoded({"z": 1j})
+
+
+@pytest.fixture(scope="module")
+def verdict() -> og.Verdict:
+    return og.close_loop(
+        RIG / "rig-4.csv",
+        RIG / "machine.toml",
+        tcp=RIG / "rig-4.tcp.csv",
+        holdout=RIG / "rig-1.csv",
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(verdict: og.Verdict, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out: Path = tmp_path_factory.mktemp("result") / "out"
+    verdict.report(out)
+    return out
+
+
+def test_a_result_cannot_be_changed(verdict: og.Verdict) -> None:
+    with pytest.raises(FrozenInstanceError):
+        verdict.word = "adequate"  # type: ignore[misc]
+
+
+def test_a_loaded_result_says_the_same(verdict: og.Verdict, folder: Path) -> None:
+    for given_path in (folder, folder / "result.json", str(folder)):
+        again = og.Result.load(given_path)
+        assert type(again) is og.Result
+        assert encoded(again) == encoded(verdict)
+    assert [e.name for e in again.effects] == [e.name for e in verdict.effects]
+    assert again.machine.values == pytest.approx(verdict.machine.values, rel=1e-9, abs=1e-12)
+    assert repr(again.hold_out) == repr(verdict.hold_out)
+    assert repr(again.tcp) == repr(verdict.tcp)
+    same = again.to_frame()
+    assert same.equals(verdict.to_frame())
+
+
+def test_a_loaded_verdict_shows_and_repeats_itself(verdict: og.Verdict, folder: Path) -> None:
+    again = og.Verdict.load(folder)
+    assert str(again) == str(verdict)
+    assert again._repr_html_() == verdict._repr_html_()
+    for what in ("residuals", "readings", "causes", "tool", "parameters", "correlations"):
+        assert again.plot(what).svg == verdict.plot(what).svg
+    with pytest.raises(og.InputError, match="no figure 'everything': it has residuals"):
+        again.plot("everything")
+    once_more = again.rerun()
+    assert once_more.word == verdict.word
+    for name, one in verdict.identified.items():
+        assert once_more.identified[name].value == pytest.approx(one.value, rel=1e-6, abs=1e-9)
+
+
+def test_a_report_is_written_without_the_search(folder: Path, tmp_path: Path) -> None:
+    program = (
+        "import sys, orthoglide as og; og.Verdict.load(sys.argv[1]).report(sys.argv[2]); "
+        "print(*[m for m in sys.modules if m.startswith('orthoglide.')])"
+    )
+    out = tmp_path / "again"
+    run = [sys.executable, "-c", program, str(folder), str(out)]
+    loaded = subprocess.run(run, capture_output=True, text=True, check=True).stdout.split()
+    assert "orthoglide.report" in loaded
+    assert not {f"orthoglide.{m}" for m in ("closing", "posterior", "diagnosis")} & set(loaded)
+    for path in folder.rglob("*"):
+        if path.is_file():
+            assert (out / path.relative_to(folder)).read_bytes() == path.read_bytes(), path.name
+
+
+def edited(folder: Path, out: Path, **keys: Any) -> Path:
+    """A result whose keys are others; one that is ``None`` is gone."""
+    found = json.loads((folder / "result.json").read_text("utf-8")) | keys
+    gone = {key for key, value in keys.items() if value is None}
+    out.write_text(json.dumps({k: v for k, v in found.items() if k not in gone}), "utf-8")
+    return out
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"effects": [{}]},
+        {"verdict": "fine"},
+        {"cautions": "beware"},
+        {"rms_of_all_mm": "0.1"},
+        {"calibrated_before": 1},
+        {"sigma_scale": 1, "uncertain_effects": [["backlash", 10**400]]},
+        {"arguments": {"campaigns": [], "own": [], "machine": None, "noise_mm": 10**400}},
+        {"readings": {}},
+        {"calibrated_machine": {"toml": 3}},
+        {"actions": "none"},
+        {"correlations": {"parameters": ["x"], "matrix": [["one"]]}},
+    ],
+    ids=lambda keys: next(iter(keys)),
+)
+def test_an_edited_result_is_refused_by_its_name(
+    folder: Path, tmp_path: Path, keys: Mapping[str, Any]
+) -> None:
+    path = edited(folder, tmp_path / "edited.json", **keys)
+    with pytest.raises(og.FileError, match=r"edited\.json.*take the original"):
+        og.Result.load(path)
+
+
+def test_rows_that_were_edited_are_blamed_on_the_result(folder: Path, tmp_path: Path) -> None:
+    inputs = json.loads((folder / "result.json").read_text("utf-8"))["inputs"]
+    inputs[0]["rows"][0]["reading_mm"] = "abc"
+    path = edited(folder, tmp_path / "edited.json", inputs=inputs)
+    with pytest.raises(og.FileError, match=r"edited\.json: .*rig-4\.csv, line 2"):
+        og.Result.load(path)
+
+
+@pytest.mark.parametrize("key", ["left", "picture", "calibrated_machine"])
+def test_a_result_that_lacks_a_key_says_how_to_go_on(
+    folder: Path, tmp_path: Path, key: str
+) -> None:
+    path = edited(folder, tmp_path / "old.json", **{key: None})
+    with pytest.raises(og.FileError, match=rf"lacks {key}:.*rerun .*old\.json --out DIR"):
+        og.Result.load(path)
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "..", "v1.2 Ünï·φ"])
+def test_readings_of_any_name_are_read_back(name: str, tmp_path: Path) -> None:
+    machine = og.Machine.nominal()
+    campaign = og.simulate(machine, og.protocol("standard"), noise=5e-6, seed=1)
+    verdict = og.close_loop([replace(campaign, name=name)], machine)
+    verdict.report(tmp_path / "out")
+    assert og.Verdict.load(tmp_path / "out").request.campaigns[0].name == name
+
+
+def test_no_result_is_no_result(tmp_path: Path) -> None:
+    with pytest.raises(og.FileError):
+        og.Result.load(tmp_path)
+    with pytest.raises(og.InputError, match="is no path"):
+        og.Result.load(None)  # type: ignore[arg-type]
