@@ -8,7 +8,9 @@ from __future__ import annotations
 import resource
 import subprocess
 import sys
+import tempfile
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -47,9 +49,14 @@ def main() -> None:
     start = time.perf_counter()
     verdict = og.close_loop(campaign, machine)
     seconds = time.perf_counter() - start
+    with tempfile.TemporaryDirectory() as folder:
+        verdict.report(Path(folder) / "report")
+        size = (Path(folder) / "report" / "result.json").stat().st_size / 1e6
+    report = time.perf_counter() - start - seconds
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     what = f"{stations} stations" if stations else "all stations different"
     print(f"{len(campaign)} readings, {what}: {verdict.word}, {seconds:.1f} s, {peak:.2f} GB")
+    print(f"    report {report:.1f} s, result.json {size:.1f} MB")
 
 
 if __name__ == "__main__":

@@ -14,8 +14,10 @@ import pytest
 from hypothesis import given, strategies as st
 
 import orthoglide as og
+from orthoglide.figures.readings import MOST_DRAWN, _drawn
 from orthoglide.notes import Note
 from orthoglide.numerals import ByUnit
+from orthoglide.report import result_text
 from orthoglide.result import decoded, encoded
 from orthoglide.result.codec import Key, Metres, MetresField
 
@@ -143,6 +145,28 @@ def test_a_loaded_result_says_the_same(verdict: og.Verdict, folder: Path) -> Non
     assert repr(again.tcp) == repr(verdict.tcp)
     same = again.to_frame()
     assert same.equals(verdict.to_frame())
+
+
+def test_a_row_of_readings_is_a_line_of_the_file(verdict: og.Verdict) -> None:
+    text = result_text(verdict)
+    found = json.loads(text)
+    assert found == json.loads(json.dumps(verdict.as_dict(found["summary"])))
+    lines = {line.strip().rstrip(",") for line in text.splitlines()}
+    rows = found["inputs"][0]["rows"]
+    assert len(rows) == 252
+    assert {json.dumps(row, ensure_ascii=False) for row in rows} <= lines
+
+
+@pytest.mark.parametrize("count", [1, 400, 401, 30_000])
+def test_of_many_readings_the_extremes_are_drawn(count: int) -> None:
+    rng = np.random.default_rng(count)
+    x, left = rng.uniform(-100, 60, count), rng.normal(size=count)
+    drawn = _drawn(x, left)
+    assert len(drawn) == len(set(drawn)) == (count if count <= MOST_DRAWN else len(drawn))
+    assert len(drawn) <= MOST_DRAWN
+    assert {left.argmax(), left.argmin()} <= set(drawn)
+    assert np.all(np.diff(drawn) > 0)
+    assert len(_drawn(np.zeros(count), left)) <= MOST_DRAWN
 
 
 def test_a_loaded_verdict_shows_and_repeats_itself(verdict: og.Verdict, folder: Path) -> None:

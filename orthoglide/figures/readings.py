@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import orthoglide.figures.style as style
 from orthoglide.figures.style import Drawing
@@ -33,9 +34,34 @@ class _Panel:
         return self.mounting.x
 
 
+MOST_DRAWN = 400
+"""Readings of a setup that are drawn; in a panel of 3 inches more dots hide one another."""
+
+
+def _drawn(x: Array, left: Array) -> NDArray[np.intp]:
+    """Rows to draw ``(k,)``: all, or of many the two with the most different residuals in each part
+    of the scale.
+
+    Args:
+        x: where each reading is drawn ``(m,)``.
+        left: its residual ``(m,)``.
+    """
+    if len(x) <= MOST_DRAWN:
+        return np.arange(len(x))
+    parts = MOST_DRAWN // 2
+    place = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
+    part = np.minimum((place * parts).astype(np.intp), parts - 1)
+    order = np.lexsort([left, part])
+    first = np.diff(part[order], prepend=-1) > 0
+    last = np.append(first[1:], True)
+    return np.sort(order[first | last])
+
+
 def _panels(read: ReadingsShown, before: Array) -> list[_Panel]:
     found = []
-    for mounting in read.mountings:
+    for every in read.mountings:
+        shown = _drawn(every.x, (read.measured - read.after)[every.rows])
+        mounting = replace(every, rows=every.rows[shown], x=every.x[shown], side=every.side[shown])
         measured, fit, was, sigma = (
             values[mounting.rows] * 1e3
             for values in (read.measured, read.after, before, read.sigma)

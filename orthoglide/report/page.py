@@ -81,7 +81,9 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
         space = sections.workspace(result, result.workspace, figures)
         yield Section("workspace", "The TCP over the workspace", space)
     yield Section("values", "What was identified", sections.values(result, figures))
-    yield Section("readings", "Readings and fit, setup by setup", sections.readings(figures))
+    yield Section(
+        "readings", "Readings and fit, setup by setup", sections.readings(result, figures)
+    )
     yield Section("unseen", "What these readings cannot tell", sections.unseen(result, figures))
     yield Section("method", "How this was computed", sections.method(result))
 

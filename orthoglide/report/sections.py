@@ -16,6 +16,7 @@ from typing import Any
 from orthoglide.control import COUNTING, withheld
 from orthoglide.effects.words import toward
 from orthoglide.figures.causes import drawn
+from orthoglide.figures.readings import MOST_DRAWN
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile
@@ -167,9 +168,11 @@ def apart(result: Result, figures: Figures) -> Data:
     return {"causes": causes}
 
 
-def readings(figures: Figures) -> Data:
+def readings(result: Result, figures: Figures) -> Data:
     """Readings and fit, setup by setup."""
-    return {"panels": panels(figures["readings"])}
+    most = max(len(one.rows) for one in result.readings.mountings)
+    thinned = MOST_DRAWN if most > MOST_DRAWN else 0
+    return {"panels": panels(figures["readings"]), "thinned": thinned}
 
 
 _WHY = "What speaks against acting on them is said at the top."

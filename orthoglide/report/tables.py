@@ -52,12 +52,13 @@ def residual_table(result: Result) -> str:
     figures, rows = np.column_stack(columns), list[list[Any]]()
     none, several = [""] * len(_FIGURES), bool(turned.any())
     both = any(s.observation.dials > 1 for read in given for s in read.setups)
+    directions = [read.direction for read in given]
     places = zip(shown.file.tolist(), shown.row.tolist(), shown.setups, strict=True)
     for k, (file, row, name) in enumerate(places):
         read, cells = given[file], [*map(_mm, figures[k])]
         kind = read.setups[read.setup[row]].kind
         mm, mrad = (none, cells) if turned[k] else (cells, none)
-        place = _cells(read, row, name, both)
+        place = _cells(read, row, name, directions[file][row], both)
         rows.append([*place, *mm, "", kind, *(mrad if several else ())])
     for blunder in result.blunders:
         for file, row in blunder.rows_in_request if blunder.excluded else ():
@@ -65,7 +66,8 @@ def residual_table(result: Result) -> str:
             setup = read.setups[read.setup[row]]
             cells = [_mm(read.reading[row]), *none[1:]]
             mm, mrad = (none, cells) if setup.observation.angular else (cells, none)
-            place = _cells(read, row, "" if read.by_point else setup.name, both)
+            name = "" if read.by_point else setup.name
+            place = _cells(read, row, name, directions[file][row], both)
             rows.append([*place, *mm, blunder.kind, setup.kind, *(mrad if several else ())])
     titles = (
         "campaign", "line", "setup", "leg", "direction", "posture",
@@ -76,15 +78,21 @@ def residual_table(result: Result) -> str:
     return csv_text((*titles, *_IN_MM, *last), rows)
 
 
-def _cells(read: Readings, row: int, name: str, both: bool) -> list[Any]:
-    """What was read where, in a setup of this name; ``both`` where there are columns of two dials
-    on a leg.
+def _cells(read: Readings, row: int, name: str, direction: str, both: bool) -> list[Any]:
+    """Return the cells that say what was read where.
+
+    Args:
+        read: the readings.
+        row: within them.
+        name: of the setup.
+        direction: axis that is read, with its sign.
+        both: whether there are columns of two dials on a leg.
     """
     setup = read.setups[read.setup[row]]
     leg, gauge = (LEGS[setup.leg], _mm(setup.gauge)) if setup.leg >= 0 else ("", "")
     second = [_mm(setup.gauge2) if setup.observation.dials > 1 else ""] if both else []
     return [
-        read.name, read.line[row], name, leg, read.direction[row], read.posture[row],
+        read.name, read.line[row], name, leg, direction, read.posture[row],
         *map(_mm, read.command[row]), gauge, *second,
         "" if read.by_point else read.repeat[row],
         read.order[row] + read.by_point,

@@ -6,6 +6,7 @@ import shlex
 from base64 import b64encode
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -100,7 +101,7 @@ class Request:
         """Of all these."""
         return tuple(setup for given in self.given for setup in given.setups)
 
-    @property
+    @cached_property
     def inputs(self) -> list[dict[str, Any]]:
         """Files of readings as ``result.json`` keeps them: name, digest, role and rows."""
         return list(self._inputs())
