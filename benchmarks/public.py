@@ -253,7 +253,7 @@ def result_json(verdict: og.Verdict) -> Result:
 INSIDE = (
     "orthoglide.accuracy", "orthoglide.cli", "orthoglide.closing.judging",
     "orthoglide.effects.plates", "orthoglide.machine_file", "orthoglide.measuring",
-    "orthoglide.observations", "orthoglide.report.wording",
+    "orthoglide.observations", "orthoglide.report.words",
 )  # fmt: skip
 """Modules of the package that the functions below import, as nothing public does the same."""
 
@@ -302,7 +302,7 @@ def predicted_rms_mm(
 
 def claim_of(verdict: og.Verdict) -> str:
     """Return the claim of a verdict in one sentence or two."""
-    from orthoglide.report.wording import claim
+    from orthoglide.report.words import claim
 
     return claim(verdict)
 

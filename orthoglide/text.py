@@ -1,4 +1,4 @@
-"""Text that came from files or names files: what of it can be shown, repeated and tabulated."""
+"""Text: what of a file can be shown, repeated and tabulated; sentences and lists."""
 
 from __future__ import annotations
 
@@ -102,3 +102,18 @@ def is_terminal(err: bool = False) -> bool:
         return stream is not None and stream.isatty()
     except (AttributeError, ValueError):  # no file, or closed
         return False
+
+
+def sentence(text: str) -> str:
+    """With a capital and a full stop; a parameter's name keeps its small letter."""
+    first = text.partition(" ")[0]
+    capital = text if "_" in first or "." in first else text[:1].upper() + text[1:]
+    return capital if capital.endswith("?") else f"{capital}."
+
+
+def listed(parts: Iterable[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    every = list(parts)
+    if len(every) < 2:
+        return "".join(every)
+    return f"{', '.join(every[:-1])} and {every[-1]}"

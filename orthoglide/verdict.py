@@ -77,7 +77,7 @@ class Verdict(Result):
 
     @on_one_thread
     def _repr_html_(self) -> str:
-        from orthoglide.report.wording import headline
+        from orthoglide.report.words import headline
 
         table = html_table(headline(self), self.columns)
         return f'<div style="max-width: 30rem">{self.picture.svg()}</div>{table}'

@@ -23,7 +23,7 @@ from orthoglide.cli.progress import progress, share
 from orthoglide.cli.rerun import compare
 from orthoglide.errors import SolverError
 from orthoglide.progress import Step
-from orthoglide.report.phrases import MEANINGS
+from orthoglide.report.words import MEANINGS
 from tests.test_cli import EXPERIMENT_2, EXPERIMENT_3, NEVER, done, process, run, tree
 
 RIG = Path(__file__).parent / "data" / "rig"

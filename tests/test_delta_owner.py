@@ -23,7 +23,7 @@ from orthoglide.observations import Setup, read_readings
 from orthoglide.planning.sheets import mixed_sheet, sheet_of, whitened
 from orthoglide.prospects import owned_instruments
 from orthoglide.report import report_files
-from orthoglide.report.wording import headline
+from orthoglide.report.words import headline
 from orthoglide.verdict import Verdict, close_loop
 from tests.klipper_files import DATA
 from tests.rig_delta import DeltaRig

@@ -17,7 +17,7 @@ from orthoglide.diagnosis.significance import Left
 from orthoglide.errors import InputError
 from orthoglide.notes import Note
 from orthoglide.report.result_json import result_text
-from orthoglide.report.wording import evidence
+from orthoglide.report.words import evidence
 from orthoglide.simulation import simulate, simulate_tcp
 from tests import rig_campaigns as rc
 from tests.rig import Rig

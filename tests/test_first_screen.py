@@ -27,7 +27,7 @@ from orthoglide.report import report_files, result_text
 from orthoglide.report.first import finding, sure_words
 from orthoglide.report.rendering import rendered
 from orthoglide.report.text import to_do
-from orthoglide.report.wording import _falls
+from orthoglide.report.words import _falls
 from orthoglide.result import Action, BudgetItem, Suspect
 from orthoglide.result.result import sheet_of
 from orthoglide.verdict import Verdict

@@ -18,7 +18,7 @@ from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine_file import Dial, Instrument
 from orthoglide.observations import Readings, protocol
 from orthoglide.planning.sheets import tool_sheet
-from orthoglide.report.wording import headline
+from orthoglide.report.words import headline
 from orthoglide.result import Fit
 from tests.studied import studied
 

@@ -34,9 +34,10 @@ from orthoglide.numerals import compact, decimals_for, plain, probability, signe
 from orthoglide.observations import protocol
 from orthoglide.report import report_files, sections
 from orthoglide.report.embed import panels, whole
-from orthoglide.report.phrases import listed, weak_sentences
-from orthoglide.report.wording import claim, headline
+from orthoglide.report.identified import weak_sentences
+from orthoglide.report.words import claim, headline
 from orthoglide.result import Request
+from orthoglide.text import listed
 from orthoglide.verdict import Verdict, run
 
 DATA = Path(og.__file__).parent / "data"

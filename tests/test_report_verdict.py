@@ -26,9 +26,8 @@ from orthoglide.fit import Estimate, identify
 from orthoglide.numerals import ByUnit
 from orthoglide.observations import Campaign, protocol
 from orthoglide.report import report_files, summary
-from orthoglide.report.phrases import dealt_with
 from orthoglide.report.sections import before_and_after
-from orthoglide.report.wording import evidence, headline
+from orthoglide.report.words import dealt_with, evidence, headline
 from orthoglide.result import HoldOut
 from orthoglide.verdict import Verdict, close_loop
 from tests.studied import studied

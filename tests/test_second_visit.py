@@ -75,7 +75,7 @@ def test_zeros_entered_in_the_controller_are_changes(calibrated: og.Machine) -> 
 
 @pytest.mark.thorough
 def test_the_sentences_of_a_second_visit_name_what_changed(tmp_path: Path) -> None:
-    from orthoglide.report.wording import headline
+    from orthoglide.report.words import headline
 
     first = og.close_loop(measured({**ERRORS, TILT: 1.5e-3}, 1, "first"), SHEET)
     first.machine.save(tmp_path / "calibrated.toml")
@@ -93,7 +93,7 @@ def test_the_sentences_of_a_second_visit_name_what_changed(tmp_path: Path) -> No
 
 @pytest.mark.thorough
 def test_what_changed_is_said_first(tmp_path: Path) -> None:
-    from orthoglide.report.wording import claim
+    from orthoglide.report.words import claim
 
     first = og.close_loop(measured(ERRORS, 3, "first"), SHEET)
     first.machine.save(tmp_path / "calibrated.toml")

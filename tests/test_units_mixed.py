@@ -19,7 +19,7 @@ from orthoglide.observations import Readings
 from orthoglide.report import report_files, result_text, summary
 from orthoglide.report.rows import score_rows
 from orthoglide.report.sections import before_and_after
-from orthoglide.report.wording import headline, where_left
+from orthoglide.report.words import headline, where_left
 from orthoglide.result import Request
 from orthoglide.verdict import Verdict, close_loop, run
 from tests import rig_campaigns as rc

@@ -11,7 +11,7 @@ from orthoglide.fit import solve
 from orthoglide.fit.identifying import assemble
 from orthoglide.posterior import full_posterior, outstanding, remains
 from orthoglide.posterior.causes import Outstanding
-from orthoglide.report.wording import headline
+from orthoglide.report.words import headline
 from tests import rig_campaigns as rc
 from tests.rig import LEGS, Rig
 from tests.studied import studied

@@ -18,8 +18,8 @@ sys.path.insert(0, str(HERE.parents[1]))
 
 import orthoglide as og  # noqa: E402
 from orthoglide.effects.wording import cause_words  # noqa: E402
-from orthoglide.report.phrases import MEANINGS, sentence  # noqa: E402
-from orthoglide.report.wording import claim, evidence  # noqa: E402
+from orthoglide.report.words import MEANINGS, claim, evidence  # noqa: E402
+from orthoglide.text import sentence  # noqa: E402
 from orthoglide.units import MM  # noqa: E402
 
 NOISE = 5e-6

@@ -12,10 +12,10 @@ from orthoglide.effects.wording import parameter_words
 from orthoglide.numerals import plain
 from orthoglide.report.first import MOST
 from orthoglide.report.page import Section
-from orthoglide.report.phrases import sentence
 from orthoglide.report.rendering import rendered
 from orthoglide.report.text import to_do
-from orthoglide.report.wording import headline
+from orthoglide.report.words import headline
+from orthoglide.text import sentence
 
 if TYPE_CHECKING:
     from orthoglide.checking import Check

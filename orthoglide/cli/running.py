@@ -89,7 +89,7 @@ def execute(
         read = partial(read_request, command, **asked)
         result, files = performed(read, step, draw=out is not None)
         from orthoglide.report import result_text, summary
-        from orthoglide.report.phrases import meaning
+        from orthoglide.report.words import meaning
 
         told = "" if quiet or as_json else summary(result, command == "diagnose", "machine")
         line = f"Verdict {result.word}: {meaning(result)}."

@@ -44,9 +44,6 @@ from orthoglide.result import (
 if TYPE_CHECKING:
     from orthoglide.planning import Suggestion
 
-_HARDLY = 0.95  # of the residuals: a fit that leaves more has not helped
-_NOTHING = 1e-6  # millimetres or milliradians: residuals below are rounding
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Closed:
@@ -113,16 +110,6 @@ class Closed:
     def found(self) -> bool:
         """Whether anything was found that stands out of the background."""
         return bool(self.effects or self.located)
-
-    @property
-    def improved(self) -> bool:
-        """Whether the readings are predicted better than by the base: by causes found, or by the
-        background of everything.
-        """
-        before, after = (fit.scores.left.shown for fit in (self.before, self.after))
-        return self.found or any(
-            after[unit] < _HARDLY * was and was > _NOTHING for unit, was in before.items()
-        )
 
     @property
     def share(self) -> float:

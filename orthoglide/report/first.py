@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from orthoglide.control import withheld
 from orthoglide.numerals import compact
-from orthoglide.report.phrases import meaning, sentence
-from orthoglide.report.wording import BESIDES, evidence, standing
+from orthoglide.report.words import BESIDES, evidence, meaning, standing
 from orthoglide.result import Cause, Change, Curve, Explanation, Result
+from orthoglide.text import sentence
 
 if TYPE_CHECKING:
     from orthoglide.accuracy import ExpectedError

@@ -13,9 +13,9 @@ import orthoglide.report.first as first
 import orthoglide.report.sections as sections
 from orthoglide import __version__
 from orthoglide.figures.style import Drawing
-from orthoglide.report.phrases import listed
 from orthoglide.report.rendering import rendered
 from orthoglide.result import Result
+from orthoglide.text import listed
 
 _JUDGES = {"holdout": "held out to judge by", "tcp": "measured at the TCP to judge by"}
 

@@ -6,7 +6,8 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from orthoglide.numerals import compact, plain, probability, signed
-from orthoglide.report.phrases import gain_words, listed, sentence
+from orthoglide.report.words import gain_words
+from orthoglide.text import listed, sentence
 
 if TYPE_CHECKING:
     from jinja2 import Environment

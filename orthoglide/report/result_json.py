@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from orthoglide.report.wording import headline
+from orthoglide.report.words import headline
 from orthoglide.result import Result
 
 

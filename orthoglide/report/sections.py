@@ -23,11 +23,12 @@ from orthoglide.machine_file import MachineFile
 from orthoglide.numerals import ByUnit, compact, told_apart
 from orthoglide.observations import Readings, Setup
 from orthoglide.report.embed import panels, whole
-from orthoglide.report.phrases import listed, sentence, unvaried_words, weak_sentences
+from orthoglide.report.identified import effects_named, weak_sentences
 from orthoglide.report.rows import millimetres, parameter_rows, score_rows
-from orthoglide.report.wording import effects_named
+from orthoglide.report.words import unvaried_words
 from orthoglide.result import BudgetItem, Proposal, Result, SetupResidual, Workspace
 from orthoglide.result.result import sheet_of
+from orthoglide.text import listed, sentence
 
 Data = dict[str, Any]
 Figures = Mapping[str, Drawing]

@@ -7,19 +7,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from orthoglide.numerals import hundredths, signed
-from orthoglide.report.phrases import (
-    gain_words,
-    meaning,
-    sentence,
-    unshown_words,
-    unvaried_words,
-    weak_sentences,
-)
+from orthoglide.report.identified import weak_sentences
 from orthoglide.report.rows import parameter_rows, score_rows
 from orthoglide.report.sections import too_early
-from orthoglide.report.wording import headline
+from orthoglide.report.words import gain_words, headline, meaning, unshown_words, unvaried_words
 from orthoglide.result import Action, Result
-from orthoglide.text import is_terminal, text_width
+from orthoglide.text import is_terminal, sentence, text_width
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

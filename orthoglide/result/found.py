@@ -11,6 +11,7 @@ import numpy as np
 from orthoglide.geometry import Array
 from orthoglide.numerals import ByUnit
 from orthoglide.result.codec import SHORT, Key, SampledMetres, Share, encoded
+from orthoglide.text import listed
 
 _MOST_RIVALS = 2  # alternatives named in one sentence; the report lists all
 _MM = 1e-3
@@ -180,7 +181,7 @@ class Located:
             rest = f", or {more} more places named below" if more > 0 else ""
             text += f" (or {named}{rest}: these readings cannot tell)"
         if self.resembling:
-            return f"{text}; it resembles {' and '.join(self.resembling[:_MOST_RIVALS])}"
+            return f"{text}; it resembles {listed(self.resembling[:_MOST_RIVALS])}"
         return f"{text}; no known shape explains it"
 
     def derived(self) -> dict[str, Any]:

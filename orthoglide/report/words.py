@@ -1,37 +1,51 @@
-"""A result in words: the sentences that it begins with, and what follows from it."""
+"""The sentences of a report about a closed loop, from the values of its result."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 
-from orthoglide.effects.wording import parameter_words
+from orthoglide.effects.wording import cause_short
 from orthoglide.effects.words import toward
 from orthoglide.geometry import LEGS
-from orthoglide.numerals import compact, decimals_for, probability, signed, told_apart
-from orthoglide.parameters import Parameter
-from orthoglide.report.phrases import (
-    NOTHING_SHOWN,
-    a_little,
-    dealt_with,
-    listed,
-    none_left_over,
-    sentence,
-)
-from orthoglide.result import Cause, Change, Result, Scores
+from orthoglide.numerals import compact, probability, told_apart
+from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
+from orthoglide.report.identified import effects_named, identified_words
+from orthoglide.result import Action, Cause, Change, Result, Scores
+from orthoglide.text import listed, sentence
 
-_HARDLY = 0.95  # of the deviations before: a fit that leaves more has not helped
-_SLIGHT = 0.9  # the same of a cause that was added
-_MATTERS = 1.5  # times what the base leaves: so much more without it makes it the first to be said
+_SLIGHT = 0.9  # ratio of residuals above which they "hardly" fall
+_MATTERS = 1.5  # ratio of residuals without and with new zeros from which the zeros come first
 _NONE = 1e-9  # metres: no machine of metal is as good
-_UNSEEN = 0.9  # of its tolerance: a value known no better than this is known from that alone
-_CHANCE = 0.01  # of what is left: noise alone leaves as much often enough
-_MOST_ALONE = 8
-_MOST_NAMED = 2
-_MOST_RIVALS = 2
+_CHANCE = 0.01  # probability above which residuals are attributed to noise alone
+_MOST_ALONE = 8  # single causes that a sentence names
+_MOST_RIVALS = 2  # alternatives that a sentence names; the report lists all
+_FEW = 2.0  # degrees of freedom below which nothing is tested
+_SOUND = 0.05  # probability of the residuals of the base model above which they are small
+_MANY = 0.1  # share of excluded readings from which their number is stated
+_KNOWN = 0.1  # relative uncertainty of a gain from which it is stated
 
 BESIDES = "Something else is wrong as well."
 """Behind what was found, where it does not explain all."""
+
+
+NOTHING_SHOWN = (
+    "These readings show no error at all: either they were made up of a machine that has none, or "
+    "the instruments read nothing."
+)
+
+MEANINGS: Mapping[str, str] = {
+    "adequate": "nothing significant is left, and no single cause was added",
+    "explained": "a cause was found, and nothing significant is left",
+    "ambiguous": "explained, but other causes fit these readings as well",
+    "located": "a place was found that no known shape explains, and nothing significant is left",
+    "partial": "something was found, and something significant is left",
+    "unexplained": "something significant is left, and nothing stands out",
+}
+"""What the verdict's words mean."""
+
+WHICHEVER, PLATE = "on average, whichever of these it is", "on average, nothing if it is the plate"
+"""Behind what it gains to put right one of several causes."""
 
 
 def headline(result: Result) -> str:
@@ -51,7 +65,7 @@ def claim(result: Result) -> str:
 def standing(result: Result) -> str:
     """What is wrong but for what changed."""
     if not result.searches:
-        return f"{_found(result)} {_gain(result)}; {_rest(result)}."
+        return identified_words(result)
     if result.found:
         more = f" {BESIDES}" if result.word == "partial" else ""
         return f"{_causes(result)}{more}"
@@ -262,100 +276,77 @@ def _falls(before: Scores, after: Scores) -> str:
     return ", and ".join(parts)
 
 
-# --- Of an identification -------------------------------------------------------------------
+# --- Common to page and terminal ----------------------------------------------------------
 
 
-def _found(result: Result) -> str:
-    """The values, as the subject of the sentence."""
-    catalogue = result.catalogue
-    names = [catalogue.parameter(name) for name in result.identified]
-    parts = [text for effect in catalogue.base for text in _by_leg(result, names, effect)]
-    others = [name for name in names if name.effect not in catalogue.base]
-    parts += [f"{parameter_words(n)} {_value(result, n)}" for n in others[:_MOST_NAMED]]
-    if len(others) > _MOST_NAMED:
-        parts.append(f"{len(others) - _MOST_NAMED} further parameters")
-    text = listed(parts)
-    return text[:1].upper() + text[1:]
+def gain_words(action: Action) -> tuple[str, str]:
+    """What it gains with its uncertainty, and whether that is a mean; empty where not known."""
+    if not math.isfinite(action.gain):
+        return "", ""
+    size = compact(max(action.gain, 0.0) * 1e3, 2)
+    if math.isfinite(action.gain_sigma) and action.gain_sigma > _KNOWN * action.gain:
+        size = f"{size} ± {compact(action.gain_sigma * 1e3, 2)}"
+    mean = PLATE if action.plate else WHICHEVER
+    return f"{size} mm", f" {mean}" if action.whichever else ""
 
 
-def _gain(result: Result) -> str:
-    """What the fit does to the deviations."""
-    parts, last = [], ""
-    before, after = result.nominal.told.shown, result.after.scores.told.shown
-    for unit, now in after.items():
-        verb = "hardly change" if now > _HARDLY * before[unit] else "reduce"
-        what = f"{verb} {'them' if last else 'the deviations'} " if verb != last else ""
-        parts.append(f"{what}from {' to '.join(told_apart(before[unit], now))} {unit}")
-        last = verb
-    return ", and ".join(parts)
-
-
-def _rest(result: Result) -> str:
-    """What remains, against the noise."""
-    noise, fit = result.noise.single_reading.said(), result.after
-    if fit.scores.dof <= 0:
-        return "no reading is left over to judge the fit by"
-    if fit.sigma_scale > 1:
-        return (
-            f"what is left is {fit.sigma_scale:.2g} times the noise of a reading ({noise}): "
-            f"the machine, or the measurement, has an error that {effects_named(result)} cannot "
-            f"explain"
-        )
+def unshown_words(result: Result) -> str:
+    """What these readings would not show, by effect, as a clause; empty where there is nothing."""
+    if not (hidden := result.unseen.effects):
+        return ""
+    parts = (f"that {words}{f' ({listed(of)})' if of else ''}" for words, of in hidden)
+    taken = listed(result.instruments.values())
     return (
-        f"what is left is no more than the noise of a reading ({noise}): these readings show "
-        f"no further error"
+        f"not visible to {taken} even at three times its tolerance, which is not absent: "
+        f"{'; '.join(parts)}"
     )
 
 
-def effects_named(result: Result) -> str:
-    """The effects that were free at first, in the plural; all of them where they were calibrated
-    before.
-    """
-    if result.calibrated_before:
-        return "errors calibrated before"
-    of = result.catalogue.effect_of
-    names = dict.fromkeys(of(name).name.replace("_", " ") for name in result.before.names)
-    return listed(f"{n}es" if n.endswith(("sh", "ch", "ss", "x")) else f"{n}s" for n in names)
+_SIDES = {
+    "fixed": "a probe comes from above alone, and of distances the sides are not known",
+    "same": "every place was come to from the same side: come to some from the other as well",
+    "unknown": f"{SIDES_UNTOLD}: {TELL_SIDES}",
+}
 
 
-def _by_leg(result: Result, every: Sequence[Parameter], effect: str) -> list[str]:
-    """One phrase an effect and campaign: ``joint offsets x -0.51, y +0.56 mm``."""
-    groups: dict[str, list[Parameter]] = {}
-    for name in every:
-        if name.effect == effect:
-            groups.setdefault(name.campaign, []).append(name)
-    phrases = []
-    for campaign, names in groups.items():
-        what = effect.replace("_", " ") + ("s" if len(names) > 1 else "")
-        where = f" ({campaign})" if campaign else ""
-        if near := _near_nominal(result, names):
-            phrases.append(f"{what} {near}{where}")
-            continue
-        values = ", ".join(f"{n.member or n.leg} {_value(result, n, False)}" for n in names)
-        unit = result.catalogue[effect].unit
-        phrases.append(f"{what} {values}{unit.behind}{where}")
-    return phrases
-
-
-def _near_nominal(result: Result, names: Sequence[Parameter]) -> str:
-    """What is said of lengths that are off by no more than the noise of a reading; else empty.
-
-    They are nominal to that noise only where the readings know them as well as that.
-    """
-    fit = result.after
-    half = fit.coverage_factor * max(fit.sigmas[name] for name in names)
-    noise = result.noise.single_reading.length
-    within = half if math.isnan(noise) else noise
-    if max(abs(fit.values[name]) for name in names) > within:
+def unvaried_words(result: Result) -> str:
+    """That lost motion would not show, and why, as a clause; empty where it would."""
+    if not (why := result.unseen.one_sided):
         return ""
-    if all(fit.sigmas[n] > _UNSEEN * result.request.machine.tolerance(n) for n in names):
-        return "not seen by these readings"
-    return f"nominal to {compact(max(within, half) * 1e3, 1)} mm"
+    hidden = [name for name, needs in result.unseen.unvaried.items() if "approach" in needs]
+    named = "; ".join(f"that {cause_short(result.catalogue, name)}" for name in hidden)
+    return f"not visible either, which is not absent: {named}, as {_SIDES[why]}"
 
 
-def _value(result: Result, name: Parameter, with_unit: bool = True) -> str:
-    unit, one = result.catalogue.effect_of(name).unit, result.identified[name]
-    # Along a weak direction sigmas are millimetres: what the readings do fix would be rounded off.
-    places = 2 if unit.name == "mm" else decimals_for(one.sigma, 9)
-    text = signed(one.value, places)
-    return f"{text}{unit.behind}" if with_unit else text
+def dealt_with(result: Result) -> str:
+    """How many faults of the data there were, and how many readings do not count for them: what
+    these alone would show is in no verdict, and a reader of the first lines must know.
+    """
+    if not (count := len(result.blunders)):
+        return ""
+    faults = f"{count} fault{'s' if count > 1 else ''} in the data had to be dealt with first"
+    aside = {row for one in result.blunders if one.excluded for row in one.rows_in_request}
+    every = len(result.readings) + len(aside)
+    if len(aside) < _MANY * every:
+        return f"{faults}."
+    return (
+        f"{faults}: {len(aside)} of {every} readings do not count, and nothing is said of what "
+        f"they alone would show."
+    )
+
+
+def a_little(result: Result) -> bool:
+    """Whether the base alone leaves so much that something small is wrong with everything."""
+    return result.improved and result.before.scores.lack_of_fit_p < _SOUND
+
+
+def none_left_over(result: Result) -> bool:
+    """Whether what was fitted takes up all that the readings say."""
+    return result.before.scores.dof < _FEW or result.after.scores.dof < 1.0
+
+
+def meaning(result: Result) -> str:
+    """What its verdict's word means; nothing is judged where too few readings are left over."""
+    if result.word == "adequate" and none_left_over(result):
+        return "no single cause was added, and too few readings are left over to judge what is left"
+    return MEANINGS[result.word]

@@ -1,0 +1,175 @@
+"""The sentences of a report about an identification, from the values of its result."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from orthoglide.effects import CATALOGUE, Catalogue
+from orthoglide.effects.wording import parameter_words
+from orthoglide.numerals import compact, decimals_for, signed, told_apart
+from orthoglide.ordering import best_of
+from orthoglide.parameters import Parameter
+from orthoglide.result import Result, WeakDirection
+from orthoglide.text import listed
+
+_HARDLY = 0.95  # ratio of deviations above which they "hardly change"
+_UNSEEN = 0.9  # ratio of a sigma to the tolerance above which the readings add nothing
+_MOST_NAMED = 2  # parameters beyond the base model that a sentence names
+
+
+def identified_words(result: Result) -> str:
+    """Return the values, what they gain, and what remains against the noise, in one sentence."""
+    return f"{_found(result)} {_gain(result)}; {_rest(result)}."
+
+
+def _found(result: Result) -> str:
+    """The values, as the subject of the sentence."""
+    catalogue = result.catalogue
+    names = [catalogue.parameter(name) for name in result.identified]
+    parts = [text for effect in catalogue.base for text in _by_leg(result, names, effect)]
+    others = [name for name in names if name.effect not in catalogue.base]
+    parts += [f"{parameter_words(n)} {_value(result, n)}" for n in others[:_MOST_NAMED]]
+    if len(others) > _MOST_NAMED:
+        parts.append(f"{len(others) - _MOST_NAMED} further parameters")
+    text = listed(parts)
+    return text[:1].upper() + text[1:]
+
+
+def _gain(result: Result) -> str:
+    """What the fit does to the deviations."""
+    parts, last = [], ""
+    before, after = result.nominal.told.shown, result.after.scores.told.shown
+    for unit, now in after.items():
+        verb = "hardly change" if now > _HARDLY * before[unit] else "reduce"
+        what = f"{verb} {'them' if last else 'the deviations'} " if verb != last else ""
+        parts.append(f"{what}from {' to '.join(told_apart(before[unit], now))} {unit}")
+        last = verb
+    return ", and ".join(parts)
+
+
+def _rest(result: Result) -> str:
+    """What remains, against the noise."""
+    noise, fit = result.noise.single_reading.said(), result.after
+    if fit.scores.dof <= 0:
+        return "no reading is left over to judge the fit by"
+    if fit.sigma_scale > 1:
+        return (
+            f"what is left is {fit.sigma_scale:.2g} times the noise of a reading ({noise}): "
+            f"the machine, or the measurement, has an error that {effects_named(result)} cannot "
+            f"explain"
+        )
+    return (
+        f"what is left is no more than the noise of a reading ({noise}): these readings show "
+        f"no further error"
+    )
+
+
+def effects_named(result: Result) -> str:
+    """The effects that were free at first, in the plural; all of them where they were calibrated
+    before.
+    """
+    if result.calibrated_before:
+        return "errors calibrated before"
+    of = result.catalogue.effect_of
+    names = dict.fromkeys(of(name).name.replace("_", " ") for name in result.before.names)
+    return listed(f"{n}es" if n.endswith(("sh", "ch", "ss", "x")) else f"{n}s" for n in names)
+
+
+def _by_leg(result: Result, every: Sequence[Parameter], effect: str) -> list[str]:
+    """One phrase an effect and campaign: ``joint offsets x -0.51, y +0.56 mm``."""
+    groups: dict[str, list[Parameter]] = {}
+    for name in every:
+        if name.effect == effect:
+            groups.setdefault(name.campaign, []).append(name)
+    phrases = []
+    for campaign, names in groups.items():
+        what = effect.replace("_", " ") + ("s" if len(names) > 1 else "")
+        where = f" ({campaign})" if campaign else ""
+        if near := _near_nominal(result, names):
+            phrases.append(f"{what} {near}{where}")
+            continue
+        values = ", ".join(f"{n.member or n.leg} {_value(result, n, False)}" for n in names)
+        unit = result.catalogue[effect].unit
+        phrases.append(f"{what} {values}{unit.behind}{where}")
+    return phrases
+
+
+def _near_nominal(result: Result, names: Sequence[Parameter]) -> str:
+    """What is said of lengths that are off by no more than the noise of a reading; else empty.
+
+    They are nominal to that noise only where the readings know them as well as that.
+    """
+    fit = result.after
+    half = fit.coverage_factor * max(fit.sigmas[name] for name in names)
+    noise = result.noise.single_reading.length
+    within = half if math.isnan(noise) else noise
+    if max(abs(fit.values[name]) for name in names) > within:
+        return ""
+    if all(fit.sigmas[n] > _UNSEEN * result.request.machine.tolerance(n) for n in names):
+        return "not seen by these readings"
+    return f"nominal to {compact(max(within, half) * 1e3, 1)} mm"
+
+
+def _value(result: Result, name: Parameter, with_unit: bool = True) -> str:
+    unit, one = result.catalogue.effect_of(name).unit, result.identified[name]
+    # Along a weak direction sigmas are millimetres: what the readings do fix would be rounded off.
+    places = 2 if unit.name == "mm" else decimals_for(one.sigma, 9)
+    text = signed(one.value, places)
+    return f"{text}{unit.behind}" if with_unit else text
+
+
+def weak_sentences(weak: Iterable[WeakDirection], catalogue: Catalogue = CATALOGUE) -> list[str]:
+    """Weak directions for somebody who never saw an eigenvector; similar ones in one sentence."""
+    every = list(weak)
+    legs = [_offset_and_length(w, catalogue) for w in every]
+    similar = [w for w, leg in zip(every, legs, strict=True) if leg]
+    said = [_general(w, catalogue) for w, leg in zip(every, legs, strict=True) if not leg]
+    if similar:
+        said.insert(0, _together(similar, sorted(leg for leg in legs if leg)))
+    return said
+
+
+def _offset_and_length(weak: WeakDirection, catalogue: Catalogue) -> str:
+    """The leg (and campaign) whose offset and length change together; empty for anything else."""
+    names = [catalogue.parameter(name) for name in weak.parameters]
+    same = len({(n.leg, n.campaign) for n in names}) == 1 and bool(names[0].leg)
+    both = {n.effect for n in names} == set(catalogue.base) and len(names) == 2
+    if not (same and both) or len({share > 0 for share in weak.parameters.values()}) != 1:
+        return ""
+    return f"{names[0].leg} of {names[0].campaign}" if names[0].campaign else names[0].leg
+
+
+def _together(weak: list[WeakDirection], legs: list[str]) -> str:
+    widest = best_of(weak, lambda w: w.sigma)
+    text = (
+        f"The readings cannot tell the joint offset from the leg length of leg {listed(legs)}: "
+        f"where both grow by the same amount, by as much as {compact(widest.sigma, 2)} "
+        f"{widest.unit} (one sigma), hardly a reading changes. Their difference is what is seen."
+    )
+    return text + _narrowed(widest)
+
+
+def _general(weak: WeakDirection, catalogue: Catalogue) -> str:
+    every = [parameter_words(catalogue.parameter(name)) for name in weak.parameters]
+    names = listed(every)
+    if len(weak.parameters) > 1:
+        text = f"The readings cannot tell {names} apart"
+    else:
+        text = f"The readings hardly see the {names}"
+    shares = listed([f"{signed(share, 2)} × {n}" for n, share in weak.parameters.items()])
+    if weak.sigma == float("inf"):
+        return f"{text}: nothing at all is seen of the combination {shares}.{_narrowed(weak)}"
+    return (
+        f"{text}: along {shares} the machine may move by {compact(weak.sigma, 2)} {weak.unit} (one "
+        f"sigma) and hardly a reading changes.{_narrowed(weak)}"
+    )
+
+
+def _narrowed(weak: WeakDirection) -> str:
+    if not weak.sigma_with_priors < 0.5 * weak.sigma:
+        return ""
+    return (
+        f" The tolerances narrow this to {compact(weak.sigma_with_priors, 2)} {weak.unit}: that is "
+        f"knowledge of how the machine was built, not of what was measured."
+    )
