@@ -13,6 +13,7 @@ import pytest
 import orthoglide as og
 from benchmarks.attribution_cases import base_errors
 from benchmarks.attribution_run import campaign as campaign_of, points_of
+from orthoglide.closing import filled
 from orthoglide.diagnosis.significance import Left
 from orthoglide.errors import InputError
 from orthoglide.notes import Note
@@ -21,6 +22,7 @@ from orthoglide.report.words import evidence
 from orthoglide.simulation import simulate, simulate_tcp
 from tests import rig_campaigns as rc
 from tests.rig import Rig
+from tests.studied import studied
 
 RIG = Path(__file__).parent / "data" / "rig"
 MACHINE = og.Machine.load(RIG / "machine.toml")
@@ -210,7 +212,7 @@ def test_a_command_recorded_wrongly_is_blamed_on_no_part(number: int, beside: fl
     for row in rows:
         if row["leg"] == leg and row["posture"] == moved:
             row[f"rho_{leg}_mm"] = round(float(row[f"rho_{leg}_mm"]) + beside * 1e3, 6)
-    verdict = og.close_loop([campaign_of(rows)], MACHINE, tcp=points_of(machine, rng))
+    verdict = studied([campaign_of(rows)], MACHINE, tcp=points_of(machine, rng))
     (told,) = verdict.blunders
     assert (told.kind, told.commands[0][0]) == ("command", "xyz".index(leg))
     assert told.commands[0][1] == pytest.approx(-beside, abs=0.1e-3)
@@ -241,8 +243,8 @@ def test_a_few_readings_of_a_sound_machine_are_no_fault() -> None:
 
 @pytest.mark.thorough
 def test_what_was_not_looked_at_has_no_probability() -> None:
-    verdict = og.close_loop(rig(1), MACHINE)
-    lost = replace(verdict, word="unexplained", left=Left(float("nan")))
+    closed = replace(studied(rig(1), MACHINE), word="unexplained", left=Left(float("nan")))
+    lost = filled(closed, og.Verdict)
     said = evidence(lost)
     assert said.endswith("other readings than it was found by: nothing is claimed.")
     assert "probability" not in said

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import orthoglide as og
 from orthoglide.cli import cli
+from orthoglide.closing import filled
 from orthoglide.errors import FileError, InputError
 from orthoglide.firmware.klipper import Imported, import_printer
 from orthoglide.firmware.klipper.new_numbers import new_numbers, plate_of
@@ -23,7 +24,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text, parse_machine_file
 from orthoglide.numerals import MINUS
 from orthoglide.observations import campaign_rows, campaign_text, read_readings, readings_from_rows
-from orthoglide.verdict import close_loop
+from orthoglide.verdict import Verdict, close_loop
 from tests.factors import factor_of
 from tests.klipper_files import DATA, simulated_cfg
 from tests.rig_delta import DeltaRig
@@ -81,13 +82,10 @@ def test_arms_that_were_measured_are_kept_and_not_doubted(tmp_path: Path) -> Non
     assert "give the sigma of your measurement under [parameters]" in found.notes[0]
     lengths = {name: replace(entry, sigma=2e-5) for name, entry in found.machine.parameters.items()}
     measured = replace(found.machine, parameters=lengths)
-    doubted, kept = (
-        close_loop(list(found.campaigns), Machine(m)) for m in (found.machine, measured)
-    )
-    for verdict, certain in ((doubted, False), (kept, True)):
-        assert verdict.firmware is not None
-        assert verdict.firmware.corrections is not None
-        arms = np.array(verdict.firmware.corrections.new.arm)
+    doubted, kept = (studied(list(found.campaigns), Machine(m)) for m in (found.machine, measured))
+    for closed, certain in ((doubted, False), (kept, True)):
+        assert closed.corrections is not None
+        verdict, arms = filled(closed, Verdict), np.array(closed.corrections.new.arm)
         assert bool(np.abs(arms - [0.345, 0.345, 0.346]).max() < 1e-4) == certain
         assert ("Measure the rods" in str(verdict)) != certain
 
@@ -159,13 +157,12 @@ def test_numbers_of_a_result_that_does_not_stand_are_of_the_machine_that_it_has(
     file = tmp_path / "printer.cfg"
     file.write_text(simulated_cfg(DeltaRig(errors={"mount_tilt.a.b": 4e-2})))
     found = import_printer(file)
-    verdict = close_loop(list(found.campaigns), Machine(found.machine))
-    assert verdict.word == "ambiguous"
+    closed = studied(list(found.campaigns), Machine(found.machine))
+    assert closed.word == "ambiguous"
     zero = []
-    for one in (verdict, replace(verdict, word="partial")):
-        assert one.firmware is not None
-        assert one.firmware.corrections is not None
-        zero.append(np.array(one.firmware.corrections.new.endstop))
+    for one in (closed, replace(closed, word="partial")):
+        assert one.corrections is not None
+        zero.append(np.array(one.corrections.new.endstop))
     assert np.abs(zero[1] - zero[0]).max() < 1e-4
 
 

@@ -426,10 +426,9 @@ def test_judges_are_reported() -> None:
 @pytest.mark.parametrize("worse", [False, True])
 def test_what_speaks_against_acting_is_told_everywhere(worse: bool) -> None:
     """A mere part, and readings held out that the cause predicts worse."""
-    known = verdict_of("partial")
     less, more = ByUnit(2e-5, np.nan), ByUnit(3e-5, np.nan)
     scores = HoldOut(less, more) if worse else HoldOut(more, less)
-    verdict = replace(known, hold_out=scores)
+    verdict = filled(replace(closed_of("partial"), hold_out=scores), Verdict)
     files = report_files(verdict)
     warnings = json.loads(files["result.json"])["warnings"]
     said = " ".join(summary(verdict).split())
