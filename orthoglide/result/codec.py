@@ -67,11 +67,10 @@ class Key:
         return float(f"{value:.{self.digits}g}")
 
 
-_MM, _MRAD = 1e-3, 1e-3
+_MM = 1e-3  # and a milliradian
 
 Metres = Annotated[float, Key(suffix="_mm", si=_MM)]
 SampledMetres = Annotated[float, Key(suffix="_mm", si=_MM, digits=SHORT)]
-Radians = Annotated[float, Key(suffix="_mrad", si=_MRAD, omit_if_nan=True)]
 Share = Annotated[float, Key(digits=SHORT)]
 MetresField = Annotated[Array, Key(suffix="_mm", si=_MM, digits=SHORT)]
 
@@ -153,7 +152,7 @@ def _encoded_units(value: ByUnit, key: Key, name: str) -> Any:
     name = key.key(name)
     yield f"{name}_mm", Key(si=_MM, digits=key.digits).number(value.length)
     if math.isfinite(value.turn):
-        yield f"{name}_mrad", Key(si=_MRAD, digits=key.digits).number(value.turn)
+        yield f"{name}_mrad", Key(si=_MM, digits=key.digits).number(value.turn)
 
 
 def decoded(hint: Any, data: Any, shared: Mapping[type, Any], key: Key = Key()) -> Any:
