@@ -89,6 +89,7 @@ def applied() -> Iterator[None]:
                 "font.size": 8.0,
                 "axes.titlesize": 8.5,
                 "axes.titlelocation": "left",
+                "axes.titley": 1.0,  # else every label is measured to find a place above them
                 "axes.labelsize": 7.5,
                 "xtick.labelsize": 7.5,
                 "ytick.labelsize": 7.5,
