@@ -29,7 +29,7 @@ GROUP = "orthoglide.firmware"
 """Group of the entry points, and the package with the add-ons that come with this one."""
 
 EXACT = 17
-"""Digits of a number that come back as the same: a firmware's numbers are not rounded."""
+"""Significant digits with which a number is read back unchanged; a firmware's are not rounded."""
 
 MARK = "numbers"
 """Key of a firmware's table: what tells its numbers from others, short."""
@@ -58,11 +58,11 @@ class Corrections:
         where: how the numbers come into the file, and what is to be done after that.
         file: name of the firmware's file.
         paste: lines of the firmware's file with the new numbers.
-        undo: the same with the old ones.
-        kept: what the file of a calibrated machine keeps of them beside the old numbers; that of a
-            result has it under `Section.facts`.
-        old: numbers of the add-on's own kind, while it works with them; no file keeps these.
-        new: the same of the new ones.
+        undo: lines of the firmware's file with the old numbers.
+        kept: what the file of a calibrated machine records of the new numbers; a result has it in
+            `Section.facts`.
+        old: old numbers as an object of the add-on; ``None`` in a result that was loaded.
+        new: new numbers as an object of the add-on; ``None`` in a result that was loaded.
     """
 
     rows: Sequence[tuple[str, str, str]]
@@ -103,7 +103,7 @@ class Section:
     facts: Mapping[str, Any] = field(metadata={"digits": EXACT})
 
     def derived(self) -> dict[str, Any]:
-        """Return keys of ``result.json`` that follow from the others."""
+        """Return keys of ``result.json`` that follow from the fields."""
         return dict(self.facts)
 
 

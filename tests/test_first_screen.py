@@ -67,7 +67,7 @@ def made_up(
     request = replace(base().request, command="close-loop")
     closed = replace(base(), request=request, word=word, effects=causes, changed=changed)
     kept: dict[str, Any] = {
-        "next_measurements": (), "numbers": base().numbers, "budget": budget, "pattern": (),
+        "next_measurements": (), "numbers": base().numbers, "budget": budget,
         "identified": base().identified,
     }  # fmt: skip
     kept |= {} if drawn else {"picture": replace(base().picture, options=())}

@@ -32,10 +32,10 @@ from orthoglide.result import (
     CandidateScore,
     HoldOut,
     Identified,
+    LackOfFit,
     Picture,
     Request,
     Scores,
-    SetupResidual,
     TcpErrors,
     Word,
     Workspace,
@@ -110,13 +110,6 @@ class Closed:
     def found(self) -> bool:
         """Whether anything was found that stands out of the background."""
         return bool(self.effects or self.located)
-
-    @property
-    def share(self) -> float:
-        """Of their tolerances, by which effects that do not stand out are off; nan of
-        ``identify``.
-        """
-        return float("nan") if self.posterior is None else self.posterior.share
 
     @property
     def stands(self) -> bool:
@@ -242,13 +235,6 @@ class Closed:
         return {kind: words for kind, words in TAKEN_BY.items() if kind in kinds}
 
     @property
-    def stopped(self) -> str:
-        """Why nothing more was found, in a sentence."""
-        if self.posterior is None:
-            return "no cause was to be added"
-        return "nothing else stands out of the noise and of the background of small errors"
-
-    @property
     def unexcited(self) -> tuple[str, ...]:
         """Effects whose conditions the campaigns do not vary at all."""
         from orthoglide.fit.excited import excited_effects
@@ -257,31 +243,24 @@ class Closed:
         return tuple(name for name in self.request.machine.catalogue if name not in excited)
 
     @cached_property
-    def pattern(self) -> tuple[str, ...]:
-        """What is left, in sentences, where causes were looked for and something significant is."""
+    def lack_of_fit(self) -> LackOfFit:
+        """The residuals of the last fit against the noise."""
         from orthoglide.diagnosis.pattern import describe_left
 
-        if not self.request.searches or self.word not in ("partial", "unexplained"):
-            return ()
-        return describe_left(self.after)
-
-    @cached_property
-    def rest(self) -> tuple[SetupResidual, ...]:
-        """What the last fit leaves of every mounting of a dial, largest share first."""
-        return tuple(one for one in rest_by_setup(self.after) if one.leg >= 0)
-
-    @cached_property
-    def rest_of_tool(self) -> tuple[SetupResidual, ...]:
-        """The same of every instrument at the tool."""
-        return tuple(one for one in rest_by_setup(self.after) if one.leg < 0)
-
-    @property
-    def dials_hold_most(self) -> bool:
-        """Whether the mounting that shows most of what is left is a dial's, and not that of an
-        instrument at the tool; not without dials.
-        """
-        tool = max((one.share for one in self.rest_of_tool), default=-1.0)
-        return any(one.share >= tool for one in self.rest[:1])
+        left, known = self.left, self.posterior
+        stopped = "nothing else stands out of the noise and of the background of small errors"
+        significant = self.request.searches and not self.stands
+        mountings = rest_by_setup(self.after)
+        return LackOfFit(
+            p_value=left.p_value,
+            background=float("nan") if known is None else known.share,
+            rare=left.rare,
+            shaped=left.shaped,
+            with_unreported=left.untold,
+            stopped="no cause was to be added" if known is None else stopped,
+            pattern=describe_left(self.after) if significant else (),
+            mountings=tuple(sorted(mountings, key=lambda one: one.leg < 0)),
+        )
 
     @cached_property
     def picture(self) -> Picture:

@@ -22,7 +22,7 @@ from orthoglide.instruments import OBSERVATIONS
 from orthoglide.observations import campaign_rows
 from orthoglide.planning import Suggestion
 from orthoglide.progress import Progress, Step, silent
-from orthoglide.result import InstrumentNoise, LackOfFit, Noise, Proposal, Result, Unseen, encoded
+from orthoglide.result import InstrumentNoise, Noise, Proposal, Result, Unseen, encoded
 from orthoglide.threads import on_one_thread
 
 # Metres. Two derivations that differ by less agree; the difference below is rounding, which differs
@@ -81,7 +81,7 @@ def _result(closed: Closed) -> Result:
         firmware=closed.firmware,
         next_measurements=tuple(map(_proposal, closed.next_measurements)),
         sheet=() if sheet is None else tuple(campaign_rows(sheet)),
-        left=_left(closed),
+        left=closed.lack_of_fit,
         workspace=closed.workspace,
         uncertain_effects=closed.uncertain_effects,
         numbers=closed.numbers,
@@ -124,20 +124,6 @@ def _noise(closed: Closed) -> Noise:
         single_reading=problem.one_reading,
         source=problem.noise_source,
         by_instrument=each,
-    )
-
-
-def _left(closed: Closed) -> LackOfFit:
-    left = closed.left
-    return LackOfFit(
-        p_value=left.p_value,
-        background=closed.share,
-        rare=left.rare,
-        shaped=left.shaped,
-        with_unreported=left.untold,
-        stopped=closed.stopped,
-        pattern=closed.pattern,
-        mountings=(*closed.rest, *closed.rest_of_tool),
     )
 
 

@@ -16,7 +16,8 @@ def next_measurements(closed: Closed) -> tuple[Suggestion, ...]:
     from orthoglide import planning, prospects
 
     geometry, follow = closed.request.machine.geometry, not closed.stands
-    again = tuple(map(prospects.repeating, closed.rest_of_tool[:follow]))
+    left = closed.lack_of_fit
+    again = tuple(map(prospects.repeating, left.by_instrument[:follow]))
     known = closed.posterior
     parts = [s for one in closed.located if known for s in prospects.parting(known, one)]
     if not geometry.dialled:
@@ -28,6 +29,6 @@ def next_measurements(closed: Closed) -> tuple[Suggestion, ...]:
     pairs = planning.pairs_within(map(len, sets))
     apart = planning.next_measurements(closed.after, rivals, pairs=pairs, directions=())
     more = planning.next_measurements(closed.before)
-    if closed.dials_hold_most:
-        again = tuple(prospects.tracing(rest, geometry) for rest in closed.rest[:follow])
+    if left.dials_hold_most:
+        again = tuple(prospects.tracing(rest, geometry) for rest in left.by_dial[:follow])
     return (*again, *apart, *parts, *more)

@@ -39,7 +39,8 @@ def picture(closed: Closed) -> Picture:
     for change in closed.moved:
         first.append(len(options))
         options += _moved(machine, change)
-    if closed.word == "unexplained" and closed.dials_hold_most and closed.request.searches:
+    of_dials = closed.lack_of_fit.dials_hold_most
+    if closed.word == "unexplained" and of_dials and closed.request.searches:
         first.append(len(options))
         options.append(_left(closed))
     return Picture(posed, stand, tuple(options), tuple(first))
@@ -74,7 +75,7 @@ def _placed(machine: Machine, curve: Curve) -> Option:
 
 
 def _left(closed: Closed) -> Option:
-    most = closed.rest[0]
+    most = closed.lack_of_fit.by_dial[0]
     way = np.eye(3)[most.axis] * np.sign(most.most)
     size = f"{compact(abs(most.most) * 1e3, 2)} mm toward {toward(LEGS[most.axis], most.most)}"
     words = f"what nothing explains shows most on leg {LEGS[most.leg]}: {size}"

@@ -23,12 +23,12 @@ _MOVES = 1e-3  # metres of travel from which a setup is drawn over it
 def readings_shown(
     fit: Estimate, base: Estimate, given: tuple[Readings, ...] = ()
 ) -> ReadingsShown:
-    """The readings of a fit, and what it and the base model predict of them.
+    """Return measured and predicted readings, setup by setup.
 
     Args:
-        fit: the last one.
-        base: of the same readings.
-        given: of which those of the fit are a part; they are all of them where absent.
+        fit: the last fit.
+        base: fit of the base model to the same readings.
+        given: readings of the request, of which ``fit`` uses a part; if empty, it uses all.
     """
     problem = fit.problem
     tables = [factor.readings for factor in problem.factors]
@@ -48,7 +48,9 @@ def readings_shown(
 
 
 def rows_in(part: Readings, whole: Readings) -> Numbers:
-    """Rows of readings within those that they are a part of, in the same order ``(n,)``."""
+    """Return the row of each reading of ``part`` within ``whole`` ``(n,)``, matched by line and
+    axis; both are in the order of the file.
+    """
     places: dict[tuple[int, int], deque[int]] = defaultdict(deque)
     for k, key in enumerate(zip(whole.line.tolist(), whole.axis.tolist(), strict=True)):
         places[key].append(k)

@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from orthoglide.result.codec import SHORT, Key, SampledMetres, Share
+from orthoglide.result.codec import Key, SampledMetres, Share, in_mm_short
 
 Kind = Literal["zeros", "confirm", "mend", "compensate", "measure"]
 
-_MM = 1e-3
 _ADVISED = {"zeros": "zeros", "mend": "repair", "compensate": "compensate", "measure": "measure"}
 
 
@@ -42,12 +41,11 @@ class Action:
 
 
 def advised(actions: tuple[Action, ...]) -> list[dict[str, Any]]:
-    """Actions as the key ``advice`` of ``result.json`` has them; to confirm is no such kind."""
-    gain = Key(si=_MM, digits=SHORT).number
+    """Return actions as the entries of ``advice`` in ``result.json``, without those to confirm."""
     return [
         {
             "kind": _ADVISED[one.kind], "words": one.words,
-            "gain_mm": gain(one.gain), "gain_sigma_mm": gain(one.gain_sigma),
+            "gain_mm": in_mm_short(one.gain), "gain_sigma_mm": in_mm_short(one.gain_sigma),
         }
         for one in actions
         if one.kind in _ADVISED

@@ -72,6 +72,12 @@ _MM = 1e-3  # and a milliradian
 Metres = Annotated[float, Key(suffix="_mm", si=_MM)]
 SampledMetres = Annotated[float, Key(suffix="_mm", si=_MM, digits=SHORT)]
 Share = Annotated[float, Key(digits=SHORT)]
+in_mm = Key(si=_MM).number
+"""Returns metres in millimetres, or radians in milliradians, as the file has them."""
+
+in_mm_short = Key(si=_MM, digits=SHORT).number
+"""Like `in_mm`, with the digits of probabilities and estimates from random draws."""
+
 MetresField = Annotated[Array, Key(suffix="_mm", si=_MM, digits=SHORT)]
 
 

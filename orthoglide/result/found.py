@@ -10,11 +10,10 @@ import numpy as np
 
 from orthoglide.geometry import Array
 from orthoglide.numerals import ByUnit
-from orthoglide.result.codec import SHORT, Key, SampledMetres, Share, encoded
+from orthoglide.result.codec import SHORT, Key, SampledMetres, Share, encoded, in_mm_short
 from orthoglide.text import listed
 
 _MOST_RIVALS = 2  # alternatives named in one sentence; the report lists all
-_MM = 1e-3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -89,8 +88,8 @@ class Curve:
     def derived(self) -> dict[str, Any]:
         """Return keys of ``result.json`` that follow from the fields."""
         return {
-            f"rms_{self.unit}": Key(si=_MM, digits=SHORT).number(float(self.value.std())),
-            f"size_{self.unit}": Key(si=_MM, digits=SHORT).number(self.size),
+            f"rms_{self.unit}": in_mm_short(float(self.value.std())),
+            f"size_{self.unit}": in_mm_short(self.size),
         }
 
 

@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 
 from orthoglide.geometry import Array
-from orthoglide.result.codec import SHORT, Key, MetresField
+from orthoglide.result.codec import MetresField, in_mm_short
 from orthoglide.scene import Dial, Option, Posed, drawing
-
-_MM = 1e-3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -57,7 +55,6 @@ class Workspace:
 
     def derived(self) -> dict[str, Any]:
         """Keys of ``result.json`` that follow from the others: mean and largest."""
-        number = Key(si=_MM, digits=SHORT).number
         figures = {
             "predicted_error_nominal": self.nominal,
             "predicted_error_before": self.before,
@@ -65,6 +62,6 @@ class Workspace:
             "uncertainty_95_after": self.sure,
         }
         return {
-            name: {"mean_mm": number(float(v.mean())), "max_mm": number(float(v.max()))}
+            name: {"mean_mm": in_mm_short(float(v.mean())), "max_mm": in_mm_short(float(v.max()))}
             for name, v in figures.items()
         }

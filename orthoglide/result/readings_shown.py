@@ -1,9 +1,9 @@
-"""The readings of a fit, setup by setup, with what three machines predict of them."""
+"""Measured readings by setup, with the predictions of three machines: before, base and last fit."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,30 +19,30 @@ Numbers = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mounting:
-    """One setup."""
+    """The readings of one setup, as a panel of a figure shows them."""
 
-    setup: str  # its name
-    name: str  # the same, its campaign before it where there are several
-    title: str  # name, leg and direction
-    label: str  # of the scale across
-    rows: Numbers  # of all readings (m,)
+    setup: str  # name of the setup
+    name: str  # name of the setup, with its campaign before it if there are several
+    title: str  # of the panel: name, leg and direction
+    label: str  # of the horizontal axis
+    rows: Numbers  # rows of `ReadingsShown` that belong to it (m,)
     # travel of the touched leg's carriage in millimetres, or place in the file (m,)
     x: Annotated[Array, Key(digits=SHORT)]
     side: Annotated[Array, Key(digits=1)]  # of the approach of that leg's own axis (m,)
-    unit: str  # in which people read it
+    unit: str  # unit for display: mm or mrad
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ReadingsShown:
-    """All readings that count, metres or radians."""
+    """All readings that were fitted, measured and predicted, metres or radians."""
 
     mountings: tuple[Mounting, ...]  # in the order of the files
-    file: Numbers  # whose readings of the request each is of (n,)
-    row: Numbers  # within them (n,)
-    station: Numbers  # number of the setup's posture that it was read at (n,)
+    file: Numbers  # number of the readings within the request (n,)
+    row: Numbers  # row within these readings (n,)
+    station: Numbers  # number of the station: a posture of a setup (n,)
     measured: Rows  # (n,)
-    sigma: Rows  # standard deviation of each by itself (n,)
-    common: Rows  # of what the readings of a station share (n,)
+    sigma: Rows  # standard deviation of the noise that is independent in each reading (n,)
+    common: Rows  # standard deviation of the noise that all readings of a station share (n,)
     nominal: Rows  # predicted for the machine as it was (n,)
     before: Rows  # predicted by the base model (n,)
     after: Rows  # predicted by the last fit (n,)
@@ -52,15 +52,15 @@ class ReadingsShown:
 
     @property
     def turned(self) -> NDArray[np.bool_]:
-        """Which of them are inclinations ``(n,)``."""
+        """Whether each reading is an inclination ``(n,)``."""
         found = np.zeros(len(self), dtype=bool)
         for one in self.mountings:
             found[one.rows] = one.unit == "mrad"
         return found
 
     @property
-    def setups(self) -> list[Any]:
-        """Name of the setup of each ``n``."""
+    def setups(self) -> list[str]:
+        """Name of the setup of each reading, ``n`` of them."""
         found = np.empty(len(self), dtype=object)
         for one in self.mountings:
             found[one.rows] = one.setup

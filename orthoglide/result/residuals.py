@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from orthoglide.geometry import LEGS, Array
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.numerals import ByUnit
-from orthoglide.result.codec import SHORT, Key, Metres, Share
+from orthoglide.result.codec import SHORT, Key, Metres, Share, in_mm, in_mm_short
 
 _MM = 1e-3
 
@@ -44,14 +44,14 @@ class SetupResidual:
 
     def facts(self) -> dict[str, Any]:
         """Return the entry in ``by_setup`` or ``by_instrument`` of ``result.json``."""
-        size, share = Key(si=_MM, digits=SHORT).number, Key(digits=SHORT).number(self.share)
-        rms, most = size(self.rms), size(self.most)
+        share = Key(digits=SHORT).number(self.share)
+        rms, most = in_mm_short(self.rms), in_mm_short(self.most)
         if self.leg < 0:
             return {
                 "setup": self.setup, "reads": self.reads, "unit": self.unit, "share": share,
                 "rms": rms, "most": most, "posture": self.posture, "where": list(self.where),
             }  # fmt: skip
-        command = [Key(si=_MM).number(v) for v in self.command]
+        command = [in_mm(v) for v in self.command]
         return {
             "setup": self.setup, "leg": LEGS[self.leg], "direction": LEGS[self.axis],
             "share": share, "rms_mm": rms, "most_mm": most, "command_mm": command,
@@ -112,7 +112,7 @@ class InstrumentNoise:
 
     def derived(self) -> dict[str, Any]:
         """Return keys of ``result.json`` that follow from the fields."""
-        return {self.unit: Key(si=_MM).number(self.sigma)}
+        return {self.unit: in_mm(self.sigma)}
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Noise:
 
     def derived(self) -> dict[str, Any]:
         """Return keys of ``result.json`` that follow from the fields."""
-        turn = Key(si=_MM).number(self.single_reading.turn)
+        turn = in_mm(self.single_reading.turn)
         return {} if turn is None else {"noise_mrad": turn}
 
 
