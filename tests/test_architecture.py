@@ -34,8 +34,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"result"}),
     frozenset({"figures"}),
     frozenset({"fit", "comparison", "firmware", "report"}),
-    frozenset({"diagnosis"}),
-    frozenset({"posterior", "simulation"}),
+    frozenset({"explanation", "simulation"}),
     frozenset({"planning"}),
     frozenset({"prospects"}),
     frozenset({"closing"}),
@@ -48,7 +47,7 @@ LAYERS: tuple[frozenset[str], ...] = (
 NEVER = {
     ("mechanism", "reduction"), ("mechanism", "effects"), ("machine_file", "mechanism"),
     ("observations", "mechanism"), ("prediction", "reduction"), ("machine", "reduction"),
-    ("diagnosis", "reduction"), ("control", "reduction"),
+    ("explanation", "reduction"), ("control", "reduction"),
 }  # fmt: skip
 HEAVY = ("pinocchio", "casadi", "matplotlib", "scipy.optimize", "meshcat", "joblib", "dask")
 
@@ -156,7 +155,7 @@ def test_only_commands_name_a_firmware() -> None:
 
 
 # What draws a result computes nothing of it: the page, the file and Python cannot differ.
-COMPUTING = ("fit", "diagnosis", "planning", "prospects", "accuracy", "posterior",
+COMPUTING = ("fit", "planning", "prospects", "accuracy", "explanation",
              "prediction", "mechanism", "reduction", "closing")  # fmt: skip
 
 
@@ -177,7 +176,7 @@ def test_reduction_and_mechanism_know_nothing_of_each_other() -> None:
 
 
 # What is found is put into a result, and all else reads that: the search may be replaced.
-SEARCH = ("posterior", "diagnosis", "closing", "prospects")
+SEARCH = ("explanation", "closing", "prospects")
 APART_FROM_THE_SEARCH = (
     "result", "report", "figures", "planning", "control", "comparison", "firmware", "cli",
 )  # fmt: skip
@@ -215,7 +214,7 @@ def test_who_reads_a_result_knows_nothing_of_the_search(part: str) -> None:
 
 def test_the_search_is_looked_for_where_it_is() -> None:
     found = " ".join(imports_of_the_search("closing"))
-    assert all(f": orthoglide.{one}." in found for one in ("posterior", "diagnosis", "fit"))
+    assert all(f": orthoglide.{one}." in found for one in ("explanation", "fit"))
 
 
 @pytest.mark.parametrize("part", ["result", "report", "planning", "control", "comparison"])
@@ -304,7 +303,7 @@ OF_ONE_LAYOUT = {
     "observations/readings.py:Readings.relabelled.turned": "the same",
     "observations/checks.py:_gauges": "places of dials along a leg, from joint coordinates",
     "observations/checks.py:_gauges.on_leg": "the same",
-    "diagnosis/faults.py:_commanded": "a column of their campaigns",
+    "explanation/faults.py:_commanded": "a column of their campaigns",
     # The Orthoglide's own
     "urdf/solids.py:base_solids": "the drawing of its frame; others are drawn by their legs",
     "comparison/comparing.py:cube": "the cube of its workspace",

@@ -9,11 +9,9 @@ import pytest
 
 from benchmarks.attribution_cases import Case
 from benchmarks.attribution_run import draw
-from orthoglide.diagnosis.blunders import Blunder, examine, without
-from orthoglide.diagnosis.misreadings import misreadings
-from orthoglide.diagnosis.signatures import signatures
-from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.errors import InputError
+from orthoglide.explanation.alternative_readings import alternatives, open_setups
+from orthoglide.explanation.data_faults import Blunder, find_faults, without
 from orthoglide.fit import Estimate, identify, solve
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
@@ -51,7 +49,7 @@ def estimate_of(rows: list[rc.Row], machine: Machine) -> Estimate:
 
 
 def found_in(rows: list[rc.Row], machine: Machine) -> tuple[Blunder, ...]:
-    return examine(estimate_of(rows, machine)).blunders
+    return find_faults(estimate_of(rows, machine)).blunders
 
 
 # -- nothing where there is nothing ----------------------------------------------------------------
@@ -62,7 +60,7 @@ def found_in(rows: list[rc.Row], machine: Machine) -> tuple[Blunder, ...]:
 def test_the_rig_campaigns_have_no_faults(k, machine):
     campaign = read_campaign(RIG / f"rig-{k}.csv", machine.spec)
     estimate = identify(campaign, machine, method="nested")
-    assert examine(estimate).blunders == ()
+    assert find_faults(estimate).blunders == ()
 
 
 @pytest.mark.thorough(except_for=["1-differences", "2-differences", "3-differences"])
@@ -70,7 +68,7 @@ def test_the_rig_campaigns_have_no_faults(k, machine):
 def test_the_published_experiments_have_no_faults(name, nominal):
     file = PUBLISHED / f"experiment{name}.csv"
     estimate = identify(read_campaign(file, nominal.spec), nominal, method="nested")
-    assert examine(estimate).blunders == ()
+    assert find_faults(estimate).blunders == ()
 
 
 @pytest.mark.thorough(
@@ -312,9 +310,9 @@ def test_a_label_of_another_leg_or_direction(column, protocol, machine):
 
 def test_a_label_puts_no_two_dials_at_one_place_at_once(machine):
     """A wrong command at one posture was told of a dial whose place the other one takes."""
-    base = signatures(estimate_of(rows_of("standard"), machine))
-    setups = base.estimate.problem.campaigns[0].setups
-    labels = [h.fault for h in misreadings(StationMeans.of(base), range(6)) if h.labels]
+    problem = estimate_of(rows_of("standard"), machine).problem
+    setups = problem.setups
+    labels = [a.fault for a in alternatives(problem, open_setups(problem, [])) if a.labels]
     tried = {f.label for f in labels if f.kind == "label" and setups[f.setups[0]].name == "xy-0.5"}
     assert tried == {(1, 0), (1, 2), (2, 0), (2, 1)}
 
@@ -366,10 +364,9 @@ def test_a_wrong_command_beside_points_of_the_tool(machine):
     spoilt, touched = rc.wrong_command(rows, posture_of(rows, "y", "+20"), 0, 1.0)
     points = simulate_tcp(machine.with_parameters(BASE), 20, seed=1)
     estimate = identify([campaign_of(spoilt, machine), points], machine)
-    (blunder,) = examine(estimate).blunders
+    (blunder,) = find_faults(estimate).blunders
     assert blunder.kind == "command"
     assert [row for _, row in blunder.rows] == touched
-    assert blunder.may_be_the_machine(estimate.problem) is False
 
 
 @pytest.mark.thorough
@@ -409,7 +406,7 @@ def test_neighbours_of_a_wrong_command_are_reached_from_their_own_side(machine):
     rows = rows_of(seed=2)
     spoilt, touched = rc.wrong_command(rows, posture_of(rows, "y", "+20"), 0, 3.0)
     estimate = estimate_of(spoilt, machine)
-    (clean,) = without(estimate.problem, examine(estimate).blunders).campaigns
+    (clean,) = without(estimate.problem, find_faults(estimate).blunders).campaigns
     sound, wrong = campaign_of(rows, machine), campaign_of(spoilt, machine)
     kept = np.delete(np.arange(len(rows)), touched)
     assert (wrong.approach[kept] != sound.approach[kept]).any()
@@ -615,7 +612,7 @@ def test_the_message_names_file_line_setup_and_remedy(tmp_path, machine):
     rc.write_csv(rc.outlier(rows_of("standard"), 20, 0.5).rows, path)
     campaign = read_campaign(path, machine.spec)
     estimate = identify(campaign, machine, method="nested")
-    (blunder,) = examine(estimate).blunders
+    (blunder,) = find_faults(estimate).blunders
     assert blunder.message.startswith("monday.csv, line 22, setup 'yx-0.5': ")
     assert "measure this place again" in blunder.message
     assert blunder.lines([campaign]) == {str(path): (22,)}
@@ -623,7 +620,7 @@ def test_the_message_names_file_line_setup_and_remedy(tmp_path, machine):
 
 def test_scores_with_and_without(nominal):
     estimate = estimate_of(rc.outlier(rows_of("standard"), 20, 0.5).rows, nominal)
-    blunders = examine(estimate).blunders
+    blunders = find_faults(estimate).blunders
     again = solve(without(estimate.problem, blunders), method="nested")
     (blunder,) = blunders
     assert blunder.rms_with == pytest.approx(estimate.scores.rms, rel=1e-6)
@@ -636,7 +633,7 @@ def test_scores_with_and_without(nominal):
 def test_a_knocked_setup_becomes_two(machine):
     rows, touched = rc.knocked_stand(rows_of(seed=2), "yz-0.5", 0.5)
     estimate = estimate_of(rows, machine)
-    clean = without(estimate.problem, examine(estimate).blunders)
+    clean = without(estimate.problem, find_faults(estimate).blunders)
     (campaign,) = clean.campaigns
     assert len(campaign) == len(rows)
     assert len(campaign.setups) == 7
@@ -653,7 +650,7 @@ def test_two_knocks_of_one_setup_make_three(machine):
     rows = rc.knocked_stand(rows_of(seed=2), "yz-0.5", 0.5, after=0.3).rows
     rows = rc.knocked_stand(rows, "yz-0.5", -0.3, after=0.7).rows
     estimate = estimate_of(rows, machine)
-    blunders = examine(estimate).blunders
+    blunders = find_faults(estimate).blunders
     assert [b.kind for b in blunders] == ["knocked_stand", "knocked_stand"]
     for order in (blunders, blunders[::-1]):
         (campaign,) = without(estimate.problem, order).campaigns
@@ -665,7 +662,7 @@ def test_rows_are_counted_within_their_campaign(machine):
     first = campaign_of(rows_of("standard", seed=1), machine, "first")
     second = campaign_of(rc.outlier(rows_of("standard", seed=2), 11, 0.5).rows, machine, "second")
     estimate = identify([first, second], machine, method="nested")
-    (blunder,) = examine(estimate).blunders
+    (blunder,) = find_faults(estimate).blunders
     assert blunder.rows == ((1, 11),)
     assert blunder.message.startswith("second, line 13,")
     clean = without(estimate.problem, [blunder])

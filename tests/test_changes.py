@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.diagnosis.blunders import examine
-from orthoglide.diagnosis.changes import Change
 from orthoglide.errors import InputError
-from orthoglide.fit import identify
+from orthoglide.explanation.data_faults import find_faults
+from orthoglide.fit import Change, identify
 from orthoglide.observations import Campaign
 from orthoglide.verdict import close_loop
 from tests import rig_campaigns as rc
@@ -82,7 +81,7 @@ def test_what_has_no_name_is_no_change_beyond_any_that_is_expected(machine):
 
 
 def changes_of(*campaigns: Campaign, machine: og.Machine) -> tuple[Change, ...]:
-    findings = examine(identify(campaigns, machine, method="nested"))
+    findings = find_faults(identify(campaigns, machine, method="nested"))
     assert findings.blunders == ()
     return findings.changes
 
@@ -179,6 +178,6 @@ def test_a_fault_of_one_file_is_no_change(machine):
         )
         for k, table in enumerate(rows)
     ]
-    findings = examine(identify(both, machine, method="nested"))
+    findings = find_faults(identify(both, machine, method="nested"))
     assert [b.kind for b in findings.blunders] == ["sign"]
     assert findings.changes == ()

@@ -14,9 +14,9 @@ from benchmarks.delta_readings import INSTRUMENTS, measured
 from benchmarks.delta_truth import machine as nominal
 from benchmarks.deltas import forty_one_points
 from orthoglide.cli import cli
-from orthoglide.diagnosis.signatures import signatures
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.errors import InputError
+from orthoglide.explanation.signatures import signatures
 from orthoglide.fit import identify
 from orthoglide.machine import Machine
 from orthoglide.observations import Setup, read_readings

@@ -15,10 +15,10 @@ from scipy.stats import ncx2
 import orthoglide as og
 from orthoglide.cli.design import design as design_command
 from orthoglide.cli.sheets import protocol as protocol_command
-from orthoglide.diagnosis.evidence import Scoring
-from orthoglide.diagnosis.signatures import signatures
 from orthoglide.effects import CATALOGUE, relabelled
 from orthoglide.errors import InputError
+from orthoglide.explanation.evidence import Scoring
+from orthoglide.explanation.signatures import signatures
 from orthoglide.fit import Estimate, Problem, solve, with_free
 from orthoglide.fit.least_squares import linearise, normal, nuisances
 from orthoglide.machine_file import Controller

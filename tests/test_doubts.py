@@ -14,8 +14,8 @@ import orthoglide as og
 from benchmarks.attribution_cases import base_errors
 from benchmarks.attribution_run import campaign as campaign_of, points_of
 from orthoglide.closing import filled
-from orthoglide.diagnosis.significance import Left
 from orthoglide.errors import InputError
+from orthoglide.explanation.significance import Left
 from orthoglide.notes import Note
 from orthoglide.report.result_json import result_text
 from orthoglide.report.words import evidence

@@ -24,8 +24,8 @@ from orthoglide.effects.motions import Constant, sideways
 from orthoglide.effects.places import dial_places
 from orthoglide.effects.wording import cause_short, cause_words, confirm_words, parameter_words
 from orthoglide.errors import InputError
+from orthoglide.explanation import Explanation
 from orthoglide.parameters import Parameter
-from orthoglide.posterior import Explanation
 from orthoglide.prediction import Conditions, Model
 from orthoglide.units import MM
 

@@ -18,11 +18,11 @@ from orthoglide.closing import Closed, filled
 from orthoglide.closing.actions import _one_of_two
 from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
 from orthoglide.effects.wording import cause_short
+from orthoglide.explanation import Cause, Explanation, Located
 from orthoglide.fit import Change
 from orthoglide.layout import LinearDelta
 from orthoglide.numerals import ByUnit
 from orthoglide.parameters import Parameter
-from orthoglide.posterior import Cause, Explanation, Located
 from orthoglide.report import report_files, result_text
 from orthoglide.report.first import finding, sure_words
 from orthoglide.report.rendering import rendered

@@ -8,9 +8,9 @@ import pytest
 import orthoglide as og
 from benchmarks import gains
 from benchmarks.attribution_run import machine
-from orthoglide.posterior.budget import _Controller
-from orthoglide.posterior.linear import Group, Linear, whole
-from orthoglide.posterior.mixture import Mixture
+from orthoglide.explanation.budget import _Controller
+from orthoglide.explanation.linear import Group, Linear, whole
+from orthoglide.explanation.mixture import Mixture
 
 SEED = 1
 

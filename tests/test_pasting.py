@@ -12,7 +12,7 @@ import pytest
 import orthoglide as og
 from orthoglide.add_ons import Corrections
 from orthoglide.closing import Closed, filled
-from orthoglide.diagnosis.rest import rest_by_setup
+from orthoglide.explanation.rest import rest_by_setup
 from orthoglide.firmware.klipper import Imported, import_printer
 from orthoglide.firmware.klipper.new_numbers import left_of, why_not
 from orthoglide.firmware.klipper.numbers import Numbers

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orthoglide.diagnosis.candidates import Candidate
 from orthoglide.effects import CATALOGUE
-from orthoglide.posterior.linear import Group
-from orthoglide.posterior.mixture import Mixture
-from orthoglide.posterior.outstanding import _Reader
+from orthoglide.explanation.candidates import Candidate
+from orthoglide.explanation.linear import Group
+from orthoglide.explanation.mixture import Mixture
+from orthoglide.explanation.outstanding import _Reader
 
 NONE = np.zeros(0, dtype=np.intp)
 

@@ -18,10 +18,10 @@ import pytest
 
 import orthoglide as og
 from orthoglide.closing import Closed, filled
-from orthoglide.diagnosis.pattern import describe_left
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import cause_short, cause_words
 from orthoglide.errors import FileError
+from orthoglide.explanation.pattern import describe_left
 from orthoglide.fit import Estimate, identify
 from orthoglide.numerals import ByUnit
 from orthoglide.observations import Campaign, protocol

@@ -192,7 +192,7 @@ def test_a_report_is_written_without_the_search(folder: Path, tmp_path: Path) ->
     run = [sys.executable, "-c", program, str(folder), str(out)]
     loaded = subprocess.run(run, capture_output=True, text=True, check=True).stdout.split()
     assert "orthoglide.report" in loaded
-    assert not {f"orthoglide.{m}" for m in ("closing", "posterior", "diagnosis")} & set(loaded)
+    assert not {f"orthoglide.{m}" for m in ("closing", "explanation")} & set(loaded)
     for path in folder.rglob("*"):
         if path.is_file():
             assert (out / path.relative_to(folder)).read_bytes() == path.read_bytes(), path.name

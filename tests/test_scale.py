@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from orthoglide.explanation import columns
 from orthoglide.fit import solving
-from orthoglide.posterior import columns
 from orthoglide.prediction import Observed, observed
 from orthoglide.simulation import simulate
 
@@ -63,7 +63,7 @@ def test_few_directions_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_directions_of_blocks_against_all_at_once() -> None:
     """Inner products of columns, residual and stations, beside what all columns leave."""
-    from orthoglide.posterior.compressed import compressed
+    from orthoglide.explanation.compressed import compressed
 
     found = og.identify(measured(), MACHINE)
     nuisance, n = found.nuisance, len(found.problem.measured)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from orthoglide.explanation.instead import Alternatives
+from orthoglide.explanation.linear import Group, Linear, whole
+from orthoglide.explanation.mixture import Mixture
+from orthoglide.explanation.search import Search, State, gained, left_singular
 from orthoglide.geometry import Array
-from orthoglide.posterior.instead import Alternatives
-from orthoglide.posterior.linear import Group, Linear, whole
-from orthoglide.posterior.mixture import Mixture
-from orthoglide.posterior.search import Search, State, gained, left_singular
 
 ROWS = 24
 SLABS = (0.3, 1.0, 3.0)

@@ -10,11 +10,9 @@ from scipy import stats
 
 import orthoglide as og
 from orthoglide.accuracy import Map, without_place
-from orthoglide.diagnosis import pattern, significance
-from orthoglide.diagnosis.evidence import Scoring
-from orthoglide.diagnosis.scatter import Scatter
-from orthoglide.diagnosis.signatures import signatures
-from orthoglide.diagnosis.station_means import StationMeans
+from orthoglide.explanation import pattern, significance
+from orthoglide.explanation.evidence import Scoring
+from orthoglide.explanation.signatures import signatures
 from orthoglide.fit import Estimate
 from orthoglide.fit.least_squares import fitted_basis, normal
 from orthoglide.fit.repeats import repeat_variance
@@ -205,82 +203,6 @@ def test_unknowns_stay_within_fifty_tolerances() -> None:
 
 
 # -- station means --------------------------------------------------------------------------------
-
-
-def test_station_means_against_all_written_out() -> None:
-    """Residual, signatures and shown readings, as the projected means of dense algebra."""
-    found = fitted("sweep", noise=None, resolution=1e-5, repeatability=1e-6)
-    assert (found.problem.common > 0).all()
-    seen = signatures(found)
-    means = StationMeans.of(seen)
-    station = found.problem.station
-    indicator = np.eye(station.max() + 1)[station]
-    basis = seen.whiten(indicator)
-    left, singular, _ = np.linalg.svd(basis, full_matrices=False)
-    left = left[:, singular > 1e-6]
-    expected = left @ (left.T @ seen.residual)
-    assert means.chi2 == pytest.approx(float(expected @ expected))
-    extra = np.random.default_rng(0).standard_normal(len(station)) * NOISE
-    shown = left @ (left.T @ seen.whiten(extra))
-    assert float(np.sum(means.shown(extra) ** 2)) == pytest.approx(float(shown @ shown))
-    assert float(means.residual @ means.shown(extra)) == pytest.approx(float(expected @ shown))
-    one = np.zeros(len(station))
-    one[station == 7] = found.problem.weighing.mean_sigma[7]
-    alone = np.arange(len(means.seen))
-    square, along, _ = means.together(np.ones(len(alone)), alone)
-    assert square[7] == pytest.approx(float(np.sum(means.shown(one) ** 2)))
-    assert along[7] == pytest.approx(float(means.residual @ means.shown(one)))
-
-
-@pytest.mark.thorough
-def test_station_means_past_an_effect() -> None:
-    """An effect beside the fit widens the noise by its signature: whitened anew, and shown so."""
-    found = fitted("sweep")
-    means = StationMeans.of(signatures(found))
-    one = next(k for k, c in enumerate(means.signatures.candidates) if c.name == "rail_bow.x.z")
-    other = next(k for k, c in enumerate(means.signatures.candidates) if c.name == "backlash.y")
-    after = means.beside(one).beside(other)
-    extra = np.random.default_rng(0).standard_normal(len(found.problem.measured)) * NOISE
-    expected, left = means.shown(extra), means
-    for place in (one, other):
-        basis, size, _ = np.linalg.svd(
-            left.signatures.of(means.signatures.candidates[place]), full_matrices=False
-        )
-        basis = basis * np.sqrt(1 - 1 / np.sqrt(1 + size**2))
-        expected = expected - basis @ (basis.T @ expected)
-        left = left.beside(place)
-    assert after.shown(extra) == pytest.approx(expected, abs=1e-9)
-    assert after.dof < means.dof
-
-
-def test_slips_against_all_written_out() -> None:
-    """Outliers and steps at every reading at once, as each column by itself."""
-    rng = np.random.default_rng(0)
-    count = 40
-    station = np.unique(rng.integers(0, 9, count), return_inverse=True)[1]
-    weight = rng.uniform(0.5, 2, count)
-    read, trend = rng.standard_normal(count), rng.standard_normal((count, 3))
-    empty = np.zeros((count, 0))
-    seen = Scatter(0, np.arange(count), weight, station, np.ones(count), read, trend, read, empty)
-    seen = seen.without(rng.standard_normal((count, 2)))
-    free = np.hstack([np.eye(9)[station] * weight[:, None], seen.found])
-    hidden = np.linalg.qr(free)[0]
-
-    def past(columns: np.ndarray) -> np.ndarray:
-        return columns - hidden @ (hidden.T @ columns)
-
-    assert seen.rest == pytest.approx(past(read))
-    assert seen.dof == count - 11
-    later = np.greater_equal.outer(np.arange(count), np.arange(count))
-    for kind, shown, rows in (("outlier", np.eye(count), slice(None)),
-                              ("knocked_stand", later, slice(2, -1))):  # fmt: skip
-        columns = past(shown * weight[:, None])
-        square = np.sum(columns**2, axis=0)
-        size = columns.T @ past(read) / square.clip(1e-12)
-        gain, found = seen.gains(kind)
-        assert gain[rows] == pytest.approx((size**2 * square)[rows])
-        assert found[rows] == pytest.approx(size[rows])
-        assert seen.column(kind, 7)[:, 0] == pytest.approx(columns[:, 7])
 
 
 # -- the pattern of what is left ------------------------------------------------------------------

@@ -7,10 +7,10 @@ import pytest
 
 import orthoglide as og
 from orthoglide.closing.loop import SIGNIFICANT
+from orthoglide.explanation import full_posterior, outstanding, remains
+from orthoglide.explanation.causes import Outstanding
 from orthoglide.fit import solve
 from orthoglide.fit.identifying import assemble
-from orthoglide.posterior import full_posterior, outstanding, remains
-from orthoglide.posterior.causes import Outstanding
 from orthoglide.report.words import headline
 from tests import rig_campaigns as rc
 from tests.rig import LEGS, Rig

@@ -14,15 +14,15 @@ from orthoglide.checking.entered import entered
 from orthoglide.checking.sides import of_all, of_one, told_apart
 from orthoglide.checking.states import State, states_of
 from orthoglide.closing import Closed, close, filled
-from orthoglide.diagnosis.changes import visits
 from orthoglide.effects.wording import parameter_words
+from orthoglide.explanation import Located
+from orthoglide.explanation.changes import visits
 from orthoglide.fit import Change, Estimate, Problem, account_for_changes, assemble, solve
 from orthoglide.fit.plate_moves import PlateMove, plate_moves
 from orthoglide.fit.problem import Unknown
 from orthoglide.frames import Framed
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.ordering import ranked
-from orthoglide.posterior import Located
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.threads import on_one_thread
 from orthoglide.verdict import Verdict

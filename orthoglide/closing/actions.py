@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Literal
 
 from orthoglide.control import withheld
 from orthoglide.effects.wording import cause_words, confirm_words
+from orthoglide.explanation import Cause, Curve, Explanation, Located
 from orthoglide.fit import Change
 from orthoglide.numerals import plain
 from orthoglide.ordering import ranked
-from orthoglide.posterior import Cause, Curve, Explanation, Located
 from orthoglide.result import Action, Suspect
 
 if TYPE_CHECKING:

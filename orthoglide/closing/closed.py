@@ -14,18 +14,17 @@ from orthoglide.closing.picture import picture
 from orthoglide.closing.values import explanation_value
 from orthoglide.closing.workspace import uncertain_effects, workspace_of
 from orthoglide.control import ControllerNumbers, controller_numbers
-from orthoglide.diagnosis.blunders import Blunder
-from orthoglide.diagnosis.changes import Change
-from orthoglide.diagnosis.rest import rest_by_setup
-from orthoglide.diagnosis.significance import Left
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
-from orthoglide.fit import Estimate
+from orthoglide.explanation import Cause, Explanation, FullPosterior, Located, budget
+from orthoglide.explanation.data_faults import Blunder
+from orthoglide.explanation.rest import rest_by_setup
+from orthoglide.explanation.significance import Left
+from orthoglide.fit import Change, Estimate
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.observations import Readings
 from orthoglide.parameters import Parameter
-from orthoglide.posterior import Cause, Explanation, FullPosterior, Located, budget
 from orthoglide.result import (
     Action,
     BudgetItem,
@@ -245,7 +244,7 @@ class Closed:
     @cached_property
     def lack_of_fit(self) -> LackOfFit:
         """The residuals of the last fit against the noise."""
-        from orthoglide.diagnosis.pattern import describe_left
+        from orthoglide.explanation.pattern import describe_left
 
         left, known = self.left, self.posterior
         stopped = "nothing else stands out of the noise and of the background of small errors"

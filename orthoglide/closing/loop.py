@@ -4,15 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from orthoglide.accuracy import tcp_map
 from orthoglide.closing.closed import Closed
 from orthoglide.closing.judging import hold_out, tcp_errors
-from orthoglide.diagnosis.significance import Left, left_over
-from orthoglide.diagnosis.tool_faults import check_repeats
-from orthoglide.errors import NumericsError
-from orthoglide.fit import Estimate, account_for_changes, assemble, identify, solve, tempered
+from orthoglide.explanation import (
+    FullPosterior,
+    Outstanding,
+    check_levels,
+    full_posterior,
+    outstanding,
+    remains,
+)
+from orthoglide.explanation.changes import separated
+from orthoglide.explanation.data_faults import Blunder, check_repeats, find_faults, without
+from orthoglide.explanation.significance import Left, left_over
+from orthoglide.fit import (
+    Change,
+    Estimate,
+    account_for_changes,
+    assemble,
+    identify,
+    solve,
+    tempered,
+)
 from orthoglide.fit.change_search import WIDTHS
 from orthoglide.fit.copies import shared
 from orthoglide.fit.earlier import vague
@@ -22,29 +37,13 @@ from orthoglide.fit.plausible import check_plausible
 from orthoglide.fit.verification import verify
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
-from orthoglide.posterior import (
-    FullPosterior,
-    Outstanding,
-    check_levels,
-    full_posterior,
-    outstanding,
-    remains,
-)
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.result import Request, Word
 from orthoglide.threads import on_one_thread
 
-if TYPE_CHECKING:
-    from orthoglide.diagnosis.blunders import Blunder
-    from orthoglide.diagnosis.changes import Change
-
 EVEN = 0.5
 """Probability of a machine beyond all tolerances, or of errors without structure, from which
 nothing is said to be explained: what is likelier than not."""
-
-_OUTWEIGHED = 12.0
-"""Log Bayes factor by which readings put right must be likelier than as they stand, everything that
-a machine may have weighed in both: about 1 in 1000, and as many hypotheses again as there were."""
 
 _NAMED = ("adequate", "explained", "ambiguous")  # nothing is left but what has a name
 
@@ -76,8 +75,9 @@ def close(request: Request, progress: Progress = silent) -> Closed:
     read = account_for_changes(solve(problem, method="nested"))
     check_columns(read)
     progress(Step("faults"))
-    blunders, changes = _set_right(read)
-    known, found, left, word = _searched(read, blunders, changes, progress)
+    faults = find_faults(read)
+    blunders, changes = faults.blunders, faults.changes
+    known, found, left, word = _searched(read, blunders, changes, progress, faults.look)
     if word not in _NAMED and any(_is_far(c, machine) for c in changes):
         # What has no name takes any change that comes near.
         changes = ()
@@ -115,26 +115,16 @@ def _vague(read: Estimate) -> Iterator[Note]:
         )
 
 
-def _set_right(read: Estimate) -> tuple[tuple[Blunder, ...], tuple[Change, ...]]:
-    """Faults of the data, and what changed between campaigns."""
-    from orthoglide.diagnosis.blunders import examine
-
-    findings = examine(read)
-    return _weighed(read, findings.blunders), findings.changes
-
-
 def _searched(
     read: Estimate,
     blunders: Sequence[Blunder],
     changes: Sequence[Change],
     progress: Progress,
+    look: FullPosterior | None = None,
 ) -> tuple[FullPosterior, Outstanding, Left, Word]:
     """Everything weighed with faulty rows set aside and what changed let change: what stands out,
     what is left, and the verdict.
     """
-    from orthoglide.diagnosis.blunders import without
-    from orthoglide.diagnosis.changes import separated
-
     progress(Step("testing"))
     problem = without(read.problem, blunders) if blunders else read.problem
     # What a change put right is no cause now; what is still wrong is named as one. Without dials it
@@ -149,7 +139,7 @@ def _searched(
         problem = replace(problem, own=(*problem.own, *(n for c in causes for n in c.own)))
     named = [c.parameter for c in causes]
     before = solve(problem, method="nested") if blunders or changes else read
-    known = full_posterior(before, named)
+    known = full_posterior(before, named, look)
     progress(Step("allowing"))
     found = outstanding(known, named)
     left = remains(known, found)
@@ -167,44 +157,6 @@ def _is_far(change: Change, machine: Machine) -> bool:
     """Whether it is by more than any change is expected to be, of what cannot just be moved."""
     by, most = abs(change.after - change.before), WIDTHS[-1] * machine.tolerance(change.parameter)
     return change.parameter.effect not in machine.catalogue.base and by > most
-
-
-def _weighed(read: Estimate, blunders: tuple[Blunder, ...]) -> tuple[Blunder, ...]:
-    """The faults but those that a machine explains as well that goes wrong in its own way.
-
-    Faults were weighed against the effects of the catalogue; places count as well, and of a sheet
-    with few postures they fit nearly as much as a wrong command or an exchange does. Where readings
-    put right are likelier, but one place explains them as they stand, the message names it.
-
-    Args:
-        read: the fit of the readings as they stand.
-        blunders: faults of the data.
-    """
-    kept = list(blunders)
-    for one in blunders:
-        if not one.may_be_the_machine(read.problem):
-            continue
-        here = kept.index(one)
-        as_read, put_right = one.both_ways(read.problem, [b for b in kept if b is not one])
-        try:
-            same = as_read is read.problem
-            known = full_posterior(read if same else solve(as_read, method="nested"))
-            if not known.settled:
-                continue
-            if one.kind != "unit":  # of which the digits and the scatter tell
-                gain = full_posterior(solve(put_right, method="nested")).evidence - known.evidence
-                if gain < _OUTWEIGHED:
-                    kept.remove(one)
-                    continue
-        except NumericsError:
-            continue
-        found = outstanding(known)
-        if found.causes or len(found.located) != 1 or _missing(remains(known, found)):
-            continue
-        place = found.located[0].members[0].words
-        rival = f"; or it is the machine, for as they stand the readings fit as well if {place}"
-        kept[here] = replace(one, message=one.message + rival)
-    return tuple(kept)
 
 
 def _identified(request: Request, progress: Progress) -> Closed:

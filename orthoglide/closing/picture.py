@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from orthoglide.effects.words import toward
+from orthoglide.explanation import Curve
 from orthoglide.fit import Change
 from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 from orthoglide.numerals import compact
 from orthoglide.pictures import dials, joint_mark, option
-from orthoglide.posterior import Curve
 from orthoglide.result import Picture
 from orthoglide.scene import Mark, Option
 

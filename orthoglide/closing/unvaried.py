@@ -6,8 +6,8 @@ from collections import Counter
 from typing import TYPE_CHECKING, Literal
 
 from orthoglide.effects.wording import cause_short
+from orthoglide.explanation.free import one_surface
 from orthoglide.fit.excited import unmet
-from orthoglide.posterior.free import one_surface
 
 if TYPE_CHECKING:
     from orthoglide.closing.closed import Closed

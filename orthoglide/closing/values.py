@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from orthoglide.closing.actions import confirm, loses
-from orthoglide.diagnosis.blunders import Blunder
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short, size_words
+from orthoglide.explanation import Cause, Curve, Explanation, Located
+from orthoglide.explanation.data_faults import Blunder
 from orthoglide.fit import Change, Estimate
 from orthoglide.observations import Readings
-from orthoglide.posterior import Cause, Curve, Explanation, Located
 from orthoglide.result import fits, found, residuals
 
 DRAWN = 4

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.diagnosis.candidates import Candidate
-from orthoglide.diagnosis.evidence import Scoring
-from orthoglide.diagnosis.signatures import Signatures, signatures
-from orthoglide.diagnosis.significance import DRAWS, noise_residuals
 from orthoglide.errors import InputError, check_list, check_whole
+from orthoglide.explanation.candidates import Candidate
+from orthoglide.explanation.evidence import Scoring
+from orthoglide.explanation.signatures import Signatures, signatures
+from orthoglide.explanation.significance import DRAWS, noise_residuals
 from orthoglide.fit import solve
 from orthoglide.fit.change_search import CLASS_WIDTH
 from orthoglide.frames import Framed

@@ -15,6 +15,7 @@ from itertools import combinations
 import numpy as np
 
 from orthoglide.effects.wording import cause_short
+from orthoglide.explanation import Cause, Explanation, FullPosterior
 from orthoglide.fit import Problem
 from orthoglide.fit.factors import Block, Factor
 from orthoglide.fit.least_squares import linearise, nuisances
@@ -26,7 +27,6 @@ from orthoglide.parameters import plain_and_campaign
 from orthoglide.planning.criteria import EffectSeparation
 from orthoglide.planning.sheets import KINDS, tool_sheet
 from orthoglide.planning.suggestions import Suggestion
-from orthoglide.posterior import Cause, Explanation, FullPosterior
 
 TAKEN_BY = {kind: OBSERVATIONS[kind].words for kind in KINDS}
 """Kinds of readings, and what takes them."""

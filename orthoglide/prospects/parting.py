@@ -8,6 +8,8 @@ from itertools import combinations
 
 import numpy as np
 
+from orthoglide.explanation import FullPosterior, Located
+from orthoglide.explanation.members import Members
 from orthoglide.fit.factors import Factor
 from orthoglide.instruments import AT_TOOL
 from orthoglide.instruments.leg_dial import PLACE
@@ -19,8 +21,6 @@ from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.rivals import Rival
 from orthoglide.planning.sheets import sheets_of
 from orthoglide.planning.suggestions import DECIDES, Pairs, Suggestion, to_separate, usual_load
-from orthoglide.posterior import FullPosterior, Located
-from orthoglide.posterior.members import Members
 
 _MOST, _COUNT = 6, 12  # places that are parted, the likeliest; readings that may part them
 _AT_TOOL = tuple(kind for kind, one in AT_TOOL.items() if not one.touches)

@@ -10,11 +10,11 @@ import numpy as np
 from orthoglide.effects import Catalogue
 from orthoglide.effects.places import Place
 from orthoglide.effects.wording import cause_short
+from orthoglide.explanation import places_of, with_everything
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings
 from orthoglide.parameters import Parameter
 from orthoglide.planning import foreseen
-from orthoglide.posterior import places_of, with_everything
 
 
 @dataclass(frozen=True)

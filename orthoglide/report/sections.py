@@ -50,6 +50,7 @@ _FAULTS = {
     "turns": "readings whole turns of the hand off",
     "stuck": "a dial that stuck",
     "scatter": "visits that do not repeat",
+    "moved": "an instrument that was moved",
 }
 
 

@@ -134,7 +134,7 @@ class Noise:
 class DataFault:
     """A fault of the data: readings that no machine produces."""
 
-    kind: str  # `outlier`, `knocked_stand`, `command` ...
+    kind: str  # `outlier`, `knocked_stand`, `moved`, `command` ...
     rows: tuple[int, ...]  # lines of the files
     files: Mapping[str, tuple[int, ...]]  # the same lines by name of the file
     setups: tuple[str, ...]  # names of the setups concerned

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orthoglide.diagnosis.significance import Left
+from orthoglide.explanation.causes import Outstanding
+from orthoglide.explanation.everything import FullPosterior
+from orthoglide.explanation.linear import Scale
+from orthoglide.explanation.search import State
+from orthoglide.explanation.significance import Left
 from orthoglide.fit.scores import smaller, tail
 from orthoglide.geometry import Array
-from orthoglide.posterior.causes import Outstanding
-from orthoglide.posterior.everything import FullPosterior
-from orthoglide.posterior.linear import Scale
-from orthoglide.posterior.search import State
 
 _VISIBLE = 1e-6  # of the largest: directions that stations span
 _FEW = 2.0  # degrees of freedom: less is no test of the mean

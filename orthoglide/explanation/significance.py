@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.diagnosis.signatures import Signatures
+from orthoglide.explanation.signatures import Signatures
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.least_squares import past
 from orthoglide.fit.repeats import finest_of, on_grid, repeat_variance, total_variance

@@ -16,9 +16,7 @@ import numpy as np
 from orthoglide.accuracy import tcp_slopes
 from orthoglide.effects.places import Place
 from orthoglide.errors import InputError
-from orthoglide.geometry import Array
-from orthoglide.ordering import EQUAL, EQUAL_ODDS, descending, largest, ranked
-from orthoglide.posterior.causes import (
+from orthoglide.explanation.causes import (
     CandidateScore,
     Cause,
     Curve,
@@ -26,9 +24,11 @@ from orthoglide.posterior.causes import (
     Located,
     Outstanding,
 )
-from orthoglide.posterior.everything import FullPosterior
-from orthoglide.posterior.instead import Alternatives
-from orthoglide.posterior.linear import Group
+from orthoglide.explanation.everything import FullPosterior
+from orthoglide.explanation.instead import Alternatives
+from orthoglide.explanation.linear import Group
+from orthoglide.geometry import Array
+from orthoglide.ordering import EQUAL, EQUAL_ODDS, descending, largest, ranked
 
 _OFF = 0.1  # tolerances: a background that is worth a word
 
@@ -56,7 +56,7 @@ def outstanding(posterior: FullPosterior, given: Sequence[str] = ()) -> Outstand
     )
 
 
-def _smallest(odds: Array, probability: float) -> int:
+def smallest(odds: Array, probability: float) -> int:
     """Return how many of the probabilities, largest first, are the fewest that sum to another."""
     return int(np.searchsorted(np.cumsum(odds), probability * (1 - EQUAL))) + 1
 
@@ -77,14 +77,14 @@ class _Reader:
         """The credible set in the place of one group of the best state; ``None``: no claim."""
         known = self.groups[member].name in given
         odds = self.instead.of(member)
-        there = 1.0 - odds[-1]
         if known:
-            odds, there = np.eye(len(odds))[member], 1.0
+            odds = np.eye(len(odds))[member]
+        odds = np.where([g.of_data for g in self.groups], 0.0, odds[:-1])  # no part of the machine
+        there = float(odds.sum())
         if there < NAMED:
             return None
-        odds = odds[:-1]
         order = descending(odds)
-        count = _smallest(odds[order], CREDIBLE * there)
+        count = smallest(odds[order], CREDIBLE * there)
         if count > MOST and not known:
             return None
         chosen = order[:count]
@@ -102,12 +102,12 @@ class _Reader:
         table = mixture.over_sound_machine()
         if self.posterior.share < _OFF or table.max(initial=0.0) <= 0:
             return ()
-        named = [k for k, g in enumerate(self.groups) if not g.free]
+        named = [k for k, g in enumerate(self.groups) if not g.free and not g.of_data]
         weight = np.exp(table[named] - table[named].max()).sum(axis=1)
         weight /= weight.sum()
         order = descending(weight)
         found = []
-        for k in order[: _smallest(weight[order], CREDIBLE)]:
+        for k in order[: smallest(weight[order], CREDIBLE)]:
             group = named[k]
             state = ((group, mixture.linear.slabs[largest(table[group], EQUAL_ODDS)]),)
             at = self.groups[group].places
@@ -290,6 +290,7 @@ class _Reader:
         odds = mixture.next_odds()
         for k, p in enumerate(odds):
             found.setdefault(k, float(p))
+        found = {k: score for k, score in found.items() if not self.groups[k].of_data}
         by_name = sorted(found, key=lambda k: self.groups[k].name)
         order = ranked(by_name, lambda k: found[k], EQUAL_ODDS)[:_NEAREST]
         named = len(self.posterior.about.candidates)

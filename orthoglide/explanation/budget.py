@@ -16,12 +16,12 @@ import numpy as np
 
 from orthoglide.accuracy import tcp_slopes, throughout, without_place
 from orthoglide.effects.wording import cause_short
+from orthoglide.explanation.everything import FullPosterior
 from orthoglide.fit.scores import rms_by_unit
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.numerals import ByUnit
 from orthoglide.ordering import ranked
-from orthoglide.posterior.everything import FullPosterior
 from orthoglide.result import BudgetItem
 
 _DRAWS = 400

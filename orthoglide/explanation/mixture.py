@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from orthoglide.explanation.linear import SOUND, Scale
+from orthoglide.explanation.search import Search, State, whitened
 from orthoglide.geometry import Array
 from orthoglide.machine_file import root_of
 from orthoglide.ordering import EQUAL_ODDS, descending, largest, ranked
-from orthoglide.posterior.linear import SOUND, Scale
-from orthoglide.posterior.search import Search, State, whitened
 
 _NEGLIGIBLE = 1e-4  # weight of a state that means are not averaged over
 _KEPT = 60  # of them at most
@@ -196,6 +196,13 @@ class Mixture(Search):
         if state in self.visited:
             return self.scales[largest(self.visited[state], EQUAL_ODDS)]
         return self.scales[largest(self.weights[state])]
+
+    @cached_property
+    def chi2(self) -> float:
+        """Of the readings in the best state at its likeliest scales, whose mean is their number."""
+        scale = self._likeliest(self.best)
+        (left,), (shrink,) = self._out([scale], self.best)
+        return float(np.sum(whitened(scale.residual, left, shrink) ** 2))
 
     def moments(self, state: State, scale: Scale, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Mean ``(C,)`` of all coefficients in a state, and covariance ``(k, k)`` of some."""

@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orthoglide.diagnosis.faults import EVIDENCE
-from orthoglide.diagnosis.signatures import signatures
 from orthoglide.errors import InputError, NumericsError
+from orthoglide.explanation.everything import FullPosterior, full_posterior
+from orthoglide.explanation.faults import EVIDENCE
+from orthoglide.explanation.signatures import signatures
 from orthoglide.fit import Estimate
 from orthoglide.fit.solving import solve
 from orthoglide.observations import Readings, source
 from orthoglide.ordering import EQUAL_ODDS, best_of
-from orthoglide.posterior.everything import FullPosterior, full_posterior
 
 _WIDE = 5.0  # tolerances
 _DEGREE = np.pi / 180 / 1e-3  # a reading in degrees that was taken for milliradians

@@ -15,17 +15,16 @@ from orthoglide.machine_file import Controller
 from orthoglide.observations import source
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 from orthoglide.observations.arrays import numbered
-from orthoglide.ordering import EQUAL_ODDS, best_of
 from orthoglide.units import MISTAKEN
 
 Kind = Literal[
     "outlier", "knocked_stand", "zeroed", "command", "sign", "label", "exchanged_labels", "shifted",
-    "unit", "turns", "stuck", "scatter",
+    "unit", "turns", "stuck", "scatter", "moved",
 ]  # fmt: skip
 Rows = NDArray[np.int64]
 Same = Callable[["Fault", "Fault"], bool]
 
-DATUMS: tuple[Kind, ...] = ("knocked_stand", "zeroed")
+DATUMS: tuple[Kind, ...] = ("knocked_stand", "zeroed", "moved")
 """Faults whose rows count, each with a datum of its own."""
 
 EVIDENCE = 7.0
@@ -73,17 +72,13 @@ def in_order(problem: Problem, setup: int) -> Rows:
     return np.asarray(rows[np.argsort(problem.of_dials("order")[rows], kind="stable")])
 
 
-def clock(time: Array, order: Rows) -> Array:
-    """Time of readings ``(k,)`` over -1 to 1, or their place in order where none was recorded."""
-    along = time if np.isfinite(time).all() and np.ptp(time) > 0 else order
-    return np.asarray(2 * (along - along.min()) / max(np.ptp(along), 1e-300) - 1)
-
-
 def datums(problem: Problem, fault: Fault) -> list[Rows]:
     """Rows that have a datum of their own: by setup and repeat, or all behind a knock."""
     if fault.sets_aside:
         return []
-    return parts(fault.kind, fault.rows, problem.setup_of_row, problem.of_dials("repeat"))
+    setup = problem.setup_of_row
+    repeat = problem.of_dials("repeat") if fault.kind == "zeroed" else np.zeros_like(setup)
+    return parts(fault.kind, fault.rows, setup, repeat)
 
 
 def steps(problem: Problem, fault: Fault) -> Array:
@@ -98,40 +93,6 @@ def parts(kind: Kind, rows: Rows, setup: Rows, repeat: Rows) -> list[Rows]:
     """Rows of each datum, by setup and repeat of all rows of which these are some."""
     datum = numbered(np.column_stack([setup, repeat * (kind == "zeroed")])[rows])
     return [rows[datum == k] for k in range(datum.max(initial=-1) + 1)]
-
-
-def untouched(problem: Problem, faults: Sequence[Fault]) -> list[int]:
-    """Setups in which no fault was found."""
-    touched = {s for fault in faults for s in fault.setups}
-    return [s for s in problem.leg_setups if s not in touched]
-
-
-def same_place(one: Fault, other: Fault) -> bool:
-    """Whether two faults are about the same readings: of a posture, else of a setup."""
-    if "command" in (one.kind, other.kind):
-        return np.array_equal(one.rows, other.rows)
-    return bool(set(one.setups) & set(other.setups))
-
-
-def likeliest(faults: Sequence[Fault], apart: float, same: Same = same_place) -> Fault | None:
-    """The most probable fault, unless another is nearly as probable.
-
-    A command bends to much: against other kinds it must win clearly, and is no rival to them.
-
-    Args:
-        faults: with their evidence.
-        apart: log Bayes factor that decides.
-        same: whether two are about the same readings, so that either will do.
-    """
-    if not faults:
-        return None
-    best = best_of(faults, lambda f: f.evidence, EQUAL_ODDS)
-    commands = best.kind == "command"
-    rivals = [f for f in faults if not same(f, best) and (commands or f.kind != "command")]
-    if best.evidence - max((f.evidence for f in rivals), default=-np.inf) >= apart:
-        return best
-    others = [f for f in faults if f.kind != "command"]
-    return likeliest(others, apart, same) if commands else None
 
 
 def campaign_of(problem: Problem, rows: Rows) -> int:
@@ -214,10 +175,16 @@ def _clause(problem: Problem, fault: Fault) -> str:
         case "turns":
             return _turned(fault)
         case "scatter":
+            return _scattered(problem, fault)
+        case "moved":
+            k, row = places(problem, fault.rows)[0]
+            given = problem.factors[k].readings
+            unit = given.setups[given.setup[row]].observation.unit
             return (
-                f"visits to the same posture scatter by {fault.size * 1e3:.2g} mm, which is no "
-                f"noise of a dial: rows were exchanged, the readings have another unit, or the "
-                f"dial is loose; put it right, or declare the noise with --noise"
+                f"from here on the same places read about {fault.size * 1e3:.2g} {unit} otherwise "
+                f"than before, as if the instrument, or what it stands on, had been moved, or "
+                f"drifted: give the rows from there on a setup name of their own, as is done here, "
+                f"or measure the setup again{_or_lost(problem, k, int(given.setup[row]))}"
             )
         case "stuck":
             return (
@@ -225,6 +192,34 @@ def _clause(problem: Problem, fault: Fault) -> str:
                 f"the machine moves it by {fault.size * 1e3:.2g} mm: free the plunger and measure "
                 f"these rows again"
             )
+
+
+def _scattered(problem: Problem, fault: Fault) -> str:
+    """By how much visits to one place differ, and what to do."""
+    k, row = places(problem, fault.rows)[0]
+    given, size = problem.factors[k].readings, f"{fault.size * 1e3:.2g}"
+    if problem.factors[k].on_legs:
+        return (
+            f"visits to the same posture scatter by {size} mm, which is no noise of a dial: rows "
+            f"were exchanged, the readings have another unit, or the dial is loose; put it right, "
+            f"or declare the noise with --noise"
+        )
+    setup = int(given.setup[row])
+    instrument = given.setups[setup].observation
+    near = ", or to places beside it," if instrument.touches else ""
+    return (
+        f"visits to the same place{near} scatter by {size} {instrument.unit}, which is no noise of "
+        f"such an instrument: rows were exchanged, the readings have another unit, or something "
+        f"is loose; put it right, or give repeatability in the machine file under "
+        f"[instrument.{instrument.kind}]{_or_lost(problem, k, setup)}"
+    )
+
+
+def _or_lost(problem: Problem, factor: int, setup: int) -> str:
+    """What else visits of one place differ by, where nobody knows their sides."""
+    if problem.factors[factor].approach_known(setup):
+        return ""
+    return f"; or it is lost motion, as {SIDES_UNTOLD}: {TELL_SIDES}"
 
 
 def _mislabelled(problem: Problem, fault: Fault) -> str:

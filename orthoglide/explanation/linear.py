@@ -51,6 +51,14 @@ class Group:
     weights: Array  # from its own coefficients to those (q, k)
     free: bool  # whether it is a free function
     chance: float = 1.0  # how often it goes wrong, over a cause of the catalogue
+    # of a fault of the data how many of it are expected, before the readings are seen; of what is
+    # wrong with the machine that follows from all chances
+    expected: float | None = None
+
+    @property
+    def of_data(self) -> bool:
+        """Whether it is a fault of the data."""
+        return self.expected is not None
 
     @property
     def size(self) -> int:

@@ -22,10 +22,10 @@ from itertools import combinations, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.explanation.linear import EXPECTED, Linear, Scale, scales
+from orthoglide.explanation.pairs import likely_pairs
 from orthoglide.geometry import Array
 from orthoglide.ordering import EQUAL_ODDS, best_of, largest
-from orthoglide.posterior.linear import EXPECTED, Linear, Scale, scales
-from orthoglide.posterior.pairs import likely_pairs
 
 _MOST = 6  # groups that stand out together
 
@@ -65,8 +65,9 @@ class Search:
         for k, span in enumerate(self._span):
             self._by_size.setdefault(len(span), []).append(k)
         # Each slab is one of so many, at one of so many scales.
-        chance = np.array([g.chance for g in linear.groups])
-        self.cost = np.log(len(linear.slabs) * max(chance.sum() / EXPECTED, 1.0) / chance)
+        often = EXPECTED / max(sum(g.chance for g in linear.groups if not g.of_data), EXPECTED)
+        expected = [often * g.chance if g.expected is None else g.expected for g in linear.groups]
+        self.cost = np.log(len(linear.slabs) / np.array(expected))
         self.visited: dict[State, Array] = {(): np.array([s.log_z for s in self.scales])}
         self.children: dict[State, Array] = {}
         self._products: dict[int, Array] = {}
@@ -226,7 +227,9 @@ class Search:
     def _ones(self) -> NDArray[np.intp]:
         """Causes of one coefficient that the readings see."""
         each = zip(self.linear.groups, self._span, strict=True)
-        return np.flatnonzero([g.size == len(span) == 1 and not g.free for g, span in each])
+        return np.flatnonzero(
+            [g.size == len(span) == 1 and not g.free and not g.of_data for g, span in each]
+        )
 
     @cached_property
     def _crossed(self) -> Array:

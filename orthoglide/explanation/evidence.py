@@ -14,11 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.diagnosis.candidates import Candidate
-from orthoglide.diagnosis.signatures import Signatures
-from orthoglide.fit.least_squares import explained_by_two
+from orthoglide.explanation.candidates import Candidate
+from orthoglide.explanation.signatures import Signatures
 from orthoglide.geometry import Array
-from orthoglide.ordering import EQUAL_ODDS, largest
 
 
 @dataclass(frozen=True)
@@ -57,34 +55,3 @@ class Scoring:
         """Log Bayes factors against no effect ``(C, ...)`` for residuals ``(m, ...)``."""
         gains = self.gains(residuals)
         return (gains - self.occam.reshape(-1, *[1] * (gains.ndim - 1))) / 2
-
-
-def best_pairs(scoring: Scoring, residuals: Array) -> list[tuple[float, tuple[int, int]]]:
-    """The two candidates of one parameter each that explain each residual best together.
-
-    Args:
-        scoring: of the candidates in the running.
-        residuals: ``(m, h)``.
-
-    Returns:
-        For each residual the log Bayes factor of both against none, linearised, and their places
-        among the candidates; nothing where there are fewer than two such candidates.
-    """
-    single = [k for k, c in enumerate(scoring.candidates) if c.size == 1 and scoring.shrink[k].size]
-    if len(single) < 2:
-        return []
-    size = np.sqrt(np.expm1(scoring.occam[single]))
-    columns = np.hstack([scoring.basis[k] for k in single]) * size
-    gram = columns.T @ columns
-    diagonal = np.diag(gram) + 1
-    first, second = np.triu_indices(len(single), 1)
-    cross = gram[first, second]
-    found = []
-    for along in (columns.T @ residuals).T:
-        gain, determinant = explained_by_two(
-            diagonal[first], diagonal[second], cross, along[first], along[second]
-        )
-        evidence = (gain - np.log(determinant)) / 2
-        best = largest(evidence, EQUAL_ODDS)
-        found.append((float(evidence[best]), (single[first[best]], single[second[best]])))
-    return found

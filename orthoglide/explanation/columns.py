@@ -10,10 +10,17 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.accuracy import tcp_slopes, workspace
-from orthoglide.diagnosis.candidates import Candidate, candidates
+from orthoglide.accuracy import workspace
 from orthoglide.effects import Effect
 from orthoglide.effects.places import Place
+from orthoglide.explanation.candidates import Candidate, candidates
+from orthoglide.explanation.compressed import MANY, Beyond, compressed
+from orthoglide.explanation.faults import Fault
+from orthoglide.explanation.free import curves, curves_of_dials, one_surface, only_plates, plates
+from orthoglide.explanation.linear import RARE, SLABS, STRANGE, Group, Linear, whole
+from orthoglide.explanation.screening import screened
+from orthoglide.explanation.suspects import Suspect, suspects
+from orthoglide.explanation.twins import tool_slopes, translations, twins
 from orthoglide.fit import Estimate, Problem, with_others
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.least_squares import (
@@ -27,10 +34,6 @@ from orthoglide.fit.least_squares import (
 from orthoglide.fit.problem import rows_about, weight_matrix
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
-from orthoglide.posterior.compressed import MANY, compressed
-from orthoglide.posterior.free import curves, curves_of_dials, one_surface, only_plates, plates
-from orthoglide.posterior.linear import RARE, SLABS, STRANGE, Group, Linear, whole
-from orthoglide.prediction import Conditions
 
 _UNTIED = 1e3
 """Tolerances: the prior of a coefficient that rows of its own speak of."""
@@ -53,10 +56,9 @@ _VISIBLE = 0.1
 """What ten tolerances lift a sigma above the noise, in all, is weighed: where one drive shows far
 more than the others, only these tell whether its error is theirs as well."""
 
-_FEW = 3.0
-"""Tolerances of a parameter that another may replace if no reading and no tool shows it."""
 
-_SHAPELESS = 1e-6  # metres: what changes the shape by less moves the machine as a whole
+_BACKGROUNDS = (0.003, 0.1, 1.0)
+"""Tolerances of backgrounds of which each may hide a fault of the data, or make one up."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -78,10 +80,13 @@ class Everything:
     # tolerances
     translations: Array
     rows: Array  # readings by coefficient (n, C), metres
+    at: Array  # parameters where they are linearised (P,), SI
     value: Array  # readings where everything is zero, as linearised (n,), metres
     # what an earlier calibration says of the parameters: matrix and target
     known_rows: tuple[Array, Array]
     asked: tuple[Parameter, ...]  # parameters beyond the base whose conditions the readings vary
+    # faults of the data that could stand out, in the order of the last linear groups
+    suspects: tuple[Suspect, ...]
     outside: float  # square of what the readings have where nothing could show
     nuisance: Nuisances  # of the instruments, where the readings are linearised
     apart: float = float("nan")  # of the prediction from its linearisation at the mean, sigmas
@@ -132,66 +137,147 @@ def with_everything(problem: Problem) -> Problem:
     return with_others(problem, effects)
 
 
-def everything(estimate: Estimate, at: Array | None = None) -> Everything:
+def everything(
+    estimate: Estimate,
+    at: Array | None = None,
+    corrected: Sequence[Fault] = (),
+    faults: bool = False,
+) -> Everything:
     """Linearise the readings by everything that could be wrong.
 
     Args:
         estimate: a fit of the base; gives the problem and its nuisances.
         at: parameters to linearise at ``(P,)``, SI; the fit's, others zero, where absent.
+        corrected: wrong commands that are put right in the estimate's problem, and weighed.
+        faults: whether the data may have faults.
     """
-    problem = estimate.problem
-    free = len(problem.unknowns)
-    wide, x, here = _linearised(estimate, at)
-    nuisance = nuisances(wide, here.seen)
-    project, sd = nuisance.project, wide.tolerance
+    wide, _, here = _linearised(estimate, at)
+    about = _of_machine(estimate.problem, wide, here)
+    if faults:
+        about = _with_suspects(about, suspects(wide, here, corrected), corrected)
+    linear, reduced = about.linear, _reduced(about.linear)
+    outside = float(linear.residual @ linear.residual - reduced.residual @ reduced.residual)
+    return replace(about, linear=reduced, outside=outside)
+
+
+def _of_machine(problem: Problem, wide: Problem, here: Linearised) -> Everything:
+    """The readings, linear in everything that could be wrong with the machine and its instruments.
+
+    Args:
+        problem: with the base free.
+        wide: with everything free.
+        here: where this is linearised.
+    """
+    nuisance, sd, x = nuisances(wide, here.seen), wide.tolerance, here.x
     free_rows, found = curves(wide, x)
     of_dials, dials = curves_of_dials(wide, here.value)
     of_plates, sizes = plates(wide)
     rows = np.hstack([here.jacobian * sd, free_rows, of_dials, of_plates])
     found = (*found, *dials)
     value = here.value - here.jacobian @ x
-    many, beyond = len(value) > MANY, (0.0, 0.0, 1.0)
-    if many:
-        rest = problem.measured - value
-        columns, residual, stations, beyond = compressed(nuisance, rows, rest)
-    else:
-        columns, residual = project(rows), project(problem.measured - value)
     scale = np.concatenate([sd, *(np.full(p.kernel.count, p.unit) for p in found), sizes])
     fixed, known = _fixed(problem, len(scale))
     unnamed = np.arange(len(scale)) >= len(scale) - len(sizes)
     fixed[unnamed] = 1.0
-    same = twins(wide, free, columns[:, : len(sd)], tool_slopes(wide, x) * sd)
+    readings = _Readings.of(problem, nuisance, rows, problem.measured - value)
+    free, slopes = len(problem.unknowns), tool_slopes(wide, x) * sd
+    same = twins(wide, free, readings.columns[:, : len(sd)], slopes)
     gone = {other.plain for others in same.values() for other, _ in others}
     stood_for = np.flatnonzero([n.plain in gone for n in wide.names])
-    rows[:, stood_for] = columns[:, stood_for] = 0.0
+    rows[:, stood_for] = readings.columns[:, stood_for] = 0.0
     fixed[stood_for] = _NOTHING
-    if len(known[1]):
-        matrix = np.pad(known[0], [(0, 0), (0, len(scale) - known[0].shape[1])]) * scale
-        columns = np.vstack([columns, matrix])
-        residual = np.concatenate([residual, known[1]])
+    known = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])]), known[1]
+    readings = readings.with_known(known, scale)
     stands = {o.plain.at(n.campaign): (n, 1 / f) for n, others in same.items() for o, f in others}
-    groups, causes, asked = _groups(wide, free, columns, found, stands)
+    groups, causes, asked = _groups(wide, free, readings.columns, found, stands)
+    is_free = np.arange(len(scale)) >= len(sd)
+    linear = Linear(
+        readings.columns, readings.residual, fixed, is_free, unnamed, groups, readings.stations,
+        beyond=readings.beyond,
+    )  # fmt: skip
     tolerance = wide.machine.tolerance
     by_name: dict[str, tuple[tuple[str, float], ...]] = {
         n: tuple((o, f * tolerance(o) / tolerance(n)) for o, f in others)
         for n, others in same.items()
     }
-    if not many:
-        stations = project(np.eye(int(problem.station.max()) + 1)[problem.station]
-                           * problem.sigma[:, None])  # fmt: skip
-    stations = np.vstack([stations, np.zeros((len(columns) - len(stations), stations.shape[1]))])
-    is_free = np.arange(len(scale)) >= len(sd)
-    linear = Linear(columns, residual, fixed, is_free, unnamed, groups, stations, beyond=beyond)
-    linear = _with_plates(linear, problem)
     # On even commands, where the place of the whole is what all of them share.
-    slopes = tool_slopes(wide, x, workspace(wide.machine.geometry)) * sd
-    padded = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])])
-    reduced = _reduced(linear)
-    outside = float(linear.residual @ linear.residual - reduced.residual @ reduced.residual)
+    even = tool_slopes(wide, x, workspace(wide.machine.geometry)) * sd
     return Everything(
-        wide, scale, found, causes, reduced, by_name, translations(slopes), rows, value,
-        (padded, known[1]), tuple(n for n in asked if n.plain not in gone), outside, nuisance,
+        wide, scale, found, causes, _with_plates(linear, problem), by_name, translations(even),
+        rows, x, value, known, tuple(n for n in asked if n.plain not in gone), (), 0.0, nuisance,
     )  # fmt: skip
+
+
+def _with_suspects(
+    about: Everything, several: Sequence[Suspect], corrected: Sequence[Fault]
+) -> Everything:
+    """The same with faults of the data that could stand out, each a group; those of commands that
+    are put right where this is linearised among them.
+    """
+    problem, linear = about.problem, about.linear
+    backgrounds = [np.sqrt(linear.spike(share, share)) for share in _BACKGROUNDS]
+    compact = linear.columns, linear.residual
+    right = {s.name: s for s in several if any(s.fault is f for f in corrected)}
+    rest = problem.measured - about.value
+    kept = screened(several, problem, about.nuisance, about.rows, rest, compact, backgrounds, right)
+    if not kept:
+        return about
+    value = about.value.copy()
+    for one in right.values():
+        value[one.fault.rows] -= one.shown[:, 0] * one.fault.size / one.unit
+    rows = np.hstack([about.rows, *(s.column(len(value)) for s in kept)])
+    scale = np.concatenate([about.scale, *(np.full(s.size, s.unit) for s in kept)])
+    readings = _Readings.of(problem, about.nuisance, rows, problem.measured - value)
+    readings = readings.with_known(about.known_rows, scale)
+    first, groups = len(about.scale), list(linear.groups)
+    for one in kept:
+        group = whole(one.name, range(first, first + one.size), free=False)
+        groups.append(replace(group, expected=one.expected))
+        first += one.size
+    more = (0, first - len(about.scale))
+    linear = replace(
+        linear,
+        columns=readings.columns,
+        residual=readings.residual,
+        stations=readings.stations,
+        beyond=readings.beyond,
+        fixed=np.pad(linear.fixed, more, constant_values=_NOTHING),
+        free=np.pad(linear.free, more),
+        unnamed=np.pad(linear.unnamed, more),
+        groups=tuple(groups),
+    )
+    return replace(about, linear=linear, rows=rows, scale=scale, value=value, suspects=tuple(kept))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Readings:
+    """Readings in units of their noise, past the nuisances of the instruments."""
+
+    columns: Array  # by coefficient (m, C)
+    residual: Array  # what they are to explain (m,)
+    stations: Array  # an error of one sigma at each station (m, s)
+    beyond: Beyond
+
+    @classmethod
+    def of(cls, problem: Problem, nuisance: Nuisances, rows: Array, rest: Array) -> _Readings:
+        """Of rows ``(n, C)`` and what these are to explain ``(n,)``."""
+        if len(rest) > MANY:
+            return cls(*compressed(nuisance, rows, rest))
+        each = np.eye(int(problem.station.max()) + 1)[problem.station] * problem.sigma[:, None]
+        project = nuisance.project
+        return cls(project(rows), project(rest), project(each), (0.0, 0.0, 1.0))
+
+    def with_known(self, known: tuple[Array, Array], scale: Array) -> _Readings:
+        """The same with rows of what was known before ``(k, P)``, by coefficients of some scale."""
+        matrix, target = known
+        matrix = np.pad(matrix, [(0, 0), (0, len(scale) - matrix.shape[1])]) * scale
+        none = np.zeros((len(target), self.stations.shape[1]))
+        return replace(
+            self,
+            columns=np.vstack([self.columns, matrix]),
+            residual=np.concatenate([self.residual, target]),
+            stations=np.vstack([self.stations, none]),
+        )
 
 
 def _linearised(estimate: Estimate, at: Array | None) -> tuple[Problem, Array, Linearised]:
@@ -295,77 +381,3 @@ def _groups(
             chance = STRANGE / ways[place.where]
             groups.append(whole(name, own_places, free=True, chance=chance))
     return tuple(groups), tuple(causes), tuple(asked)
-
-
-# -- what readings and tool cannot tell apart, and what moves the machine as a whole ---------------
-
-
-def tool_slopes(problem: Problem, x: Array, commands: Array | None = None) -> Array:
-    """TCP of the last campaign's machine by unknown ``(g, 3, P)``, SI: at some commands ``(g, 3)``,
-    metres, or throughout the workspace.
-    """
-    machine, last = problem.machine, problem.last
-    names, matrix = problem.of_machine(last)
-    values = machine.catalogue.of_machine(problem.values(last, x))
-    at = None if commands is None else Conditions.at(commands)
-    return tcp_slopes(machine.with_only(values), names, at) @ matrix
-
-
-def translations(slopes: Array) -> Array:
-    """Orthonormal directions ``(P, 3)`` of the parameters that move the machine as a whole.
-
-    Args:
-        slopes: TCP by parameter over the workspace, in tolerances ``(g, 3, P)``, metres.
-    """
-    mean = slopes.mean(axis=0)
-    shape = (slopes - mean).reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes)) / _SHAPELESS
-    directions = np.linalg.solve(np.eye(shape.shape[1]) + shape.T @ shape, mean.T)
-    return np.asarray(np.linalg.qr(directions)[0])
-
-
-def twins(
-    wide: Problem, free: int, columns: Array, slopes: Array
-) -> dict[Parameter, tuple[tuple[Parameter, float], ...]]:
-    """Parameters of which a few tolerances show the same as those of an earlier one, readings and
-    tool alike: they are one cause.
-
-    Args:
-        wide: its unknowns ``P``; those of dials are no twins.
-        free: the first so many are free already and stay.
-        columns: readings ``(m, P)``, whitened, in tolerances.
-        slopes: of the TCP ``(g, 3, P)``, in tolerances, metres.
-    """
-    names, noise = wide.names, wide.noise.typical
-    of_dial = wide.machine.catalogue.effect_of
-    # What campaigns have for themselves is one parameter here, by the sum of its copies.
-    copies: dict[Parameter, list[int]] = {}
-    for k, name in enumerate(names):
-        if not of_dial(name).of_dial:
-            copies.setdefault(name.plain, []).append(k)
-    plain = list(copies)
-    shown = np.stack([columns[:, at].sum(axis=1) for at in copies.values()], axis=1)
-    tool = np.stack([slopes[:, :, at].sum(axis=2).ravel() for at in copies.values()], axis=1)
-    tool /= np.sqrt(len(slopes))
-    length = np.linalg.norm(shown, axis=0)
-    unit = shown / np.where(length > 0, length, 1.0)
-    cosine = unit.T @ unit
-    found: dict[Parameter, tuple[tuple[Parameter, float], ...]] = {}
-    gone: set[int] = set()
-    for one in range(len(plain)):
-        for other in range(one + 1, len(plain)):
-            if {one, other} & gone or not length[one] or not length[other]:
-                continue
-            if min(copies[plain[other]]) < free:
-                continue
-            factor = float(cosine[one, other]) * length[other] / length[one]
-            if abs(cosine[one, other]) < 0.99 or abs(factor) < _SHAPELESS:
-                continue
-            apart = np.linalg.norm(shown[:, other] - factor * shown[:, one])
-            moved = np.linalg.norm(tool[:, other] - factor * tool[:, one])
-            if _FEW * apart < 1.0 and _FEW * moved < noise / 2:
-                gone.add(other)
-                twin = plain[other]
-                for name in (plain[one], *(names[k] for k in copies[plain[one]])):
-                    stands = (twin.at(name.campaign), 1 / factor)
-                    found[name] = tuple(dict.fromkeys((*found.get(name, ()), stands)))
-    return found

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from orthoglide.effects.places import Place
 from orthoglide.effects.wording import cause_short
+from orthoglide.explanation.causes import Located
+from orthoglide.explanation.everything import FullPosterior
+from orthoglide.explanation.free import by_places
+from orthoglide.explanation.instead import Alternatives
 from orthoglide.fit.problem import Factor
 from orthoglide.geometry import Array
 from orthoglide.ordering import descending
-from orthoglide.posterior.causes import Located
-from orthoglide.posterior.everything import FullPosterior
-from orthoglide.posterior.free import by_places
-from orthoglide.posterior.instead import Alternatives
 from orthoglide.prediction import Seen
 
 

@@ -7,10 +7,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.explanation.mixture import Mixture
+from orthoglide.explanation.search import State
 from orthoglide.geometry import Array
 from orthoglide.ordering import EQUAL, best_of, largest
-from orthoglide.posterior.mixture import Mixture
-from orthoglide.posterior.search import State
 
 _COUNTS = 1e-3  # weight of a state that probabilities of causes are read from
 _ALONE = 0.01  # probability of a group in a place by itself
@@ -38,7 +38,7 @@ class Alternatives:
         found /= found.sum()
         others = np.zeros(len(found))
         alone = set(np.flatnonzero(found[:-1] > _ALONE))
-        for state, weight in self._probable.items():
+        for state, weight in self.probable.items():
             more = {g for g, _ in state} - {g for g, _ in rest}
             # Further causes beside one that may be there by itself tell nothing of that place.
             if len(more) + len(rest) > len(state) or (len(more) > 1 and not more & alone):
@@ -57,11 +57,11 @@ class Alternatives:
             return self.mixture.best
         having = [s for s, found in self._places.items() if found.get(member) == other]
         if having:
-            return best_of(having, lambda s: self._probable[s])
+            return best_of(having, lambda s: self.probable[s])
         return self.mixture.child(self.mixture.without(member), other)
 
     @cached_property
-    def _probable(self) -> dict[State, float]:
+    def probable(self) -> dict[State, float]:
         """What stands out together that counts, at its likeliest scales, with its weight."""
         alike: dict[frozenset[int], dict[State, float]] = {}
         for state, weight in self.mixture.weights.items():
@@ -76,7 +76,7 @@ class Alternatives:
 
         The same, or that which shows most like it; an effect whole may stand for several.
         """
-        return {state: self._matched(state) for state in self._probable}
+        return {state: self._matched(state) for state in self.probable}
 
     def _matched(self, state: State) -> dict[int, int]:
         best, groups = self.mixture.best, self.mixture.linear.groups

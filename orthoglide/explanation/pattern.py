@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.diagnosis.faults import clock
-from orthoglide.diagnosis.rest import rest_by_setup
+from orthoglide.explanation.rest import rest_by_setup
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.least_squares import fitted_basis, past
 from orthoglide.geometry import LEGS, Array
@@ -286,3 +285,9 @@ def _period(rest: _Rest) -> str:
         f"it repeats along the travel of {name}, every {period:.0f} mm as far as steps of "
         f"{step:.2g} mm can tell ({share:.0%} of it)"
     )
+
+
+def clock(time: Array, order: NDArray[np.int64]) -> Array:
+    """Time of readings ``(k,)`` over -1 to 1, or their place in order where none was recorded."""
+    along = time if np.isfinite(time).all() and np.ptp(time) > 0 else order
+    return np.asarray(2 * (along - along.min()) / max(np.ptp(along), 1e-300) - 1)

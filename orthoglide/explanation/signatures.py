@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.diagnosis.candidates import Candidate, candidates
+from orthoglide.explanation.candidates import Candidate, candidates
 from orthoglide.fit import Estimate, with_others
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.least_squares import fitted_basis, linearise, past, whitened

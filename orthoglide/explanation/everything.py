@@ -13,6 +13,10 @@ import numpy as np
 
 from orthoglide.effects.places import Place
 from orthoglide.errors import ClosureError, NumericsError, SolverError
+from orthoglide.explanation.columns import Everything, everything
+from orthoglide.explanation.faults import Fault
+from orthoglide.explanation.mixture import LEAST_SHARE, Averaged, Mixture
+from orthoglide.explanation.suspects import Suspect, with_commands
 from orthoglide.fit import Estimate
 from orthoglide.fit.factors import Block
 from orthoglide.fit.least_squares import about_machine, linearise, nuisances
@@ -23,8 +27,6 @@ from orthoglide.machine_file import Posterior
 from orthoglide.notes import Note
 from orthoglide.ordering import best_of
 from orthoglide.parameters import Parameter
-from orthoglide.posterior.columns import Everything, everything
-from orthoglide.posterior.mixture import LEAST_SHARE, Averaged, Mixture
 
 _LINEARISATIONS = 3
 _DOUBT = 3.0
@@ -39,6 +41,9 @@ _UNSETTLED = 1.25
 """Root mean square, in sigmas, from which a prediction is another than its linearisation: more than
 noise. Machines off by all their tolerances come to 1.1; what a command typed wrong was taken for,
 to 1.3 and more."""
+
+_COMMAND = 2e-6
+"""Metres by which the size of a wrong command may still change."""
 
 _HELD = 1e-10
 """Variance, in tolerances, of what another parameter stands for: nothing is known of it apart."""
@@ -70,6 +75,25 @@ class FullPosterior:
         widths = np.array([u.width for u in self.before.problem.unknowns])
         fit = self.mixture.total(self.mixture.best) - self.about.outside / 2
         return float(fit - np.log(widths).sum())
+
+    @property
+    def quiet(self) -> float:
+        """Chi2 a degree of freedom of the best explanation, its priors counted."""
+        return self.mixture.chi2 / max(len(self.mixture.linear.residual), 1)
+
+    @property
+    def standing(self) -> tuple[Suspect, ...]:
+        """Faults of the data and changes of the best explanation."""
+        by_name = {s.name: s for s in self.about.suspects}
+        names = [self.mixture.linear.groups[k].name for k, _ in self.mixture.best]
+        return tuple(by_name[name] for name in names if name in by_name)
+
+    def fault(self, suspect: Suspect) -> Fault:
+        """A fault of the best explanation, with its size in it."""
+        mixture = self.mixture
+        names = [g.name for g in mixture.linear.groups]
+        at = mixture.linear.groups[names.index(suspect.name)].places
+        return suspect.sized(mixture.likeliest_mean(mixture.best)[at])
 
     @property
     def next_point(self) -> Array:
@@ -228,7 +252,8 @@ class FullPosterior:
         """
         linear, best = self.mixture.linear, {k for k, _ in self.mixture.best}
         likely = [k in best or p > LEAST_SHARE for k, p in enumerate(self.mixture.inclusion)]
-        out = [g.places for g, out in zip(linear.groups, likely, strict=True) if g.free and out]
+        each = zip(linear.groups, likely, strict=True)
+        out = [g.places for g, out in each if (g.free or g.of_data) and out]
         at = np.concatenate([*out, np.flatnonzero(linear.unnamed)]).astype(np.intp)
         if not len(at):
             return None
@@ -236,7 +261,40 @@ class FullPosterior:
         return Block(self.about.rows[:, at], sd)
 
 
-def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior:
+def glance(before: Estimate) -> FullPosterior:
+    """Everything weighed about the fit of the base alone."""
+    return _about(before, (), faults=True)
+
+
+def first_look(before: Estimate) -> FullPosterior:
+    """As :func:`glance`; commands that stand out as wrong are put right and everything weighed
+    again, as these are far from linear.
+    """
+    try:
+        return _looked(before)
+    except ClosureError as error:
+        raise SolverError(_unreached(before)) from error
+
+
+def _looked(before: Estimate) -> FullPosterior:
+    found, done = glance(before), dict[str, float]()
+    for _ in range(_LINEARISATIONS):
+        told = {s.name: s for s in found.standing if s.fault.commands}
+        sizes = {name: found.fault(one).size for name, one in told.items()}
+        if sizes.keys() == done.keys() and all(
+            abs(size - done[name]) < _COMMAND for name, size in sizes.items()
+        ):
+            break
+        done, wrong = sizes, [found.fault(one) for one in told.values()]
+        problem = with_commands(before.problem, wrong)
+        fit = solve(problem, method="nested", widen=False) if wrong else before
+        found = _about(fit, (), corrected=wrong, faults=True)
+    return found
+
+
+def full_posterior(
+    before: Estimate, given: Sequence[str] = (), look: FullPosterior | None = None
+) -> FullPosterior:
     """Weigh everything that could be wrong against the readings; causes that are given stand out
     whatever these say.
 
@@ -244,17 +302,25 @@ def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior
     weighed, the base with its priors as wide as it asks for and everything at its tolerance. The
     result's own fit of it may keep the tolerances that ``before`` left.
 
+    Args:
+        before: the fit.
+        given: names of causes.
+        look: what was seen at first of the same fit, or of that at its tolerances.
+
     Raises:
         SolverError: where the mean does not settle.
     """
     # What changed since a calibration, or between campaigns, is known to be no such base.
     unknowns = before.problem.unknowns
     if before.problem.earlier is not None or any(u.name.campaign for u in unknowns):
-        return _settled(before, given)
+        return _settled(before, given, look)
     at_tolerance = before.problem.at_tolerance()
     held = at_tolerance is before.problem
     try:
-        other = _settled(before if held else solve(at_tolerance, widen=False), given)
+        narrow = before
+        if not held:
+            narrow = solve(at_tolerance, widen=False) if look is None else look.before
+        other = _settled(narrow, given, look)
     except NumericsError:
         if held:
             raise
@@ -278,10 +344,12 @@ def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior
     return replace(other, instead=wide if less > -_DOUBT else None)
 
 
-def _settled(before: Estimate, given: Sequence[str]) -> FullPosterior:
-    """The posterior linearised at its own mean."""
+def _settled(
+    before: Estimate, given: Sequence[str], look: FullPosterior | None = None
+) -> FullPosterior:
+    """The posterior linearised at its own mean, from a first look at the same fit on."""
     try:
-        found = best = _about(before, given)
+        found = best = _about(before, given) if look is None or given else look
         for _ in range(_LINEARISATIONS - 1):
             if found.about.apart < _SETTLED:
                 break
@@ -294,11 +362,15 @@ def _settled(before: Estimate, given: Sequence[str]) -> FullPosterior:
 
 
 def _about(
-    before: Estimate, given: Sequence[str], last: FullPosterior | None = None
+    before: Estimate,
+    given: Sequence[str],
+    last: FullPosterior | None = None,
+    corrected: Sequence[Fault] = (),
+    faults: bool = False,
 ) -> FullPosterior:
     """The posterior of readings linearised at the fit of the base, or at the last mean."""
     at, start = (None, ()) if last is None else (last.next_point, last.mixture.standing)
-    about = everything(before, at)
+    about = everything(before, at, corrected, faults)
     found = FullPosterior(before, about, Mixture(about.linear, given, start))
     return replace(found, about=replace(about, apart=about.distance(found.mean)))
 

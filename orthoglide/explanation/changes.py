@@ -10,12 +10,11 @@ that the changes found are weighed against.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 
-from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.errors import NumericsError
-from orthoglide.fit import Change, Problem, with_free, with_others
+from orthoglide.fit import Change, Estimate, Problem, with_free, with_others
 from orthoglide.fit.changed import Candidate, Changed, may_change, what_changed
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.problem import Unknown
@@ -49,29 +48,28 @@ def visits(problem: Problem) -> tuple[tuple[str, str, int], ...]:
     return tuple((name, file or name, rows[k].start) for k, (name, file) in read.items())
 
 
-@dataclass(frozen=True)
-class Changes:
-    """What changed between campaigns."""
-
-    changes: tuple[Change, ...]  # by how much, the most decisive first
-    found: Changed  # what they were told from
-
-
-def likeliest_changes(means: StationMeans) -> Changes | None:
-    """The changes that explain best what a fit leaves; ``None`` where nothing speaks for any."""
-    problem, several = means.problem, visits(means.problem)
+def likeliest_changes(estimate: Estimate) -> tuple[list[Change], float]:
+    """The changes that explain best what a fit leaves, the most decisive first, and the log odds
+    against them before the readings; none where nothing speaks for any.
+    """
+    problem = estimate.problem
+    several = visits(problem)
     if len(several) < 2:
-        return None
+        return [], 0.0
     wide = _everything(problem)
     candidates = list(_candidates(wide, several))
+    floor = 1.0
+    if problem.noise.source == "repeats":  # the noise itself, or the rounding where it is unsure
+        floor = min(1.0, (problem.noise.resolution / problem.noise.typical) ** 2 / 12)
     try:
-        start = wide.padded(means.signatures.estimate.x)
-        found = what_changed(wide, start, candidates, means.floor)
+        found = what_changed(wide, wide.padded(estimate.x), candidates, floor)
     except NumericsError:
-        return None
+        return [], 0.0
     if found is None:
-        return None
-    return Changes(tuple(_told(problem, several, found)), found)
+        return [], 0.0
+    place = {c.parameter: k for k, c in enumerate(candidates)}
+    cost = found.about.hypotheses.cost[[place[one.parameter] for one in found.moved]]
+    return list(_told(problem, several, found)), float(cost.sum())
 
 
 def _told(

@@ -1,1 +1,0 @@
-"""Diagnosis: faults of the data, what changed, and whether anything is left."""

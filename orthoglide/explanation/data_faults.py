@@ -1,0 +1,389 @@
+"""Faults of the data that were found: named with their rows, and set aside in the open.
+
+They stand out of the same search as causes of the machine do (`suspects`); what stands out is put
+right and everything weighed again, until nothing more does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.errors import InputError, NumericsError
+from orthoglide.explanation.alternative_readings import (
+    MEANINGS,
+    alternatives,
+    open_setups,
+    restored,
+    with_noise_of_the_rest,
+    without_weight,
+)
+from orthoglide.explanation.changes import likeliest_changes, separated
+from orthoglide.explanation.everything import FullPosterior, first_look, glance
+from orthoglide.explanation.faults import (
+    DATUMS,
+    Fault,
+    Kind,
+    Rows,
+    in_order,
+    message,
+    parts,
+    places,
+    steps,
+)
+from orthoglide.explanation.instead import Alternatives
+from orthoglide.explanation.outstanding import NAMED
+from orthoglide.explanation.ranking import ranked
+from orthoglide.explanation.repeats import check_scatter, far_repeats, quieter, scattered
+from orthoglide.explanation.suspects import put_right
+from orthoglide.fit import Change, Estimate, Factor, Problem, solve
+from orthoglide.fit.least_squares import known_rows
+from orthoglide.fit.scores import rms_by_unit
+from orthoglide.geometry import Array
+from orthoglide.observations import Readings
+from orthoglide.ordering import EQUAL_ODDS, best_of, descending
+
+_ROUNDS = 6
+"""Of finding faults and putting them right."""
+
+_MARGIN = 3.0
+"""Log odds by which another meaning must be likelier: what is expected of each kind is a guess."""
+
+
+_NEIGHBOURS = 1.6  # times the distance of the nearest touch: the next across a square's diagonal
+
+_QUIET = 0.25
+"""Chi2 a degree of freedom from which noise was declared twice too large, or more."""
+
+_EVEN = 0.5  # probability from which something is likelier than not
+
+_AS_LIKELY = float(np.exp(-3.0))
+"""Odds against the likeliest drive of a wrong command, down to which another is told as well."""
+
+
+@dataclass(frozen=True)
+class Blunder:
+    """A fault of the data."""
+
+    # outlier, knocked_stand, zeroed, moved, command, sign, label, exchanged_labels, shifted, unit,
+    # turns, stuck or scatter
+    kind: Kind
+    # factor and row within it; of a knocked stand the rows after the knock, of dials set to zero
+    # anew at each repeat those after the first
+    rows: tuple[tuple[int, int], ...]
+    setups: tuple[str, ...]  # names of the setups concerned
+    message: str  # which file, which lines, what it looks like, what to do
+    improvement: float  # fall of chi2 once it is known, the faults found before it set aside
+    rms_with: float  # of the residuals with it, metres
+    rms_without: float  # of the residuals without it, metres
+    # of a wrong command the drives that it may be of, the likeliest first, and how much more each
+    # was told than is written, metres
+    commands: tuple[tuple[int, float], ...] = ()
+    # the hypothesis, rows stacked over all campaigns
+    fault: Fault | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def sets_aside(self) -> bool:
+        """Whether its rows do not count; else they have a datum of their own."""
+        return self.kind not in DATUMS
+
+    def lines(self, given: Sequence[Readings]) -> dict[str, tuple[int, ...]]:
+        """Lines of the rows by file, or by campaign where there is none."""
+        found: dict[str, tuple[int, ...]] = {}
+        for k, row in self.rows:
+            name = given[k].file or given[k].name
+            found[name] = (*found.get(name, ()), int(given[k].line[row]))
+        return {name: tuple(dict.fromkeys(lines)) for name, lines in found.items()}
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What is wrong with readings, and what changed between them."""
+
+    blunders: tuple[Blunder, ...]  # faults of the data, in the order they were found
+    changes: tuple[Change, ...]  # parameters of the machine, values included
+    # a first look at the readings; absent where a fault came near, or they were not looked at as
+    # they stand
+    look: FullPosterior | None
+
+
+def find_faults(read: Estimate) -> Findings:
+    """Find faults of the data and changes between visits, from the fit of the base model to all
+    readings.
+    """
+    found = scattered(read.problem)
+    fit = _fitted(_set_right(read.problem, found)) if found else _narrow(read)
+    for _ in range(_ROUNDS):
+        # What may have changed is found anew: what a fault does was not for that to explain.
+        changed, cost = likeliest_changes(fit)
+        look = first_look(_fitted(separated(fit.problem, changed)) if changed else fit)
+        if changed and (meant := _meant(first_look(fit), found, look.evidence - cost)) is not None:
+            found = _joined(found, [_of(read.problem, meant)])
+            fit = _fitted(_set_right(read.problem, found))
+            continue
+        if look.quiet < _QUIET:  # or a unit in which they were as noisy would seem to be theirs
+            look = first_look(_fitted(quieter(look.before.problem, look.quiet)))
+        meant = _meant(look, found)
+        faults = standing(look) if meant is None else [meant]
+        if not faults:
+            break
+        found = _joined(found, [_of(read.problem, f) for f in faults])
+        fit = _fitted(_set_right(read.problem, found))
+    check_scatter(look.before.problem)
+    measured = tuple(c.measured(look.before) for c in changed)
+    as_read = np.array_equal(look.before.problem.sigma, read.problem.sigma)
+    whole = as_read and not (found or changed or look.about.suspects)
+    return Findings(_reported(read, found), measured, look if whole else None)
+
+
+def _narrow(read: Estimate) -> Estimate:
+    """The fit with values within their tolerances, as wrong readings lead them beyond, and with
+    noise that few of them make.
+    """
+    problem = _held(read.problem)
+    if (far := far_repeats(problem)).any():
+        problem = with_noise_of_the_rest(problem, far)
+    return read if problem is read.problem else _fitted(problem)
+
+
+def _held(problem: Problem) -> Problem:
+    """The problem with values held within their tolerances, but for what changed since an earlier
+    calibration, which may be anything.
+    """
+    return problem.at_tolerance() if problem.earlier is None else problem
+
+
+def _fitted(problem: Problem) -> Estimate:
+    return solve(problem, method="nested", widen=False)
+
+
+def _meant(look: FullPosterior, found: Sequence[Fault], otherwise: float = -np.inf) -> Fault | None:
+    """What readings mean instead; ``None`` where they mean what they seem to.
+
+    Args:
+        look: at the readings as they stand.
+        found: faults that are known.
+        otherwise: evidence for what explains the readings otherwise.
+    """
+    problem, tried = look.before.problem, list[tuple[float, Fault]]()
+    order = open_setups(problem, found)
+    several = alternatives(problem, order)
+    for _, one in ranked(look, several, order):
+        try:
+            other = glance(_fitted(restored(problem, one.fault)))
+        except NumericsError:
+            continue
+        if other.mixture.rare < _EVEN:  # errors without structure explain anything
+            tried.append((other.evidence + one.odds, one.fault))
+    if not tried:
+        return None
+    evidence, fault = best_of(tried, lambda one: one[0], EQUAL_ODDS)
+    return fault if evidence > max(look.evidence, otherwise) + _MARGIN else None
+
+
+def standing(posterior: FullPosterior) -> list[Fault]:
+    """Faults that stand out of the readings with a probability of nine in ten, with their sizes."""
+    mixture, groups = posterior.mixture, posterior.mixture.linear.groups
+    instead, data = Alternatives(mixture), np.array([g.of_data for g in groups], dtype=bool)
+    by_name = {s.name: s for s in posterior.about.suspects}
+    found = []
+    for member in mixture.strongest:
+        odds = instead.of(member)[:-1] * data
+        if not groups[member].of_data or odds.sum() < NAMED:
+            continue
+        best, *others = descending(odds)
+        suspect, at = by_name[groups[best].name], groups[best].places
+        mean, _ = instead.moments(member, best, at)
+        fault = suspect.sized(mean[at])
+        for k in (k for k in others if odds[k] > _AS_LIKELY * odds[best]):
+            other = by_name[groups[k].name]
+            same = other.fault.commands and np.array_equal(other.fault.rows, fault.rows)
+            if fault.commands and same:
+                mean, _ = instead.moments(member, k, groups[k].places)
+                more = other.sized(mean[groups[k].places])
+                fault = replace(fault, commands=(*fault.commands, *more.commands))
+        found.append(fault)
+    return [f for f in found if not _beside(posterior.before.problem, f, found)]
+
+
+def _beside(problem: Problem, fault: Fault, others: Sequence[Fault]) -> bool:
+    """Whether a touch of a plate lies beside others that are off as well: then the plate has a
+    shape, and none of them slipped.
+    """
+    k, row = places(problem, fault.rows)[0]
+    factor = problem.factors[k]
+    if fault.kind != "outlier" or not factor.readings.touching[row]:
+        return False
+    start, place = problem.factor_rows[k].start, factor.place
+    off = [f.rows[0] - start for f in others if f.kind == "outlier" and f is not fault
+           and f.setups == fault.setups]  # fmt: skip
+    apart = np.linalg.norm(place - place[row], axis=1)
+    here = apart[(factor.setup == factor.setup[row]) & (apart > 0)]
+    return bool(len(here) and any(apart[o] < _NEIGHBOURS * here.min() for o in off))
+
+
+def _of(problem: Problem, fault: Fault) -> Fault:
+    """The fault with its setups as the readings had them first."""
+    setups = tuple(np.unique(problem.setup_of_row[fault.rows]).tolist())
+    rows = fault.rows
+    if fault.kind in ("sign", "label", "exchanged_labels"):
+        rows = np.concatenate([in_order(problem, s) for s in setups])
+    return replace(fault, setups=setups, rows=rows)
+
+
+def check_repeats(estimate: Estimate) -> None:
+    """Refuse readings of the tool that slipped, or an instrument that was moved, where nothing is
+    set aside.
+
+    Raises:
+        InputError: naming file, line and setup, what it looks like and what to do.
+    """
+    problem = estimate.problem
+    if not problem.tool:
+        return
+    slips = [f for f in standing(first_look(estimate)) if f.setups[0] not in problem.leg_setups]
+    if slips:
+        said = "; ".join(message(problem, fault) for fault in slips)
+        raise InputError(f"{said}; or let close-loop set aside what slipped")
+    check_scatter(problem)
+
+
+def _joined(found: Sequence[Fault], new: Sequence[Fault]) -> list[Fault]:
+    """All faults, but for what readings seemed to be before they were seen to mean another thing:
+    that is seen anew.
+    """
+    meant = [set(f.setups) for f in new if f.kind in MEANINGS]
+    kept = [f for f in found if f.commands or not any(set(f.setups) <= s for s in meant)]
+    return [*kept, *new]
+
+
+def _set_right(problem: Problem, faults: Sequence[Fault]) -> Problem:
+    """The same rows with commands and datums put right, those of other faults without weight."""
+    for fault in faults:
+        if fault.kind in MEANINGS:
+            problem = restored(problem, fault)
+    faults = [f for f in faults if f.kind not in MEANINGS]
+    factors = list(problem.factors)
+    silent = np.zeros(len(problem.measured), dtype=bool)
+    for fault in faults:
+        k, _ = places(problem, fault.rows)[0]
+        part = problem.factor_rows[k]
+        rows, table = fault.rows - part.start, factors[k].readings
+        if fault.commands:  # the side that its neighbours were reached from depends on it
+            table = put_right(table, rows, *fault.commands[0])
+        if fault.sets_aside:
+            silent[fault.rows] = True
+        else:
+            own = problem.factors[k].readings
+            for some in parts(fault.kind, rows, own.setup, own.repeat):
+                table = _split(table, some)
+        factors[k] = factors[k].with_table(table)
+    problem = without_weight(replace(_held(problem), factors=tuple(factors)), silent)
+    return with_noise_of_the_rest(problem, far_repeats(problem))
+
+
+def _reported(read: Estimate, faults: Sequence[Fault]) -> tuple[Blunder, ...]:
+    """The faults with what each explains once those before it are set aside."""
+    problem, n = read.problem, len(read.problem.measured)
+    kept, shown = np.ones(n, dtype=bool), np.zeros((n, 0))
+    chi2, rms = _left(read, kept, shown)
+    blunders = []
+    for fault in faults:
+        before, with_it = chi2, rms
+        rows = np.isin(np.arange(n), fault.rows)
+        free = steps(problem, fault)
+        if fault.kind == "moved":
+            free = read.nuisance.columns * rows[:, None]
+            free = free[:, free.any(axis=0)]
+        shown = np.hstack([shown, free])
+        if fault.sets_aside:
+            kept = kept & ~rows
+        chi2, rms = _left(read, kept, shown)
+        blunders.append(
+            Blunder(
+                fault.kind,
+                places(problem, fault.rows),
+                tuple(problem.setups[s].name for s in fault.setups),
+                message(problem, fault),
+                before - chi2,
+                with_it,
+                rms,
+                fault.commands,
+                fault,
+            )
+        )
+    return tuple(blunders)
+
+
+def _left(estimate: Estimate, kept: NDArray[np.bool_], steps: Array) -> tuple[float, float]:
+    """Least cost of a linearised fit to some readings ``(n,)``, with steps free, and the root mean
+    square that it leaves of lengths.
+    """
+    problem, nuisance, at = estimate.problem, estimate.nuisance, estimate.at
+    if not kept.any():
+        return 0.0, 0.0
+    weighing = problem.weighing.part(kept)
+    columns = np.hstack([at.jacobian, nuisance.columns, steps])
+    known = known_rows(problem, nuisance)
+    known = np.hstack([known, np.zeros((len(known), steps.shape[1]))])
+    rows = np.vstack([weighing.whiten(columns[kept]), known])
+    rest = (problem.measured - at.value + at.jacobian @ at.x)[kept]
+    aim = np.zeros(len(rows))
+    aim[: len(rest)] = weighing.whiten(rest)
+    _, target = problem.prior_rows
+    aim[len(rest) :][: len(target)] = target
+    scale = np.linalg.norm(rows, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    found = np.linalg.lstsq(rows / scale, aim, rcond=1e-10)[0] / scale
+    left = aim - rows @ found
+    rest = rest - columns[kept] @ found
+    return float(left @ left), rms_by_unit(rest, problem.turned[kept]).length
+
+
+def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
+    """The problem without the faulty rows; a knocked setup becomes two, with a datum each.
+
+    Noise that was taken from the repeats is taken from those that are left.
+
+    Raises:
+        InputError: where nothing is left of a campaign.
+    """
+    factors = list[Factor]()
+    for k, factor in enumerate(problem.factors):
+        campaign, kept = factor.readings, np.ones(len(factor.readings), dtype=bool)
+        split = campaign
+        for blunder in blunders:
+            rows = np.array([row for c, row in blunder.rows if c == k], dtype=np.int64)
+            if blunder.commands and len(rows):
+                # The side that its neighbours were reached from depends on it.
+                split = put_right(split, rows, *blunder.commands[0])
+            if blunder.sets_aside:
+                kept[rows] = False
+                continue
+            for part in parts(blunder.kind, rows, campaign.setup, campaign.repeat):
+                split = _split(split, part)
+        if not kept.any():
+            fault = next(b for b in blunders if any(c == k for c, _ in b.rows))
+            raise InputError(
+                f"nothing is left of {campaign.name} once its faulty rows are set aside: measure "
+                f"it again ({fault.message})"
+            )
+        factors.append(factor.with_table(split).subset(kept))
+    problem = replace(problem.at_tolerance(), factors=tuple(factors))
+    return with_noise_of_the_rest(problem)
+
+
+def _split(campaign: Readings, rows: Rows) -> Readings:
+    """Rows of one setup as a setup of their own."""
+    old = campaign.setups[int(campaign.setup[rows[0]])]
+    taken = {s.name for s in campaign.setups}
+    name = f"{old.name}-from-line-{int(campaign.line[rows].min())}"
+    while name in taken:
+        name += "-again"
+    setup = campaign.setup.copy()
+    # The rest was split off by a later knock.
+    setup[rows[setup[rows] == setup[rows[0]]]] = len(campaign.setups)
+    return replace(campaign, setups=(*campaign.setups, replace(old, name=name)), setup=setup)

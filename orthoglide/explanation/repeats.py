@@ -1,0 +1,146 @@
+"""What repeats show before anything is searched: instruments that scatter as none does, repeats
+that are no measure of the noise, and noise that was declared too large.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.errors import InputError
+from orthoglide.explanation.faults import Fault, Rows, message, places
+from orthoglide.fit import Factor, Problem
+from orthoglide.geometry import Array
+from orthoglide.observations import Readings
+
+_LITTLE = 1e-4  # square of the noise that no reading is without
+_ROUNDS = 6  # of leaving out what is far beyond the rest
+
+_BEYOND, _BEYOND_OF_TOOL = 3.0, 10.0
+"""Times what a dial, or an instrument at the tool, is expected to scatter, that nothing of it
+explains."""
+
+_FEWEST = 10  # repeats of repeats from which a setup may be said to scatter
+
+_FAR = 4.0
+"""Times what most repeats differ by, beyond which two are no measure of the noise: one in sixteen
+thousand."""
+
+_MOST, _QUANTILE = 0.7, 1.04
+"""Share of repeats that slips leave alone, and the quantile of a normal law within which so many
+are."""
+
+
+def scattered(problem: Problem) -> list[Fault]:
+    """Setups whose repeats do not repeat: by more than any such instrument scatters.
+
+    Noise that is taken from the repeats believes anything of them: here it is held against what
+    the machine file says of the instrument, or what such instruments are like. A datum that is
+    another from some moment on, and a single slip, scatter nothing.
+
+    Raises:
+        InputError: where most setups are like that: then none of their rows can be believed.
+    """
+    found, pooled, able = list[Fault](), list[Array](), 0
+    for number in problem.leg_setups:
+        rows = np.flatnonzero(problem.setup_of_row == number)
+        k, _ = places(problem, rows[:1])[0]
+        factor, own = problem.factors[k], rows - problem.factor_rows[k].start
+        if not factor.noise.from_repeats[own].all():
+            continue
+        step, usual = float(factor.noise.step[own].max()), _usual(factor, own)
+        most = _BEYOND * max(usual, step)
+        apart = np.diff(_in_time(factor.readings.subset(own)))
+        size = _most_scatter(apart, step) / 2
+        pooled.append(apart / most)
+        able += 1
+        if len(apart) >= _FEWEST and size > most:
+            found.append(Fault("scatter", rows, (number,), size))
+    every = np.concatenate([np.zeros(0), *pooled])
+    alike = len(every) >= _FEWEST and _most_scatter(every, 0.0) > 2.0
+    if alike or 2 * len(found) > able:
+        rows = np.flatnonzero(problem.setup_of_row == 0)
+        first = found[0] if found else Fault("scatter", rows, (0,), problem.noise.typical)
+        raise InputError(message(problem, first) + "; most other setups are no better")
+    return found
+
+
+def check_scatter(problem: Problem) -> None:
+    """Refuse readings of the tool whose repeats scatter as no such instrument does, once what
+    slipped and moved is put right.
+
+    Raises:
+        InputError: naming file and setup, and what to do.
+    """
+    first, said = len(problem.leg_setups), list[str]()
+    for number, (k, factor, setup, _) in enumerate(problem.mounted, first):
+        own = np.flatnonzero((factor.setup == setup) & factor.noise.weighted)
+        if not len(own) or not factor.noise.from_repeats[own].any():
+            continue
+        size = float(np.sqrt(np.mean(factor.noise.total[own] ** 2)))
+        if size > _BEYOND_OF_TOOL * _usual(factor, own):
+            rows = own + problem.factor_rows[k].start
+            said.append(message(problem, Fault("scatter", rows, (number,), size)))
+    if said:
+        raise InputError("; ".join(said))
+
+
+def _usual(factor: Factor, rows: Rows) -> float:
+    return float(np.sqrt(np.mean(factor.noise.expected[rows] ** 2)))
+
+
+def _in_time(readings: Readings) -> Array:
+    """Each reading that repeats one, less the one at the visit before, in the order they were taken
+    ``(k,)``.
+    """
+    table = readings.stations
+    order = np.lexsort([readings.order, *table.T[::-1]])
+    same = np.all(np.diff(table[order], axis=0) == 0, axis=1)
+    apart = np.diff(readings.reading[order])[same]
+    return np.asarray(apart[np.argsort(readings.order[order][1:][same], kind="stable")])
+
+
+def far_repeats(problem: Problem) -> NDArray[np.bool_]:
+    """Rows ``(n,)`` that repeat the visit before by far less well than most do."""
+    found = np.zeros(len(problem.measured), dtype=bool)
+    for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
+        for kind in dict.fromkeys(factor.readings.kind):
+            rows = np.flatnonzero(factor.readings.of_kind(kind) & factor.noise.weighted)
+            station, order = factor.readings.stations[rows], factor.readings.order[rows]
+            by_station = np.lexsort([order, *station.T[::-1]])
+            rows = rows[by_station]
+            same = np.all(np.diff(station[by_station], axis=0) == 0, axis=1)
+            apart = np.abs(np.diff(factor.readings.reading[rows])) * same
+            far = apart > _FAR * _most_scatter(apart[same], float(factor.noise.step[rows].max()))
+            found[part.start + rows[1:][far]] = found[part.start + rows[:-1][far]] = True
+    return found
+
+
+def _most_scatter(apart: Array, step: float) -> float:
+    """Root mean square of differences between repeats ``(k,)``, those left out that are far beyond
+    it; no less than what an instrument with a step shows.
+    """
+    if not len(apart):
+        return np.inf
+    apart, least = np.abs(apart), max(step / 2, 1e-300)
+    size = max(float(np.quantile(apart, _MOST) / _QUANTILE), least)
+    for _ in range(_ROUNDS):
+        near = apart[apart <= _FAR * size]
+        size = max(float(np.sqrt(np.mean(near**2))), least)
+    return size
+
+
+def quieter(problem: Problem, square: float) -> Problem:
+    """The problem with less noise, by its squares, but what instruments round; of readings that
+    were computed, which have none, with a little.
+    """
+    factors, square = [], max(square, _LITTLE)
+    for factor in problem.factors:
+        noise, least = factor.noise, factor.noise.step / np.sqrt(12)
+        total = np.maximum(noise.total * np.sqrt(square), least)
+        scale = np.where(noise.weighted, total / noise.total, 1.0)
+        less = replace(noise, sigma=noise.sigma * scale, common=noise.common * scale)
+        factors.append(replace(factor, noise=less))
+    return replace(problem, factors=tuple(factors))

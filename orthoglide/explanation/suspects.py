@@ -1,0 +1,254 @@
+"""Faults of the data as columns: a slip, a stand that was knocked, a dial set to zero anew, an
+instrument that was moved, a wrong command.
+
+Each adds to the readings as a cause of the machine does, and stands out in the same search.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from orthoglide.explanation.faults import Fault, Rows, campaign_of, in_order
+from orthoglide.fit import Problem
+from orthoglide.fit.least_squares import Linearised
+from orthoglide.geometry import LEGS, Array
+from orthoglide.observations import Readings
+from orthoglide.observations.arrays import numbered
+from orthoglide.prediction import Seen
+
+_SIZE = 5e-4
+"""Metres, or radians: what a slip is in. With the scales of what stands out, from a tenth of a
+millimetre to some millimetres, the range in which fingers and stands slip."""
+
+_COMMAND = 1e-3  # metres: a wrong digit of a command is rarely one behind the point
+_STEP = 1e-5  # metres, of a difference quotient
+
+_EXPECTED = 0.5 / 6
+"""Faults of each kind that are expected in some campaign: half a fault of the six kinds."""
+
+_BESIDE = 2  # readings on either side of a knock: fewer are slips
+_ZEROS = 12  # times that a dial is set to zero anew
+_KNOCKS = 64  # moments of a setup at which it may have been knocked
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Suspect:
+    """A fault that the data may have."""
+
+    fault: Fault  # its kind, rows and setups
+    shown: Array  # its rows by a unit of each of its coefficients (rows, q), metres or radians
+    unit: float  # of a coefficient, metres or radians
+    expected: float = 0.0  # faults like it, before the readings are seen
+
+    @property
+    def name(self) -> str:
+        """Unlike that of any cause or place."""
+        fault = self.fault
+        drive = "".join(LEGS[k] for k, _ in fault.commands)
+        return f"!{fault.kind}.{'+'.join(map(str, fault.setups))}.{fault.rows[0]}{drive}"
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients."""
+        return self.shown.shape[1]
+
+    def sized(self, mean: Array) -> Fault:
+        """The fault with coefficients of some means ``(q,)``."""
+        sizes, fault = mean * self.unit, self.fault
+        if fault.commands:
+            ((drive, _),) = fault.commands
+            return replace(fault, size=float(sizes[0]), commands=((drive, float(sizes[0])),))
+        if fault.kind == "zeroed":
+            return replace(fault, sizes=tuple(sizes.tolist()))
+        size = sizes[0] if len(sizes) == 1 else np.linalg.norm(sizes)
+        return replace(fault, size=float(size))
+
+    def column(self, n: int) -> Array:
+        """All readings by its coefficients ``(n, q)``."""
+        found = np.zeros((n, self.shown.shape[1]))
+        found[self.fault.rows] = self.shown
+        return found
+
+
+def suspects(problem: Problem, here: Linearised, corrected: Sequence[Fault] = ()) -> list[Suspect]:
+    """Every fault that the readings could have.
+
+    Args:
+        problem: the readings, with every parameter free.
+        here: where they are linearised.
+        corrected: wrong commands that are put right there.
+    """
+    by_command = slopes(problem, here.x, here.value)
+    kinds = (
+        list(_slips(problem)), list(_knocks(problem)), list(_zeroed(problem)),
+        list(_moved(problem, here.seen)), list(_commands(problem, by_command, corrected)),
+    )  # fmt: skip
+    return [replace(s, expected=_EXPECTED / len(kind)) for kind in kinds for s in kind]
+
+
+def _slips(problem: Problem) -> Iterator[Suspect]:
+    """Every reading alone, of points of the tool all coordinates together."""
+    for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
+        point = factor.point
+        order = np.argsort(point, kind="stable")
+        cuts = np.flatnonzero(np.diff(point[order])) + 1
+        for rows in np.split(order, cuts):
+            if not factor.noise.weighted[rows].all():
+                continue
+            own = rows + part.start
+            setup = int(problem.setup_of_row[own[0]])
+            yield Suspect(Fault("outlier", own, (setup,)), np.eye(len(own)) * _SIZE, _SIZE)
+
+
+def _counting(problem: Problem, setup: int) -> Rows:
+    """Rows of a setup of dials that have weight, in the order they were taken."""
+    rows = in_order(problem, setup)
+    kept = np.concatenate([f.noise.weighted for f in problem.on_legs])
+    return rows[kept[rows]]
+
+
+def _knocks(problem: Problem) -> Iterator[Suspect]:
+    """All readings of a dial from some moment on."""
+    for setup in problem.leg_setups:
+        rows = _counting(problem, setup)
+        places = range(_BESIDE, len(rows) - _BESIDE + 1)
+        step = max(len(places) // _KNOCKS, 1)
+        for cut in places[::step]:
+            after = rows[cut:]
+            shown = np.full((len(after), 1), _SIZE)
+            yield Suspect(Fault("knocked_stand", after, (setup,)), shown, _SIZE)
+
+
+def _zeroed(problem: Problem) -> Iterator[Suspect]:
+    """A dial whose readings have another zero at each repeat, or all of a campaign."""
+    first = 0
+    for campaign in problem.campaigns:
+        own = range(first, first + len(campaign.setups))
+        first += len(campaign.setups)
+        each = [anew for s in own if (anew := _anew(problem, s)) is not None]
+        yield from each
+        if len(each) > 1:
+            rows = np.concatenate([one.fault.rows for one in each])
+            widths = np.cumsum([0, *(one.shown.shape[1] for one in each)])
+            shown = np.zeros((len(rows), int(widths[-1])))
+            at = 0
+            for one, (a, b) in zip(each, pairwise(widths), strict=True):
+                shown[at : at + len(one.shown), a:b] = one.shown
+                at += len(one.shown)
+            setups = tuple(s for one in each for s in one.fault.setups)
+            yield Suspect(Fault("zeroed", rows, setups), shown, _SIZE)
+
+
+def _anew(problem: Problem, setup: int) -> Suspect | None:
+    """A dial whose readings have another zero at each repeat, where repeats follow each other."""
+    rows = _counting(problem, setup)
+    repeat = problem.of_dials("repeat")[rows]
+    starts = np.flatnonzero(np.diff(repeat)) + 1
+    if not len(starts) or len(starts) != len(np.unique(repeat)) - 1:
+        return None
+    stations = len(np.unique(problem.station[rows]))
+    if 2 * len(starts) > len(rows) - stations or len(starts) > _ZEROS:
+        return None  # too short for a datum of their own, or too many to be anybody's
+    later = rows[starts[0] :]
+    shown = (numbered(repeat[starts[0] :])[:, None] == np.arange(len(starts))) * _SIZE
+    return Suspect(Fault("zeroed", later, (setup,)), shown, _SIZE)
+
+
+def _moved(problem: Problem, seen: tuple[Seen, ...]) -> Iterator[Suspect]:
+    """An instrument at the tool that stands elsewhere from some moment on."""
+    first = len(problem.leg_setups)
+    for number, (k, factor, setup, _) in enumerate(problem.mounted, first):
+        readings, start = factor.readings, problem.factor_rows[k].start
+        rows = np.flatnonzero((factor.setup == setup) & factor.noise.weighted)
+        rows = rows[np.argsort(readings.order[rows], kind="stable")]
+        own = factor.nuisances(seen[k]).columns
+        own = own[:, own[rows].any(axis=0)]
+        width = max(own.shape[1], 1)
+        if not own.shape[1]:
+            continue
+        own = own / np.abs(own).max(axis=0) * _SIZE
+        places = [
+            cut for cut in range(width + 1, len(rows) - width)
+            if readings.order[rows[cut]] != readings.order[rows[cut - 1]]
+        ]  # fmt: skip
+        for cut in places[:: max(len(places) // _KNOCKS, 1)]:
+            after = rows[cut:]
+            yield Suspect(Fault("moved", after + start, (number,)), own[after], _SIZE)
+
+
+def postures(problem: Problem) -> Rows:
+    """Posture of each reading ``(n,)``: one for each campaign, leg and command, as a leg is
+    measured at a time; -1 where no dial is.
+    """
+    campaigns = problem.campaigns
+    number = np.repeat(np.arange(len(campaigns)), [len(c) for c in campaigns])
+    found = np.full(len(problem.measured), -1)
+    if len(number):
+        told = [number, problem.of_dials("leg"), problem.of_dials("command")]
+        found[: len(number)] = numbered(np.column_stack(told))
+    return found
+
+
+def slopes(problem: Problem, x: Array, value: Array) -> Array:
+    """Derivative of every reading of a dial by its own command ``(n, 3)``.
+
+    Args:
+        problem: with dials.
+        x: its unknowns ``(P,)``, SI.
+        value: the readings there ``(n,)``, metres.
+    """
+    found = np.zeros((len(value), len(LEGS)))
+    for k, (campaign, rows) in enumerate(zip(problem.campaigns, problem.rows, strict=True)):
+        values = problem.values(k, x)
+        for drive in range(len(LEGS)):
+            moved = replace(campaign, command=campaign.command + _STEP * np.eye(3)[drive])
+            read = problem.machine.model.readings(values, moved)
+            found[rows, drive] = (read - value[rows]) / _STEP
+    return found
+
+
+def _commands(problem: Problem, by_command: Array, corrected: Sequence[Fault]) -> Iterator[Suspect]:
+    """The command of every posture on every drive; a posture read once has an outlier at most."""
+    posture = postures(problem)
+    weighted = np.concatenate([f.noise.weighted for f in problem.factors])
+    posture[~weighted] = -1
+    for fault in corrected:
+        shown = by_command[fault.rows][:, [fault.commands[0][0]]] * _COMMAND
+        yield Suspect(fault, shown, _COMMAND)
+        posture[fault.rows] = -1
+    order = np.argsort(posture, kind="stable")
+    order = order[posture[order] >= 0]
+    cuts = np.flatnonzero(np.diff(posture[order])) + 1
+    for rows in np.split(order, cuts):
+        if len(rows) < 2:
+            continue
+        setups = tuple(np.unique(problem.setup_of_row[rows]).tolist())
+        for drive in range(len(LEGS)):
+            fault = Fault("command", rows, setups, commands=((drive, 0.0),))
+            yield Suspect(fault, by_command[rows][:, [drive]] * _COMMAND, _COMMAND)
+
+
+def put_right(campaign: Readings, rows: Rows, drive: int, size: float) -> Readings:
+    """The campaign with another command in some rows, metres, and the approach that follows."""
+    command = campaign.command.copy()
+    command[rows, drive] += size
+    moved = replace(campaign, command=command)
+    derived = campaign.approach == campaign.derived_approach
+    approach = np.where(derived, moved.derived_approach, campaign.approach)
+    return replace(moved, approach=approach)
+
+
+def with_commands(problem: Problem, faults: Sequence[Fault]) -> Problem:
+    """The problem with the likeliest commands in the rows of faults of that kind."""
+    factors = list(problem.on_legs)
+    for fault in faults:
+        drive, size = fault.commands[0]
+        k = campaign_of(problem, fault.rows)
+        within = fault.rows - problem.rows[k].start
+        moved = put_right(factors[k].readings, within, drive, size)
+        factors[k] = factors[k].with_table(moved)
+    return problem.with_factors(factors)
