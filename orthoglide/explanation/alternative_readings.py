@@ -14,7 +14,7 @@ from itertools import combinations, permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.explanation.faults import Fault, Rows, campaign_of, in_order
+from orthoglide.explanation.faults import Fault, Rows, campaign_of, counting, in_order
 from orthoglide.fit import Factor, Problem
 from orthoglide.fit.noise import noise_of, overall
 from orthoglide.fit.repeats import OFF_GRID, on_grid
@@ -52,7 +52,7 @@ def open_setups(problem: Problem, known: Sequence[Fault]) -> dict[int, Rows]:
     which they mean something else.
     """
     touched = {s for f in known if f.kind in MEANINGS for s in f.setups}
-    order = {s: _counting(problem, s) for s in problem.leg_setups if s not in touched}
+    order = {s: counting(problem, s) for s in problem.leg_setups if s not in touched}
     return {s: rows for s, rows in order.items() if len(rows) > 1}
 
 
@@ -75,13 +75,6 @@ MEANINGS = ("sign", "label", "exchanged_labels", "shifted", "unit", "turns", "st
 """Kinds of faults by which readings mean something else."""
 
 Order = Mapping[int, Rows]
-
-
-def _counting(problem: Problem, setup: int) -> Rows:
-    """Rows of a setup of dials that have weight, in the order they were taken."""
-    rows = in_order(problem, setup)
-    kept = np.concatenate([f.noise.weighted for f in problem.on_legs])
-    return rows[kept[rows]]
 
 
 def _changed(problem: Problem, rows: Rows, to: Array) -> Array:

@@ -52,7 +52,6 @@ _ROUNDS = 6
 _MARGIN = 3.0
 """Log odds by which another meaning must be likelier: what is expected of each kind is a guess."""
 
-
 _NEIGHBOURS = 1.6  # times the distance of the nearest touch: the next across a square's diagonal
 
 _QUIET = 0.25
@@ -113,6 +112,10 @@ class Findings:
 def find_faults(read: Estimate) -> Findings:
     """Find faults of the data and changes between visits, from the fit of the base model to all
     readings.
+
+    Raises:
+        InputError: where repeats scatter as those of no such instrument do.
+        NumericsError: where the machine that is found cannot be closed.
     """
     found = scattered(read.problem)
     fit = _fitted(_set_right(read.problem, found)) if found else _narrow(read)
@@ -269,18 +272,11 @@ def _set_right(problem: Problem, faults: Sequence[Fault]) -> Problem:
     factors = list(problem.factors)
     silent = np.zeros(len(problem.measured), dtype=bool)
     for fault in faults:
-        k, _ = places(problem, fault.rows)[0]
+        k, _ = places(problem, fault.rows[:1])[0]
         part = problem.factor_rows[k]
-        rows, table = fault.rows - part.start, factors[k].readings
-        if fault.commands:  # the side that its neighbours were reached from depends on it
-            table = put_right(table, rows, *fault.commands[0])
-        if fault.sets_aside:
-            silent[fault.rows] = True
-        else:
-            own = problem.factors[k].readings
-            for some in parts(fault.kind, rows, own.setup, own.repeat):
-                table = _split(table, some)
+        table = _corrected(factors[k].readings, fault, fault.rows - part.start)
         factors[k] = factors[k].with_table(table)
+        silent[fault.rows] |= fault.sets_aside
     problem = without_weight(replace(_held(problem), factors=tuple(factors)), silent)
     return with_noise_of_the_rest(problem, far_repeats(problem))
 
@@ -354,26 +350,31 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
     factors = list[Factor]()
     for k, factor in enumerate(problem.factors):
         campaign, kept = factor.readings, np.ones(len(factor.readings), dtype=bool)
-        split = campaign
+        table = campaign
         for blunder in blunders:
             rows = np.array([row for c, row in blunder.rows if c == k], dtype=np.int64)
-            if blunder.commands and len(rows):
-                # The side that its neighbours were reached from depends on it.
-                split = put_right(split, rows, *blunder.commands[0])
-            if blunder.sets_aside:
-                kept[rows] = False
-                continue
-            for part in parts(blunder.kind, rows, campaign.setup, campaign.repeat):
-                split = _split(split, part)
+            if len(rows):
+                table = _corrected(table, blunder, rows)
+                kept[rows] &= not blunder.sets_aside
         if not kept.any():
             fault = next(b for b in blunders if any(c == k for c, _ in b.rows))
             raise InputError(
                 f"nothing is left of {campaign.name} once its faulty rows are set aside: measure "
                 f"it again ({fault.message})"
             )
-        factors.append(factor.with_table(split).subset(kept))
+        factors.append(factor.with_table(table).subset(kept))
     problem = replace(problem.at_tolerance(), factors=tuple(factors))
     return with_noise_of_the_rest(problem)
+
+
+def _corrected(table: Readings, fault: Fault | Blunder, rows: Rows) -> Readings:
+    """A table with the command, or the datums, of some of its rows put right."""
+    if fault.commands:  # the side that the neighbours of these rows were reached from depends on it
+        return put_right(table, rows, *fault.commands[0])
+    if not fault.sets_aside:
+        for part in parts(fault.kind, rows, table.setup, table.repeat):
+            table = _split(table, part)
+    return table
 
 
 def _split(campaign: Readings, rows: Rows) -> Readings:

@@ -72,6 +72,13 @@ def in_order(problem: Problem, setup: int) -> Rows:
     return np.asarray(rows[np.argsort(problem.of_dials("order")[rows], kind="stable")])
 
 
+def counting(problem: Problem, setup: int) -> Rows:
+    """Rows of a setup of dials that have weight, in the order they were taken."""
+    rows = in_order(problem, setup)
+    kept = np.concatenate([f.noise.weighted for f in problem.on_legs])
+    return rows[kept[rows]]
+
+
 def datums(problem: Problem, fault: Fault) -> list[Rows]:
     """Rows that have a datum of their own: by setup and repeat, or all behind a knock."""
     if fault.sets_aside:

@@ -20,8 +20,6 @@ _BEST = 5  # alternatives that are searched in full
 
 _SCALES = ((0.01, 0.003), (0.1, 0.1), (1.0, 0.1), (1.0, 3.0))
 """Tolerances by which everything may be off, and units by which free functions may."""
-_MOST = 1500  # readings: of more, no alternatives are weighed
-_BEST = 5  # alternatives that are searched in full
 
 
 def ranked(

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from orthoglide.errors import InputError
 from orthoglide.explanation.faults import Fault, Rows, message, places
 from orthoglide.fit import Factor, Problem
+from orthoglide.fit.repeats import repeat_steps, repeated
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
+from orthoglide.ordering import best_of
 
 _LITTLE = 1e-4  # square of the noise that no reading is without
 _ROUNDS = 6  # of leaving out what is far beyond the rest
@@ -43,27 +45,26 @@ def scattered(problem: Problem) -> list[Fault]:
     Raises:
         InputError: where most setups are like that: then none of their rows can be believed.
     """
-    found, pooled, able = list[Fault](), list[Array](), 0
+    every, pooled = list[tuple[Fault, bool]](), [np.zeros(0)]
     for number in problem.leg_setups:
         rows = np.flatnonzero(problem.setup_of_row == number)
         k, _ = places(problem, rows[:1])[0]
         factor, own = problem.factors[k], rows - problem.factor_rows[k].start
         if not factor.noise.from_repeats[own].all():
             continue
-        step, usual = float(factor.noise.step[own].max()), _usual(factor, own)
-        most = _BEYOND * max(usual, step)
+        step = float(factor.noise.step[own].max())
+        most = _BEYOND * max(_usual(factor, own), step)
         apart = np.diff(_in_time(factor.readings.subset(own)))
-        size = _most_scatter(apart, step) / 2
+        fault = Fault("scatter", rows, (number,), _most_scatter(apart, step) / 2)
+        every.append((fault, len(apart) >= _FEWEST and fault.size > most))
         pooled.append(apart / most)
-        able += 1
-        if len(apart) >= _FEWEST and size > most:
-            found.append(Fault("scatter", rows, (number,), size))
-    every = np.concatenate([np.zeros(0), *pooled])
-    alike = len(every) >= _FEWEST and _most_scatter(every, 0.0) > 2.0
-    if alike or 2 * len(found) > able:
-        rows = np.flatnonzero(problem.setup_of_row == 0)
-        first = found[0] if found else Fault("scatter", rows, (0,), problem.noise.typical)
-        raise InputError(message(problem, first) + "; most other setups are no better")
+    found = [fault for fault, alone in every if alone]
+    together = np.concatenate(pooled)
+    alike = len(together) >= _FEWEST and _most_scatter(together, 0.0) > 2.0  # of two differences
+    if alike or 2 * len(found) > len(every):
+        able = [f for f, _ in every if np.isfinite(f.size)]
+        worst = best_of(able, lambda fault: fault.size)
+        raise InputError(message(problem, worst) + "; most other setups are no better")
     return found
 
 
@@ -95,11 +96,8 @@ def _in_time(readings: Readings) -> Array:
     """Each reading that repeats one, less the one at the visit before, in the order they were taken
     ``(k,)``.
     """
-    table = readings.stations
-    order = np.lexsort([readings.order, *table.T[::-1]])
-    same = np.all(np.diff(table[order], axis=0) == 0, axis=1)
-    apart = np.diff(readings.reading[order])[same]
-    return np.asarray(apart[np.argsort(readings.order[order][1:][same], kind="stable")])
+    order = np.argsort(readings.order[repeated(readings)[0]], kind="stable")
+    return np.asarray(repeat_steps(readings)[order])
 
 
 def far_repeats(problem: Problem) -> NDArray[np.bool_]:
@@ -108,13 +106,12 @@ def far_repeats(problem: Problem) -> NDArray[np.bool_]:
     for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
         for kind in dict.fromkeys(factor.readings.kind):
             rows = np.flatnonzero(factor.readings.of_kind(kind) & factor.noise.weighted)
-            station, order = factor.readings.stations[rows], factor.readings.order[rows]
-            by_station = np.lexsort([order, *station.T[::-1]])
-            rows = rows[by_station]
-            same = np.all(np.diff(station[by_station], axis=0) == 0, axis=1)
-            apart = np.abs(np.diff(factor.readings.reading[rows])) * same
-            far = apart > _FAR * _most_scatter(apart[same], float(factor.noise.step[rows].max()))
-            found[part.start + rows[1:][far]] = found[part.start + rows[:-1][far]] = True
+            own = factor.readings.subset(rows)
+            step = float(factor.noise.step[rows].max(initial=0.0))
+            apart = np.abs(repeat_steps(own))
+            far = apart > _FAR * _most_scatter(apart, step)
+            for side in repeated(own):
+                found[part.start + rows[side[far]]] = True
     return found
 
 

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from orthoglide.explanation.faults import Fault, Rows, campaign_of, in_order
+from orthoglide.explanation.faults import Fault, Rows, campaign_of, counting
 from orthoglide.fit import Problem
 from orthoglide.fit.least_squares import Linearised
 from orthoglide.geometry import LEGS, Array
@@ -104,17 +104,10 @@ def _slips(problem: Problem) -> Iterator[Suspect]:
             yield Suspect(Fault("outlier", own, (setup,)), np.eye(len(own)) * _SIZE, _SIZE)
 
 
-def _counting(problem: Problem, setup: int) -> Rows:
-    """Rows of a setup of dials that have weight, in the order they were taken."""
-    rows = in_order(problem, setup)
-    kept = np.concatenate([f.noise.weighted for f in problem.on_legs])
-    return rows[kept[rows]]
-
-
 def _knocks(problem: Problem) -> Iterator[Suspect]:
     """All readings of a dial from some moment on."""
     for setup in problem.leg_setups:
-        rows = _counting(problem, setup)
+        rows = counting(problem, setup)
         places = range(_BESIDE, len(rows) - _BESIDE + 1)
         step = max(len(places) // _KNOCKS, 1)
         for cut in places[::step]:
@@ -145,7 +138,7 @@ def _zeroed(problem: Problem) -> Iterator[Suspect]:
 
 def _anew(problem: Problem, setup: int) -> Suspect | None:
     """A dial whose readings have another zero at each repeat, where repeats follow each other."""
-    rows = _counting(problem, setup)
+    rows = counting(problem, setup)
     repeat = problem.of_dials("repeat")[rows]
     starts = np.flatnonzero(np.diff(repeat)) + 1
     if not len(starts) or len(starts) != len(np.unique(repeat)) - 1:

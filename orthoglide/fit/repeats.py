@@ -153,12 +153,18 @@ def total_variance(within: ArrayLike, resolution: float) -> Array:
     return np.asarray(np.interp(seen, shown, total) + np.maximum(seen - shown[-1], 0.0))
 
 
-def repeat_steps(campaign: Readings) -> Array:
-    """Each reading that repeats one, less the one at the visit before, metres."""
+def repeated(campaign: Readings) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows of readings that repeat one, station by station, and of those at the visit before."""
     table = campaign.stations
     order = np.lexsort([campaign.order, *table.T[::-1]])
     same = np.all(np.diff(table[order], axis=0) == 0, axis=1)
-    return np.asarray(np.diff(campaign.reading[order])[same])
+    return order[1:][same], order[:-1][same]
+
+
+def repeat_steps(campaign: Readings) -> Array:
+    """Each reading that repeats one, less the one at the visit before, metres."""
+    later, before = repeated(campaign)
+    return np.asarray(campaign.reading[later] - campaign.reading[before])
 
 
 def repeat_variance(campaigns: Sequence[Readings]) -> tuple[float, int]:
