@@ -13,6 +13,8 @@ from orthoglide.explanation.instead import Alternatives
 from orthoglide.explanation.linear import Group, Linear, whole
 from orthoglide.explanation.mixture import Mixture
 from orthoglide.explanation.search import Search, State, gained, left_singular
+from orthoglide.explanation.wide import Wide
+from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 
 ROWS = 24
@@ -236,3 +238,32 @@ def test_a_covariance_is_one_however_exact_the_readings(exact: float) -> None:
             assert mixture._covariances(every)(state, scale) == pytest.approx(
                 whole, rel=1e-5, abs=1e-9
             )
+
+
+def log_likelihood(rest: Array, covariance: Array) -> float:
+    square = rest @ np.linalg.solve(covariance, rest)
+    return -float(square + np.linalg.slogdet(covariance)[1]) / 2
+
+
+@pytest.mark.parametrize("causes", [12, 80], ids=["more readings", "more causes"])
+def test_other_readings_against_their_covariance_written_out(causes: int) -> None:
+    rng, n, own = np.random.default_rng(causes), 30, np.arange(10)
+    machine, residual = 3 * rng.standard_normal((n, causes)), 5 * rng.standard_normal(n)
+    datums = np.repeat(50 * np.eye(3), 10, axis=0)
+    wide = Wide(Weighing(np.full(n, 2.0), np.zeros(n), np.arange(n)), machine, datums, residual)
+    cov = np.eye(n) + machine @ machine.T + datums @ datums.T
+    change = rng.standard_normal((n, 2))
+    changed = residual[:, None] + change / 2
+    expected = [log_likelihood(one, cov) for one in changed.T]
+    assert wide.score(change) == pytest.approx(expected)
+    silent = log_likelihood(changed[10:, 0], cov[10:, 10:])
+    assert wide.score(change)[0] + wide.without(own, change[:, 0]) == pytest.approx(silent)
+    foretold = cov[:10, 10:] @ np.linalg.solve(cov[10:, 10:], residual[10:])
+    assert wide.missed(own) == pytest.approx(2 * (residual[:10] - foretold))
+    columns, placed, rest = rng.standard_normal((10, causes)), np.full((10, 1), 50.0), residual[::3]
+    moved = np.vstack([columns, machine[10:]])
+    other = np.eye(n) + moved @ moved.T
+    other[10:, 10:] += datums[10:] @ datums[10:].T
+    other[:10, :10] += placed @ placed.T
+    labelled = log_likelihood(np.concatenate([rest, residual[10:]]), other)
+    assert wide.relabelled(own, columns, placed, rest) == pytest.approx(labelled)

@@ -15,7 +15,7 @@ from orthoglide.explanation.turns import turned
 from orthoglide.explanation.wide import DATUM, Wide, in_deviations
 from orthoglide.ordering import EQUAL_ODDS, descending
 
-_MOST = 1500  # readings: of more, no alternatives are weighed
+_MOST = 10_000  # readings: of more, four matrices of readings by unknowns take over 0.4 GB
 _BEST = 5  # alternatives that are searched in full
 
 _SCALES = ((0.01, 0.003), (0.1, 0.1), (1.0, 0.1), (1.0, 3.0))

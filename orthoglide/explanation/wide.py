@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 
 from orthoglide.explanation.columns import Everything
 from orthoglide.explanation.faults import Rows
@@ -21,6 +21,8 @@ from orthoglide.geometry import Array
 
 DATUM = 1e-2
 """Metres: where a dial's zero may be."""
+
+_ROUNDING = 1e-12  # of the largest variance: far below the noise, far above what sums leave of it
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -45,71 +47,90 @@ class Wide:
         )  # fmt: skip
 
     @cached_property
-    def _root(self) -> Array:
-        cov = self.columns @ self.columns.T + self.instruments @ self.instruments.T
-        return np.asarray(np.linalg.cholesky(cov + np.eye(len(cov))), dtype=np.float64)
+    def _factor(self) -> Array:
+        """``F`` of the covariance ``1 + F F^T`` of the readings, no wider than they are many."""
+        every = np.hstack([self.columns, self.instruments])
+        if every.shape[1] <= len(every):
+            return every
+        square = every @ every.T
+        square[np.diag_indices_from(square)] += _ROUNDING * square.diagonal().max()
+        return np.asarray(np.linalg.cholesky(square), dtype=np.float64)
 
     @cached_property
-    def inverse(self) -> Array:
-        """Of the covariance of the readings ``(n, n)``."""
-        half = np.linalg.inv(self._root)
-        return np.asarray(half.T @ half)
+    def _inner(self) -> Array:
+        """Cholesky factor of ``1 + F^T F``, whose determinant is that of the covariance, and
+        ``S^-1 = 1 - F (1 + F^T F)^-1 F^T``: as large as what is unknown, however much was read.
+        """
+        square = self._factor.T @ self._factor
+        return np.asarray(np.linalg.cholesky(square + np.eye(len(square))), dtype=np.float64)
 
     @cached_property
-    def log_det(self) -> float:
-        """Of the covariance."""
-        return 2 * float(np.log(np.diag(self._root)).sum())
+    def _log_det(self) -> float:
+        return 2 * float(np.log(np.diag(self._inner)).sum())
+
+    def _past(self, rows: Array) -> Array:
+        """``S^-1`` times whitened rows ``(n, ...)``."""
+        found = cho_solve((self._inner, True), self._factor.T @ rows)
+        return np.asarray(rows - self._factor @ found)
+
+    def _block(self, rows: Rows) -> Array:
+        """Cholesky factor of the part of ``S^-1`` of some rows ``(k, k)``."""
+        half = solve_triangular(self._inner, self._factor[rows].T, lower=True)
+        part = (1 + _ROUNDING) * np.eye(len(rows)) - half.T @ half
+        return np.asarray(np.linalg.cholesky(part), dtype=np.float64)
 
     def score(self, change: Array) -> Array:
         """Log likelihood of changed readings ``(h,)``, changes ``(n, h)`` in metres."""
         changed = self.residual[:, None] + self.weighing.whiten(change)
-        white = solve_triangular(self._root, changed, lower=True)
-        return np.asarray(-(np.sum(white**2, axis=0) + self.log_det) / 2)
+        square = np.sum(changed * self._past(changed), axis=0)
+        return np.asarray(-(square + self._log_det) / 2)
 
     def without(self, rows: Rows, change: Array) -> float:
         """What the likelihood grows by once some rows say nothing, in units of their noise."""
-        along = self.inverse[rows] @ (self.residual + self.weighing.whiten(change))
-        inner = self.inverse[np.ix_(rows, rows)]
-        square = along @ np.linalg.solve(inner, along)
-        return float(square - np.linalg.slogdet(inner)[1]) / 2
+        root = self._block(rows)
+        along = self._past(self.residual + self.weighing.whiten(change))[rows]
+        white = solve_triangular(root, along, lower=True)
+        return float(white @ white) / 2 - float(np.log(np.diag(root)).sum())
 
     def odd(self, rows: Rows) -> float:
         """By how much less likely some readings are than in the mean, all others given: what other
         labels of theirs could gain at most.
         """
-        along = self.inverse[rows] @ self.residual
-        square = along @ np.linalg.solve(self.inverse[np.ix_(rows, rows)], along)
-        return float(square - len(rows)) / 2
+        along = self._past(self.residual)[rows]
+        white = solve_triangular(self._block(rows), along, lower=True)
+        return (float(white @ white) - len(rows)) / 2
 
     def relabelled(self, rows: Rows, columns: Array, instruments: Array, residual: Array) -> float:
         """Log likelihood where whole setups have other columns ``(k, C)``, nuisances of their own,
         and residuals ``(k,)``.
         """
-        rest = np.setdiff1d(np.arange(len(self.residual)), rows)
-        q = self.inverse
+        root = self._block(rows)
+        rest = np.delete(np.arange(len(self.residual)), rows)
         across = columns @ self.columns[rest].T
-        # S_oo^-1 = Q_oo - Q_os Q_ss^-1 Q_so, of the others.
-        inner = q[np.ix_(rows, rows)]
-        beside = q[np.ix_(rest, rows)]
-        both = np.column_stack([across.T, self.residual[rest]])
-        found = q[np.ix_(rest, rest)] @ both - beside @ np.linalg.solve(inner, beside.T @ both)
+        both = np.zeros((len(self.residual), len(rows) + 1))
+        both[rest] = np.column_stack([across.T, self.residual[rest]])
+        # By the inverse of the others' covariance: what is in the rows is chosen so that S^-1 has
+        # nothing there.
+        both[rows] = -cho_solve((root, True), self._past(both)[rows])
+        found = self._past(both)[rest]
         own = columns @ columns.T + instruments @ instruments.T + np.eye(len(rows))
         own -= across @ found[:, :-1]
-        root = np.linalg.cholesky(own)
-        white = solve_triangular(root, residual - across @ found[:, -1], lower=True)
-        plain = self.residual[rest] @ found[:, -1]
-        log_det = 2 * float(np.log(np.diag(root)).sum())
-        log_det += self.log_det + np.linalg.slogdet(inner)[1]
-        return -float(white @ white + plain + log_det) / 2
+        own[np.diag_indices_from(own)] += _ROUNDING * own.diagonal().max()
+        new = np.linalg.cholesky(own)
+        white = solve_triangular(new, residual - across @ found[:, -1], lower=True)
+        log_det = self._log_det + 2 * float(
+            np.log(np.diag(new)).sum() + np.log(np.diag(root)).sum()
+        )
+        return -float(white @ white + self.residual[rest] @ found[:, -1] + log_det) / 2
 
     def missed(self, rows: Rows) -> Array:
         """By how much some readings are off what all others foretell ``(k,)``, metres."""
-        own = np.linalg.solve(self.inverse[np.ix_(rows, rows)], self.inverse[rows] @ self.residual)
-        return np.asarray(own * self.weighing.sigma[rows])
+        off = cho_solve((self._block(rows), True), self._past(self.residual)[rows])
+        return np.asarray(off * self.weighing.sigma[rows])
 
     def noise(self, change: Array) -> Array:
         """What the machine does not explain of changed readings ``(n,)``, metres."""
-        return self.weighing.metres(self.inverse @ (self.residual + self.weighing.whiten(change)))
+        return self.weighing.metres(self._past(self.residual + self.weighing.whiten(change)))
 
 
 def in_deviations(about: Everything, rows: Array, share: float, free: float) -> tuple[Array, Array]:
