@@ -16,6 +16,9 @@ STRONG, APART = 3.0, 5.0
 SEEN = 5.0
 """What lies outside the catalogue can be seen: told, it lowers chi2 by the square of this."""
 
+UNNAMED = ("adequate", "diffuse")
+"""Verdicts by which no part of the machine is wrong beyond its tolerance."""
+
 
 def well(records: Iterable[Record]) -> list[Record]:
     """Records that ended."""
@@ -44,7 +47,7 @@ def named(record: Record) -> bool:
 
 def alarmed(record: Record) -> bool:
     """Whether anything at all was said to be wrong."""
-    return bool(record["word"] != "adequate" or record["blunders"])
+    return bool(record["word"] not in UNNAMED or record["blunders"])
 
 
 def seen(record: Record) -> bool:

@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from benchmarks.attribution_asked import (
+    UNNAMED,
     alarmed,
     both_found,
     classes,
@@ -189,6 +190,7 @@ def words(records: Sequence[Record]) -> Table:
     """Verdicts by kind of campaign."""
     columns = (
         "adequate",
+        "diffuse",
         "explained",
         "ambiguous",
         "located",
@@ -245,7 +247,7 @@ def places(records: Sequence[Record]) -> Table:
 def short(records: Sequence[Record]) -> Table:
     """Bumps and waves that are shorter than the distance of the stations, kind by kind."""
     rows: list[Sequence[str]] = [
-        ("", "campaigns", "seen", "adequate", "explained or ambiguous", "located",
+        ("", "campaigns", "seen", "adequate or diffuse", "explained or ambiguous", "located",
          "partial or unexplained", "a set holds the true place", "another place or name",
          "data fault reported", "its rows, median", "TCP before", "TCP after", "worse at all",
          "worse than stated")
@@ -268,7 +270,7 @@ def short(records: Sequence[Record]) -> Table:
         aside = [len({row for _, rows in r["blunders"] for row in rows}) for r in chosen]
         tcp = [np.mean([r["tcp"][k][0] for r in chosen]) for k in ("before", "after")]
         counts = (
-            len(chosen), sum(map(seen, chosen)), word["adequate"],
+            len(chosen), sum(map(seen, chosen)), word["adequate"] + word["diffuse"],
             word["explained"] + word["ambiguous"], word["located"],
             word["partial"] + word["unexplained"], sum(map(placed, chosen)),
             sum(map(misplaced, chosen)), sum(bool(r["blunders"]) for r in chosen),
@@ -313,7 +315,7 @@ def confusion(records: Sequence[Record]) -> Table:
 
 def _named_family(record: Record) -> str:
     if not record["effects"]:
-        return "adequate" if record["word"] == "adequate" else "unexplained"
+        return "adequate" if record["word"] in UNNAMED else "unexplained"
     return str(record["what"] if named(record) else record["effects"][0]["family"])
 
 

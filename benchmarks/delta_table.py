@@ -26,8 +26,8 @@ from benchmarks.delta_readings import INSTRUMENTS
 UNSEEN = 3.0
 """A cause is invisible that shows less than this in all readings together, in sigmas."""
 
-ENDS = ("adequate", "noisy", "rows set aside", "refused", "explained", "ambiguous", "located",
-        "partial", "unexplained", "error")  # fmt: skip
+ENDS = ("adequate", "diffuse", "noisy", "rows set aside", "refused", "explained", "ambiguous",
+        "located", "partial", "unexplained", "error")  # fmt: skip
 """How a campaign can end: the verdict's word; where it is adequate, with a warning that readings
 are far noisier than is usual, or with rows set aside as faulty; readings refused as faulty, or
 another error."""
@@ -118,7 +118,7 @@ def _of_effects(records: Sequence[Record]) -> list[list[str]]:
     strong, faint = [r for r in effects if _plain(r)], [r for r in effects if not _plain(r)]
     hidden = [r for r in effects if _hidden(r)]
     return [
-        _row("false alarms", nothing, lambda r: ending(r) not in ("adequate", "noisy")),
+        _row("false alarms", nothing, lambda r: ending(r) not in ("adequate", "diffuse", "noisy")),
         _row("clear causes named, alone or in a class", strong, named),
         _row("  named first and alone", strong, holds_alone),
         _row("  another cause besides", strong, lambda r: len(r["effects"]) > 1),
@@ -138,7 +138,8 @@ def _of_strangers(records: Sequence[Record]) -> list[list[str]]:
         return lambda r: ending(r) in words
 
     return [
-        _row("outside the catalogue, three sigma or more: not noticed", strange, ends("adequate")),
+        _row("outside the catalogue, three sigma or more: not noticed", strange,
+             ends("adequate", "diffuse")),
         _row("  taken for noise, with a warning", strange, ends("noisy")),
         _row("  taken for faulty readings", strange, ends("refused", "rows set aside")),
         _row("  said to be unexplained, or explained in part", strange,
@@ -155,7 +156,8 @@ def _of_whole(records: Sequence[Record]) -> list[list[str]]:
     """Rows of machines of which everything is a little off."""
     whole = [r for r in well(records) if r["kind"] == "whole"]
     rows = [_row("whole machines: nothing left unexplained", whole,
-                 lambda r: r["word"] in ("adequate", "explained", "ambiguous"))]  # fmt: skip
+                 lambda r: r["word"] in ("adequate", "diffuse", "explained",
+                                         "ambiguous"))]  # fmt: skip
     for title, k in (("nominal", 0), ("base identified", 1), ("closed", 2)):
         cells = [[r["tool_mm"][k] for r in whole if r["instrument"] == i] for i in INSTRUMENTS]
         rows.append([f"  error of the tool, {title}, mm",

@@ -31,6 +31,9 @@ NOISES = (2e-5, 1e-5, 5e-6, 2e-6, 1e-6, 5e-7, 2e-7, 1e-7)
 CAUSES = {"": 0.0, "backlash.x": 6e-5, "axis_tilt.y.z": 2e-3, "rail_bow.z.x": 1e-4}
 """Sizes that a dial of 20 um of noise shows, over the repeats of a sweep."""
 
+UNNAMED = ("adequate", "diffuse")
+"""Verdicts by which no part of the machine is wrong beyond its tolerance."""
+
 _FAR = 4.0  # tolerances from which a value is to be said to be far off
 _SHEETS = ("standard", "sweep")
 
@@ -50,7 +53,7 @@ def large(number: int, seed: int) -> str:
         return f"refused, {'told' if told else str(error)[:80]}"
     far = [w for w in verdict.after.warnings if w.kind == "tolerance"]
     said = {name for w in far for name in re.findall(r"\((\S+)\) is ", w)}
-    if verdict.word != "adequate":
+    if verdict.word not in UNNAMED:
         return f"{verdict.word}, {'told' if said else 'nothing told'}"
     seen = {n for n in names if abs(verdict.after.values[n]) > _FAR * machine.tolerance(n)}
     return "adequate" + (", what is far off untold" if seen - said else "")
@@ -59,7 +62,7 @@ def large(number: int, seed: int) -> str:
 def right(verdict: og.Verdict, cause: str) -> bool | None:
     """Whether a verdict is right; ``None`` where it claims nothing that is wrong."""
     if not cause:
-        return verdict.word == "adequate"
+        return verdict.word in UNNAMED
     known = {n for e in verdict.effects for one in (e.chosen, *e.rivals, *e.same)
              for n in one.parameters}  # fmt: skip
     if cause in known and len(verdict.effects) == 1 and verdict.word != "partial":

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.closing.loop import SIGNIFICANT
 from orthoglide.explanation import full_posterior, outstanding, remains
 from orthoglide.explanation.causes import Outstanding
+from orthoglide.explanation.significance import SIGNIFICANT
 from orthoglide.fit import solve
 from orthoglide.fit.identifying import assemble
 from orthoglide.report.words import headline

@@ -18,7 +18,7 @@ from orthoglide.explanation import (
 )
 from orthoglide.explanation.changes import separated
 from orthoglide.explanation.data_faults import Blunder, check_repeats, find_faults, without
-from orthoglide.explanation.significance import Left, left_over
+from orthoglide.explanation.significance import SIGNIFICANT, Left, left_over
 from orthoglide.fit import (
     Change,
     Estimate,
@@ -45,10 +45,7 @@ EVEN = 0.5
 """Probability of a machine beyond all tolerances, or of errors without structure, from which
 nothing is said to be explained: what is likelier than not."""
 
-_NAMED = ("adequate", "explained", "ambiguous")  # nothing is left but what has a name
-
-SIGNIFICANT = 0.003
-"""Probability of calling what is left significant where nothing is: one false alarm in 300."""
+_NAMED = ("adequate", "diffuse", "explained", "ambiguous")  # nothing is left but what has a name
 
 
 @on_one_thread
@@ -83,7 +80,7 @@ def close(request: Request, progress: Progress = silent) -> Closed:
         changes = ()
         known, found, left, word = _searched(read, blunders, changes, progress)
     before = known.before
-    if word != "adequate":
+    if word not in ("adequate", "diffuse"):
         check_levels(known)
     if word == "unexplained":
         before = tempered(before)
@@ -92,7 +89,7 @@ def close(request: Request, progress: Progress = silent) -> Closed:
         found.causes, found.located,
         found.weighed, left, known, blunders,
         faulty=read if blunders else None,
-        alone=found.alone if word == "adequate" else (),
+        alone=found.alone if word in ("adequate", "diffuse") else (),
     )  # fmt: skip
     since = [c.now(closed.after) for c in read.changes]
     changed = (*(c for c in since if c.is_told), *(c.measured(closed.after) for c in changes))
@@ -212,7 +209,9 @@ def _word(found: Outstanding, left: Left) -> Word:
     """The verdict: what was found, and whether anything significant is left."""
     significant = _missing(left)
     if not found.causes and not found.located:
-        return "unexplained" if significant else "adequate"
+        if left.base >= SIGNIFICANT:
+            return "adequate"
+        return "diffuse" if left.diffuse else "unexplained"
     if significant:
         return "partial"
     if found.located:

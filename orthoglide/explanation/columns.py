@@ -56,6 +56,9 @@ _VISIBLE = 0.1
 """What ten tolerances lift a sigma above the noise, in all, is weighed: where one drive shows far
 more than the others, only these tell whether its error is theirs as well."""
 
+_SHOWN = 10
+"""Repeats from which they show the noise: half of it, or twice, has odds of twenty to one against
+it on ten degrees of freedom."""
 
 _BACKGROUNDS = (0.003, 0.1, 1.0)
 """Tolerances of backgrounds of which each may hide a fault of the data, or make one up."""
@@ -193,7 +196,7 @@ def _of_machine(problem: Problem, wide: Problem, here: Linearised) -> Everything
     is_free = np.arange(len(scale)) >= len(sd)
     linear = Linear(
         readings.columns, readings.residual, fixed, is_free, unnamed, groups, readings.stations,
-        beyond=readings.beyond,
+        rough=RARE if problem.repeats >= _SHOWN else 0.0, beyond=readings.beyond,
     )  # fmt: skip
     tolerance = wide.machine.tolerance
     by_name: dict[str, tuple[tuple[str, float], ...]] = {

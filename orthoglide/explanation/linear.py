@@ -27,13 +27,18 @@ _UNSEEN = 1e-6
 """Sigmas that the largest slab may add along a direction which counts as not seen at all."""
 
 RARE = -3.0
-"""Log of the prior weight of a machine that is beyond its tolerances altogether, and of one with
-errors that have no structure: one in twenty each."""
+"""Log of the prior weight of a machine beyond its tolerances altogether, and of noise larger than
+the repeats show: one in twenty each."""
 
-FREE_AND_ROUGH = ((0.003, 0.0), (0.03, 0.0), (0.1, 0.0), (0.3, 0.0),
-                  (0.003, 1.0), (0.003, 3.0), (0.003, 10.0), (0.003, 30.0))  # fmt: skip
-"""Scales of the free functions that no slab lets out, in their units, and of an error of its own at
-every station, in the noise of a reading: what has no structure at all is noise to all causes."""
+FREE = (0.003, 0.03, 0.1, 0.3)
+"""Scales of the free functions that no slab lets out, in their units."""
+
+NOISE = (1.0, 1.7, 3.0, 5.0, 9.0, 16.0, 30.0)
+"""Scales of the noise beyond the declared one: standard deviations of an error of its own at every
+station, in sigmas of a reading. Steps of 1.7 lose at most 0.1 of ln Z on 50 readings."""
+
+_NOISY_SHARES = (0.003, 0.1, 0.3, 1.0, 3.0)
+"""Shares that are told apart under larger noise, in which small ones do not show."""
 
 SOUND = 0.03
 """Tolerances: a machine of which everything is off by less is sound."""
@@ -84,7 +89,7 @@ class Linear:
     slabs: tuple[float, ...] = SLABS  # those of what stands out
     # share beyond which a background is unlikely, and log of its weight
     wide: tuple[float, float] = (max(SHARES), 0.0)
-    rough: float = RARE  # log of the prior weight of errors that have no structure
+    rough: float = RARE  # log of the prior weight of noise larger than declared
     # what stations show beside all columns: squared, in how many directions, and the visits that
     # each has; none where all directions are kept
     beyond: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -167,7 +172,8 @@ class Scale:
         self.free_share, self.rough = basis.free_share, basis.rough
         self.spike = basis.linear.spike(share, basis.free_share)
         self.weight = 1 / np.sqrt(1 + share**2 * basis.grows)
-        self.rare = (share > 1) + (basis.rough > 0)
+        # Where no repeats show the noise, more of it than was declared is nothing rare.
+        self.rare = (share > 1) + (basis.rough > 0 and basis.linear.rough < 0)
         square, count, visits = basis.linear.beyond
         beyond, weight = basis.linear.wide
         alike = 1 + basis.rough**2 * visits
@@ -202,8 +208,11 @@ class Scale:
 
 def scales(linear: Linear) -> tuple[Scale, ...]:
     """The grid of scales."""
-    grid = [Basis(linear, *each) for each in FREE_AND_ROUGH]
-    return tuple(Scale(basis, share) for share in linear.shares for basis in grid)
+    quiet = [Basis(linear, free, 0.0) for free in FREE]
+    noisy = [Basis(linear, FREE[0], noise) for noise in NOISE]
+    found = [Scale(basis, share) for share in linear.shares for basis in quiet]
+    shares = [share for share in linear.shares if share in _NOISY_SHARES]
+    return (*found, *(Scale(basis, share) for share in shares for basis in noisy))
 
 
 def whole(

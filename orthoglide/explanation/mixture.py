@@ -103,6 +103,13 @@ class Mixture(Search):
         at = [largest(np.where(plain, self.weights[s], -np.inf)) for s in likely]
         return tuple((s, self.scales[k]) for s, k in zip(likely, at, strict=True))
 
+    def likeliest_background(self) -> Scale:
+        """The likeliest scale of a machine within its tolerances on which nothing stands out, under
+        the noise that was declared.
+        """
+        within = self._plain & np.array([s.share <= 1 for s in self.scales])
+        return self.scales[largest(np.where(within, self.visited[()], -np.inf), EQUAL_ODDS)]
+
     def told(self, names: Collection[str]) -> tuple[tuple[State, Scale], ...]:
         """Of these explanations those in which nothing else stands out than what has been told,
         groups by name; of the best state what has, over the likeliest background, where none of

@@ -10,8 +10,8 @@ from orthoglide.explanation.causes import Outstanding
 from orthoglide.explanation.everything import FullPosterior
 from orthoglide.explanation.linear import Scale
 from orthoglide.explanation.search import State
-from orthoglide.explanation.significance import Left
-from orthoglide.fit.scores import smaller, tail
+from orthoglide.explanation.significance import SIGNIFICANT, Left, left_over
+from orthoglide.fit.scores import improvement, smaller, tail
 from orthoglide.geometry import Array
 
 _VISIBLE = 1e-6  # of the largest: directions that stations span
@@ -36,8 +36,9 @@ def remains(posterior: FullPosterior, found: Outstanding) -> Left:
     A posterior that did not settle was not looked at where it is: what it leaves is not known.
     """
     mixture = posterior.mixture
+    base = left_over(posterior.before).p_value
     if not posterior.settled:
-        return Left(np.nan, mixture.rare)
+        return Left(np.nan, mixture.rare, base=base)
     told = mixture.told(found.names)
     p = untold = _best(posterior, told)
     if p < _ENOUGH:
@@ -48,7 +49,21 @@ def remains(posterior: FullPosterior, found: Outstanding) -> Left:
     if mixture.linear.unnamed.any():
         shaped = _chance(posterior, mixture.precision(*told[0], unnamed=True))
     few = any(dof < _SURE for _, dof in posterior.before.problem.repeated)
-    return Left(p, mixture.beyond if few else mixture.rare, shaped, untold)
+    rare = mixture.beyond if few else mixture.rare
+    return Left(p, rare, shaped, untold, base, base < SIGNIFICANT and _is_diffuse(posterior))
+
+
+def _is_diffuse(posterior: FullPosterior) -> bool:
+    """Whether a background of at most one tolerance explains the readings, and predicts stations
+    that are left out better than the base alone by more than the standard error.
+    """
+    mixture = posterior.mixture
+    p = _chance(posterior, mixture.precision((), mixture.likeliest_background()))
+    if p < SIGNIFICANT:
+        return False
+    before, after = posterior.before, posterior.after
+    fall, error = improvement(*((one.problem, one.nuisance, one.at) for one in (before, after)))
+    return fall > error
 
 
 def _best(posterior: FullPosterior, explanations: Sequence[tuple[State, Scale]]) -> float:

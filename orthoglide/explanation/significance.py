@@ -14,6 +14,9 @@ from orthoglide.fit.repeats import finest_of, on_grid, repeat_variance, total_va
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
 
+SIGNIFICANT = 0.003
+"""Probability of calling what is left significant where nothing is: one false alarm in 300."""
+
 DRAWS = 1999
 """Draws of the noise from which thresholds are taken."""
 
@@ -34,12 +37,18 @@ class Left:
     shaped: float = 0.0  # `p_value` where probed plates may have shapes that no effect names
     # `p_value` where what may stand out counts that is not likely enough to be told
     untold: float = 0.0
+    # `p_value` of the base model alone
+    base: float = 1.0
+    # whether errors of at most one tolerance of everything explain the readings, stations that are
+    # left out included
+    diffuse: bool = False
 
 
 def left_over(estimate: Estimate) -> Left:
     """Test what a fit leaves against the noise: :attr:`Scores.lack_of_fit_p`."""
     p = estimate.scores.lack_of_fit_p
-    return Left(p if np.isfinite(p) else 1.0)
+    p = p if np.isfinite(p) else 1.0
+    return Left(p, base=p)
 
 
 def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int) -> Array:

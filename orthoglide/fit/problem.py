@@ -236,6 +236,12 @@ class Problem:
         return tuple(one for factor in self.tool for one in factor.repeated)
 
     @cached_property
+    def repeats(self) -> int:
+        """Number of readings beyond the first of each station, which show the noise alone."""
+        weighted = np.concatenate([f.noise.weighted for f in self.factors])
+        return int(weighted.sum()) - len(np.unique(self.station[weighted]))
+
+    @cached_property
     def noise_dof(self) -> float:
         """Degrees of freedom behind the noise of all readings together: each instrument's by its
         share of them (Satterthwaite); infinite where none has it from repeats.

@@ -35,7 +35,8 @@ NOTHING_SHOWN = (
 )
 
 MEANINGS: Mapping[str, str] = {
-    "adequate": "nothing significant is left, and no single cause was added",
+    "adequate": "the base model fits the readings, and no cause was added",
+    "diffuse": "small errors of many parts explain the readings, and no single cause was added",
     "explained": "a cause was found, and nothing significant is left",
     "ambiguous": "explained, but other causes fit these readings as well",
     "located": "a place was found that no known shape explains, and nothing significant is left",

@@ -50,7 +50,7 @@ from orthoglide.result.residuals import Change, DataFault, LackOfFit, Noise
 
 SCHEMA = 2
 
-Word = Literal["adequate", "explained", "ambiguous", "located", "partial", "unexplained"]
+Word = Literal["adequate", "diffuse", "explained", "ambiguous", "located", "partial", "unexplained"]
 
 _NAMED = 3  # keys that a message names
 _HARDLY = 0.95  # ratio of residuals above which a fit is reported as no improvement
@@ -83,7 +83,8 @@ class Result(Framed):
     Attributes:
         request: readings, machine and options of the run.
         machine: the calibrated machine with its covariance.
-        word: the verdict: adequate, explained, ambiguous, located, partial or unexplained.
+        word: the verdict: adequate, diffuse, explained, ambiguous, located, partial or
+            unexplained.
         noise: noise of the readings.
         nominal: scores of the machine before calibration.
         before: fit of the base model: joint offsets and leg lengths, or what ``identify`` frees.
