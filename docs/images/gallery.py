@@ -49,6 +49,8 @@ where the rest shows.""",
     "unexplained": """Change nothing by these readings. Numbers for the controller are withheld.
 Take the readings proposed, where most is left, and look for what no smooth cause does: a loose
 part, a dial that was touched, dirt.""",
+    "diffuse": """Enter the zeros. No single part stands out, so none is worth a repair: what small
+errors of many parts do to the tool, the calibrated machine and its compensation take away.""",
     "adequate": """Enter the zeros. It does not say that the machine is perfect: what these readings
 cannot show is listed in the report as invisible.""",
 }
@@ -103,7 +105,18 @@ def cases() -> Iterator[Case]:
     )
     sound = swept({})
     yield Case("unexplained", odd, sound.with_readings(sound.reading + scattered(sound)))
+    worn = "every part off by about a third of its tolerance, none by more than the others"
+    yield Case("diffuse", worn, swept(little()))
     yield Case("adequate", "nothing but the zeros", sound)
+
+
+def little() -> dict[str, float]:
+    """A third of the tolerance of everything that a sweep's dials can show."""
+    rng, catalogue = np.random.default_rng(5), NOMINAL.catalogue
+    names = [str(n) for e in catalogue.effects if e.at_rest and not e.of_dial and not e.instead_of
+             for n in catalogue.expand([e.name])]  # fmt: skip
+    names = [n for n in names if n not in ZEROS]
+    return {n: 0.3 * NOMINAL.tolerance(n) * float(rng.standard_normal()) for n in names}
 
 
 def s_shape() -> og.Effect:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import TypeVar
 
@@ -16,13 +17,14 @@ from orthoglide.closing.values import (
     fit_value,
     located_value,
 )
-from orthoglide.fit import CrossCheck
+from orthoglide.fit import CrossCheck, Estimate
+from orthoglide.fit.noise_scales import noise_scales
 from orthoglide.fit.shown import readings_shown, rows_in
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.observations import campaign_rows
 from orthoglide.planning import Suggestion
 from orthoglide.progress import Progress, Step, silent
-from orthoglide.result import InstrumentNoise, Noise, Proposal, Result, Unseen, encoded
+from orthoglide.result import InstrumentNoise, Noise, Proposal, Result, SetupNoise, Unseen, encoded
 from orthoglide.threads import on_one_thread
 
 # Metres. Two derivations that differ by less agree; the difference below is rounding, which differs
@@ -101,6 +103,7 @@ def _result(closed: Closed) -> Result:
         picture=closed.picture,
         readings=readings_shown(after, base, request.given),
         command_line=request.command_line,
+        noise_by_setup=tuple(_by_setup(after)),
     )
 
 
@@ -125,6 +128,16 @@ def _noise(closed: Closed) -> Noise:
         source=problem.noise_source,
         by_instrument=each,
     )
+
+
+def _by_setup(fit: Estimate) -> Iterator[SetupNoise]:
+    """The noise that a fit shows, setup by setup."""
+    for one in noise_scales(fit):
+        table, setup = one.readings, one.setup
+        name, kind = ("", "tcp") if setup is None else (setup.name, setup.kind)
+        yield SetupNoise(
+            name, table.file or table.name, kind, one.sigma, one.scale, one.scale_sigma
+        )
 
 
 def _proposal(one: Suggestion) -> Proposal:

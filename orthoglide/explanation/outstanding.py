@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.special import ndtr
 
 from orthoglide.accuracy import tcp_slopes
 from orthoglide.effects.places import Place
@@ -27,12 +28,15 @@ from orthoglide.explanation.causes import (
 from orthoglide.explanation.everything import FullPosterior
 from orthoglide.explanation.instead import Alternatives
 from orthoglide.explanation.linear import Group
+from orthoglide.fit.problem import FAR
 from orthoglide.geometry import Array
 from orthoglide.ordering import EQUAL, EQUAL_ODDS, descending, largest, ranked
 
 _OFF = 0.1  # tolerances: a background that is worth a word
 
 _NEAREST = 24  # causes and places that are listed as weighed
+
+_SURELY = 2.0  # sigmas by which a parameter lies beyond what is expected of it
 
 CREDIBLE = 0.95
 """Probability that a credible set holds the truth."""
@@ -48,6 +52,7 @@ def outstanding(posterior: FullPosterior, given: Sequence[str] = ()) -> Outstand
     """Read off what stands out of the background, beside the causes that are given."""
     reader = _Reader(posterior)
     found = [reader.set_of(member, given) for member in posterior.mixture.strongest]
+    found += reader.of_base()
     return Outstanding(
         tuple(f for f in found if isinstance(f, Cause)),
         tuple(f for f in found if isinstance(f, Located)),
@@ -93,6 +98,34 @@ class _Reader:
         if free < (1 - NAMED) * there or (not self.groups[chosen[0]].free and free < 0.5 * there):
             return self._cause(member, each)
         return self._located(member, each, free)
+
+    def of_base(self) -> Iterator[Cause]:
+        """Parameters of the base model that are certainly far beyond their tolerances, the zeros of
+        the drives aside, which are only to be set: each is a cause of its own.
+        """
+        posterior, about = self.posterior, self.posterior.about
+        problem, known = posterior.before.problem, posterior.known
+        machine = posterior.before.problem.machine
+        names, values, _ = posterior.machine_with(posterior.mean)
+        for k, name in enumerate(problem.names):
+            value, sigma = known.mean[k], float(np.sqrt(known.covariance[k, k]))
+            value, sigma = value * about.scale[k], sigma * about.scale[k]
+            most = FAR * machine.tolerance(name)
+            is_zero = machine.catalogue.effect_of(name).controller == "zero"
+            if is_zero or abs(value) - _SURELY * sigma < most:
+                continue
+            shown = about.rows[:, k] * known.mean[k]
+            one = Explanation(
+                str(name),
+                (str(name),),
+                float(ndtr((abs(value) - most) / sigma)),
+                {str(name): float(value)},
+                {str(name): sigma},
+                dict(zip(names, values.tolist(), strict=True)),
+                shown - about.nuisance.fitted(shown),
+                posterior.machine.catalogue,
+            )
+            yield Cause(one, (), ())
 
     def alone(self) -> tuple[Explanation, ...]:
         """Causes of which one would be behind it if the rest of the machine were sound: a set of

@@ -7,63 +7,49 @@ or degrees, are small numbers, and so is what a fit leaves of them: the machine 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from itertools import groupby
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.least_squares import fitted_basis
-from orthoglide.fit.problem import Factor, Problem
+from orthoglide.fit.noise_scales import NoiseScale, noise_scales, together
+from orthoglide.fit.problem import Problem
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
 from orthoglide.observations import source
 
 # Of the noise; inches are 25 times too small, degrees 57 times, and what the machine does in a way
 # that no fit explains is left of them as well.
-_QUIET = {"usual": 0.1, "told": 0.2}
+_QUIET, _QUIET_OF_DECLARED = 0.1, 0.2
 _FEWEST = 10.0  # degrees of freedom: noise alone leaves a tenth of itself once in 4e8 such setups
 _EXACT = 1e-8  # metres or radians: whose noise is declared this small is not measured but computed
-_DECLARED = "as declared"
+_DECLARED, _FROM_REPEATS = "as declared", "from their repeats"
 _FROM_FILE, _IN_FILE = "as the machine file has it", " in the machine file, "
 _HALF = 2.0  # times that noise may be declared too large without a word
 _CHANCE = 1e-3  # of readings with half of the noise declared that are said to be too quiet
 _MOST = 1e3  # times quieter, from which the figure says nothing more
 
 
-class _Part(NamedTuple):
-    """Readings of one instrument."""
-
-    where: str  # its file and setup, for people
-    rows: NDArray[np.intp]  # of all readings (m,)
-    told: str  # where the noise comes from, in words; empty of the usual figure
-    declare: str  # where it may be declared
-
-
 def quieter(estimate: Estimate) -> tuple[Note, ...]:
     """Sentences on readings that are too quiet: by instrument, or else all together."""
-    return tuple(_by_part(estimate)) or tuple(_all_together(estimate))
+    return tuple(_by_instrument(estimate)) or tuple(_all_together(estimate))
 
 
-def _by_part(estimate: Estimate) -> Iterator[Note]:
+def _by_instrument(estimate: Estimate) -> Iterator[Note]:
     """A sentence for every setup of an instrument at the tool, and for all dials of a file, that is
     left with next to nothing of its noise.
     """
-    problem, left = estimate.problem, estimate.residuals
-    square = problem.weighing.whiten(left) ** 2
-    leverage = None
-    for part in _parts(problem):
-        limit = _QUIET["told" if part.told else "usual"] ** 2
-        rows = part.rows
-        sigma = float(np.sqrt(np.mean(problem.sigma[rows] ** 2 + problem.common[rows] ** 2)))
-        if sigma < _EXACT or len(rows) < _FEWEST or square[rows].mean() > limit:
-            continue
-        if leverage is None:
-            basis = fitted_basis(problem, estimate.nuisance, estimate.at)
-            leverage = np.sum(basis[: len(left)] ** 2, axis=1)
-        dof = float(np.sum(1 - leverage[rows]))
-        if dof >= _FEWEST and (ratio := float(square[rows].sum()) / dof) < limit:
-            yield Note(_said(problem, part, sigma, ratio), "quiet")
+    problem = estimate.problem
+    for table, several in groupby(noise_scales(estimate), key=lambda one: one.readings):
+        each = list(several)
+        for noise in [together(each)] if table.on_legs.all() else each:
+            origin = _origin(problem, noise)
+            limit = _QUIET_OF_DECLARED if origin else _QUIET
+            # Of dials whose noise is declared the sentence speaks that counts all readings.
+            counted = noise.setup is None and problem.noise.source == "declared"
+            known = noise.sigma >= _EXACT and noise.dof >= _FEWEST
+            if not counted and known and noise.scale < limit:
+                yield Note(_sentence(noise, origin), "quiet")
 
 
 def _all_together(estimate: Estimate) -> Iterator[Note]:
@@ -87,44 +73,40 @@ def _all_together(estimate: Estimate) -> Iterator[Note]:
         )
 
 
-def _said(problem: Problem, part: _Part, sigma: float, ratio: float) -> str:
-    turned = bool(problem.turned[part.rows[0]])
+def _sentence(noise: NoiseScale, origin: str) -> str:
+    """What was found of some readings, and what to do."""
+    table, setup = noise.readings, noise.setup
+    turned = bool(table.angular[table.setup == table.setups.index(setup)][0]) if setup else False
     unit, other = ("mrad", "degrees") if turned else ("mm", "inches")
-    times = 1 / np.sqrt(max(ratio, _MOST**-2))
+    times = 1 / max(noise.scale, 1 / _MOST)
     count = f"more than {_MOST:.0f}" if times >= _MOST else compact(times, 2)
-    where = "" if part.told == _DECLARED else part.declare
+    where = source(table)
+    if setup is None:
+        place = f"{_IN_FILE}[dial_mm]"
+    elif table.by_point:
+        place = " in a column sigma_mm"
+    else:
+        where, place = f"{where}, setup {setup.name!r}", f"{_IN_FILE}[instrument.{setup.kind}]"
     return (
-        f"{part.where}: the readings are {count} times quieter than the noise assumed of them "
-        f"({compact(sigma * 1e3, 2)} {unit}, {part.told or 'the usual figure'}): are they in "
+        f"{where}: the readings are {count} times quieter than the noise assumed of them "
+        f"({compact(noise.sigma * 1e3, 2)} {unit}, {origin or 'the usual figure'}): are they in "
         f"another unit, as {other}? If not, "
-        f"{'correct' if part.told else 'declare'} the instrument's noise{where}"
+        f"{'correct' if origin else 'declare'} the instrument's noise"
+        f"{'' if origin == _DECLARED else place}"
     )
 
 
-def _parts(problem: Problem) -> Iterator[_Part]:
-    for factor, span in zip(problem.factors, problem.factor_rows, strict=True):
-        rows, readings = np.arange(span.start, span.stop), factor.readings
-        if factor.on_legs:
-            if problem.noise.source != "declared":  # of which notes speak that count all readings
-                told = _FROM_FILE if problem.machine.spec.dial.repeatability else ""
-                told = "from their repeats" if problem.noise.source == "repeats" else told
-                yield _Part(source(readings), rows, told, f"{_IN_FILE}[dial_mm]")
-            continue
-        for k, setup in enumerate(readings.setups):
-            own = factor.setup == k
-            where = "" if readings.by_point else f", setup {setup.name!r}"
-            declare = f"{_IN_FILE}[instrument.{setup.kind}]"
-            if own.any():
-                yield _Part(
-                    f"{source(readings)}{where}", rows[own],
-                    _of_tool(problem, factor, own, setup.kind),
-                    " in a column sigma_mm" if readings.by_point else declare,
-                )  # fmt: skip
-
-
-def _of_tool(problem: Problem, factor: Factor, own: NDArray[np.bool_], kind: str) -> str:
-    told = np.isfinite(factor.readings.sigma[own]).all()
-    if told or (problem.noise.source == "declared" and not problem.campaigns):
+def _origin(problem: Problem, noise: NoiseScale) -> str:
+    """Where the noise assumed comes from, in words; empty if it is what is usual of the kind."""
+    spec = problem.machine.spec
+    if noise.setup is None:
+        if problem.noise.source == "repeats":
+            return _FROM_REPEATS
+        return _FROM_FILE if spec.dial.repeatability else ""
+    table, kind = noise.readings, noise.setup.kind
+    own = np.array([s.kind == kind for s in table.setups])[table.setup]
+    declared = problem.noise.source == "declared" and not problem.campaigns
+    if declared or np.isfinite(table.sigma[own]).all():
         return _DECLARED
-    instrument = problem.machine.spec.instruments.get(kind)
+    instrument = spec.instruments.get(kind)
     return _FROM_FILE if instrument is not None and instrument.repeatability else ""

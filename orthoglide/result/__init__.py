@@ -44,6 +44,7 @@ from orthoglide.result.residuals import (
     InstrumentNoise as InstrumentNoise,
     LackOfFit as LackOfFit,
     Noise as Noise,
+    SetupNoise as SetupNoise,
     SetupResidual as SetupResidual,
 )
 from orthoglide.result.result import Result as Result, Unseen as Unseen, Word as Word

@@ -131,6 +131,20 @@ class Noise:
 
 
 @dataclass(frozen=True)
+class SetupNoise:
+    """Noise of the readings of one setup, as the residuals show it."""
+
+    setup: str  # its name
+    file: str  # of its readings, or the campaign's name
+    kind: str  # of its readings
+    # standard deviation of one reading that was assumed, root mean square, metres or radians
+    sigma: Annotated[float, Key(suffix="_mm", si=_MM, digits=SHORT)]
+    # ratio of what the residuals show to that; nan where nothing is left to show it
+    scale: Share
+    scale_sigma: Share  # standard deviation of `scale`
+
+
+@dataclass(frozen=True)
 class DataFault:
     """A fault of the data: readings that no machine produces."""
 

@@ -46,7 +46,7 @@ from orthoglide.result.pictured import Picture, Workspace
 from orthoglide.result.reading import EDITED, as_edited, machine_of, read_result, request_of
 from orthoglide.result.readings_shown import ReadingsShown
 from orthoglide.result.request import Request, machine_kept
-from orthoglide.result.residuals import Change, DataFault, LackOfFit, Noise
+from orthoglide.result.residuals import Change, DataFault, LackOfFit, Noise, SetupNoise
 
 SCHEMA = 2
 
@@ -124,6 +124,8 @@ class Result(Framed):
         picture: drawing of the machine with the causes marked.
         readings: measured and predicted readings.
         command_line: command that runs it again.
+        noise_by_setup: noise that the residuals show, by setup; empty in results of earlier
+            versions.
     """
 
     request: Request
@@ -166,6 +168,7 @@ class Result(Framed):
     picture: Picture
     readings: ReadingsShown
     command_line: str
+    noise_by_setup: Annotated[tuple[SetupNoise, ...], Key("noise")] = ()
     _index = "parameter"
 
     @classmethod
