@@ -21,8 +21,6 @@ from orthoglide.closing import Closed, filled
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import cause_short, cause_words
 from orthoglide.errors import FileError
-from orthoglide.explanation.pattern import describe_left
-from orthoglide.fit import Estimate, identify
 from orthoglide.numerals import ByUnit
 from orthoglide.observations import Campaign, protocol
 from orthoglide.report import report_files, summary
@@ -174,8 +172,6 @@ def test_the_key_numbers_are_on_the_page(which: str) -> None:
         assert any(f"{value * 1e3:.{places}f}" in text for places in (2, 3, 4))
     for blunder in verdict.blunders:
         assert blunder.message in text
-    for line in verdict.left.pattern:
-        assert line[1:] in text
     assert "orthoglide rerun result.json" in text
     assert "Not visible, which is not absent" in text or not verdict.invisible
 
@@ -554,32 +550,3 @@ def test_the_workspace_is_told_before_and_after() -> None:
     families = verdict_of("explained").uncertain_effects
     assert 0.3 < sum(share for _, share in families) <= 1
     assert [s for _, s in families] == sorted((s for _, s in families), reverse=True)
-
-
-# --- The pattern of what is left ------------------------------------------------------------
-
-
-def left_of(extra: np.ndarray | float, seed: int = 0) -> str:
-    fit: Estimate = identify(swept(extra, seed), rig_machine(), method="nested")
-    return "; ".join(describe_left(fit))
-
-
-def test_patterns_are_recognised() -> None:
-    sheet = protocol("sweep")
-    s = travel(sheet)
-    assert "setup yx-0.5 holds" in left_of(3e-5 * (s / 0.1) ** 2 * (sheet.setup == 2))
-    u = (s + 0.02) / 0.08
-    assert "even along the stroke" in left_of(5e-5 * u**2)
-    assert "odd along the stroke" in left_of(5e-5 * (5 * u**3 - 3 * u))
-    assert "side from which axis z came" in left_of(1e-5 * sheet.approach[:, 2])
-    assert "drifts in time" in left_of(1e-4 * np.linspace(0, 1, len(sheet)) ** 2)
-    wave = np.sin(2 * np.pi * s / 0.06)
-    found = re.search(r"travel of y, every (\d+) mm", left_of(5e-5 * wave * (sheet.leg == 1)))
-    assert found
-    assert abs(int(found[1]) - 60) <= 6
-
-
-@pytest.mark.thorough
-def test_noise_has_no_pattern() -> None:
-    silent = [left_of(0.0, seed) for seed in range(20)]
-    assert sum("no pattern" in text for text in silent) >= 17

@@ -10,11 +10,11 @@ from scipy import stats
 
 import orthoglide as og
 from orthoglide.accuracy import Map, without_place
-from orthoglide.explanation import pattern, significance
+from orthoglide.explanation import significance
 from orthoglide.explanation.evidence import Scoring
 from orthoglide.explanation.signatures import signatures
 from orthoglide.fit import Estimate
-from orthoglide.fit.least_squares import fitted_basis, normal
+from orthoglide.fit.least_squares import normal
 from orthoglide.fit.repeats import repeat_variance
 from orthoglide.fit.scores import deviation_rms, tail
 from orthoglide.fit.unknowns import build_unknowns
@@ -203,45 +203,6 @@ def test_unknowns_stay_within_fifty_tolerances() -> None:
 
 
 # -- station means --------------------------------------------------------------------------------
-
-
-# -- the pattern of what is left ------------------------------------------------------------------
-
-
-@pytest.mark.thorough(except_for=["True"])
-@pytest.mark.parametrize("by_reading", [True, False])
-def test_contrasts_are_tested_by_fishers_f(by_reading: bool) -> None:
-    """Against all readings, or the means of the stations: two regressions written out."""
-    found = fitted("sweep")
-    rest = pattern._Rest(found)
-    column = np.random.default_rng(0).standard_normal(int(rest.station.max()) + 1)[rest.station]
-    basis = fitted_basis(found.problem, found.nuisance, found.at)[: rest.count]
-    y, x = found.residuals / NOISE, column / NOISE
-    x = x - basis @ (basis.T @ x)
-    gain = float(x @ y) ** 2 / float(x @ x)
-    mean = np.bincount(rest.station, y) / np.bincount(rest.station)
-    total = float(y @ y) if by_reading else float(np.sum(mean[rest.station] ** 2))
-    count = len(y) if by_reading else len(mean)
-    degrees = count - float(np.sum(basis**2)) - 1
-    expected = stats.f.sf(gain / ((total - gain) / degrees), 1, degrees)
-    p, share = rest.p_value(column[:, None], by_reading=by_reading)
-    assert p == pytest.approx(expected, rel=1e-6)
-    assert share == pytest.approx(gain / total)
-
-
-def test_a_drift_is_held_against_all_readings_and_hysteresis_against_stations() -> None:
-    asked = []
-
-    class Asked(pattern._Rest):
-        def p_value(self, columns, by_reading=False):
-            asked.append(by_reading)
-            return 1.0, 0.0
-
-    rest = Asked(fitted("sweep"))
-    pattern._trend(rest)
-    pattern._hysteresis(rest)
-    assert asked[0] is True
-    assert set(asked[1:]) == {False}
 
 
 # -- accuracy -------------------------------------------------------------------------------------

@@ -94,7 +94,6 @@ def test_what_is_left_at_the_tool_is_told_and_followed_there() -> None:
     assert follow.aim == "trace"
     assert f"shows most in {most.reads}" in follow.reason
     assert not any("shows on leg" in option.words for option in verdict.picture.options)
-    assert verdict.left.pattern[0] == f"{most.share:.0%} of it is in {most.reads} (tcp)"
 
 
 def test_a_single_dial_is_not_all_dials() -> None:

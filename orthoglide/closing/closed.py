@@ -244,11 +244,8 @@ class Closed:
     @cached_property
     def lack_of_fit(self) -> LackOfFit:
         """The residuals of the last fit against the noise."""
-        from orthoglide.explanation.pattern import describe_left
-
         left, known = self.left, self.posterior
         stopped = "nothing else stands out of the noise and of the background of small errors"
-        significant = self.request.searches and not self.stands
         mountings = rest_by_setup(self.after)
         return LackOfFit(
             p_value=left.p_value,
@@ -257,7 +254,6 @@ class Closed:
             shaped=left.shaped,
             with_unreported=left.untold,
             stopped="no cause was to be added" if known is None else stopped,
-            pattern=describe_left(self.after) if significant else (),
             mountings=tuple(sorted(mountings, key=lambda one: one.leg < 0)),
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import TypeVar
 
 from orthoglide.closing.closed import Closed
@@ -136,7 +137,7 @@ def _by_setup(fit: Estimate) -> Iterator[SetupNoise]:
         table, setup = one.readings, one.setup
         name, kind = ("", "tcp") if setup is None else (setup.name, setup.kind)
         yield SetupNoise(
-            name, table.file or table.name, kind, one.sigma, one.scale, one.scale_sigma
+            name, Path(table.file).name or table.name, kind, one.sigma, one.scale, one.scale_sigma
         )
 
 

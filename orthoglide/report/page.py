@@ -58,7 +58,7 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
     yield Section("finding", "", first.finding(result))
     if result.blunders:
         yield Section("faults", "Faults of the data", sections.faults(result))
-    if result.left.pattern:
+    if searches and not result.stands:
         yield Section("left", "What is left", sections.left(result))
     if result.firmware is not None and result.firmware.corrections is not None:
         yield Section("firmware", "Numbers for the firmware", sections.firmware(result))

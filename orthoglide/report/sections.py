@@ -101,7 +101,7 @@ def faults(result: Result) -> Data:
 
 
 def left(result: Result) -> Data:
-    """The pattern of what is left."""
+    """Residuals of every mounting."""
     return {"rows": [(rest, _most(rest)) for rest in result.left.mountings]}
 
 

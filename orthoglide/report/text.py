@@ -39,7 +39,7 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
     remarks += [] if searches else weak_sentences(result.weak, result.catalogue)
     hidden = (unshown_words(result), unvaried_words(result))
     told = (*hidden, *(w for w in result.warnings if w.kind != said))
-    remarks += [*result.left.pattern, *(sentence(w) for w in told if w)]
+    remarks += [sentence(w) for w in told if w]
     parts += [Text(f"- {line}") for line in remarks]
     parts += [Text(line) for line in to_do(result)]
     if result.firmware is not None and result.firmware.corrections is not None:

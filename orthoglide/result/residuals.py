@@ -74,7 +74,6 @@ class LackOfFit:
     shaped: Share  # `p_value` if probed plates may have shapes that no effect describes
     with_unreported: Share  # `p_value` if causes count that are not probable enough to be reported
     stopped: str  # why the search ended, a clause
-    pattern: tuple[str, ...]  # of significant residuals, in clauses; empty after `identify`
     # of every mounting of a dial, largest share first, then of every instrument at the tool
     mountings: tuple[SetupResidual, ...]
 
@@ -135,7 +134,7 @@ class SetupNoise:
     """Noise of the readings of one setup, as the residuals show it."""
 
     setup: str  # its name
-    file: str  # of its readings, or the campaign's name
+    file: str  # name of the file, or of the campaign where there is none
     kind: str  # of its readings
     # standard deviation of one reading that was assumed, root mean square, metres or radians
     sigma: Annotated[float, Key(suffix="_mm", si=_MM, digits=SHORT)]
