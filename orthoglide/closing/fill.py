@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import TypeVar
 
 from orthoglide.closing.closed import Closed
@@ -22,7 +21,7 @@ from orthoglide.fit import CrossCheck, Estimate
 from orthoglide.fit.noise_scales import noise_scales
 from orthoglide.fit.shown import readings_shown, rows_in
 from orthoglide.instruments import OBSERVATIONS
-from orthoglide.observations import campaign_rows
+from orthoglide.observations import campaign_rows, source
 from orthoglide.planning import Suggestion
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.result import InstrumentNoise, Noise, Proposal, Result, SetupNoise, Unseen, encoded
@@ -137,7 +136,7 @@ def _by_setup(fit: Estimate) -> Iterator[SetupNoise]:
         table, setup = one.readings, one.setup
         name, kind = ("", "tcp") if setup is None else (setup.name, setup.kind)
         yield SetupNoise(
-            name, Path(table.file).name or table.name, kind, one.sigma, one.scale, one.scale_sigma
+            name, source(table), kind, one.sigma, one.scale, one.scale_sigma
         )
 
 

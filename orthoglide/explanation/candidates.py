@@ -24,6 +24,16 @@ class Candidate:
         """Number of parameters."""
         return len(self.parameters)
 
+    @property
+    def chance(self) -> float:
+        """How often it goes wrong, over a cause of one part. A pattern counts as the parts that it
+        moves, as each would have to be wrong; a common error counts as one, as parts of one drawing
+        and one supplier have it together.
+        """
+        if self.size > 1 or self.parameters[0].plain.endswith("common"):
+            return 1.0
+        return 1.0 / len(self.weights[0])
+
 
 def candidates(
     names: Sequence[Parameter], effects: Sequence[Effect], catalogue: Catalogue

@@ -377,7 +377,7 @@ def _groups(
         np.add.at(rows, moved, matrix * factor[:, None])
         places = np.flatnonzero(rows.any(axis=1))
         causes.append(cause)
-        groups.append(Group(cause.name, places, rows[places], False))
+        groups.append(Group(cause.name, places, rows[places], False, cause.chance))
     ways = Counter(place.where for place in found)
     for place, (name, own_places) in zip(found, _spans(found, len(names)).items(), strict=True):
         if np.linalg.norm(columns[:, own_places]) > _VISIBLE:
