@@ -100,7 +100,9 @@ def test_inches_throughout_are_refused(ask, factor: float) -> None:
 def test_a_bar_wrong_by_five_millimetres_is_told(kind: str, length: float) -> None:
     wrong = MACHINE.with_parameters({"leg_length.y": length})
     verdict = og.close_loop(simulate(wrong, kind, noise=5e-6, seed=1), MACHINE)
-    assert (verdict.word, verdict.effects) == ("adequate", ())
+    assert verdict.word == "explained"
+    assert [cause.name for cause in verdict.effects] == ["leg_length.y"]
+    assert verdict.effects[0].chosen.value == pytest.approx(length * 1e3, abs=0.5)
     (far,) = [w for w in verdict.after.warnings if w.kind == "tolerance"]
     what, _, size = far.partition(" is ")
     assert what == "leg length of leg y (leg_length.y)"

@@ -135,9 +135,7 @@ def _by_setup(fit: Estimate) -> Iterator[SetupNoise]:
     for one in noise_scales(fit):
         table, setup = one.readings, one.setup
         name, kind = ("", "tcp") if setup is None else (setup.name, setup.kind)
-        yield SetupNoise(
-            name, source(table), kind, one.sigma, one.scale, one.scale_sigma
-        )
+        yield SetupNoise(name, source(table), kind, one.sigma, one.scale, one.scale_sigma)
 
 
 def _proposal(one: Suggestion) -> Proposal:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 from orthoglide.accuracy import tcp_map
@@ -19,6 +19,7 @@ from orthoglide.explanation import (
 from orthoglide.explanation.changes import separated
 from orthoglide.explanation.data_faults import Blunder, check_repeats, find_faults, without
 from orthoglide.explanation.significance import SIGNIFICANT, Left, left_over
+from orthoglide.explanation.suspects import Key
 from orthoglide.fit import (
     Change,
     Estimate,
@@ -74,7 +75,9 @@ def close(request: Request, progress: Progress = silent) -> Closed:
     progress(Step("faults"))
     faults = find_faults(read)
     blunders, changes = faults.blunders, faults.changes
-    known, found, left, word = _searched(read, blunders, changes, progress, faults.look)
+    known, found, left, word = _searched(
+        read, blunders, changes, progress, faults.look, faults.unsure
+    )
     if word not in _NAMED and any(_is_far(c, machine) for c in changes):
         # What has no name takes any change that comes near.
         changes = ()
@@ -118,6 +121,7 @@ def _searched(
     changes: Sequence[Change],
     progress: Progress,
     look: FullPosterior | None = None,
+    unsure: Collection[Key] = (),
 ) -> tuple[FullPosterior, Outstanding, Left, Word]:
     """Everything weighed with faulty rows set aside and what changed let change: what stands out,
     what is left, and the verdict.
@@ -136,7 +140,7 @@ def _searched(
         problem = replace(problem, own=(*problem.own, *(n for c in causes for n in c.own)))
     named = [c.parameter for c in causes]
     before = solve(problem, method="nested") if blunders or changes else read
-    known = full_posterior(before, named, look)
+    known = full_posterior(before, named, look, unsure)
     progress(Step("allowing"))
     found = outstanding(known, named)
     left = remains(known, found)
@@ -214,6 +218,7 @@ def _word(found: Outstanding, left: Left) -> Word:
         return "diffuse" if left.diffuse else "unexplained"
     if significant:
         return "partial"
-    if found.located:
-        return "located"
-    return "ambiguous" if any(c.others for c in found.causes) else "explained"
+    several = any(c.others or c.data for c in found.causes)
+    if several or any(one.data for one in found.located):
+        return "ambiguous"
+    return "located" if found.located else "explained"

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.effects.motions import sin
+from orthoglide.effects.motions import exp, sin
 from orthoglide.geometry import Array
 
 _ROOM = 1.25
@@ -66,6 +66,19 @@ class Level:
     def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
         """One, at any variable."""
         return [u * 0.0 + 1.0][which]
+
+
+@dataclass(frozen=True)
+class Bump:
+    """A bump at one value of the variable: a Gaussian of unit height."""
+
+    at: float  # where it is highest, within [-1, 1]
+    width: float  # standard deviation, over half the variable's range
+    count = 1
+
+    def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
+        """One, at any variable."""
+        return [exp(-0.5 * ((u - self.at) / self.width) ** 2)][which]
 
 
 @dataclass(frozen=True)

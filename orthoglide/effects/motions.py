@@ -105,6 +105,11 @@ def cos(angle: Any) -> Any:
     return angle.cos() if hasattr(angle, "cos") else np.cos(angle)
 
 
+def exp(value: Any) -> Any:
+    """Exponential of a number, an array or a CasADi symbol."""
+    return value.exp() if hasattr(value, "exp") else np.exp(value)
+
+
 @dataclass(frozen=True)
 class Motion:
     """One virtual joint moved by one parameter.

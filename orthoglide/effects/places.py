@@ -15,18 +15,19 @@ from typing import Any, Literal
 
 from orthoglide.effects.catalogue import Catalogue
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.kernels import BuildUp, Kernel, Level
+from orthoglide.effects.kernels import BuildUp, Bump, Kernel, Level
 from orthoglide.effects.motions import LegConditions, Motion
 from orthoglide.effects.words import Words, toward
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.layout import LegNames, Orthoglide
+from orthoglide.numerals import compact
 from orthoglide.units import MM, RAD
 
 Against = Literal["travel", "approach", "reversal", "command", "time", "reading"]
 Part = Literal["drive", "rail", "carriage", "bar", "platform", "dial"]
 Joints = tuple[tuple[str, float], ...]
 Range = tuple[float, float]
-Functions = Kernel | BuildUp | Level
+Functions = Kernel | BuildUp | Bump | Level
 
 
 @dataclass(frozen=True)
@@ -47,10 +48,13 @@ class Place:
     setup: str = ""  # the dial's mounting; empty where it is all of them, or no dial
     names: LegNames = Orthoglide.names  # of legs and directions
     short: bool = False  # whether it comes and goes over a few centimetres, however long the stroke
+    bump: float | None = None  # travel at which it has a bump, metres; `None`: it is no bump
 
     @property
     def name(self) -> str:
         """Unique, such as ``rail.x.y/travel``."""
+        if self.bump is not None:
+            return f"{self.where}@{round(self.bump * 1e3, 1):g}"
         return self.where.replace("/travel", "/waves") if self.short else self.where
 
     @property
@@ -139,7 +143,7 @@ class Place:
             return f"the dial of {self.setup} {what}"
         leg = self.names.legs[self.leg]
         how = {
-            "travel": "in short waves along its travel" if self.short else "by its travel",
+            "travel": self._by_travel,
             "approach": "by the side it is approached from",
             "reversal": "by the way gone since it turned round",
             "command": f"by the command of drive {self.names.legs[self.by]}",
@@ -157,6 +161,12 @@ class Place:
             f"{toward(self.direction, 1.0)}",
         }[self.part]
         return f"{what} {how}"
+
+    @property
+    def _by_travel(self) -> str:
+        if self.bump is not None:
+            return f"at travel {compact(self.bump * 1e3, 3)} mm and nowhere else"
+        return "in short waves along its travel" if self.short else "by its travel"
 
     @property
     def look_at(self) -> str:
@@ -305,6 +315,41 @@ def places(
     return tuple(_sized(replace(place, names=names), scale) for place in found)
 
 
+_WIDTH = 0.008
+"""Metres: standard deviation of a bump, as dirt, a dent or a joint of a rail makes one."""
+
+
+def bumps(
+    travel: Sequence[Iterable[float]],
+    names: LegNames = Orthoglide.names,
+    stroke: Range = (-_LENGTH, _LENGTH),
+    scale: float = 1.0,
+) -> tuple[Place, ...]:
+    """Places that are wrong at one travel alone.
+
+    Args:
+        travel: where each leg may have a bump, metres from mechanical zero.
+        names: of legs and directions.
+        stroke: travel limits of the machine, metres.
+        scale: of its size, that of a workshop being 1.
+    """
+    middle, half = (stroke[0] + stroke[1]) / 2, (stroke[1] - stroke[0]) / 2
+    found: list[Place] = []
+    for leg, several in enumerate(travel):
+        across = dict(zip("bc", names.across[leg], strict=True))
+        for at in several:
+            bump = Bump((at - middle) / half, _WIDTH * scale / half)
+            moved: list[tuple[Part, Joints, str, Any]] = [
+                ("drive", (("travel", 1.0),), "", partial(_command_of, leg)),
+                *(("rail", ((f"lateral_{a}", 1.0),), way, _travel) for a, way in across.items()),
+            ]
+            for part, joints, way, variable in moved:
+                place = Place(part, leg, joints, way, "travel", 0, variable, bump, 100 * _UM,
+                              bump=at, names=names)  # fmt: skip
+                found.append(_sized(place, scale))
+    return tuple(found)
+
+
 def _sized(place: Place, scale: float) -> Place:
     """What to expect of it on a machine of some size; parts of any size turn by the same angles."""
     return place if place.turns else replace(place, unit=place.unit * scale)
@@ -347,10 +392,22 @@ def _none(c: LegConditions) -> Any:
     raise TypeError("this place is a function of no variable of the leg")
 
 
+def _bump_travel(effects: Iterable[str]) -> set[float]:
+    """Travel of the bumps among names of effects, metres; see :attr:`Place.name`."""
+    found = set()
+    for name in effects:
+        if match := re.fullmatch(r".*_travel_(_?)(\d+)(?:_(\d))?", name):
+            size = float(f"{match[2]}.{match[3] or 0}") * 1e-3
+            found.add(-size if match[1] else size)
+    return found
+
+
 def with_places(catalogue: Catalogue, names: Iterable[str], geometry: Geometry) -> Catalogue:
     """A catalogue with the places of a machine to which some of the parameters belong."""
     wanted = {name.partition(".")[0] for name in names} - set(catalogue)
     if not wanted:
         return catalogue
     every = places((), catalogue.legs, geometry.stroke, geometry.scale)
+    every += bumps([_bump_travel(wanted)] * len(LEGS), catalogue.legs, geometry.stroke,
+                   geometry.scale)  # fmt: skip
     return catalogue.with_effects(p.effect for p in every if p.effect.name in wanted)

@@ -67,6 +67,16 @@ class Explanation:
         return self.values[name] / si, self.sigmas[name] / si
 
 
+@dataclass(frozen=True)
+class Misread:
+    """A fault of the data that would explain the readings as well as a cause of the machine."""
+
+    kind: str  # as of a fault that was found
+    lines: tuple[int, ...]  # of its rows in their files
+    probability: float  # all else that was found given
+    message: str  # file, lines, what it looks like and what to do
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Cause:
     """One cause that stands out, with its credible set."""
@@ -78,6 +88,8 @@ class Cause:
     same: tuple[Explanation, ...]
     # places of the set, of which it is less likely than by name
     places: tuple[Curve, ...] = ()
+    # faults of the data of the set, most probable first
+    data: tuple[Misread, ...] = ()
 
     def __repr__(self) -> str:
         others = ", ".join(self.indistinguishable_from)
@@ -151,8 +163,11 @@ class Curve:
     @property
     def size(self) -> float:
         """How much it moves, SI: on an approach between the two sides, root mean square; after a
-        reversal from the turn to the farthest; else root mean square about its mean.
+        reversal from the turn to the farthest; a bump at its top; else root mean square about its
+        mean.
         """
+        if self.place.bump is not None:
+            return float(np.abs(self.value).max())
         if self.place.against == "approach":
             return float(np.sqrt(np.mean(self.value**2)))
         if self.place.against == "reversal":
@@ -167,7 +182,8 @@ class Curve:
     @property
     def size_words(self) -> str:
         """Its size with its unit, and whether that is a root mean square."""
-        return f"{compact(self.size * 1e3, 2)} {self.unit}{'' if self.place.two_sided else ' rms'}"
+        whole = self.place.two_sided or self.place.bump is not None
+        return f"{compact(self.size * 1e3, 2)} {self.unit}{'' if whole else ' rms'}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -180,6 +196,8 @@ class Located:
     group: int  # of the likeliest explanation, in whose place any of these may be
     # causes of the catalogue that move what the first member moves, and are none of the set
     ruled_out: tuple[str, ...] = ()
+    # faults of the data in the same credible set, most probable first
+    data: tuple[Misread, ...] = ()
 
     def __repr__(self) -> str:
         return f"<Located {', '.join(map(repr, self.members))}>"

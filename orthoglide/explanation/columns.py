@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -19,7 +19,7 @@ from orthoglide.explanation.faults import Fault
 from orthoglide.explanation.free import curves, curves_of_dials, one_surface, only_plates, plates
 from orthoglide.explanation.linear import RARE, SLABS, STRANGE, Group, Linear, whole
 from orthoglide.explanation.screening import screened
-from orthoglide.explanation.suspects import Suspect, suspects
+from orthoglide.explanation.suspects import Key, Suspect, suspects
 from orthoglide.explanation.twins import tool_slopes, translations, twins
 from orthoglide.fit import Estimate, Problem, with_others
 from orthoglide.fit.excited import excited_effects
@@ -144,7 +144,7 @@ def everything(
     estimate: Estimate,
     at: Array | None = None,
     corrected: Sequence[Fault] = (),
-    faults: bool = False,
+    faults: bool | Collection[Key] = False,
 ) -> Everything:
     """Linearise the readings by everything that could be wrong.
 
@@ -152,12 +152,15 @@ def everything(
         estimate: a fit of the base; gives the problem and its nuisances.
         at: parameters to linearise at ``(P,)``, SI; the fit's, others zero, where absent.
         corrected: wrong commands that are put right in the estimate's problem, and weighed.
-        faults: whether the data may have faults.
+        faults: whether the data may have faults, or which.
     """
     wide, _, here = _linearised(estimate, at)
     about = _of_machine(estimate.problem, wide, here)
     if faults:
-        about = _with_suspects(about, suspects(wide, here, corrected), corrected)
+        several = suspects(wide, here, corrected)
+        if not isinstance(faults, bool):
+            several = [s for s in several if s.key(wide) in faults]
+        about = _with_suspects(about, several, corrected, faults is True)
     linear, reduced = about.linear, _reduced(about.linear)
     outside = float(linear.residual @ linear.residual - reduced.residual @ reduced.residual)
     return replace(about, linear=reduced, outside=outside)
@@ -212,17 +215,20 @@ def _of_machine(problem: Problem, wide: Problem, here: Linearised) -> Everything
 
 
 def _with_suspects(
-    about: Everything, several: Sequence[Suspect], corrected: Sequence[Fault]
+    about: Everything, several: Sequence[Suspect], corrected: Sequence[Fault], screen: bool
 ) -> Everything:
-    """The same with faults of the data that could stand out, each a group; those of commands that
-    are put right where this is linearised among them.
+    """The same with faults of the data, each a group: those that could stand out where they are to
+    be screened, and those of commands that are put right where this is linearised.
     """
     problem, linear = about.problem, about.linear
     backgrounds = [np.sqrt(linear.spike(share, share)) for share in _BACKGROUNDS]
     compact = linear.columns, linear.residual
     right = {s.name: s for s in several if any(s.fault is f for f in corrected)}
     rest = problem.measured - about.value
-    kept = screened(several, problem, about.nuisance, about.rows, rest, compact, backgrounds, right)
+    kept = [*several]
+    if screen:
+        kept = screened(several, problem, about.nuisance, about.rows, rest, compact, backgrounds,
+                        right)  # fmt: skip
     if not kept:
         return about
     value = about.value.copy()
@@ -378,9 +384,9 @@ def _groups(
         places = np.flatnonzero(rows.any(axis=1))
         causes.append(cause)
         groups.append(Group(cause.name, places, rows[places], False, cause.chance))
-    ways = Counter(place.where for place in found)
+    ways = Counter((place.where, place.bump is None) for place in found)
     for place, (name, own_places) in zip(found, _spans(found, len(names)).items(), strict=True):
         if np.linalg.norm(columns[:, own_places]) > _VISIBLE:
-            chance = STRANGE / ways[place.where]
+            chance = STRANGE / ways[place.where, place.bump is None]
             groups.append(whole(name, own_places, free=True, chance=chance))
     return tuple(groups), tuple(causes), tuple(asked)

@@ -38,7 +38,7 @@ from orthoglide.explanation.instead import Alternatives
 from orthoglide.explanation.outstanding import NAMED
 from orthoglide.explanation.ranking import ranked
 from orthoglide.explanation.repeats import check_scatter, far_repeats, quieter, scattered
-from orthoglide.explanation.suspects import put_right
+from orthoglide.explanation.suspects import Key, put_right
 from orthoglide.fit import Change, Estimate, Factor, Problem, solve
 from orthoglide.fit.least_squares import known_rows
 from orthoglide.fit.scores import rms_by_unit
@@ -107,6 +107,8 @@ class Findings:
     # a first look at the readings; absent where a fault came near, or they were not looked at as
     # they stand
     look: FullPosterior | None
+    # faults that the data may have, where a cause of the machine would explain the readings as well
+    unsure: frozenset[Key] = frozenset()
 
 
 def find_faults(read: Estimate) -> Findings:
@@ -139,7 +141,9 @@ def find_faults(read: Estimate) -> Findings:
     measured = tuple(c.measured(look.before) for c in changed)
     as_read = np.array_equal(look.before.problem.sigma, read.problem.sigma)
     whole = as_read and not (found or changed or look.about.suspects)
-    return Findings(_reported(read, found), measured, look if whole else None)
+    maybe = unsure(look)
+    reusable = look if whole and not maybe else None
+    return Findings(_reported(read, found), measured, reusable, maybe)
 
 
 def _narrow(read: Estimate) -> Estimate:
@@ -210,6 +214,21 @@ def standing(posterior: FullPosterior) -> list[Fault]:
                 fault = replace(fault, commands=(*fault.commands, *more.commands))
         found.append(fault)
     return [f for f in found if not _beside(posterior.before.problem, f, found)]
+
+
+def unsure(posterior: FullPosterior) -> frozenset[Key]:
+    """Faults in whose place a cause of the machine, or a free-form error, may be as well."""
+    mixture, groups = posterior.mixture, posterior.mixture.linear.groups
+    instead, data = Alternatives(mixture), np.array([g.of_data for g in groups], dtype=bool)
+    by_name, problem = {s.name: s for s in posterior.about.suspects}, posterior.about.problem
+    found = set()
+    for member in mixture.strongest:
+        odds = instead.of(member)[:-1]
+        if odds.sum() < NAMED or (odds * data).sum() >= NAMED:
+            continue
+        for k in np.flatnonzero(data & (odds > _AS_LIKELY * odds.max(initial=0.0))):
+            found.add(by_name[groups[k].name].key(problem))
+    return frozenset(found)
 
 
 def _beside(problem: Problem, fault: Fault, others: Sequence[Fault]) -> bool:

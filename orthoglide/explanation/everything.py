@@ -5,7 +5,7 @@ The readings are linearised at the posterior's own mean, again until that no lon
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,7 +16,7 @@ from orthoglide.errors import ClosureError, NumericsError, SolverError
 from orthoglide.explanation.columns import Everything, everything
 from orthoglide.explanation.faults import Fault
 from orthoglide.explanation.mixture import LEAST_SHARE, Averaged, Mixture
-from orthoglide.explanation.suspects import Suspect, with_commands
+from orthoglide.explanation.suspects import Key, Suspect, with_commands
 from orthoglide.fit import Estimate
 from orthoglide.fit.factors import Block
 from orthoglide.fit.least_squares import about_machine, linearise, nuisances
@@ -293,7 +293,10 @@ def _looked(before: Estimate) -> FullPosterior:
 
 
 def full_posterior(
-    before: Estimate, given: Sequence[str] = (), look: FullPosterior | None = None
+    before: Estimate,
+    given: Sequence[str] = (),
+    look: FullPosterior | None = None,
+    unsure: Collection[Key] = (),
 ) -> FullPosterior:
     """Weigh everything that could be wrong against the readings; causes that are given stand out
     whatever these say.
@@ -306,6 +309,7 @@ def full_posterior(
         before: the fit.
         given: names of causes.
         look: what was seen at first of the same fit, or of that at its tolerances.
+        unsure: faults that the data may have.
 
     Raises:
         SolverError: where the mean does not settle.
@@ -313,24 +317,24 @@ def full_posterior(
     # What changed since a calibration, or between campaigns, is known to be no such base.
     unknowns = before.problem.unknowns
     if before.problem.earlier is not None or any(u.name.campaign for u in unknowns):
-        return _settled(before, given, look)
+        return _settled(before, given, look, unsure)
     at_tolerance = before.problem.at_tolerance()
     held = at_tolerance is before.problem
     try:
         narrow = before
         if not held:
             narrow = solve(at_tolerance, widen=False) if look is None else look.before
-        other = _settled(narrow, given, look)
+        other = _settled(narrow, given, look, unsure)
     except NumericsError:
         if held:
             raise
-        return _settled(before, given)
+        return _settled(before, given, None, unsure)
     wide = widened(before) if held else before
     if held and wide is before:
         return other
     unsettled = other.about.apart >= _SETTLED
     try:
-        found = _settled(wide, given)
+        found = _settled(wide, given, None, unsure)
     except SolverError:
         if unsettled and not held:
             raise
@@ -345,15 +349,19 @@ def full_posterior(
 
 
 def _settled(
-    before: Estimate, given: Sequence[str], look: FullPosterior | None = None
+    before: Estimate,
+    given: Sequence[str],
+    look: FullPosterior | None = None,
+    unsure: Collection[Key] = (),
 ) -> FullPosterior:
     """The posterior linearised at its own mean, from a first look at the same fit on."""
     try:
-        found = best = _about(before, given) if look is None or given else look
+        found = look if look is not None and not given else _about(before, given, faults=unsure)
+        best = found
         for _ in range(_LINEARISATIONS - 1):
             if found.about.apart < _SETTLED:
                 break
-            found = _about(before, given, found)
+            found = _about(before, given, found, faults=unsure)
             # Two explanations may take turns, each where the other is linearised.
             best = best_of((best, found), lambda one: -one.about.apart)
     except ClosureError as error:
@@ -366,7 +374,7 @@ def _about(
     given: Sequence[str],
     last: FullPosterior | None = None,
     corrected: Sequence[Fault] = (),
-    faults: bool = False,
+    faults: bool | Collection[Key] = False,
 ) -> FullPosterior:
     """The posterior of readings linearised at the fit of the base, or at the last mean."""
     at, start = (None, ()) if last is None else (last.next_point, last.mixture.standing)

@@ -8,7 +8,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.effects.places import BUILD_UP, Place, Session, all_dials, dial_places, places
+from orthoglide.effects.places import (
+    BUILD_UP,
+    Place,
+    Session,
+    all_dials,
+    bumps,
+    dial_places,
+    places,
+)
 from orthoglide.effects.plates import own_shapes
 from orthoglide.fit import Problem
 from orthoglide.fit.excited import both_sides
@@ -19,6 +27,8 @@ from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings
 from orthoglide.prediction import Model
 
+_OFTEN = 0.2  # share of the readings at one travel of a leg, from which it is no single place
+_STATIONS = 40  # travels of a leg; of more each is visited once, and a defect of one is a slip
 _STILL = 1e-6  # metres: less moves no dial
 _CLEAR = 5e-6  # metres: of a move from which it is clear which way it went
 _APART = 3.0  # times their scatter, by which readings of both ways have to differ
@@ -58,10 +68,28 @@ def places_of(problem: Problem) -> tuple[Place, ...]:
     found = places(sessions, machine.catalogue.legs, geometry.stroke, geometry.scale)
     if len(problem.campaigns) < len(problem.factors):  # no other reading parts it from the carriage
         found = tuple(p for p in found if not p.moves_lines)
+    found += bumps(stations(problem), machine.catalogue.legs, geometry.stroke, geometry.scale)
     approach = np.concatenate([f.conditions().approach for f in problem.factors])
     one_sided = ~both_sides(approach)  # which shows no difference between sides
     hidden = {"approach": one_sided, "reversal": one_sided | bool(problem.tool)}
     return tuple(p for p in found if p.against not in hidden or not hidden[p.against][p.leg])
+
+
+def stations(problem: Problem) -> list[list[float]]:
+    """Travel of each leg at which dials were read, metres, where a defect at one place would show
+    at few readings: not where the leg stands in most of them.
+    """
+    found: list[list[float]] = [[] for _ in LEGS]
+    if not problem.on_legs:
+        return found
+    legs = [problem.machine.model.leg_conditions({}, f.conditions()) for f in problem.on_legs]
+    for leg, own in enumerate(found):
+        travel = np.concatenate([each[leg].nominal_travel for each in legs])
+        at, count = np.unique(np.round(travel, 4), return_counts=True)
+        few = at[count <= _OFTEN * len(travel)]
+        if len(few) <= _STATIONS:
+            own += few.tolist()
+    return found
 
 
 def curves(problem: Problem, x: Array) -> tuple[Array, tuple[Place, ...]]:

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from orthoglide.accuracy import tcp_slopes
+from orthoglide.effects.kernels import Bump
 from orthoglide.effects.places import Place
 from orthoglide.errors import InputError
 from orthoglide.explanation.causes import (
@@ -23,9 +24,11 @@ from orthoglide.explanation.causes import (
     Curve,
     Explanation,
     Located,
+    Misread,
     Outstanding,
 )
 from orthoglide.explanation.everything import FullPosterior
+from orthoglide.explanation.faults import message, places
 from orthoglide.explanation.instead import Alternatives
 from orthoglide.explanation.linear import Group
 from orthoglide.fit.problem import FAR
@@ -36,6 +39,7 @@ _OFF = 0.1  # tolerances: a background that is worth a word
 
 _NEAREST = 24  # causes and places that are listed as weighed
 
+_FLAT = 3.0  # widths of a bump beyond which nothing of it is left
 _SURELY = 2.0  # sigmas by which a parameter lies beyond what is expected of it
 
 CREDIBLE = 0.95
@@ -84,20 +88,35 @@ class _Reader:
         odds = self.instead.of(member)
         if known:
             odds = np.eye(len(odds))[member]
-        odds = np.where([g.of_data for g in self.groups], 0.0, odds[:-1])  # no part of the machine
-        there = float(odds.sum())
-        if there < NAMED:
+        odds = odds[:-1]
+        if odds.sum() < NAMED:
             return None
         order = descending(odds)
-        count = smallest(odds[order], CREDIBLE * there)
+        count = smallest(odds[order], CREDIBLE * float(odds.sum()))
         if count > MOST and not known:
             return None
-        chosen = order[:count]
+        chosen = [k for k in order[:count] if not self.groups[k].of_data]
+        if not chosen:  # a fault of the data, of which no verdict on the machine speaks
+            return None
         each = [(k, float(odds[k])) for k in chosen]
+        there = sum(p for _, p in each)
+        data = self._of_data(member, [k for k in order[:count] if self.groups[k].of_data], odds)
         free = sum(p for k, p in each if self.groups[k].free)
         if free < (1 - NAMED) * there or (not self.groups[chosen[0]].free and free < 0.5 * there):
-            return self._cause(member, each)
-        return self._located(member, each, free)
+            return replace(self._cause(member, each), data=data)
+        return replace(self._located(member, each, free), data=data)
+
+    def _of_data(self, member: int, groups: Sequence[int], odds: Array) -> tuple[Misread, ...]:
+        """Faults of the data that may be in the place of a cause instead."""
+        by_name, found = {s.name: s for s in self.posterior.about.suspects}, list[Misread]()
+        problem = self.posterior.about.problem
+        for k in groups:
+            mean, _ = self.instead.moments(member, k, at := self.groups[k].places)
+            fault = by_name[self.groups[k].name].sized(mean[at])
+            rows = tuple(int(problem.factors[t].readings.line[row])
+                         for t, row in places(problem, fault.rows))  # fmt: skip
+            found.append(Misread(fault.kind, rows, float(odds[k]), message(problem, fault)))
+        return tuple(found)
 
     def of_base(self) -> Iterator[Cause]:
         """Parameters of the base model that are certainly far beyond their tolerances, the zeros of
@@ -299,8 +318,11 @@ class _Reader:
         group = self.groups[k]
         mean, spread = self.instead.moments(member, k, group.places)
         u = np.linspace(-1, 1, 2 * place.kernel.count + 1 if place.short else 41)
+        if isinstance(bump := place.kernel, Bump):
+            u = bump.at + bump.width * np.linspace(-_FLAT, _FLAT, 41)
         functions = np.stack(place.kernel.functions(u), axis=1) * place.unit
-        if not place.two_sided:  # else its level may belong to the zeros
+        # The level of a curve may belong to the zeros.
+        if not place.two_sided and place.bump is None:
             functions -= functions.mean(axis=0)
         low, high = place.interval(self.posterior.before.problem.machine.geometry.stroke)
         return Curve(

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from orthoglide.explanation.faults import Fault, Rows, campaign_of, counting
+from orthoglide.explanation.faults import Fault, Rows, campaign_of, counting, places
 from orthoglide.fit import Problem
 from orthoglide.fit.least_squares import Linearised
 from orthoglide.geometry import LEGS, Array
@@ -35,6 +35,10 @@ _ZEROS = 12  # times that a dial is set to zero anew
 _KNOCKS = 64  # moments of a setup at which it may have been knocked
 
 
+Key = tuple[str, tuple[int, ...], tuple[tuple[int, int], ...]]
+"""A fault by its kind, drives, and table and line of every row."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Suspect:
     """A fault that the data may have."""
@@ -50,6 +54,12 @@ class Suspect:
         fault = self.fault
         drive = "".join(LEGS[k] for k, _ in fault.commands)
         return f"!{fault.kind}.{'+'.join(map(str, fault.setups))}.{fault.rows[0]}{drive}"
+
+    def key(self, problem: Problem) -> Key:
+        """What it is, whichever other rows there are: kind, drives, and the lines of its rows."""
+        lines = tuple((k, int(problem.factors[k].readings.line[row]))
+                      for k, row in places(problem, self.fault.rows))  # fmt: skip
+        return self.fault.kind, tuple(drive for drive, _ in self.fault.commands), lines
 
     @property
     def size(self) -> int:

@@ -13,4 +13,8 @@ from orthoglide.prospects.instruments import (
 )
 from orthoglide.prospects.owning import Owned as Owned, owned_instruments as owned_instruments
 from orthoglide.prospects.parting import parting as parting
-from orthoglide.prospects.unexplained import repeating as repeating, tracing as tracing
+from orthoglide.prospects.unexplained import (
+    deciding_visits as deciding_visits,
+    repeating as repeating,
+    tracing as tracing,
+)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from orthoglide.explanation import FullPosterior
+from orthoglide.explanation.causes import Misread
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.planning.pool import reading_pool
@@ -11,6 +13,7 @@ from orthoglide.planning.suggestions import Suggestion
 from orthoglide.result import SetupResidual
 
 _TWICE = 2  # visits: a single one may be misread
+_NEIGHBOURS = 3  # distances from a posture: itself, and those next to it
 _MID = 0.5  # of the leg
 
 
@@ -53,3 +56,37 @@ def repeating(rest: SetupResidual) -> Suggestion:
         f"loose part, lost motion, or the instrument itself"
     )
     return Suggestion(reason, "trace", float("nan"), None)
+
+
+def deciding_visits(posterior: FullPosterior, misread: Misread) -> Suggestion | None:
+    """Return the advice to visit a posture and its neighbours again, where its readings show either
+    a defect of the machine at one place or a fault of the data; ``None`` where no dial was read.
+
+    A defect comes again and is smaller beside the place; a wrong command or a slip does not come
+    again.
+    """
+    problem = posterior.about.problem
+    table = next(f.readings for f in problem.factors if misread.lines[0] in f.readings.line)
+    own = np.flatnonzero(np.isin(table.line, misread.lines) & table.on_legs)
+    if not len(own):
+        return None
+    pool, dials = reading_pool(posterior.machine.geometry), set[int]()
+    for number in np.unique(table.setup[own]):
+        setup = table.setups[number]
+        alike = [k for k, s in enumerate(pool.setups)
+                 if (s.leg, s.axis, s.bar) == (setup.leg, setup.axis, setup.bar)]  # fmt: skip
+        off = [abs(pool.setups[k].gauge - setup.gauge) for k in alike]
+        dials |= {alike[k] for k in np.argsort(off, kind="stable")[:1]}
+    rows = np.flatnonzero(np.isin(pool.setup, [*dials]))
+    if not len(rows):
+        return None
+    apart = np.linalg.norm(pool.command[rows] - table.command[own[0]], axis=1)
+    apart = np.round(apart, 6)
+    chosen = rows[np.isin(apart, np.unique(apart)[:_NEIGHBOURS])]
+    reason = (
+        f"line {misread.lines[0]} and its neighbours once more, {len(chosen) * _TWICE} readings: a "
+        f"defect of the machine comes again, and a slip or a wrong command does not"
+    )
+    return Suggestion(
+        reason, "trace", float("nan"), pool, tuple(np.repeat(chosen, _TWICE).tolist())
+    )

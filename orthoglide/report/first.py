@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from orthoglide.control import withheld
 from orthoglide.numerals import compact
 from orthoglide.report.words import BESIDES, evidence, meaning, standing
-from orthoglide.result import Cause, Change, Curve, Explanation, Result
+from orthoglide.result import Cause, Change, Curve, DataRival, Explanation, Result
 from orthoglide.text import sentence
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class Statement:
 
     words: str  # a sentence with part, direction, size and unit
     sure: str  # how sure it is, and how well its size is known
-    option: int  # its place among the options of the drawing
+    option: int  # its place among the options of the drawing; -1: none
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def claims(result: Result) -> list[Claim]:
     causes = [_of_cause(cause, option) for cause in result.effects]
     for found in result.located:
         first, *others = (_of_curve(c, next(option)) for c in found.members)
-        causes.append(Claim(first, (), tuple(others)))
+        causes.append(Claim(first, (), (*others, *_of_data(found.data))))
     if result.word == "partial":
         causes = [
             replace(c, first=replace(c.first, sure=f"among the causes known {c.first.sure}"))
@@ -109,7 +109,13 @@ def _of_cause(cause: Cause, option: Iterator[int]) -> Claim:
         tuple(_statement(e, e.probability, next(option)) for e in part)
         for part in (cause.same, cause.rivals)
     )
-    return Claim(first, same, (*rivals, *(_of_curve(c, next(option)) for c in cause.places)))
+    places = (_of_curve(c, next(option)) for c in cause.places)
+    return Claim(first, same, (*rivals, *places, *_of_data(cause.data)))
+
+
+def _of_data(several: Sequence[DataRival]) -> Iterator[Statement]:
+    """Faults of the data, of which the drawing shows none."""
+    return (Statement(sentence(d.words), sure_words(d.probability), -1) for d in several)
 
 
 def _statement(one: Explanation, probability: float, option: int) -> Statement:

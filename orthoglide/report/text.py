@@ -140,6 +140,8 @@ def _causes(result: Result) -> Iterator[tuple[str, str]]:
             yield hundredths(rival.probability), f"or {rival.words}\n{rival.name}"
         for c in cause.places:
             yield hundredths(c.probability), f"or {c.description}\n{c.name}"
+        for d in cause.data:
+            yield hundredths(d.probability), f"or {d.words}"
 
 
 def _located(result: Result) -> Iterator[tuple[str, str, str, str]]:
@@ -148,3 +150,5 @@ def _located(result: Result) -> Iterator[tuple[str, str, str, str]]:
         for k, c in enumerate(found.members):
             name = f"or {c.name}" if k else c.name
             yield name, f"{c.probability:.2f}", c.size_words, c.description
+        for d in found.data:
+            yield "or a fault of the data", f"{d.probability:.2f}", "", d.words

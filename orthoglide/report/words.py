@@ -38,7 +38,7 @@ MEANINGS: Mapping[str, str] = {
     "adequate": "the base model fits the readings, and no cause was added",
     "diffuse": "small errors of many parts explain the readings, and no single cause was added",
     "explained": "a cause was found, and nothing significant is left",
-    "ambiguous": "explained, but other causes fit these readings as well",
+    "ambiguous": "something was found, but other explanations fit these readings as well",
     "located": "a place was found that no known shape explains, and nothing significant is left",
     "partial": "something was found, and something significant is left",
     "unexplained": "something significant is left, and nothing stands out",
@@ -245,7 +245,7 @@ def _causes(result: Result) -> str:
 
 def alternatives(cause: Cause) -> str:
     """Rivals of a cause with their own sizes, in brackets; empty where there are none."""
-    rivals = [one.words for one in cause.others]
+    rivals = [*(one.words for one in cause.others), *(d.brief for d in cause.data)]
     same = " or ".join(one.words for one in cause.same)
     if not rivals:
         return f" (or {same}: the same to these readings and to the tool)" if same else ""

@@ -30,6 +30,7 @@ from orthoglide.result.found import (
     Cause as Cause,
     Correlations as Correlations,
     Curve as Curve,
+    DataRival as DataRival,
     Explanation as Explanation,
     Identified as Identified,
     Located as Located,

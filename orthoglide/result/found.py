@@ -13,6 +13,15 @@ from orthoglide.numerals import ByUnit
 from orthoglide.result.codec import SHORT, Key, SampledMetres, Share, encoded, in_mm_short
 from orthoglide.text import listed
 
+_BRIEF = {
+    "command": "another command than the one written",
+    "outlier": "a slip of the reading",
+    "knocked_stand": "a dial's stand that was knocked",
+    "zeroed": "a dial that was set to zero anew",
+    "moved": "an instrument that was moved",
+}
+"""Data faults in the place of a cause."""
+
 _MOST_RIVALS = 2  # alternatives named in one sentence; the report lists all
 
 
@@ -83,6 +92,8 @@ class Curve:
         of_a_place = " of coming to a place" * (not self.of_dial)
         ways = {"approach": f"between the two ways{of_a_place}", "reversal": "from the turn on"}
         size = self.size_words.removesuffix(" rms")
+        if self.against not in ways and size == self.size_words:  # of a bump
+            return self.words
         return f"{self.description}, by {size} ({ways.get(self.against, 'root mean square')})"
 
     def derived(self) -> dict[str, Any]:
@@ -91,6 +102,21 @@ class Curve:
             f"rms_{self.unit}": in_mm_short(float(self.value.std())),
             f"size_{self.unit}": in_mm_short(self.size),
         }
+
+
+@dataclass(frozen=True)
+class DataRival:
+    """A fault of the data that explains the readings as well as a cause of the machine."""
+
+    data: str  # its kind, as of a data fault
+    rows: tuple[int, ...]  # lines of the files
+    probability: Share  # conditional on the other causes found
+    words: str  # file, lines, the likely reason, and the remedy
+
+    @property
+    def brief(self) -> str:
+        """The fault and its first line, a clause."""
+        return f"{_BRIEF.get(self.data, 'a fault of the data')} in line {min(self.rows)}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,6 +128,8 @@ class Cause:
     same: tuple[Explanation, ...]  # alternatives that move the tool identically
     places: tuple[Curve, ...]  # free-form errors in the set, which are less probable
     loses: bool  # whether it may be lost motion, which the expected errors of the tool exclude
+    # faults of the data in the same credible set
+    data: Annotated[tuple[DataRival, ...], Key("rivals_in_data")] = ()
 
     def __repr__(self) -> str:
         others = ", ".join(self.indistinguishable_from)
@@ -160,6 +188,8 @@ class Located:
     ruled_out: tuple[str, ...]
     in_budget: str  # its name in the error budget
     loses: bool  # whether it may be lost motion, which the expected errors of the tool exclude
+    # faults of the data in the same credible set
+    data: Annotated[tuple[DataRival, ...], Key("rivals_in_data")] = ()
 
     def __repr__(self) -> str:
         return f"<Located {', '.join(map(repr, self.members))}>"
@@ -174,13 +204,15 @@ class Located:
         """The most probable member with its size, and the alternatives, a clause."""
         first, *others = self.members
         text = first.words_with_measure
-        if others:
-            named = " or ".join(c.words for c in others[:_MOST_RIVALS])
+        if others or self.data:
+            named = [*(c.words for c in others[:_MOST_RIVALS]), *(d.brief for d in self.data[:1])]
             more = len(others) - _MOST_RIVALS
             rest = f", or {more} more places named below" if more > 0 else ""
-            text += f" (or {named}{rest}: these readings cannot tell)"
+            text += f" (or {' or '.join(named)}{rest}: these readings cannot tell)"
         if self.resembling:
             return f"{text}; it resembles {listed(self.resembling[:_MOST_RIVALS])}"
+        if self.data:
+            return text
         return f"{text}; no known shape explains it"
 
     def derived(self) -> dict[str, Any]:

@@ -1,0 +1,81 @@
+"""A defect that one station sees: of the machine or of the data, and nothing is thrown away."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from orthoglide.effects.places import bumps, with_places
+
+RIG2 = Path(__file__).parent / "data" / "rig2"
+
+
+@pytest.fixture(scope="module")
+def bumpy() -> og.Verdict:
+    """A rail with a bump of 0.1 mm at one station."""
+    return og.close_loop([og.read_campaign(RIG2 / "c4.csv")])
+
+
+def test_a_bump_and_a_wrong_command_stand_in_one_set(bumpy: og.Verdict) -> None:
+    assert (bumpy.word, bumpy.blunders) == ("ambiguous", ())
+    (found,) = bumpy.located
+    first = found.members[0]
+    assert (first.leg, first.part, first.direction) == ("x", "rail", "z")
+    assert first.name.endswith("@-50")
+    assert first.size == pytest.approx(1e-4, rel=0.2)
+    (command,) = found.data
+    assert command.data == "command"
+    assert set(command.rows) == {19, 20, 27, 28, 47, 48, 55, 56, 75, 76, 83, 84}
+    odds = sum(m.probability for m in found.members) + command.probability
+    assert odds == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_sentence_names_both(bumpy: og.Verdict) -> None:
+    text = " ".join(str(bumpy).split())
+    assert "toward z at travel −50 mm and nowhere else, by 0.1 mm" in text
+    assert "or another command than the one written in line 19" in text
+
+
+def test_the_posture_and_its_neighbours_are_read_again(bumpy: og.Verdict) -> None:
+    assert bumpy.actions[0].kind == "measure"
+    assert "line 19 and its neighbours once more" in bumpy.actions[0].words
+    sheet = bumpy.next_sheet
+    assert sheet is not None
+    travel = (sheet.command[:, 0] - og.Machine.nominal().geometry.L) * 1e3
+    assert np.isclose(travel, -50, atol=0.5).any()
+    assert len(np.unique(np.round(travel, 0))) > 1
+
+
+def test_a_calibrated_machine_keeps_its_bump(bumpy: og.Verdict, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    bumpy.report(out)
+    again = og.Machine.load(out / "calibrated.toml")
+    place = bumps([[-0.05], [], []])[2].effect.name
+    assert any(str(name).startswith(place) for name in again.values)
+    L = og.Machine.nominal().geometry.L
+    at, far = np.array([[L - 0.05, L, L]]), np.array([[L + 0.03, L, L]])
+    sound = again.with_parameters({n: 0.0 for n in again.values if str(n).startswith(place)})
+    moved = [np.linalg.norm(again.forward(rho) - sound.forward(rho)) for rho in (at, far)]
+    assert moved[0] > 1e-8  # a rail's error across moves the leg, and the tool hardly
+    assert moved[1] < 1e-6 * moved[0]
+
+
+@pytest.mark.parametrize("at", [-0.0871, -0.05, 0.0, 0.0123])
+def test_a_bump_is_found_again_by_its_name(at: float) -> None:
+    machine = og.Machine.nominal()
+    geometry = machine.geometry
+    (place, *_) = bumps([[at], [], []], machine.catalogue.legs, geometry.stroke, geometry.scale)
+    found = with_places(machine.catalogue, [f"{place.effect.name}.x.1"], geometry)
+    motions = found[place.effect.name].motions
+    assert [str(name) for name in motions] == [str(name) for name in place.effect.motions]
+
+
+def test_a_single_part_comes_before_patterns_that_fit_no_better() -> None:
+    verdict = og.close_loop([og.read_campaign(RIG2 / "b2.csv")])
+    (cause,) = verdict.effects
+    assert "bar_mismatch.y" in (cause.name, *(one.name for one in cause.same))
+    patterns = [one for one in cause.explanations if "symmetric" in one.name]
+    assert all(one.probability < cause.together for one in patterns)
