@@ -141,6 +141,30 @@ def expected_error(machine: Machine, settings: Mapping[str, float]) -> ExpectedE
         settings: parameters that the commands allow for, SI; the machine's own are compensation,
             none are a controller that knows of no error.
     """
+    shape, distance = _drawn(machine, settings)
+    found = (shape.mean(), shape.std(), distance.mean(), distance.std())
+    return ExpectedError(*map(float, found))
+
+
+def expected_gain(
+    machine: Machine, before: Mapping[str, float], after: Mapping[str, float]
+) -> tuple[float, float]:
+    """Return by how much the tool's mean shape error falls, and the standard deviation of that,
+    metres.
+
+    Args:
+        machine: calibrated.
+        before: parameters that the commands allow for, SI.
+        after: those that they allow for instead.
+    """
+    gain = _drawn(machine, before)[0] - _drawn(machine, after)[0]
+    return float(gain.mean()), float(gain.std())
+
+
+def _drawn(machine: Machine, settings: Mapping[str, float]) -> tuple[Array, Array]:
+    """Mean shape error and translation over the workspace ``(draws,)`` of machines drawn from the
+    posterior, the same ones for all settings.
+    """
     posterior, wanted = machine.posterior, wanted_points(machine)
     commands = machine.with_only(settings).inverse(wanted)
     mean = machine.forward(commands) - wanted
@@ -149,9 +173,7 @@ def expected_error(machine: Machine, settings: Mapping[str, float]) -> ExpectedE
     errors = mean + np.einsum("gip,np->ngi", slopes, draws @ posterior.root.T)
     place = errors.mean(axis=1)
     shape = np.linalg.norm(errors - place[:, None], axis=2).mean(axis=1)
-    distance = np.linalg.norm(place, axis=1)
-    found = (shape.mean(), shape.std(), distance.mean(), distance.std())
-    return ExpectedError(*map(float, found))
+    return np.asarray(shape), np.linalg.norm(place, axis=1)
 
 
 def wanted_points(machine: Machine) -> Array:

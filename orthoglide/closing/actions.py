@@ -11,9 +11,9 @@ from orthoglide.control import withheld
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.explanation import Cause, Curve, Explanation, Located
 from orthoglide.fit import Change
-from orthoglide.numerals import plain
+from orthoglide.numerals import compact, plain
 from orthoglide.ordering import ranked
-from orthoglide.result import Action, Suspect
+from orthoglide.result import Action, Suspect, Withheld
 
 if TYPE_CHECKING:
     from orthoglide.closing.closed import Closed
@@ -29,6 +29,7 @@ _PLAIN = "for which nothing is changed on the machine"
 _INSTEAD = "in place of new zeros and never with them, for a gain beyond theirs"
 _MEND = "Look, confirm and put right, then measure again"
 _NO_GAIN = 1e-9  # metres: differences of gain below are rounding
+_SURELY = 2.0  # standard deviations by which a gain must exceed nothing
 _WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth a line
 
 
@@ -227,14 +228,36 @@ def confirm(one: Explanation) -> str:
 
 
 def _compensate(closed: Closed) -> Iterator[Action]:
-    expected = closed.numbers.expected
-    gain = expected["zeros"].shape - expected["compensated"].shape
-    if closed.request.searches and not closed.firmware and gain > _WORTH * expected["now"].shape:
+    gain, sigma = closed.compensation_gain
+    if worth_compensating(closed) and gain > _SURELY * sigma:
         words = (
             f"Send compensated commands, {_PLAIN}: orthoglide compensate path.csv --machine "
             f"calibrated.toml{closed.request.effects_option} --out commands.csv"
         )
-        yield Action("compensate", words, gain)
+        yield Action("compensate", words, gain, sigma)
+
+
+def worth_compensating(closed: Closed) -> bool:
+    """Whether compensated commands are expected to gain anything that is worth a line."""
+    if not closed.request.searches or closed.firmware is not None:
+        return False
+    gain, _ = closed.compensation_gain
+    return gain > _WORTH * closed.numbers.expected["now"].shape
+
+
+def not_advised(closed: Closed) -> tuple[Withheld, ...]:
+    """What is not advised, with the reason."""
+    kinds: tuple[Literal["zeros", "compensate"], ...] = ("zeros", "compensate")
+    if why := withheld(closed.machine):
+        return tuple(Withheld(kind, why) for kind in kinds)
+    gain, sigma = closed.compensation_gain if worth_compensating(closed) else (0.0, 0.0)
+    if gain <= 0 or gain > _SURELY * sigma:
+        return ()
+    size, spread = (compact(v * 1e3, 2) for v in (gain, sigma))
+    return (
+        Withheld("compensate", f"it is expected to gain {size} mm, which is not certain: its "
+                               f"standard deviation is {spread} mm"),
+    )  # fmt: skip
 
 
 def _measure(closed: Closed) -> tuple[bool, list[Action]]:

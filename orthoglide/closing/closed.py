@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from orthoglide.accuracy import tcp_map
+from orthoglide.accuracy import expected_gain, tcp_map, tool_settings
 from orthoglide.add_ons import AddOn, Corrections, Section, add_on_of
 from orthoglide.closing.actions import actions
 from orthoglide.closing.following import next_measurements
@@ -23,6 +23,7 @@ from orthoglide.explanation.significance import Left
 from orthoglide.fit import Change, Estimate
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
+from orthoglide.numerals import told_apart
 from orthoglide.observations import Readings
 from orthoglide.parameters import Parameter
 from orthoglide.result import (
@@ -322,13 +323,35 @@ class Closed:
                 "something that is not in the catalogue: do not act on it, nor put its numbers in "
                 "a controller, before it is confirmed."
             )
-        held = self.hold_out
+        if self.contradicted:
+            found.append(self.contradicted)
+        return tuple(found)
+
+    @property
+    def contradicted(self) -> str:
+        """What was held out and speaks against the result, a sentence; empty where nothing does."""
+        held, tool = self.hold_out, None if self.tcp is None else self.tcp["translation"]
+        least = self.before.problem.noise.typical / 2  # what no reading would show
+        if tool is not None and tool.after_mean > tool.before_mean + least:
+            before, after = told_apart(tool.before_mean * 1e3, tool.after_mean * 1e3)
+            return (
+                f"The measured points contradict this result: the tool is {after} mm off with it "
+                f"and {before} mm without it, so do not act on it before it is confirmed."
+            )
         if self.found and held is not None and held.worse:
-            found.append(
+            return (
                 "The readings held out are predicted worse with the cause than without it: it does "
                 "not carry over to them, so do not act on it before it is confirmed."
             )
-        return tuple(found)
+        return ""
+
+    @cached_property
+    def compensation_gain(self) -> tuple[float, float]:
+        """By how much compensated commands make the tool better than the best zeros do, and the
+        standard deviation of that, metres.
+        """
+        settings = tool_settings(self.machine)
+        return expected_gain(self.machine, settings["zeros"], settings["compensated"])
 
     @property
     def warnings(self) -> tuple[Note, ...]:

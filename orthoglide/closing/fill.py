@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import TypeVar
 
+from orthoglide.closing.actions import not_advised
 from orthoglide.closing.closed import Closed
 from orthoglide.closing.unvaried import one_sided, unshown, unvaried
 from orthoglide.closing.values import (
@@ -103,6 +104,8 @@ def _result(closed: Closed) -> Result:
         picture=closed.picture,
         readings=readings_shown(after, base, request.given),
         command_line=request.command_line,
+        withheld=not_advised(closed),
+        contradicted=closed.contradicted,
         noise_by_setup=tuple(_by_setup(after)),
     )
 

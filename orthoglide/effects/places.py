@@ -227,6 +227,8 @@ _LENGTH = 0.08  # metres: half of the stroke at which the lengths below were wri
 _FINE, _COARSE = Kernel(0.030 / _LENGTH, 12), Kernel(0.050 / _LENGTH, 8)
 # A coupling slips, an encoder misses a count, a carriage sticks and jumps: down to 2 mm.
 _DRIVE, _LOST = Kernel(0.030 / _LENGTH, 96, rough=0.1), Kernel(0.030 / _LENGTH, 24, rough=0.1)
+# Harmonics of a screw, a worn ball: between stations that are farther apart nothing is known.
+_SCREW = Kernel(0.003 / _LENGTH, 96)
 _ACROSS = Kernel(0.050 / _LENGTH, 8, line=True)
 _OU = Kernel(1 / 3, 24, rough=1.0)  # a sixth of the session
 _DRIFT = Kernel(0.5, 12, rough=0.1)  # warmth comes and goes slowly, and begins at once
@@ -279,6 +281,8 @@ def places(
             found.append(place)
             if part in ("rail", "carriage") and against == "travel" and half > _SHORT_FROM:
                 found.append(replace(place, kernel=_waves(half), short=True))
+            if part == "drive" and against == "travel":
+                found.append(replace(place, kernel=_SCREW, short=True))
 
         add("drive", drive, "", "travel", partial(_command_of, leg), _DRIVE, 100 * _UM)
         add("drive", drive, "", "approach", partial(_command_of, leg), _LOST, 50 * _UM)

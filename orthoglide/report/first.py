@@ -65,7 +65,7 @@ def finding(result: Result) -> Data:
     after, searches = result.after, result.searches
     lacking = not searches and after.sigma_scale > 1
     return {
-        "first": result.firmware.first if result.firmware else "",
+        "first": result.contradicted or (result.firmware.first if result.firmware else ""),
         "word": result.word,
         "meaning": sentence(meaning(result)),
         "claims": claims(result),
@@ -83,7 +83,7 @@ def finding(result: Result) -> Data:
         "actions": result.actions,
         "sheet": result.next_sheet is not None,
         "most": MOST,
-        "cautions": result.cautions,
+        "cautions": [c for c in result.cautions if c != result.contradicted],
         "warnings": [sentence(w) for w in result.warnings],
     }
 

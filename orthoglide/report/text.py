@@ -50,7 +50,8 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
         instead, why = too_early(result)
         if instead:
             parts.append(Text(f"{instead}: {why}.", style="bold"))
-    parts += [Text(f"Warning: {caution}", style="bold") for caution in result.cautions]
+    parts += [Text(f"Warning: {caution}", style="bold") for caution in result.cautions
+              if caution != result.contradicted]  # fmt: skip
     return console_text(parts)
 
 

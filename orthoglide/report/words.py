@@ -54,7 +54,8 @@ def headline(result: Result) -> str:
     if not result.searches:
         return claim(result)
     first = "" if result.firmware is None else result.firmware.first
-    return " ".join(text for text in (first, claim(result), evidence(result)) if text)
+    parts = (result.contradicted, first, claim(result), evidence(result))
+    return " ".join(text for text in parts if text)
 
 
 def claim(result: Result) -> str:

@@ -13,6 +13,7 @@ from orthoglide.result.advice import (
     Kind as Kind,
     Proposal as Proposal,
     Suspect as Suspect,
+    Withheld as Withheld,
 )
 from orthoglide.result.codec import decoded as decoded, encoded as encoded
 from orthoglide.result.fits import (

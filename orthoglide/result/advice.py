@@ -40,6 +40,14 @@ class Action:
     plate: bool = False  # whether an option is the plate's own, which moves no tool
 
 
+@dataclass(frozen=True)
+class Withheld:
+    """Something that is not advised."""
+
+    kind: Literal["zeros", "compensate"]
+    reason: str  # a clause
+
+
 def advised(actions: tuple[Action, ...]) -> list[dict[str, Any]]:
     """Return actions as the entries of ``advice`` in ``result.json``, without those to confirm."""
     return [

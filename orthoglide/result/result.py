@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self
 from orthoglide import __version__
 from orthoglide.accuracy import Map, tcp_map
 from orthoglide.add_ons import Corrections, Section
-from orthoglide.control import ControllerNumbers, withheld
+from orthoglide.control import ControllerNumbers
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.errors import FileError, path_of
 from orthoglide.files import inside
@@ -22,7 +22,7 @@ from orthoglide.machine_file import Controller
 from orthoglide.notes import Note
 from orthoglide.observations import Readings
 from orthoglide.observations.reading import readings_of_table, rows_table
-from orthoglide.result.advice import Action, Proposal, advised
+from orthoglide.result.advice import Action, Proposal, Withheld, advised
 from orthoglide.result.codec import Key, Metres, Share, decoded, encoded, required_keys
 from orthoglide.result.fits import (
     CrossCheck,
@@ -126,6 +126,9 @@ class Result(Framed):
         command_line: command that runs it again.
         noise_by_setup: noise that the residuals show, by setup; empty in results of earlier
             versions.
+        withheld: what is not advised, with the reason.
+        contradicted: what readings or points held out say against the result, a sentence; empty if
+            nothing.
     """
 
     request: Request
@@ -169,6 +172,8 @@ class Result(Framed):
     readings: ReadingsShown
     command_line: str
     noise_by_setup: Annotated[tuple[SetupNoise, ...], Key("noise")] = ()
+    withheld: tuple[Withheld, ...] = ()
+    contradicted: str = ""
     _index = "parameter"
 
     @classmethod
@@ -228,13 +233,11 @@ class Result(Framed):
             unit, number = self.catalogue.effect_of(name).unit, Key().number
             value, sigma = number(entry.value / unit.si), number(entry.sigma / unit.si)
             values[name] = {"value": value, "sigma": sigma, "unit": unit.name}
-        why = withheld(self.machine)
         return {
             "sigma_scale": Key().number(self.after.sigma_scale),
             "calibrated": values,
             "tool": {name: one.as_dict() for name, one in self.numbers.expected.items()},
             "advice": advised(self.actions),
-            "withheld": [{"kind": k, "reason": why} for k in ("zeros", "compensate") if why],
             "method": {
                 "name": self.after.method,
                 "iterations": self.after.iterations,
