@@ -323,8 +323,8 @@ def posture_of(rows: list[rc.Row], leg: str, label: str) -> int:
     return list(dict.fromkeys(keys)).index((leg, label))
 
 
-@pytest.mark.thorough(except_for=["sweep-alone-0.3"])
-@pytest.mark.parametrize("mm", [0.3, pytest.param(1.0, marks=pytest.mark.thorough), -10.0])
+@pytest.mark.thorough(except_for=["sweep-alone-3.0"])
+@pytest.mark.parametrize("mm", [3.0, pytest.param(1.0, marks=pytest.mark.thorough), -10.0])
 @pytest.mark.parametrize("errors", [{}, {"axis_tilt.y.z": 2e-3}], ids=["alone", "beside a tilt"])
 @pytest.mark.parametrize(
     "protocol", ["sweep", pytest.param("two-gauges", marks=pytest.mark.thorough)]
@@ -382,7 +382,7 @@ def test_a_command_of_one_visit_alone(machine):
 
 def test_a_wrong_command_in_a_setup_with_an_outlier(machine):
     rows = rc.outlier(rows_of(seed=5), 30, 0.3).rows
-    rows, touched = rc.wrong_command(rows, posture_of(rows, "x", "-50"), 2, 0.3)
+    rows, touched = rc.wrong_command(rows, posture_of(rows, "x", "-50"), 2, 3.0)
     outlier, command = found_in(rows, machine)
     assert (outlier.kind, outlier.rows) == ("outlier", ((0, 30),))
     assert command.kind == "command"

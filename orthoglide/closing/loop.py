@@ -46,6 +46,8 @@ EVEN = 0.5
 """Probability of a machine beyond all tolerances, or of errors without structure, from which
 nothing is said to be explained: what is likelier than not."""
 
+_LITTLE = 0.1  # share of the lack of fit that a place which was found may leave
+
 _NAMED = ("adequate", "diffuse", "explained", "ambiguous")  # nothing is left but what has a name
 
 
@@ -146,12 +148,19 @@ def _searched(
     left = remains(known, found)
     if not known.settled:
         found = replace(found, causes=())
-    if _missing(left):  # a place is missing, and others may stand in for it
+    if _missing(left) and not _explains_most(known):
+        # A place is missing, and others may stand in for it.
         found = replace(found, located=())
     elif is_misdeclared(known.after):  # scatter that was not reckoned with passes for any curve
         kept = tuple(one for one in found.located if not one.in_repeats)
         found = replace(found, located=kept)
     return known, found, left, _word(found, left)
+
+
+def _explains_most(known: FullPosterior) -> bool:
+    """Whether what was found leaves little of what the base model leaves beyond the noise."""
+    before, after = known.before.scores, known.after.scores
+    return after.chi2 - after.dof < _LITTLE * (before.chi2 - before.dof)
 
 
 def _is_far(change: Change, machine: Machine) -> bool:

@@ -320,7 +320,8 @@ def places(
 
 
 _WIDTH = 0.008
-"""Metres: standard deviation of a bump, as dirt, a dent or a joint of a rail makes one."""
+"""Metres: standard deviation of a bump, as dirt, a dent or a joint of a rail makes one of some
+hundredths; one of a millimetre nobody would have overlooked."""
 
 
 def bumps(
@@ -348,7 +349,7 @@ def bumps(
                 *(("rail", ((f"lateral_{a}", 1.0),), way, _travel) for a, way in across.items()),
             ]
             for part, joints, way, variable in moved:
-                place = Place(part, leg, joints, way, "travel", 0, variable, bump, 100 * _UM,
+                place = Place(part, leg, joints, way, "travel", 0, variable, bump, 30 * _UM,
                               bump=at, names=names)  # fmt: skip
                 found.append(_sized(place, scale))
     return tuple(found)

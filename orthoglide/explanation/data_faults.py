@@ -35,7 +35,7 @@ from orthoglide.explanation.faults import (
     steps,
 )
 from orthoglide.explanation.instead import Alternatives
-from orthoglide.explanation.outstanding import NAMED
+from orthoglide.explanation.outstanding import NAMED, SURE
 from orthoglide.explanation.ranking import ranked
 from orthoglide.explanation.repeats import check_scatter, far_repeats, quieter, scattered
 from orthoglide.explanation.suspects import Key, put_right
@@ -192,14 +192,17 @@ def _meant(look: FullPosterior, found: Sequence[Fault], otherwise: float = -np.i
 
 
 def standing(posterior: FullPosterior) -> list[Fault]:
-    """Faults that stand out of the readings with a probability of nine in ten, with their sizes."""
+    """Faults that stand out of the readings with a probability of nine in ten, and have their
+    credible sets to themselves, with their sizes.
+    """
     mixture, groups = posterior.mixture, posterior.mixture.linear.groups
     instead, data = Alternatives(mixture), np.array([g.of_data for g in groups], dtype=bool)
     by_name = {s.name: s for s in posterior.about.suspects}
     found = []
     for member in mixture.strongest:
         odds = instead.of(member)[:-1] * data
-        if not groups[member].of_data or odds.sum() < NAMED:
+        every = instead.of(member)[:-1].sum()
+        if not groups[member].of_data or every < NAMED or odds.sum() < SURE * every:
             continue
         best, *others = descending(odds)
         suspect, at = by_name[groups[best].name], groups[best].places
@@ -224,9 +227,9 @@ def unsure(posterior: FullPosterior) -> frozenset[Key]:
     found = set()
     for member in mixture.strongest:
         odds = instead.of(member)[:-1]
-        if odds.sum() < NAMED or (odds * data).sum() >= NAMED:
+        if odds.sum() < NAMED or (odds * data).sum() >= SURE * odds.sum():
             continue
-        for k in np.flatnonzero(data & (odds > _AS_LIKELY * odds.max(initial=0.0))):
+        for k in np.flatnonzero(data & (odds > (1 - SURE) * odds.max(initial=0.0))):
             found.add(by_name[groups[k].name].key(problem))
     return frozenset(found)
 

@@ -77,16 +77,19 @@ def places_of(problem: Problem) -> tuple[Place, ...]:
 
 def stations(problem: Problem) -> list[list[float]]:
     """Travel of each leg at which dials were read, metres, where a defect at one place would show
-    at few readings: not where the leg stands in most of them.
+    at few readings: not where the leg stands in most of them. A posture that was visited once has
+    none, as a slip of its reading is likelier.
     """
     found: list[list[float]] = [[] for _ in LEGS]
     if not problem.on_legs:
         return found
+    station = problem.station[: problem.rows[-1].stop]
+    again = np.bincount(station)[station] > 1
     legs = [problem.machine.model.leg_conditions({}, f.conditions()) for f in problem.on_legs]
     for leg, own in enumerate(found):
-        travel = np.concatenate([each[leg].nominal_travel for each in legs])
-        at, count = np.unique(np.round(travel, 4), return_counts=True)
-        few = at[count <= _OFTEN * len(travel)]
+        travel = np.round(np.concatenate([each[leg].nominal_travel for each in legs]), 4)
+        at, count = np.unique(travel, return_counts=True)
+        few = at[(count <= _OFTEN * len(travel)) & np.isin(at, travel[again])]
         if len(few) <= _STATIONS:
             own += few.tolist()
     return found

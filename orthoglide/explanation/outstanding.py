@@ -45,6 +45,10 @@ _SURELY = 2.0  # sigmas by which a parameter lies beyond what is expected of it
 CREDIBLE = 0.95
 """Probability that a credible set holds the truth."""
 
+SURE = 0.99
+"""Probability that a credible set holds the truth where a fault of the data is in it: readings are
+thrown away by it."""
+
 MOST = 20
 """Members of a set that says something: of more it could be anything."""
 
@@ -92,7 +96,9 @@ class _Reader:
         if odds.sum() < NAMED:
             return None
         order = descending(odds)
-        count = smallest(odds[order], CREDIBLE * float(odds.sum()))
+        mixed = any(self.groups[k].of_data for k in order if odds[k] > (1 - SURE) * odds.max())
+        share = SURE if mixed else CREDIBLE
+        count = smallest(odds[order], share * float(odds.sum()))
         if count > MOST and not known:
             return None
         chosen = [k for k in order[:count] if not self.groups[k].of_data]
