@@ -36,7 +36,8 @@ LARGEST = 3.0
 
 OUTSIDE = ("s_curve", "wavy_rail", "kinked_rail", "drive_cubic", "drive_step", "stick_slip",
            "hysteresis", "growing_lash", "cross_coupling", "warming_drive", "carriage_roll",
-           "carriage_yaw", "loosening_bar", "platform_play", "dial_curve")  # fmt: skip
+           "carriage_yaw", "loosening_bar", "platform_play", "dial_curve", "warming_drives",
+           "jumping_drive", "snapping_bar", "platform_travel", "twisting_carriage")  # fmt: skip
 SWEEPS = ("sweep", "fine-sweep", "two-gauges")
 FAULTS = ("outlier", "knocked_stand", "swapped_sign", "swapped_labels", "wrong_unit", "stuck_dial")
 SHARES = {"nothing": 200, "effect": 240, "structured": 24, "pair": 60, "outside": 180, "fault": 60,
@@ -240,6 +241,9 @@ def outside(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> Cause:
     times = [row["time_s"] for row in rows if row["leg"] == own]
     began = float(rng.uniform(times[0], (times[0] + times[-1]) / 2))
     ended = (began + times[-1]) / 2
+    every = [row["time_s"] for row in rows]
+    # Drawn already, so that the other kinds stay as they were.
+    jumped = float(np.quantile(every, 0.2 + 0.6 * (period - 0.035) / 0.035))
     rail, drive = f"rail.{own}.{other}/travel", f"drive.{own}"
     made: dict[str, tuple[str, Callable[[float], Any], str]] = {
         "s_curve": (rail, lambda v: rc.s_curve(leg, across, v), "extra"),
@@ -262,6 +266,14 @@ def outside(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> Cause:
                           "extra_length"),
         "platform_play": (f"platform.{own}.{other}/approach",
                           lambda v: rc.platform_play(leg, across, v), "extra_platform"),
+        "warming_drives": ("drive/time", rc.warming_drives, "extra"),
+        "jumping_drive": (f"{drive}/time", lambda v: rc.jumping_drive(leg, v, jumped), "extra"),
+        "snapping_bar": (f"bar.{own}.{bar + 1}/time",
+                         lambda v: rc.snapping_bar(leg, bar, v, began), "extra_length"),
+        "platform_travel": (f"platform.{own}.{other}/travel",
+                            lambda v: rc.platform_travel(leg, across, v), "extra_platform"),
+        "twisting_carriage": (f"carriage.{own}.{other}/travel",
+                              lambda v: rc.twisting_carriage(leg, across, v), "extra_turn"),
         "dial_curve": (f"dial.{setup}/reading", lambda v: {setup: rc.dial_curve(v)}, "extra_dial"),
     }  # fmt: skip
     place, extra, into = made[kind]

@@ -376,6 +376,54 @@ def warming_drive(leg: int, value: float, time_constant: float = 1200.0) -> Extr
     return effect
 
 
+def warming_drives(value: float, time_constant: float = 1200.0) -> Extra:
+    """All carriages drift along their axes alike: value x (1 - exp(-t / time constant))."""
+
+    def effect(travel: Array, approach: Array, time: Array) -> Array:
+        drift = value * (1 - np.exp(-time / time_constant))
+        return np.sum([_along(leg, leg, drift) for leg in range(3)], axis=0)
+
+    return effect
+
+
+def jumping_drive(leg: int, value: float, at: float) -> Extra:
+    """One carriage stands elsewhere by value from some second on: steps were lost once."""
+
+    def effect(travel: Array, approach: Array, time: Array) -> Array:
+        return _along(leg, leg, value * (time > at))
+
+    return effect
+
+
+def snapping_bar(leg: int, bar: int, value: float, at: float) -> Extra:
+    """For ``extra_length``: a bar is longer by value from some second on."""
+
+    def effect(travel: Array, approach: Array, time: Array) -> Array:
+        out = np.zeros((len(travel), 3, 2))
+        out[:, leg, bar] = value * (time > at)
+        return out
+
+    return effect
+
+
+def platform_travel(leg: int, axis: int, value: float, period: float = 0.12) -> Extra:
+    """For ``extra_platform``: value x sin(2 pi travel / period)."""
+
+    def effect(travel: Array, approach: Array, time: Array) -> Array:
+        return _along(leg, axis, value * np.sin(2 * np.pi * travel[:, leg] / period))
+
+    return effect
+
+
+def twisting_carriage(leg: int, axis: int, value: float) -> Extra:
+    """For ``extra_turn``: the carriage turns by value / 0.01 m x travel / 0.08 m."""
+
+    def effect(travel: Array, approach: Array, time: Array) -> Array:
+        return _along(leg, axis, value / 0.01 * travel[:, leg] / 0.08)
+
+    return effect
+
+
 def platform_play(leg: int, axis: int, value: float) -> Extra:
     """For ``extra_platform``: the leg's attachment lags half of value behind its axis' moves."""
 

@@ -82,6 +82,18 @@ class Bump:
 
 
 @dataclass(frozen=True)
+class Jump:
+    """A step of unit height at one value of the variable."""
+
+    at: float  # where it is, within [-1, 1]
+    count = 1
+
+    def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
+        """One, at any variable."""
+        return [np.where(u > self.at, 1.0, 0.0)][which]
+
+
+@dataclass(frozen=True)
 class BuildUp:
     """What builds up over some lengths after a drive turns round, each for itself."""
 

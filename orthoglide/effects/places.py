@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from orthoglide.effects.catalogue import Catalogue
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.kernels import BuildUp, Bump, Kernel, Level
+from orthoglide.effects.kernels import BuildUp, Bump, Jump, Kernel, Level
 from orthoglide.effects.motions import LegConditions, Motion
 from orthoglide.effects.words import Words, toward
 from orthoglide.geometry import LEGS, Geometry
@@ -27,7 +27,7 @@ Against = Literal["travel", "approach", "reversal", "command", "time", "reading"
 Part = Literal["drive", "rail", "carriage", "bar", "platform", "dial"]
 Joints = tuple[tuple[str, float], ...]
 Range = tuple[float, float]
-Functions = Kernel | BuildUp | Bump | Level
+Functions = Kernel | BuildUp | Bump | Jump | Level
 
 
 @dataclass(frozen=True)
@@ -49,12 +49,15 @@ class Place:
     names: LegNames = Orthoglide.names  # of legs and directions
     short: bool = False  # whether it comes and goes over a few centimetres, however long the stroke
     bump: float | None = None  # travel at which it has a bump, metres; `None`: it is no bump
+    jump: float | None = None  # second at which it jumps; `None`: it does not
 
     @property
     def name(self) -> str:
         """Unique, such as ``rail.x.y/travel``."""
         if self.bump is not None:
             return f"{self.where}@{round(self.bump * 1e3, 1):g}"
+        if self.jump is not None:
+            return f"{self.where}@{self.jump:.0f}s"
         return self.where.replace("/travel", "/waves") if self.short else self.where
 
     @property
@@ -64,7 +67,13 @@ class Place:
             return f"dial{self.setup and '.'}{self.setup}/{self.against}"
         way = f".{self.direction}" if self.direction else ""
         by = f".{self.names.legs[self.by]}" if self.against == "command" else ""
-        return f"{self.part}.{self.names.legs[self.leg]}{way}/{self.against}{by}"
+        leg = f".{self.names.legs[self.leg]}" if self.leg >= 0 else ""
+        return f"{self.part}{leg}{way}/{self.against}{by}"
+
+    @property
+    def single(self) -> bool:
+        """Whether it is wrong at one place or moment alone."""
+        return self.bump is not None or self.jump is not None
 
     @property
     def turns(self) -> bool:
@@ -134,6 +143,8 @@ class Place:
         """Where and how, as a clause."""
         if self.of_dial and not self.setup:
             return "all dials read more or less by the way that their plungers came"
+        if self.part == "drive" and self.leg < 0:
+            return "all drives go wrong along their axes alike with time"
         if self.of_dial:
             what = {
                 "time": "creeps with time",
@@ -147,7 +158,7 @@ class Place:
             "approach": "by the side it is approached from",
             "reversal": "by the way gone since it turned round",
             "command": f"by the command of drive {self.names.legs[self.by]}",
-            "time": "with time",
+            "time": "with time" if self.jump is None else f"at {self.jump:.0f} s, at once",
         }[self.against]
         what = {
             "drive": f"drive {leg} goes wrong along its axis",
@@ -173,6 +184,8 @@ class Place:
         """What to look at on the machine."""
         if self.of_dial:
             return "the dial against gauge blocks, and its stand"
+        if self.leg < 0:
+            return "what warms all drives alike: the room, the motors, the machine's frame"
         leg = self.names.legs[self.leg]
         return {
             "drive": f"the drive of axis {leg}: screw or belt, coupling, encoder",
@@ -248,6 +261,7 @@ class Session:
     start: float  # first second
     end: float  # last second
     leg: int | None = None  # whose dials were read; `None`: of the whole campaign
+    moments: tuple[float, ...] = ()  # between readings, at which something may jump, seconds
 
 
 def _waves(half: float) -> Kernel:
@@ -296,17 +310,21 @@ def places(
             add("rail", sideways, letter, "travel", _travel, _FINE, 50 * _UM)
             add("rail", sideways, letter, "approach", _travel, _COARSE, 50 * _UM)
             end = ((f"lateral_{axis}", -1.0),)
+            add("platform", end, letter, "travel", _travel, _FINE, 50 * _UM)
             add("platform", end, letter, "approach", _travel, _COARSE, 50 * _UM)
         # A leg may be called as one of its directions: then its slide is, as its frame has it, a.
         slide = "a" if own in across.values() else own
         for axis, letter in {"a": slide, **across}.items():
-            add("carriage", ((f"turn_{axis}", 1.0),), letter, "travel", _travel, _COARSE, 1e-3)
+            add("carriage", ((f"turn_{axis}", 1.0),), letter, "travel", _travel, _ACROSS, 1e-3)
         for bar in "12":
             add("bar", ((f"stretch{bar}", 1.0),), bar, "approach", _travel, _COARSE, 50 * _UM)
     both = (("stretch1", 1.0), ("stretch2", 1.0))
     for session in sessions:
         span, whole = (session.start, session.end), session.leg is None
         variable, kernel = partial(_time_between, *span), _DRIFT if whole else _OU
+        if whole:
+            found.append(Place("drive", -1, (("travel", 1.0),), "", "time", 0, variable, kernel,
+                               100 * _UM, span))  # fmt: skip
         for leg in range(len(LEGS)) if session.leg is None else [session.leg]:
             moving: tuple[tuple[Part, Joints, str], ...] = (
                 ("bar", both[:1], "1"), ("bar", both[1:], "2"), ("bar", both, ""),
@@ -315,8 +333,17 @@ def places(
                 moving = (("drive", (("travel", 1.0),), ""),)
             for part, joints, way in moving:
                 unit = (100 if whole else 50) * _UM
-                found.append(Place(part, leg, joints, way, "time", 0, variable, kernel, unit, span))
+                place = Place(part, leg, joints, way, "time", 0, variable, kernel, unit, span)
+                found.append(place)
+                if way or whole:  # one bar snaps, not both
+                    found += [_jumping(place, at) for at in session.moments]
     return tuple(_sized(replace(place, names=names), scale) for place in found)
+
+
+def _jumping(place: Place, at: float) -> Place:
+    """The same part that jumps at one moment of its session, seconds."""
+    start, end = place.span or (0.0, 1.0)
+    return replace(place, kernel=Jump(2 * (at - start) / (end - start) - 1), jump=at)
 
 
 _WIDTH = 0.008

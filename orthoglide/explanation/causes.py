@@ -163,10 +163,10 @@ class Curve:
     @property
     def size(self) -> float:
         """How much it moves, SI: on an approach between the two sides, root mean square; after a
-        reversal from the turn to the farthest; a bump at its top; else root mean square about its
-        mean.
+        reversal from the turn to the farthest; a bump at its top, and a jump as high as it is;
+        else root mean square about its mean.
         """
-        if self.place.bump is not None:
+        if self.place.single:
             return float(np.abs(self.value).max())
         if self.place.against == "approach":
             return float(np.sqrt(np.mean(self.value**2)))
@@ -182,7 +182,7 @@ class Curve:
     @property
     def size_words(self) -> str:
         """Its size with its unit, and whether that is a root mean square."""
-        whole = self.place.two_sided or self.place.bump is not None
+        whole = self.place.two_sided or self.place.single
         return f"{compact(self.size * 1e3, 2)} {self.unit}{'' if whole else ' rms'}"
 
 

@@ -56,6 +56,10 @@ _VISIBLE = 0.1
 """What ten tolerances lift a sigma above the noise, in all, is weighed: where one drive shows far
 more than the others, only these tell whether its error is theirs as well."""
 
+_OF_DIAL = 0.3
+"""Scale of what stands out of a dial, over that of a part. The widest is three tolerances: a dial
+that shows ten per cent too much, or stands ten degrees awry, is seen when it is set up."""
+
 _SHOWN = 10
 """Repeats from which they show the noise: half of it, or twice, has odds of twenty to one against
 it on ten degrees of freedom."""
@@ -383,10 +387,11 @@ def _groups(
         np.add.at(rows, moved, matrix * factor[:, None])
         places = np.flatnonzero(rows.any(axis=1))
         causes.append(cause)
-        groups.append(Group(cause.name, places, rows[places], False, cause.chance))
-    ways = Counter((place.where, place.bump is None) for place in found)
+        unit = _OF_DIAL if catalogue[cause.effect].of_dial else 1.0
+        groups.append(Group(cause.name, places, rows[places], False, cause.chance, unit))
+    ways = Counter((place.where, place.single) for place in found)
     for place, (name, own_places) in zip(found, _spans(found, len(names)).items(), strict=True):
         if np.linalg.norm(columns[:, own_places]) > _VISIBLE:
-            chance = STRANGE / ways[place.where, place.bump is None]
+            chance = STRANGE / ways[place.where, place.single]
             groups.append(whole(name, own_places, free=True, chance=chance))
     return tuple(groups), tuple(causes), tuple(asked)

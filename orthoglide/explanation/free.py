@@ -29,6 +29,7 @@ from orthoglide.prediction import Model
 
 _OFTEN = 0.2  # share of the readings at one travel of a leg, from which it is no single place
 _STATIONS = 40  # travels of a leg; of more each is visited once, and a defect of one is a slip
+_JUMPS = 24  # moments of a session at which a part may jump: each is near one of them
 _STILL = 1e-6  # metres: less moves no dial
 _CLEAR = 5e-6  # metres: of a move from which it is clear which way it went
 _APART = 3.0  # times their scatter, by which readings of both ways have to differ
@@ -62,7 +63,8 @@ def places_of(problem: Problem) -> tuple[Place, ...]:
         for leg in (*range(len(LEGS)), None):
             time = campaign.time if leg is None else campaign.time[campaign.leg == leg]
             if len(time) and np.isfinite(time).all() and np.ptp(time) > 0:
-                sessions.append(Session(float(time.min()), float(time.max()), leg))
+                span = float(time.min()), float(time.max())
+                sessions.append(Session(*span, leg, tuple(_moments(time))))
     machine = problem.machine
     geometry = machine.geometry
     found = places(sessions, machine.catalogue.legs, geometry.stroke, geometry.scale)
@@ -73,6 +75,14 @@ def places_of(problem: Problem) -> tuple[Place, ...]:
     one_sided = ~both_sides(approach)  # which shows no difference between sides
     hidden = {"approach": one_sided, "reversal": one_sided | bool(problem.tool)}
     return tuple(p for p in found if p.against not in hidden or not hidden[p.against][p.leg])
+
+
+def _moments(time: Array) -> list[float]:
+    """Moments between readings, evenly over them, at which a part may jump, seconds."""
+    each = np.unique(time)
+    cuts = (each[:-1] + each[1:]) / 2
+    at = np.linspace(0, len(cuts) - 1, min(_JUMPS, len(cuts))).round().astype(int)
+    return cuts[np.unique(at)].tolist()
 
 
 def stations(problem: Problem) -> list[list[float]]:
@@ -147,8 +157,9 @@ def _joints(place: Place) -> Array:
     """Share of every virtual joint in a place ``(30,)``."""
     names = VIRTUAL_NAMES
     joints = np.zeros(len(LEGS) * len(names))
-    for joint, share in place.joints:
-        joints[place.leg * len(names) + names.index(joint)] = share
+    for leg in [place.leg] if place.leg >= 0 else range(len(LEGS)):
+        for joint, share in place.joints:
+            joints[leg * len(names) + names.index(joint)] = share
     return joints
 
 

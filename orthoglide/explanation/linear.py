@@ -56,6 +56,7 @@ class Group:
     weights: Array  # from its own coefficients to those (q, k)
     free: bool  # whether it is a free function
     chance: float = 1.0  # how often it goes wrong, over a cause of the catalogue
+    unit: float = 1.0  # tolerances that a slab of scale one lets its coefficients out by
     # of a fault of the data how many of it are expected, before the readings are seen; of what is
     # wrong with the machine that follows from all chances
     expected: float | None = None
@@ -127,10 +128,10 @@ class Linear:
         for group in self.groups:
             turned = np.eye(1)
             if group.size > 1:
-                shown = self.columns[:, group.places] @ group.weights
+                shown = group.unit * self.columns[:, group.places] @ group.weights
                 _, size, turn = np.linalg.svd(shown, full_matrices=False)
                 turned = turn[: max(1, int((size * max(self.slabs) > _UNSEEN).sum()))].T
-            found.append(group.weights @ turned)
+            found.append(group.unit * group.weights @ turned)
         return tuple(found)
 
 

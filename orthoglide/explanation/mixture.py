@@ -181,7 +181,7 @@ class Mixture(Search):
         for group, tau in state:
             g = self.linear.groups[group]
             part = np.zeros((count, g.size))
-            part[g.places] = g.weights * tau
+            part[g.places] = g.weights * tau * g.unit
             spread = np.hstack([spread, part])
         return spread
 

@@ -328,7 +328,7 @@ class _Reader:
             u = bump.at + bump.width * np.linspace(-_FLAT, _FLAT, 41)
         functions = np.stack(place.kernel.functions(u), axis=1) * place.unit
         # The level of a curve may belong to the zeros.
-        if not place.two_sided and place.bump is None:
+        if not place.two_sided and not place.single:
             functions -= functions.mean(axis=0)
         low, high = place.interval(self.posterior.before.problem.machine.geometry.stroke)
         return Curve(

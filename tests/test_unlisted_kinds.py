@@ -1,0 +1,59 @@
+"""Errors at one moment, of all drives alike, and of parts by their travel: each is located."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from tests import rig_campaigns as rc
+from tests.rig import Rig
+
+RIG = Rig(errors={"joint_offset.x": 1.2e-3, "joint_offset.y": -7e-4, "joint_offset.z": 4e-4})
+ROWS = rc.protocol_rows("sweep", RIG)
+MIDDLE = float(np.quantile([row["time_s"] for row in ROWS], 0.4))
+OF_Y = float(np.median([row["time_s"] for row in ROWS if row["leg"] == "y"]))
+
+KINDS = {
+    "jump of a drive": (
+        replace(RIG, extra=(rc.jumping_drive(0, 1e-4, MIDDLE),)),
+        ("drive", "x", "time"), 1e-4,
+    ),
+    "bar that snaps": (
+        replace(RIG, extra_length=(rc.snapping_bar(1, 0, 1e-4, OF_Y),)),
+        ("bar", "y", "time"), 1e-4,
+    ),
+    "all drives warm alike": (
+        replace(RIG, extra=(rc.warming_drives(2e-4),)),
+        ("drive", None, "time"), None,
+    ),
+    "leg's end by travel": (
+        replace(RIG, extra_platform=(rc.platform_travel(0, 1, 1e-4),)),
+        ("platform", "x", "travel"), None,
+    ),
+    "carriage that turns evenly": (
+        replace(RIG, extra_turn=(rc.twisting_carriage(0, 1, 8e-5),)),
+        ("carriage", "x", "travel"), None,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.thorough(except_for=["jump of a drive", "carriage that turns evenly"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_no_catalogue_lists_is_located(kind: str) -> None:
+    rig, (part, leg, against), size = KINDS[kind]
+    rows = rc.simulate(rig, ROWS, np.random.default_rng(5))
+    verdict = og.close_loop([og.Campaign.from_frame(_frame(rows))])
+    (found, *_) = verdict.located
+    first = found.members[0]
+    assert (first.part, first.leg, first.against) == (part, leg, against)
+    assert verdict.effects == ()
+    if size is not None:
+        assert first.size == pytest.approx(size, rel=0.25)
+        assert f"by {first.size_words}" in " ".join(str(verdict).split())
+
+
+def _frame(rows: list[rc.Row]) -> dict[str, list[object]]:
+    return {name: [row[name] for row in rows] for name in rows[0]}
