@@ -65,7 +65,7 @@ def test_demo_as_a_process_from_another_folder(tmp_path: Path) -> None:
     said = r"x rail is bent: its middle stands (0\.1[45]\d*) mm toward −z"
     assert "so that its fault is known: the x rail is bent: its middle stands 0.15 mm" in one
     assert re.search(f"Verdict explained: The {said}", one)
-    assert "Verdict unexplained: Something is wrong" in two
+    assert "Verdict unexplained: The model does not fit" in two
     made = tmp_path / "orthoglide-demo"
     assert set(tree(made / "published")) >= FILES
     assert set(tree(made / "simulated")) >= FILES

@@ -335,7 +335,7 @@ def test_what_is_left_is_found_where_it_is() -> None:
     text = screen(verdict)
     leg, axis = "xyz"[most.leg], "xyz"[most.axis]
     sign = "−" if most.most < 0 else ""
-    assert f"shows on leg {leg} read along {axis}" in text
+    assert f"The residual is largest on leg {leg} read along {axis}" in text
     assert re.search(rf"up to [\d.]+ mm, toward {sign}{axis}\b", text)
     assert verdict.next_measurements[0].aim == "trace"
     sheet = sheet_of(verdict.next_measurements[0].readings, verdict.request.machine)

@@ -87,7 +87,7 @@ def test_what_is_left_is_shared_by_all_that_was_read() -> None:
 def test_what_is_left_at_the_tool_is_told_and_followed_there() -> None:
     verdict = odd_tool()
     most = verdict.left.by_instrument[0]
-    said = f"({100 * most.share:.0f} %) shows in {most.reads} (tcp)"
+    said = f"largest in {most.reads} (tcp) ({100 * most.share:.0f} % of it)"
     assert said in headline(verdict)
     assert "shows on leg" not in headline(verdict)
     follow = verdict.next_measurements[0]
@@ -100,7 +100,8 @@ def test_a_single_dial_is_not_all_dials() -> None:
     left = odd_tool().left
     only = replace(left, mountings=(replace(left.by_dial[0], share=1.0),))
     one = replace(odd_tool(), left=only)
-    assert "(100 %) shows on leg" in where_left(one)
+    assert "largest on leg" in where_left(one)
+    assert "(100 % of it)" in where_left(one)
     assert "though" not in where_left(one)
 
 

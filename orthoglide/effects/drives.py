@@ -51,7 +51,8 @@ ENCODER_SCALE = Effect(
     1e-4,
     because="0.1 mm over a metre is a poor scale or a screw of class C7",
     sentence="the drive moves more or less than it is told, in proportion",
-    look_at="the drive's scale in the controller, the screw's lead or a belt's pulley, warmth",
+    look_at="the drive's scale in the controller, the screw's lead or a belt's pulley: measure "
+    "100 mm of the carriage's travel",
     members=once(Motion("travel", lambda c: c.nominal_travel)),
     words=Words(
         lambda p, v: f"drive {p.leg} moves {percent(v)} {more(v)} than it is told",

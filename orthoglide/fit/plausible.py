@@ -10,15 +10,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orthoglide.errors import InputError
+from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit.factors import beliefs_of
 from orthoglide.fit.repeats import OFF_GRID, off_grid, on_grid
+from orthoglide.geometry import Array
 from orthoglide.instruments import Beliefs, Frame, Taken
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial
+from orthoglide.numerals import compact
 from orthoglide.observations import Readings, source
 from orthoglide.units import INCH
 
+_TOUCHES = 5  # of a plate: a plane goes through three
+_FLAT, _TOUCHED = 1e-3, 1e-4
+"""Metres: a bed that somebody prints on is as flat, and touches are hardly better."""
+
+_WORSE = 10.0  # times by which touches are off as they are counted
 _FEWEST = 8  # different readings: by chance one in eight is on the grid
 
 
@@ -36,6 +43,7 @@ def check_plausible(given: Sequence[Readings], machine: Machine, frame: Frame = 
     beliefs = beliefs_of(machine, frame)
     for readings in given:
         if readings.of_tool:
+            _check_counting(readings, machine)
             _check_meant(readings, machine, beliefs)
         else:
             _check_units(readings, machine.spec.dial)
@@ -58,6 +66,38 @@ def _check_units(campaign: Readings, dial: Dial) -> None:
                 f"they seem to be {meant} taken for {taken}; give reading_mm in millimetres, "
                 f"or correct resolution in the machine file"
             )
+
+
+def _check_counting(readings: Readings, machine: Machine) -> None:
+    """Refuse touches of a plate that lie in a plane only with travel counted the other way."""
+    for k, setup in enumerate(readings.setups):
+        rows = (readings.setup == k) & ~readings.paired
+        if not setup.observation.touches or rows.sum() < _TOUCHES:
+            continue
+        own, zero = readings.subset(rows), machine.geometry.zero
+        now, other = (_off_plane(own, command, machine)
+                      for command in (own.command, 2 * zero - own.command))  # fmt: skip
+        if other < _FLAT and now > _WORSE * max(other, _TOUCHED):
+            found = "those of no plane" if np.isfinite(now) else "out of the machine's reach"
+            raise InputError(
+                f"{source(readings)}, setup {setup.name!r}: the heights are {found}; with travel "
+                f"counted the other way they fit a plane to {compact(other * 1e3, 1)} mm: set "
+                f"sign = {[-s for s in machine.spec.controller.sign]} under [controller]"
+            )
+
+
+def _off_plane(readings: Readings, command: Array, machine: Machine) -> float:
+    """Root mean square of touches about the plane through them, metres; infinite where the machine
+    does not reach some.
+    """
+    try:
+        p = machine.forward(command)
+    except NumericsError:
+        return float("inf")
+    height = p[:, 2] - readings.sign * readings.reading
+    plane = np.column_stack([np.ones(len(p)), p[:, :2]])
+    rest = height - plane @ np.linalg.lstsq(plane, height)[0]
+    return float(np.sqrt(np.sum(rest**2) / max(len(rest) - 3, 1)))
 
 
 def _check_meant(readings: Readings, machine: Machine, beliefs: Beliefs) -> None:

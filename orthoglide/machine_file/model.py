@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from orthoglide.add_ons import MARK, Kinematics, Printer, printer_of, table_of
 from orthoglide.effects import CATALOGUE, Catalogue
+from orthoglide.effects.classes import of_belts
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.layout import LinearDelta
@@ -140,6 +141,8 @@ class MachineFile:
         sha256: digest of the file, or ``""``.
         posterior: covariance of the parameters, where it was kept.
         warnings: what was noticed on reading and is no error.
+        build: class of the machine, ``laboratory`` or ``belts``, which sets the tolerances that are
+            not given; empty: belts of a linear delta, a laboratory of others.
     """
 
     name: str = "Orthoglide, nominal"
@@ -159,6 +162,7 @@ class MachineFile:
     sha256: str = field(default="", compare=False)
     posterior: Posterior | None = field(default=None, compare=False, repr=False)
     warnings: tuple[str, ...] = field(default=(), compare=False)
+    build: str = ""
 
     @property
     def title(self) -> str:
@@ -195,9 +199,14 @@ class MachineFile:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "catalogue", self.catalogue.of_layout(self.geometry.layout))
-        object.__setattr__(
-            self, "tolerance", {**self.catalogue.default_tolerance, **self.tolerance}
-        )
+        object.__setattr__(self, "tolerance", {**self._expected, **self.tolerance})
+
+    @property
+    def _expected(self) -> dict[str, float]:
+        """Tolerances by the class of the machine, SI."""
+        hanging = isinstance(self.geometry.layout, LinearDelta)
+        belts = self.build == "belts" or (not self.build and hanging)
+        return {**self.catalogue.default_tolerance, **(of_belts(self.catalogue) if belts else {})}
 
 
 def name_of(geometry: Geometry) -> str:

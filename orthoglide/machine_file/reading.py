@@ -115,7 +115,7 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
     tolerance = schema.tolerances(catalogue).read(document)
     document.check_keys(schema.INSTRUMENT_KINDS, "instrument")
     return MachineFile(
-        **{"name": "", **top, **schema.DRIVE.read(document)},
+        **{"name": "", **top, **schema.DRIVE.read(document), **schema.CLASS.read(document)},
         **{name: part.build(document) for name, part in schema.PARTS.items()},
         geometry=geometry,
         instruments={

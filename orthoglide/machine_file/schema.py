@@ -7,6 +7,7 @@ from them.
 from __future__ import annotations
 
 from orthoglide.effects import Catalogue
+from orthoglide.effects.classes import CLASSES
 from orthoglide.geometry import Geometry
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta, Orthoglide
@@ -33,6 +34,7 @@ TABLES = {
     f"which is one of {', '.join(f'`{kind}`' for kind in INSTRUMENT_KINDS)}.",
     "drive": "The drives.",
     "controller": "How the controller counts.",
+    "class": "How the machine is built, which sets the tolerances that are not given.",
     "tolerance": "Standard deviations to expect, one number an effect. Names, units and defaults "
     "are those of the [catalogue](effects.md).",
     "stiffness": "Elastic constants.",
@@ -84,6 +86,11 @@ CONTROLLER = Section("controller", model.Controller, (
     Key("zero_mm", _POINT, "What the controller shows at mechanical zero, by leg."),
     Key("sign", several(one_of((1, -1)), 3), "1 where the controller counts away from the origin, "
         "-1 where it counts toward the origin, by leg."),
+))
+CLASS = Section("class", model.MachineFile, (
+    Key("kind", one_of(CLASSES), "`laboratory`, of ground steel, or `belts` on extrusions. If "
+        "absent, a linear delta has belts, and other machines are of a laboratory.",
+        attribute="build"),
 ))
 STIFFNESS = Section("stiffness", model.Stiffness, (
     Key("torsion_Nmm_per_rad", quantity(Unit("N mm/rad", 1e-3), 0, _STIFFEST, closed=True),

@@ -96,6 +96,7 @@ def _tables(machine: MachineFile) -> dict[str, Any]:
         "geometry_mm": schema.GEOMETRY.write(machine.geometry),
         "instrument": {k: schema.INSTRUMENT.write(one) for k, one in machine.instruments.items()},
         "drive": schema.DRIVE.write(machine),
+        "class": {"kind": machine.build} if machine.build else {},
         "tolerance": schema.tolerances(catalogue).write(
             tolerance | {"surface_slope": machine.surface_slope}
         ),

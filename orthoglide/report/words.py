@@ -41,7 +41,7 @@ MEANINGS: Mapping[str, str] = {
     "ambiguous": "something was found, but other explanations fit these readings as well",
     "located": "a place was found that no known shape explains, and nothing significant is left",
     "partial": "something was found, and something significant is left",
-    "unexplained": "something significant is left, and nothing stands out",
+    "unexplained": "the model does not fit, and no cause explains the difference",
 }
 """What the verdict's words mean."""
 
@@ -125,8 +125,7 @@ def _changed(changes: Iterable[Change]) -> str:
 def _weighed(result: Result) -> str:
     base = effects_named(result)
     if result.word == "unexplained":
-        why = "" if _too_few(result) else f" {_why_significant(result)}"
-        return f"With the {base} set right, {_fall(result)}.{why}"
+        return f"With the {base} set right, {_fall(result)}."
     if result.word == "partial":
         return (
             f"With it in the model, {_fall(result)}, and nothing known explains the rest. "
@@ -162,7 +161,7 @@ def where_left(result: Result) -> str:
         )
     shares = [one.share for one in result.left.mountings]
     if shares and (points := 1 - sum(shares)) > max(shares):
-        return f" The largest part of what is left ({100 * points:.0f} %) shows in the TCP points."
+        return f" The residual is largest at the TCP points ({100 * points:.0f} % of it)."
     if result.left.dials_hold_most:
         one = result.left.by_dial[0]
         where = f"on leg {LEGS[one.leg]} read along {LEGS[one.axis]}"
@@ -181,11 +180,11 @@ def where_left(result: Result) -> str:
 
 
 def _largest_part(result: Result, share: float, where: str, size: str) -> str:
-    """Where the largest part of what is left shows, and whether it stands out at all."""
+    """Where the residual is largest, and whether that stands out at all."""
     dials, tool = len(result.left.by_dial), len(result.left.by_instrument)
     alike = dials + tool > 1 and share < 2 / (dials + tool)
     spread = f", though all {'readings' if tool else 'dials'} show some" if alike else ""
-    return f" The largest part of what is left ({100 * share:.0f} %) shows {where}{spread}: {size}."
+    return f" The residual is largest {where}{spread} ({100 * share:.0f} % of it): {size}."
 
 
 def _alone(result: Result) -> str:
@@ -205,21 +204,17 @@ def _too_few(result: Result) -> bool:
 
 
 def _nothing_explains(result: Result) -> str:
-    if _too_few(result):
-        return (
-            "Something is wrong, and nothing stands out: these readings would be explained only by "
-            "errors of everything beyond its tolerance, or by errors that have no structure. They "
-            "are too few to tell more, or the tolerances are not this machine's."
-        )
-    if result.left.with_unreported > _CHANCE:
-        return (
-            "Something is wrong, and what it is does not stand out: several effects of the "
-            "catalogue or free functions of its parts would explain it, none of them clearly."
-        )
-    return (
-        "Something is wrong that no effect of the catalogue and no free function of its parts "
-        "explains."
+    """That the model does not fit, by how much, and whether more could be said."""
+    noise, left = result.noise.single_reading, result.after.scores.left
+    text = (
+        f"The model does not fit ({left.said()} rms, noise {noise.said()}), and no single cause "
+        f"explains the difference."
     )
+    if _too_few(result):
+        return f"{text} {len(result.readings)} readings are too few to say more."
+    if result.left.with_unreported > _CHANCE:
+        return f"{text} Several causes together would, none of them clearly."
+    return text
 
 
 def _why_significant(result: Result) -> str:
