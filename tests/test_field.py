@@ -37,7 +37,7 @@ def test_a_mistyped_distance_is_a_slip() -> None:
 def test_drives_of_three_per_cent_are_told_of_the_drives() -> None:
     folder = FIELD / "drives-3-percent-called-dome"
     machine = og.Machine.load(folder / "machine.toml")
-    verdict = og.close_loop([og.read_readings(folder / "plate.csv", machine.spec)], machine)
+    verdict = og.close_loop(og.read_readings(folder / "plate.csv", machine.spec), machine)
     (cause, *_) = verdict.effects
     assert cause.name == "encoder_scale.common"
     assert cause.chosen.value == pytest.approx(0.033, abs=0.002)
@@ -51,7 +51,7 @@ def test_travel_that_is_counted_down_is_told() -> None:
     with pytest.raises(
         og.InputError, match=r"fit a plane to 0\.00\d mm: set sign = \[-1, -1, -1\]"
     ):
-        og.close_loop([readings], machine)
+        og.close_loop(readings, machine)
     right = og.Machine(replace(machine.spec, controller=Controller(sign=(-1, -1, -1))))
     again = og.read_readings(folder / "plate.csv", right.spec)
-    assert og.close_loop([again], right).word == "adequate"
+    assert og.close_loop(again, right).word == "adequate"
