@@ -61,11 +61,15 @@ def test_demo_as_a_process_from_another_folder(tmp_path: Path) -> None:
     first = process("demo", cwd=tmp_path)
     assert first.returncode == 0
     assert all(re.fullmatch(r" *\d+ s  [a-z].*", line) for line in first.stderr.splitlines())
-    one, two = flat(first.stdout).split("2. The machine of the papers")
+    two, one = flat(first.stdout).split("2. A machine made up")
     said = r"x rail is bent: its middle stands (0\.1[45]\d*) mm toward −z"
     assert "so that its fault is known: the x rail is bent: its middle stands 0.15 mm" in one
     assert re.search(f"Verdict explained: The {said}", one)
+    assert two.startswith("1. The machine of the papers")
     assert "Verdict unexplained: The model does not fit" in two
+    so = r"If it were so: .* \(probability 0\.\d+\): deviations 0\.138 to (0\.1\d+) mm"
+    assert float(re.search(so, two)[1]) < 0.11  # type: ignore[index]
+    assert "What to do: Measure more" in two
     made = tmp_path / "orthoglide-demo"
     assert set(tree(made / "published")) >= FILES
     assert set(tree(made / "simulated")) >= FILES
@@ -74,8 +78,8 @@ def test_demo_as_a_process_from_another_folder(tmp_path: Path) -> None:
     assert len(og.read_campaign(made / "simulated.csv")) == 252
     result = json.loads((made / "published" / "result.json").read_text())
     assert result["command"] == "demo"
-    assert result["arguments"]["holdout"] == "experiment3.csv"
-    assert result["holdout"]["before_rms_mm"] > 0
+    assert [one["file"] for one in result["inputs"]] == ["experiment2.csv", "experiment3.csv"]
+    assert 0.05 < result["possible"][0]["probability"] < 0.5
 
 
 @pytest.mark.thorough

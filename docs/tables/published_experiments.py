@@ -135,6 +135,26 @@ def together() -> Iterator[str]:
         f"{after.deviation_rms * 1e3:.3f} mm after; stations left out {before.cv_rms * 1e3:.3f} mm "
         f"and {after.cv_rms * 1e3:.3f} mm."
     )
+    if verdict.possible:
+        yield ""
+        yield (
+            "No effect is certain: 24 averages were read once each, so nothing shows their noise, "
+            "and the search weighs how much of the residual is noise. If it were so:"
+        )
+        yield ""
+        yield (
+            "| effect | probability | size | deviations before, after (mm) | stations left out "
+            "before, after (mm) |"
+        )
+        yield "|---|---|---|---|---|"
+    for one in verdict.possible:
+        yield (
+            f"| `{one.name}` | {one.probability:.2f} | {one.words} | "
+            f"{before.deviation_rms * 1e3:.3f}, {one.after.deviation_rms * 1e3:.3f} | "
+            f"{before.cv_rms * 1e3:.3f}, {one.after.cv_rms * 1e3:.3f} |"
+        )
+    if verdict.possible:
+        yield ""
     for effect in verdict.effects:
         shown = ", ".join(f"`{p}` {v:+.2e}" for p, v in effect.chosen.values.items())
         others = ", ".join(effect.indistinguishable_from) or "nothing"

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from orthoglide.result import Request
 
 DEMO_FOLDER = "orthoglide-demo"
-DEMO_CAMPAIGN, DEMO_HELD_OUT = "experiment2.csv", "experiment3.csv"
+DEMO_CAMPAIGN, DEMO_SECOND = "experiment2.csv", "experiment3.csv"
 DEMO_MACHINE = "made-up.toml"
 
 
@@ -69,12 +69,12 @@ def diagnose(**options: Any) -> None:
 @opt.out(required=False, help=f"Folder for the results.  [default: {DEMO_FOLDER}]")
 @opt.run_options
 def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
-    """Diagnose a made-up machine with a known fault, and the published Orthoglide (2008).
+    """Close the loop on the published Orthoglide (2008), and on a machine with a known fault.
 
-    The first machine is made up: its fault is known, its dials are simulated over a whole sweep,
-    and the fault is found. The second is the one of the papers, from its authors' own readings:
-    Experiment 2 is diagnosed, and Experiment 3, taken after new offsets were set, is held out to
-    judge. So few readings cannot carry more than the zeros, and the verdict says so.
+    The first machine is that of the papers, from its authors' own readings: what offsets and
+    lengths leave, the effects that may be behind it, the error before and after each is added, and
+    what would tell which it is. The second is made up, so that its fault is known: its dials are
+    simulated over a whole sweep, and the fault is found.
     """
     import json
 
@@ -82,6 +82,8 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
     from orthoglide.cli.terminal import say
     from orthoglide.cli.writing import next_free, write_results
     from orthoglide.report.folder import check_folder
+    from orthoglide.report.rows import if_it_were_so
+    from orthoglide.text import sentence
 
     folder = check_folder(out or next_free(Path(DEMO_FOLDER)))
     files: dict[str, str | bytes] = {}
@@ -93,9 +95,10 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
             files |= {f"{name}/{file}": content for file, content in report.items()}
             results[name] = json.loads(report["result.json"])
             path = click.format_filename((out or Path(folder.name)) / name / "report.html")
-            told.append(
-                f"{intro}\nVerdict {result.word}: {results[name]['summary']}\nReport: {path}"
-            )
+            lines = [intro, f"Verdict {result.word}: {results[name]['summary']}"]
+            lines += [f"If it were so: {text}" for text in if_it_were_so(result)]
+            lines += [f"What to do: {sentence(one.words)}" for one in result.actions[:1]]
+            told.append("\n".join((*lines, f"Report: {path}")))
         write_results(folder, files)
     if as_json:
         say(json.dumps(results, indent=1, ensure_ascii=False), needed=False)
@@ -115,7 +118,7 @@ def _demo_runs(
     from orthoglide.observations import campaign_text
     from orthoglide.simulation import simulate
 
-    names = (DEMO_MACHINE, DEMO_CAMPAIGN, DEMO_HELD_OUT)
+    names = (DEMO_MACHINE, DEMO_CAMPAIGN, DEMO_SECOND)
     data = packaged("orthoglide") / "data"
     made, first, held = (stack.enter_context(as_file(data / name)) for name in names)
     worn = Machine.load(made)
@@ -127,15 +130,16 @@ def _demo_runs(
     sheet.write_text(campaign_text(campaign, worn.spec), encoding="utf-8")
     files |= {sheet.name: sheet.read_text("utf-8"), DEMO_MACHINE: made.read_text("utf-8")}
     return {
+        "published": (
+            "1. The machine of the papers, from the 24 averages that its authors published: "
+            "Experiments 2 and 3, between which new offsets were set.",
+            lambda: read_request(
+                "demo", (first, held), own=worn.catalogue.held_as("zero"), seed=seed
+            ),
+        ),
         "simulated": (
-            f"1. A machine made up, so that its fault is known: {hidden}. {len(campaign)} readings "
+            f"2. A machine made up, so that its fault is known: {hidden}. {len(campaign)} readings "
             f"of a whole sweep were simulated and nothing else was told.",
             lambda: read_request("close-loop", (sheet,), seed=seed),
-        ),
-        "published": (
-            "2. The machine of the papers, from the few readings that its authors published.",
-            lambda: read_request(
-                "demo", (first,), holdout=held, own=worn.catalogue.held_as("zero"), seed=seed
-            ),
         ),
     }

@@ -64,6 +64,8 @@ class Closed:
         faulty: the base fit with the faulty readings in, where there are any.
         hold_out: scores on readings held out, or ``None``.
         tcp: errors at measured TCP points by alignment, or ``None``.
+        possible: where something is left and nothing stands out: the most probable causes, each as
+            if it were there.
         alone: where nothing stands out: causes of which one would be behind it on a machine that
             is sound otherwise.
     """
@@ -83,6 +85,7 @@ class Closed:
     hold_out: HoldOut | None = None
     tcp: dict[str, TcpErrors] | None = None
     alone: tuple[Explanation, ...] = ()
+    possible: tuple[Explanation, ...] = ()
 
     @property
     def nominal(self) -> Scores:

@@ -18,14 +18,25 @@ from orthoglide.closing.values import (
     fit_value,
     located_value,
 )
-from orthoglide.fit import CrossCheck, Estimate
+from orthoglide.errors import NumericsError
+from orthoglide.fit import CrossCheck, Estimate, solve
 from orthoglide.fit.noise_scales import noise_scales
 from orthoglide.fit.shown import readings_shown, rows_in
+from orthoglide.fit.unknowns import with_free
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.observations import campaign_rows, source
 from orthoglide.planning import Suggestion
 from orthoglide.progress import Progress, Step, silent
-from orthoglide.result import InstrumentNoise, Noise, Proposal, Result, SetupNoise, Unseen, encoded
+from orthoglide.result import (
+    InstrumentNoise,
+    Noise,
+    Possible,
+    Proposal,
+    Result,
+    SetupNoise,
+    Unseen,
+    encoded,
+)
 from orthoglide.threads import on_one_thread
 
 # Metres. Two derivations that differ by less agree; the difference below is rounding, which differs
@@ -106,6 +117,7 @@ def _result(closed: Closed) -> Result:
         command_line=request.command_line,
         withheld=not_advised(closed),
         contradicted=closed.contradicted,
+        possible=tuple(_possible(closed)),
         noise_by_setup=tuple(_by_setup(after)),
     )
 
@@ -131,6 +143,18 @@ def _noise(closed: Closed) -> Noise:
         source=problem.noise_source,
         by_instrument=each,
     )
+
+
+def _possible(closed: Closed) -> Iterator[Possible]:
+    """The most probable causes of what nothing explains, each with the scores of its own fit."""
+    problem = closed.before.problem
+    for one in closed.possible:
+        names = tuple(map(str, one.parameters))
+        try:
+            fit = solve(with_free(problem, names), method="nested", widen=False)
+        except NumericsError:
+            continue
+        yield Possible(one.name, names, float(one.probability), one.words, fit.scores)
 
 
 def _by_setup(fit: Estimate) -> Iterator[SetupNoise]:

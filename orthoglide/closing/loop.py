@@ -95,6 +95,7 @@ def close(request: Request, progress: Progress = silent) -> Closed:
         found.weighed, left, known, blunders,
         faulty=read if blunders else None,
         alone=found.alone if word in ("adequate", "diffuse") else (),
+        possible=found.possible if word == "unexplained" else (),
     )  # fmt: skip
     since = [c.now(closed.after) for c in read.changes]
     changed = (*(c for c in since if c.is_told), *(c.measured(closed.after) for c in changes))

@@ -234,6 +234,8 @@ class Outstanding:
     # where nothing stands out of a background that shows: causes of which one would be behind it if
     # the rest of the machine were sound
     alone: tuple[Explanation, ...] = ()
+    # where nothing stands out: the most probable causes, each as if it were there
+    possible: tuple[Explanation, ...] = ()
 
     @property
     def names(self) -> frozenset[str]:

@@ -141,9 +141,12 @@ def _slipped(problem: Problem, fault: Fault) -> str:
     lost = ""
     if visits > 1 and not given.approach[row].all() and not given.paired[row]:
         lost = f"; or it is lost motion, as {SIDES_UNTOLD}: {TELL_SIDES}"
+    once = ""
+    if visits == 1 and given.on_legs[row]:
+        once = "; it was visited once, and a defect of the machine at this place would read alike"
     return (
         f"{what} off {rest}: look {looked} up in the notes and correct it, or measure this place "
-        f"again{lost}"
+        f"again{lost}{once}"
     )
 
 

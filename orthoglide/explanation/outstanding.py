@@ -37,6 +37,7 @@ from orthoglide.ordering import EQUAL, EQUAL_ODDS, descending, largest, ranked
 
 _OFF = 0.1  # tolerances: a background that is worth a word
 
+_POSSIBLE, _WORTH = 6, 0.02  # causes that are told though none stands out; their probability
 _NEAREST = 24  # causes and places that are listed as weighed
 
 _FLAT = 3.0  # widths of a bump beyond which nothing of it is left
@@ -66,6 +67,7 @@ def outstanding(posterior: FullPosterior, given: Sequence[str] = ()) -> Outstand
         tuple(f for f in found if isinstance(f, Located)),
         reader.weighed(),
         () if found else reader.alone(),
+        () if found else reader.possible(),
     )
 
 
@@ -171,6 +173,19 @@ class _Reader:
             at = self.groups[group].places
             found.append(self._told(group, float(weight[k]), *mixture.over_sound(state, at)))
         return tuple(one for explanation in found for one in self._twins(explanation))
+
+    def possible(self) -> tuple[Explanation, ...]:
+        """The most probable causes where none stands out, each as if it were there alone."""
+        mixture, groups = self.posterior.mixture, self.groups
+        named = [k for k, g in enumerate(groups) if not g.free and not g.of_data]
+        odds = mixture.inclusion[named]
+        found = []
+        for k in (named[i] for i in descending(odds)[:_POSSIBLE]):
+            if mixture.inclusion[k] < _WORTH:
+                break
+            moments = mixture.likeliest(mixture.child((), k), groups[k].places)
+            found.append(self._told(k, float(mixture.inclusion[k]), *moments))
+        return tuple(found)
 
     def _cause(self, member: int, odds: Sequence[tuple[int, float]]) -> Cause:
         named = self._by_cause([o for o in odds if not self.groups[o[0]].free])

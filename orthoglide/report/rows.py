@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from orthoglide.numerals import compact, decimals_for, probability, signed
+from orthoglide.numerals import compact, decimals_for, hundredths, probability, signed
 from orthoglide.result import Result
 
 _LEFT_OVER = 0.5  # degrees of freedom: less is no test
@@ -62,6 +62,38 @@ _ALIGNMENTS = {
     "translation": "best shift removed",
     "rigid": "best rigid motion removed",
 }
+
+
+POSSIBLE = ("probability", "if it were so", "fit, rms", "stations left out, rms")
+"""Titles of the rows by :func:`possible_rows`."""
+
+
+def possible_rows(result: Result) -> list[tuple[str, str, str, str]]:
+    """The most probable causes of what nothing explains, with the error before and after in the fit
+    and in stations left out.
+    """
+    before, rows = result.before.scores, []
+    deviations = math.isfinite(before.deviation_rms)
+    for one in result.possible:
+        pairs = (
+            (before.deviation_rms, one.after.deviation_rms)
+            if deviations
+            else (before.rms, one.after.rms),
+            (before.cv_rms, one.after.cv_rms),
+        )
+        fit, left_out = (" to ".join(millimetres(pair)) + " mm" for pair in pairs)
+        rows.append((hundredths(one.probability), f"{one.words}\n{one.name}", fit, left_out))
+    return rows
+
+
+def if_it_were_so(result: Result) -> list[str]:
+    """Sentences of the same."""
+    what = "deviations" if math.isfinite(result.before.scores.deviation_rms) else "residuals"
+    return [
+        f"{words.splitlines()[0]} (probability {chance}): {what} {fit}, stations left "
+        f"out {left_out} rms."
+        for chance, words, fit, left_out in possible_rows(result)
+    ]
 
 
 def score_rows(result: Result) -> list[ScoreRow]:

@@ -24,7 +24,7 @@ from orthoglide.numerals import ByUnit, compact, told_apart
 from orthoglide.observations import Readings, Setup
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.identified import effects_named, weak_sentences
-from orthoglide.report.rows import millimetres, parameter_rows, score_rows
+from orthoglide.report.rows import POSSIBLE, millimetres, parameter_rows, possible_rows, score_rows
 from orthoglide.report.words import unvaried_words
 from orthoglide.result import BudgetItem, Proposal, Result, SetupResidual, Workspace
 from orthoglide.result.result import sheet_of
@@ -102,7 +102,11 @@ def faults(result: Result) -> Data:
 
 def left(result: Result) -> Data:
     """Residuals of every mounting."""
-    return {"rows": [(rest, _most(rest)) for rest in result.left.mountings]}
+    return {
+        "rows": [(rest, _most(rest)) for rest in result.left.mountings],
+        "titles": POSSIBLE,
+        "possible": possible_rows(result),
+    }
 
 
 def _most(rest: SetupResidual) -> str:

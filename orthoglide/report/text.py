@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from orthoglide.numerals import hundredths, signed
 from orthoglide.report.identified import weak_sentences
-from orthoglide.report.rows import parameter_rows, score_rows
+from orthoglide.report.rows import POSSIBLE, parameter_rows, possible_rows, score_rows
 from orthoglide.report.sections import too_early
 from orthoglide.report.words import gain_words, headline, meaning, unshown_words, unvaried_words
 from orthoglide.result import Action, Result
@@ -101,6 +101,7 @@ def _tables(result: Result, ranked: bool) -> Iterator[Table]:
     yield from _table(("place", "probability", "size", "in words"), _located(result))
     alone = ((hundredths(one.probability), f"{one.words}\n{one.name}") for one in result.alone)
     yield from _table(("probability", "if one alone"), alone)
+    yield from _table(POSSIBLE, possible_rows(result))
     tried = (
         (t.name, signed(t.evidence, 1), f"{t.probability:.2f}") for t in result.candidates if ranked
     )
@@ -124,7 +125,7 @@ def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Ta
 
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for k, column in enumerate(columns):
-        left = k == 0 or column in ("cause", "if one alone", "in words")
+        left = k == 0 or column in ("cause", "if one alone", "if it were so", "in words")
         made.add_column(column, justify="left" if left else "right", no_wrap=k == 0)
     for row in rows:
         made.add_row(*row)

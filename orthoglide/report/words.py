@@ -212,8 +212,9 @@ def _nothing_explains(result: Result) -> str:
     )
     if _too_few(result):
         return f"{text} {len(result.readings)} readings are too few to say more."
-    if result.left.with_unreported > _CHANCE:
-        return f"{text} Several causes together would, none of them clearly."
+    if result.possible:
+        most = compact(result.possible[0].probability, 2)
+        return f"{text} The most probable one has a probability of {most} only."
     return text
 
 

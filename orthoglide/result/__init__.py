@@ -35,6 +35,7 @@ from orthoglide.result.found import (
     Explanation as Explanation,
     Identified as Identified,
     Located as Located,
+    Possible as Possible,
 )
 from orthoglide.result.pictured import Picture as Picture, Workspace as Workspace
 from orthoglide.result.reading import read_result as read_result, request_of as request_of

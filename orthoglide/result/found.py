@@ -11,6 +11,7 @@ import numpy as np
 from orthoglide.geometry import Array
 from orthoglide.numerals import ByUnit
 from orthoglide.result.codec import SHORT, Key, SampledMetres, Share, encoded, in_mm_short
+from orthoglide.result.fits import Scores
 from orthoglide.text import listed
 
 _BRIEF = {
@@ -102,6 +103,17 @@ class Curve:
             f"rms_{self.unit}": in_mm_short(float(self.value.std())),
             f"size_{self.unit}": in_mm_short(self.size),
         }
+
+
+@dataclass(frozen=True)
+class Possible:
+    """A cause that is not probable enough to be added, as if it were there."""
+
+    name: str  # name of the cause
+    parameters: tuple[str, ...]  # parameters that it consists of
+    probability: Share
+    words: str  # the error with its size and sign, a clause
+    after: Scores  # of the base model with this cause added
 
 
 @dataclass(frozen=True)

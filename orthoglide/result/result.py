@@ -41,6 +41,7 @@ from orthoglide.result.found import (
     Explanation,
     Identified,
     Located,
+    Possible,
 )
 from orthoglide.result.pictured import Picture, Workspace
 from orthoglide.result.reading import EDITED, as_edited, machine_of, read_result, request_of
@@ -129,6 +130,8 @@ class Result(Framed):
         withheld: what is not advised, with the reason.
         contradicted: what readings or points held out say against the result, a sentence; empty if
             nothing.
+        possible: if the model does not fit and nothing was found, the most probable causes, each as
+            if it were there, most probable first.
     """
 
     request: Request
@@ -174,6 +177,7 @@ class Result(Framed):
     noise_by_setup: Annotated[tuple[SetupNoise, ...], Key("noise")] = ()
     withheld: tuple[Withheld, ...] = ()
     contradicted: str = ""
+    possible: tuple[Possible, ...] = ()
     _index = "parameter"
 
     @classmethod
