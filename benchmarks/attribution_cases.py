@@ -38,6 +38,9 @@ OUTSIDE = ("s_curve", "wavy_rail", "kinked_rail", "drive_cubic", "drive_step", "
            "hysteresis", "growing_lash", "cross_coupling", "warming_drive", "carriage_roll",
            "carriage_yaw", "loosening_bar", "platform_play", "dial_curve", "warming_drives",
            "jumping_drive", "snapping_bar", "platform_travel", "twisting_carriage")  # fmt: skip
+LATER = OUTSIDE[-5:]
+"""Kinds that earlier versions were not asked about."""
+
 SWEEPS = ("sweep", "fine-sweep", "two-gauges")
 FAULTS = ("outlier", "knocked_stand", "swapped_sign", "swapped_labels", "wrong_unit", "stuck_dial")
 SHARES = {"nothing": 200, "effect": 240, "structured": 24, "pair": 60, "outside": 180, "fault": 60,

@@ -76,10 +76,12 @@ def endings(records: Sequence[Record]) -> Table:
             title = f"outside: {record['what']}" + ("" if seen(record) else ", below three sigma")
         groups.setdefault(title, []).append(record)
     first = {"nothing": 0, "a clear cause": 1, "a fainter cause": 2, "everything, a little": 3}
-    rows = [["", *ENDS]]
+    # Earlier versions had no diffuse verdict.
+    ends = [e for e in ENDS if e != "diffuse" or any(ending(r) == e for r in records)]
+    rows = [["", *ends]]
     for title in sorted(groups, key=lambda t: (first.get(t, 4 + ("below" in t)), t)):
         count = Counter(map(ending, groups[title]))
-        rows.append([title, *(str(count[end] or "") for end in ENDS)])
+        rows.append([title, *(str(count[end] or "") for end in ends)])
     note = (
         "All campaigns by what was wrong and by the verdict's word, all instruments together. "
         "*Noisy*: adequate, with a warning that the readings are far noisier than is usual; *rows "

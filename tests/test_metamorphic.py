@@ -147,9 +147,9 @@ def test_what_says_nothing_of_the_machine_changes_nothing(
 ) -> None:
     files = change(recorded(case))
     assert files != [recorded(case)]
-    # What drifts with the recorded time begins with each file, and so does the way a drive came:
-    # both have some weight in what is averaged.
-    share = 0.03 if len(files) > 1 else 0.0
+    # What drifts or jumps with the recorded time begins with each file, and so does the way a drive
+    # came: all have some weight in what is averaged.
+    share = 0.05 if len(files) > 1 else 0.0
     the_same(plain[case], og.close_loop(written(tmp_path, *files), machine()), share=share)
 
 

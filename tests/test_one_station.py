@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.effects.places import bumps, with_places
+from orthoglide.effects.places import Place
+from orthoglide.effects.single_places import bumps, with_places
 
 RIG2 = Path(__file__).parent / "data" / "rig2"
 
@@ -53,7 +54,7 @@ def test_a_calibrated_machine_keeps_its_bump(bumpy: og.Verdict, tmp_path: Path) 
     out = tmp_path / "out"
     bumpy.report(out)
     again = og.Machine.load(out / "calibrated.toml")
-    place = bumps([[-0.05], [], []])[2].effect.name
+    place = _bump(-0.05).effect.name
     assert any(str(name).startswith(place) for name in again.values)
     L = og.Machine.nominal().geometry.L
     at, far = np.array([[L - 0.05, L, L]]), np.array([[L + 0.03, L, L]])
@@ -67,7 +68,7 @@ def test_a_calibrated_machine_keeps_its_bump(bumpy: og.Verdict, tmp_path: Path) 
 def test_a_bump_is_found_again_by_its_name(at: float) -> None:
     machine = og.Machine.nominal()
     geometry = machine.geometry
-    (place, *_) = bumps([[at], [], []], machine.catalogue.legs, geometry.stroke, geometry.scale)
+    place = _bump(at)
     found = with_places(machine.catalogue, [f"{place.effect.name}.x.1"], geometry)
     motions = found[place.effect.name].motions
     assert [str(name) for name in motions] == [str(name) for name in place.effect.motions]
@@ -79,3 +80,10 @@ def test_a_single_part_comes_before_patterns_that_fit_no_better() -> None:
     assert "bar_mismatch.y" in (cause.name, *(one.name for one in cause.same))
     patterns = [one for one in cause.explanations if "symmetric" in one.name]
     assert all(one.probability < cause.together for one in patterns)
+
+
+def _bump(at: float) -> Place:
+    """Of the x rail toward z."""
+    machine = og.Machine.nominal()
+    geometry = machine.geometry
+    return bumps([[at], [], []], machine.catalogue.legs, geometry.stroke, geometry.scale)[2]

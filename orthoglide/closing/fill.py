@@ -28,6 +28,7 @@ from orthoglide.observations import campaign_rows, source
 from orthoglide.planning import Suggestion
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.result import (
+    DataFault,
     InstrumentNoise,
     Noise,
     Possible,
@@ -60,9 +61,6 @@ def filled(closed: Closed, cls: type[R], progress: Progress = silent) -> R:
 
 def _result(closed: Closed) -> Result:
     request, base, after, catalogue = closed.request, closed.before, closed.after, closed.catalogue
-    tables = [factor.readings for factor in closed.first.problem.factors]
-    rows = [rows_in(part, whole) for part, whole in zip(tables, request.given, strict=True)]
-    blunders = [data_fault_value(b, tables, lambda k, r: int(rows[k][r])) for b in closed.blunders]
     names = after.names if closed.posterior is None else base.names
     moved = {id(change) for change in closed.moved}
     sheet = closed.next_sheet
@@ -87,7 +85,7 @@ def _result(closed: Closed) -> Result:
             replace(c, words=closed.short(c.name) if c.parameters else "")
             for c in closed.candidates
         ),
-        blunders=tuple(blunders),
+        blunders=_faults(closed),
         changed=tuple(change_value(c, id(c) not in moved) for c in closed.changed),
         weak=after.weak,
         check=base.check and _floored(base.check),
@@ -120,6 +118,14 @@ def _result(closed: Closed) -> Result:
         possible=tuple(_possible(closed)),
         noise_by_setup=tuple(_by_setup(after)),
     )
+
+
+def _faults(closed: Closed) -> tuple[DataFault, ...]:
+    """The data faults, with their rows within the readings of the request."""
+    tables = [factor.readings for factor in closed.first.problem.factors]
+    given = zip(tables, closed.request.given, strict=True)
+    rows = [rows_in(part, whole) for part, whole in given]
+    return tuple(data_fault_value(b, tables, lambda k, r: int(rows[k][r])) for b in closed.blunders)
 
 
 def _floored(check: CrossCheck) -> CrossCheck:
@@ -161,7 +167,9 @@ def _by_setup(fit: Estimate) -> Iterator[SetupNoise]:
     """The noise that a fit shows, setup by setup."""
     for one in noise_scales(fit):
         table, setup = one.readings, one.setup
-        name, kind = ("", "tcp") if setup is None else (setup.name, setup.kind)
+        if setup is None:
+            continue
+        name, kind = setup.name, setup.kind
         yield SetupNoise(name, source(table), kind, one.sigma, one.scale, one.scale_sigma)
 
 

@@ -8,17 +8,16 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Literal
 
-from orthoglide.effects.catalogue import Catalogue
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.kernels import BuildUp, Bump, Jump, Kernel, Level
 from orthoglide.effects.motions import LegConditions, Motion
 from orthoglide.effects.words import Words, toward
-from orthoglide.geometry import LEGS, Geometry
+from orthoglide.geometry import LEGS
 from orthoglide.layout import LegNames, Orthoglide
 from orthoglide.numerals import compact
 from orthoglide.units import MM, RAD
@@ -219,11 +218,13 @@ def _basis(place: Place, k: int, share: float, conditions: LegConditions) -> Any
     return share * place.functions(conditions, slice(k, k + 1))[0]
 
 
-def _travel(c: LegConditions) -> Any:
+def by_travel(c: LegConditions) -> Any:
+    """Return where a carriage stands, from -1 to 1 over the stroke."""
     return c.u
 
 
-def _command_of(leg: int, c: LegConditions) -> Any:
+def by_command(leg: int, c: LegConditions) -> Any:
+    """Return where a drive is told to stand, from -1 to 1 over the stroke."""
     low, high = c.stroke
     travel = c.commands[leg] - c.command + c.nominal_travel
     return (travel - (low + high) / 2) / ((high - low) / 2)
@@ -298,92 +299,51 @@ def places(
             if part == "drive" and against == "travel":
                 found.append(replace(place, kernel=_SCREW, short=True))
 
-        add("drive", drive, "", "travel", partial(_command_of, leg), _DRIVE, 100 * _UM)
-        add("drive", drive, "", "approach", partial(_command_of, leg), _LOST, 50 * _UM)
+        add("drive", drive, "", "travel", partial(by_command, leg), _DRIVE, 100 * _UM)
+        add("drive", drive, "", "approach", partial(by_command, leg), _LOST, 50 * _UM)
         add("drive", drive, "", "reversal", _none, BUILD_UP, 50 * _UM)
         for other in range(len(LEGS)):
             if other != leg:
-                by = partial(_command_of, other)
+                by = partial(by_command, other)
                 add("drive", drive, "", "command", by, _ACROSS, 50 * _UM, other)
         for axis, letter in across.items():
             sideways = ((f"lateral_{axis}", 1.0),)
-            add("rail", sideways, letter, "travel", _travel, _FINE, 50 * _UM)
-            add("rail", sideways, letter, "approach", _travel, _COARSE, 50 * _UM)
+            add("rail", sideways, letter, "travel", by_travel, _FINE, 50 * _UM)
+            add("rail", sideways, letter, "approach", by_travel, _COARSE, 50 * _UM)
             end = ((f"lateral_{axis}", -1.0),)
-            add("platform", end, letter, "travel", _travel, _FINE, 50 * _UM)
-            add("platform", end, letter, "approach", _travel, _COARSE, 50 * _UM)
+            add("platform", end, letter, "travel", by_travel, _FINE, 50 * _UM)
+            add("platform", end, letter, "approach", by_travel, _COARSE, 50 * _UM)
         # A leg may be called as one of its directions: then its slide is, as its frame has it, a.
         slide = "a" if own in across.values() else own
         for axis, letter in {"a": slide, **across}.items():
-            add("carriage", ((f"turn_{axis}", 1.0),), letter, "travel", _travel, _ACROSS, 1e-3)
+            add("carriage", ((f"turn_{axis}", 1.0),), letter, "travel", by_travel, _ACROSS, 1e-3)
         for bar in "12":
-            add("bar", ((f"stretch{bar}", 1.0),), bar, "approach", _travel, _COARSE, 50 * _UM)
+            add("bar", ((f"stretch{bar}", 1.0),), bar, "approach", by_travel, _COARSE, 50 * _UM)
+    found += (place for session in sessions for place in _in_time(session))
+    return tuple(sized(replace(place, names=names), scale) for place in found)
+
+
+def _in_time(session: Session) -> Iterator[Place]:
+    """What changes in a session: bars of the leg that is read, drives in the whole campaign."""
+    span, whole = (session.start, session.end), session.leg is None
+    variable, kernel = partial(_time_between, *span), _DRIFT if whole else _OU
+
+    def place(part: Part, leg: int, joints: Joints, way: str, unit: float) -> Place:
+        return Place(part, leg, joints, way, "time", 0, variable, kernel, unit, span)
+
+    if session.leg is None:
+        for leg in (-1, *range(len(LEGS))):
+            yield place("drive", leg, (("travel", 1.0),), "", 100 * _UM)
+        return
     both = (("stretch1", 1.0), ("stretch2", 1.0))
-    for session in sessions:
-        span, whole = (session.start, session.end), session.leg is None
-        variable, kernel = partial(_time_between, *span), _DRIFT if whole else _OU
-        if whole:
-            found.append(Place("drive", -1, (("travel", 1.0),), "", "time", 0, variable, kernel,
-                               100 * _UM, span))  # fmt: skip
-        for leg in range(len(LEGS)) if session.leg is None else [session.leg]:
-            moving: tuple[tuple[Part, Joints, str], ...] = (
-                ("bar", both[:1], "1"), ("bar", both[1:], "2"), ("bar", both, ""),
-            )  # fmt: skip
-            if whole:
-                moving = (("drive", (("travel", 1.0),), ""),)
-            for part, joints, way in moving:
-                unit = (100 if whole else 50) * _UM
-                place = Place(part, leg, joints, way, "time", 0, variable, kernel, unit, span)
-                found.append(place)
-                if way or whole:  # one bar snaps, not both
-                    found += [_jumping(place, at) for at in session.moments]
-    return tuple(_sized(replace(place, names=names), scale) for place in found)
+    for joints, way in ((both[:1], "1"), (both[1:], "2"), (both, "")):
+        yield place("bar", session.leg, joints, way, 50 * _UM)
 
 
-def _jumping(place: Place, at: float) -> Place:
-    """The same part that jumps at one moment of its session, seconds."""
-    start, end = place.span or (0.0, 1.0)
-    return replace(place, kernel=Jump(2 * (at - start) / (end - start) - 1), jump=at)
-
-
-_WIDTH = 0.008
-"""Metres: standard deviation of a bump, as dirt, a dent or a joint of a rail makes one of some
-hundredths; one of a millimetre nobody would have overlooked."""
-
-
-def bumps(
-    travel: Sequence[Iterable[float]],
-    names: LegNames = Orthoglide.names,
-    stroke: Range = (-_LENGTH, _LENGTH),
-    scale: float = 1.0,
-) -> tuple[Place, ...]:
-    """Places that are wrong at one travel alone.
-
-    Args:
-        travel: where each leg may have a bump, metres from mechanical zero.
-        names: of legs and directions.
-        stroke: travel limits of the machine, metres.
-        scale: of its size, that of a workshop being 1.
+def sized(place: Place, scale: float) -> Place:
+    """Return a place with what to expect of it on a machine of some size; parts of any size turn by
+    the same angles.
     """
-    middle, half = (stroke[0] + stroke[1]) / 2, (stroke[1] - stroke[0]) / 2
-    found: list[Place] = []
-    for leg, several in enumerate(travel):
-        across = dict(zip("bc", names.across[leg], strict=True))
-        for at in several:
-            bump = Bump((at - middle) / half, _WIDTH * scale / half)
-            moved: list[tuple[Part, Joints, str, Any]] = [
-                ("drive", (("travel", 1.0),), "", partial(_command_of, leg)),
-                *(("rail", ((f"lateral_{a}", 1.0),), way, _travel) for a, way in across.items()),
-            ]
-            for part, joints, way, variable in moved:
-                place = Place(part, leg, joints, way, "travel", 0, variable, bump, 30 * _UM,
-                              bump=at, names=names)  # fmt: skip
-                found.append(_sized(place, scale))
-    return tuple(found)
-
-
-def _sized(place: Place, scale: float) -> Place:
-    """What to expect of it on a machine of some size; parts of any size turn by the same angles."""
     return place if place.turns else replace(place, unit=place.unit * scale)
 
 
@@ -422,24 +382,3 @@ def all_dials(reading: Range, scale: float = 1.0) -> Place:
 
 def _none(c: LegConditions) -> Any:
     raise TypeError("this place is a function of no variable of the leg")
-
-
-def _bump_travel(effects: Iterable[str]) -> set[float]:
-    """Travel of the bumps among names of effects, metres; see :attr:`Place.name`."""
-    found = set()
-    for name in effects:
-        if match := re.fullmatch(r".*_travel_(_?)(\d+)(?:_(\d))?", name):
-            size = float(f"{match[2]}.{match[3] or 0}") * 1e-3
-            found.add(-size if match[1] else size)
-    return found
-
-
-def with_places(catalogue: Catalogue, names: Iterable[str], geometry: Geometry) -> Catalogue:
-    """A catalogue with the places of a machine to which some of the parameters belong."""
-    wanted = {name.partition(".")[0] for name in names} - set(catalogue)
-    if not wanted:
-        return catalogue
-    every = places((), catalogue.legs, geometry.stroke, geometry.scale)
-    every += bumps([_bump_travel(wanted)] * len(LEGS), catalogue.legs, geometry.stroke,
-                   geometry.scale)  # fmt: skip
-    return catalogue.with_effects(p.effect for p in every if p.effect.name in wanted)

@@ -69,9 +69,7 @@ class FullPosterior:
 
     @property
     def evidence(self) -> float:
-        """Log of what the readings weigh for the best explanation. A base that is so many
-        tolerances off was expected that much less.
-        """
+        """Log evidence of the best explanation; a base many tolerances off was expected less."""
         widths = np.array([u.width for u in self.before.problem.unknowns])
         fit = self.mixture.total(self.mixture.best) - self.about.outside / 2
         return float(fit - np.log(widths).sum())
@@ -267,9 +265,7 @@ def glance(before: Estimate) -> FullPosterior:
 
 
 def first_look(before: Estimate) -> FullPosterior:
-    """As :func:`glance`; commands that stand out as wrong are put right and everything weighed
-    again, as these are far from linear.
-    """
+    """As :func:`glance`, with wrong commands put right and everything weighed again."""
     try:
         return _looked(before)
     except ClosureError as error:

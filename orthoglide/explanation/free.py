@@ -8,16 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.effects.places import (
-    BUILD_UP,
-    Place,
-    Session,
-    all_dials,
-    bumps,
-    dial_places,
-    places,
-)
+from orthoglide.effects.places import BUILD_UP, Place, Session, all_dials, dial_places, places
 from orthoglide.effects.plates import own_shapes
+from orthoglide.effects.single_places import bumps, jumps
 from orthoglide.fit import Problem
 from orthoglide.fit.excited import both_sides
 from orthoglide.fit.problem import Factor
@@ -70,6 +63,7 @@ def places_of(problem: Problem) -> tuple[Place, ...]:
     found = places(sessions, machine.catalogue.legs, geometry.stroke, geometry.scale)
     if len(problem.campaigns) < len(problem.factors):  # no other reading parts it from the carriage
         found = tuple(p for p in found if not p.moves_lines)
+    found += jumps(found, sessions)
     found += bumps(stations(problem), machine.catalogue.legs, geometry.stroke, geometry.scale)
     approach = np.concatenate([f.conditions().approach for f in problem.factors])
     one_sided = ~both_sides(approach)  # which shows no difference between sides

@@ -111,12 +111,17 @@ class _Reader:
         data = self._of_data(member, [k for k in order[:count] if self.groups[k].of_data], odds)
         free = sum(p for k, p in each if self.groups[k].free)
         if free < (1 - NAMED) * there or (not self.groups[chosen[0]].free and free < 0.5 * there):
-            return replace(self._cause(member, each), data=data)
-        return replace(self._located(member, each, free), data=data)
+            cause = self._cause(member, each)
+            return replace(cause, data=data) if data else cause
+        located = self._located(member, each, free)
+        return replace(located, data=data) if data else located
 
     def _of_data(self, member: int, groups: Sequence[int], odds: Array) -> tuple[Misread, ...]:
         """Faults of the data that may be in the place of a cause instead."""
-        by_name, found = {s.name: s for s in self.posterior.about.suspects}, list[Misread]()
+        found = list[Misread]()
+        if not groups:
+            return ()
+        by_name = {s.name: s for s in self.posterior.about.suspects}
         problem = self.posterior.about.problem
         for k in groups:
             mean, _ = self.instead.moments(member, k, at := self.groups[k].places)
@@ -191,6 +196,8 @@ class _Reader:
         named = self._by_cause([o for o in odds if not self.groups[o[0]].free])
         moments = [self.instead.moments(member, k, self.groups[k].places) for k, _ in named]
         told = [self._told(*own, *found) for own, found in zip(named, moments, strict=True)]
+        # Beyond the widest slab nothing is linear, and no machine is so wrong.
+        told = [one for one in told if self._is_possible(one)] or told
         several = [one for explanation in told for one in self._twins(explanation)]
         chosen, rest = several[0], [one for one in several[1:] if one.is_there]
         alike = [self._same_tool(chosen, other) for other in rest]
@@ -272,6 +279,12 @@ class _Reader:
             shown - posterior.about.nuisance.fitted(shown),
             posterior.machine.catalogue,  # which knows places, too
         )
+
+    def _is_possible(self, one: Explanation) -> bool:
+        """Whether its parameters lie within twice the widest scale of what stands out."""
+        of = self.posterior.about.problem.machine.tolerance
+        most = 2 * max(self.posterior.mixture.linear.slabs)
+        return all(abs(value) <= most * of(name) for name, value in one.values.items())
 
     def _is_name(self, name: str, setups: Sequence[str]) -> bool:
         try:

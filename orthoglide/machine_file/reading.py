@@ -11,7 +11,7 @@ from orthoglide import files
 from orthoglide.add_ons import objection_to
 from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.effects.catalogue import OWN
-from orthoglide.effects.places import with_places
+from orthoglide.effects.single_places import with_places
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
 from orthoglide.layout import ORTHOGLIDE, FreeLegs, Layout

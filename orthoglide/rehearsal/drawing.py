@@ -64,7 +64,9 @@ class Scope:
         beyond = (n.plain for n in wide.names if n.effect not in bare.catalogue.base)
         setups = [s.name for sheet in sheets for s in sheet.setups]
         kept = tuple(bare.catalogue.parameter(n, setups) for n in beyond)
-        return cls(bare, sheets, kept, tuple(p for p in places_of(wide) if p.in_model))
+        return cls(
+            bare, sheets, kept, tuple(p for p in places_of(wide) if p.in_model and not p.single)
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,104 @@
+"""Places that are wrong at one travel or one moment alone, and places by the names of effects."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from orthoglide.effects.catalogue import Catalogue
+from orthoglide.effects.kernels import Bump, Jump
+from orthoglide.effects.places import (
+    Joints,
+    Part,
+    Place,
+    Range,
+    Session,
+    by_command,
+    by_travel,
+    places,
+    sized,
+)
+from orthoglide.geometry import LEGS, Geometry
+from orthoglide.layout import LegNames
+
+_UM = 1e-6
+
+
+def jumps(several: Iterable[Place], sessions: Iterable[Session]) -> tuple[Place, ...]:
+    """Return the places that change with time as places that jump, at the moments of their
+    sessions; one bar of a leg snaps and one drive loses steps, not several at once.
+    """
+    moments = {(s.start, s.end, s.leg is None): s.moments for s in sessions}
+    found = []
+    for place in several:
+        if (
+            place.against != "time"
+            or place.leg < 0
+            or (place.part == "bar" and not place.direction)
+        ):
+            continue
+        start, end = place.span or (0.0, 1.0)
+        for at in moments.get((start, end, place.part == "drive"), ()):
+            jump = Jump(2 * (at - start) / (end - start) - 1)
+            found.append(replace(place, kernel=jump, jump=at))
+    return tuple(found)
+
+
+_WIDTH = 0.008
+"""Metres: standard deviation of a bump, as dirt, a dent or a joint of a rail makes one of some
+hundredths; one of a millimetre nobody would have overlooked."""
+
+
+def bumps(
+    travel: Sequence[Iterable[float]],
+    names: LegNames,
+    stroke: Range,
+    scale: float = 1.0,
+) -> tuple[Place, ...]:
+    """Places that are wrong at one travel alone.
+
+    Args:
+        travel: where each leg may have a bump, metres from mechanical zero.
+        names: of legs and directions.
+        stroke: travel limits of the machine, metres.
+        scale: of its size, that of a workshop being 1.
+    """
+    middle, half = (stroke[0] + stroke[1]) / 2, (stroke[1] - stroke[0]) / 2
+    found: list[Place] = []
+    for leg, several in enumerate(travel):
+        across = dict(zip("bc", names.across[leg], strict=True))
+        for at in several:
+            bump = Bump((at - middle) / half, _WIDTH * scale / half)
+            moved: list[tuple[Part, Joints, str, Any]] = [
+                ("drive", (("travel", 1.0),), "", partial(by_command, leg)),
+                *(("rail", ((f"lateral_{a}", 1.0),), way, by_travel) for a, way in across.items()),
+            ]
+            for part, joints, way, variable in moved:
+                place = Place(part, leg, joints, way, "travel", 0, variable, bump, 30 * _UM,
+                              bump=at, names=names)  # fmt: skip
+                found.append(sized(place, scale))
+    return tuple(found)
+
+
+def _bump_travel(effects: Iterable[str]) -> set[float]:
+    """Travel of the bumps among names of effects, metres; see :attr:`Place.name`."""
+    found = set()
+    for name in effects:
+        if match := re.fullmatch(r".*_travel_(_?)(\d+)(?:_(\d))?", name):
+            size = float(f"{match[2]}.{match[3] or 0}") * 1e-3
+            found.add(-size if match[1] else size)
+    return found
+
+
+def with_places(catalogue: Catalogue, names: Iterable[str], geometry: Geometry) -> Catalogue:
+    """A catalogue with the places of a machine to which some of the parameters belong."""
+    wanted = {name.partition(".")[0] for name in names} - set(catalogue)
+    if not wanted:
+        return catalogue
+    every = places((), catalogue.legs, geometry.stroke, geometry.scale)
+    every += bumps([_bump_travel(wanted)] * len(LEGS), catalogue.legs, geometry.stroke,
+                   geometry.scale)  # fmt: skip
+    return catalogue.with_effects(p.effect for p in every if p.effect.name in wanted)

@@ -1,0 +1,80 @@
+"""Faults of the data in credible sets: those that are sure, and those that may be a cause."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from orthoglide.explanation.everything import FullPosterior
+from orthoglide.explanation.faults import Fault, places
+from orthoglide.explanation.instead import Alternatives
+from orthoglide.explanation.outstanding import NAMED, SURE
+from orthoglide.explanation.suspects import Key
+from orthoglide.fit import Problem
+from orthoglide.ordering import descending
+
+_NEIGHBOURS = 1.6  # times the distance of the nearest touch: the next across a square's diagonal
+
+_AS_LIKELY = float(np.exp(-3.0))
+"""Odds against the likeliest drive of a wrong command, down to which another is told as well."""
+
+
+def standing(posterior: FullPosterior) -> list[Fault]:
+    """Faults that stand out of the readings with a probability of nine in ten, and have their
+    credible sets to themselves, with their sizes.
+    """
+    mixture, groups = posterior.mixture, posterior.mixture.linear.groups
+    instead, data = Alternatives(mixture), np.array([g.of_data for g in groups], dtype=bool)
+    by_name = {s.name: s for s in posterior.about.suspects}
+    found = []
+    for member in mixture.strongest:
+        odds = instead.of(member)[:-1] * data
+        every = instead.of(member)[:-1].sum()
+        if not groups[member].of_data or every < NAMED or odds.sum() < SURE * every:
+            continue
+        best, *others = descending(odds)
+        suspect, at = by_name[groups[best].name], groups[best].places
+        mean, _ = instead.moments(member, best, at)
+        fault = suspect.sized(mean[at])
+        for k in (k for k in others if odds[k] > _AS_LIKELY * odds[best]):
+            other = by_name[groups[k].name]
+            same = other.fault.commands and np.array_equal(other.fault.rows, fault.rows)
+            if fault.commands and same:
+                mean, _ = instead.moments(member, k, groups[k].places)
+                more = other.sized(mean[groups[k].places])
+                fault = replace(fault, commands=(*fault.commands, *more.commands))
+        found.append(fault)
+    return [f for f in found if not _beside(posterior.before.problem, f, found)]
+
+
+def unsure(posterior: FullPosterior) -> frozenset[Key]:
+    """Faults in whose place a cause of the machine, or a free-form error, may be as well."""
+    mixture, groups = posterior.mixture, posterior.mixture.linear.groups
+    instead, data = Alternatives(mixture), np.array([g.of_data for g in groups], dtype=bool)
+    by_name, problem = {s.name: s for s in posterior.about.suspects}, posterior.about.problem
+    found = set()
+    for member in mixture.strongest:
+        odds = instead.of(member)[:-1]
+        if odds.sum() < NAMED or (odds * data).sum() >= SURE * odds.sum():
+            continue
+        for k in np.flatnonzero(data & (odds > (1 - SURE) * odds.max(initial=0.0))):
+            found.add(by_name[groups[k].name].key(problem))
+    return frozenset(found)
+
+
+def _beside(problem: Problem, fault: Fault, others: Sequence[Fault]) -> bool:
+    """Whether a touch of a plate lies beside others that are off as well: then the plate has a
+    shape, and none of them slipped.
+    """
+    k, row = places(problem, fault.rows)[0]
+    factor = problem.factors[k]
+    if fault.kind != "outlier" or not factor.readings.touching[row]:
+        return False
+    start, place = problem.factor_rows[k].start, factor.place
+    off = [f.rows[0] - start for f in others if f.kind == "outlier" and f is not fault
+           and f.setups == fault.setups]  # fmt: skip
+    apart = np.linalg.norm(place - place[row], axis=1)
+    here = apart[(factor.setup == factor.setup[row]) & (apart > 0)]
+    return bool(len(here) and any(apart[o] < _NEIGHBOURS * here.min() for o in off))
