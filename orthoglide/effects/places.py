@@ -49,6 +49,7 @@ class Place:
     short: bool = False  # whether it comes and goes over a few centimetres, however long the stroke
     bump: float | None = None  # travel at which it has a bump, metres; `None`: it is no bump
     jump: float | None = None  # second at which it jumps; `None`: it does not
+    chance: float = 1.0  # how often it goes wrong, over other places
 
     @property
     def name(self) -> str:
@@ -250,6 +251,9 @@ _DRIFT = Kernel(0.5, 12, rough=0.1)  # warmth comes and goes slowly, and begins 
 # stroke. On one of less than three waves of this kind the lengths above draw them as well.
 _SHORT, _SHORT_FROM = 0.015, 1.5 * _LENGTH
 _PER_LENGTH, _MOST = 5, 96  # functions of half a stroke as long as a correlation length; in all
+# The leg's end does not know where the carriage stands, and a rail that is wrong shows
+# nearly the same.
+_OF_TRAVEL = 0.1
 BUILD_UP = BuildUp((0.05, 0.1, 0.2, 0.4, 0.8))
 _CREEP, _DIAL = Kernel(0.5, 8, rough=1.0), Kernel(0.5, 6)
 _UM = 1e-6
@@ -262,7 +266,6 @@ class Session:
     start: float  # first second
     end: float  # last second
     leg: int | None = None  # whose dials were read; `None`: of the whole campaign
-    moments: tuple[float, ...] = ()  # between readings, at which something may jump, seconds
 
 
 def _waves(half: float) -> Kernel:
@@ -292,7 +295,9 @@ def places(
 
         def add(part: Part, joints: Joints, direction: str, against: Against, variable: Any,
                 kernel: Functions, unit: float, by: int = 0, leg: int = leg) -> None:  # fmt: skip
-            place = Place(part, leg, joints, direction, against, by, variable, kernel, unit)
+            rare = part == "platform" and against == "travel"
+            place = Place(part, leg, joints, direction, against, by, variable, kernel, unit,
+                          chance=_OF_TRAVEL if rare else 1.0)  # fmt: skip
             found.append(place)
             if part in ("rail", "carriage") and against == "travel" and half > _SHORT_FROM:
                 found.append(replace(place, kernel=_waves(half), short=True))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -15,7 +15,6 @@ from orthoglide.effects.places import (
     Part,
     Place,
     Range,
-    Session,
     by_command,
     by_travel,
     places,
@@ -27,24 +26,19 @@ from orthoglide.layout import LegNames
 _UM = 1e-6
 
 
-def jumps(several: Iterable[Place], sessions: Iterable[Session]) -> tuple[Place, ...]:
-    """Return the places that change with time as places that jump, at the moments of their
-    sessions; one bar of a leg snaps and one drive loses steps, not several at once.
+def may_jump(place: Place) -> bool:
+    """Whether a place that changes with time may change at once: one bar of a leg snaps and one
+    drive loses steps, not several together.
     """
-    moments = {(s.start, s.end, s.leg is None): s.moments for s in sessions}
-    found = []
-    for place in several:
-        if (
-            place.against != "time"
-            or place.leg < 0
-            or (place.part == "bar" and not place.direction)
-        ):
-            continue
-        start, end = place.span or (0.0, 1.0)
-        for at in moments.get((start, end, place.part == "drive"), ()):
-            jump = Jump(2 * (at - start) / (end - start) - 1)
-            found.append(replace(place, kernel=jump, jump=at))
-    return tuple(found)
+    one = place.leg >= 0 and (place.part != "bar" or bool(place.direction))
+    return place.against == "time" and one
+
+
+def jumping(place: Place, at: float, among: int) -> Place:
+    """Return a place that changes with time as one that jumps at a moment, seconds, of so many."""
+    start, end = place.span or (0.0, 1.0)
+    jump = Jump(2 * (at - start) / (end - start) - 1)
+    return replace(place, kernel=jump, jump=at, chance=1 / among)
 
 
 _WIDTH = 0.008
@@ -53,7 +47,7 @@ hundredths; one of a millimetre nobody would have overlooked."""
 
 
 def bumps(
-    travel: Sequence[Iterable[float]],
+    travel: Sequence[Collection[float]],
     names: LegNames,
     stroke: Range,
     scale: float = 1.0,
@@ -78,7 +72,7 @@ def bumps(
             ]
             for part, joints, way, variable in moved:
                 place = Place(part, leg, joints, way, "travel", 0, variable, bump, 30 * _UM,
-                              bump=at, names=names)  # fmt: skip
+                              bump=at, names=names, chance=1 / len(several))  # fmt: skip
                 found.append(sized(place, scale))
     return tuple(found)
 

@@ -179,7 +179,8 @@ def _of_machine(problem: Problem, wide: Problem, here: Linearised) -> Everything
         here: where this is linearised.
     """
     nuisance, sd, x = nuisances(wide, here.seen), wide.tolerance, here.x
-    free_rows, found = curves(wide, x)
+    off = problem.measured - here.value
+    free_rows, found = curves(wide, x, off - nuisance.fitted(off))
     of_dials, dials = curves_of_dials(wide, here.value)
     of_plates, sizes = plates(wide)
     rows = np.hstack([here.jacobian * sd, free_rows, of_dials, of_plates])
@@ -389,9 +390,9 @@ def _groups(
         causes.append(cause)
         unit = _OF_DIAL if catalogue[cause.effect].of_dial else 1.0
         groups.append(Group(cause.name, places, rows[places], False, cause.chance, unit))
-    ways = Counter((place.where, place.single) for place in found)
+    ways = Counter(place.where for place in found if not place.single)
     for place, (name, own_places) in zip(found, _spans(found, len(names)).items(), strict=True):
         if np.linalg.norm(columns[:, own_places]) > _VISIBLE:
-            chance = STRANGE / ways[place.where, place.single]
+            chance = STRANGE * place.chance / (1 if place.single else ways[place.where])
             groups.append(whole(name, own_places, free=True, chance=chance))
     return tuple(groups), tuple(causes), tuple(asked)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.effects.kernels import Level
 from orthoglide.effects.places import BUILD_UP, Place, Session, all_dials, dial_places, places
 from orthoglide.effects.plates import own_shapes
-from orthoglide.effects.single_places import bumps, jumps
+from orthoglide.effects.single_places import bumps, jumping, may_jump
 from orthoglide.fit import Problem
 from orthoglide.fit.excited import both_sides
 from orthoglide.fit.problem import Factor
@@ -18,11 +19,14 @@ from orthoglide.geometry import LEGS, Array
 from orthoglide.instruments import Observation
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings
+from orthoglide.ordering import descending
 from orthoglide.prediction import Model
 
 _OFTEN = 0.2  # share of the readings at one travel of a leg, from which it is no single place
 _STATIONS = 40  # travels of a leg; of more each is visited once, and a defect of one is a slip
-_JUMPS = 24  # moments of a session at which a part may jump: each is near one of them
+_JUMPS = 8  # moments at which a part may jump: those that explain most
+_BESIDE = 6  # readings on either side of a jump: fewer are slips
+_SEES = 0.1  # sigmas of a reading that a place of its usual size shows
 _STILL = 1e-6  # metres: less moves no dial
 _CLEAR = 5e-6  # metres: of a move from which it is clear which way it went
 _APART = 3.0  # times their scatter, by which readings of both ways have to differ
@@ -56,27 +60,17 @@ def places_of(problem: Problem) -> tuple[Place, ...]:
         for leg in (*range(len(LEGS)), None):
             time = campaign.time if leg is None else campaign.time[campaign.leg == leg]
             if len(time) and np.isfinite(time).all() and np.ptp(time) > 0:
-                span = float(time.min()), float(time.max())
-                sessions.append(Session(*span, leg, tuple(_moments(time))))
+                sessions.append(Session(float(time.min()), float(time.max()), leg))
     machine = problem.machine
     geometry = machine.geometry
     found = places(sessions, machine.catalogue.legs, geometry.stroke, geometry.scale)
     if len(problem.campaigns) < len(problem.factors):  # no other reading parts it from the carriage
         found = tuple(p for p in found if not p.moves_lines)
-    found += jumps(found, sessions)
     found += bumps(stations(problem), machine.catalogue.legs, geometry.stroke, geometry.scale)
     approach = np.concatenate([f.conditions().approach for f in problem.factors])
     one_sided = ~both_sides(approach)  # which shows no difference between sides
     hidden = {"approach": one_sided, "reversal": one_sided | bool(problem.tool)}
     return tuple(p for p in found if p.against not in hidden or not hidden[p.against][p.leg])
-
-
-def _moments(time: Array) -> list[float]:
-    """Moments between readings, evenly over them, at which a part may jump, seconds."""
-    each = np.unique(time)
-    cuts = (each[:-1] + each[1:]) / 2
-    at = np.linspace(0, len(cuts) - 1, min(_JUMPS, len(cuts))).round().astype(int)
-    return cuts[np.unique(at)].tolist()
 
 
 def stations(problem: Problem) -> list[list[float]]:
@@ -99,16 +93,50 @@ def stations(problem: Problem) -> list[list[float]]:
     return found
 
 
-def curves(problem: Problem, x: Array) -> tuple[Array, tuple[Place, ...]]:
-    """Rows by the coefficients of all places ``(n, F)`` in their units, places kept."""
-    model, kept = problem.machine.model, places_of(problem)
+def curves(problem: Problem, x: Array, rest: Array) -> tuple[Array, tuple[Place, ...]]:
+    """Rows by the coefficients of all places ``(n, F)`` in their units, places kept.
+
+    Args:
+        problem: the readings.
+        x: its unknowns ``(P,)``, SI.
+        rest: residuals of the readings there ``(n,)``, SI.
+    """
+    kept = places_of(problem)
     if not kept:
         return np.zeros((len(problem.measured), 0)), ()
-    of_factors = [
-        np.hstack(by_places(factor, model, problem.values(k, x), kept))
-        for k, factor in enumerate(problem.factors)
-    ]
-    return np.vstack(of_factors), kept
+    kept += tuple(_jumps(problem, x, rest, [p for p in kept if may_jump(p)]))
+    return np.hstack(_rows(problem, x, kept)), kept
+
+
+def _rows(problem: Problem, x: Array, several: Sequence[Place]) -> list[Array]:
+    """Rows of all readings by the coefficients of each place ``(n, K)`` in their units."""
+    model = problem.machine.model
+    each = [by_places(factor, model, problem.values(k, x), several)
+            for k, factor in enumerate(problem.factors)]  # fmt: skip
+    return [np.vstack(rows) for rows in zip(*each, strict=True)]
+
+
+def _jumps(problem: Problem, x: Array, rest: Array, several: Sequence[Place]) -> Iterator[Place]:
+    """Places that jump, each at the moments at which a step would explain most of the residuals."""
+    if not several:  # without recorded time
+        return
+    time = np.concatenate([f.readings.time for f in problem.factors])
+    order = np.argsort(time, kind="stable")
+    time, off = time[order], (rest / problem.sigma)[order]
+    cuts = np.flatnonzero(np.diff(time) > 0)
+    levels = [replace(p, kernel=Level()) for p in several]
+    for place, rows in zip(several, _rows(problem, x, levels), strict=True):
+        shown = (rows[:, 0] / problem.sigma)[order]
+        met, square = np.cumsum(shown * off), np.cumsum(shown**2)
+        seen = np.cumsum(np.abs(shown) > _SEES)
+        inside = cuts[(seen[cuts] >= _BESIDE) & (seen[-1] - seen[cuts] >= _BESIDE)]
+        if not len(inside):
+            continue
+        before, after = square[inside], square[-1] - square[inside]
+        step = (met[-1] - met[inside]) / after - met[inside] / before
+        gain = step**2 / (1 / before + 1 / after)
+        for k in inside[descending(gain)[:_JUMPS]]:
+            yield jumping(place, float(time[k] + time[k + 1]) / 2, len(inside))
 
 
 def by_places(

@@ -139,10 +139,11 @@ def deviation_rms(problem: Problem, residual: Array) -> float:
     count = np.bincount(place)
     average = np.bincount(place, residual[dials]) / count
     row = np.lexsort((problem.of_dials("order"), setup))
-    first = place[row[np.unique(setup[row], return_index=True)[1]]]  # a place a setup
+    present, index = np.unique(setup[row], return_index=True)  # a fault may leave nothing of one
+    first = place[row[index]]  # a place a setup
     home = np.zeros(len(count), dtype=np.int64)
-    home[place] = setup
-    datum = np.array([problem.setups[k].observation.from_datum for k in problem.leg_setups])
+    home[place] = np.searchsorted(present, setup)
+    datum = np.array([problem.setups[k].observation.from_datum for k in present])
     others = np.setdiff1d(np.arange(len(count)), first[datum])
     apart = average[others] - np.where(datum, average[first], 0.0)[home[others]]
     return float(np.sqrt(np.mean(apart**2))) if len(apart) else float("nan")
