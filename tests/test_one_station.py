@@ -42,7 +42,7 @@ def test_the_sentence_names_both(bumpy: og.Verdict) -> None:
 
 def test_the_posture_and_its_neighbours_are_read_again(bumpy: og.Verdict) -> None:
     assert bumpy.actions[0].kind == "measure"
-    assert "line 19 and its neighbours once more" in bumpy.actions[0].words
+    assert "the posture of line 19 and the nearest postures once more" in bumpy.actions[0].words
     sheet = bumpy.next_sheet
     assert sheet is not None
     travel = (sheet.command[:, 0] - og.Machine.nominal().geometry.L) * 1e3

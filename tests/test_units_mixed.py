@@ -92,7 +92,7 @@ def test_what_is_left_at_the_tool_is_told_and_followed_there() -> None:
     assert "shows on leg" not in headline(verdict)
     follow = verdict.next_measurements[0]
     assert follow.aim == "trace"
-    assert f"shows most in {most.reads}" in follow.reason
+    assert f"the residual is largest in {most.reads}" in follow.reason
     assert not any("shows on leg" in option.words for option in verdict.picture.options)
 
 

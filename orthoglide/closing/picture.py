@@ -78,5 +78,5 @@ def _left(closed: Closed) -> Option:
     most = closed.lack_of_fit.by_dial[0]
     way = np.eye(3)[most.axis] * np.sign(most.most)
     size = f"{compact(abs(most.most) * 1e3, 2)} mm toward {toward(LEGS[most.axis], most.most)}"
-    words = f"what nothing explains shows most on leg {LEGS[most.leg]}: {size}"
+    words = f"the residual is largest on leg {LEGS[most.leg]}: {size}"
     return Option(words, (Mark("dial", most.leg, way, size, setup=most.setup),))

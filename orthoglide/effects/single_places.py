@@ -42,8 +42,9 @@ def jumping(place: Place, at: float, among: int) -> Place:
 
 
 _WIDTH = 0.008
-"""Metres: standard deviation of a bump, as dirt, a dent or a joint of a rail makes one of some
-hundredths; one of a millimetre nobody would have overlooked."""
+"""Standard deviation of a bump along the travel, metres: typical of dirt, a dent or a joint between
+two rails. Its height is expected to be a few hundredths of a millimetre, because a bump of one
+millimetre would have been noticed."""
 
 
 def bumps(

@@ -49,8 +49,8 @@ def _observations(problem: Problem) -> list[Observation]:
 def places_of(problem: Problem) -> tuple[Place, ...]:
     """Places of the machine that these readings could show.
 
-    None where one surface is all that was read: the plate's own shape could be any, and a free
-    function of any part draws it as well.
+    The tuple is empty if only plates, or distances on them, were measured: the shape of the plate
+    is then unknown, and a free-form error of any part could produce the same readings.
     """
     if one_surface(problem):
         return ()
@@ -236,8 +236,9 @@ def _side(campaign: Readings, rows: NDArray[np.int64], shown: Array, off: Array)
     """Which way a dial's plunger came to some readings ``(k,)``: 1 as the reading grew, -1 as it
     fell, as before where it did not move; 0 where that is not known.
 
-    After moves too small to be sure of, and before the first, it is the way whose other readings
-    are as far off, where those of both ways stand apart.
+    If the direction is unknown or the last move was under 5 um, the reading is given the direction
+    whose mean residual is nearer to its own. This is done only if the mean residuals of the two
+    directions differ by more than three times their scatter.
 
     Args:
         campaign: of the readings.

@@ -17,13 +17,17 @@ from orthoglide.ordering import descending
 
 _NEIGHBOURS = 1.6  # times the distance of the nearest touch: the next across a square's diagonal
 
-_AS_LIKELY = float(np.exp(-3.0))
-"""Odds against the likeliest drive of a wrong command, down to which another is told as well."""
+_LEAST_SHARE = float(np.exp(-3.0))
+"""Smallest probability, relative to the likeliest drive, at which another drive is also reported as
+the one whose command is wrong: one in twenty, below which it would not be in a 95 % set."""
 
 
 def standing(posterior: FullPosterior) -> list[Fault]:
-    """Faults that stand out of the readings with a probability of nine in ten, and have their
-    credible sets to themselves, with their sizes.
+    """Return the data faults that are certain enough to correct, with their estimated sizes.
+
+    Such a fault is active with a probability of at least 0.9, and data faults hold 99 % of its
+    credible set. A touch of a plate is left out if a neighbouring touch is an outlier too, because
+    the plate then has a shape error.
     """
     mixture, groups = posterior.mixture, posterior.mixture.linear.groups
     instead, data = Alternatives(mixture), np.array([g.of_data for g in groups], dtype=bool)
@@ -38,7 +42,7 @@ def standing(posterior: FullPosterior) -> list[Fault]:
         suspect, at = by_name[groups[best].name], groups[best].places
         mean, _ = instead.moments(member, best, at)
         fault = suspect.sized(mean[at])
-        for k in (k for k in others if odds[k] > _AS_LIKELY * odds[best]):
+        for k in (k for k in others if odds[k] > _LEAST_SHARE * odds[best]):
             other = by_name[groups[k].name]
             same = other.fault.commands and np.array_equal(other.fault.rows, fault.rows)
             if fault.commands and same:
@@ -50,7 +54,11 @@ def standing(posterior: FullPosterior) -> list[Fault]:
 
 
 def unsure(posterior: FullPosterior) -> frozenset[Key]:
-    """Faults in whose place a cause of the machine, or a free-form error, may be as well."""
+    """Return the data faults that the readings do not separate from an error of the machine.
+
+    Something is active with a probability of at least 0.9, but data faults account for less than
+    99 % of that probability.
+    """
     mixture, groups = posterior.mixture, posterior.mixture.linear.groups
     instead, data = Alternatives(mixture), np.array([g.of_data for g in groups], dtype=bool)
     by_name, problem = {s.name: s for s in posterior.about.suspects}, posterior.about.problem

@@ -18,8 +18,9 @@ from orthoglide.notes import Note
 from orthoglide.numerals import compact
 from orthoglide.observations import source
 
-# Of the noise; inches are 25 times too small, degrees 57 times, and what the machine does in a way
-# that no fit explains is left of them as well.
+# Ratios of residual scatter to assumed noise below which a note is given. Inches are 25 times too
+# small and degrees 57 times, but unmodelled errors of the machine remain in the residual, so the
+# limit is a tenth; a fifth for noise that was declared, which is not as wrong as a usual figure.
 _QUIET, _QUIET_OF_DECLARED = 0.1, 0.2
 _FEWEST = 10.0  # degrees of freedom: noise alone leaves a tenth of itself once in 4e8 such setups
 _EXACT = 1e-8  # metres or radians: whose noise is declared this small is not measured but computed
@@ -45,7 +46,7 @@ def _by_instrument(estimate: Estimate) -> Iterator[Note]:
         for noise in [together(each)] if table.on_legs.all() else each:
             origin = _origin(problem, noise)
             limit = _QUIET_OF_DECLARED if origin else _QUIET
-            # Of dials whose noise is declared the sentence speaks that counts all readings.
+            # Dials with declared noise are tested by `_all_together`.
             counted = noise.setup is None and problem.noise.source == "declared"
             known = noise.sigma >= _EXACT and noise.dof >= _FEWEST
             if not counted and known and noise.scale < limit:
@@ -67,8 +68,8 @@ def _all_together(estimate: Estimate) -> Iterator[Note]:
         yield Note(
             f"the readings scatter {compact(times, 2)} times less than the noise that was declared "
             f"({problem.one_reading.said()}; chi2 {compact(scores.chi2, 2)} on "
-            f"{scores.dof:.0f} degrees of freedom): correct it, as faults may hide in it, or the "
-            f"unit of the readings",
+            f"{scores.dof:.0f} degrees of freedom), so that faults may go unnoticed: correct the "
+            f"declared noise, or the unit of the readings",
             "quiet",
         )
 

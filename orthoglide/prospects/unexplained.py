@@ -36,9 +36,9 @@ def tracing(rest: SetupResidual, geometry: Geometry) -> Suggestion:
     rows = np.flatnonzero(np.isin(pool.setup, dials) & along)
     axis = LEGS[rest.axis]
     reason = (
-        f"what nothing explains shows most on {rest.reads}: {len(rows) * _TWICE} "
-        f"readings of both its bars along {axis}, over its whole travel and from both sides, "
-        f"tell whether a part is bent or turned, has lost motion, or a bar is wrong"
+        f"the residual is largest on {rest.reads}: take {len(rows) * _TWICE} readings of both "
+        f"bars of the leg along {axis}, over its whole travel and from both sides, which "
+        f"distinguish a bent part, a turned part, lost motion and a wrong bar"
     )
     return Suggestion(reason, "trace", float("nan"), pool, tuple(np.repeat(rows, _TWICE).tolist()))
 
@@ -50,10 +50,10 @@ def repeating(rest: SetupResidual) -> Suggestion:
     own = OBSERVATIONS[rest.kind]
     sides = "" if own.touches or own.paired else " and coming from either side"
     reason = (
-        f"what nothing explains shows most in {rest.reads} ({rest.setup}): read it again with the "
-        f"tool at {'; '.join(rest.where)} mm, three times each{sides}. What "
-        f"comes back is of the machine or of what the instrument stands on; what does not is a "
-        f"loose part, lost motion, or the instrument itself"
+        f"the residual is largest in {rest.reads} ({rest.setup}): read it again with the tool at "
+        f"{'; '.join(rest.where)} mm, three times each{sides}. If the error repeats, the machine "
+        f"or what the instrument stands on causes it; if not, look for a loose part, lost motion "
+        f"or a faulty instrument"
     )
     return Suggestion(reason, "trace", float("nan"), None)
 
@@ -84,8 +84,9 @@ def deciding_visits(posterior: FullPosterior, misread: Misread) -> Suggestion | 
     apart = np.round(apart, 6)
     chosen = rows[np.isin(apart, np.unique(apart)[:_NEIGHBOURS])]
     reason = (
-        f"line {misread.lines[0]} and its neighbours once more, {len(chosen) * _TWICE} readings: a "
-        f"defect of the machine comes again, and a slip or a wrong command does not"
+        f"the posture of line {misread.lines[0]} and the nearest postures once more, "
+        f"{len(chosen) * _TWICE} readings: a defect of the machine repeats, a slip or a wrong "
+        f"command does not"
     )
     return Suggestion(
         reason, "trace", float("nan"), pool, tuple(np.repeat(chosen, _TWICE).tolist())
