@@ -127,7 +127,7 @@ def test_a_tilt_that_is_gone_is_no_cause_any_more(machine):
     assert (verdict.word, verdict.effects) == ("adequate", ())
 
 
-@pytest.mark.thorough(except_for=["sweep"])
+@pytest.mark.thorough(except_for=["standard"])
 @pytest.mark.parametrize("protocol", ["standard", "sweep"])
 def test_a_drive_with_a_new_zero(protocol, machine):
     old = campaign(machine, "old", 1, protocol)
