@@ -216,6 +216,12 @@ class Located:
         """The most probable member with its size, and the alternatives, a clause."""
         first, *others = self.members
         text = first.words_with_measure
+        if self.data and self.data[0].probability > self.probability:
+            one = self.data[0]
+            return (
+                f"{one.brief} ({one.probability:.0%} likely), or {text} "
+                f"({self.probability:.0%} likely): read that posture again"
+            )
         if others or self.data:
             named = [*(c.words for c in others[:_MOST_RIVALS]), *(d.brief for d in self.data[:1])]
             more = len(others) - _MOST_RIVALS
