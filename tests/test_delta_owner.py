@@ -410,6 +410,9 @@ def test_seven_heights_are_too_few_for_causes(v400: Path, tmp_path: Path) -> Non
     assert "Verdict unexplained" in told
     assert "7 readings are too few to say more" in told
     assert "of its tolerance" not in told
+    result = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    assert result["before"]["lack_of_fit_p"] < 1e-4
+    assert result["after"] == result["before"]
 
 
 def test_a_tower_is_tried_against_a_square_that_stands(imported: Path) -> None:

@@ -145,8 +145,7 @@ def test_prints_keep_the_size_that_distances_gave() -> None:
         found_at = made.new.points(same)[:, :2]
         size.append(abs(0.05 / np.hypot(*(found_at - found_at.mean(axis=0)).T).mean() - 1))
         arms.append(np.ptp(made.new.arm))
-    assert size[0] < 7e-4
-    assert size[0] < 0.1 * size[1] or size[1] > 6e-4
+    assert size[0] < 2e-4 < 6e-4 < size[1]
     assert arms[0] > arms[1]
 
 

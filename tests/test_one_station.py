@@ -40,7 +40,7 @@ def test_the_sentence_names_both(bumpy: og.Verdict) -> None:
     assert "toward z at travel −50 mm and nowhere else, by 0.1 mm" in text
     likelier = re.search(
         r"Another command than the one written in line 19 \((\d+) % likely\), or the path of the x "
-        r"carriage .* \((\d+) % likely\): read that posture again",
+        r"carriage .* \((\d+) % likely\): read these lines again",
         text.replace("%", " %"),
     )
     assert likelier is not None

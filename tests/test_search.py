@@ -50,13 +50,13 @@ def written_out(search: Search, state: State) -> Array:
     """Log weights of a state by scale ``(scales,)``, from its covariance."""
     linear, found = search.linear, []
     for scale in search.scales:
-        cov = np.eye(ROWS) * (1 + scale.rough**2)
+        cov = np.eye(ROWS) * (1 + scale.noise**2)
         cov += (linear.columns * linear.spike(scale.share, scale.free_share)) @ linear.columns.T
         for group, tau in state:
             shown = linear.columns[:, linear.groups[group].places] * tau
             cov += shown @ shown.T
         square = linear.residual @ np.linalg.solve(cov, linear.residual)
-        prior = -3.0 * ((scale.share > 1) + (scale.rough > 0))
+        prior = -3.0 * ((scale.share > 1) + (scale.noise > 0))
         found.append(prior - (square + np.linalg.slogdet(cov)[1]) / 2)
     return np.array(found) - sum(search.cost[g] for g, _ in state)
 
@@ -232,7 +232,7 @@ def test_a_covariance_is_one_however_exact_the_readings(exact: float) -> None:
         every = np.arange(17)
         spread = mixture._spread(state)
         prior = np.diag(scale.spike) + spread @ spread.T
-        rows = mixture.linear.columns / np.sqrt(1 + scale.rough**2)
+        rows = mixture.linear.columns / np.sqrt(1 + scale.noise**2)
         whole = np.linalg.inv(np.linalg.inv(prior) + rows.T @ rows)
         if exact == 1:
             assert mixture._covariances(every)(state, scale) == pytest.approx(

@@ -51,7 +51,7 @@ class Closed:
 
     Attributes:
         request: what was asked.
-        word: adequate, explained, ambiguous, located, partial or unexplained.
+        word: adequate, diffuse, explained, ambiguous, located, partial or unexplained.
         before: fit of the base model: joint offsets and leg lengths, or what ``identify`` frees.
         after: the readings as the posterior's mean has them; ``before`` of ``identify``.
         effects: causes with a name that stand out of the background.

@@ -166,11 +166,8 @@ def _possible(closed: Closed) -> Iterator[Possible]:
 def _by_setup(fit: Estimate) -> Iterator[SetupNoise]:
     """The noise that a fit shows, setup by setup."""
     for one in noise_scales(fit):
-        table, setup = one.readings, one.setup
-        if setup is None:
-            continue
-        name, kind = setup.name, setup.kind
-        yield SetupNoise(name, source(table), kind, one.sigma, one.scale, one.scale_sigma)
+        file, setup = source(one.readings), one.setup
+        yield SetupNoise(setup.name, file, setup.kind, one.sigma, one.scale, one.scale_sigma)
 
 
 def _proposal(one: Suggestion) -> Proposal:

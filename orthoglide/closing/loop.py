@@ -43,8 +43,8 @@ from orthoglide.result import Request, Word
 from orthoglide.threads import on_one_thread
 
 EVEN = 0.5
-"""Probability of a machine beyond all tolerances, or of errors without structure, from which
-nothing is said to be explained: what is likelier than not."""
+"""Probability of a machine beyond all tolerances, or of more noise than the repeats show, from
+which nothing is said to be explained: what is likelier than not."""
 
 _LITTLE = 0.1  # share of the lack of fit that a place which was found may leave
 
@@ -212,9 +212,10 @@ def judge(closed: Closed) -> Closed:
 
 
 def _missing(left: Left) -> bool:
-    """Whether a cause or place is missing from the list: something significant is left, or that was
-    not looked at, or only a background beyond all tolerances, or errors without structure, which
-    explain what they like and so nothing, leave nothing.
+    """Whether the list of explanations lacks one.
+
+    The residual is significant, or was not tested; or only a machine beyond all its tolerances, or
+    more noise than the repeats show, explains it, which would explain anything.
     """
     return not left.p_value >= SIGNIFICANT or left.rare > EVEN
 

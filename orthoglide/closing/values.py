@@ -49,7 +49,7 @@ def cause_value(cause: Cause) -> found.Cause:
         for some in ((cause.chosen,), cause.rivals, cause.same)
     )
     return found.Cause(chosen[0], rivals, same, tuple(map(_curve, cause.places)), loses(cause),
-                       data_rivals(cause))  # fmt: skip
+                       cause.data)  # fmt: skip
 
 
 def located_value(one: Located, catalogue: Catalogue) -> found.Located:
@@ -65,13 +65,8 @@ def located_value(one: Located, catalogue: Catalogue) -> found.Located:
     )
     return found.Located(
         tuple(map(_curve, one.members)), float(one.probability), tuple(one.resembling), resembling,
-        ruled_out, one.in_machine(catalogue)[0], loses(one), data_rivals(one),
+        ruled_out, one.in_machine(catalogue)[0], loses(one), one.data,
     )  # fmt: skip
-
-
-def data_rivals(one: Cause | Located) -> tuple[found.DataRival, ...]:
-    """Return the faults of the data in the credible set of a cause or located error."""
-    return tuple(found.DataRival(d.kind, d.lines, d.probability, d.message) for d in one.data)
 
 
 def _curve(curve: Curve) -> found.Curve:

@@ -27,15 +27,22 @@ _UM = 1e-6
 
 
 def may_jump(place: Place) -> bool:
-    """Whether a place that changes with time may change at once: one bar of a leg snaps and one
-    drive loses steps, not several together.
+    """Whether a place that changes with time may also jump.
+
+    One bar snaps, or one drive loses steps; several parts do not jump at the same moment.
     """
     one = place.leg >= 0 and (place.part != "bar" or bool(place.direction))
     return place.against == "time" and one
 
 
 def jumping(place: Place, at: float, among: int) -> Place:
-    """Return a place that changes with time as one that jumps at a moment, seconds, of so many."""
+    """Return a place with a jump instead of a slow change.
+
+    Args:
+        place: that changes with time.
+        at: moment of the jump, seconds.
+        among: number of moments at which the jump could be; each is that much less probable.
+    """
     start, end = place.span or (0.0, 1.0)
     jump = Jump(2 * (at - start) / (end - start) - 1)
     return replace(place, kernel=jump, jump=at, chance=1 / among)

@@ -13,7 +13,7 @@ from orthoglide.effects.wording import cause_words
 from orthoglide.geometry import Array
 from orthoglide.numerals import compact
 from orthoglide.parameters import plain_and_campaign
-from orthoglide.result import CandidateScore
+from orthoglide.result import CandidateScore, DataRival
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,16 +67,6 @@ class Explanation:
         return self.values[name] / si, self.sigmas[name] / si
 
 
-@dataclass(frozen=True)
-class Misread:
-    """A fault of the data that would explain the readings as well as a cause of the machine."""
-
-    kind: str  # as of a fault that was found
-    lines: tuple[int, ...]  # of its rows in their files
-    probability: float  # all else that was found given
-    message: str  # file, lines, what it looks like and what to do
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Cause:
     """One cause that stands out, with its credible set."""
@@ -89,7 +79,7 @@ class Cause:
     # places of the set, of which it is less likely than by name
     places: tuple[Curve, ...] = ()
     # faults of the data of the set, most probable first
-    data: tuple[Misread, ...] = ()
+    data: tuple[DataRival, ...] = ()
 
     def __repr__(self) -> str:
         others = ", ".join(self.indistinguishable_from)
@@ -197,7 +187,7 @@ class Located:
     # causes of the catalogue that move what the first member moves, and are none of the set
     ruled_out: tuple[str, ...] = ()
     # faults of the data in the same credible set, most probable first
-    data: tuple[Misread, ...] = ()
+    data: tuple[DataRival, ...] = ()
 
     def __repr__(self) -> str:
         return f"<Located {', '.join(map(repr, self.members))}>"

@@ -204,7 +204,7 @@ def _of_machine(problem: Problem, wide: Problem, here: Linearised) -> Everything
     is_free = np.arange(len(scale)) >= len(sd)
     linear = Linear(
         readings.columns, readings.residual, fixed, is_free, unnamed, groups, readings.stations,
-        rough=RARE if problem.repeats >= _SHOWN else 0.0, beyond=readings.beyond,
+        noise_weight=RARE if problem.repeats >= _SHOWN else 0.0, beyond=readings.beyond,
     )  # fmt: skip
     tolerance = wide.machine.tolerance
     by_name: dict[str, tuple[tuple[str, float], ...]] = {
@@ -322,7 +322,7 @@ def _with_plates(linear: Linear, problem: Problem) -> Linear:
         rare = 2 * RARE if only_plates(problem) else RARE
         linear = replace(linear, slabs=likely, wide=(_QUIET, rare))
     if any(f.is_noise_capped for f in problem.tool):
-        linear = replace(linear, rough=-RARE)  # these have been seen
+        linear = replace(linear, noise_weight=-RARE)  # these have been seen
     return linear
 
 

@@ -178,7 +178,7 @@ def _meant(look: FullPosterior, found: Sequence[Fault], otherwise: float = -np.i
             other = glance(_fitted(restored(problem, one.fault)))
         except NumericsError:
             continue
-        if other.mixture.rare < _EVEN:  # errors without structure explain anything
+        if other.mixture.rare < _EVEN:  # more noise explains anything
             tried.append((other.evidence + one.odds, one.fault))
     if not tried:
         return None

@@ -23,7 +23,7 @@ from orthoglide.ordering import descending
 from orthoglide.prediction import Model
 
 _OFTEN = 0.2  # share of the readings at one travel of a leg, from which it is no single place
-_STATIONS = 40  # travels of a leg; of more each is visited once, and a defect of one is a slip
+_STATIONS = 40  # travels of a leg: of more, each is seen by too few readings to weigh a bump
 _JUMPS = 8  # moments at which a part may jump: those that explain most
 _BESIDE = 6  # readings on either side of a jump: fewer are slips
 _SEES = 0.1  # sigmas of a reading that a place of its usual size shows
@@ -74,9 +74,11 @@ def places_of(problem: Problem) -> tuple[Place, ...]:
 
 
 def stations(problem: Problem) -> list[list[float]]:
-    """Travel of each leg at which dials were read, metres, where a defect at one place would show
-    at few readings: not where the leg stands in most of them. A posture that was visited once has
-    none, as a slip of its reading is likelier.
+    """Return the travels of each leg, metres, at which a bump is weighed.
+
+    A travel at which the leg stands in many readings is left out, because an error there is no bump
+    to them. A travel without repeated readings is left out too, because there a slip of the reading
+    is the likelier explanation.
     """
     found: list[list[float]] = [[] for _ in LEGS]
     if not problem.on_legs:
@@ -117,7 +119,10 @@ def _rows(problem: Problem, x: Array, several: Sequence[Place]) -> list[Array]:
 
 
 def _jumps(problem: Problem, x: Array, rest: Array, several: Sequence[Place]) -> Iterator[Place]:
-    """Places that jump, each at the moments at which a step would explain most of the residuals."""
+    """Yield places with a jump, at the moments whose step explains most of the residuals.
+
+    The gain of a step is its squared size over its variance, both by the readings before and after.
+    """
     if not several:  # without recorded time
         return
     time = np.concatenate([f.readings.time for f in problem.factors])

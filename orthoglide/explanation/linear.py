@@ -90,7 +90,7 @@ class Linear:
     slabs: tuple[float, ...] = SLABS  # those of what stands out
     # share beyond which a background is unlikely, and log of its weight
     wide: tuple[float, float] = (max(SHARES), 0.0)
-    rough: float = RARE  # log of the prior weight of noise larger than declared
+    noise_weight: float = RARE  # log of the prior weight of noise larger than declared
     # what stations show beside all columns: squared, in how many directions, and the visits that
     # each has; none where all directions are kept
     beyond: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -142,7 +142,7 @@ class Basis:
 
     Attributes:
         free_share: scale of the free functions that no slab lets out.
-        rough: error of its own at every station, in the noise of a reading.
+        noise: error of its own at every station, in the noise of a reading.
         columns: by coefficient ``(m, C)``.
         residual: ``(m,)``.
         by_group: those of all groups side by side, see :attr:`Linear.by_group`.
@@ -150,10 +150,10 @@ class Basis:
         log_det: of the covariance without background.
     """
 
-    def __init__(self, linear: Linear, free_share: float, rough: float) -> None:
-        self.linear, self.free_share, self.rough = linear, free_share, rough
+    def __init__(self, linear: Linear, free_share: float, noise: float) -> None:
+        self.linear, self.free_share, self.noise = linear, free_share, noise
         fixed, free, background, stations = linear.squares
-        cov = fixed + free_share**2 * free + rough**2 * stations
+        cov = fixed + free_share**2 * free + noise**2 * stations
         cov[np.diag_indices_from(cov)] += 1.0
         root = np.linalg.cholesky(cov)
         self.log_det = 2 * float(np.log(np.diag(root)).sum())
@@ -170,17 +170,17 @@ class Scale:
 
     def __init__(self, basis: Basis, share: float) -> None:
         self.basis, self.share = basis, share
-        self.free_share, self.rough = basis.free_share, basis.rough
+        self.free_share, self.noise = basis.free_share, basis.noise
         self.spike = basis.linear.spike(share, basis.free_share)
         self.weight = 1 / np.sqrt(1 + share**2 * basis.grows)
         # Where no repeats show the noise, more of it than was declared is nothing rare.
-        self.rare = (share > 1) + (basis.rough > 0 and basis.linear.rough < 0)
+        self.rare = (share > 1) + (basis.noise > 0 and basis.linear.noise_weight < 0)
         square, count, visits = basis.linear.beyond
         beyond, weight = basis.linear.wide
-        alike = 1 + basis.rough**2 * visits
+        alike = 1 + basis.noise**2 * visits
         self.log_z = (
             RARE * (share > 1)
-            + basis.linear.rough * (basis.rough > 0)
+            + basis.linear.noise_weight * (basis.noise > 0)
             + weight * (share > beyond)
             - 0.5 * (square / alike + count * float(np.log(alike)))
             - 0.5 * float(self.residual @ self.residual)

@@ -79,17 +79,17 @@ class Mixture(Search):
 
     @cached_property
     def shares(self) -> tuple[float, float, float]:
-        """Mean scales: of the catalogue, of free functions, of errors of single stations."""
+        """Mean scales: of the catalogue, of free functions, of noise beyond the declared one."""
         by_scale = np.sum(list(self.weights.values()), axis=0)
-        each = np.array([(s.share, s.free_share, s.rough) for s in self.scales])
-        named, free, rough = (by_scale @ each).tolist()
-        return named, free, rough
+        each = np.array([(s.share, s.free_share, s.noise) for s in self.scales])
+        named, free, noise = (by_scale @ each).tolist()
+        return named, free, noise
 
     @property
     def _plain(self) -> NDArray[np.bool_]:
         """Scales without small errors that have no name ``(scales,)``."""
         least = min(s.free_share for s in self.scales)
-        return np.array([s.rough == 0 and s.free_share == least for s in self.scales])
+        return np.array([s.noise == 0 and s.free_share == least for s in self.scales])
 
     @cached_property
     def named(self) -> tuple[tuple[State, Scale], ...]:
@@ -125,8 +125,8 @@ class Mixture(Search):
 
     @cached_property
     def rare(self) -> float:
-        """Probability of a machine beyond its tolerances altogether, or of errors of single
-        stations that have no structure.
+        """Probability of a machine beyond its tolerances altogether, or of more noise than the
+        repeats show.
         """
         return self._weight_of([s.rare > 0 for s in self.scales])
 
@@ -142,7 +142,7 @@ class Mixture(Search):
     @property
     def _sound(self) -> list[int]:
         """Scales of a machine that is sound but for what stands out."""
-        return [k for k, s in enumerate(self.scales) if s.share <= SOUND and s.rough == 0]
+        return [k for k, s in enumerate(self.scales) if s.share <= SOUND and s.noise == 0]
 
     def over_sound_machine(self) -> Array:
         """Log Bayes factor of each group alone, on a sound machine, by tau ``(groups, taus)``."""
@@ -251,7 +251,7 @@ class Mixture(Search):
         def covariance(state: State, scale: Scale) -> Array:
             spread = self._spread(state)
             noise = known + scale.free_share**2 * free + scale.share**2 * background
-            noise += scale.rough**2 * linear.squares[3] + np.eye(len(noise))
+            noise += scale.noise**2 * linear.squares[3] + np.eye(len(noise))
             sd = np.sqrt(scale.spike[at])
             shown = np.hstack([linear.columns[:, at] * sd, linear.columns @ spread])
             shown = solve_triangular(np.linalg.cholesky(noise), shown, lower=True)

@@ -24,7 +24,6 @@ from orthoglide.explanation.causes import (
     Curve,
     Explanation,
     Located,
-    Misread,
     Outstanding,
 )
 from orthoglide.explanation.everything import FullPosterior
@@ -34,6 +33,7 @@ from orthoglide.explanation.linear import Group
 from orthoglide.fit.problem import FAR
 from orthoglide.geometry import Array
 from orthoglide.ordering import EQUAL, EQUAL_ODDS, descending, largest, ranked
+from orthoglide.result import DataRival
 
 _OFF = 0.1  # tolerances: a background that is worth a word
 
@@ -116,9 +116,9 @@ class _Reader:
         located = self._located(member, each, free)
         return replace(located, data=data) if data else located
 
-    def _of_data(self, member: int, groups: Sequence[int], odds: Array) -> tuple[Misread, ...]:
+    def _of_data(self, member: int, groups: Sequence[int], odds: Array) -> tuple[DataRival, ...]:
         """Faults of the data that may be in the place of a cause instead."""
-        found = list[Misread]()
+        found = list[DataRival]()
         if not groups:
             return ()
         by_name = {s.name: s for s in self.posterior.about.suspects}
@@ -128,7 +128,7 @@ class _Reader:
             fault = by_name[self.groups[k].name].sized(mean[at])
             rows = tuple(int(problem.factors[t].readings.line[row])
                          for t, row in places(problem, fault.rows))  # fmt: skip
-            found.append(Misread(fault.kind, rows, float(odds[k]), message(problem, fault)))
+            found.append(DataRival(fault.kind, rows, float(odds[k]), message(problem, fault)))
         return tuple(found)
 
     def of_base(self) -> Iterator[Cause]:

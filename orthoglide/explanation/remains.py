@@ -18,7 +18,7 @@ _VISIBLE = 1e-6  # of the largest: directions that stations span
 _FEW = 2.0  # degrees of freedom: less is no test of the mean
 _SURE = 30.0
 """Degrees of freedom behind the noise of an instrument of the tool: with fewer it may be off by a
-quarter, and errors without structure are no more than larger noise, which ``p_value`` counts."""
+quarter, so that more of it than the repeats show is not rare; ``p_value`` counts that."""
 
 _ENOUGH = 0.05  # probability from which an explanation leaves nothing
 

@@ -2,7 +2,7 @@
 
 Readings ``r = A z + noise``, whitened, with all coefficients z in their tolerances. The *spike* of
 every coefficient is N(0, s^2), with one scale s for the effects of the catalogue and one for the
-free functions, averaged over a grid with one for errors that have no structure at all. A *slab*
+free functions, averaged over a grid with one for noise beyond the declared one. A *slab*
 lets one group of coefficients out, N(0, tau^2) more, tau averaged over a grid. With a
 state (which groups are out, at which tau), all is Gaussian:
 
@@ -220,8 +220,8 @@ class Search:
     def _coarse(self) -> list[int]:
         """Scales of which every background is near one: with and without errors of stations."""
         least = min(s.free_share for s in self.scales)
-        rough = sorted({s.rough for s in self.scales})[::2]
-        return [k for k, s in enumerate(self.scales) if s.free_share == least and s.rough in rough]
+        noise = sorted({s.noise for s in self.scales})[::2]
+        return [k for k, s in enumerate(self.scales) if s.free_share == least and s.noise in noise]
 
     @cached_property
     def _ones(self) -> NDArray[np.intp]:

@@ -31,8 +31,8 @@ class Left:
     """Whether a fit leaves anything beyond the noise, whatever its shape."""
 
     p_value: float  # of as much being left by noise alone; nan where that was not looked at
-    # probability that the machine is beyond its tolerances altogether, or that stations have errors
-    # without structure
+    # probability that the machine is beyond its tolerances altogether, or that the noise is larger
+    # than the repeats show
     rare: float = 0.0
     shaped: float = 0.0  # `p_value` where probed plates may have shapes that no effect names
     # `p_value` where what may stand out counts that is not likely enough to be told

@@ -19,7 +19,7 @@ class NoiseScale:
     """Noise of the readings of one setup, or of several together."""
 
     readings: Readings  # the table that they belong to
-    setup: Setup | None  # None of several
+    setup: Setup  # of several the first
     rows: NDArray[np.intp]  # of all readings (m,)
     sigma: float  # standard deviation of one reading as assumed, root mean square, SI
     chi2: float  # of the residuals
@@ -63,7 +63,7 @@ def together(several: Iterable[NoiseScale]) -> NoiseScale:
     size = np.array([len(one.rows) for one in each])
     sigma = np.sqrt(np.average([one.sigma**2 for one in each], weights=size))
     chi2, dof = sum(one.chi2 for one in each), sum(one.dof for one in each)
-    return NoiseScale(each[0].readings, None, rows, float(sigma), chi2, dof)
+    return NoiseScale(each[0].readings, each[0].setup, rows, float(sigma), chi2, dof)
 
 
 def _leverage(estimate: Estimate) -> Array:

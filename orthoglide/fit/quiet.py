@@ -43,11 +43,12 @@ def _by_instrument(estimate: Estimate) -> Iterator[Note]:
     problem = estimate.problem
     for table, several in groupby(noise_scales(estimate), key=lambda one: one.readings):
         each = list(several)
-        for noise in [together(each)] if table.on_legs.all() else each:
+        dials = bool(table.on_legs.all())
+        for noise in [together(each)] if dials else each:
             origin = _origin(problem, noise)
             limit = _QUIET_OF_DECLARED if origin else _QUIET
             # Dials with declared noise are tested by `_all_together`.
-            counted = noise.setup is None and problem.noise.source == "declared"
+            counted = dials and problem.noise.source == "declared"
             known = noise.sigma >= _EXACT and noise.dof >= _FEWEST
             if not counted and known and noise.scale < limit:
                 yield Note(_sentence(noise, origin), "quiet")
@@ -77,12 +78,11 @@ def _all_together(estimate: Estimate) -> Iterator[Note]:
 def _sentence(noise: NoiseScale, origin: str) -> str:
     """What was found of some readings, and what to do."""
     table, setup = noise.readings, noise.setup
-    turned = bool(table.angular[table.setup == table.setups.index(setup)][0]) if setup else False
-    unit, other = ("mrad", "degrees") if turned else ("mm", "inches")
+    unit, other = ("mrad", "degrees") if setup.observation.angular else ("mm", "inches")
     times = 1 / max(noise.scale, 1 / _MOST)
     count = f"more than {_MOST:.0f}" if times >= _MOST else compact(times, 2)
     where = source(table)
-    if setup is None:
+    if table.on_legs.all():
         place = f"{_IN_FILE}[dial_mm]"
     elif table.by_point:
         place = " in a column sigma_mm"
@@ -100,7 +100,7 @@ def _sentence(noise: NoiseScale, origin: str) -> str:
 def _origin(problem: Problem, noise: NoiseScale) -> str:
     """Where the noise assumed comes from, in words; empty if it is what is usual of the kind."""
     spec = problem.machine.spec
-    if noise.setup is None:
+    if noise.readings.on_legs.all():
         if problem.noise.source == "repeats":
             return _FROM_REPEATS
         return _FROM_FILE if spec.dial.repeatability else ""

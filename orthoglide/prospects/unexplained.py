@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from orthoglide.explanation import FullPosterior
-from orthoglide.explanation.causes import Misread
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.suggestions import Suggestion
-from orthoglide.result import SetupResidual
+from orthoglide.result import DataRival, SetupResidual
 
 _TWICE = 2  # visits: a single one may be misread
 _NEIGHBOURS = 3  # distances from a posture: itself, and those next to it
@@ -58,7 +57,7 @@ def repeating(rest: SetupResidual) -> Suggestion:
     return Suggestion(reason, "trace", float("nan"), None)
 
 
-def deciding_visits(posterior: FullPosterior, misread: Misread) -> Suggestion | None:
+def deciding_visits(posterior: FullPosterior, fault: DataRival) -> Suggestion | None:
     """Return the advice to visit a posture and its neighbours again, where its readings show either
     a defect of the machine at one place or a fault of the data; ``None`` where no dial was read.
 
@@ -66,8 +65,8 @@ def deciding_visits(posterior: FullPosterior, misread: Misread) -> Suggestion | 
     again.
     """
     problem = posterior.about.problem
-    table = next(f.readings for f in problem.factors if misread.lines[0] in f.readings.line)
-    own = np.flatnonzero(np.isin(table.line, misread.lines) & table.on_legs)
+    table = next(f.readings for f in problem.factors if fault.rows[0] in f.readings.line)
+    own = np.flatnonzero(np.isin(table.line, fault.rows) & table.on_legs)
     if not len(own):
         return None
     pool, dials = reading_pool(posterior.machine.geometry), set[int]()
@@ -84,7 +83,7 @@ def deciding_visits(posterior: FullPosterior, misread: Misread) -> Suggestion | 
     apart = np.round(apart, 6)
     chosen = rows[np.isin(apart, np.unique(apart)[:_NEIGHBOURS])]
     reason = (
-        f"the posture of line {misread.lines[0]} and the nearest postures once more, "
+        f"the posture of line {fault.rows[0]} and the nearest postures once more, "
         f"{len(chosen) * _TWICE} readings: a defect of the machine repeats, a slip or a wrong "
         f"command does not"
     )

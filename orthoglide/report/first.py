@@ -83,7 +83,7 @@ def finding(result: Result) -> Data:
         "actions": result.actions,
         "sheet": result.next_sheet is not None,
         "most": MOST,
-        "cautions": [c for c in result.cautions if c != result.contradicted],
+        "cautions": result.further_cautions,
         "warnings": [sentence(w) for w in result.warnings],
     }
 

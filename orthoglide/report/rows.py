@@ -87,7 +87,7 @@ def possible_rows(result: Result) -> list[tuple[str, str, str, str]]:
 
 
 def if_it_were_so(result: Result) -> list[str]:
-    """Sentences of the same."""
+    """The most probable causes of what nothing explains, a sentence each with both errors."""
     what = "deviations" if math.isfinite(result.before.scores.deviation_rms) else "residuals"
     return [
         f"{words.splitlines()[0]} (probability {chance}): {what} {fit}, stations left "

@@ -50,8 +50,7 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
         instead, why = too_early(result)
         if instead:
             parts.append(Text(f"{instead}: {why}.", style="bold"))
-    parts += [Text(f"Warning: {caution}", style="bold") for caution in result.cautions
-              if caution != result.contradicted]  # fmt: skip
+    parts += [Text(f"Warning: {caution}", style="bold") for caution in result.further_cautions]
     return console_text(parts)
 
 

@@ -214,7 +214,7 @@ def _nothing_explains(result: Result) -> str:
         return f"{text} {len(result.readings)} readings are too few to say more."
     if result.possible:
         most = compact(result.possible[0].probability, 2)
-        return f"{text} The most probable one has a probability of {most} only."
+        return f"{text} The most probable cause has a probability of only {most}."
     return text
 
 

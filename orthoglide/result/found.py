@@ -220,7 +220,7 @@ class Located:
             one = self.data[0]
             return (
                 f"{one.brief} ({one.probability:.0%} likely), or {text} "
-                f"({self.probability:.0%} likely): read that posture again"
+                f"({self.probability:.0%} likely): read these lines again"
             )
         if others or self.data:
             named = [*(c.words for c in others[:_MOST_RIVALS]), *(d.brief for d in self.data[:1])]

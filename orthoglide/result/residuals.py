@@ -68,8 +68,8 @@ class LackOfFit:
     # typical size of the effects that are not reported, as a share of their tolerances; nan after
     # `identify`
     background: Share
-    # probability that the machine exceeds all tolerances, or that stations have errors without
-    # structure
+    # probability that the machine exceeds all tolerances, or that the noise is larger than the
+    # repeats show
     rare: Annotated[float, Key("rare_probability", digits=SHORT)]
     shaped: Share  # `p_value` if probed plates may have shapes that no effect describes
     with_unreported: Share  # `p_value` if causes count that are not probable enough to be reported

@@ -265,6 +265,11 @@ class Result(Framed):
         return self.request.searches
 
     @property
+    def further_cautions(self) -> tuple[str, ...]:
+        """Cautions without `contradicted`, which the headline begins with."""
+        return tuple(c for c in self.cautions if c != self.contradicted)
+
+    @property
     def found(self) -> bool:
         """Whether a cause or a free-form error was found."""
         return bool(self.effects or self.located)
