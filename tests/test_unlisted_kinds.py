@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from orthoglide.explanation.free import curves
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -53,6 +54,18 @@ def test_what_no_catalogue_lists_is_located(kind: str) -> None:
     if size is not None:
         assert first.size == pytest.approx(size, rel=0.25)
         assert f"by {first.size_words}" in " ".join(str(verdict).split())
+
+
+def test_readings_that_follow_within_a_fraction_of_a_second_may_jump() -> None:
+    rows = rc.simulate(KINDS["jump of a drive"][0], ROWS, np.random.default_rng(5))
+    frame = _frame(rows)
+    frame["time_s"] = [0.03 * k for k in range(len(rows))]
+    fit = og.identify([og.Campaign.from_frame(frame)])
+    rest = np.random.default_rng(6).normal(size=len(rows))
+    _, found = curves(fit.problem, fit.x, rest)
+    names = [place.name for place in found]
+    assert sum("drive.x/time@" in name for name in names) >= 2
+    assert len(set(names)) == len(names)
 
 
 def _frame(rows: list[rc.Row]) -> dict[str, list[object]]:

@@ -140,8 +140,11 @@ def _jumps(problem: Problem, x: Array, rest: Array, several: Sequence[Place]) ->
         before, after = square[inside], square[-1] - square[inside]
         step = (met[-1] - met[inside]) / after - met[inside] / before
         gain = step**2 / (1 / before + 1 / after)
-        for k in inside[descending(gain)[:_JUMPS]]:
-            yield jumping(place, float(time[k] + time[k + 1]) / 2, len(inside))
+        likeliest: dict[int, float] = {}  # of each second, by which a jump is named
+        for moment in (time[inside] + time[inside + 1])[descending(gain)].tolist():
+            likeliest.setdefault(round(moment / 2), moment / 2)
+        for moment in [*likeliest.values()][:_JUMPS]:
+            yield jumping(place, moment, len(likeliest))
 
 
 def by_places(
