@@ -33,7 +33,8 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 from orthoglide import reduction
-from orthoglide.fit import Problem, assemble, identify
+from orthoglide.explanation.identifying import identify
+from orthoglide.fit import Problem, assemble
 from orthoglide.fit.crosscheck import reduction_fit
 from orthoglide.fit.least_squares import Nuisances, linearise, normal, nuisances
 from orthoglide.fit.nested import solve_nested

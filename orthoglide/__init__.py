@@ -46,10 +46,11 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
         UnidentifiableError as UnidentifiableError,
         UnreachableError as UnreachableError,
     )
+    from orthoglide.explanation.identifying import identify as identify
     from orthoglide.firmware.imported import Imported as Imported
     from orthoglide.firmware.klipper import import_printer as import_printer
     from orthoglide.firmware.plate_lists import import_plates as import_plates
-    from orthoglide.fit import Estimate as Estimate, identify as identify
+    from orthoglide.fit import Estimate as Estimate
     from orthoglide.geometry import Geometry as Geometry
     from orthoglide.layout import (
         FreeLeg as FreeLeg,
@@ -114,7 +115,8 @@ _WHERE = {
         "ClosureError CrossCheckError FileError InputError NumericsError OrthoglideError "
         "SolverError UnidentifiableError UnreachableError"
     ),
-    "fit": "Estimate identify",
+    "explanation.identifying": "identify",
+    "fit": "Estimate",
     "geometry": "Geometry",
     "firmware.imported": "Imported",
     "firmware.klipper": "import_printer",

@@ -12,7 +12,8 @@ from benchmarks.attribution_run import draw
 from orthoglide.errors import InputError
 from orthoglide.explanation.alternative_readings import alternatives, open_setups
 from orthoglide.explanation.data_faults import Blunder, find_faults, without
-from orthoglide.fit import Estimate, identify, solve
+from orthoglide.explanation.identifying import identify
+from orthoglide.fit import Estimate, solve
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
 from orthoglide.observations import Campaign, read_campaign

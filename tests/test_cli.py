@@ -28,7 +28,7 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.cli.run import stop_cleanly
 from orthoglide.errors import CrossCheckError, SolverError
-from orthoglide.fit import identify
+from orthoglide.explanation.identifying import identify
 from orthoglide.machine_file import Controller, MachineFile, machine_text
 from orthoglide.observations import campaign_text, protocol
 from orthoglide.text import csv_text as table_text

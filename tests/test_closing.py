@@ -12,7 +12,7 @@ import orthoglide as og
 from orthoglide.accuracy import tcp_map
 from orthoglide.closing.judging import tcp_errors
 from orthoglide.effects import CATALOGUE
-from orthoglide.fit import identify
+from orthoglide.explanation.identifying import identify
 from orthoglide.observations import Campaign
 from orthoglide.parameters import Parameter
 from orthoglide.result import encoded

@@ -16,8 +16,8 @@ from benchmarks.deltas import forty_one_points
 from orthoglide.cli import cli
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.errors import InputError
+from orthoglide.explanation.identifying import identify
 from orthoglide.explanation.signatures import signatures
-from orthoglide.fit import identify
 from orthoglide.machine import Machine
 from orthoglide.observations import Setup, read_readings
 from orthoglide.planning.sheets import mixed_sheet, sheet_of, whitened

@@ -8,7 +8,8 @@ import pytest
 import orthoglide as og
 from orthoglide.effects.places import all_dials, dial_places
 from orthoglide.explanation.free import curves_of_dials
-from orthoglide.fit import Estimate, identify
+from orthoglide.explanation.identifying import identify
+from orthoglide.fit import Estimate
 from orthoglide.report.result_json import result_text
 from tests import rig_campaigns as rc
 from tests.rig import LEGS, Rig

@@ -129,8 +129,9 @@ def tcp_points(slip: float, **more: float):
     ],
 )  # fmt: skip
 def test_a_slip_in_a_tcp_point_is_named(slip: float, frame) -> None:
-    with pytest.raises(InputError, match=r"points.csv, line 9: .* mm off what all others say"):
-        og.identify(tcp_points(slip), MACHINE, frame=frame)
+    (said,) = [w for w in og.identify(tcp_points(slip), MACHINE, frame=frame).warnings
+               if w.kind == "slip"]  # fmt: skip
+    assert re.search(r"points.csv, line 9: .* mm off what all others say", said)
     (fault,) = og.close_loop(tcp_points(slip), MACHINE, frame=frame).blunders
     assert fault.excluded
     assert re.search("points.csv, line 9: the point is .* mm off what all others", fault.message)

@@ -9,8 +9,7 @@ import pytest
 
 import orthoglide as og
 from benchmarks.delta_readings import measured
-from orthoglide.fit import solve
-from orthoglide.fit.identifying import assemble
+from orthoglide.fit import assemble, solve
 from orthoglide.observations import Readings
 from tests.rig_delta import DeltaRig
 from tests.test_checking import delta

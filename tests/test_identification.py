@@ -19,7 +19,8 @@ from hypothesis import given, settings, strategies as st
 from orthoglide import reduction
 from orthoglide.effects import relabelled
 from orthoglide.errors import CrossCheckError, InputError, SolverError, UnidentifiableError
-from orthoglide.fit import Estimate, Problem, crosscheck as crosscheck_module, identify, solve
+from orthoglide.explanation.identifying import identify
+from orthoglide.fit import Estimate, Problem, crosscheck as crosscheck_module, solve
 from orthoglide.fit.least_squares import Nuisances, linearise, normal, nuisances
 from orthoglide.fit.nlp import Nlp, NlpResult
 from orthoglide.geometry import LEGS

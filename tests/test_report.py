@@ -26,9 +26,10 @@ import orthoglide as og
 from orthoglide.closing import Closed, close, filled
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import parameter_words
+from orthoglide.explanation.identifying import identify
 from orthoglide.figures.draw import draw
 from orthoglide.figures.style import PALETTE
-from orthoglide.fit import Estimate, WeakDirection, identify
+from orthoglide.fit import Estimate, WeakDirection
 from orthoglide.machine_file import Controller
 from orthoglide.numerals import compact, decimals_for, plain, probability, signed
 from orthoglide.observations import protocol

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from orthoglide.closing import Closed, filled
-from orthoglide.fit import Estimate, identify
+from orthoglide.explanation.identifying import identify
+from orthoglide.fit import Estimate
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial
 from orthoglide.notes import Note

@@ -13,7 +13,7 @@ import pytest
 
 import orthoglide as og
 from orthoglide.errors import FileError
-from orthoglide.fit import identify
+from orthoglide.explanation.identifying import identify
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.mechanism.constraints import Constraints

@@ -9,8 +9,7 @@ import orthoglide as og
 from orthoglide.explanation import full_posterior, outstanding, remains
 from orthoglide.explanation.causes import Outstanding
 from orthoglide.explanation.significance import SIGNIFICANT
-from orthoglide.fit import solve
-from orthoglide.fit.identifying import assemble
+from orthoglide.fit import assemble, solve
 from orthoglide.report.words import headline
 from tests import rig_campaigns as rc
 from tests.rig import LEGS, Rig

@@ -15,7 +15,8 @@ import pytest
 
 import orthoglide as og
 from orthoglide.errors import ClosureError, CrossCheckError, SolverError
-from orthoglide.fit import Estimate, identify, solving
+from orthoglide.explanation.identifying import identify
+from orthoglide.fit import Estimate, solving
 from orthoglide.fit.verification import MOST_POSTURES, verify
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, Stiffness

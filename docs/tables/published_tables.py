@@ -14,7 +14,7 @@ import numpy as np
 from misprints import DATA, SETS, SLIPS, TABLE2_ROWS, columns, published, table1, table2
 
 from orthoglide import reduction
-from orthoglide.fit import identify
+from orthoglide.explanation.identifying import identify
 from orthoglide.machine import Machine
 from orthoglide.observations import read_campaign
 

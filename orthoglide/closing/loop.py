@@ -17,18 +17,11 @@ from orthoglide.explanation import (
     remains,
 )
 from orthoglide.explanation.changes import separated
-from orthoglide.explanation.data_faults import Blunder, check_repeats, find_faults, without
+from orthoglide.explanation.data_faults import Blunder, find_faults, without
+from orthoglide.explanation.identifying import identify
 from orthoglide.explanation.significance import SIGNIFICANT, Left, left_over
 from orthoglide.explanation.suspects import Key
-from orthoglide.fit import (
-    Change,
-    Estimate,
-    account_for_changes,
-    assemble,
-    identify,
-    solve,
-    tempered,
-)
+from orthoglide.fit import Change, Estimate, account_for_changes, assemble, solve, tempered
 from orthoglide.fit.change_search import WIDTHS
 from orthoglide.fit.copies import shared
 from orthoglide.fit.earlier import vague
@@ -184,7 +177,6 @@ def _identified(request: Request, progress: Progress) -> Closed:
         method="reduction" if request.reduced else "auto",
         frame=request.frame,
     )
-    check_repeats(estimate)
     left = left_over(estimate)
     return Closed(
         request, _word(Outstanding((), (), ()), left), estimate, estimate, (), (), (), left,

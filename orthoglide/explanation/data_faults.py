@@ -6,7 +6,7 @@ right and everything weighed again, until nothing more does.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -42,6 +42,7 @@ from orthoglide.fit import Change, Estimate, Factor, Problem, solve
 from orthoglide.fit.least_squares import known_rows
 from orthoglide.fit.scores import rms_by_unit
 from orthoglide.geometry import Array
+from orthoglide.notes import Note
 from orthoglide.observations import Readings
 from orthoglide.ordering import EQUAL_ODDS, best_of
 
@@ -195,21 +196,21 @@ def _of(problem: Problem, fault: Fault) -> Fault:
     return replace(fault, setups=setups, rows=rows)
 
 
-def check_repeats(estimate: Estimate) -> None:
-    """Refuse readings of the tool that slipped, or an instrument that was moved, where nothing is
-    set aside.
+def slips_of_tool(estimate: Estimate) -> Iterator[Note]:
+    """Yield a sentence for each reading of the tool that slipped and each instrument that was
+    moved, in a fit that sets nothing aside.
 
     Raises:
-        InputError: naming file, line and setup, what it looks like and what to do.
+        InputError: where repeats scatter as those of no such instrument do.
     """
     problem = estimate.problem
     if not problem.tool:
         return
-    slips = [f for f in standing(first_look(estimate)) if f.setups[0] not in problem.leg_setups]
-    if slips:
-        said = "; ".join(message(problem, fault) for fault in slips)
-        raise InputError(f"{said}; or let close-loop set aside what slipped")
     check_scatter(problem)
+    for fault in standing(first_look(estimate)):
+        if fault.setups[0] not in problem.leg_setups:
+            text = f"{message(problem, fault)}; close-loop sets it aside"
+            yield Note(text, "slip")
 
 
 def _joined(found: Sequence[Fault], new: Sequence[Fault]) -> list[Fault]:

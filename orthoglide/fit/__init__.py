@@ -1,5 +1,11 @@
 """Identification: from readings to parameters, with their uncertainty and cross-check."""
 
+from orthoglide.fit.assembling import (
+    assemble as assemble,
+    points_of as points_of,
+    readings_of as readings_of,
+    sorted_out as sorted_out,
+)
 from orthoglide.fit.change import Change as Change
 from orthoglide.fit.copies import twice as twice
 from orthoglide.fit.crosscheck import CrossCheck as CrossCheck
@@ -7,13 +13,6 @@ from orthoglide.fit.earlier import account_for_changes as account_for_changes
 from orthoglide.fit.estimate import Estimate as Estimate
 from orthoglide.fit.excited import excited_effects as excited_effects
 from orthoglide.fit.factors import Factor as Factor
-from orthoglide.fit.identifying import (
-    assemble as assemble,
-    identify as identify,
-    points_of as points_of,
-    readings_of as readings_of,
-    sorted_out as sorted_out,
-)
 from orthoglide.fit.least_squares import linearise as linearise, normal as normal
 from orthoglide.fit.noise import (
     PUBLISHED_REPEATABILITY as PUBLISHED_REPEATABILITY,

@@ -45,7 +45,6 @@ class BallBar(Observation):
     fill = "reading_mm is the bar's length, or how much longer it is than at some place"
     fitted = "centre and length"
     repeatability = 5e-6
-    slip_alone = 1e-4
     about_ball = True
     nuisances = 4
 

@@ -34,7 +34,6 @@ class Inclination(Observation):
     how = ", read about x and y around the rim"
     fitted = "datum of each direction"
     repeatability = 2e-5
-    slip = slip_alone = 2e-3
     angular = True
     of_setup = ()
     axes = (0, 1)

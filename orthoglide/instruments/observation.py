@@ -199,10 +199,6 @@ class Observation(ABC):
             none are.
         repeatability: standard deviation of one reading where nothing is known.
         quietest: least standard deviation that repeats may show, as copies show none.
-        slip: how far off a reading must be to be called a slip, where more than two are; more than
-            a bed's bumps, a part's pillars or a rail that rolls its carriage in waves move it. A
-            length is that of a machine of a workshop's size.
-        slip_alone: the same of one reading or two.
         angular: whether it reads radians; metres otherwise.
         dials: on a leg that one reading is made of; 0 of what reads the tool.
         protocol: of dials, the measuring protocol that makes most of them.
@@ -224,8 +220,6 @@ class Observation(ABC):
     how: ClassVar[str] = ""
     repeatability: ClassVar[float]
     quietest: ClassVar[float]
-    slip: ClassVar[float] = 1e-3
-    slip_alone: ClassVar[float] = 1e-3
     angular: ClassVar[bool] = False
     dials: ClassVar[int] = 0
     protocol: ClassVar[Literal["sweep", "parallelism"]]

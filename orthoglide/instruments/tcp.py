@@ -47,7 +47,6 @@ class Coordinate(Observation):
         "more; the direction of a single one to a degree"
     )
     repeatability = 1e-5
-    slip_alone = 2e-4
     axes = (0, 1, 2)
     nuisances = 6
 

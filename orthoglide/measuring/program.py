@@ -15,7 +15,8 @@ import numpy as np
 
 from orthoglide.closing import Closed
 from orthoglide.errors import OrthoglideError
-from orthoglide.fit import Estimate, identify
+from orthoglide.explanation.identifying import identify
+from orthoglide.fit import Estimate
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings
 from orthoglide.observations.protocols import check_dials, dial_at, unread
