@@ -139,7 +139,7 @@ def test_a_drive_with_a_new_zero(protocol, machine):
     assert change.sigma < 2e-5
 
 
-@pytest.mark.thorough(except_for=["standard-errors0", "standard-errors1", "sweep-errors0"])
+@pytest.mark.thorough(except_for=["standard-errors1"])
 @pytest.mark.parametrize("errors", [{}, {"axis_tilt.x.y": 3e-3}, {"backlash.z": 1e-4}])
 @pytest.mark.parametrize("protocol", ["standard", "sweep"])
 def test_nothing_changed(protocol, errors, machine):
@@ -157,6 +157,7 @@ def test_a_change_beside_effects_that_stay(machine):
     assert change.after - change.before == pytest.approx(-2.7e-3, abs=4 * change.sigma)
 
 
+@pytest.mark.thorough
 def test_two_changes_between_three_files(machine):
     both = tilted(machine, 1.5e-3, 0.3e-3)
     last = {"axis_tilt.y.z": 0.3e-3, "leg_length.x": 2e-4}

