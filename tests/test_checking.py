@@ -110,6 +110,20 @@ def test_where_nothing_changed_it_says_how_sure_that_is(machine: og.Machine) -> 
 
 
 @pytest.mark.thorough
+def test_a_bump_that_came_is_told_though_it_may_be_a_wrong_command(machine: og.Machine) -> None:
+    before = Rig().with_errors(WORN).with_background(np.random.default_rng(99), 0.02)
+    after = replace(before, extra=(rc.bump(0, 2, 1.5e-4, -0.05, 0.008),))
+    old, new = (
+        rc.simulate(rig, "sweep", np.random.default_rng(k)) for k, rig in enumerate((before, after))
+    )
+    found = compared(machine, old, new)
+    assert found.line == "Changed: what is located. Verdict ambiguous."
+    (told,) = found.places
+    assert "travel −50 mm" in told
+    assert told.endswith("(or a fault of the readings)")
+
+
+@pytest.mark.thorough
 def test_a_cause_that_was_put_right_is_compared_too(machine: og.Machine) -> None:
     tilt = "axis_tilt.y.z"
     found = compared(

@@ -160,7 +160,8 @@ def check(
         new: readings of the new one.
         machine: dimensions, tolerances, dial, or the path of its file; where absent a result's,
             else the nominal one.
-        noise: standard deviation of one reading, metres.
+        noise: standard deviation of one reading, metres; where absent what results were computed
+            with, of two the larger.
         seed: of every random draw.
         progress: called with each step.
 
@@ -170,8 +171,9 @@ def check(
     """
     progress = progress or silent
     old, new = (s.request if isinstance(s, Verdict) else s for s in (old, new))
-    machine, *sides = states_of(old, new, None if machine is None else Machine.of(machine))
-    before, after = told_apart(*sides)
+    states = states_of(old, new, None if machine is None else Machine.of(machine))
+    machine, noise = states.machine, states.noise if noise is None else noise
+    before, after = told_apart(states.old, states.new)
     request, past = of_all(machine, before, after, noise, seed)
     together = close(request, progress)
     # A change that is one of several leaves open what there was before: not so the new readings.
@@ -179,7 +181,8 @@ def check(
     old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
     jointly = not past and len(visits(together.before.problem)) > 1
     was, gone, come = None, tuple[Located, ...](), tuple[Located, ...]()
-    if not jointly or together.changed or together.word in ("located", "unexplained"):
+    without_name = any(one.located or one.word == "unexplained" for one in (together, closed))
+    if not jointly or together.changed or without_name:
         was = close(of_one(request, before), progress)
         gone, come = _unlike(was, closed), _unlike(closed, was)
         jointly = jointly and not gone and not come
@@ -229,10 +232,12 @@ def _read(closed: Closed) -> set[tuple[float, ...]]:
 
 
 def _words(located: Located) -> str:
-    """Its likeliest place, and how many others it may be."""
+    """Its likeliest place, and what else it may be."""
     first, *others = located.members
-    more = f" (or {len(others)} other place{'s' * (len(others) > 1)})" if others else ""
-    return f"{first.words}{more}"
+    more = [f"{len(others)} other place{'s' * (len(others) > 1)}"] if others else []
+    more += ["a fault of the readings"] if located.data else []
+    rivals = f" (or {', or '.join(more)})" if more else ""
+    return f"{first.words}{rivals}"
 
 
 def _of_both(together: Closed, later: Collection[str]) -> Iterator[Difference]:

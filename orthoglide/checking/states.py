@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from orthoglide.effects import Effect
@@ -19,10 +20,22 @@ State = Given | Sequence[Given] | Request
 """Readings, or a run that has them; of its result the path of ``result.json`` or of its folder."""
 
 
+@dataclass(frozen=True)
+class States:
+    """One machine and its readings in two states."""
+
+    machine: Machine  # by which all are read
+    old: tuple[Readings, ...]
+    new: tuple[Readings, ...]
+    # standard deviation of a reading, metres: the larger that results were computed with; absent
+    # where none was declared
+    noise: float | None
+
+
 def states_of(
     old: State, new: State, given: Machine | None = None, effects: tuple[Effect, ...] = ()
-) -> tuple[Machine, tuple[Readings, ...], tuple[Readings, ...]]:
-    """The machine, the readings of its old state, and those of its new one.
+) -> States:
+    """Return the machine and the readings of both states.
 
     Args:
         old: the state before.
@@ -50,7 +63,8 @@ def states_of(
             f"with, give it for both with --machine (machine=); what other numbers of a controller "
             f"left, close-loop tells from the new readings"
         )
-    return machine, before, after
+    declared = [run.noise for run in runs if isinstance(run, Request) and run.noise is not None]
+    return States(machine, before, after, max(declared, default=None))
 
 
 def _as_run(state: State, effects: tuple[Effect, ...]) -> State:

@@ -46,8 +46,11 @@ def check(
 
         effects = load_effects(effects_file)
         given = None if machine_path is None else opt.load_machine(machine_path, effects_file)
-        machine, before, after = states_of(old, new, given, effects)
-        found = compare(before, after, machine, noise=noise, seed=seed, progress=step)
+        states = states_of(old, new, given, effects)
+        noise = states.noise if noise is None else noise
+        found = compare(
+            states.old, states.new, states.machine, noise=noise, seed=seed, progress=step
+        )
         told = wrapped(changes_text(found), text_width())
         if out is not None:
             from orthoglide.report import report_files
@@ -58,7 +61,7 @@ def check(
             )
             table = csv_text(("parameter", *COLUMNS), rows)
             write_results(out, files | {"changes.csv": table, "check.html": changes_page(found)})
-    for warning in twice((*before, *after)):
+    for warning in twice((*states.old, *states.new)):
         say(f"warning: {warning}", err=True)
     report = "" if out is None else f"\n\nReport: {click.format_filename(out / 'check.html')}"
     tell(f"{told}{report}", found.line, quiet, out is not None)
