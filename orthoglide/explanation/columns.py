@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -354,6 +354,25 @@ def _reduced(linear: Linear) -> Linear:
     )
 
 
+def _entered(wide: Problem, free: int) -> Iterator[tuple[Candidate, float]]:
+    """Yield what parts of one set have in common because an owner entered it, unless it is known
+    from elsewhere, and how many tolerances of a part are to be expected of it.
+
+    Args:
+        wide: with everything free.
+        free: so many of its unknowns, the first, belong to the base.
+    """
+    machine, names = wide.machine, wide.names[:free]
+    known = () if wide.earlier is None else wide.earlier.names
+    for effect, sd in machine.spec.entered.items():
+        mine = [n for n in names if n.effect == effect]
+        if any(n in known for n in mine):
+            continue
+        for cause in candidates(mine, [machine.catalogue[effect]], machine.catalogue):
+            if cause.name.endswith("common"):
+                yield cause, sd / machine.tolerance(effect)
+
+
 def _groups(
     wide: Problem,
     free: int,
@@ -380,6 +399,12 @@ def _groups(
     factor = np.array([own[n][1] for n in visible])
     named = np.array([n not in stands for n in visible], dtype=bool)
     causes, groups = [], []
+    for cause, unit in _entered(wide, free):
+        rows = weight_matrix(names, cause.weights)
+        at = np.flatnonzero(rows.any(axis=1))
+        if np.linalg.norm(columns[:, at] @ rows[at]) * unit > _VISIBLE:
+            causes.append(cause)
+            groups.append(Group(cause.name, at, rows[at], False, cause.chance, unit))
     for cause in candidates(visible, effects, catalogue):
         matrix = weight_matrix(visible, cause.weights)
         if not matrix[named].any():

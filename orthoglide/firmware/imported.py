@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.geometry import Array
-from orthoglide.instruments import BESIDE, OBSERVATIONS, TURNED
+from orthoglide.instruments import BESIDE, MATERIAL, OBSERVATIONS, TURNED
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import MachineFile
 from orthoglide.notes import Note
@@ -53,6 +53,7 @@ class Row:
     beside: Array | None = None  # where the probe is from the nozzle (2,), metres
     sigma: float = float("nan")  # metres; nan: the machine file's
     turned: float = 0.0  # by how much the plate was turned on its seat, degrees
+    material: str = ""  # of a part on which a distance was read
 
     def cells(self) -> dict[str, str]:
         """Return the reading as a row of a file."""
@@ -72,6 +73,7 @@ class Row:
             **{name: _millimetres(value) for name, value in cells.items()},
             **dict.fromkeys(APPROACH.names(legs), "-1" if touches else ""),  # from above
             TURNED: f"{self.turned:g}" if touches else "",
+            MATERIAL: self.material,
         }
 
 

@@ -269,7 +269,18 @@ class Problem:
 
     def far(self, x: Array) -> NDArray[np.bool_]:
         """Which of the unknowns ``x`` ``(P,)`` are beyond what their tolerances let expect."""
-        return np.asarray(np.abs(x) > FAR * self.tolerance)
+        return np.asarray(np.abs(self.past_entered(x)) > FAR * self.tolerance)
+
+    def past_entered(self, x: Array) -> Array:
+        """Return the unknowns ``x`` ``(P,)`` past what parts of one set have in common, where an
+        owner entered that: it is weighed among the causes, and no tolerance of a part.
+        """
+        past, effects = np.array(x, dtype=float), [name.effect for name in self.names]
+        for effect in self.machine.spec.entered:
+            mine = [k for k, other in enumerate(effects) if other == effect]
+            if len(mine) > 1:
+                past[mine] -= past[mine].mean()
+        return past
 
     @cached_property
     def prior_rows(self) -> tuple[Array, Array]:

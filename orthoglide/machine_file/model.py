@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from orthoglide.add_ons import MARK, Kinematics, Printer, printer_of, table_of
 from orthoglide.effects import CATALOGUE, Catalogue
-from orthoglide.effects.classes import of_belts
+from orthoglide.effects.classes import entered, of_belts
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.layout import LinearDelta
@@ -202,11 +202,23 @@ class MachineFile:
         object.__setattr__(self, "tolerance", {**self._expected, **self.tolerance})
 
     @property
+    def _of_belts(self) -> bool:
+        """Whether it is of the class of belts."""
+        hanging = isinstance(self.geometry.layout, LinearDelta)
+        return self.build == "belts" or (not self.build and hanging)
+
+    @property
     def _expected(self) -> dict[str, float]:
         """Tolerances by the class of the machine, SI."""
-        hanging = isinstance(self.geometry.layout, LinearDelta)
-        belts = self.build == "belts" or (not self.build and hanging)
-        return {**self.catalogue.default_tolerance, **(of_belts(self.catalogue) if belts else {})}
+        belts = of_belts(self.catalogue) if self._of_belts else {}
+        return {**self.catalogue.default_tolerance, **belts}
+
+    @property
+    def entered(self) -> dict[str, float]:
+        """Standard deviations to expect, by family, of what parts of one set have in common beyond
+        their tolerances, because an owner entered it, SI.
+        """
+        return entered(self.catalogue) if self._of_belts else {}
 
 
 def name_of(geometry: Geometry) -> str:

@@ -18,7 +18,7 @@ from orthoglide.firmware.imported import Row
 from orthoglide.firmware.klipper.config import Config, Section
 from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
 from orthoglide.geometry import Array, plane_columns
-from orthoglide.instruments import Distance, PlateTouch
+from orthoglide.instruments import PRINTED, Distance, PlateTouch
 from orthoglide.numerals import signed
 
 CALIPER, RIM = 5e-5, 1e-4
@@ -259,7 +259,8 @@ def _distances(read: _List, travel: Array) -> Iterator[Row]:
         rim = int(label) % 12 >= 6
         sigma = RIM if rim else math.nan
         setup = "rim" if rim else "spokes"
-        yield Row(Distance.kind, setup, label, one, value, second=other, sigma=sigma)
+        yield Row(Distance.kind, setup, label, one, value, second=other, sigma=sigma,
+                  material=PRINTED)  # fmt: skip
 
 
 def _step(config: Config, tower: str) -> float:
