@@ -574,7 +574,7 @@ def test_all_methods_find_the_same(kind: str, layout: str, free: int) -> None:
 
 def has_free(kind: str) -> bool:
     """Whether something of its instruments is not known at all."""
-    return bool(np.isinf(OBSERVATIONS[kind].known(np.array([0]), Beliefs())).any())
+    return bool(np.isinf(OBSERVATIONS[kind].known(Setup("s", kind=kind), np.array([0]), Beliefs())).any())
 
 
 def agree(readings: Readings, machine: Machine, free: list[str]) -> None:

@@ -282,7 +282,7 @@ def compare_machine(
     machine = Machine.of(machine)
     comparison = Comparison(machine, circumstances)
     of = machine.catalogue.effect_of
-    values = {name: value for name, value in machine.values.items() if value and not of(name).of_body}
+    values = {n: value for n, value in machine.values.items() if value and not of(n).of_body}
     alone = (comparison.row(name, value, {name: value}) for name, value in values.items())
     return (comparison.row("machine", float("nan"), values), *alone)
 

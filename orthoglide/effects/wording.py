@@ -30,6 +30,8 @@ def cause_words(catalogue: Catalogue, name: str, values: Mapping[str, float]) ->
     if name in values and parameter is not None:
         if parameter.member and effect.of_body:
             text = one_words(effect, _of_any_body(effect, parameter), values[name])
+        elif parameter.member == "common" and effect.words.common is not None:
+            text = effect.words.common(values[name])
         elif parameter.member:
             text = f"{_many(effect)}, {_pattern(effect, parameter, values[name])}"
         else:

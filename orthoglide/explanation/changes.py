@@ -17,7 +17,7 @@ from orthoglide.errors import NumericsError
 from orthoglide.fit import Change, Estimate, Problem, with_free, with_others
 from orthoglide.fit.changed import Candidate, Changed, may_change, what_changed
 from orthoglide.fit.excited import excited_effects
-from orthoglide.fit.problem import Unknown
+from orthoglide.fit.unknown import Unknown
 from orthoglide.fit.unknowns import one_plate
 from orthoglide.parameters import Parameter, plain_and_campaign
 

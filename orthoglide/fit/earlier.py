@@ -51,7 +51,7 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
     """
     first = estimate.problem
     known = first.earlier
-    if known is None:
+    if known is None or not first.calibrated:
         return estimate
     found = _found(estimate, known)
     if found is None:

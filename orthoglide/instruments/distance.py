@@ -31,9 +31,9 @@ from orthoglide.instruments.observation import (
 PRINTED = "printed"
 SIZES = {"": (0.0, 0.01), PRINTED: (0.003, 0.003), "metal": (0.0, 2e-4)}
 """By material, by how much a part is smaller than it was commanded, and the standard deviation of
-that, over its length: anything where it is not known; a print of usual plastics shrinks by 0.2 to
-0.5 per cent as it cools; a rule, a jig or a milled part is true to two hundredths of a millimetre on
-a hundred."""
+that, over its length. Where the material is not known it may be anything; a print of usual plastics
+shrinks by 0.2 to 0.5 per cent as it cools; a rule, a jig or a milled part is true to two hundredths
+of a millimetre on 100 mm."""
 
 OFFSET_SD = 2e-4
 """Metres: the width of pillars or holes of a setup, and the nozzle's own track on a print."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -17,7 +17,9 @@ from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file.kinematics import DeltaKinematics
+from orthoglide.machine_file.measured import Measured
 from orthoglide.machine_file.posterior import Posterior
+from orthoglide.parameters import Parameter
 
 Triple = tuple[float, float, float]
 
@@ -131,6 +133,7 @@ class MachineFile:
         tolerance: standard deviation to expect, by family; defaults fill what is not given.
         surface_slope: standard deviation of the slope of the reference surface of readings of kind
             ``parallelism``, radians; None: the surface is taken as exact.
+        measured: what an owner measured on the machine itself.
         stiffness: elastic constants.
         urdf: folder of a URDF and its closures that say where the joints are; ``""``: the
             dimensions do.
@@ -153,6 +156,7 @@ class MachineFile:
     controller: Controller = field(default_factory=Controller)
     tolerance: Mapping[str, float] = field(default_factory=dict)
     surface_slope: float | None = None
+    measured: Measured = field(default_factory=Measured)
     stiffness: Stiffness = field(default_factory=Stiffness)
     urdf: str = ""
     parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
@@ -171,10 +175,40 @@ class MachineFile:
 
     @property
     def independent(self) -> Posterior:
-        """The parameters as independent Gaussians with their standard deviations."""
+        """The parameters as independent Gaussians with their standard deviations, but for what was
+        measured of several together.
+        """
         known = {n: e for n, e in self.parameters.items() if e.sigma > 0}
         mean = np.array([entry.value for entry in known.values()])
-        return Posterior(tuple(known), mean, np.diag(np.square([e.sigma for e in known.values()])))
+        covariance = np.diag(np.square([entry.sigma for entry in known.values()]))
+        place = {name: k for k, name in enumerate(known)}
+        for names, _, among in self._measured:
+            at = [place[name] for name in names if name in place]
+            if len(at) == len(names):
+                covariance[np.ix_(at, at)] = among
+        return Posterior(tuple(known), mean, covariance)
+
+    @property
+    def _measured(self) -> list[tuple[tuple[Parameter, ...], float, Array]]:
+        return [*self.measured.known(self.catalogue, self.geometry, self.tolerance)]
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether what is known of its parameters was measured on the machine itself, and is no
+        calibration from which it may have changed.
+        """
+        return self.measured != Measured() and self.posterior is None
+
+    def with_measured(self) -> MachineFile:
+        """Return the same with what was measured among its parameters."""
+        known = {
+            str(name): ParameterValue(value, float(np.sqrt(among[k, k])), effect.unit.name)
+            for names, value, among in self._measured
+            for k, name in enumerate(names)
+            if (effect := self.catalogue.effect_of(name))
+            and (name not in self.parameters or not self.parameters[name].sigma)
+        }
+        return replace(self, parameters={**self.parameters, **known}) if known else self
 
     @property
     def firmware(self) -> str:

@@ -165,7 +165,7 @@ class Printer:
         """Say that the stored arms cannot be those of one set of rods, unless the machine's file
         says that they were measured: by a sigma beside lengths near the stored ones.
         """
-        if np.ptp(self.numbers.arm) <= SPREAD:
+        if np.ptp(self.numbers.arm) <= SPREAD or machine.spec.measured.rods:
             return ""
         length = next(e.name for e in machine.catalogue.effects if e.controller == "bar_length")
         given = [machine.spec.parameters.get(f"{length}.{tower}") for tower in TOWERS]
