@@ -60,7 +60,7 @@ def option(machine: Machine, words: str, values: Mapping[str, float]) -> Option:
         effect = catalogue.effect_of(name)
         if effect.of_dial:
             size, setup = size_words(effect, value), catalogue.parameter(name).setup
-            part: Part = "plate" if effect.plate else "dial"
+            part: Part = "plate" if effect.of_body else "dial"
             marks.append(Mark(part, -1, np.zeros(3), size, setup=setup))
     for p, value in catalogue.moved_by(values).items():
         direction = "" if catalogue.effect_of(p).paired else p.direction

@@ -21,7 +21,7 @@ LAYERS: tuple[frozenset[str], ...] = (
         {"errors", "notes", "ordering", "parameters", "progress", "text", "threads", "units"}
     ),
     frozenset({"add_ons", "layout"}),
-    frozenset({"geometry", "files", "frames", "numerals", "quantities"}),
+    frozenset({"geometry", "files", "foreign", "frames", "numerals", "quantities"}),
     frozenset({"reduction", "urdf", "effects", "scene"}),
     frozenset({"instruments"}),
     frozenset({"mechanism", "machine_file"}),
@@ -139,7 +139,7 @@ def test_no_two_files_import_each_other() -> None:
 
 
 # Where the name of a firmware may stand outside `firmware/`: its command, and its Python functions.
-NAMES_FIRMWARE = {"__init__.py", "cli/examples.py", "cli/importing.py"}
+NAMES_FIRMWARE = {"foreign.py", "__init__.py", "cli/examples.py", "cli/importing.py"}
 _FIRMWARE = re.compile("klipper|reprap|smoothie|marlin|rrf", re.IGNORECASE)
 
 

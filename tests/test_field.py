@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.machine_file import Controller
+from orthoglide.machine_file import Controller, machine_text, parse_machine_file
 
 FIELD = Path(__file__).parent / "data" / "field"
 
@@ -55,3 +56,81 @@ def test_travel_that_is_counted_down_is_told() -> None:
     right = og.Machine(replace(machine.spec, controller=Controller(sign=(-1, -1, -1))))
     again = og.read_readings(folder / "plate.csv", right.spec)
     assert og.close_loop(again, right).word == "adequate"
+
+
+@pytest.mark.parametrize(
+    "file", ["printer.cfg", pytest.param("printer-with-mesh.cfg", marks=pytest.mark.thorough)]
+)
+def test_rods_that_were_entered_short_stand_first_in_the_class(file: str) -> None:
+    """Rods of 272 mm entered as 268: no print shrinks so that its distances become longer."""
+    verdict = closed("rods-entered-4mm-short", file)
+    (cause, *_) = verdict.effects
+    assert cause.name == "leg_length.common"
+    assert 2.0 < cause.chosen.value < 6.0
+    assert "longer than nominal" in cause.chosen.words
+    (size,) = (str(note) for note in verdict.warnings if "% longer than the tool went" in str(note))
+    assert "+1.01 ± 0.2 %" in size
+    assert "measure a rod" in size
+
+
+def test_rods_that_were_measured_are_no_cause_any_more() -> None:
+    found = og.import_printer(FIELD / "rods-entered-4mm-short" / "printer.cfg")
+    file = machine_text(found.machine) + "\n[measured]\nrods_mm = [272.0, 0.1]\n"
+    machine = og.Machine(parse_machine_file(file))
+    verdict = og.close_loop(found.campaigns, machine)
+    assert verdict.word == "adequate"
+    lengths = [verdict.machine.values[f"leg_length.{leg}"] for leg in "abc"]
+    assert np.mean(lengths) == pytest.approx(4e-3, abs=2e-4)
+    with pytest.raises(og.InputError, match=r"rods_mm at place 2 must be above 0"):
+        parse_machine_file(file.replace("[272.0, 0.1]", "[272.0, 0.0]"))
+
+
+def test_a_part_of_metal_says_how_long_the_rods_are() -> None:
+    """Its size is known, so distances decide between the rods and the part."""
+    found = og.import_printer(FIELD / "rods-entered-4mm-short" / "printer.cfg")
+    (readings,) = found.campaigns
+    metal = replace(
+        readings, setups=tuple(replace(s, material="metal" if s.observation.paired else "")
+                               for s in readings.setups),
+    )  # fmt: skip
+    verdict = og.close_loop(metal, og.Machine(found.machine))
+    names = {n for e in verdict.effects for n in (e.name, *e.indistinguishable_from)}
+    assert "leg_length.common" in names
+    assert "part_size.common" not in names
+
+
+def test_distances_of_other_microsteps_are_taken_so() -> None:
+    found = og.import_printer(FIELD / "distances-in-other-microsteps" / "printer.cfg")
+    assert any("0.5 times the microsteps of now" in str(note) for note in found.notes)
+    (readings,) = found.campaigns
+    assert int(readings.paired.sum()) == 12
+    assert int(readings.touching.sum()) == 7
+
+
+OTHER = FIELD / "other-firmware-words"
+
+
+@pytest.mark.parametrize(("file", "count"), [("heightmap.csv", 13), ("g29.txt", 3)])
+def test_lists_of_touches_are_readings_of_the_plate(file: str, count: int) -> None:
+    (readings,) = og.import_plates(OTHER / file, OTHER / "machine.toml").campaigns
+    assert int(readings.touching.sum()) == len(readings) == count
+    with pytest.raises(og.FileError, match=rf"orthoglide import plates {file}"):
+        og.read_readings(OTHER / file, OTHER / "machine.toml")
+
+
+@pytest.mark.parametrize(
+    ("file", "said"),
+    [("rrf.g", "RepRapFirmware.*L = 269.5"), ("smoothie.txt", "Smoothie.*L = 215")],
+)
+def test_configurations_of_others_are_answered_with_what_to_write(file: str, said: str) -> None:
+    for read in (og.import_printer, lambda path: og.import_plates(path, OTHER / "machine.toml")):
+        with pytest.raises(og.FileError, match=said):
+            read(OTHER / file)
+
+
+def test_temperatures_that_were_recorded_are_kept(tmp_path: Path) -> None:
+    log = ["Recv: ok T:24.1 /0.0 B:60.2 /60.0 @:0 B@:0"]
+    log += [f"Recv: Bed X: {x} Y: {y} Z: 0.01" for x, y in ((0, 0), (50, 0), (0, 50))]
+    (tmp_path / "g29.log").write_text("\n".join([*log, "T:24.1 /0.0 B:60.6 /60.0", log[-1]]))
+    (readings,) = og.import_plates(tmp_path / "g29.log", OTHER / "machine.toml").campaigns
+    assert readings.temperature.tolist() == [60.2, 60.2, 60.2, 60.6]

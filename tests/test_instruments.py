@@ -175,7 +175,9 @@ def test_counting_the_other_way_turns_the_sign(one: Observation) -> None:
 
 @every
 def test_what_is_known_of_nuisances_is_said_of_each(one: Observation) -> None:
-    known = one.known(np.array([0]), Beliefs(placement=1e-4, surface_slope=1e-4))
+    place = {"leg": 0, "axis": 1, "gauge2": 0.1} if one.on_leg else {}
+    setup = Setup("some", kind=one.kind, **place)
+    known = one.known(setup, np.array([0]), Beliefs(placement=1e-4, surface_slope=1e-4))
     assert known.shape == (one.nuisances,)
     assert (known > 0).all()
 

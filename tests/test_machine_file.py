@@ -253,6 +253,10 @@ FURTHER = """\
 [instrument.parallelism]
 resolution = 0.001
 repeatability = 0.002
+
+[measured]
+rods_mm = [310.5, 0.1]
+travel_of_100_mm = [100.1, 0.05]
 """
 
 

@@ -18,7 +18,7 @@ from orthoglide.errors import InputError
 from orthoglide.fit.factors import Factor
 from orthoglide.fit.noise import noise_of
 from orthoglide.fit.solving import Method
-from orthoglide.instruments import OBSERVATIONS, Beliefs, Stand
+from orthoglide.instruments import OBSERVATIONS, Beliefs, Observation, Setup, Stand
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument
 from orthoglide.observations import Readings, concatenated, read_campaign, write_campaign
@@ -574,7 +574,15 @@ def test_all_methods_find_the_same(kind: str, layout: str, free: int) -> None:
 
 def has_free(kind: str) -> bool:
     """Whether something of its instruments is not known at all."""
-    return bool(np.isinf(OBSERVATIONS[kind].known(np.array([0]), Beliefs())).any())
+    observation = OBSERVATIONS[kind]
+    known = observation.known(mounted(observation), np.array([0]), Beliefs())
+    return bool(np.isinf(known).any())
+
+
+def mounted(observation: Observation) -> Setup:
+    """Some mounting of a kind."""
+    place = {"leg": 0, "axis": 1, "gauge2": 0.1} if observation.on_leg else {}
+    return Setup("some", kind=observation.kind, **place)
 
 
 def agree(readings: Readings, machine: Machine, free: list[str]) -> None:

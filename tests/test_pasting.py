@@ -129,7 +129,7 @@ def test_rods_that_were_entered_too_short_are_found_by_distances(name: str) -> N
     found = import_printer(FIELD / "rods-entered-4mm-short" / f"{name}.cfg")
     made = made_of(studied(list(found.campaigns), Machine(found.machine)))
     assert not made.keep
-    assert np.abs(np.array(made.new.arm) - 0.272).max() < 5e-4
+    assert np.abs(np.array(made.new.arm) - 0.272).max() < 6e-4
     assert re.search(
         r"they take the rods for [34]\.\d mm longer.*: measure a rod first", made.words
     )

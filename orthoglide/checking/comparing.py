@@ -19,7 +19,7 @@ from orthoglide.explanation import Located
 from orthoglide.explanation.changes import visits
 from orthoglide.fit import Change, Estimate, Problem, account_for_changes, assemble, solve
 from orthoglide.fit.plate_moves import PlateMove, plate_moves
-from orthoglide.fit.problem import Unknown
+from orthoglide.fit.unknown import Unknown
 from orthoglide.frames import Framed
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.ordering import ranked

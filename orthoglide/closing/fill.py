@@ -108,7 +108,7 @@ def _result(closed: Closed) -> Result:
         instruments=closed.instruments,
         cautions=closed.cautions,
         warnings=closed.warnings,
-        calibrated_before=base.problem.earlier is not None,
+        calibrated_before=base.problem.calibrated,
         shapes_of_plate=closed.shapes_of_plate,
         picture=closed.picture,
         readings=readings_shown(after, base, request.given),

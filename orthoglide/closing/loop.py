@@ -103,7 +103,7 @@ def close(request: Request, progress: Progress = silent) -> Closed:
 def _vague(read: Estimate) -> Iterator[Note]:
     """What an earlier calibration leaves open of what was before, where it does."""
     held = vague(read.problem.machine.spec)
-    if held and read.problem.earlier is not None:
+    if held and read.problem.calibrated:
         yield Note(
             f"the calibration before {held}: what changed since is told best by orthoglide check, "
             f"from the readings of both visits",

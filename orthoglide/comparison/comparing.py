@@ -253,7 +253,7 @@ def compare_effects(
     every = [
         name
         for name, effect in plain.catalogue.items()
-        if not effect.plate and (dialled or not effect.of_dial)
+        if not effect.of_body and (dialled or not effect.of_dial)
     ]
     chosen = plain.catalogue.expand(every if names is None else names, setups[:1])
     rows = []
@@ -282,7 +282,7 @@ def compare_machine(
     machine = Machine.of(machine)
     comparison = Comparison(machine, circumstances)
     of = machine.catalogue.effect_of
-    values = {name: value for name, value in machine.values.items() if value and not of(name).plate}
+    values = {n: value for n, value in machine.values.items() if value and not of(n).of_body}
     alone = (comparison.row(name, value, {name: value}) for name, value in values.items())
     return (comparison.row("machine", float("nan"), values), *alone)
 

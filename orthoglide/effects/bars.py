@@ -23,7 +23,7 @@ LEG_LENGTH = Effect(
     0.05,
     because="bars are matched on one fixture, to a few hundredths",
     sentence="both bars of the leg are longer or shorter than nominal",
-    look_at="the bars' length between their pivots, with a height gauge",
+    look_at="the bars' length between their pivots, with a height gauge or a long calliper",
     members=once(*_both_bars(Constant(1.0))),
     words=Words(
         lambda p, v: (
@@ -36,6 +36,7 @@ LEG_LENGTH = Effect(
             f"measure the bars of leg {p.leg} between their pivots: expect {mm(v)} "
             f"{more(v)} than nominal on the average of the two"
         ),
+        lambda v: f"the bars of all legs are {mm(v)} {more(v, 'longer', 'shorter')} than nominal",
     ),
     controller="bar_length",
     urdf=True,

@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
 from typing import Any
 
-from orthoglide.effects import bars, dials, drives, plates, rails
+from orthoglide.effects import bars, dials, drives, parts, plates, rails
 from orthoglide.effects.bases import check_bases
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.motions import Motion
@@ -245,8 +245,8 @@ class Catalogue(Mapping[str, Effect]):
         elif directions - {""}:
             for direction in sorted(directions):
                 add(f"{direction}.common", {p: 1.0 for p in every if p.direction == direction})
-        elif effect.plate:  # the same plate, however often it was probed
-            for part in effect.shapes:
+        elif effect.of_body:  # the same plate or part, however often it was measured
+            for part in effect.shapes or ("",):
                 member = f"{part}.common" if part else "common"
                 add(member, {p: 1.0 for p in every if p.direction == part})
         elif len(every) > 1:
@@ -269,7 +269,7 @@ def catalogue_of(names: LegNames) -> Catalogue:
     """The package's own effects on a layout; one object for each."""
     if names == CATALOGUE.legs:
         return CATALOGUE
-    effects = (*CATALOGUE.effects, *rails.OF_TOWERS)
+    effects = (*CATALOGUE.effects, *rails.OF_TOWERS, *parts.OF_TOWERS)
     return Catalogue(tuple(replace(e, names=names) for e in effects), names)
 
 

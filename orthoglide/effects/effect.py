@@ -30,7 +30,7 @@ from orthoglide.layout import LegNames, Orthoglide
 from orthoglide.parameters import Parameter
 from orthoglide.units import Unit, to_si
 
-Group = Literal["structure", "drive", "temperature", "load", "dial", "plate"]
+Group = Literal["structure", "drive", "temperature", "load", "dial", "plate", "part"]
 Shape = Callable[[Any, Any], Any]
 """Height of a plate at (x, y), both over the largest measured radius, for one unit."""
 
@@ -55,7 +55,8 @@ class Effect:
         members: from what stands behind the leg in a parameter's name (``""`` where nothing does)
             to its motions, for a leg (0, 1, 2); see :func:`once` and :func:`sideways`.
         words: how a fitted value is said, and the test on the machine that confirms it.
-        group: ``structure``, ``drive``, ``temperature``, ``load``, ``dial`` or ``plate``.
+        group: ``structure``, ``drive``, ``temperature``, ``load``, ``dial``, ``plate`` or
+            ``part``.
         paired: whether the parameters of a leg are one cause, as a sine with its cosine.
         instead_of: a condition that explains it better: it is weighed only where that condition
             was not recorded.
@@ -64,6 +65,7 @@ class Effect:
         dial: of an effect of the dial: the reading shown, given the reading so far and the value.
         plate: of an effect of a probed plate: its shapes, each behind what follows the setup in
             its parameter's name.
+        part: of an effect of a printed part: the length read, given that of the tool and the value.
         names: of legs and directions, of the layout that it belongs to.
         points: what of it a positive value moves along its direction, with "toward".
     """
@@ -83,6 +85,7 @@ class Effect:
     urdf: bool = False
     dial: Callable[[DialReading, Any], Any] | None = None
     plate: tuple[tuple[str, Shape], ...] = ()
+    part: Callable[[Any, Any], Any] | None = None
     names: LegNames = Orthoglide.names
     points: str = "toward"
 
@@ -99,8 +102,13 @@ class Effect:
 
     @property
     def of_dial(self) -> bool:
-        """Whether it belongs to a dial or a plate and not to the machine."""
-        return self.dial is not None or bool(self.plate)
+        """Whether it belongs to a dial, a plate or a part and not to the machine."""
+        return self.dial is not None or self.of_body
+
+    @property
+    def of_body(self) -> bool:
+        """Whether it belongs to a plate or a part, which stays the same in all setups."""
+        return bool(self.plate) or self.part is not None
 
     @property
     def sided(self) -> bool:

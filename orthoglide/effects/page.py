@@ -14,6 +14,7 @@ GROUPS = {
     "load": "Load",
     "dial": "Dials",
     "plate": "Plates",
+    "part": "Printed parts",
 }
 """Headings of the page, by group of the catalogue, in their order."""
 

@@ -28,8 +28,10 @@ def cause_words(catalogue: Catalogue, name: str, values: Mapping[str, float]) ->
     effect, parameter = _resolved(catalogue, name)
     where = _campaign(parameter, name)
     if name in values and parameter is not None:
-        if parameter.member and effect.plate:
-            text = one_words(effect, _of_any_plate(effect, parameter), values[name])
+        if parameter.member and effect.of_body:
+            text = one_words(effect, _of_any_body(effect, parameter), values[name])
+        elif parameter.member == "common" and effect.words.common is not None:
+            text = effect.words.common(values[name])
         elif parameter.member:
             text = f"{_many(effect)}, {_pattern(effect, parameter, values[name])}"
         else:
@@ -53,8 +55,8 @@ def cause_short(catalogue: Catalogue, name: str) -> str:
     where = _campaign(parameter, name)
     if parameter is None and name != effect.name:  # the paired parameters of one leg
         parameter = next(p for p in effect.motions if p.startswith(f"{name.split('@')[0]}."))
-    if parameter is not None and parameter.member and effect.plate:
-        return _short(effect, _of_any_plate(effect, parameter)) + where
+    if parameter is not None and parameter.member and effect.of_body:
+        return _short(effect, _of_any_body(effect, parameter)) + where
     if parameter is not None and not parameter.member:
         return _short(effect, parameter) + where
     member = parameter.member if parameter is not None else ""
@@ -141,7 +143,7 @@ def _resolved(catalogue: Catalogue, name: str) -> tuple[Effect, Parameter | None
     return effect, catalogue.parameter(name)
 
 
-def _of_any_plate(effect: Effect, member: Parameter) -> Parameter:
+def _of_any_body(effect: Effect, member: Parameter) -> Parameter:
     part = member.member.rpartition(".")[0]
     return Parameter(effect.name, direction=part)
 

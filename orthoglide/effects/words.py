@@ -91,6 +91,7 @@ class Words:
         many: clause for all legs together, without its size.
         size: how a size is said.
         confirm: a test on the machine that confirms it, with the reading to expect.
+        common: clause for a value that all legs have together, SI: sign, size and unit in it.
     """
 
     one: Said | None = None
@@ -98,3 +99,4 @@ class Words:
     many: str = ""
     size: Callable[[float], str] | None = None
     confirm: Said | None = None
+    common: Callable[[float], str] | None = None

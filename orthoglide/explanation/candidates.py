@@ -57,7 +57,7 @@ def candidates(
 def _of_dials(effect: Effect, names: list[Parameter], catalogue: Catalogue) -> list[Candidate]:
     """Candidates of dials: each campaign has its own."""
     members = [Candidate(n, effect.name, (n,), ({n: 1.0},)) for n in names]
-    if effect.plate:  # shared by all campaigns, and of each setup only where there is one
+    if effect.of_body:  # shared by all campaigns, and of each setup only where there is one
         shared = catalogue.structured(effect.name, tuple({n.setup for n in names}))
         return (
             [

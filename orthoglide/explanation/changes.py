@@ -17,7 +17,7 @@ from orthoglide.errors import NumericsError
 from orthoglide.fit import Change, Estimate, Problem, with_free, with_others
 from orthoglide.fit.changed import Candidate, Changed, may_change, what_changed
 from orthoglide.fit.excited import excited_effects
-from orthoglide.fit.problem import Unknown
+from orthoglide.fit.unknown import Unknown
 from orthoglide.fit.unknowns import one_plate
 from orthoglide.parameters import Parameter, plain_and_campaign
 
@@ -97,7 +97,7 @@ def _everything(problem: Problem) -> Problem:
 
     def widened(unknown: Unknown) -> Unknown:
         effect = catalogue.effect_of(unknown.name)
-        return replace(unknown, width=1.0 if effect.of_dial and not effect.plate else _OPEN)
+        return replace(unknown, width=1.0 if effect.of_dial and not effect.of_body else _OPEN)
 
     unknowns = one_plate(with_others(problem, effects).unknowns, catalogue, apart)
     return replace(problem, unknowns=tuple(map(widened, unknowns)))
@@ -112,7 +112,7 @@ def _candidates(wide: Problem, several: Sequence[tuple[str, str, int]]) -> Itera
     def told(name: Parameter) -> bool:
         effect = wide.machine.catalogue.effect_of(name)
         # Plates of several setups that are one have one shape at all visits.
-        return not effect.of_dial or bool(effect.plate and not name.member)
+        return not effect.of_dial or bool(effect.of_body and not name.member)
 
     kept = [name for name in wide.names if name.plain not in own and told(name)]
     for (name, shares), (stem, _, start) in product(may_change(wide, kept).items(), several[1:]):

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +11,12 @@ from numpy.typing import NDArray
 from orthoglide.accuracy import workspace
 from orthoglide.effects import Effect
 from orthoglide.effects.places import Place
-from orthoglide.explanation.candidates import Candidate, candidates
+from orthoglide.explanation.candidates import Candidate
 from orthoglide.explanation.compressed import MANY, Beyond, compressed
 from orthoglide.explanation.faults import Fault
 from orthoglide.explanation.free import curves, curves_of_dials, one_surface, only_plates, plates
-from orthoglide.explanation.linear import RARE, SLABS, STRANGE, Group, Linear, whole
+from orthoglide.explanation.grouping import groups_of, spans
+from orthoglide.explanation.linear import RARE, SLABS, Linear, whole
 from orthoglide.explanation.screening import screened
 from orthoglide.explanation.suspects import Key, Suspect, suspects
 from orthoglide.explanation.twins import tool_slopes, translations, twins
@@ -31,7 +30,7 @@ from orthoglide.fit.least_squares import (
     nuisances,
     predict,
 )
-from orthoglide.fit.problem import rows_about, weight_matrix
+from orthoglide.fit.unknown import rows_about
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 
@@ -51,14 +50,6 @@ plates alone do, which have shapes of their own, twice as rare."""
 _LIKELY = 3.0
 """Largest scale, in tolerances, of what stands out of it: among the many causes that draw one
 surface those count that a machine may have."""
-
-_VISIBLE = 0.1
-"""What ten tolerances lift a sigma above the noise, in all, is weighed: where one drive shows far
-more than the others, only these tell whether its error is theirs as well."""
-
-_OF_DIAL = 0.3
-"""Scale of what stands out of a dial, over that of a part. The widest is three tolerances: a dial
-that shows ten per cent too much, or stands ten degrees awry, is seen when it is set up."""
 
 _SHOWN = 10
 """Repeats from which they show the noise: half of it, or twice, has odds of twenty to one against
@@ -105,7 +96,7 @@ class Everything:
 
     def coefficients(self, place: Place) -> NDArray[np.intp]:
         """Where a place's coefficients stand."""
-        return _spans(self.places, self.known)[place.name]
+        return spans(self.places, self.known)[place.name]
 
     def distance(self, mean: Array) -> float:
         """Root mean square, in sigmas, of the prediction at a mean ``(C,)`` past its
@@ -114,20 +105,13 @@ class Everything:
         predicted = predict(self.problem, (mean * self.scale)[: self.known])
         linear = self.value + self.rows[:, : self.known] @ mean[: self.known]
         columns, dials = curves_of_dials(self.problem, predicted)
-        own = _spans(self.places, self.known)
-        for name, part in _spans(dials).items():
+        own = spans(self.places, self.known)
+        for name, part in spans(dials).items():
             if name in own:
                 at = own[name]
                 predicted = predicted + (columns[:, part] - self.rows[:, at]) @ mean[at]
         off = self.nuisance.project(predicted - linear)
         return float(np.sqrt(np.mean(off[: len(linear)] ** 2)))
-
-
-def _spans(several: Sequence[Place], first: int = 0) -> dict[str, NDArray[np.intp]]:
-    """Where the coefficients of each place stand, by its name, behind the ``first`` so many."""
-    ends = np.cumsum([first, *(p.kernel.count for p in several)])
-    each = zip(several, pairwise(ends), strict=True)
-    return {place.name: np.arange(start, end) for place, (start, end) in each}
 
 
 def with_everything(problem: Problem) -> Problem:
@@ -200,7 +184,7 @@ def _of_machine(problem: Problem, wide: Problem, here: Linearised) -> Everything
     known = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])]), known[1]
     readings = readings.with_known(known, scale)
     stands = {o.plain.at(n.campaign): (n, 1 / f) for n, others in same.items() for o, f in others}
-    groups, causes, asked = _groups(wide, free, readings.columns, found, stands)
+    groups, causes, asked = groups_of(wide, free, readings.columns, found, stands)
     is_free = np.arange(len(scale)) >= len(sd)
     linear = Linear(
         readings.columns, readings.residual, fixed, is_free, unnamed, groups, readings.stations,
@@ -352,47 +336,3 @@ def _reduced(linear: Linear) -> Linear:
     return replace(
         linear, columns=every[:, :count], stations=every[:, count:-1], residual=every[:, -1]
     )
-
-
-def _groups(
-    wide: Problem,
-    free: int,
-    columns: Array,
-    found: Sequence[Place],
-    stands: Mapping[Parameter, tuple[Parameter, float]],
-) -> tuple[tuple[Group, ...], tuple[Candidate, ...], tuple[Parameter, ...]]:
-    """Causes and places that the readings could show, and the parameters that were asked about.
-
-    A parameter for which another stands has no coefficient: a cause moves that of the other, and
-    one that consists of such parameters alone is a name of another cause.
-    """
-    names, catalogue = [u.name for u in wide.unknowns], wide.machine.catalogue
-    excited = {e.name for e in excited_effects(wide)}
-    seen = np.linalg.norm(columns, axis=0) > _VISIBLE
-    asked = [n for n in names[free:] if n.effect in excited]
-    index = {n: k for k, n in enumerate(names)}
-    # Where campaigns have the other for themselves, no single coefficient stands for it.
-    by_other = {n: s for n, s in stands.items() if n in index and s[0] in index}
-    own = {n: (n, 1.0) for n in names} | by_other
-    visible = [n for n in asked if seen[index[own[n][0]]]]
-    effects = [e for e in catalogue.effects if e.name in excited]
-    moved = np.array([index[own[n][0]] for n in visible], dtype=np.intp)
-    factor = np.array([own[n][1] for n in visible])
-    named = np.array([n not in stands for n in visible], dtype=bool)
-    causes, groups = [], []
-    for cause in candidates(visible, effects, catalogue):
-        matrix = weight_matrix(visible, cause.weights)
-        if not matrix[named].any():
-            continue
-        rows = np.zeros((len(names), cause.size))
-        np.add.at(rows, moved, matrix * factor[:, None])
-        places = np.flatnonzero(rows.any(axis=1))
-        causes.append(cause)
-        unit = _OF_DIAL if catalogue[cause.effect].of_dial else 1.0
-        groups.append(Group(cause.name, places, rows[places], False, cause.chance, unit))
-    ways = Counter(place.where for place in found if not place.single)
-    for place, (name, own_places) in zip(found, _spans(found, len(names)).items(), strict=True):
-        if np.linalg.norm(columns[:, own_places]) > _VISIBLE:
-            chance = STRANGE * place.chance / (1 if place.single else ways[place.where])
-            groups.append(whole(name, own_places, free=True, chance=chance))
-    return tuple(groups), tuple(causes), tuple(asked)

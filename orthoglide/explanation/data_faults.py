@@ -156,7 +156,7 @@ def _held(problem: Problem) -> Problem:
     """The problem with values held within their tolerances, but for what changed since an earlier
     calibration, which may be anything.
     """
-    return problem.at_tolerance() if problem.earlier is None else problem
+    return problem if problem.calibrated else problem.at_tolerance()
 
 
 def _fitted(problem: Problem) -> Estimate:

@@ -162,7 +162,7 @@ class FullPosterior:
         """
         columns = self.mixture.scales[0].basis.columns
         place = {n: k for k, n in enumerate(self.about.problem.names)}
-        plate = {e.name for e in self.about.problem.machine.catalogue.effects if e.plate}
+        plate = {e.name for e in self.about.problem.machine.catalogue.effects if e.of_body}
 
         def shown(name: Parameter) -> float:
             # One plate has one shape, in how many setups it may have been probed.

@@ -139,9 +139,10 @@ class _Reader:
         problem, known = posterior.before.problem, posterior.known
         machine = posterior.before.problem.machine
         names, values, _ = posterior.machine_with(posterior.mean)
+        count = len(problem.names)
+        past = problem.past_entered(known.mean[:count] * about.scale[:count])
         for k, name in enumerate(problem.names):
-            value, sigma = known.mean[k], float(np.sqrt(known.covariance[k, k]))
-            value, sigma = value * about.scale[k], sigma * about.scale[k]
+            value, sigma = past[k], float(np.sqrt(known.covariance[k, k])) * about.scale[k]
             most = FAR * machine.tolerance(name)
             is_zero = machine.catalogue.effect_of(name).controller == "zero"
             if is_zero or abs(value) - _SURELY * sigma < most:
@@ -197,7 +198,10 @@ class _Reader:
         moments = [self.instead.moments(member, k, self.groups[k].places) for k, _ in named]
         told = [self._told(*own, *found) for own, found in zip(named, moments, strict=True)]
         # Beyond the widest slab nothing is linear, and no machine is so wrong.
-        told = [one for one in told if self._is_possible(one)] or told
+        units = [self.groups[k].unit for k, _ in named]
+        told = [
+            one for one, unit in zip(told, units, strict=True) if self._is_possible(one, unit)
+        ] or told
         several = [one for explanation in told for one in self._twins(explanation)]
         chosen, rest = several[0], [one for one in several[1:] if one.is_there]
         alike = [self._same_tool(chosen, other) for other in rest]
@@ -280,10 +284,12 @@ class _Reader:
             posterior.machine.catalogue,  # which knows places, too
         )
 
-    def _is_possible(self, one: Explanation) -> bool:
-        """Whether its parameters lie within twice the widest scale of what stands out."""
+    def _is_possible(self, one: Explanation, unit: float) -> bool:
+        """Whether its parameters lie within twice the widest scale of what stands out, in so many
+        tolerances; what is more than expected of a part is no less of a dial.
+        """
         of = self.posterior.about.problem.machine.tolerance
-        most = 2 * max(self.posterior.mixture.linear.slabs)
+        most = 2 * max(self.posterior.mixture.linear.slabs) * max(unit, 1.0)
         return all(abs(value) <= most * of(name) for name, value in one.values.items())
 
     def _is_name(self, name: str, setups: Sequence[str]) -> bool:

@@ -10,7 +10,7 @@ from orthoglide.explanation.candidates import Candidate, candidates
 from orthoglide.fit import Estimate, with_others
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.least_squares import fitted_basis, linearise, past, whitened
-from orthoglide.fit.problem import weight_matrix
+from orthoglide.fit.unknown import weight_matrix
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 

@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.geometry import Array
-from orthoglide.instruments import BESIDE, OBSERVATIONS, TURNED
+from orthoglide.instruments import BESIDE, MATERIAL, OBSERVATIONS, TURNED
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import MachineFile
 from orthoglide.notes import Note
 from orthoglide.observations import Readings, readings_from_rows
-from orthoglide.observations.schema import APPROACH, COMMANDS, TRAVEL
+from orthoglide.observations.schema import APPROACH, COMMANDS, TEMPERATURE, TRAVEL
 
 _DIGITS = 9  # of millimetres that are kept
+_COLD, _HOT = -40.0, 100.0  # degrees Celsius, of a frame or a bed on which a plate is touched
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,8 @@ class Row:
     beside: Array | None = None  # where the probe is from the nozzle (2,), metres
     sigma: float = float("nan")  # metres; nan: the machine file's
     turned: float = 0.0  # by how much the plate was turned on its seat, degrees
+    temperature: float = float("nan")  # that the firmware recorded then, degrees Celsius
+    material: str = ""  # of a part on which a distance was read
 
     def cells(self) -> dict[str, str]:
         """Return the reading as a row of a file."""
@@ -72,7 +75,14 @@ class Row:
             **{name: _millimetres(value) for name, value in cells.items()},
             **dict.fromkeys(APPROACH.names(legs), "-1" if touches else ""),  # from above
             TURNED: f"{self.turned:g}" if touches else "",
+            TEMPERATURE.name: recorded(self.temperature),
+            MATERIAL: self.material,
         }
+
+
+def recorded(temperature: float) -> str:
+    """Return a temperature as a file of readings has it; empty where it is none of a machine."""
+    return f"{temperature:g}" if _COLD < temperature < _HOT else ""
 
 
 def _millimetres(value: float | None) -> str:

@@ -17,14 +17,14 @@ import numpy as np
 from orthoglide import files
 from orthoglide.add_ons import Kinematics
 from orthoglide.errors import FileError
-from orthoglide.firmware.foreign import refuse_foreign
-from orthoglide.firmware.imported import Imported, readings_of
+from orthoglide.firmware.imported import Imported, readings_of, recorded
 from orthoglide.firmware.touches import FEWEST, Read, Touch, read_touches
+from orthoglide.foreign import refuse_foreign
 from orthoglide.geometry import plane_columns
 from orthoglide.instruments import PlateTouch
 from orthoglide.machine_file import AnyMachine, MachineFile, machine_file_of
 from orthoglide.notes import Note
-from orthoglide.observations.schema import APPROACH, PLACE
+from orthoglide.observations.schema import APPROACH, PLACE, TEMPERATURE
 from orthoglide.text import shown
 
 _FAR = 20.0  # millimetres from the median of all: heights that no plate has
@@ -127,6 +127,7 @@ def _rows(name: str, touches: Sequence[Touch], machine: MachineFile) -> Iterator
             **place,
             "repeat": str(repeat),
             "reading_mm": "0",
+            TEMPERATURE.name: recorded(one.temperature),
             **dict.fromkeys(APPROACH.names(machine.geometry.leg_names), "-1"),  # from above
         }
 

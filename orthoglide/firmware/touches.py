@@ -17,10 +17,14 @@ _NUMBER = r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?|nan"
 _LABELLED = [re.compile(rf"(?<![A-Za-z]){axis}\s*[:=]\s*({_NUMBER})", re.I) for axis in "xyz"]
 _BED = re.compile(r"\bbed\s+x\s*[:=]", re.IGNORECASE)
 _POSITION = re.compile(r"\bE\s*:|\bCount\b", re.IGNORECASE)  # where a tool stands, no touch
+_WARM = re.compile(rf"(?<![A-Za-z])B\s*:\s*({_NUMBER})\s*/", re.IGNORECASE)  # of the bed, in a log
 _PROBING = re.compile(r"\bG(?:29|32|33)\b")  # commands after which the plate is touched anew
 _COMMENT = re.compile(r"^\s*(?:#|//|;\s*[A-Za-z]).*")
 _UNTOUCHED = ("", "nan", "-", "null", "none", "n/a")
-_AXES = {"x": 0, "y": 1, "z": 2, "height": 2}
+_TEMPERATURE = 3  # beside the axes
+_AXES = {
+    "x": 0, "y": 1, "z": 2, "height": 2, "temperature": _TEMPERATURE, "temp": _TEMPERATURE,
+}  # fmt: skip
 _UNITS = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "micron": 1e-3, "microns": 1e-3,
           "m": 1e3, "cm": 10.0, "in": 25.4, "inch": 25.4, "inches": 25.4}  # fmt: skip
 _SAME = 0.01  # millimetres: places that are one
@@ -40,6 +44,7 @@ class Touch:
     x: float
     y: float
     z: float
+    temperature: float = math.nan  # that the firmware recorded then, degrees Celsius
 
     @property
     def place(self) -> tuple[int, int]:
@@ -56,6 +61,7 @@ class Read:
     out: dict[str, dict[int, str]] = field(default_factory=dict)
     places: set[tuple[int, int]] = field(default_factory=set)  # of the last list
     begins: bool = True  # whether the next touch is the first of a probing
+    temperature: float = math.nan  # last recorded one, degrees Celsius
 
     def leave(self, why: str, line: int, value: str = "") -> None:
         """Leave a line out."""
@@ -98,8 +104,11 @@ def _read_labelled(lines: Sequence[str], read: Read) -> None:
     for number, line in enumerate(lines, start=1):
         cells = [found[1] for pattern in _LABELLED if (found := pattern.search(line))]
         touch = _BED.search(line) if bed else not _POSITION.search(line)
+        if warm := _WARM.search(line):
+            read.temperature = _number(warm[1])
         if touch and len(cells) == len(_LABELLED):
-            read.add(Touch(number, *map(_number, cells)))
+            x, y, z = map(_number, cells)
+            read.add(Touch(number, x, y, z, read.temperature))
         elif _PROBING.search(line):
             read.begins = True
 
@@ -199,8 +208,10 @@ def _row(line: int, cells: Sequence[str], columns: Columns) -> Touch | None:
     if max(column for column, _ in columns.values()) >= len(cells):
         return None
     x, y, z = (_number(cells[columns[axis][0]]) * columns[axis][1] for axis in range(3))
+    warm, _ = columns.get(_TEMPERATURE, (-1, 1.0))
+    temperature = _number(cells[warm]) if warm >= 0 else math.nan
     touched = math.isfinite(z) or cells[columns[2][0]].lower() in _UNTOUCHED
-    return Touch(line, x, y, z) if math.isfinite(x + y) and touched else None
+    return Touch(line, x, y, z, temperature) if math.isfinite(x + y) and touched else None
 
 
 def _columns(cells: Sequence[str]) -> Columns:
@@ -212,7 +223,7 @@ def _columns(cells: Sequence[str]) -> Columns:
         if axes and axes[0] not in found:
             unit = next((size for name, size in _UNITS.items() if name in words), 1.0)
             found[axes[0]] = (column, unit)
-    return found if len(found) == 3 else {}
+    return found if found.keys() >= {0, 1, 2} else {}
 
 
 def _cells(line: str) -> list[str]:

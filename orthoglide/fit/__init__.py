@@ -20,10 +20,11 @@ from orthoglide.fit.noise import (
     expected_sigma as expected_sigma,
     noise_of as noise_of,
 )
-from orthoglide.fit.problem import Problem as Problem, weight_matrix as weight_matrix
+from orthoglide.fit.problem import Problem as Problem
 from orthoglide.fit.repeats import common_rounding as common_rounding
 from orthoglide.fit.scores import Scores as Scores
 from orthoglide.fit.solving import solve as solve, tempered as tempered
+from orthoglide.fit.unknown import weight_matrix as weight_matrix
 from orthoglide.fit.unknowns import (
     build_problem as build_problem,
     with_free as with_free,

@@ -15,7 +15,8 @@ import numpy as np
 
 from orthoglide.fit.change_search import Found, Hypotheses
 from orthoglide.fit.least_squares import Nuisances, linearise, normal, nuisances
-from orthoglide.fit.problem import Problem, weight_matrix
+from orthoglide.fit.problem import Problem
+from orthoglide.fit.unknown import weight_matrix
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 

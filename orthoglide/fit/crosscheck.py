@@ -11,7 +11,8 @@ from orthoglide import reduction
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import CrossCheckError
 from orthoglide.fit.least_squares import Linearised, Nuisances
-from orthoglide.fit.problem import Problem, weight_matrix
+from orthoglide.fit.problem import Problem
+from orthoglide.fit.unknown import weight_matrix
 from orthoglide.geometry import Array
 from orthoglide.result.fits import CrossCheck
 

@@ -51,7 +51,7 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
     """
     first = estimate.problem
     known = first.earlier
-    if known is None:
+    if known is None or not first.calibrated:
         return estimate
     found = _found(estimate, known)
     if found is None:
@@ -93,7 +93,7 @@ def _beside_plates(problem: Problem, bent: float) -> Problem:
     """
     if problem.campaigns:
         return problem
-    shapes = [effect.name for effect in excited_effects(problem) if effect.plate]
+    shapes = [effect.name for effect in excited_effects(problem) if effect.of_body]
     wide = with_free(problem, shapes, release=False)
     added = one_plate(wide.unknowns[len(problem.unknowns) :], problem.machine.catalogue)
     narrow = (replace(unknown, width=bent) for unknown in added)
@@ -135,7 +135,7 @@ def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -
                 before, apart = after - next(iter(one.sizes.values())), one.sigma
         else:
             before = 0.0  # of a plate, which was taken for flat; of a pattern its share
-            if not catalogue.effect_of(one.parameter).plate:
+            if not catalogue.effect_of(one.parameter).of_body:
                 weights = catalogue.elementary(one.parameter)
                 shares = (w * known.mean[known.names.index(part)] for part, w in weights.items())
                 before = float(sum(shares) / sum(w * w for w in weights.values()))

@@ -127,7 +127,7 @@ class Factor:
 
     def setups_of(self, effect: Effect) -> tuple[str, ...]:
         """Return the setups of which an instrument's effect has parameters."""
-        return tuple(s.name for s in self.readings.setups if s.observation.takes(effect))
+        return tuple(s.name for s in self.readings.setups if s.takes(effect))
 
     # Other factors -------------------------------------------------------------------------
 
@@ -210,12 +210,15 @@ class Factor:
 
     def nuisance_sd(self, setup: int) -> Array:
         """Return standard deviations of a setup's nuisances ``(K,)``."""
-        observation = self.readings.setups[setup].observation
-        return observation.known(self.readings.axis[self.setup == setup], self.beliefs)
+        own = self.readings.setups[setup]
+        return own.observation.known(own, self.readings.axis[self.setup == setup], self.beliefs)
 
     def nuisances(self, seen: Seen) -> Block:
-        """Return what each setup's instrument brings, setup by setup for each of its numbers."""
+        """Return what each setup's instrument brings, setup by setup for each of its numbers, and
+        once what setups have together.
+        """
         n, columns, sd = len(self.readings), list[Array](), list[float]()
+        together = dict[tuple[int, str], int]()
         known = [self.nuisance_sd(k) for k in range(len(self.readings.setups))]
         for j in range(max(map(len, known), default=0)):
             for k, own in enumerate(known):
@@ -224,9 +227,16 @@ class Factor:
                 column = np.zeros(n)
                 rows = self.setup == k
                 column[rows] = seen.by_nuisance[rows, j]
-                if np.abs(column).max(initial=0.0) > 0:  # what no row shows is no nuisance
-                    columns.append(column)
-                    sd.append(float(own[j]))
+                if np.abs(column).max(initial=0.0) == 0:  # what no row shows is no nuisance
+                    continue
+                setup = self.readings.setups[k]
+                if name := setup.observation.shared(setup, j):
+                    at = together.setdefault((j, name), len(columns))
+                    if at < len(columns):
+                        columns[at] = columns[at] + column
+                        continue
+                columns.append(column)
+                sd.append(float(own[j]))
         return Block(np.array(columns).reshape(-1, n).T, np.array(sd))
 
     # Its noise -----------------------------------------------------------------------------

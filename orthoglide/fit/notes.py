@@ -14,6 +14,7 @@ from orthoglide.fit.problem import Problem
 from orthoglide.fit.quiet import quieter
 from orthoglide.fit.repeats import OFF_GRID, off_grid
 from orthoglide.fit.roughness import LOUD
+from orthoglide.fit.sizes import part_sizes
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
 from orthoglide.observations import Readings, source
@@ -61,6 +62,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         found += slips(estimate)
     found += [*quieter(estimate), *louder(estimate), *loud_dials(estimate)]
     found += loud_instruments(estimate)
+    found += part_sizes(problem)
     found += standing(estimate)
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"

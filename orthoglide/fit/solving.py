@@ -89,7 +89,7 @@ def widened(found: Estimate, method: Method = "auto") -> Estimate:
     for _ in range(_WIDENINGS if found.problem.priors else 0):
         problem = found.problem
         width = np.array([u.width for u in problem.unknowns])
-        size = np.abs(found.x) / problem.tolerance
+        size = np.abs(problem.past_entered(found.x)) / problem.tolerance
         wider = problem.far(found.x) & (size > _WIDER * width)
         if not wider.any():
             break

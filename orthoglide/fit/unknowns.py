@@ -10,7 +10,8 @@ from orthoglide.effects import Catalogue
 from orthoglide.errors import InputError, check_word
 from orthoglide.fit.factors import Factor
 from orthoglide.fit.noise import Noise
-from orthoglide.fit.problem import Problem, Unknown
+from orthoglide.fit.problem import Problem
+from orthoglide.fit.unknown import Unknown
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.parameters import Parameter, plain_and_campaign
@@ -66,7 +67,8 @@ def build_unknowns(
 def _begins(catalogue: Catalogue, name: Parameter, stem: str, own: Sequence[str]) -> bool:
     """Whether a parameter has another value from a campaign on than before it."""
     if catalogue[name.effect].of_dial:
-        return not (catalogue[name.effect].plate and name.member)  # one plate, probed again
+        one_body = catalogue[name.effect].of_body and name.member  # measured again
+        return not one_body
     for chosen in own:
         plain, at = plain_and_campaign(chosen)
         if at in ("", stem) and plain in (name, name.effect):
@@ -187,7 +189,7 @@ def one_plate(
     """
     joined: dict[Parameter, Unknown] = {}
     for unknown in unknowns:
-        plate = catalogue.effect_of(unknown.name).plate and unknown.name.plain not in apart
+        plate = catalogue.effect_of(unknown.name).of_body and unknown.name.plain not in apart
         name = unknown.name.plain if plate else unknown.name
         one = joined.setdefault(name, replace(unknown, name=name))
         parts = tuple(a or b for a, b in zip(one.parts, unknown.parts, strict=True))

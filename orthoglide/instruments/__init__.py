@@ -5,7 +5,7 @@
 from orthoglide.instruments.leg_dial import LegDial as LegDial
 from orthoglide.instruments.tcp import Coordinate as Coordinate
 from orthoglide.instruments.plate import PlateTouch as PlateTouch
-from orthoglide.instruments.distance import Distance as Distance
+from orthoglide.instruments.distance import PRINTED as PRINTED, SIZES as SIZES, Distance as Distance
 from orthoglide.instruments.ball_bar import BallBar as BallBar
 from orthoglide.instruments.inclination import Inclination as Inclination
 from orthoglide.instruments.parallelism import Parallelism as Parallelism
@@ -13,6 +13,7 @@ from orthoglide.instruments.parallelism import Parallelism as Parallelism
 # isort: on
 from orthoglide.instruments.observation import (
     BESIDE as BESIDE,
+    MATERIAL as MATERIAL,
     OBSERVATIONS as OBSERVATIONS,
     POSE as POSE,
     TURNED as TURNED,

@@ -16,6 +16,7 @@ from orthoglide.instruments.observation import (
     Ints,
     Observation,
     Row,
+    Setup,
     Site,
     Stand,
     Table,
@@ -59,7 +60,7 @@ class BallBar(Observation):
         balls = np.array([stand.ball for stand in site.stands]).reshape(-1, 3)
         return np.hstack([table.beside[rows], balls[table.setup[rows]]])
 
-    def known(self, axis: Ints, beliefs: Beliefs) -> Array:
+    def known(self, setup: Setup, axis: Ints, beliefs: Beliefs) -> Array:
         """Return what is known of the ball's centre, and that nothing is of the bar's length."""
         return np.array([CENTRE_SD, CENTRE_SD, CENTRE_SD, np.inf])
 

@@ -12,10 +12,13 @@ from orthoglide.effects import Effect
 from orthoglide.geometry import Array
 from orthoglide.instruments.meant import wrong_unit
 from orthoglide.instruments.observation import (
+    BESIDE,
+    MATERIAL,
     Beliefs,
     Ints,
     Observation,
     Row,
+    Setup,
     Site,
     Table,
     Taken,
@@ -25,8 +28,15 @@ from orthoglide.instruments.observation import (
     vector,
 )
 
-SCALE_SD, OFFSET_SD = 0.01, 2e-4
-"""What is known of a setup: a printed part's shrinkage, the width of its pillars."""
+PRINTED = "printed"
+SIZES = {"": (0.0, 0.01), PRINTED: (0.003, 0.003), "metal": (0.0, 2e-4)}
+"""By material, by how much a part is smaller than it was commanded, and the standard deviation of
+that, over its length. Where the material is not known it may be anything; a print of usual plastics
+shrinks by 0.2 to 0.5 per cent as it cools; a rule, a jig or a milled part is true to two hundredths
+of a millimetre on 100 mm."""
+
+OFFSET_SD = 2e-4
+"""Metres: the width of pillars or holes of a setup, and the nozzle's own track on a print."""
 
 
 class Distance(Observation):
@@ -37,24 +47,42 @@ class Distance(Observation):
     reads = "distances"
     fill = "reading_mm is the distance between the two places of the row"
     how = " around the rim and across it, each with its own width and the part's shrinkage"
-    fitted = "scale (sd 0.01) and offset (sd 0.2 mm)"
+    fitted = "scale, by its `material`, and offset (sd 0.2 mm)"
     repeatability = 5e-5  # a calliper's, as owners of linear deltas repeat it
     paired = True
+    of_setup = (*BESIDE, MATERIAL)
     nuisances = 2
+
+    def takes(self, effect: Effect) -> bool:
+        """Return whether an effect changes the size of a part."""
+        return effect.part is not None
+
+    def may_have(self, setup: Setup, effect: Effect) -> bool:
+        """Return whether a part may be off in size by more than its material is: a printed one."""
+        return setup.material == PRINTED
+
+    def shared(self, setup: Setup, number: int) -> str:
+        """Return that the printed parts of a file are one part."""
+        return PRINTED if number == 0 and setup.material == PRINTED else ""
 
     def formula(self, row: Row, effects: Sequence[Effect]) -> Any:
         """Return the length between both places, times a scale and with an offset."""
         beside = vector(row.mounting)
         apart = add((1, place_of(row.pose, beside)), (-1, place_of(row.other, beside)))
-        return length(apart) * (1 + row.nuisance[0]) + row.nuisance[1]
+        shown = length(apart) * (1 - row.mounting[3])
+        for effect, value in zip(effects, row.values, strict=True):
+            if effect.part is not None:
+                shown = effect.part(shown, value)
+        return shown * (1 + row.nuisance[0]) + row.nuisance[1]
 
     def mountings(self, table: Table, rows: NDArray[np.intp], site: Site) -> Array:
-        """Return where the places are beside the tool."""
-        return table.beside[rows]
+        """Return where the places are beside the tool, and by how much parts are smaller."""
+        smaller = np.array([SIZES[setup.material][0] for setup in table.setups])
+        return np.column_stack([table.beside[rows], smaller[table.setup[rows]]])
 
-    def known(self, axis: Ints, beliefs: Beliefs) -> Array:
+    def known(self, setup: Setup, axis: Ints, beliefs: Beliefs) -> Array:
         """Return what is known of the scale and the offset."""
-        return np.array([SCALE_SD, OFFSET_SD])
+        return np.array([SIZES[setup.material][1], OFFSET_SD])
 
     def doubts(self, taken: Taken, apart: Array, beliefs: Beliefs) -> str:
         """Return which other unit the distances seem to have."""

@@ -15,6 +15,7 @@ from orthoglide.instruments.observation import (
     Ints,
     Observation,
     Row,
+    Setup,
     Site,
     Table,
     add,
@@ -49,7 +50,7 @@ class Inclination(Observation):
         """Return the axis that is read, with its sign."""
         return counted(table, rows)
 
-    def known(self, axis: Ints, beliefs: Beliefs) -> Array:
+    def known(self, setup: Setup, axis: Ints, beliefs: Beliefs) -> Array:
         """Return that nothing is known of a datum an axis."""
         return np.full(3, np.inf)
 

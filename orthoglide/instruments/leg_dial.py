@@ -121,6 +121,6 @@ class LegDial(Observation):
         time = np.nan_to_num(table.time[rows])
         return np.column_stack([on_leg(table, rows, site.geometry), time])
 
-    def known(self, axis: Ints, beliefs: Beliefs) -> Array:
+    def known(self, setup: Setup, axis: Ints, beliefs: Beliefs) -> Array:
         """Return what is known of the datum, and of the dial's place along the leg."""
         return np.array([np.inf, beliefs.placement])

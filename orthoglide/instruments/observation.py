@@ -91,6 +91,9 @@ class Site:
 BESIDE = ("beside_x_mm", "beside_y_mm", "beside_z_mm")
 """Columns of where a probe touches or a tip stands, from the tool on the platform."""
 
+MATERIAL = "material"
+"""Column of what a measured part is made of, which says how well its size is known."""
+
 TURNED = "turned_deg"
 """Column of how far a plate was turned on its seat, counter-clockwise from above."""
 
@@ -127,6 +130,7 @@ class Setup:
             of the platform, metres; below it, of a longer tool, z is negative.
         turned: of a plate, how far it was turned on its seat, counter-clockwise from above,
             degrees: its shape turns with it.
+        material: of a part on which distances are read, see `distance.SIZES`.
 
     Raises:
         InputError: where these do not fit together.
@@ -142,6 +146,7 @@ class Setup:
     gauge2: float = 0.0
     beside: tuple[float, float, float] = (0.0, 0.0, 0.0)
     turned: float = 0.0
+    material: str = ""
 
     def __post_init__(self) -> None:
         check_word("kind of reading", self.kind, OBSERVATIONS)
@@ -154,6 +159,10 @@ class Setup:
     def observation(self) -> Observation:
         """The kind of its readings."""
         return OBSERVATIONS[self.kind]
+
+    def takes(self, effect: Effect) -> bool:
+        """Return whether an effect of instruments changes its readings."""
+        return self.observation.takes(effect) and self.observation.may_have(self, effect)
 
     @property
     def gauges(self) -> tuple[float, ...]:
@@ -255,6 +264,10 @@ class Observation(ABC):
         """Return whether an effect of instruments changes its readings."""
         return False
 
+    def may_have(self, setup: Setup, effect: Effect) -> bool:
+        """Return whether a setup may have an effect that this kind takes."""
+        return True
+
     def check(self, setup: Setup) -> str:
         """Return what is wrong with a setup of this kind, as a clause; empty where nothing is."""
         return "" if setup.leg < 0 else f"a setup of kind {self.kind} touches no leg"
@@ -279,14 +292,21 @@ class Observation(ABC):
         """
 
     @abstractmethod
-    def known(self, axis: Ints, beliefs: Beliefs) -> Array:
+    def known(self, setup: Setup, axis: Ints, beliefs: Beliefs) -> Array:
         """Return standard deviations of the nuisances about zero ``(K,)``: infinite where nothing
         is known, 0 of those that the setup has not.
 
         Args:
+            setup: whose they are.
             axis: base axes that the setup reads ``(m,)``.
             beliefs: of how instruments stand.
         """
+
+    def shared(self, setup: Setup, number: int) -> str:
+        """Return what the nuisance of a number is called where all setups of a file that call it so
+        have it together; empty of one that the setup has for itself.
+        """
+        return ""
 
     def stand(self, taken: Taken, near: Stand | None, beliefs: Beliefs) -> Stand:
         """Return where a setup's instrument stands by its readings.

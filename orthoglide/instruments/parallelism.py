@@ -62,6 +62,6 @@ class Parallelism(Observation):
         second = np.array([s.gauge2 for s in table.setups])[table.setup[rows]] + site.geometry.r
         return np.column_stack([on_leg(table, rows, site.geometry), second])
 
-    def known(self, axis: Ints, beliefs: Beliefs) -> Array:
+    def known(self, setup: Setup, axis: Ints, beliefs: Beliefs) -> Array:
         """Return what is known of the surface's slope, radians."""
         return np.array([beliefs.surface_slope])

@@ -17,6 +17,7 @@ from orthoglide.instruments.observation import (
     Ints,
     Observation,
     Row,
+    Setup,
     Site,
     Stand,
     Table,
@@ -71,7 +72,7 @@ class PlateTouch(Observation):
         bent = [np.broadcast_to(shape(x, y), x.shape) for shape in shapes]
         return np.column_stack([table.beside[rows], lift, *bent])
 
-    def known(self, axis: Ints, beliefs: Beliefs) -> Array:
+    def known(self, setup: Setup, axis: Ints, beliefs: Beliefs) -> Array:
         """Return that nothing is known of the plane's height and slopes."""
         return np.full(3, np.inf)
 

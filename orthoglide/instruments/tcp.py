@@ -16,6 +16,7 @@ from orthoglide.instruments.observation import (
     Ints,
     Observation,
     Row,
+    Setup,
     Site,
     Stand,
     Table,
@@ -68,7 +69,7 @@ class Coordinate(Observation):
         along = table.sign[rows, None] * axes
         return np.hstack([table.beside[rows], along, counted(table, rows)])
 
-    def known(self, axis: Ints, beliefs: Beliefs) -> Array:
+    def known(self, setup: Setup, axis: Ints, beliefs: Beliefs) -> Array:
         """Return what is known of a datum an axis and of three turns of the frame: nothing of a
         frame of two axes or more.
         """

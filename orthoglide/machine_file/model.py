@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,12 +12,14 @@ from numpy.typing import ArrayLike
 
 from orthoglide.add_ons import MARK, Kinematics, Printer, printer_of, table_of
 from orthoglide.effects import CATALOGUE, Catalogue
-from orthoglide.effects.classes import of_belts
+from orthoglide.effects.classes import entered, of_belts
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file.kinematics import DeltaKinematics
+from orthoglide.machine_file.measured import Measured
 from orthoglide.machine_file.posterior import Posterior
+from orthoglide.parameters import Parameter
 
 Triple = tuple[float, float, float]
 
@@ -131,6 +133,7 @@ class MachineFile:
         tolerance: standard deviation to expect, by family; defaults fill what is not given.
         surface_slope: standard deviation of the slope of the reference surface of readings of kind
             ``parallelism``, radians; None: the surface is taken as exact.
+        measured: what an owner measured on the machine itself.
         stiffness: elastic constants.
         urdf: folder of a URDF and its closures that say where the joints are; ``""``: the
             dimensions do.
@@ -153,6 +156,7 @@ class MachineFile:
     controller: Controller = field(default_factory=Controller)
     tolerance: Mapping[str, float] = field(default_factory=dict)
     surface_slope: float | None = None
+    measured: Measured = field(default_factory=Measured)
     stiffness: Stiffness = field(default_factory=Stiffness)
     urdf: str = ""
     parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
@@ -171,10 +175,40 @@ class MachineFile:
 
     @property
     def independent(self) -> Posterior:
-        """The parameters as independent Gaussians with their standard deviations."""
+        """The parameters as independent Gaussians with their standard deviations, but for what was
+        measured of several together.
+        """
         known = {n: e for n, e in self.parameters.items() if e.sigma > 0}
         mean = np.array([entry.value for entry in known.values()])
-        return Posterior(tuple(known), mean, np.diag(np.square([e.sigma for e in known.values()])))
+        covariance = np.diag(np.square([entry.sigma for entry in known.values()]))
+        place = {name: k for k, name in enumerate(known)}
+        for names, _, among in self._measured:
+            at = [place[name] for name in names if name in place]
+            if len(at) == len(names):
+                covariance[np.ix_(at, at)] = among
+        return Posterior(tuple(known), mean, covariance)
+
+    @property
+    def _measured(self) -> list[tuple[tuple[Parameter, ...], float, Array]]:
+        return [*self.measured.known(self.catalogue, self.geometry, self.tolerance)]
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether what is known of its parameters was measured on the machine itself, and is no
+        calibration from which it may have changed.
+        """
+        return self.measured != Measured() and self.posterior is None
+
+    def with_measured(self) -> MachineFile:
+        """Return the same with what was measured among its parameters."""
+        known = {
+            str(name): ParameterValue(value, float(np.sqrt(among[k, k])), effect.unit.name)
+            for names, value, among in self._measured
+            for k, name in enumerate(names)
+            if (effect := self.catalogue.effect_of(name))
+            and (name not in self.parameters or not self.parameters[name].sigma)
+        }
+        return replace(self, parameters={**self.parameters, **known}) if known else self
 
     @property
     def firmware(self) -> str:
@@ -202,11 +236,23 @@ class MachineFile:
         object.__setattr__(self, "tolerance", {**self._expected, **self.tolerance})
 
     @property
+    def _of_belts(self) -> bool:
+        """Whether it is of the class of belts."""
+        hanging = isinstance(self.geometry.layout, LinearDelta)
+        return self.build == "belts" or (not self.build and hanging)
+
+    @property
     def _expected(self) -> dict[str, float]:
         """Tolerances by the class of the machine, SI."""
-        hanging = isinstance(self.geometry.layout, LinearDelta)
-        belts = self.build == "belts" or (not self.build and hanging)
-        return {**self.catalogue.default_tolerance, **(of_belts(self.catalogue) if belts else {})}
+        belts = of_belts(self.catalogue) if self._of_belts else {}
+        return {**self.catalogue.default_tolerance, **belts}
+
+    @property
+    def entered(self) -> dict[str, float]:
+        """Standard deviations to expect, by family, of what parts of one set have in common beyond
+        their tolerances, because an owner entered it, SI.
+        """
+        return entered(self.catalogue) if self._of_belts else {}
 
 
 def name_of(geometry: Geometry) -> str:

@@ -90,7 +90,11 @@ def read_machine_file(
         for name in near
     )
     warnings += machine.stiffness.warnings(machine.file)
-    if posterior is None and any(entry.sigma for entry in machine.parameters.values()):
+    if (
+        posterior is None
+        and not machine.is_measured
+        and any(entry.sigma for entry in machine.parameters.values())
+    ):
         warnings += (
             f"{machine.file}: there is no {shown(beside.name)} beside it with the covariance of "
             f"its parameters: their sigmas are taken as independent",
@@ -114,7 +118,7 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
     catalogue = with_places(catalogue, named, geometry)
     tolerance = schema.tolerances(catalogue).read(document)
     document.check_keys(schema.INSTRUMENT_KINDS, "instrument")
-    return MachineFile(
+    found = MachineFile(
         **{"name": "", **top, **schema.DRIVE.read(document), **schema.CLASS.read(document)},
         **{name: part.build(document) for name, part in schema.PARTS.items()},
         geometry=geometry,
@@ -129,6 +133,7 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
         catalogue=catalogue,
         file=file,
     )
+    return found.with_measured()
 
 
 def _geometry(document: Document) -> Geometry:

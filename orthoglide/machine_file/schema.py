@@ -13,6 +13,7 @@ from orthoglide.instruments import OBSERVATIONS
 from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta, Orthoglide
 from orthoglide.machine_file import model
 from orthoglide.machine_file.keys import Key, Section
+from orthoglide.machine_file.measured import Measured
 from orthoglide.quantities import TEXT, one_of, quantity, several
 from orthoglide.units import MM, NOISE, ONE, RAD, Unit
 
@@ -24,6 +25,7 @@ _POINT = several(_LENGTH, 3)
 _DIRECTION = several(quantity(ONE, -1e6, 1e6, closed=True), 3)
 _ANGLE = quantity(Unit("deg", 1.0), -3600, 3600, closed=True)
 _PLATFORM = quantity(MM, 1)
+_SIZE = quantity(MM, 0, 1e4)
 _STIFFEST = 1e15  # in the file's units: beyond any part
 
 TABLES = {
@@ -35,6 +37,8 @@ TABLES = {
     "drive": "The drives.",
     "controller": "How the controller counts.",
     "class": "How the machine is built, which sets the tolerances that are not given.",
+    "measured": "What was measured on the machine itself, each a list of a length and its standard "
+    "deviation. It is not searched for changes, as an earlier calibration is.",
     "tolerance": "Standard deviations to expect, one number an effect. Names, units and defaults "
     "are those of the [catalogue](effects.md).",
     "stiffness": "Elastic constants.",
@@ -92,6 +96,12 @@ CLASS = Section("class", model.MachineFile, (
         "absent, a linear delta has belts, and other machines are of a laboratory.",
         attribute="build"),
 ))
+MEASURED = Section("measured", Measured, (
+    Key("rods_mm", several(_SIZE, 2), "Length of the bars between their pivots, in the mean "
+        "of all: `[272.1, 0.1]`."),
+    Key("travel_of_100_mm", several(_SIZE, 2), "How far a carriage went that was told to go "
+        "100 mm, in the mean of all: `[100.2, 0.05]`.", attribute="travel"),
+))
 STIFFNESS = Section("stiffness", model.Stiffness, (
     Key("torsion_Nmm_per_rad", quantity(Unit("N mm/rad", 1e-3), 0, _STIFFEST, closed=True),
         "Torsional stiffness of a leg. It is no longer modelled: a warning says from which value "
@@ -124,7 +134,9 @@ LEG = Section("layout.leg.NAME", FreeLeg, (
 ))
 SURFACE_SLOPE = Key("surface_slope", quantity(RAD, 0, 1), "Slope of the reference surface in "
                     "readings of kind `parallelism`. If absent, the surface is taken as exact.")
-PARTS = {"dial": DIAL, "controller": CONTROLLER, "stiffness": STIFFNESS}  # by attribute
+PARTS = {
+    "dial": DIAL, "controller": CONTROLLER, "measured": MEASURED, "stiffness": STIFFNESS,
+}  # by attribute
 # fmt: on
 
 

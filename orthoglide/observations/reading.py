@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.errors import FileError
+from orthoglide.foreign import refuse_foreign
 from orthoglide.geometry import Array
 from orthoglide.machine_file import AnyMachine, Controller, MachineFile, machine_file_of
 from orthoglide.notes import Note
@@ -56,6 +59,8 @@ from orthoglide.observations.schema import (
 )
 from orthoglide.observations.table import Table, frame_table, read_table, rows_table
 from orthoglide.observations.tables import concatenated, from_points
+
+_BEGINNING = 2**16  # bytes of a file that say what wrote it
 
 Given = Readings | str | os.PathLike[str]
 """Readings, or the path of their file."""
@@ -103,8 +108,15 @@ def read_readings(
     Raises:
         FileError: naming the line and what would be right.
     """
-    table = read_table(path)
-    return readings_of_table(table, Path(table.file).stem, machine_file, require_readings)
+    try:
+        table = read_table(path)
+        return readings_of_table(table, Path(table.file).stem, machine_file, require_readings)
+    except FileError:
+        # What is no table of readings may be what a firmware wrote, which has a command of its own.
+        with suppress(OSError):
+            content = Path(path).read_bytes()[:_BEGINNING]
+            refuse_foreign(Path(path), content, own=("archive",))
+        raise
 
 
 def read_tcp(path: str | os.PathLike[str], machine_file: AnyMachine | None = None) -> Readings:

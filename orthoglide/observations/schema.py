@@ -13,7 +13,9 @@ from typing import Any
 from orthoglide.geometry import LEGS
 from orthoglide.instruments import (
     BESIDE as BESIDE_NAMES,
+    MATERIAL,
     OBSERVATIONS,
+    SIZES,
     TURNED,
     LegDial,
     Observation,
@@ -170,6 +172,11 @@ BESIDE = replace(_of_mounting(BESIDE_NAMES[0], number(MM),
 TURN = _of_mounting(TURNED, number(_DEG, -360, 360),
     "How far the setup's plate was turned on its seat, counter-clockwise from above.",
     "turned", 0.0, every=True)
+PART = replace(_of_mounting(MATERIAL, words({name: name for name in SIZES if name}, nothing=""),
+    "What the part is made of on which distances are read: `printed` parts are 0.3 ± 0.3 % "
+    "smaller than they were commanded and all of a file are one part; `metal`, such as a rule, a "
+    "jig or a milled part, is true to 0.02 %. If empty, anything within 1 % is as likely.",
+    "material", ""), text=True)
 FIRMWARE = Column("firmware", LABEL,
     "Mark of the firmware's numbers with which an imported file's travel was computed. A file with "
     "another mark than the machine file's is refused.", "", "", at_tool, text=True)
@@ -183,7 +190,7 @@ COMMANDS = {column: _second(column) for column in (RHO, TRAVEL, PLACE)}
 COLUMNS: tuple[Column, ...] = (
     KIND, SETUP, LEG, DIRECTION, POSTURE, *COMMANDS, GAUGE, GAUGE2, BAR, *COMMANDS.values(),
     REPEAT, ORDER, APPROACH, TIME, TEMPERATURE, LOAD, *READINGS.values(), *SIGMAS.values(),
-    BESIDE, TURN, FIRMWARE,
+    BESIDE, TURN, PART, FIRMWARE,
 )  # fmt: skip
 """The columns of a file of readings, in the order of writing."""
 

@@ -36,6 +36,7 @@ _TELLS = 3.0
 members of a credible set."""
 
 _NAMED = 2  # explanations in a sentence; of others their number
+_KNOWN_TO = 0.1  # to which probabilities that decide are known
 _TURNED = 60.0  # degrees, of a plate on its seat: the lobes of a shape of three come to its hollows
 _LONGER = 0.04  # metres: as much again as a nozzle hangs below the joints of a platform
 _SHEET = "; a sheet for it: orthoglide design --owns {0} --machine machine.toml --out {0}.csv"
@@ -91,9 +92,20 @@ def deciding_instruments(known: FullPosterior, causes: Sequence[Cause]) -> tuple
     several = [
         Decision(i, _apart(known, i.problem, pairs)) for i in _instruments(known.after.problem)
     ]
-    # Two causes as likely as each other have the product 0.25, which rounding must not divide.
-    several.sort(key=lambda one: -round(one.probability + EQUAL, 1))
-    return tuple(_suggested(one, causes, several) for one in several if one.probability > 0)
+    order = _by_need(several)
+    return tuple(_suggested(one, causes, several) for one in order if one.probability > 0)
+
+
+def _by_need(several: Sequence[Decision]) -> list[Decision]:
+    """Return decisions, given that of least need first, so that none stands behind one that is no
+    better by more than what probabilities are known to.
+    """
+    left, order = [*several], list[Decision]()
+    while left:
+        most = max(one.probability for one in left)
+        order.append(next(one for one in left if one.probability > most - _KNOWN_TO - EQUAL))
+        left.remove(order[-1])
+    return order
 
 
 # -- what could be read ----------------------------------------------------------------------------

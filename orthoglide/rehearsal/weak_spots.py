@@ -55,7 +55,7 @@ def _not_recorded(scope: Scope, judged: Collection[str]) -> Iterator[WeakSpot]:
     catalogue = scope.machine.catalogue
     dials = any(not sheet.of_tool for sheet in scope.sheets)
     for effect in catalogue.values():
-        if effect.name in (*catalogue.base, *judged) or effect.instead_of or effect.plate:
+        if effect.name in (*catalogue.base, *judged) or effect.instead_of or effect.of_body:
             continue
         if effect.of_dial and not dials:
             continue

@@ -13,7 +13,7 @@ from typing import NoReturn
 
 from orthoglide import files
 from orthoglide.errors import FileError
-from orthoglide.firmware.foreign import refuse_foreign
+from orthoglide.foreign import refuse_foreign
 from orthoglide.notes import Note
 from orthoglide.text import shown
 
@@ -23,6 +23,7 @@ _SECTION = re.compile(r"\[([^\]]+)\]")
 _ENTRY = re.compile(r"([^\s:=#;\[][^:=]*?)\s*[:=]\s*(.*)$")
 _COMMENT = re.compile(r"#.*$|(?:^|\s);.*$")
 _ROW = re.compile(r"[-+.,\d\seE]+$")
+_TEMPERATURE = re.compile(r"(?:\w+_)?temp(?:erature)?(?:_c)?")
 _READ = ("printer", "stepper_a", "stepper_b", "stepper_c", "delta_calibrate", "bed_mesh", "probe")
 _DEEPEST = 8  # files that include one another
 _MOST = 1e6  # of anything that a printer's file counts
@@ -83,6 +84,13 @@ class Section:
         if key not in self.entries and default is not None:
             return default
         return self._number(key, self.text(key), low, high)
+
+    @property
+    def temperature(self) -> float:
+        """Temperature that was stored with it, degrees Celsius; nan where none was."""
+        found = (e.text for key, e in self.entries.items() if _TEMPERATURE.fullmatch(key))
+        value = _cell(next(found, "nan"))
+        return math.nan if isinstance(value, str) else value
 
     def table(self, key: str) -> list[list[float]]:
         """Return rows of numbers, one a line, parted by commas."""

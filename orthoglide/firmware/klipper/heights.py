@@ -18,7 +18,7 @@ from orthoglide.firmware.imported import Row
 from orthoglide.firmware.klipper.config import Config, Section
 from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
 from orthoglide.geometry import Array, plane_columns
-from orthoglide.instruments import Distance, PlateTouch
+from orthoglide.instruments import PRINTED, Distance, PlateTouch
 from orthoglide.numerals import signed
 
 CALIPER, RIM = 5e-5, 1e-4
@@ -28,7 +28,7 @@ taken off, and pillars differ by a tenth of a millimetre."""
 CALIBRATE = "calibrate"
 """Kind of a note that the firmware's own calibration has to be run again."""
 
-_PROBES = (
+PROBES = (
     "probe", "bltouch", "smart_effector", "load_cell_probe", "probe_eddy_current", "beacon",
     "cartographer", "scanner", "dockable_probe",
 )  # fmt: skip
@@ -57,7 +57,7 @@ def plane_of(p: Array, height: Array) -> tuple[float, float, float]:
 
 def probe_section(config: Config) -> Section | None:
     """Return the section of the probe; ``None`` where there is none."""
-    found = (s for s in config.named(*_PROBES) if s.name == "probe" or "z_offset" in s)
+    found = (s for s in config.named(*PROBES) if s.name == "probe" or "z_offset" in s)
     return next(found, None)
 
 
@@ -102,6 +102,7 @@ def stored_readings(config: Config, numbers: Numbers) -> tuple[list[Row], bool]:
     section, moved, found = config.optional("delta_calibrate"), False, list[Row]()
     if not section.entries:
         return [], False
+    warm = section.temperature
     try:
         step = np.array([_step(config, name) for name in TOWERS])
     except FileError as error:
@@ -121,7 +122,7 @@ def stored_readings(config: Config, numbers: Numbers) -> tuple[list[Row], bool]:
             since = _set_since(config, word, p[good, 0], read.value)
             found += _heights(config, read, travel[good, 0], since)
             moved |= since != 0
-    return found, moved
+    return [replace(row, temperature=warm) for row in found], moved
 
 
 def _read(config: Config, word: str) -> _List:
@@ -259,7 +260,8 @@ def _distances(read: _List, travel: Array) -> Iterator[Row]:
         rim = int(label) % 12 >= 6
         sigma = RIM if rim else math.nan
         setup = "rim" if rim else "spokes"
-        yield Row(Distance.kind, setup, label, one, value, second=other, sigma=sigma)
+        yield Row(Distance.kind, setup, label, one, value, second=other, sigma=sigma,
+                  material=PRINTED)  # fmt: skip
 
 
 def _step(config: Config, tower: str) -> float:

@@ -131,7 +131,8 @@ def _touches(
         )
     for at, (x, y) in zip(travel, places[kept] * 1e3, strict=True):
         label = f"{x:.6g} {y:.6g}"
-        yield Row(PlateTouch.kind, setup, label, at, height, beside=beside, turned=turned)
+        yield Row(PlateTouch.kind, setup, label, at, height, beside=beside, turned=turned,
+                  temperature=section.temperature)  # fmt: skip
 
 
 def _probed(config: Config, table: Array, place: Array, offset: Array) -> NDArray[np.bool_]:

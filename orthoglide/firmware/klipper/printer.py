@@ -28,8 +28,9 @@ WARNINGS, AGAIN = "warnings", "calibrate_again"
 run again before anything is entered."""
 
 RELATIVE, ASSUMED, CORRECTED = "meshes_relative", "assumed_mm", "corrected"
+WARM = "temperatures_C"
 """Keys of the table: whether the height at one place is taken out of meshes, what the firmware does
-not store, and new numbers of a calibrated machine."""
+not store, new numbers of a calibrated machine, and temperatures of probes' models."""
 
 SPREAD = 5e-4  # metres by which rods of one set do not differ
 _EVEN = 5e-5  # metres within which arms are taken as alike
@@ -165,7 +166,7 @@ class Printer:
         """Say that the stored arms cannot be those of one set of rods, unless the machine's file
         says that they were measured: by a sigma beside lengths near the stored ones.
         """
-        if np.ptp(self.numbers.arm) <= SPREAD:
+        if np.ptp(self.numbers.arm) <= SPREAD or machine.spec.measured.rods:
             return ""
         length = next(e.name for e in machine.catalogue.effects if e.controller == "bar_length")
         given = [machine.spec.parameters.get(f"{length}.{tower}") for tower in TOWERS]

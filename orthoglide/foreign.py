@@ -57,7 +57,6 @@ _MACHINES = {  # files that describe a machine: what stands in no others, how th
         r"^(?:Recv: *)?(?:echo: *)?[ \t]*(?:M665|M666|M92|M851)\b", _BED_LINES, *_M665,
     ),
 }  # fmt: skip
-_BEFORE = ("archive", "log")  # of kinds that may have another one's contents
 
 
 def refuse_foreign(path: Path, content: bytes, own: Collection[str]) -> None:
@@ -74,7 +73,7 @@ def refuse_foreign(path: Path, content: bytes, own: Collection[str]) -> None:
     text = content.decode("latin-1").replace("\r\n", "\n").replace("\r", "\n")
     for kind, (pattern, message) in _FILES.items():
         if re.search(pattern, text, re.MULTILINE):
-            if kind in own and kind not in _BEFORE:
+            if kind in own:
                 return
             raise FileError(message.format(Path(path).name), file=shown(path))
     for name, (pattern, touch, arm, radius) in _MACHINES.items():

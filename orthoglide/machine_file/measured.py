@@ -1,0 +1,68 @@
+"""What an owner measured on the machine itself, by a calliper, a rule or a jig."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from orthoglide.effects import Catalogue
+from orthoglide.errors import InputError
+from orthoglide.geometry import Array, Geometry
+from orthoglide.parameters import Parameter
+
+TRAVEL = 0.1
+"""Metres that a carriage is told to go for the measurement of its travel: a rule's length."""
+
+_BELTS = 1e-3
+"""Ratio by which drives of one kind differ: pulleys are alike, and belts stretch."""
+
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Sizes with their standard deviations.
+
+    Attributes:
+        rods: length of the bars between their pivots, in the mean of all, metres.
+        travel: how far a carriage went that was told to go `TRAVEL`, in the mean of all, metres.
+
+    Raises:
+        InputError: where a standard deviation is none.
+    """
+
+    rods: Pair | None = None
+    travel: Pair | None = None
+
+    def __post_init__(self) -> None:
+        for name, pair in (("rods_mm", self.rods), ("travel_of_100_mm", self.travel)):
+            if pair is not None and not (pair[0] > 0 and pair[1] > 0):
+                raise InputError(
+                    f"{name} is a length and its standard deviation, both above 0: "
+                    f"correct it to [length, sigma]"
+                )
+        if self.travel is not None and abs(self.travel[0] / TRAVEL - 1) > 0.5:
+            raise InputError(
+                "travel_of_100_mm is how far a carriage went that was told to go 100 mm: give "
+                "about 100"
+            )
+
+    def known(
+        self, catalogue: Catalogue, geometry: Geometry, tolerance: Mapping[str, float]
+    ) -> Iterator[tuple[tuple[Parameter, ...], float, Array]]:
+        """Yield parameters, their value, and their covariance ``(3, 3)``, SI: what all have
+        together is known as well as it was measured, and each differs by its tolerance.
+        """
+        for pair, held, nominal, scale in (
+            (self.rods, "bar_length", geometry.L, 1.0),
+            (self.travel, "scale", TRAVEL, 1 / TRAVEL),
+        ):
+            if pair is None:
+                continue
+            (name,) = (effect for effect in catalogue.held_as(held))
+            each = tolerance[name] if held == "bar_length" else _BELTS
+            value, sigma = (pair[0] - nominal) * scale, pair[1] * scale
+            covariance = np.full((3, 3), sigma**2) + each**2 * np.eye(3)
+            yield catalogue[name].parameters(), value, covariance
