@@ -299,8 +299,8 @@ def test_numbers_are_withheld_where_the_verdict_says_not_to_act() -> None:
     assert not re.search(r"<li class=\"(zeros|mend|compensate)\"", page)
     assert '<li class="confirm">' in page
     assert "No numbers are given to enter" in section
-    assert "add to every command" not in section
-    assert "add to every command" in words(files_of("explained")["report.html"])
+    assert "every command of that drive" not in section
+    assert "every command of that drive" in words(files_of("explained")["report.html"])
 
 
 def test_a_machine_with_nothing_wrong() -> None:

@@ -67,7 +67,7 @@ def export_files(
     """What other programs take of a machine, by file name.
 
     Numbers for the controller, as text and as JSON, the calibrated URDF and its loop closures, our
-    way and as ``robot.urdf`` with ``robot.yaml``.
+    way and as ``robot.urdf`` with ``robot.yaml``. With ``zeros_only`` the zeros and nothing else.
 
     Args:
         machine: calibrated, or the path of its file.
@@ -79,11 +79,16 @@ def export_files(
     """
     machine = Machine.of(machine)
     numbers = controller_numbers(machine, zeros_only=zeros_only, force=force)
+    told = {
+        "controller.txt": numbers.text(),
+        "controller.json": json.dumps(numbers.as_dict(), indent=2) + "\n",
+    }
+    if zeros_only:
+        return told
     tree = calibrated_urdf(machine)
     loops = load(machine.spec.urdf or machine.geometry).loops
     return {
-        "controller.txt": numbers.text(),
-        "controller.json": json.dumps(numbers.as_dict(), indent=2) + "\n",
+        **told,
         URDF_FILE: tree,
         CLOSURES_FILE: closures_text(loops),
         **parallel_robot_files(machine.geometry, tree, loops),

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from orthoglide.control import withheld
-from orthoglide.numerals import compact
 from orthoglide.report.words import BESIDES, evidence, meaning, standing
 from orthoglide.result import Cause, Change, Curve, DataRival, Explanation, Result
 from orthoglide.text import sentence
@@ -27,7 +26,7 @@ _CLEARLY = 50.0  # log odds
 _STAGES = {
     "now": "The tool now",
     "zeros": "With zeros corrected",
-    "zeros_and_lengths": "And bar lengths entered",
+    "zeros_and_lengths": "And {bar} lengths entered",
     "compensated": "With commands compensated",
 }
 _NUMBERS = ("With the firmware's numbers", "With the new ones")
@@ -155,10 +154,11 @@ def tiles(result: Result) -> list[Tile]:
         return told if result.stands and not withheld(result.machine) else told[:1]
     expected = result.numbers.expected
     stages = ("now", "zeros") if not result.stands and result.searches else _STAGES
-    return [_tile(_STAGES[name], expected[name]) for name in stages]
+    bar = result.numbers.names.bar
+    return [_tile(_STAGES[name].format(bar=bar), expected[name]) for name in stages]
 
 
 def _tile(what: str, error: ExpectedError) -> Tile:
-    shape, sigma = (compact(v * 1e3, 2) for v in (error.shape, error.shape_sigma))
-    place = f"of place, {error.place * 1e3:.1f} ± {error.place_sigma * 1e3:.1f}"
-    return Tile(what, shape, (f"of shape, ± {sigma}", place))
+    shape, _, sigma = error.words.partition(" ± ")
+    known = f"± {sigma} " if sigma else ""
+    return Tile(what, shape, (f"{known}in a workpiece", f"all shifted by {error.place_words}"))

@@ -17,6 +17,7 @@ from orthoglide.text import is_terminal, sentence, text_width
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
+    from rich.text import Text
 
 
 _MOST = 3  # of what may be looked at
@@ -42,6 +43,7 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
     remarks += [sentence(w) for w in told if w]
     parts += [Text(f"- {line}") for line in remarks]
     parts += [Text(line) for line in to_do(result)]
+    parts += _zeros(result)
     if result.firmware is not None and result.firmware.corrections is not None:
         found = result.firmware.corrections
         parts += _table((found.file, "old", "new"), found.rows)
@@ -52,6 +54,19 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
             parts.append(Text(f"{instead}: {why}.", style="bold"))
     parts += [Text(f"Warning: {caution}", style="bold") for caution in result.further_cautions]
     return console_text(parts)
+
+
+def _zeros(result: Result) -> Iterator[Text | Table]:
+    """New zeros with one of them worked and one checked, where they are to be entered."""
+    from rich.text import Text
+
+    if result.firmware is not None or all(one.kind != "zeros" for one in result.actions):
+        return
+    numbers = result.numbers
+    yield from _table((f"zeros, mm: {numbers.zeros.titles[0]}", "old", "new"), numbers.zeros.rows)
+    how, readings = numbers.check
+    yield from map(Text, filter(None, (numbers.worked, how)))
+    yield from (Text(f"- {one} orthoglide export gives all.") for one in readings[:1])
 
 
 def to_do(result: Result) -> Iterator[str]:
