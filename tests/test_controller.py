@@ -760,7 +760,7 @@ def test_export_writes_numbers_and_urdf(tmp_path: Path) -> None:
     assert code == 0, text
     assert {p.name for p in out.iterdir()} == {
         "controller.txt", "controller.json", "orthoglide.urdf", "orthoglide.closures.toml",
-        "robot.urdf", "robot.yaml",
+        "robot.urdf", "robot.yaml", "orthoglide.xml",
     }  # fmt: skip
     numbers = json.loads((out / "controller.json").read_text())
     drive = controller_numbers(machine(RIGID)).drives[0]

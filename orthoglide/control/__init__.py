@@ -14,4 +14,8 @@ from orthoglide.control.numbers import (
     ControllerNumbers as ControllerNumbers,
     controller_numbers as controller_numbers,
 )
-from orthoglide.control.urdf import calibrated_urdf as calibrated_urdf, held_by_urdf as held_by_urdf
+from orthoglide.control.urdf import (
+    calibrated_mjcf as calibrated_mjcf,
+    calibrated_urdf as calibrated_urdf,
+    held_by_urdf as held_by_urdf,
+)

@@ -11,6 +11,7 @@ that is the closed machine at mechanical zero, p = 0. The kinematics are the pap
 al. 2008, section 2.1); thicknesses, masses and the frame are plausible and not measured.
 """
 
+from orthoglide.urdf.mjcf import to_mjcf as to_mjcf
 from orthoglide.urdf.parallel import (
     ParallelRobot as ParallelRobot,
     parallel_robot_files as parallel_robot_files,
@@ -20,6 +21,7 @@ from orthoglide.urdf.parallel import (
 )
 from orthoglide.urdf.tree import (
     CLOSURES_FILE as CLOSURES_FILE,
+    MJCF_FILE as MJCF_FILE,
     URDF_FILE as URDF_FILE,
     Closure as Closure,
     closures as closures,
