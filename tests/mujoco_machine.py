@@ -4,9 +4,11 @@
 free platform on six bars, each on a universal joint at its carriage and ``connect``-ed to the
 platform, which closes for any errors of the parts. Nothing of the package is used: dimensions come
 in as numbers. ``MujocoMachine`` closes the loops of this MJCF, and of those that the package
-writes, with Newton steps on MuJoCo's constraint Jacobian. SI units; leg i has the axes a, b, c = e_i,
-e_(i+1), e_(i+2), bars run from the carriage toward -a, bar 1 is on the +c side. The six bars take
-legs that stand elsewhere too; they are called x, y, z all the same.
+writes, with Newton steps on MuJoCo's constraint Jacobian.
+
+SI units; leg i has the axes a, b, c = e_i, e_(i+1), e_(i+2), bars run from the carriage toward -a,
+bar 1 is on the +c side. The six bars take legs that stand elsewhere too; they are called x, y, z
+all the same.
 """
 
 from __future__ import annotations

@@ -92,9 +92,9 @@ def _fill(
         child = _link(joint, "child")
         kind = joint.get("type", "fixed")
         if kind == "fixed" and child not in behind and links[child].find("inertial") is None:
-            ET.SubElement(body, "site", name=child, **_placed(joint), size="0.002")
+            ET.SubElement(body, "site", {"name": child, "size": "0.002"} | _placed(joint))
             continue
-        inner = ET.SubElement(body, "body", name=child, **_placed(joint))
+        inner = ET.SubElement(body, "body", {"name": child} | _placed(joint))
         if kind != "fixed":
             _add_joints(inner, joint, relief)
         ET.SubElement(inner, "site", name=child, size="0.002")
