@@ -24,7 +24,8 @@ from orthoglide.layout import LinearDelta
 from orthoglide.numerals import ByUnit
 from orthoglide.parameters import Parameter
 from orthoglide.report import report_files, result_text
-from orthoglide.report.first import finding, sure_words
+from orthoglide.report.claims import sure_words
+from orthoglide.report.first import finding
 from orthoglide.report.rendering import rendered
 from orthoglide.report.text import to_do
 from orthoglide.report.words import _falls

@@ -194,7 +194,10 @@ class ControllerNumbers(Framed):
     @property
     def zeros(self) -> Table:
         """The zeros of each axis, old and new."""
-        rows = ((d.leg, *(_shown(v) for v in (d.zero, d.new_zero))) for d in self.drives)
+        rows = []
+        for d in self.drives:
+            old, new = _shown(d.zero), _shown(d.new_zero)
+            rows.append((d.leg, old, "unchanged" if new == old else new))
         return Table((self.names.axis, "old zero", "new zero"), tuple(rows))
 
     @property

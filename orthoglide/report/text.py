@@ -10,7 +10,14 @@ from orthoglide.numerals import hundredths, signed
 from orthoglide.report.identified import weak_sentences
 from orthoglide.report.rows import POSSIBLE, parameter_rows, possible_rows, score_rows
 from orthoglide.report.sections import too_early
-from orthoglide.report.words import gain_words, headline, meaning, unshown_words, unvaried_words
+from orthoglide.report.words import (
+    gain_words,
+    headline,
+    meaning,
+    unshown_words,
+    unvaried_words,
+    warnings_besides,
+)
 from orthoglide.result import Action, Result
 from orthoglide.text import is_terminal, sentence, text_width
 
@@ -39,7 +46,7 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
     remarks = [f"The search ended: {result.left.stopped}."] if searches else []
     remarks += [] if searches else weak_sentences(result.weak, result.catalogue)
     hidden = (unshown_words(result), unvaried_words(result))
-    told = (*hidden, *(w for w in result.warnings if w.kind != said))
+    told = (*hidden, *(w for w in warnings_besides(result) if w.kind != said))
     remarks += [sentence(w) for w in told if w]
     parts += [Text(f"- {line}") for line in remarks]
     parts += [Text(line) for line in to_do(result)]
