@@ -39,7 +39,7 @@ from orthoglide.mechanism.constraints import Constraints
 from orthoglide.mechanism.tree import LoopedModel, Tree, general_tree, nominal_tree
 from orthoglide.prediction import Conditions
 from orthoglide.simulation import simulate_tcp
-from orthoglide.urdf import closures, to_urdf
+from orthoglide.urdf import closures, read_looped_urdf, to_urdf
 from tests.rig import Array, Rig
 from tests.rig_campaigns import simulate
 
@@ -768,6 +768,26 @@ def test_export_writes_numbers_and_urdf(tmp_path: Path) -> None:
     assert numbers["drives"]["x"]["add_to_command_mm"] == pytest.approx(-drive.offset * 1e3)
     assert (out / "orthoglide.urdf").read_text() == calibrated_urdf(machine(RIGID))
     assert invoke("export", "--machine", str(tmp_path / "m.toml"), "--out", str(out))[0] == 2
+
+
+def test_a_delta_is_called_what_it_is(tmp_path: Path) -> None:
+    """In what Python shows, in the names of files, and in the table of its zeros."""
+    geometry = OTHERS["linear delta"]
+    bare = Machine(replace(Machine.nominal().spec, geometry=geometry))
+    assert repr(bare) == "<Machine 'Linear delta, arms of 270 mm': no errors>"
+    found = bare.with_parameters({"joint_offset.a": 1e-3, "leg_length.b": 1e-4})
+    files = export_files(found)
+    assert {name for name in files if not name.startswith(("controller", "robot"))} == {
+        "linear-delta.urdf", "linear-delta.closures.toml", "linear-delta.xml",
+    }  # fmt: skip
+    text = files["controller.txt"]
+    assert "tower    old zero" in text
+    assert "rod length" in text
+    assert not re.search(r"\b(axis|bars?|legs?|dials?)\b", text)
+    for name in ("linear-delta.urdf", "linear-delta.closures.toml"):
+        (tmp_path / name).write_text(files[name])
+    robot = read_looped_urdf(tmp_path)
+    assert [loop.name for loop in robot.closures][:2] == ["a_parallelogram", "b_parallelogram"]
 
 
 def test_a_machine_with_a_curve_of_a_drive_is_exported(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from orthoglide.notes import Note
 from orthoglide.observations.schema import POINT
 from orthoglide.observations.table import read_table
 from orthoglide.text import csv_text
-from orthoglide.urdf import CLOSURES_FILE, MJCF_FILE, URDF_FILE, closures_text, parallel_robot_files
+from orthoglide.urdf import closures_text, file_names, parallel_robot_files
 
 _SMALL = 1e-3  # metres: a path within it is hardly one
 
@@ -86,12 +86,13 @@ def export_files(
     }
     if zeros_only:
         return told
+    urdf, closures, mjcf = file_names(machine.geometry)
     tree = calibrated_urdf(machine)
     loops = load(machine.spec.urdf or machine.geometry).loops
     return {
         **told,
-        URDF_FILE: tree,
-        CLOSURES_FILE: closures_text(loops),
-        MJCF_FILE: calibrated_mjcf(machine),
+        urdf: tree,
+        closures: closures_text(loops, urdf),
+        mjcf: calibrated_mjcf(machine),
         **parallel_robot_files(machine.geometry, tree, loops),
     }

@@ -21,11 +21,11 @@ from orthoglide.urdf.parallel import (
 )
 from orthoglide.urdf.tree import (
     CLOSURES_FILE as CLOSURES_FILE,
-    MJCF_FILE as MJCF_FILE,
     URDF_FILE as URDF_FILE,
     Closure as Closure,
     closures as closures,
     closures_text as closures_text,
+    file_names as file_names,
     shipped_folder as shipped_folder,
     to_urdf as to_urdf,
     write as write,
