@@ -37,6 +37,7 @@ from orthoglide import reduction
 from orthoglide.mechanism.engine import ByPinocchio, SixBars
 from orthoglide.mechanism.mechanism import Mechanism
 from orthoglide.prediction import Model
+from orthoglide.urdf import closures, to_mjcf, to_urdf
 
 Array = NDArray[np.float64]
 ROUNDS = 7
@@ -169,13 +170,14 @@ def add_pinocchio(add: Callable[..., None], few: Array) -> None:
 def add_mujoco(add: Callable[..., None], few: Array) -> None:
     """MuJoCo's constraint Jacobian with a Newton loop in Python, if it is installed."""
     try:
-        from tests.mujoco_machine import Dimensions, MujocoMachine, prpar_mjcf, six_bar_mjcf
+        from tests.mujoco_machine import Dimensions, MujocoMachine, six_bar_mjcf
     except ImportError:
         return
     size = Dimensions(GEOMETRY.L, GEOMETRY.d, GEOMETRY.r)
-    named = {"MuJoCo with a Newton loop, PRPaR legs": prpar_mjcf, YARDSTICK: six_bar_mjcf}
-    for name, build in named.items():
-        machine = MujocoMachine(build(size), GEOMETRY.L)
+    legs = to_mjcf(to_urdf(GEOMETRY), closures(GEOMETRY), relief=False)
+    named = {"MuJoCo with a Newton loop, PRPaR legs": legs, YARDSTICK: six_bar_mjcf(size)}
+    for name, mjcf in named.items():
+        machine = MujocoMachine(mjcf, GEOMETRY.L)
         worst = max(np.abs(machine.pose(r)[0] - reduction.forward(r)).max() for r in few)
         if not worst < 1e-12:
             raise SystemExit(f"{name} stands {worst:.2g} m from the reduction: nothing to compare")

@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
     from orthoglide.control import (
         Compensation as Compensation,
         ControllerNumbers as ControllerNumbers,
+        calibrated_mjcf as calibrated_mjcf,
         calibrated_urdf as calibrated_urdf,
         compensate as compensate,
         controller_numbers as controller_numbers,
@@ -107,8 +108,8 @@ _WHERE = {
     "checking": "Check check",
     "comparison": "compare_effects compare_machine",
     "control": (
-        "Compensation ControllerNumbers calibrated_urdf compensate controller_numbers "
-        "export_files read_path"
+        "Compensation ControllerNumbers calibrated_mjcf calibrated_urdf compensate "
+        "controller_numbers export_files read_path"
     ),
     "effects": "Effect Motion Parameter Words once sideways",
     "errors": (

@@ -16,6 +16,7 @@ from orthoglide.effects import OF_DRIVES
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine import Machine
 from orthoglide.mechanism.perfect_legs import Spheres, commands as commands_of
+from orthoglide.numerals import with_sigma
 from orthoglide.prediction import Conditions
 
 GRID = 5
@@ -125,6 +126,16 @@ class ExpectedError:
     def as_dict(self) -> dict[str, float]:
         """For JSON, millimetres."""
         return {f"{name}_mm": float(f"{v * 1e3:.6g}") for name, v in vars(self).items()}
+
+    @property
+    def words(self) -> str:
+        """Shape with its standard deviation, millimetres."""
+        return with_sigma(self.shape * 1e3, self.shape_sigma * 1e3)
+
+    @property
+    def place_words(self) -> str:
+        """Place with its standard deviation, millimetres."""
+        return with_sigma(self.place * 1e3, self.place_sigma * 1e3)
 
     def __str__(self) -> str:
         return (

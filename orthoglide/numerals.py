@@ -50,6 +50,19 @@ def compact(value: float, digits: int = 3) -> str:
     return text.replace("-", MINUS)
 
 
+_FINEST = 4  # decimals of millimetres that any machine is worth
+
+
+def with_sigma(value: float, sigma: float) -> str:
+    """A number with its standard deviation, both with the decimals that the latter is worth:
+    ``0.261 ± 0.003``. One that no decimal shows is left out.
+    """
+    if not sigma >= 0.5 * 10.0**-_FINEST:
+        return plain(value, 3)
+    places = min(max(-math.floor(math.log10(sigma)), 0), _FINEST)
+    return f"{plain(value, places)} ± {sigma:.{places}f}"
+
+
 def hundredths(p: float) -> str:
     """A probability to two decimals; below half of the last only that."""
     return f"{p:.2f}" if p >= 0.005 else "< 0.01"

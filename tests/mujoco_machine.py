@@ -1,16 +1,14 @@
 """The machine in MuJoCo: an independent witness, and the yardstick of the benchmark.
 
-Two machines written down by hand as MJCF, with MuJoCo's own equality constraints:
+``six_bar_mjcf`` is a machine written by hand as MJCF, with MuJoCo's own equality constraints: a
+free platform on six bars, each on a universal joint at its carriage and ``connect``-ed to the
+platform, which closes for any errors of the parts. Nothing of the package is used: dimensions come
+in as numbers. ``MujocoMachine`` closes the loops of this MJCF, and of those that the package
+writes, with Newton steps on MuJoCo's constraint Jacobian.
 
-- ``prpar_mjcf``: the nominal PRPaR legs, three parallelograms closed by ``connect`` and the three
-  platforms by ``weld``;
-- ``six_bar_mjcf``: a free platform on six bars, each on a universal joint at its carriage and
-  ``connect``-ed to the platform: closes for any errors of the parts.
-
-Nothing of the package is used: dimensions come in as numbers. ``MujocoMachine`` closes the loops
-with Newton steps on MuJoCo's constraint Jacobian. SI units; leg i has the axes a, b, c = e_i,
-e_(i+1), e_(i+2), bars run from the carriage toward -a, bar 1 is on the +c side. The six bars take
-legs that stand elsewhere too; they are called x, y, z all the same.
+SI units; leg i has the axes a, b, c = e_i, e_(i+1), e_(i+2), bars run from the carriage toward -a,
+bar 1 is on the +c side. The six bars take legs that stand elsewhere too; they are called x, y, z
+all the same.
 """
 
 from __future__ import annotations
@@ -84,31 +82,6 @@ def _short_link(size: Dimensions, leg: int) -> Array:
     return found
 
 
-def prpar_mjcf(size: Dimensions) -> str:
-    """The nominal machine with rigid PRPaR legs; all bodies keep the base's axes at zero."""
-    bodies = []
-    for leg, n in enumerate(LEGS):
-        a, b, c = size.axes[leg]
-        hinge = '<joint name="{}" type="hinge" axis="{}"/>' + _MASS
-        up, down, along = _text(c * size.d / 2), _text(-c * size.d / 2), _text(-a * size.L)
-        bodies.append(
-            f'<body pos="{_text(a * (size.L + size.r))}">'
-            f'<joint name="{n}_slide" type="slide" axis="{_text(a)}"/>{_MASS}'
-            f"<body>{hinge.format(f'{n}_theta', _text(c))}"
-            f'<body pos="{down}">{hinge.format(f"{n}_bar2", _text(b))}'
-            f'<site name="{n}_tip" pos="{along}"/></body>'
-            f'<body pos="{up}">{hinge.format(f"{n}_bar1", _text(b))}'
-            f'<body pos="{along}">{hinge.format(f"{n}_knuckle", _text(b))}'
-            f'<site name="{n}_end" pos="{_text(-c * size.d)}"/>'
-            f'<body pos="{down}">{hinge.format(f"{n}_platform", _text(c))}'
-            f'<site name="{n}_tcp" pos="{_text(-a * size.r)}"/>'
-            "</body></body></body></body></body>"
-        )
-    loops = [f'<connect site1="{n}_tip" site2="{n}_end"/>' for n in LEGS]
-    loops += [f'<weld site1="x_tcp" site2="{n}_tcp"/>' for n in "yz"]
-    return f"{_HEAD}{''.join(bodies)}</worldbody><equality>{''.join(loops)}</equality></mujoco>"
-
-
 def six_bar_mjcf(size: Dimensions) -> str:
     """A rigid platform on six bars, with the errors of the parts built in."""
     carriages, ends, loops = [], [], []
@@ -144,19 +117,21 @@ class MujocoMachine:
     """Closes the loops of an MJCF whose joints ``x_slide`` ... are the drives.
 
     Args:
-        mjcf: as ``prpar_mjcf`` or ``six_bar_mjcf`` write it.
+        mjcf: as ``six_bar_mjcf`` or ``orthoglide.urdf.to_mjcf`` write it.
         length: L, metres: the drives stand at rho - L; 0 where commands are travel.
+        legs: names of the legs.
     """
 
-    def __init__(self, mjcf: str, length: float) -> None:
+    def __init__(self, mjcf: str, length: float, legs: Sequence[str] = LEGS) -> None:
         self.model = mujoco.MjModel.from_xml_string(mjcf)
+        self.model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         self.data = mujoco.MjData(self.model)
         self.length = length
-        joints = [self.model.joint(f"{n}_slide") for n in LEGS]
+        joints = [self.model.joint(f"{n}_slide") for n in legs]
         self._drives = np.array([int(j.qposadr[0]) for j in joints])
         moved = [int(j.dofadr[0]) for j in joints]
         self._free = np.setdiff1d(np.arange(self.model.nv), moved)
-        self._tcp = self.model.site("x_tcp").id
+        self._tcp = self.model.site(f"{legs[0]}_tcp").id
         self.steps = 0
 
     def close(self, rho: Array, guess: Array | None = None) -> Any:

@@ -278,6 +278,7 @@ OF_ONE_LAYOUT = {
     "instruments/meant.py": "names of the tool's coordinates",
     "control/urdf.py:calibrated_urdf": "an attribute of URDF, and turns about x, y and z",
     "control/urdf.py:_shift": "the same attribute",
+    "urdf/mjcf.py": "the same",
     "instruments/observation.py:Observation.places": "circles about x, y and z, whatever the legs",
     # A leg's own axes a, b, c, which every layout has
     "urdf/tree.py": "the axes of a leg's joints",

@@ -39,7 +39,7 @@ from orthoglide.mechanism.constraints import Constraints
 from orthoglide.mechanism.tree import LoopedModel, Tree, general_tree, nominal_tree
 from orthoglide.prediction import Conditions
 from orthoglide.simulation import simulate_tcp
-from orthoglide.urdf import closures, to_urdf
+from orthoglide.urdf import closures, read_looped_urdf, to_urdf
 from tests.rig import Array, Rig
 from tests.rig_campaigns import simulate
 
@@ -337,7 +337,8 @@ def test_the_text_of_the_numbers_is_readable() -> None:
     text = controller_numbers(found).text()
     assert max(map(len, text.splitlines())) <= 100
     assert not re.search(r"-0\.0+\b", "".join(re.findall(r"(?m)^  [xyz] .*$", text)))
-    assert "cannot hold axis tilt (3 numbers), rail_bow.x.z: send" in " ".join(text.split())
+    assert "leave out axis tilt and rail bow: commands from" in " ".join(text.split())
+    assert "backlash" not in text.partition("leave out")[0]  # rounds to nothing
 
 
 def test_the_numbers_are_headed_by_the_machines_name_where_it_has_one() -> None:
@@ -350,20 +351,36 @@ def test_the_numbers_are_headed_by_the_machines_name_where_it_has_one() -> None:
 
 def test_the_sign_rule_is_worked_out_in_words() -> None:
     text = controller_numbers(machine(DRIVES, controller=COUNTING)).text()
-    assert "new zero = old zero - sign x joint offset" in text
-    worked = re.search(r"shows (\S+) - \((\S+)\) x \((\S+)\) = (\S+) mm", text)
-    assert worked
-    zero, sign, offset, result = (float(x) for x in worked.groups())
+    said = " ".join(text.split())
+    (worked,) = re.findall(r"new zero = (\S+) - \((\S+)\) x \((\S+)\) = (\S+) mm", said)
+    zero, sign, offset, result = map(float, worked)
     assert (zero, sign, offset) == (500.0, -1.0, 1.2)
     assert result == zero - sign * offset == 501.2
-    assert "too far out" in text
-    assert "toward the origin" in text
-    table = [line.split() for line in text.splitlines() if re.match(r"  [xyz] ", line)]
-    assert [float(row[1]) for row in table] == pytest.approx([501.2, -19.4, 100.0])
+    assert "too far out" in said
+    assert "toward the origin" in said
+    table = [line.split() for line in text.splitlines() if re.match(r" +[xyz] ", line)][:3]
+    zeros = [["500.000", "501.200"], ["-20.000", "-19.400"], ["100.000", "unchanged"]]
+    assert [row[1:] for row in table] == zeros
     assert "hold all of it" in text
     more = controller_numbers(machine({**DRIVES, "axis_tilt.y.z": 1e-3}))
     assert more.left_over == ("axis_tilt.y.z",)
-    assert "axis_tilt.y.z" in more.text()
+    assert "leave out axis tilt" in more.text()
+
+
+def test_a_controller_that_takes_zeros_alone_reads_of_nothing_else(tmp_path: Path) -> None:
+    errors = {**DRIVES, "axis_tilt.y.z": 1e-3}
+    whole, alone = (controller_numbers(machine(errors), zeros_only=z) for z in (False, True))
+    for word in ("Scale", "backlash", "one-sided", "bar length"):
+        assert word in whole.text()
+        assert word not in alone.text().partition("leave out")[0]
+    assert set(alone.as_dict()["drives"]["x"]) == {
+        "sign", "offset_mm", "old_zero_mm", "new_zero_mm", "add_to_command_mm",
+    }  # fmt: skip
+    machine(errors).save(tmp_path / "m.toml")
+    out = tmp_path / "zeros"
+    asked = ("export", "--machine", str(tmp_path / "m.toml"), "--zeros-only", "--out", str(out))
+    assert invoke(*asked)[0] == 0
+    assert {p.name for p in out.iterdir()} == {"controller.txt", "controller.json"}
 
 
 def proved(exported: dict[str, Any], counting: Controller, rig: Rig) -> None:
@@ -407,20 +424,26 @@ def test_the_check_tells_a_zero_entered_the_wrong_way(sign: tuple[int, int, int]
     assert new == pytest.approx(old - np.array(sign) * fitted, abs=1e-9)
     proved(exported, counting, Rig(errors=errors))
     assert list(exported["checks"]) == ["x", "y", "z"]
-    for check in exported["checks"].values():  # as one that counts from its new zeros shows it: old
-        assert np.array(check["shown_at_zero_mm"]) == pytest.approx(new * 1e3, abs=1e-6)
-    assert "one that counts from its new zeros shows" in " ".join(numbers.text().split())
-    assert "moved the wrong way it would read" in " ".join(numbers.text().split())
+    for said in numbers.check[1]:
+        check = exported["checks"][said.split()[1][0]]
+        zero, then = (np.array(check[f"shown_at_{where}_mm"]) for where in ("zero", "posture"))
+        assert zero == pytest.approx(new * 1e3, abs=1e-6)
+        moves = re.search(r"move x, y, z by (\S+), (\S+), (\S+) mm", said)
+        assert moves
+        assert [*map(float, moves.groups())] == pytest.approx(then - zero, abs=6e-4)
+        read = re.search(r"Expect (\S+) mm; (\S+) mm says that the zero", said)
+        assert read
+        expected = [check["expected_mm"], check["expected_if_wrong_mm"]]
+        assert [*map(float, read.groups())] == pytest.approx(expected, abs=6e-4)
     assert exported["rule"].startswith("new zero = old zero - sign x offset: what the controller")
     assert "come to both" not in numbers.text()
     lost = controller_numbers(machine({**errors, "backlash.z": 1e-4}, controller=counting))
-    assert "come to both with all drives moving away from the origin, it must" in " ".join(
-        lost.text().split()
-    )
+    arriving = "come to both with all axes moving away from the origin. Expect"
+    assert arriving in " ".join(lost.text().split())
     proved(lost.as_dict(), counting, Rig(errors={**errors, "backlash.z": 1e-4}))
     offsets_alone = {name: value for name, value in errors.items() if name != "axis_tilt.y.z"}
     plain = controller_numbers(machine(offsets_alone, controller=counting))
-    assert plain.rule == RULE
+    assert RULE in " ".join(plain.text().split())
     assert [drive.offset for drive in plain.drives] == pytest.approx(offsets, abs=1e-9)
 
 
@@ -443,9 +466,10 @@ def test_zeros_alone_are_fitted_to_the_whole_machine() -> None:
             assert shape(best + by * np.eye(3)[axis]) > shape(best)
     assert numbers.zeros_only == pytest.approx(-best)
     # They are what is entered, and no drive's joint offset.
-    first = " ".join(numbers.text().partition("Scale factor")[0].split())
-    assert f"zero correction x = {-best[0] * 1e3:+.4f} mm" in first
-    assert "joint" not in first.replace("joint coordinate", "")
+    first = " ".join(numbers.text().split())
+    assert "Axis x: where the controller shows its old zero 0.000, carriage x" in first
+    assert f"{best[0] * 1e3:.3f} mm too far out as far as zeros alone can make up for it" in first
+    assert "joint" not in first
     assert [d.scale for d in numbers.drives] == [0, 0, 0]
     assert set(numbers.left_over) == {"axis_offset.z.x", "encoder_scale.y"}
     both = controller_numbers(whole)
@@ -629,7 +653,7 @@ def test_commands_of_other_layouts_are_travel_wherever_users_meet_them(
     told = [calibrated_urdf(own), controller_numbers(own).text(), *columns]
     assert not [text for text in told if re.search(r"\brho", text)]
     assert "Slide q is the commanded travel from mechanical zero." in told[0]
-    assert "no dial is set against the legs of this machine" in " ".join(told[1].split())
+    assert "dial" not in told[1]
     for wrong in (np.full(3, 400.0), np.zeros(2)):
         with pytest.raises(InputError, match=r"^travel\b"):
             own.forward(wrong)
@@ -737,13 +761,33 @@ def test_export_writes_numbers_and_urdf(tmp_path: Path) -> None:
     assert code == 0, text
     assert {p.name for p in out.iterdir()} == {
         "controller.txt", "controller.json", "orthoglide.urdf", "orthoglide.closures.toml",
-        "robot.urdf", "robot.yaml",
+        "robot.urdf", "robot.yaml", "orthoglide.xml",
     }  # fmt: skip
     numbers = json.loads((out / "controller.json").read_text())
     drive = controller_numbers(machine(RIGID)).drives[0]
     assert numbers["drives"]["x"]["add_to_command_mm"] == pytest.approx(-drive.offset * 1e3)
     assert (out / "orthoglide.urdf").read_text() == calibrated_urdf(machine(RIGID))
     assert invoke("export", "--machine", str(tmp_path / "m.toml"), "--out", str(out))[0] == 2
+
+
+def test_a_delta_is_called_what_it_is(tmp_path: Path) -> None:
+    """In what Python shows, in the names of files, and in the table of its zeros."""
+    geometry = OTHERS["linear delta"]
+    bare = Machine(replace(Machine.nominal().spec, geometry=geometry))
+    assert repr(bare) == "<Machine 'Linear delta, arms of 270 mm': no errors>"
+    found = bare.with_parameters({"joint_offset.a": 1e-3, "leg_length.b": 1e-4})
+    files = export_files(found)
+    assert {name for name in files if not name.startswith(("controller", "robot"))} == {
+        "linear-delta.urdf", "linear-delta.closures.toml", "linear-delta.xml",
+    }  # fmt: skip
+    text = files["controller.txt"]
+    assert "tower    old zero" in text
+    assert "rod length" in text
+    assert not re.search(r"\b(axis|bars?|legs?|dials?)\b", text)
+    for name in ("linear-delta.urdf", "linear-delta.closures.toml"):
+        (tmp_path / name).write_text(files[name])
+    robot = read_looped_urdf(tmp_path)
+    assert [loop.name for loop in robot.closures][:2] == ["a_parallelogram", "b_parallelogram"]
 
 
 def test_a_machine_with_a_curve_of_a_drive_is_exported(tmp_path: Path) -> None:
@@ -760,7 +804,8 @@ def test_a_machine_with_a_curve_of_a_drive_is_exported(tmp_path: Path) -> None:
     code, text = invoke("export", "--machine", str(file), "--out", str(out))
     assert code == 0, text
     left = f"drive x travel (2 numbers), {across}.1"
-    assert left in " ".join((out / "controller.txt").read_text().split())
+    told = " ".join((out / "controller.txt").read_text().split())
+    assert "leave out drive x travel and drive x command y: commands" in told
     comment = (out / "orthoglide.urdf").read_text().partition("-->")[0]
     assert f"Left out, for URDF holds constant geometry only: {left}." in comment
     assert "Holds joint_offset.x." in comment

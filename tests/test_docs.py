@@ -16,6 +16,7 @@ from orthoglide.errors import OrthoglideError
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file import parse_machine_file
 from orthoglide.result import Word
+from tests.page_laws import too_long
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -105,6 +106,8 @@ def test_every_verdict_is_explained(word: str) -> None:
 def test_the_gallery_has_every_verdict_with_its_drawing(word: str) -> None:
     assert f"(gallery/{word}.md)" in read("docs/gallery.md")
     page = read(f"docs/gallery/{word}.md")
+    found, _, proof, *_ = page.partition("svg)")[2].strip().splitlines()
+    assert not too_long(found.strip("*")) + too_long(proof)
     assert page.startswith(f"# {word.capitalize()}\n")
     assert f"(../images/gallery-{word}.svg)" in page
     assert "<desc>" in read(f"docs/images/gallery-{word}.svg")

@@ -24,7 +24,8 @@ from orthoglide.layout import LinearDelta
 from orthoglide.numerals import ByUnit
 from orthoglide.parameters import Parameter
 from orthoglide.report import report_files, result_text
-from orthoglide.report.first import finding, sure_words
+from orthoglide.report.claims import sure_words
+from orthoglide.report.first import finding
 from orthoglide.report.rendering import rendered
 from orthoglide.report.text import to_do
 from orthoglide.report.words import _falls
@@ -267,8 +268,11 @@ def test_tiles_are_the_tool_at_every_stage() -> None:
     kept = json.loads(result_text(verdict))["tool"]
     del kept["numbers"]  # of a controller that takes more than lengths
     for tile, stage in zip(tiles.values(), kept.values(), strict=True):
-        assert float(tile.size) == pytest.approx(stage["shape_mm"], rel=0.05)
-        assert tile.lines[1].startswith(f"of place, {stage['place_mm']:.1f} ±")
+        assert float(tile.size) == pytest.approx(stage["shape_mm"], abs=stage["shape_sigma_mm"])
+        sigma = stage["shape_sigma_mm"]
+        assert float(tile.lines[0].split()[1]) == pytest.approx(sigma, rel=0.5)
+        assert len(tile.size.partition(".")[2]) == len(tile.lines[0].split()[1].partition(".")[2])
+        assert re.match(r"all shifted by [\d.]+ ± [\d.]+$", tile.lines[1])
 
 
 def test_whatto_do_goes_by_what_it_gains() -> None:

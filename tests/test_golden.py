@@ -9,8 +9,10 @@ import pytest
 
 import orthoglide as og
 from orthoglide.report import report_files
+from orthoglide.report.words import headline
 from tests.golden.compare import beyond, differences
 from tests.golden.results import HERE, Case, cases, result_of
+from tests.page_laws import broken, too_long
 
 CASES = cases()
 
@@ -26,10 +28,13 @@ def test_a_campaign_gives_its_golden_result(case: Case, tmp_path: Path) -> None:
         pytest.fail(f"{case.name}: {len(wrong)} beyond tolerance\n  {lines}", pytrace=False)
     # The result that is read from its file writes the same report.
     written = tmp_path / "result"
-    again = report_files(og.Verdict.load(written, case.own_effects))
+    verdict = og.Verdict.load(written, case.own_effects)
+    again = report_files(verdict)
     for name, content in again.items():
         data = content.encode() if isinstance(content, str) else content
         assert data == (written / name).read_bytes(), name
+    assert not [*broken(str(again["report.html"]), dials=bool(verdict.request.campaigns))]
+    assert not too_long(headline(verdict))
 
 
 def test_every_golden_file_has_its_case() -> None:

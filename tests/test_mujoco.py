@@ -1,5 +1,6 @@
 """MuJoCo as an independent witness: its constraints, its derivatives, a model of its own."""
 
+import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -8,10 +9,13 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from orthoglide.control import calibrated_mjcf, held_by_urdf
 from orthoglide.geometry import Geometry
-from orthoglide.mechanism.tree import VIRTUAL_NAMES
+from orthoglide.machine import Machine
+from orthoglide.mechanism.tree import RELIEF_NAMES, VIRTUAL_NAMES
+from orthoglide.urdf import closures, to_mjcf, to_urdf
 from tests.engines import NOMINAL, OTHER, commands, forward, mechanism, outputs
-from tests.mujoco_machine import Array, Dimensions, MujocoMachine, prpar_mjcf, six_bar_mjcf
+from tests.mujoco_machine import Array, Dimensions, MujocoMachine, six_bar_mjcf
 from tests.rig_delta import DeltaRig
 from tests.test_layout import DELTA, RIG
 
@@ -41,10 +45,22 @@ def dimensions(geometry: Geometry = NOMINAL, moves: Array | None = None) -> Dime
     )
 
 
-@pytest.mark.parametrize("build", [prpar_mjcf, six_bar_mjcf], ids=["prpar", "six-bars"])
+def exported(geometry: Geometry = NOMINAL, relief: bool = True) -> str:
+    """The nominal machine as the package writes it for MuJoCo."""
+    return to_mjcf(to_urdf(geometry), closures(geometry), relief=relief)
+
+
+BUILT: dict[str, Callable[[Geometry], str]] = {
+    "six-bars": lambda geometry: six_bar_mjcf(dimensions(geometry)),
+    "exported": exported,
+    "rigid-legs": lambda geometry: exported(geometry, relief=False),
+}
+
+
+@pytest.mark.parametrize("build", BUILT)
 @pytest.mark.parametrize("geometry", [NOMINAL, OTHER], ids=["nominal", "other"])
-def test_nominal_machine(build: Callable[[Dimensions], str], geometry: Geometry) -> None:
-    witness = MujocoMachine(build(dimensions(geometry)), geometry.L)
+def test_nominal_machine(build: str, geometry: Geometry) -> None:
+    witness = MujocoMachine(BUILT[build](geometry), geometry.L)
     rho = commands(100, 1, geometry)
     p = forward(rho, geometry=geometry)
     for command, expected in zip(rho, p, strict=True):
@@ -54,7 +70,7 @@ def test_nominal_machine(build: Callable[[Dimensions], str], geometry: Geometry)
 
 
 def test_closed_machine_in_mujoco_has_the_mobility_of_ours() -> None:
-    witness = MujocoMachine(prpar_mjcf(dimensions()), NOMINAL.L)
+    witness = MujocoMachine(exported(relief=False), NOMINAL.L)
     for command in commands(10, 2):
         data = witness.close(command)
         rows = data.efc_J.reshape(data.nefc, -1)
@@ -62,6 +78,44 @@ def test_closed_machine_in_mujoco_has_the_mobility_of_ours() -> None:
         ours = mechanism().mobility(command)
         assert rows.shape == (ours.rows, ours.joints)
         assert int(np.sum(values > 1e-7 * values[0])) == ours.rank
+
+
+@pytest.mark.parametrize("geometry", [NOMINAL, DELTA], ids=["orthoglide", "delta"])
+def test_a_calibrated_machine_exported_to_mujoco_is_where_ours_is(geometry: Geometry) -> None:
+    """All errors of constant geometry but tilts of paths: unequal bars and turned joints too."""
+    spec = replace(Machine.nominal().spec, geometry=geometry)
+    rng, plain = np.random.default_rng(5), Machine(spec)
+    drawn = {
+        str(n): plain.tolerance(n) * float(rng.standard_normal())
+        for n in plain.catalogue.parameters if "tilt" not in n or n.startswith("mount")
+    }  # fmt: skip
+    drawn = held_by_urdf(plain.with_parameters(drawn))
+    worn = plain.with_parameters({**drawn, "backlash." + geometry.leg_names[0]: 1e-4})
+    assert len(drawn) > 20
+    text = calibrated_mjcf(worn)
+    assert "Left out, for MJCF holds constant geometry only: backlash." in text
+    zero = float(geometry.zero[0])
+    witness = MujocoMachine(text, zero, geometry.leg_names)
+    data = witness.close(np.full(3, zero))
+    assert data.efc_J.size == 21 * 24  # each loop closed once: no row repeats another
+    for command in zero + rng.uniform(-0.03, 0.04, (10, 3)):
+        place, _ = witness.pose(command)
+        assert np.abs(place - worn.forward(command)).max() < 1e-10
+        assert np.abs(place - plain.forward(command)).max() > 1e-4
+
+
+def test_joints_of_the_export_are_called_as_those_of_the_urdf() -> None:
+    """So that code written for one holds for the other."""
+    model = MujocoMachine(exported(), NOMINAL.L).model
+    names = {model.joint(k).name for k in range(model.njnt)}
+    robot = ET.fromstring(to_urdf(NOMINAL))
+    moving = {str(j.get("name")) for j in robot.iter("joint") if j.get("type") != "fixed"}
+    relief = {f"{leg}_{name}" for leg in "xyz" for name in RELIEF_NAMES}
+    assert names == moving | relief
+    assert {model.equality(k).name for k in range(model.neq)} == {c.name for c in closures(NOMINAL)}
+    np.testing.assert_allclose(model.joint("x_slide").range, NOMINAL.stroke)
+    masses = [float(m.get("value", "")) for m in robot.iter("mass")]
+    assert float(model.body_mass.sum()) == pytest.approx(sum(masses))
 
 
 # Names of virtual joints, and how far they are displaced: ten times what to expect, and more.

@@ -18,9 +18,11 @@ from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine_file import Dial, Instrument
 from orthoglide.observations import Readings, protocol
 from orthoglide.planning.sheets import tool_sheet
+from orthoglide.report import report_files, summary
 from orthoglide.report.words import headline
 from orthoglide.result import Fit
 from tests.studied import studied
+from tests.test_report import words
 
 SPREAD = 3e-5
 EXACT = Dial(resolution=0.0)
@@ -349,7 +351,10 @@ def test_noise_declared_too_small_is_said_before_the_machine_is_blamed() -> None
     verdict = og.close_loop(fit.problem.campaigns, fit.problem.machine)
     assert verdict.word == "unexplained"
     assert headline(verdict).startswith("Repeats of the dials scatter by 0.01")
-    assert verdict.actions[0].words.startswith("Before more is measured: repeats of the dials")
+    assert verdict.actions[0].words.startswith("Before more is measured, look for what is loose")
+    assert summary(verdict).count("scatter by") == 1
+    assert words(report_files(verdict)["report.html"]).count("scatter by") == 1
+    assert "noise 0.0058 mm with the rounding of the readings" in headline(verdict)
 
 
 @pytest.mark.thorough

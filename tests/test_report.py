@@ -238,12 +238,12 @@ def test_the_sign_rule_brings_the_carriage_to_its_place(
     geometry = machine.geometry
     # Commanding the new zero brings the real TCP to the origin.
     np.testing.assert_allclose(real.forward(controller.to_rho(command, geometry)), 0.0, atol=2e-6)
-    worked = data["drives"][0].worked(result.numbers.names)
+    worked = result.numbers.drives[0].worked(result.numbers.names)
     # Believing the old zero leaves each carriage its offset away, as the line says.
     shown = controller.from_rho(geometry.zero, geometry)
-    line = f"shown {shown[0] * 1e3:.4f}, carriage x stands 0.7000 mm too far out"
+    line = f"shows its old zero {shown[0] * 1e3:.3f}, carriage x stands 0.700 mm too far out"
     assert line in worked
-    assert not re.search("joint.offset", result.numbers.rule + worked)
+    assert not re.search("joint.offset", data["rule"] + worked)
     # A controller to whose commands `add` was added means what it shows.
     wanted = np.array([0.3, 0.31, 0.32])
     display = controller.from_rho(wanted, geometry)

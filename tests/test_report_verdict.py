@@ -28,6 +28,7 @@ from orthoglide.report.sections import before_and_after
 from orthoglide.report.words import dealt_with, evidence, headline
 from orthoglide.result import HoldOut
 from orthoglide.verdict import Verdict, close_loop
+from tests.page_laws import broken, too_long
 from tests.studied import studied
 from tests.test_report import RIG, browsed, check_page, check_timeless, opened, words
 
@@ -112,6 +113,35 @@ def test_the_cases_are_what_they_are_called(which: str) -> None:
 @pytest.mark.parametrize("which", CASES)
 def test_the_page_is_well_formed_and_self_contained(which: str) -> None:
     check_page(files_of(which)["report.html"])
+
+
+@pytest.mark.parametrize("which", CASES)
+def test_what_is_read_first_keeps_the_laws_of_the_page(which: str) -> None:
+    page = files_of(which)["report.html"]
+    assert not [*broken(page, dials=True)]
+    assert not too_long(headline(verdict_of(which)))
+    order = ['class="word', 'class="sentence"', 'class="tiles tool"', 'class="drawn"', "What to do"]
+    assert [page.index(part) for part in order] == sorted(page.index(part) for part in order)
+
+
+def test_the_laws_of_the_page_see_what_breaks_them() -> None:
+    code, zeros = "<p>by axis_tilt.y.z</p>", "<table><tr><td>x</td><td>0.0000</td></tr></table>"
+    tile = '<div class="tile"><dd>0.26 mm</dd><dd>± 0.003 in a workpiece</dd></div>'
+    for markup in (code, zeros, tile, "<p>a place rail.x.z/travel</p>"):
+        assert len([*broken(markup, dials=True)]) == 1
+        assert not [*broken(f"<details><summary>more</summary>{markup}</details>", dials=True)]
+    assert (
+        len(
+            [
+                *broken(
+                    f"<p>{'what there is to say, and ' * 3} the dials on legs show it all</p>",
+                    dials=False,
+                )
+            ]
+        )
+        == 1
+    )
+    assert too_long("short. " + "word " * 31 + "end.")
 
 
 @pytest.mark.thorough(except_for=["explained", "faulty"])
@@ -224,13 +254,13 @@ def test_on_paper_the_first_sheet_has_drawing_and_tiles_and_tables_have_heads(
 def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
     text = headline(verdict_of("explained"))
     assert text.startswith("The path of the y carriage is out of square toward z by 2.4 mrad")
-    said = "(or the y rail leans toward z by 2.4 mrad (0.24 mm over 100 mm) and its carriage with"
+    said = "Or the y rail leans toward z by 2.4 mrad (0.24 mm over 100 mm) and its carriage with"
     assert said in text
     assert "0.043 to 0.003 mm rms, which is the noise of the dial" in text
     assert "no single cause explains the difference" in headline(verdict_of("unexplained"))
     partial = headline(verdict_of("partial"))
     assert "Something else is wrong as well" in partial
-    assert "(or the y rail leans" in partial
+    assert "Or the y rail leans" in partial
     faults = headline(verdict_of("faulty"))
     assert faults.startswith("Drive x has 0.056 mm of lost motion.")
     assert faults.endswith("1 fault in the data had to be dealt with first.")
@@ -263,8 +293,11 @@ def test_a_rival_is_said_with_its_own_value_and_sign() -> None:
     assert kept["value"] == pytest.approx(-0.412, abs=2e-3)
     assert 0 < kept["sigma"] < 0.1
     assert (kept["unit"], kept["words"]) == ("mm", text)
-    assert f"or {text}" in headline(verdict)
+    assert f"Or {text}" in headline(verdict)
     assert text in words(files["report.html"])
+    remark = " ".join(files["calibrated.toml"].partition("schema")[0].replace("#", "").split())
+    assert remark.startswith("Averages: the readings cannot tell axis_offset.z.x, axis_offset.y.x")
+    assert "hold the average over them" in words(files["report.html"])
     assert "toward x:" not in headline(verdict)
     assert text in " ".join(summary(verdict).split())
 
@@ -299,8 +332,8 @@ def test_numbers_are_withheld_where_the_verdict_says_not_to_act() -> None:
     assert not re.search(r"<li class=\"(zeros|mend|compensate)\"", page)
     assert '<li class="confirm">' in page
     assert "No numbers are given to enter" in section
-    assert "add to every command" not in section
-    assert "add to every command" in words(files_of("explained")["report.html"])
+    assert "every command of that drive" not in section
+    assert "every command of that drive" in words(files_of("explained")["report.html"])
 
 
 def test_a_machine_with_nothing_wrong() -> None:
@@ -481,6 +514,7 @@ def test_the_calibrated_machine_is_averaged_over_the_class(which: str, tmp_path:
     rivals = [r.name for r in verdict.effects[0].rivals]
     assert provenance["verdict"] == verdict.word
     assert set(rivals) == set(provenance.get("averaged_over", ()))
+    assert not text.startswith("# Averages")
     (tmp_path / "calibrated.toml").write_text(text)
     machine = og.Machine.load(tmp_path / "calibrated.toml")
     for name, value in verdict.values.items():

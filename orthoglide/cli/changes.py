@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from orthoglide import __version__
 from orthoglide.checking import COLUMNS
-from orthoglide.control import COUNTING
 from orthoglide.effects.wording import parameter_words
 from orthoglide.numerals import plain
 from orthoglide.report.first import MOST
@@ -70,7 +69,7 @@ def _data(found: Check) -> dict[str, Any]:
         "tool": f"The tool is {now} off on average over the workspace, a shift of the whole left "
         f"out; {zeros} once the zeros are right.",
         "cautions": found.told.cautions,
-        "zeros": f"Once new zeros are entered ({zero} mm), these readings prove their signs; "
-        f"{COUNTING}",
-        "checks": [sentence(str(check)[:-1]) for check in numbers.checks],
+        "zeros": f"Once new zeros are entered ({zero} mm), these readings prove their "
+        f"signs, each from the new zeros with the dial set to 0 there",
+        "checks": [sentence(str(check)) for check in numbers.checks],
     }

@@ -28,6 +28,9 @@ _DIAL_TURNS = (
 _PLAIN = "for which nothing is changed on the machine"
 _INSTEAD = "in place of new zeros and never with them, for a gain beyond theirs"
 _MEND = "Look, confirm and put right, then measure again"
+_SCATTERS = (
+    "Before more is measured, look for what is loose, or correct the noise that was declared"
+)
 _NO_GAIN = 1e-9  # metres: differences of gain below are rounding
 _SURELY = 2.0  # standard deviations by which a gain must exceed nothing
 _WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth a line
@@ -43,10 +46,8 @@ def actions(closed: Closed) -> tuple[Action, ...]:
     if closed.firmware is not None and closed.firmware.again:
         return (Action("measure", closed.firmware.again[:-1]), *told)
     if withheld(closed.machine):
-        noisy = [
-            Action("confirm", f"Before more is measured: {one}")
-            for one in (closed.scattering if closed.word == "unexplained" else ())
-        ]
+        scatters = closed.word == "unexplained" and bool(closed.scattering)
+        noisy = [Action("confirm", _SCATTERS)] * scatters
         return (*noisy, *_found(closed, "confirm"), *told)
     zeros = list(_zeros(closed))
     done = [*zeros, *_found(closed, "mend", bool(zeros)), *_compensate(closed)]

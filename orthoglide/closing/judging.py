@@ -12,10 +12,14 @@ from orthoglide.fit.least_squares import fitted_basis, linearise, nuisances
 from orthoglide.fit.scores import rms_by_unit
 from orthoglide.geometry import Array, moved_onto
 from orthoglide.machine import Machine
-from orthoglide.numerals import ByUnit
+from orthoglide.numerals import ByUnit, compact, told_apart
 from orthoglide.observations import Readings
+from orthoglide.observations.readings import Points
 from orthoglide.prediction import Conditions
 from orthoglide.result import HoldOut, TcpErrors
+
+_SIDES = 1.96  # half width of a 95 % interval in standard deviations
+_FAR = 3.0  # ratio of errors to what is expected of them from which points fit no machine
 
 
 def hold_out(
@@ -59,6 +63,34 @@ def _left_out(
     return rms_by_unit(residual / scored, problem.turned)
 
 
+def fits_neither(errors: TcpErrors, stated: Array, points: Points) -> str:
+    """What measured points say against a machine with and without what was found, a clause; empty
+    where they fit one of both, or where it is not known how well they are known.
+
+    Args:
+        errors: best translation removed.
+        stated: standard deviations of the machine with what was found ``(n, 3)``, metres.
+        points: measured.
+    """
+    known = _known(points)
+    if not known.any():
+        return ""
+    expected = float(np.sqrt(np.mean(np.sum(stated**2 + known**2, axis=1))))
+    if min(errors.before_mean, errors.after_mean) < _FAR * expected:
+        return ""
+    before, after = told_apart(errors.before_mean * 1e3, errors.after_mean * 1e3)
+    return (
+        f"the measured points fit this result neither with nor without what was found: the tool is "
+        f"{after} and {before} mm off, where {compact(expected * 1e3, 2)} mm are to be expected; "
+        f"look for what moved, or check the frame and the sigma of the points"
+    )
+
+
+def _known(points: Points) -> Array:
+    """Declared standard deviation of a coordinate, 0 where none is ``(m, 1)``, metres."""
+    return np.nan_to_num(points.sigma)[:, None]
+
+
 def tcp_errors(
     machine: Machine,
     given: Readings,
@@ -73,7 +105,8 @@ def tcp_errors(
         given: measured positions; missing coordinates are left out.
         before: parameters of the base model, SI.
         after: parameters of the extended model, SI.
-        sigma: stated for ``after``, best translation removed ``(n, 3)``, metres.
+        sigma: stated for ``after``, best translation removed ``(n, 3)``, metres; what the points
+            are known to counts beside it.
     """
     points = given.points()
     conditions = Conditions.at(points.command, approach=points.approach)
@@ -91,7 +124,8 @@ def tcp_errors(
             figures[f"{name}_max"] = float(distance.max())
         if sigma is not None and fit == "translation":  # of `after`, the last
             known = np.isfinite(apart)
-            inside = float(np.mean(np.abs(apart[known]) <= 1.96 * sigma[known]))
+            both = np.hypot(sigma, _known(points))
+            inside = float(np.mean(np.abs(apart[known]) <= _SIDES * both[known]))
         found[fit] = TcpErrors(**figures, inside=inside)
     return found
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from orthoglide.accuracy import tcp_map
 from orthoglide.closing.closed import Closed
-from orthoglide.closing.judging import hold_out, tcp_errors
+from orthoglide.closing.judging import fits_neither, hold_out, tcp_errors
 from orthoglide.explanation import (
     FullPosterior,
     Outstanding,
@@ -194,13 +194,19 @@ def judge(closed: Closed) -> Closed:
     if request.tcp is not None:
         stated = tcp_map(closed.machine, request.tcp.points().command).sigma
         errors = tcp_errors(machine, request.tcp, before, after, stated)
+        if text := fits_neither(errors["translation"], stated, request.tcp.points()):
+            closed = _warned(closed, Note(text, "holdout"))
     held = (*request.holdout, *([] if request.tcp is None else [request.tcp]))
     fitted = (*request.campaigns, *request.points)
     if any(shared(one, other) > 0.5 for one in held for other in fitted):
         text = "the readings held out are readings that were fitted: they judge nothing"
-        warnings = (*closed.after.warnings, Note(text, "holdout"))
-        closed = replace(closed, after=replace(closed.after, warnings=warnings))
+        closed = _warned(closed, Note(text, "holdout"))
     return replace(closed, hold_out=scored, tcp=errors)
+
+
+def _warned(closed: Closed, note: Note) -> Closed:
+    warnings = (*closed.after.warnings, note)
+    return replace(closed, after=replace(closed.after, warnings=warnings))
 
 
 def _missing(left: Left) -> bool:

@@ -3,7 +3,6 @@ files that a controller or another program takes of a calibrated machine.
 """
 
 from orthoglide.control.acting import withheld as withheld
-from orthoglide.control.checking import COUNTING as COUNTING
 from orthoglide.control.compensation import Compensation as Compensation, compensate as compensate
 from orthoglide.control.files import (
     commands_text as commands_text,
@@ -15,4 +14,8 @@ from orthoglide.control.numbers import (
     ControllerNumbers as ControllerNumbers,
     controller_numbers as controller_numbers,
 )
-from orthoglide.control.urdf import calibrated_urdf as calibrated_urdf, held_by_urdf as held_by_urdf
+from orthoglide.control.urdf import (
+    calibrated_mjcf as calibrated_mjcf,
+    calibrated_urdf as calibrated_urdf,
+    held_by_urdf as held_by_urdf,
+)

@@ -14,13 +14,6 @@ from orthoglide.ordering import best_of
 
 Shown = tuple[float, float, float]
 
-COUNTING = (
-    "in brackets is what a controller shows that goes on counting as before; one that counts from "
-    "its new zeros shows these numbers less its new zeros and more its old ones, and then they "
-    "prove too that the zeros were entered"
-)
-"""What positions are told in."""
-
 
 @dataclass(frozen=True)
 class ZeroCheck:
@@ -55,24 +48,29 @@ class ZeroCheck:
             "drives_moving": self.way or None,
         }
 
+    @property
+    def moves(self) -> Shown:
+        """How far each axis goes from Zero to the posture, as the controller counts, metres."""
+        x, y, z = (p - z for p, z in zip(self.at_posture, self.at_zero, strict=True))
+        return x, y, z
+
     def __str__(self) -> str:
-        arriving = f", come to both with all drives moving {self.way}," if self.way else ""
+        arriving = f", come to both with all axes moving {self.way}" if self.way else ""
         return (
-            f"drive {self.drive}: dial on leg {self.touched} toward {self.direction}, "
-            f"{self.gauge * 1e3:.1f} mm along it. From Zero ({_triple(self.at_zero)}) to "
-            f"{self.posture.capitalize()} ({_triple(self.at_posture)}){arriving} it must read "
-            f"{_more(self.right)}; with the zero of {self.drive} moved the wrong way it would read "
-            f"{_more(self.wrong)}."
+            f"axis {self.drive}: dial on leg {self.touched} toward {self.direction}, "
+            f"{self.gauge * 1e3:.1f} mm along it; move {', '.join(LEGS)} by "
+            f"{_triple(self.moves)} mm{arriving}. Expect {_signed(self.right)} mm; "
+            f"{_signed(self.wrong)} mm says that the zero of {self.drive} was moved the wrong way"
         )
 
 
 def _triple(shown: Shown) -> str:
-    return ", ".join(f"{v * 1e3:z.3f}" for v in shown)
+    return ", ".join(map(_signed, shown))
 
 
-def _more(change: float) -> str:
-    size = f"{abs(change) * 1e3:.3f}"
-    return f"{size} mm {'less' if change < 0 else 'more'}" if float(size) else "the same"
+def _signed(change: float) -> str:
+    size = f"{change * 1e3:+z.3f}"
+    return size if float(size) else size[1:]
 
 
 def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from orthoglide.control.compensation import Compensation
 from orthoglide.control.numbers import controller_numbers
-from orthoglide.control.urdf import calibrated_urdf
+from orthoglide.control.urdf import calibrated_mjcf, calibrated_urdf
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.tree import load
@@ -19,7 +19,7 @@ from orthoglide.notes import Note
 from orthoglide.observations.schema import POINT
 from orthoglide.observations.table import read_table
 from orthoglide.text import csv_text
-from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, closures_text, parallel_robot_files
+from orthoglide.urdf import closures_text, file_names, parallel_robot_files
 
 _SMALL = 1e-3  # metres: a path within it is hardly one
 
@@ -67,7 +67,8 @@ def export_files(
     """What other programs take of a machine, by file name.
 
     Numbers for the controller, as text and as JSON, the calibrated URDF and its loop closures, our
-    way and as ``robot.urdf`` with ``robot.yaml``.
+    way and as ``robot.urdf`` with ``robot.yaml``, and the same as MJCF for MuJoCo. With
+    ``zeros_only`` the zeros and nothing else.
 
     Args:
         machine: calibrated, or the path of its file.
@@ -79,12 +80,19 @@ def export_files(
     """
     machine = Machine.of(machine)
     numbers = controller_numbers(machine, zeros_only=zeros_only, force=force)
+    told = {
+        "controller.txt": numbers.text(),
+        "controller.json": json.dumps(numbers.as_dict(), indent=2) + "\n",
+    }
+    if zeros_only:
+        return told
+    urdf, closures, mjcf = file_names(machine.geometry)
     tree = calibrated_urdf(machine)
     loops = load(machine.spec.urdf or machine.geometry).loops
     return {
-        "controller.txt": numbers.text(),
-        "controller.json": json.dumps(numbers.as_dict(), indent=2) + "\n",
-        URDF_FILE: tree,
-        CLOSURES_FILE: closures_text(loops),
+        **told,
+        urdf: tree,
+        closures: closures_text(loops, urdf),
+        mjcf: calibrated_mjcf(machine),
         **parallel_robot_files(machine.geometry, tree, loops),
     }

@@ -11,27 +11,44 @@ import numpy as np
 from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
 from orthoglide.add_ons import Paste, add_on_of
 from orthoglide.control.acting import not_withheld
-from orthoglide.control.checking import COUNTING, ZeroCheck, check_zeros
+from orthoglide.control.checking import ZeroCheck, check_zeros
 from orthoglide.effects import OF_DRIVES
-from orthoglide.effects.wording import by_effect
+from orthoglide.effects.wording import effects_in_words
 from orthoglide.frames import Framed
 from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.machine import Machine, MachineSource
+from orthoglide.ordering import best_of, ranked
+from orthoglide.text import listed, sentence
 
 _fill = TextWrapper(100, break_on_hyphens=False, break_long_words=False).fill
-_RULE = (
-    "{sum} what the controller shows, counted as now, when "
-    "the carriage is at mechanical zero; for it stands at the commanded joint coordinate plus its "
-    "{words}. Enter the new zero once, or add new zero - old zero to every command; never "
-    "both."
-).format
-RULE = _RULE(sum="new zero = old zero - sign x joint offset:", words="joint offset")
-"""The sign of a zero, wherever one is given."""
-_RULE_BEST = _RULE(
-    sum="new zero = old zero - sign x offset:",
-    words="offset, here the one that {best} make up for best",
+RULE = (
+    "Enter each new zero once, in place of the old one, or add new zero - old zero to every "
+    "command of that drive; never both."
+)
+"""What to do with new zeros, wherever they are given."""
+_FORMULA = (
+    "new zero = old zero - sign x offset: what the controller shows, counted as now, when the "
+    "carriage is at mechanical zero."
 )
 _ZEROS = "zeros alone"
+_SCALE, _LENGTH = 5e-6, 5e-7  # less is a micrometre over 0.2 m; metres
+
+
+@dataclass(frozen=True)
+class Table:
+    """A small table as text."""
+
+    titles: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def text(self) -> str:
+        """Columns one beside the other, set to the right."""
+        lines = (self.titles, *self.rows)
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        return "\n".join(
+            "    ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True))
+            for line in lines
+        )
 
 
 @dataclass(frozen=True)
@@ -82,15 +99,20 @@ class DriveNumbers:
         lag = -approach * self.backlash / 2
         return self.zero + self.sign * (travel - self.offset - lag) * self.scale_factor
 
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON; lengths in millimetres."""
-        return {
+    def as_dict(self, zeros_alone: bool = False) -> dict[str, Any]:
+        """For JSON, without all but zeros where ``zeros_alone``; lengths in millimetres."""
+        zeros = {
             "sign": self.sign,
             **({"offset_mm": _mm(self.offset)} if self.best else {}),
-            **({} if self.best == _ZEROS else {"joint_offset_mm": _mm(self.identified)}),
             "old_zero_mm": _mm(self.zero),
             "new_zero_mm": _mm(self.new_zero),
             "add_to_command_mm": _mm(self.correction),
+        }
+        if zeros_alone:
+            return zeros
+        return {
+            **zeros,
+            "joint_offset_mm": _mm(self.identified),
             "scale_factor": round(self.scale_factor, 9),
             "backlash_mm": _mm(self.backlash),
             "new_zero_one_sided_mm": _mm(self.one_sided_zero),
@@ -100,21 +122,14 @@ class DriveNumbers:
     def worked(self, names: LegNames) -> str:
         """The sign rule for this drive, number by number, in a layout's words."""
         way, side = names.ways[self.sign > 0][1], names.ways[_mm(self.offset) >= 0][0]
+        stands = f"stands {abs(_mm(self.offset)):.3f} mm too far {side}"
         if self.best:
-            what = (
-                f"zero correction {self.leg} = {_mm(self.correction):+.4f} mm: with {self.best} "
-                f"the tool is off least as if,"
-            )
-        else:
-            what = f"joint offset {self.leg} = {_mm(self.offset):+.4f} mm:"
+            stands += f" as far as {self.best} can make up for it"
         return (
-            f"{what} sent to mechanical zero, shown "
-            f"{_mm(self.zero):.4f}, carriage {self.leg} stands {abs(_mm(self.offset)):.4f} mm too "
-            f"far {side}. The controller counts {way} (sign {self.sign:+d}), so the "
-            f"carriage is at mechanical zero where it shows {_mm(self.zero):.4f} - "
-            f"({self.sign:+d}) x ({_mm(self.offset):+.4f}) = {_mm(self.new_zero):.4f} mm: enter "
-            f"that as the zero, or add {_mm(self.correction):+.4f} mm to every command of drive "
-            f"{self.leg}."
+            f"where the controller shows its old zero {_mm(self.zero):.3f}, carriage {self.leg} "
+            f"{stands}, and the controller counts {way} (sign {self.sign:+d}): "
+            f"new zero = {_mm(self.zero):.3f} - ({self.sign:+d}) x ({_mm(self.offset):+.3f}) "
+            f"= {_mm(self.new_zero):.3f} mm."
         )
 
 
@@ -153,12 +168,6 @@ class ControllerNumbers(Framed):
         return self.text()
 
     @property
-    def rule(self) -> str:
-        """The sign of a zero."""
-        best = self.drives[0].best
-        return _RULE_BEST.format(best=best) if best else RULE
-
-    @property
     def title(self) -> str:
         """What they are, with the machine's name where it has one."""
         taker = "firmware" if self.firmware else "controller"
@@ -174,8 +183,66 @@ class ControllerNumbers(Framed):
 
     @property
     def beyond(self) -> tuple[str, ...]:
-        """What no such number can hold: parameters, several of one effect by its name."""
-        return by_effect(self.left_over)
+        """Effects that no such number can hold, in words."""
+        return effects_in_words(self.left_over)
+
+    @property
+    def zeros_alone(self) -> bool:
+        """Whether these are numbers for a controller that takes zeros and nothing else."""
+        return self.drives[0].best == _ZEROS
+
+    @property
+    def zeros(self) -> Table:
+        """The zeros of each axis, old and new."""
+        rows = []
+        for d in self.drives:
+            old, new = _shown(d.zero), _shown(d.new_zero)
+            rows.append((d.leg, old, "unchanged" if new == old else new))
+        return Table((self.names.axis, "old zero", "new zero"), tuple(rows))
+
+    @property
+    def worked(self) -> str:
+        """The sign rule worked for the axis whose zero moves most, a sentence; empty where none
+        does.
+        """
+        if not any(_mm(d.correction) for d in self.drives):
+            return ""
+        most = best_of(self.drives, lambda d: abs(d.correction))
+        return f"{self.names.axis.capitalize()} {most.leg}: {most.worked(self.names)}"
+
+    @property
+    def settings(self) -> tuple[tuple[Table, str], ...]:
+        """Further numbers, each with what it means; none that would change nothing."""
+        drives, axis, bar = self.drives, self.names.axis, self.names.bar
+        found = []
+        if any(abs(d.scale_factor - 1) > _SCALE for d in drives):
+            rows = tuple((d.leg, f"{d.scale_factor:.6f}") for d in drives)
+            found.append((Table((axis, "scale factor"), rows), _OF_SCALE))
+        if any(d.backlash > _LENGTH for d in drives):
+            lost = ((d.leg, _shown(d.backlash), _shown(d.one_sided_zero)) for d in drives)
+            found.append((Table((axis, "backlash", "one-sided zero"), tuple(lost)), _OF_BACKLASH))
+        if not self.zeros_alone and self.calibrated:
+            rods = tuple((d.leg, _shown(d.bar_length)) for d in drives)
+            found.append((Table((axis, f"{bar} length"), rods), _OF_LENGTH.format(bar)))
+        return tuple(found)
+
+    @property
+    def check(self) -> tuple[str, tuple[str, ...]]:
+        """How the signs are checked, and a reading to expect for each axis, the plainest first."""
+        if self.checks:
+            told = ranked(self.checks, lambda check: abs(check.right - check.wrong))
+            return _CHECKS, tuple(sentence(str(check)) for check in told)
+        return (_NONE if self.names == ORTHOGLIDE.names else _UNDIALLED), ()
+
+    @property
+    def gains(self) -> str:
+        """The tool's errors to expect, a sentence; empty where nothing is known of them."""
+        if not self.calibrated:
+            return ""
+        stages = {"now": "now", "zeros" if self.zeros_alone else "numbers": "with these numbers",
+                  "compensated": "with commands from `orthoglide compensate`"}  # fmt: skip
+        told = [f"{self.expected[k].words} mm {words}" for k, words in stages.items()]
+        return f"Mean error of the tool, one shift of everything removed: {', '.join(told)}."
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; lengths in millimetres."""
@@ -183,8 +250,8 @@ class ControllerNumbers(Framed):
             return {"machine": self.name, "firmware": dict(self.firmware.facts)}
         return {
             "machine": self.name,
-            "rule": self.rule,
-            "drives": {d.leg: d.as_dict() for d in self.drives},
+            "rule": f"{_FORMULA} {RULE}",
+            "drives": {d.leg: d.as_dict(self.zeros_alone) for d in self.drives},
             "zeros_only_mm": {
                 d.leg: _mm(v) for d, v in zip(self.drives, self.zeros_only, strict=True)
             },
@@ -198,24 +265,34 @@ class ControllerNumbers(Framed):
         if self.firmware:
             told = (t if "\n" in t else _fill(t) for t in self.firmware.paragraphs)
             return "\n\n".join((self.title, *told)) + "\n"
-        shape = {name: f"{error.shape * 1e3:.4f}" for name, error in self.expected.items()}
-        named = zip(self.drives, self.zeros_only, strict=True)
-        alone = [f"{d.leg} {_mm(v):.4f}" for d, v in named]
-        whole = (
-            "" if self.drives[0].best == _ZEROS else f"{shape['numbers']} with the whole table, "
+        how, readings = self.check
+        parts = [
+            f"{self.title}\nLengths in mm, as the controller counts.",
+            self.zeros.text(),
+            _fill(RULE),
+            *([_fill(f"Worked. {self.worked}")] if self.worked else ()),
+            *(f"{_fill(what)}\n\n{table.text()}" for table, what in self.settings),
+            "\n".join(map(_fill, (how, *(f"- {one}" for one in readings)))),
+            *map(_fill, filter(None, (self.gains, self.rest))),
+        ]
+        return "\n\n".join(parts) + "\n"
+
+    @property
+    def rest(self) -> str:
+        """What these numbers leave out, and what takes it in."""
+        if not self.calibrated:
+            return _NOMINAL
+        if not self.beyond:
+            return "Nothing else was identified: these numbers hold all of it."
+        more = (
+            ""
+            if self.zeros_alone
+            else " A controller that takes zeros alone needs other "
+            "zeros: `orthoglide export --zeros-only`."
         )
-        return _TEXT.format(
-            title=self.title,
-            rule=_fill(self.rule),
-            worked=_fill(f"Worked: {self.drives[0].worked(self.names)}"),
-            table="\n".join(map(_line, self.drives)),
-            checks="\n".join(map(_fill, (_CHECKS, *(f"- {c}" for c in self.checks))))
-            if self.checks
-            else (_NONE if self.names == ORTHOGLIDE.names else _fill(_UNDIALLED)),
-            alone=_fill(_ALONE.format(alone=", ".join(alone), whole=whole, **shape))
-            if self.calibrated
-            else "",
-            rest=_rest(self.beyond) if self.calibrated else _fill(_NOMINAL),
+        return (
+            f"These numbers leave out {listed(self.beyond)}: commands from `orthoglide compensate` "
+            f"hold them too. Use one or the other, never both.{more}"
         )
 
 
@@ -290,66 +367,32 @@ def _mm(metres: float) -> float:
     return round(metres * 1e3, 6) + 0.0
 
 
-def _cell(metres: float, form: str) -> str:
-    """Millimetres in a table; nothing is below zero that rounds to it."""
-    return format(round(metres * 1e3, 4) + 0.0, form)
+def _shown(metres: float) -> str:
+    """Millimetres to a micrometre; nothing is below zero that rounds to it."""
+    return f"{round(metres * 1e3, 3) + 0.0:.3f}"
 
 
-def _line(d: DriveNumbers) -> str:
-    return (
-        f"  {d.leg}   {_cell(d.new_zero, '+12.4f')} {_cell(d.correction, '+12.4f')} "
-        f"{d.scale_factor:13.7f} {_cell(d.backlash, '10.4f')} "
-        f"{_cell(d.one_sided_zero, '+14.4f')} {_cell(d.bar_length, '12.4f')}"
-    )
-
-
-def _rest(names: tuple[str, ...]) -> str:
-    if not names:
-        return "Nothing else was identified: these numbers hold all of it."
-    return _fill(
-        f"These numbers cannot hold {', '.join(names)}: send commands from `orthoglide compensate` "
-        "instead, which hold all that the machine file has. Use one or the other, never both."
-    )
-
-
+_OF_SCALE = (
+    "Scale, where the controller has one: multiply commanded distances from mechanical zero (or "
+    "the counts per millimetre) by the factor. The new zero is the one after that."
+)
+_OF_BACKLASH = (
+    "Backlash, where the controller has a setting for it: one that shifts by half of it each way "
+    "takes it with the new zero above. One that adds the whole in one direction only (taken here: "
+    "moves toward smaller commands go farther) takes it with the one-sided zero."
+)
+_OF_LENGTH = "Length of the {}s, where the controller computes the kinematics."
+_CHECKS = (
+    "Check the signs before the machine works again. With the new zeros entered and nothing else, "
+    "send all axes to their new zeros and set the dial to 0; move them as the controller counts, "
+    "and read the dial."
+)
 _NONE = "Check of the signs: no zero moves by what a dial on a leg shows."
 _UNDIALLED = (
-    "Check of the signs: no dial is set against the legs of this machine: enter them with the tool "
-    "well clear, then read the tool again as for the calibration. A zero with the wrong sign "
-    "doubles what was off."
+    "Check of the signs: enter the zeros with the tool well clear, then read the tool again as for "
+    "the calibration. A zero with the wrong sign doubles what was off."
 )
 _NOMINAL = (
     "The machine file holds no calibration: these are its nominal numbers, and nothing is known of "
     "how far the real machine is off. Give the calibrated.toml of a result."
 )
-_CHECKS = f"Check of the signs. Enter the three new zeros and nothing else; {COUNTING}."
-
-_ALONE = (
-    "Zeros only. For a controller that takes nothing but zeros these are best: {alone}. Mean error "
-    "of the TCP over the workspace to expect, after one translation of everything: {now} now, "
-    "{zeros} with these zeros, {whole}{compensated} with commands from `orthoglide compensate`."
-)
-
-_TEXT = """{title}
-All lengths in mm, in the controller's own counting.
-
-{rule}
-{worked}
-
-Scale factor: multiply commanded distances from mechanical zero (or the counts per millimetre) by
-it; the new zero is the one after that.
-Backlash: the carriage lags half of it behind either move, and the offset is the middle of the band.
-A controller that shifts by half each way takes "backlash" and "new zero". One that adds the whole
-in one direction only (taken here: moves toward smaller commands go farther) takes "backlash" and
-"one-sided zero".
-Bar length: L of that leg, where the controller computes the kinematics.
-
-drive    new zero  add to cmd.  scale factor   backlash one-sided zero   bar length
-{table}
-
-{checks}
-
-{alone}
-
-{rest}
-"""

@@ -1,4 +1,4 @@
-"""The calibrated machine as URDF, as far as URDF can hold it."""
+"""The calibrated machine as URDF and as MJCF, as far as constant geometry can hold it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.tree import VIRTUAL_NAMES, load
 from orthoglide.prediction import Conditions
+from orthoglide.urdf import to_mjcf
 
 _PROBE = 1e-2  # metres of travel over which a path's slope is taken; paths held are straight
 _LATERAL = ("lateral_b", "lateral_c")
@@ -65,6 +66,25 @@ def calibrated_urdf(machine: MachineSource) -> str:
     return f'<?xml version="1.0"?>\n<!-- {_comment(machine)} -->\n{body}\n'
 
 
+def calibrated_mjcf(machine: MachineSource) -> str:
+    """MJCF text of a calibrated machine, for MuJoCo, its loops closed by equality constraints.
+
+    Joints, sites and constraints are those of :func:`~orthoglide.urdf.to_mjcf`: ``x_slide`` ... are
+    the drives, whose position is the commanded travel; the site ``x_tcp`` is the tool. Legs of any
+    lengths close, as each has the two relief joints that URDF has no room for.
+
+    Args:
+        machine: calibrated, or the path of its file. What is no constant geometry is left out and
+            named in the comment.
+
+    Returns:
+        MJCF, in metres, kilograms and radians.
+    """
+    machine = Machine.of(machine)
+    loops = load(machine.spec.urdf or machine.geometry).loops
+    return to_mjcf(calibrated_urdf(machine), loops, comment=_comment(machine, "MJCF"))
+
+
 def held_by_urdf(machine: Machine) -> dict[str, float]:
     """Parameters of a machine that are constant geometry, SI: places and directions of joints."""
     of = machine.catalogue.effect_of
@@ -109,7 +129,7 @@ def _moves(machine: Machine) -> list[tuple[dict[str, float], Array]]:
     ]
 
 
-def _comment(machine: Machine) -> str:
+def _comment(machine: Machine, of_format: str = "URDF") -> str:
     constant, of = held_by_urdf(machine), machine.catalogue.effect_of
     names = machine.geometry.layout.names
     held = [n for n, v in constant.items() if v]
@@ -118,11 +138,11 @@ def _comment(machine: Machine) -> str:
     lines = [
         f"Calibrated: {machine.spec.title}. Slide q is the commanded {names.travel}.",
         "Holds " + (", ".join(held) or "no correction") + ".",
-        "Left out, for URDF holds constant geometry only: "
+        f"Left out, for {of_format} holds constant geometry only: "
         + (", ".join(by_effect(left)) or "nothing")
         + ".",
     ]
-    if misfit:
+    if misfit and of_format == "URDF":
         lines.append(
             "Rigid legs cannot take up " + ", ".join(misfit) + ": to close the loops, free the "
             "bars' torsion at bar 1's tip and a turn about the short link at bar 2's root."

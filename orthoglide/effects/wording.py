@@ -120,6 +120,11 @@ def parameter_words(parameter: Parameter) -> str:
     return f"{words} of leg {parameter.leg}{behind}{where}"
 
 
+def effects_in_words(names: Iterable[str]) -> tuple[str, ...]:
+    """Effects of parameters, each once: ``axis tilt``."""
+    return tuple(dict.fromkeys(name.partition(".")[0].replace("_", " ") for name in names))
+
+
 def by_effect(names: Iterable[str]) -> tuple[str, ...]:
     """Parameters in short: several of one effect by its name and how many they are."""
     groups: dict[str, list[str]] = {}

@@ -109,7 +109,7 @@ def far_off(estimate: Estimate) -> Iterator[Note]:
             unit = estimate.unit(unknown.name)
             text = (
                 f"{parameter_words(problem.machine.catalogue.parameter(unknown.name))} "
-                f"({unknown.name}) is {abs(value) / unknown.tolerance:.1f} times its tolerance of "
+                f"is {abs(value) / unknown.tolerance:.1f} times its tolerance of "
                 f"{compact(unknown.tolerance / unit.si, 2)}{unit.behind}: measure it, or correct "
                 f"the tolerance in the machine file"
             )

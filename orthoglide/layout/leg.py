@@ -41,6 +41,8 @@ class LegNames:
     ways: tuple[tuple[str, str], tuple[str, str]]
     command: str = "travel"  # how commands are called, in columns of files
     travel: str = "travel from mechanical zero"  # how travel from mechanical zero is called
+    axis: str = "axis"  # how a drive with its slide is called: an axis or a tower
+    bar: str = "bar"  # how a bar is called: a bar or a rod
 
     @property
     def every(self) -> frozenset[str]:

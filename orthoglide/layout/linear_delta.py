@@ -38,7 +38,9 @@ class LinearDelta:
     tool: Triple = (0.0, 0.0, 0.0)
 
     kind: ClassVar[str] = "linear-delta"
-    names: ClassVar[LegNames] = LegNames(("a", "b", "c"), (_ACROSS, _ACROSS, _ACROSS), _HELD, _WAYS)
+    names: ClassVar[LegNames] = LegNames(
+        ("a", "b", "c"), (_ACROSS, _ACROSS, _ACROSS), _HELD, _WAYS, axis="tower", bar="rod"
+    )
     hanging: ClassVar[bool] = True
 
     def __post_init__(self) -> None:

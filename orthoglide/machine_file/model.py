@@ -15,7 +15,7 @@ from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.effects.classes import entered, of_belts
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
-from orthoglide.layout import LinearDelta
+from orthoglide.layout import ORTHOGLIDE, LinearDelta
 from orthoglide.machine_file.kinematics import DeltaKinematics
 from orthoglide.machine_file.measured import Measured
 from orthoglide.machine_file.posterior import Posterior
@@ -232,6 +232,8 @@ class MachineFile:
         return self.printer.kinematics
 
     def __post_init__(self) -> None:
+        if self.name == MachineFile.name and self.geometry.layout != ORTHOGLIDE:
+            object.__setattr__(self, "name", name_of(self.geometry))
         object.__setattr__(self, "catalogue", self.catalogue.of_layout(self.geometry.layout))
         object.__setattr__(self, "tolerance", {**self._expected, **self.tolerance})
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import textwrap
 from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
@@ -74,7 +75,7 @@ def machine_text(machine: MachineFile, file: str = "") -> str:
     import tomli_w
 
     try:
-        text = tomli_w.dumps(_tables(machine)) + _parameter_lines(machine)
+        text = _remark(machine) + tomli_w.dumps(_tables(machine)) + _parameter_lines(machine)
     except TypeError as error:
         raise InputError(f"a machine file cannot hold this provenance: {error}") from None
     # What could not be read back is never written.
@@ -109,6 +110,21 @@ def _tables(machine: MachineFile) -> dict[str, Any]:
     written = {name: tables[name] for name in schema.TABLES if tables.get(name)}
     top = schema.TOP.write(vars(machine) | {"urdf": machine.urdf or None})
     return {"schema": SCHEMA, **top, **written}
+
+
+def _remark(machine: MachineFile) -> str:
+    """What a reader of the values must know first, as a comment; empty where it is nothing."""
+    rivals = machine.provenance.get("averaged_over")
+    if not isinstance(rivals, list | tuple) or not rivals:
+        return ""
+    found = machine.provenance.get("effects", ())
+    names = ", ".join(map(str, dict.fromkeys((*found, *rivals))))
+    lines = textwrap.wrap(
+        f"Averages: the readings cannot tell {names} apart. The values below are the mean over "
+        f"these explanations, each weighed with its probability, and describe none of them alone.",
+        98,
+    )
+    return "".join(f"# {line}\n" for line in lines) + "\n"
 
 
 def _parameter_lines(machine: MachineFile) -> str:

@@ -19,8 +19,8 @@ _MOST_NAMED = 2  # parameters beyond the base model that a sentence names
 
 
 def identified_words(result: Result) -> str:
-    """Return the values, what they gain, and what remains against the noise, in one sentence."""
-    return f"{_found(result)} {_gain(result)}; {_rest(result)}."
+    """Return the values with what they gain, and what remains against the noise, in sentences."""
+    return f"{_found(result)} {_gain(result)}. {_rest(result)}"
 
 
 def _found(result: Result) -> str:
@@ -52,16 +52,16 @@ def _rest(result: Result) -> str:
     """What remains, against the noise."""
     noise, fit = result.noise.single_reading.said(), result.after
     if fit.scores.dof <= 0:
-        return "no reading is left over to judge the fit by"
+        return "No reading is left over to judge the fit by."
     if fit.sigma_scale > 1:
         return (
-            f"what is left is {fit.sigma_scale:.2g} times the noise of a reading ({noise}): "
-            f"the machine, or the measurement, has an error that {effects_named(result)} cannot "
-            f"explain"
+            f"What is left is {fit.sigma_scale:.2g} times the noise of a reading ({noise}). The "
+            f"machine, or the measurement, has an error that {effects_named(result)} cannot "
+            f"explain."
         )
     return (
-        f"what is left is no more than the noise of a reading ({noise}): these readings show "
-        f"no further error"
+        f"What is left is no more than the noise of a reading ({noise}): these readings show no "
+        f"further error."
     )
 
 

@@ -82,7 +82,7 @@ def possible_rows(result: Result) -> list[tuple[str, str, str, str]]:
             (before.cv_rms, one.after.cv_rms),
         )
         fit, left_out = (" to ".join(millimetres(pair)) + " mm" for pair in pairs)
-        rows.append((hundredths(one.probability), f"{one.words}\n{one.name}", fit, left_out))
+        rows.append((hundredths(one.probability), one.words, fit, left_out))
     return rows
 
 
@@ -90,8 +90,7 @@ def if_it_were_so(result: Result) -> list[str]:
     """The most probable causes of what nothing explains, a sentence each with both errors."""
     what = "deviations" if math.isfinite(result.before.scores.deviation_rms) else "residuals"
     return [
-        f"{words.splitlines()[0]} (probability {chance}): {what} {fit}, stations left "
-        f"out {left_out} rms."
+        f"{words} (probability {chance}): {what} {fit}, stations left out {left_out} rms."
         for chance, words, fit, left_out in possible_rows(result)
     ]
 

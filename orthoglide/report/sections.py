@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from orthoglide.control import COUNTING, withheld
+from orthoglide.control import RULE, withheld
 from orthoglide.effects.words import toward
 from orthoglide.figures.causes import drawn
 from orthoglide.figures.readings import MOST_DRAWN
@@ -193,7 +193,8 @@ def controller(result: Result) -> Data:
     return {
         "drives": numbers.drives if zeros else (),
         "withheld": _WHY if result.cautions else sentence(why) if why else "",
-        "counting": COUNTING,
+        "rule": RULE,
+        "counts": numbers.names.ways[1][1],
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
         # What a calibrated machine does not hold.
         "beyond": listed(one.description for one in places if not one.of_machine),

@@ -10,13 +10,21 @@ from orthoglide.numerals import hundredths, signed
 from orthoglide.report.identified import weak_sentences
 from orthoglide.report.rows import POSSIBLE, parameter_rows, possible_rows, score_rows
 from orthoglide.report.sections import too_early
-from orthoglide.report.words import gain_words, headline, meaning, unshown_words, unvaried_words
+from orthoglide.report.words import (
+    gain_words,
+    headline,
+    meaning,
+    unshown_words,
+    unvaried_words,
+    warnings_besides,
+)
 from orthoglide.result import Action, Result
 from orthoglide.text import is_terminal, sentence, text_width
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
+    from rich.text import Text
 
 
 _MOST = 3  # of what may be looked at
@@ -38,10 +46,11 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
     remarks = [f"The search ended: {result.left.stopped}."] if searches else []
     remarks += [] if searches else weak_sentences(result.weak, result.catalogue)
     hidden = (unshown_words(result), unvaried_words(result))
-    told = (*hidden, *(w for w in result.warnings if w.kind != said))
+    told = (*hidden, *(w for w in warnings_besides(result) if w.kind != said))
     remarks += [sentence(w) for w in told if w]
     parts += [Text(f"- {line}") for line in remarks]
     parts += [Text(line) for line in to_do(result)]
+    parts += _zeros(result)
     if result.firmware is not None and result.firmware.corrections is not None:
         found = result.firmware.corrections
         parts += _table((found.file, "old", "new"), found.rows)
@@ -52,6 +61,19 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
             parts.append(Text(f"{instead}: {why}.", style="bold"))
     parts += [Text(f"Warning: {caution}", style="bold") for caution in result.further_cautions]
     return console_text(parts)
+
+
+def _zeros(result: Result) -> Iterator[Text | Table]:
+    """New zeros with one of them worked and one checked, where they are to be entered."""
+    from rich.text import Text
+
+    if result.firmware is not None or all(one.kind != "zeros" for one in result.actions):
+        return
+    numbers = result.numbers
+    yield from _table((f"zeros, mm: {numbers.zeros.titles[0]}", "old", "new"), numbers.zeros.rows)
+    how, readings = numbers.check
+    yield from map(Text, filter(None, (numbers.worked, how)))
+    yield from (Text(f"- {one} orthoglide export gives all.") for one in readings[:1])
 
 
 def to_do(result: Result) -> Iterator[str]:

@@ -8,10 +8,12 @@ from collections.abc import Iterable, Mapping
 from orthoglide.effects.wording import cause_short
 from orthoglide.effects.words import toward
 from orthoglide.geometry import LEGS
+from orthoglide.notes import Note
 from orthoglide.numerals import compact, probability, told_apart
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
+from orthoglide.report.claims import BESIDES, claims, spoken
 from orthoglide.report.identified import effects_named, identified_words
-from orthoglide.result import Action, Cause, Change, Result, Scores
+from orthoglide.result import Action, Change, Result, Scores
 from orthoglide.text import listed, sentence
 
 _SLIGHT = 0.9  # ratio of residuals above which they "hardly" fall
@@ -19,15 +21,11 @@ _MATTERS = 1.5  # ratio of residuals without and with new zeros from which the z
 _NONE = 1e-9  # metres: no machine of metal is as good
 _CHANCE = 0.01  # probability above which residuals are attributed to noise alone
 _MOST_ALONE = 8  # single causes that a sentence names
-_MOST_RIVALS = 2  # alternatives that a sentence names; the report lists all
 _FEW = 2.0  # degrees of freedom below which nothing is tested
 _SOUND = 0.05  # probability of the residuals of the base model above which they are small
 _MANY = 0.1  # share of excluded readings from which their number is stated
+_ROUNDED = 1.05  # ratio of the noise of a reading to what was declared from which rounding counts
 _KNOWN = 0.1  # relative uncertainty of a gain from which it is stated
-
-BESIDES = "Something else is wrong as well."
-"""Behind what was found, where it does not explain all."""
-
 
 NOTHING_SHOWN = (
     "These readings show no error at all: either they were made up of a machine that has none, or "
@@ -70,7 +68,8 @@ def standing(result: Result) -> str:
         return identified_words(result)
     if result.found:
         more = f" {BESIDES}" if result.word == "partial" else ""
-        return f"{_causes(result)}{more}"
+        count = len(result.effects) + len(result.located)
+        return f"{spoken(claims(result)[:count])}{more}"
     if result.word == "unexplained":
         text = f"{_nothing_explains(result)}{where_left(result)}"
         noisy = " ".join(map(sentence, result.scattering))
@@ -79,8 +78,7 @@ def standing(result: Result) -> str:
     if none_left_over(result):
         return (
             f"These readings are too few to look for causes with: the "
-            f"{effects_named(result)} take up nearly all that they say, and too few are "
-            f"left over to tell what the rest comes from."
+            f"{effects_named(result)} take up nearly all that they say."
         )
     first = _to_enter(result)
     if a_little(result):
@@ -124,32 +122,43 @@ def _changed(changes: Iterable[Change]) -> str:
 
 def _weighed(result: Result) -> str:
     base = effects_named(result)
+    corrected = f"With the {base} set right"
     if result.word == "unexplained":
-        return f"With the {base} set right, {_fall(result)}."
+        return f"{corrected}, {_fall(result)}."
     if result.word == "partial":
         return (
             f"With it in the model, {_fall(result)}, and nothing known explains the rest. "
             f"{_why_significant(result)}{where_left(result)}"
         )
-    if result.found:
-        given = "this in the model"
-    else:
-        more = "all of it" if a_little(result) else "small errors of everything else"
-        given = f"the {base} set right" + f" and {more} in the model" * result.improved
-    if result.shapes_of_plate:
-        given += " and small shapes of the plate's own"
     if none_left_over(result):
-        return f"With {given}, {_fall(result)}, and too few readings are left over to judge that."
-    of = "the dial" if not result.request.points else "the readings"
-    what = f"the noise of {of}"
+        given, before = corrected, result.nominal
+        if result.found:
+            given, before = "With this in the model", result.start
+        after = result.after.scores if result.found else result.before.scores
+        return f"{given}, {_between(before, after)}. Too few readings are left over to judge that."
+    given = "With this in the model" if result.found else corrected
+    besides = ["this" if result.found else f"the corrected {base}"]
+    if result.improved and not result.found:
+        besides.append("small errors of everything else")
+    if result.shapes_of_plate:
+        besides.append("small shapes of the plate")
+    head = ""
+    if besides[1:]:
+        head, given = f"In the model are {listed(besides)}. ", "With them"
+    return f"{head}{given}, {_fall(result)}{_against_noise(result)}{_alone(result)}"
+
+
+def _against_noise(result: Result) -> str:
+    """Whether what is left is the noise: the end of a sentence, and another where it is not."""
+    what = f"the noise of {'the readings' if result.request.points else 'the dial'}"
     if any(w.kind == "side" for w in result.warnings):
-        what = "what repeats scatter by: noise of the readings, or lost motion of the machine"
+        what = "what repeats scatter by. That is noise of the readings, or lost motion"
     if result.after.sigma_scale > 1:
-        what = (
-            f"more than {what}: what is likely fits them, each by itself, and their mean, which "
-            f"the calibrated machine has, not quite"
+        return (
+            f", which is more than {what}. Each likely explanation fits them; their mean, which "
+            f"the calibrated machine has, does not quite."
         )
-    return f"With {given}, {_fall(result)}, which is {what}.{_alone(result)}"
+    return f", which is {what}."
 
 
 def where_left(result: Result) -> str:
@@ -165,14 +174,14 @@ def where_left(result: Result) -> str:
     if result.left.dials_hold_most:
         one = result.left.by_dial[0]
         where = f"on leg {LEGS[one.leg]} read along {LEGS[one.axis]}"
-        size = f"there the dial is off by up to {compact(abs(one.most) * 1e3, 2)} mm, toward "
+        size = f"the dial is off by up to {compact(abs(one.most) * 1e3, 2)} mm, toward "
         size += toward(LEGS[one.axis], one.most)
         size += f" at posture {one.posture}" if one.posture else ""
         return _largest_part(result, one.share, where, size)
     return "".join(
         _largest_part(
             result, one.share, f"in {one.reads} ({one.setup})",
-            f"up to {compact(abs(one.most) * 1e3, 2)} {one.unit}, with the tool at "
+            f"it is up to {compact(abs(one.most) * 1e3, 2)} {one.unit}, with the tool at "
             f"{one.where[0]} mm",
         )
         for one in result.left.by_instrument[:1]
@@ -184,18 +193,18 @@ def _largest_part(result: Result, share: float, where: str, size: str) -> str:
     dials, tool = len(result.left.by_dial), len(result.left.by_instrument)
     alike = dials + tool > 1 and share < 2 / (dials + tool)
     spread = f", though all {'readings' if tool else 'dials'} show some" if alike else ""
-    return f" The residual is largest {where}{spread} ({100 * share:.0f} % of it): {size}."
+    return f" The residual is largest {where} ({100 * share:.0f} % of it{spread}). There {size}."
 
 
 def _alone(result: Result) -> str:
     """Causes of which one would be behind it if the rest were sound, with their sizes."""
     if not result.alone:
         return ""
-    several = [one.words for one in result.alone]
-    text = "; or ".join(several[:_MOST_ALONE])
-    more = len(several) - _MOST_ALONE
-    rest = f"; or {more} more named below" if more > 0 else ""
-    return f" If one cause alone were behind most of it, it would be one of these: {text}{rest}."
+    several = [one.words for one in result.alone[:_MOST_ALONE]]
+    more = len(result.alone) - len(several)
+    told = [sentence(several[0]), *(f"Or {words}." for words in several[1:])]
+    told += [f"Or {more} more named below."] if more > 0 else []
+    return f" If one cause alone is behind most of it, it is one of these. {' '.join(told)}"
 
 
 def _too_few(result: Result) -> bool:
@@ -205,10 +214,10 @@ def _too_few(result: Result) -> bool:
 
 def _nothing_explains(result: Result) -> str:
     """That the model does not fit, by how much, and whether more could be said."""
-    noise, left = result.noise.single_reading, result.after.scores.left
+    left = result.after.scores.left
     text = (
-        f"The model does not fit ({left.said()} rms, noise {noise.said()}), and no single cause "
-        f"explains the difference."
+        f"The model does not fit ({left.said()} rms, noise {noise_words(result)}), and no single "
+        f"cause explains the difference."
     )
     if _too_few(result):
         return f"{text} {len(result.readings)} readings are too few to say more."
@@ -223,41 +232,23 @@ def _why_significant(result: Result) -> str:
     noise, left = result.noise.single_reading, result.after.scores.left
     whose = "the noise of one" if result.request.points else "the dial's noise"
     if any(left.shown[unit] > of_one for unit, of_one in noise.shown.items()):
-        return f"Single readings are left with {left.said()} rms, where {whose} is {noise.said()}."
+        of_one = noise_words(result)
+        return f"Single readings are left with {left.said()} rms, where {whose} is {of_one}."
     if math.isnan(result.left.p_value):
         return "What was found predicts other readings than it was found by: nothing is claimed."
     return (
         f"What is left of single readings ({left.said()} rms) is no larger than {whose} of "
-        f"{noise.said()}; it is significant by its pattern over setups and postures, which noise "
-        f"alone would show with probability {probability(result.left.p_value)}."
+        f"{noise_words(result)}. It is significant by its pattern over setups and postures, which "
+        f"noise alone would show with probability {probability(result.left.p_value)}."
     )
 
 
-def _causes(result: Result) -> str:
-    told = [f"{c.chosen.words}{alternatives(c)}" for c in result.effects]
-    told += [one.words for one in result.located]
-    besides = (f"Besides, {one[:1].lower()}{one[1:]}" for one in told[1:])
-    return " ".join(map(sentence, (told[0], *besides)))
-
-
-def alternatives(cause: Cause) -> str:
-    """Rivals of a cause with their own sizes, in brackets; empty where there are none."""
-    rivals = [*(one.words for one in cause.others), *(d.brief for d in cause.data)]
-    same = " or ".join(one.words for one in cause.same)
-    if not rivals:
-        return f" (or {same}: the same to these readings and to the tool)" if same else ""
-    text = ", or ".join(rivals[:_MOST_RIVALS])
-    rest = len(rivals) - _MOST_RIVALS
-    if rest > 0:
-        text += f", or {rest} further cause{'s' if rest > 1 else ''} named below"
-    if same:
-        text = f"{same}, which is the same to the tool, or {text}"
-    return f" (or {text}: these readings cannot tell)"
-
-
 def _fall(result: Result) -> str:
-    fall = _falls(result.start, result.after.scores)
-    return f"the difference between readings and prediction {fall}"
+    return _between(result.start, result.after.scores)
+
+
+def _between(before: Scores, after: Scores) -> str:
+    return f"the difference between readings and prediction {_falls(before, after)}"
 
 
 def _falls(before: Scores, after: Scores) -> str:
@@ -272,6 +263,19 @@ def _falls(before: Scores, after: Scores) -> str:
         parts.append(f"does not fall, at {figures[1]} {unit} rms" if stays else text)
         last = "" if stays else verb
     return ", and ".join(parts)
+
+
+def noise_words(result: Result) -> str:
+    """The noise of a reading, and that rounding was added to what was declared of it."""
+    noise, declared = result.noise.single_reading, result.noise.declared
+    rounded = result.noise.source != "repeats" and noise.length > _ROUNDED * declared
+    return f"{noise.said()}{' with the rounding of the readings' if rounded else ''}"
+
+
+def warnings_besides(result: Result) -> list[Note]:
+    """Warnings but those that what is wrong begins with."""
+    told = result.scattering if result.word == "unexplained" else ()
+    return [w for w in result.warnings if w not in told]
 
 
 # --- Common to page and terminal ----------------------------------------------------------

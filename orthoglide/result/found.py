@@ -12,7 +12,6 @@ from orthoglide.geometry import Array
 from orthoglide.numerals import ByUnit
 from orthoglide.result.codec import SHORT, Key, SampledMetres, Share, encoded, in_mm_short
 from orthoglide.result.fits import Scores
-from orthoglide.text import listed
 
 _BRIEF = {
     "command": "another command than the one written",
@@ -22,8 +21,6 @@ _BRIEF = {
     "moved": "an instrument that was moved",
 }
 """Data faults in the place of a cause."""
-
-_MOST_RIVALS = 2  # alternatives named in one sentence; the report lists all
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -213,25 +210,8 @@ class Located:
 
     @property
     def words(self) -> str:
-        """The most probable member with its size, and the alternatives, a clause."""
-        first, *others = self.members
-        text = first.words_with_measure
-        if self.data and self.data[0].probability > self.probability:
-            one = self.data[0]
-            return (
-                f"{one.brief} ({one.probability:.0%} likely), or {text} "
-                f"({self.probability:.0%} likely): read these lines again"
-            )
-        if others or self.data:
-            named = [*(c.words for c in others[:_MOST_RIVALS]), *(d.brief for d in self.data[:1])]
-            more = len(others) - _MOST_RIVALS
-            rest = f", or {more} more places named below" if more > 0 else ""
-            text += f" (or {' or '.join(named)}{rest}: these readings cannot tell)"
-        if self.resembling:
-            return f"{text}; it resembles {listed(self.resembling[:_MOST_RIVALS])}"
-        if self.data:
-            return text
-        return f"{text}; no known shape explains it"
+        """The most probable member with its size, a clause."""
+        return self.members[0].words_with_measure
 
     def derived(self) -> dict[str, Any]:
         """Return keys of ``result.json`` that follow from the fields."""

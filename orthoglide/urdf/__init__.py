@@ -11,6 +11,7 @@ that is the closed machine at mechanical zero, p = 0. The kinematics are the pap
 al. 2008, section 2.1); thicknesses, masses and the frame are plausible and not measured.
 """
 
+from orthoglide.urdf.mjcf import to_mjcf as to_mjcf
 from orthoglide.urdf.parallel import (
     ParallelRobot as ParallelRobot,
     parallel_robot_files as parallel_robot_files,
@@ -24,6 +25,7 @@ from orthoglide.urdf.tree import (
     Closure as Closure,
     closures as closures,
     closures_text as closures_text,
+    file_names as file_names,
     shipped_folder as shipped_folder,
     to_urdf as to_urdf,
     write as write,

@@ -23,7 +23,14 @@ from orthoglide import files
 from orthoglide.errors import FileError
 from orthoglide.geometry import Geometry
 from orthoglide.text import brief, shown
-from orthoglide.urdf.tree import CLOSURES_FILE, URDF_FILE, Closure, closures, to_urdf
+from orthoglide.urdf.tree import (
+    CLOSURES_ENDING,
+    CLOSURES_FILE,
+    URDF_FILE,
+    Closure,
+    closures,
+    to_urdf,
+)
 
 ROBOT_URDF, ROBOT_YAML = "robot.urdf", "robot.yaml"
 
@@ -80,7 +87,7 @@ def read_looped_urdf(folder: str | os.PathLike[str]) -> ParallelRobot:
     Raises:
         FileError: where a file is missing, or says what cannot be.
     """
-    theirs = not (Path(folder) / URDF_FILE).exists() and (Path(folder) / ROBOT_URDF).exists()
+    theirs = not _own_files(folder)[0].exists() and (Path(folder) / ROBOT_URDF).exists()
     return read_parallel_robot(folder) if theirs else _read_own(folder)
 
 
@@ -90,13 +97,23 @@ def urdf_digests(folder: str | os.PathLike[str]) -> dict[str, str]:
     Raises:
         FileError: where a file is missing.
     """
-    paths = [Path(folder) / name for name in (URDF_FILE, CLOSURES_FILE)]
+    paths = _own_files(folder)
     return {str(path): files.sha256(files.read_bytes(path)) for path in paths}
 
 
+def _own_files(folder: str | os.PathLike[str]) -> tuple[Path, Path]:
+    """The URDF and the closures of a folder: ``orthoglide.urdf``, or the one that has closures."""
+    place = Path(folder)
+    others = sorted(place.glob(f"*{CLOSURES_ENDING}"))
+    if (place / URDF_FILE).exists() or len(others) != 1:
+        return place / URDF_FILE, place / CLOSURES_FILE
+    (closed,) = others
+    return place / f"{closed.name.removesuffix(CLOSURES_ENDING)}.urdf", closed
+
+
 def _read_own(folder: str | os.PathLike[str]) -> ParallelRobot:
-    """Read ``orthoglide.urdf`` and ``orthoglide.closures.toml`` of a folder."""
-    urdf_path, toml_path = (Path(folder) / name for name in (URDF_FILE, CLOSURES_FILE))
+    """Read this package's own two files of a folder."""
+    urdf_path, toml_path = _own_files(folder)
     urdf = files.decode(files.read_bytes(urdf_path), urdf_path)
     text, file = files.decode(files.read_bytes(toml_path, files.TEXT), toml_path), shown(toml_path)
     names = _names(urdf, shown(urdf_path))
@@ -119,7 +136,7 @@ def _read_own(folder: str | os.PathLike[str]) -> ParallelRobot:
             if frame not in names:
                 raise FileError(
                     f"closure {brief(loop['name'])!r} names {brief(frame)!r}, no link of "
-                    f"{URDF_FILE}: correct it",
+                    f"{urdf_path.name}: correct it",
                     file=file,
                 )
         if loop["frame_1"] == loop["frame_2"]:

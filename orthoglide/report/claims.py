@@ -1,0 +1,143 @@
+"""What was found, as claims that page and terminal show: each with what else it could be."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+from orthoglide.result import Cause, Change, Curve, DataRival, Explanation, Located, Result
+from orthoglide.text import sentence
+
+BESIDES = "Something else is wrong as well."
+"""Behind what was found, where it does not explain all."""
+
+_CERTAIN, _SURE = 0.995, 0.9
+_CLEARLY = 50.0  # log odds
+_MOST_RIVALS = 2  # alternatives that a headline names; the report lists all
+_NO_OPTION = -1  # of what no drawing shows
+
+
+@dataclass(frozen=True)
+class Statement:
+    """One cause or place as a reader meets it."""
+
+    words: str  # a sentence with part, direction, size and unit
+    sure: str  # how sure it is, and how well its size is known
+    option: int = _NO_OPTION  # its place among the options of the drawing
+    brief: str = ""  # the same in a few words, where `words` take more than a sentence
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What was found in one place of the machine."""
+
+    first: Statement  # the most probable
+    same: tuple[Statement, ...]  # other names of it: the same to these readings and to the tool
+    rivals: tuple[Statement, ...]  # that these readings cannot tell from it, most probable first
+    note: str = ""  # what else must be known of it, a sentence
+
+
+def claims(result: Result) -> list[Claim]:
+    """Causes, places and changes, each with what else it could be."""
+    option = itertools.count()
+    found = [_of_cause(cause, option) for cause in result.effects]
+    found += [_of_located(one, option) for one in result.located]
+    if result.word == "partial":
+        found = [
+            replace(c, first=replace(c.first, sure=f"among the causes known {c.first.sure}"))
+            for c in found
+        ]
+    return [*found, *(_of_change(change, option) for change in result.moved)]
+
+
+def spoken(several: Iterable[Claim]) -> str:
+    """Claims as sentences: each with the likeliest of what else it could be, and how many more."""
+    told: list[str] = []
+    for k, claim in enumerate(several):
+        first = claim.first.brief or claim.first.words
+        told.append(f"Besides, {_lowered(first)}" if k else first)
+        told += (
+            f"Or {_lowered(one.words)[:-1]}, the same to these readings and to the tool."
+            for one in claim.same
+        )
+        told += (f"Or {_lowered(one.brief or one.words)}" for one in claim.rivals[:_MOST_RIVALS])
+        if (more := len(claim.rivals) - _MOST_RIVALS) > 0:
+            told.append(
+                f"Or one of {more} more, named below." if more > 1 else "Or one more, below."
+            )
+        if claim.rivals:
+            told.append("These readings cannot tell which.")
+        told += [claim.note] if claim.note else []
+    return " ".join(told)
+
+
+def sure_words(p: float) -> str:
+    """A probability as a mechanic says it: ``97 % sure``, ``51 % likely``."""
+    if p >= _CERTAIN:
+        return "more than 99 % sure"
+    return f"{100 * p:.0f} % {'sure' if p >= _SURE else 'likely'}"
+
+
+def _lowered(text: str) -> str:
+    return text[:1].lower() + text[1:]
+
+
+def _of_cause(cause: Cause, option: Iterator[int]) -> Claim:
+    first = _statement(cause.chosen, cause.together, next(option))
+    same, rivals = (
+        tuple(_statement(e, e.probability, next(option)) for e in part)
+        for part in (cause.same, cause.rivals)
+    )
+    return Claim(first, same, (*rivals, *_of_places(cause.places, option), *_of_data(cause.data)))
+
+
+def _of_located(found: Located, option: Iterator[int]) -> Claim:
+    """A place, or the fault of the data that is likelier than it."""
+    places, faults = _of_places(found.members, option), tuple(_of_data(found.data))
+    likelier = [d.probability > found.probability for d in found.data]
+    first, *others = (
+        *itertools.compress(faults, likelier),
+        *places,
+        *itertools.compress(faults, [not one for one in likelier]),
+    )
+    note = ""
+    if found.resembling_words:
+        note = f"It resembles a known cause: {found.resembling_words[0]}."
+    return Claim(first, (), tuple(others), note)
+
+
+def _of_places(curves: Iterable[Curve], option: Iterator[int]) -> tuple[Statement, ...]:
+    """Each place once, however many functions describe it: with the probability of them all."""
+    once: dict[str, tuple[Curve, float, int]] = {}
+    for curve in curves:
+        number = next(option)
+        first, p, shown = once.get(curve.description, (curve, 0.0, number))
+        once[curve.description] = first, p + curve.probability, shown
+    return tuple(
+        Statement(sentence(curve.words_with_measure), sure_words(min(p, 1.0)), shown)
+        for curve, p, shown in once.values()
+    )
+
+
+def _of_data(several: Iterable[DataRival]) -> Iterator[Statement]:
+    """Faults of the data, of which the drawing shows none."""
+    for d in several:
+        yield Statement(
+            sentence(d.words), sure_words(d.probability), brief=sentence(f"it is {d.brief}")
+        )
+
+
+def _statement(one: Explanation, probability: float, option: int) -> Statement:
+    sure = sure_words(probability)
+    if one.half_width:
+        sure += f", its size to ± {one.half_width} (95 %)"
+    return Statement(sentence(one.words), sure, option)
+
+
+def _of_change(change: Change, option: Iterator[int]) -> Claim:
+    sure = sure_words(1 / (1 + math.exp(-min(change.evidence, _CLEARLY))))
+    first, *rivals = (Statement(sentence(words), "", next(option)) for words in change.each)
+    which = " that one of them changed" if rivals else ""
+    return Claim(replace(first, sure=f"{sure}{which}"), (), tuple(rivals))

@@ -1,0 +1,174 @@
+"""A URDF tree with loop closures as MJCF, MuJoCo's own format, which holds loops itself."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from orthoglide.geometry import Array
+from orthoglide.urdf.solids import number, numbers
+from orthoglide.urdf.tree import Closure
+
+RELIEF: Mapping[str, tuple[str, str]] = {
+    "knuckle": ("relief_bar", "1 0 0"),
+    "bar2": ("relief_link", "0 0 1"),
+}
+"""Joints before a leg's joint that URDF has no room for: the torsion of bar 1 at its tip, and a
+turn about the short link at the root of bar 2. Without them legs with unequal bars do not close."""
+
+_XYZ = "xyz"  # the name of an attribute of URDF, and the axes that its angles turn about in order
+
+_JOINTS = {"prismatic": "slide", "revolute": "hinge", "continuous": "hinge"}
+_EQUALITY = {"point": "connect", "frame": "weld"}
+
+
+def to_mjcf(urdf: str, loops: Sequence[Closure], *, relief: bool = True, comment: str = "") -> str:
+    """MJCF text of a URDF tree whose loops equality constraints close.
+
+    Joints, bodies and sites are called as the joints and links of the URDF. ``x_slide``,
+    ``y_slide`` and ``z_slide`` (``a_slide`` ... of a delta) are the drives, with the limits of the
+    stroke; every other joint is passive. A link that a fixed joint carries is a site: ``x_tcp`` is
+    the tool. Each loop is an equality constraint with the name of its closure, ``connect`` where
+    two origins coincide and ``weld`` where axes do too. Nothing collides; there are no actuators.
+
+    Args:
+        urdf: text of the tree, joints at zero being the closed machine.
+        loops: what closes it.
+        relief: whether legs get the joints of `RELIEF`, with which the constraints repeat nothing
+            and legs of any lengths close. Without them the joints are those of the URDF.
+        comment: what a reader of the file must know.
+
+    Returns:
+        MJCF, in metres, kilograms and radians.
+    """
+    robot = ET.fromstring(urdf)
+    root = ET.Element("mujoco", model=robot.get("name", "machine"))
+    if comment:  # XML allows no double hyphen in comments
+        root.append(ET.Comment(f" {re.sub('-(?=-)', '- ', comment)} "))
+    ET.SubElement(root, "compiler", angle="radian", autolimits="true")
+    asset = ET.SubElement(root, "asset")
+    for material in robot.findall("material"):
+        color = material.find("color")
+        rgba = "0.5 0.5 0.5 1" if color is None else color.get("rgba", "")
+        ET.SubElement(asset, "material", name=material.get("name", ""), rgba=rgba)
+    world = ET.SubElement(root, "worldbody")
+    links = {str(link.get("name")): link for link in robot.findall("link")}
+    behind: defaultdict[str, list[ET.Element]] = defaultdict(list)
+    for joint in robot.findall("joint"):
+        behind[_link(joint, "parent")].append(joint)
+    carried = {_link(joint, "child") for several in behind.values() for joint in several}
+    for name in links.keys() - carried:  # one: a tree has one root
+        _fill(world, links[name], links, behind, relief)
+    equality = ET.SubElement(root, "equality")
+    for loop in loops:
+        frames = {"site1": loop.frame_1, "site2": loop.frame_2}
+        ET.SubElement(equality, _EQUALITY[loop.kind], {"name": loop.name, **frames})
+    ET.indent(root)
+    return f"{ET.tostring(root, encoding='unicode')}\n"
+
+
+def _link(joint: ET.Element, end: str) -> str:
+    found = joint.find(end)
+    return "" if found is None else found.get("link", "")
+
+
+def _fill(
+    body: ET.Element,
+    link: ET.Element,
+    links: Mapping[str, ET.Element],
+    behind: Mapping[str, Sequence[ET.Element]],
+    relief: bool,
+) -> None:
+    """Add what a link weighs and looks like to its body, and the bodies that hang on it."""
+    if (inertial := link.find("inertial")) is not None:
+        _add_inertial(body, inertial)
+    for visual in link.findall("visual"):
+        _add_geom(body, visual)
+    for joint in behind.get(str(link.get("name")), ()):
+        child = _link(joint, "child")
+        kind = joint.get("type", "fixed")
+        if kind == "fixed" and child not in behind and links[child].find("inertial") is None:
+            ET.SubElement(body, "site", {"name": child, "size": "0.002"} | _placed(joint))
+            continue
+        inner = ET.SubElement(body, "body", {"name": child} | _placed(joint))
+        if kind != "fixed":
+            _add_joints(inner, joint, relief)
+        ET.SubElement(inner, "site", name=child, size="0.002")
+        _fill(inner, links[child], links, behind, relief)
+
+
+def _add_joints(body: ET.Element, joint: ET.Element, relief: bool) -> None:
+    name = str(joint.get("name"))
+    leg, _, part = name.rpartition("_")
+    part = part or name
+    if relief and leg and part in RELIEF:
+        called, axis = RELIEF[part]
+        ET.SubElement(body, "joint", name=f"{leg}_{called}", type="hinge", axis=axis)
+    axis_of, limit = joint.find("axis"), joint.find("limit")
+    made = {"name": name, "type": _JOINTS.get(joint.get("type", ""), "hinge")}
+    made["axis"] = "1 0 0" if axis_of is None else axis_of.get(_XYZ, "1 0 0")
+    if made["type"] == "slide" and limit is not None:
+        made["range"] = f"{limit.get('lower', '0')} {limit.get('upper', '0')}"
+    ET.SubElement(body, "joint", made)
+
+
+def _add_inertial(body: ET.Element, inertial: ET.Element) -> None:
+    """Mass, centre and inertia, turned to the axes of the body as MJCF wants it."""
+    tensor, mass = inertial.find("inertia"), inertial.find("mass")
+    if tensor is None or mass is None:
+        return
+    entry = {key: float(value) for key, value in tensor.attrib.items()}
+    about = np.array([[entry[f"i{min(j, k)}{max(j, k)}"] for k in _XYZ] for j in _XYZ])
+    turn = _rotation(inertial)
+    about = turn @ about @ turn.T
+    upper = (about[j, k] for j, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
+    ET.SubElement(
+        body, "inertial",
+        pos=numbers(_attribute(inertial, _XYZ)),
+        mass=mass.get("value", "0"),
+        fullinertia=numbers(upper),
+    )  # fmt: skip
+
+
+def _add_geom(body: ET.Element, visual: ET.Element) -> None:
+    """Draw a box, a cylinder or a sphere; other shapes are left out."""
+    shape, material = next(iter(visual.find("geometry") or ()), None), visual.find("material")
+    if shape is None or shape.tag not in ("box", "cylinder", "sphere"):
+        return
+    if shape.tag == "box":
+        size = numbers(float(edge) / 2 for edge in shape.get("size", "").split())
+    else:
+        half = (number(float(shape.get("length", "0")) / 2),) * (shape.tag == "cylinder")
+        size = " ".join((shape.get("radius", "0"), *half))
+    made = {"type": shape.tag, "size": size, "contype": "0", "conaffinity": "0"}
+    if material is not None:
+        made["material"] = material.get("name", "")
+    ET.SubElement(body, "geom", made | _placed(visual))
+
+
+def _placed(element: ET.Element) -> dict[str, str]:
+    """Place and turn of a URDF element's ``origin``, where they are any."""
+    from scipy.spatial.transform import Rotation
+
+    xyz, rpy = (_attribute(element, name) for name in (_XYZ, "rpy"))
+    found = {"pos": numbers(xyz)} if xyz.any() else {}
+    if rpy.any():
+        x, y, z, w = Rotation.from_euler(_XYZ, rpy).as_quat()
+        found["quat"] = numbers((w, x, y, z))
+    return found
+
+
+def _rotation(element: ET.Element) -> Array:
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_euler(_XYZ, _attribute(element, "rpy")).as_matrix())
+
+
+def _attribute(element: ET.Element, name: str) -> Array:
+    origin = element.find("origin")
+    text = "" if origin is None else origin.get(name, "")
+    return np.array(text.split(), dtype=float) if text else np.zeros(3)
