@@ -95,29 +95,52 @@ def protocol(kind: Kind, geometry: Geometry | None = None) -> Readings:
     low, high = geometry.stroke
     named = [("zero", 0.0), ("max", high), ("min", low)]
     postures = named if kind in ("standard", "parallelism") else _swept(geometry)
+    return along_legs(geometry, kind, _GAUGES[kind], postures, REPEATS)
+
+
+def along_legs(
+    geometry: Geometry,
+    name: str,
+    gauges: Sequence[tuple[float, ...]],
+    postures: Sequence[Posture],
+    repeats: int = 1,
+    bar: int = 0,
+) -> Readings:
+    """A campaign without readings, of two dials at a time on each leg in turn, while the nominal
+    TCP moves along that leg's axis.
+
+    Args:
+        geometry: whose stroke and length count.
+        name: of the campaign.
+        gauges: where the dials stand, as fractions of the leg: one, or two whose difference is
+            read; those of one mounting, one mounting after the other.
+        postures: in their order.
+        repeats: how often they are gone through.
+        bar: that is touched, as of `Setup`.
+    """
     visits = [
         (leg, repeat, posture)
         for leg in range(3)
-        for _ in _GAUGES[kind]
-        for repeat in range(1, REPEATS + 1)
+        for _ in gauges
+        for repeat in range(1, repeats + 1)
         for posture in postures
     ]
     setups = tuple(
-        dial_at(geometry, leg, axis, shares[0], second=shares[1] if shares[1:] else None)
+        dial_at(geometry, leg, axis, shares[0], bar, shares[1] if shares[1:] else None)
         for leg in range(3)
-        for shares in _GAUGES[kind]
+        for shares in gauges
         for axis in range(3)
         if axis != leg
     )
     visit = np.repeat(np.arange(len(visits)), 2)  # two dials read at each
-    mounting = visit // (REPEATS * len(postures))
+    mounting = visit // (repeats * len(postures))
     command = [geometry.command_on_axis(leg, travel) for leg, _, (_, travel) in visits]
     sheet = unread(
         geometry,
-        kind,
+        name,
         setups,
         2 * mounting + np.arange(len(visit)) % 2,
-        np.round(command, 9)[visit],  # what fits on a sheet
+        np.round(command, _LABELLED)[visit],  # what fits on a sheet
         posture=[visits[k][2][0] for k in visit],
         repeat=np.array([repeat for _, repeat, _ in visits])[visit],
         time=visit * VISIT + mounting * (MOUNTING - VISIT),
@@ -183,8 +206,12 @@ def unread(
 
 
 def _swept(geometry: Geometry) -> list[Posture]:
-    """From zero to one end and back, then to the other; the next round begins back at zero."""
+    """Return the way from zero to one end and back, then to the other, without the last zero."""
     low, high = geometry.stroke
     up, down = high * np.array([0.0, *_UP]), low * np.array(_DOWN)
-    travel = np.round(np.concatenate([up, up[-2::-1], down, down[-2::-1]]), _LABELLED)
-    return [(f"{s * 1e3:+.6g}", float(s)) for s in travel]
+    return steps(np.concatenate([up, up[-2::-1], down, down[-2::-1]]))
+
+
+def steps(travel: ArrayLike) -> list[Posture]:
+    """Return postures at travels from mechanical zero ``(n,)``, metres, each with its label."""
+    return [(f"{s * 1e3:+.6g}", s) for s in np.round(travel, _LABELLED).tolist()]
