@@ -82,7 +82,7 @@ def test_a_slip_is_out_of_step_with_its_repeats(machine: og.Machine) -> None:
     sheet = og.protocol("sweep")
     expected = Expected.of(sheet, machine)
     shown = og.simulate(machine, sheet, seed=1).reading.tolist()
-    row = next(k for k in range(len(sheet)) if sheet.repeat[k] == 2 and sheet.posture[k] == "+20")
+    row = next(k for k in range(len(sheet)) if sheet.repeat[k] == 2 and sheet.posture[k] == "+37.8")
     taken = dict(enumerate(shown[:row]))
     assert not expected.doubt(row, shown[row], taken)
     assert "out of step with its repeats" in expected.doubt(row, shown[row] + 1e-4, taken)

@@ -389,7 +389,7 @@ def test_an_instrument_at_the_tool_that_scatters_by_more_than_declared_is_told(
 def test_the_source_of_the_noise_is_told_of_each_instrument(tmp_path: Path) -> None:
     """Repeats of a tracker were said to be the machine file, and its noise mixed with a probe's."""
     machine = og.Machine.nominal()
-    tracker, probe = og.owned_instruments(machine, ["tcp", "plate"]).to_fill_in()
+    tracker, probe = og.tool_sheets(machine, ["tcp", "plate"])
     read = [og.simulate(machine, tracker, noise=3e-5, seed=1), og.simulate(machine, probe, seed=1)]
     found = og.close_loop([*read], machine)
     found.report(tmp_path / "out")

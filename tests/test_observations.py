@@ -850,7 +850,7 @@ def test_protocols_follow_the_geometry() -> None:
     sheet = protocol("two-gauges", small)
     assert small.in_stroke(sheet.command).all()
     assert {s.gauge for s in sheet.setups} == {0.07, 0.13}
-    assert set(sheet.posture) == {"+0", "+10", "+20", "+30", "-10", "-20", "-30", "-40"}
+    assert set(sheet.posture) == {"+0", "+9.9", "+18.9", "+30", "-10.8", "-22", "-33.6", "-40"}
 
 
 def test_time_never_runs_back_in_a_protocol() -> None:

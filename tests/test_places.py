@@ -19,7 +19,7 @@ from orthoglide.cli import cli
 from orthoglide.errors import FileError
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings, read_readings, readings_text
-from orthoglide.prospects import owned_instruments
+from orthoglide.planning import tool_sheets
 from tests.klipper_files import simulated_cfg
 from tests.rig_delta import DeltaRig
 from tests.test_tool_readings import SPEC
@@ -40,7 +40,7 @@ def sent(p: np.ndarray, radius: float = NOMINAL.radius - NOMINAL.r) -> np.ndarra
 
 
 def sheet(*kinds: str, machine: Machine = MACHINE) -> list[Row]:
-    given = owned_instruments(machine, kinds).to_fill_in()
+    given = tool_sheets(machine, kinds)
     text = readings_text(given, machine.spec, places=True)
     return list(csv.DictReader(io.StringIO(text)))
 

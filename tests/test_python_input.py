@@ -203,7 +203,7 @@ def test_planning_takes_the_path_of_a_machine() -> None:
     machine = og.Machine.load(path)
     one, other = (og.design(given, count=6).campaign for given in (path, machine))
     assert np.array_equal(one.command, other.command)
-    refused(lambda: og.owned_instruments(3, ["plate"]), "a int is no machine")  # type: ignore[arg-type]
+    refused(lambda: og.tool_sheets(3, ["plate"]), "a int is no machine")  # type: ignore[arg-type]
 
 
 def test_bounds_of_what_is_free_hold() -> None:

@@ -17,7 +17,7 @@ from orthoglide.fit.repeats import repeat_steps
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations import Readings, read_readings, readings_text
-from orthoglide.prospects import owned_instruments
+from orthoglide.planning import tool_sheets
 from tests.rig import Rig
 from tests.rig_delta import DeltaRig
 from tests.test_tool_readings import SPEC
@@ -31,7 +31,7 @@ SPECS = {"abc": SPEC, "xyz": Machine.nominal().spec}
 def sheet_text(legs: str, kinds: tuple[str, ...] = ("tcp",), count: int | None = None) -> str:
     """The sheet that ``design --owns`` writes."""
     machine = Machine(SPECS[legs])
-    return readings_text(owned_instruments(machine, kinds, count=count).to_fill_in(), machine.spec)
+    return readings_text(tool_sheets(machine, kinds, count=count), machine.spec)
 
 
 def rows_of(text: str) -> list[Row]:
@@ -121,14 +121,14 @@ def test_a_sheet_of_the_tool_says_the_side_that_its_rows_lead_to(
 @pytest.mark.parametrize("legs", ["abc", "xyz"])
 def test_places_of_a_sheet_are_visited_again_from_the_same_side(legs: str) -> None:
     """Repeats enough to say what the instrument scatters by, as circles cross at six places."""
-    tracker, bar = owned_instruments(Machine(SPECS[legs]), ["tcp", "ballbar"]).to_fill_in()
+    tracker, bar = tool_sheets(Machine(SPECS[legs]), ["tcp", "ballbar"])
     assert len(repeat_steps(tracker)) == 18
     assert len(repeat_steps(bar)) == 6
     assert min((tracker.approach > 0).mean(), (tracker.approach < 0).mean()) > 0.3
 
 
 def test_plates_are_touched_from_above_and_distances_have_no_side() -> None:
-    plate, distance = owned_instruments(Machine(SPEC), ["plate", "distance"]).to_fill_in()
+    plate, distance = tool_sheets(Machine(SPEC), ["plate", "distance"])
     assert (plate.approach == -1).all()
     assert not distance.approach.any()
     assert not len(plate.moves)
@@ -189,7 +189,7 @@ def test_an_unknown_side_is_no_other_side(tmp_path: Path) -> None:
     """A probe comes from above; where nobody knows how a tracker's places were come to, the two
     differ by nothing that is known.
     """
-    plate, tracker = owned_instruments(Machine(SPEC), ["plate", "tcp"]).to_fill_in()
+    plate, tracker = tool_sheets(Machine(SPEC), ["plate", "tcp"])
     for one, shown in ((replace(tracker, approach=0 * tracker.approach), False), (tracker, True)):
         read = [og.simulate(Machine(SPEC), s, seed=1) for s in (plate, one)]
         (tmp_path / f"{shown}.csv").write_text(readings_text(read, SPEC))

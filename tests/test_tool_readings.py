@@ -23,8 +23,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller, Instrument, MachineFile
 from orthoglide.observations import Readings, campaign_text, read_readings
 from orthoglide.observations.checks import check_readings
-from orthoglide.planning.sheets import sheet_of
-from orthoglide.prospects import owned_instruments
+from orthoglide.planning.sheets import sheet_of, sheets_of
 from tests.factors import factor_of
 from tests.klipper_files import DATA
 from tests.rig_delta import DeltaRig
@@ -577,13 +576,10 @@ def test_a_delta_from_python_alone() -> None:
     machine = og.Machine(
         og.MachineFile(geometry=shape, instruments={"plate": og.Instrument(repeatability=1e-5)})
     )
-    with pytest.raises(InputError, match=r"owned_instruments\(machine, .*to_fill_in\(\)"):
+    with pytest.raises(InputError, match=r"tool_sheets\(machine, "):
         og.design(machine)
-    found = og.owned_instruments(machine, ["plate", "distance"])
-    assert (
-        repr(found) == "<Owned: a probe on a plate (29), distances between holes or pillars (30)>"
-    )
-    plate, distances = found.to_fill_in()
+    plate, distances = og.tool_sheets(machine, ["plate", "distance"])
+    assert (len(plate), len(distances)) == (29, 30)
     assert np.isnan(plate.reading).all()
     assert distances.order[0] == len(plate) + 1
     worn = machine.with_parameters({"joint_offset.a": 3e-4})
@@ -787,7 +783,7 @@ def test_what_an_instrument_would_tell_goes_by_its_noise(
         instruments={kind: Instrument(repeatability=4 * OBSERVATIONS[kind].repeatability)},
     )
     one, other = (
-        {s.name: s.detectable for s in owned_instruments(m, [kind]).tells.smallest}
+        {s.name: s.detectable for s in og.smallest_effects(m, sheet_of(m, kind)).smallest}
         for m in (machine, replace(machine, spec=noisy))
     )
     worse = [other[name] / one[name] for name in one if name in other]
@@ -928,7 +924,7 @@ def test_a_ball_bar_pulls_at_nothing_that_it_does_not_see() -> None:
     """Towers that all end higher move the tool as a whole: the prior is all that is known of it."""
     layout = LinearDelta((0.12,) * 3)
     machine = Machine(MachineFile(geometry=Geometry(0.25, 0.05, 0.03, (-0.01, 0.15), layout)))
-    sheets = og.owned_instruments(machine, ["plate", "ballbar"]).sheets
+    sheets = sheets_of(machine, ["plate", "ballbar"])
     legs = machine.geometry.leg_names
     for seed in (5, 7):
         rng = np.random.default_rng(seed)

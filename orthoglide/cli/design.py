@@ -45,9 +45,8 @@ _OTHERWISE = (
                    "repeat.")  # fmt: skip
 @click.option("--owns", type=opt.Names(), default=(), metavar="KIND,...",
               help="Instruments that you have (leg, parallelism, tcp, plate, distance, ballbar, "
-                   "incline): what they would tell together, and what each of the "
-                   "others would add; with --count as many of the tool's readings as tell most "
-                   "together.")  # fmt: skip
+                   "incline): what they would tell together, and with --out a sheet; with --count "
+                   "as many of the tool's readings as tell most together.")  # fmt: skip
 @click.option("--detect", is_flag=True, help="Also tell the smallest effects found and named.")
 @opt.noise()
 @opt.seed
@@ -100,6 +99,8 @@ def design(
         sheets["design"] = found.campaign
         lines = [*index_rows([*compared, ("design", found.indices)]), *pair_rows(found)]
         for name, c in sheets.items():
+            lines += [f"{name}: {warning}" for warning in planning.aliasing(machine, c)]
+        for name, c in sheets.items():
             for what, sigma in wanted.items():
                 step(Step("computing", f"how often to repeat {c.name}"))
                 answer = planning.repeats_needed(machine, c, found.names, what, sigma, noise)
@@ -122,20 +123,20 @@ def _of_owned(
     seed: int,
     quiet: bool,
 ) -> None:
-    """``--owns``: smallest effects, what others would add, and a sheet of the tool's readings."""
+    """``--owns``: smallest effects, and a sheet of the tool's readings."""
     from orthoglide.observations import readings_text
-    from orthoglide.prospects import TAKEN_BY, owned_instruments
+    from orthoglide.planning import sheets_of, to_fill_in
+    from orthoglide.prospects import TAKEN_BY, smallest_effects
     from orthoglide.prospects.wording import detectable_rows
 
     with progress(quiet) as step:
-        step(Step("computing", "what each instrument would tell"))
-        found = owned_instruments(machine, kinds, count=count, seed=seed)
-        listed = ", ".join(f"{TAKEN_BY[k]} ({len(s)})" for k, s in found.sheets.items())
-        lines = [f"with {listed}:", *detectable_rows(found.tells, text_width())]
-        lines += ["", "besides:"]
-        lines += [f"- {gain}." for gain in found.gains]
+        step(Step("computing", "what the instruments would tell"))
+        owned = sheets_of(machine, kinds, count)
+        tells = smallest_effects(machine, list(owned.values()), seed=seed)
+        listed = ", ".join(f"{TAKEN_BY[k]} ({len(s)})" for k, s in owned.items())
+        lines = [f"with {listed}:", *detectable_rows(tells, text_width())]
         if out is not None:
-            sheets = found.to_fill_in()
+            sheets = to_fill_in(owned.values())
             if not sheets:
                 raise InputError("dials alone have sheets of their own: orthoglide protocol")
             write_texts({out: readings_text(sheets, machine.spec, places=True)})
@@ -148,8 +149,8 @@ def _of_owned(
                 lines.append("Send the tool to x_mm, y_mm, z_mm, with its numbers as they are.")
             for one in (sheet.setups[0].observation for sheet in sheets):
                 lines.append(f"{one.words}: {(one.fill_place if placed else '') or one.fill}.")
-    hidden = len(found.tells.invisible)
-    line = f"{len(found.tells.by_effect)} effects are seen, {hidden} parameters are not visible."
+    hidden = len(tells.invisible)
+    line = f"{len(tells.by_effect)} effects are seen, {hidden} parameters are not visible."
     tell(wrapped("\n".join(lines), text_width()), line, quiet, out is not None)
 
 

@@ -33,12 +33,12 @@ def measure(
 
     Says where each dial stands and where to go, takes what is typed or sent to its standard input
     (12.34, 12,34, 340 um; skip, undo, quit, ?), says at once when a reading cannot be or does not
-    agree with its repeats, and asks next for what tells most between the causes in play. Every
+    agree with its repeats, and asks next for the readings that the verdict suggests. Every
     reading is on the disk before the next question; the same command goes on where it was.
 
-    The verdict is settled when nothing significant is left, no cause that may stand out is open
-    (between 5 % and 90 %), and no two dozen further readings would part the causes named by two
-    standard deviations; that nothing is wrong is believed after 90 readings.
+    The verdict is settled when no significant lack of fit is left and no suggested readings would
+    separate two explanations by two standard deviations; that nothing is wrong is believed after 90
+    readings.
     """
     from orthoglide.measuring import Record, Session, Stopped
 

@@ -26,8 +26,6 @@ _WIDE = 3.0
 _BEYOND = 5.0
 """Standard deviations from which a reading is asked for again: one in a million by chance."""
 
-_DATUM = 1e-2  # metres: where a dial may stand at its first reading
-
 
 @dataclass(frozen=True, eq=False)
 class Expected:
@@ -42,15 +40,12 @@ class Expected:
     def of(cls, sheet: Readings, machine: Machine) -> Self:
         """Readings of a machine within some tolerances of what its file says."""
         linear = LinearReadings.of(machine, sheet, shown_names(machine, sheet, ()))
-        rows = np.arange(len(sheet))
-        same = np.equal.outer(sheet.setup, sheet.setup)
-        of_dials = np.where(same, linear.covariance(rows, rows) + _DATUM**2, 0.0)
-        noise = np.diag(linear.sigma**2 + machine.spec.dial.resolution**2)
-        spread = _WIDE**2 * linear.columns @ linear.columns.T + of_dials + noise
+        noise = np.diag(machine.spec.dial.resolution**2 * np.ones(len(sheet)))
+        spread = _WIDE**2 * linear.columns @ linear.columns.T + linear.scatter() + noise
         return cls(sheet, linear, machine.readings(sheet), np.asarray(spread))
 
     def doubt(self, row: int, reading: float, taken: Mapping[int, float]) -> str:
-        """What speaks against a reading, a clause; empty where nothing does.
+        """Return what speaks against a reading, a clause; empty where nothing does.
 
         Args:
             row: of the sheet.
@@ -63,16 +58,14 @@ class Expected:
         done = np.array(list(taken))
         across = self.covariance[row, done]
         weights = np.linalg.solve(self.covariance[np.ix_(done, done)], across)
-        seen = np.array([taken[k] for k in done]) - self.nominal[done]
-        mean = self.nominal[row] + weights @ seen
+        mean = self.nominal[row] + weights @ (np.array([*taken.values()]) - self.nominal[done])
         sd = float(np.sqrt(self.covariance[row, row] - weights @ across))
         if abs(reading - mean) <= _BEYOND * sd:
             return ""
         station = self.linear.station
-        before = [taken[k] for k in own if station[k] == station[row]]
-        if before:
-            told = ", ".join(f"{v * 1e3:.3f}" for v in before)
-            return f"it is out of step with its repeats: this dial showed {told} here before"
+        if before := [taken[k] for k in own if station[k] == station[row]]:
+            listed = ", ".join(f"{value * 1e3:.3f}" for value in before)
+            return f"it is out of step with its repeats: this dial showed {listed} here before"
         low, high = ((mean + side * _BEYOND * sd) * 1e3 for side in (-1, 1))
         return (
             f"after the readings before it, and with the tolerances of this machine, it should lie "
@@ -80,12 +73,10 @@ class Expected:
         )
 
     def impossible(self, row: int, reading: float, taken: Mapping[int, float]) -> str:
-        """Why a reading cannot be, a clause; empty where it can."""
-        setup = int(self.sheet.setup[row])
-        own = [v for k, v in taken.items() if self.sheet.setup[k] == setup]
-        rows = self.sheet.setup == setup
-        along = self.sheet.command[rows, self.sheet.setups[setup].axis]
-        span = float(np.ptp([*own, reading]))
+        """Return why a reading cannot be, a clause; empty where it can."""
+        rows = self.sheet.setup == self.sheet.setup[row]
+        along = self.sheet.command[rows, self.sheet.setups[self.sheet.setup[row]].axis]
+        span = float(np.ptp([reading, *(value for k, value in taken.items() if rows[k])]))
         if span <= DIAL_RANGE + np.ptp(along):
             return ""
         return f"the dial would have moved {span * 1e3:.1f} mm in this mounting, which no leg does"

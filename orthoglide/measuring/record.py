@@ -51,11 +51,11 @@ class Record:
 
     @property
     def readings(self) -> int:
-        """How many there are."""
+        """Number of readings in the file."""
         return sum(row["kind"] != "move" for row in self.rows)
 
     def plan(self, sheet: Readings) -> list[Row]:
-        """The rows of a sheet as this file has them, in the order they are gone through."""
+        """Return the rows of a sheet as this file has them, in the order they are gone through."""
         planned = campaign_rows(sheet.with_readings(np.full(len(sheet), np.nan)), self.machine_file)
         columns = (*_BEFORE, *command_columns(planned[0]), *_AFTER)
         return [
@@ -64,14 +64,14 @@ class Record:
         ]
 
     def open(self, first: Readings) -> bool:
-        """Read what the file holds, or begin it with a sheet; whether it was there.
+        """Read what the file contains, or begin it with a sheet; return whether it was there.
 
         Raises:
             FileError: where it is no file of this kind, or cannot be written.
         """
         self._columns = tuple(self.plan(first)[0])
         if not self.path.exists():
-            files.write_whole(self.path, csv_text(self._columns, ()), overwrite=False)
+            self._write(overwrite=False)
             return False
         text = files.decode(files.read_bytes(self.path), self.path).replace("\r\n", "\n")
         whole = text[: text.rfind("\n") + 1]  # a row that was torn by a power cut is none
@@ -90,52 +90,44 @@ class Record:
         self.rows = [dict(zip(self._columns, cells, strict=True)) for cells in lines[1:]]
         self.idle = max(time.time() - self.path.stat().st_mtime, 0.0)
         if whole != text:
-            self._cut(len(whole.encode()))
+            self._write()
         return True
 
     def append(self, row: Row) -> Row:
         """Add a row, numbered, and see it on the disk."""
         full = row | {"order": str(len(self.rows))}
-        line = csv_text(list(full.values()), ()).encode()
         with files.writing(self.path), open(self.path, "ab") as stream:
-            stream.write(line)
+            stream.write(csv_text(list(full.values()), ()).encode())
             stream.flush()
             os.fsync(stream.fileno())
         self.rows.append(full)
         return full
 
-    def take_back(self) -> Row | None:
-        """Remove the last reading and what follows it; the reading's row, if there is one."""
-        at = max((k for k, r in enumerate(self.rows) if r["kind"] != "move"), default=None)
-        if at is None:
-            return None
-        kept, row = self.rows[:at], self.rows[at]
-        text = csv_text(self._columns, [r.values() for r in kept])
-        self._cut(len(text.encode()))
-        self.rows = kept
-        return row
+    def take_back(self) -> bool:
+        """Remove the last reading and what follows it; return whether there was one."""
+        readings = [k for k, row in enumerate(self.rows) if row["kind"] != "move"]
+        if readings:
+            self.rows = self.rows[: readings[-1]]
+            self._write()
+        return bool(readings)
 
-    def _cut(self, size: int) -> None:
-        with files.writing(self.path), open(self.path, "r+b") as stream:
-            stream.truncate(size)
-            os.fsync(stream.fileno())
+    def _write(self, *, overwrite: bool = True) -> None:
+        text = csv_text(self._columns, [row.values() for row in self.rows])
+        files.write_whole(self.path, text, overwrite=overwrite)
 
     def campaign(self, rows: Sequence[Row]) -> Readings:
-        """Some of the rows as a campaign; mountings that were read in one place only say nothing.
+        """Return some of the rows as a campaign, with mountings that were read at one station only
+        left out, as these say nothing.
 
         Raises:
             FileError: where the readings cannot be used.
         """
-        places: dict[str, set[tuple[str, ...]]] = {}
+        stations: dict[str, set[tuple[str, ...]]] = {}
         for row in rows:
             if row["kind"] != "move":
-                places.setdefault(row["setup"], set()).add(
-                    tuple(row[c] for c in command_columns(row))
-                )
-        used = [
-            row if len(places.get(row["setup"], ())) > 1 else {**row, "kind": "move",
-                                                               "reading_mm": ""}
-            for row in rows
-        ]  # fmt: skip
+                here = tuple(row[name] for name in command_columns(row))
+                stations.setdefault(row["setup"], set()).add(here)
+        unused = {"kind": "move", "reading_mm": ""}
+        used = [row if len(stations.get(row["setup"], ())) > 1 else row | unused for row in rows]
         table = rows_table(used, shown(self.path))
         return readings_of_table(table, self.path.stem, self.machine_file)[0]

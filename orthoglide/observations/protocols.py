@@ -39,7 +39,14 @@ _GAUGES: dict[str, tuple[tuple[float, ...], ...]] = {
 """Where the dials stand, as fractions of the leg: those of one mounting, one mounting after the
 other."""
 
-_PARTS = (3, 4)  # of the upper and the lower half stroke: about equal steps on the default one
+_UP = (0.33, 0.63, 1.0)
+_DOWN = (0.27, 0.55, 0.84, 1.0)
+"""Stations of a sweep, as parts of the upper and of the lower half stroke. Their distances differ,
+so that a wave shorter than they are draws no smooth curve: of steps of 16 to 30 mm on the default
+stroke, these leave most of a wave of any period from 6 to 60 mm beside the best parabola, 0.23 of
+it at least; equal steps leave 0.02."""
+
+_LABELLED = 9  # decimals of a metre: a posture's label says where it is
 
 Posture = tuple[str, float]
 """A label and the travel from mechanical zero, metres."""
@@ -58,7 +65,7 @@ def check_dials(geometry: Geometry) -> None:
             f"dials are set against an Orthoglide's legs, and this machine's layout is "
             f"{geometry.layout.kind}: give readings of its tool (kind plate, distance, incline, "
             f"tcp or ballbar), for which orthoglide design --owns plate --out SHEET.csv writes a "
-            f"sheet, and owned_instruments(machine, ['plate']).to_fill_in() gives it in Python"
+            f"sheet, and orthoglide.tool_sheets(machine, ['plate']) gives it in Python"
         )
 
 
@@ -67,10 +74,11 @@ def protocol(kind: Kind, geometry: Geometry | None = None) -> Readings:
 
     Args:
         kind: ``"standard"``: Zero, Max and Min of every axis with the dial at mid-leg, the
-            chapter's own; ``"sweep"``: up and down the stroke in steps, so that every posture is
-            reached from both sides; ``"two-gauges"``: the sweep with the dials at 0.35 and then
-            at 0.65 of the leg; ``"parallelism"``: the standard postures with two dials along each
-            direction, at 0.35 and at 0.65 of the leg, whose difference is read.
+            chapter's own; ``"sweep"``: up and down the stroke in uneven steps, so that every
+            posture is reached from both sides and short waves of a drive draw no smooth curve;
+            ``"two-gauges"``: the sweep with the dials at 0.35 and then at 0.65 of the leg;
+            ``"parallelism"``: the standard postures with two dials along each direction, at 0.35
+            and at 0.65 of the leg, whose difference is read.
         geometry: whose stroke and length count; the nominal one if None.
 
     Returns:
@@ -87,29 +95,52 @@ def protocol(kind: Kind, geometry: Geometry | None = None) -> Readings:
     low, high = geometry.stroke
     named = [("zero", 0.0), ("max", high), ("min", low)]
     postures = named if kind in ("standard", "parallelism") else _swept(geometry)
+    return along_legs(geometry, kind, _GAUGES[kind], postures, REPEATS)
+
+
+def along_legs(
+    geometry: Geometry,
+    name: str,
+    gauges: Sequence[tuple[float, ...]],
+    postures: Sequence[Posture],
+    repeats: int = 1,
+    bar: int = 0,
+) -> Readings:
+    """A campaign without readings, of two dials at a time on each leg in turn, while the nominal
+    TCP moves along that leg's axis.
+
+    Args:
+        geometry: whose stroke and length count.
+        name: of the campaign.
+        gauges: where the dials stand, as fractions of the leg: one, or two whose difference is
+            read; those of one mounting, one mounting after the other.
+        postures: in their order.
+        repeats: how often they are gone through.
+        bar: that is touched, as of `Setup`.
+    """
     visits = [
         (leg, repeat, posture)
         for leg in range(3)
-        for _ in _GAUGES[kind]
-        for repeat in range(1, REPEATS + 1)
+        for _ in gauges
+        for repeat in range(1, repeats + 1)
         for posture in postures
     ]
     setups = tuple(
-        dial_at(geometry, leg, axis, shares[0], second=shares[1] if shares[1:] else None)
+        dial_at(geometry, leg, axis, shares[0], bar, shares[1] if shares[1:] else None)
         for leg in range(3)
-        for shares in _GAUGES[kind]
+        for shares in gauges
         for axis in range(3)
         if axis != leg
     )
     visit = np.repeat(np.arange(len(visits)), 2)  # two dials read at each
-    mounting = visit // (REPEATS * len(postures))
+    mounting = visit // (repeats * len(postures))
     command = [geometry.command_on_axis(leg, travel) for leg, _, (_, travel) in visits]
     sheet = unread(
         geometry,
-        kind,
+        name,
         setups,
         2 * mounting + np.arange(len(visit)) % 2,
-        np.round(command, 9)[visit],  # what fits on a sheet
+        np.round(command, _LABELLED)[visit],  # what fits on a sheet
         posture=[visits[k][2][0] for k in visit],
         repeat=np.array([repeat for _, repeat, _ in visits])[visit],
         time=visit * VISIT + mounting * (MOUNTING - VISIT),
@@ -175,8 +206,12 @@ def unread(
 
 
 def _swept(geometry: Geometry) -> list[Posture]:
-    """From zero to one end and back, then to the other; the next round begins back at zero."""
+    """Return the way from zero to one end and back, then to the other, without the last zero."""
     low, high = geometry.stroke
-    up, down = np.arange(_PARTS[0] + 1) / _PARTS[0], np.arange(_PARTS[1] + 1) / _PARTS[1]
-    travel = np.concatenate([high * up, high * up[-2::-1], low * down[1:], low * down[-2:0:-1]])
-    return [(f"{s * 1e3:+.6g}", float(s)) for s in travel]
+    up, down = high * np.array([0.0, *_UP]), low * np.array(_DOWN)
+    return steps(np.concatenate([up, up[-2::-1], down, down[-2::-1]]))
+
+
+def steps(travel: ArrayLike) -> list[Posture]:
+    """Return postures at travels from mechanical zero ``(n,)``, metres, each with its label."""
+    return [(f"{s * 1e3:+.6g}", s) for s in np.round(travel, _LABELLED).tolist()]

@@ -131,6 +131,15 @@ class LinearReadings:
         shared = np.equal.outer(self.station[i], self.station[j]) * self.common**2
         return np.asarray(self.placement**2 * slopes + shared)
 
+    def scatter(self) -> Array:
+        """Covariance of one visit to each row ``(n, n)``, parameters given, datums as loose as a
+        dial's travel.
+        """
+        rows = np.arange(len(self.campaign))
+        together = np.equal.outer(self.campaign.setup, self.campaign.setup)
+        shared = np.where(together, self.covariance(rows, rows) + _DATUM**2, 0.0)
+        return np.asarray(shared + np.diag(self.sigma**2))
+
     @cached_property
     def of_setup(self) -> tuple[NDArray[np.intp], ...]:
         """Rows of each setup."""

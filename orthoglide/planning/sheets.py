@@ -4,8 +4,9 @@ several sheets that together tell most.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,12 +14,13 @@ from orthoglide.errors import InputError, UnreachableError, check_word
 from orthoglide.fit import excited_effects, linearise, solve, with_others
 from orthoglide.geometry import Array
 from orthoglide.instruments import OBSERVATIONS, Observation
-from orthoglide.machine import Machine
-from orthoglide.observations import Readings, Setup, protocol
+from orthoglide.machine import Machine, MachineSource
+from orthoglide.observations import Readings, Setup, in_sequence, protocol
 from orthoglide.observations.approach import Moves, overshoot
 from orthoglide.observations.checks import DECIMALS
 from orthoglide.ordering import EQUAL, largest
 from orthoglide.planning.linear import foreseen
+from orthoglide.threads import on_one_thread
 
 KINDS = tuple(sorted(OBSERVATIONS, key=lambda kind: not OBSERVATIONS[kind].on_leg))
 """Kinds of readings, those of dials on legs first."""
@@ -32,15 +34,52 @@ _AROUND, _HALVINGS = 12, 12
 _PLACED = 4  # decimals of a metre: places that people can type
 
 
-def sheets_of(machine: Machine, kinds: Sequence[str]) -> dict[str, Readings]:
+def sheets_of(
+    machine: Machine, kinds: Sequence[str], count: int | None = None
+) -> dict[str, Readings]:
     """Return the readings that instruments would take of a machine, by kind, a sheet each.
 
+    Args:
+        machine: as it is believed to be; its instruments say how well they read.
+        kinds: of readings that can be taken: ``leg``, ``tcp``, ``plate`` ...
+        count: readings of the tool to choose among all of these; all where absent.
+
     Raises:
-        InputError: for a kind that there is not, or that this machine does not take.
+        InputError: for a kind that there is not, or that this machine does not take; for a count
+            that cannot be chosen.
     """
     for kind in kinds:
         check_word("instrument", kind, KINDS)
-    return {kind: sheet_of(machine, kind) for kind in dict.fromkeys(kinds)}
+    sheets = {kind: sheet_of(machine, kind) for kind in dict.fromkeys(kinds)}
+    if count is None:
+        return sheets
+    of_tool = [sheet for sheet in sheets.values() if sheet.of_tool]
+    chosen = {sheet.name: sheet for sheet in mixed_sheet(machine, of_tool, count)}
+    return {k: chosen.get(k, s) for k, s in sheets.items() if k in chosen or not s.of_tool}
+
+
+@on_one_thread
+def tool_sheets(
+    machine: MachineSource, kinds: Sequence[str], count: int | None = None
+) -> list[Readings]:
+    """Return sheets of instruments at the tool to be filled in, one after the other.
+
+    Args:
+        machine: as it is believed to be; its instruments say how well they read.
+        kinds: of readings that can be taken: ``tcp``, ``plate``, ``distance`` ...; those of dials
+            on legs are left out, as :func:`protocol` has sheets for them.
+        count: readings that together tell most; all where absent.
+
+    Raises:
+        InputError: as of :func:`sheets_of`.
+    """
+    return to_fill_in(sheets_of(Machine.of(machine), kinds, count).values())
+
+
+def to_fill_in(sheets: Iterable[Readings]) -> list[Readings]:
+    """Return the sheets of instruments at the tool without their readings, in one sequence."""
+    of_tool = [sheet for sheet in sheets if sheet.of_tool]
+    return in_sequence([replace(s, reading=np.full(len(s), np.nan)) for s in of_tool])
 
 
 def sheet_of(machine: Machine, kind: str) -> Readings:

@@ -11,7 +11,6 @@ from orthoglide.prospects.instruments import (
     TAKEN_BY as TAKEN_BY,
     deciding_instruments as deciding_instruments,
 )
-from orthoglide.prospects.owning import Owned as Owned, owned_instruments as owned_instruments
 from orthoglide.prospects.parting import parting as parting
 from orthoglide.prospects.unexplained import (
     deciding_visits as deciding_visits,
