@@ -119,6 +119,12 @@ def test_the_mobility_is_what_the_mechanism_says() -> None:
     assert f"> {mobility}\n" in read("docs/mechanism.md")
 
 
+def test_the_map_of_the_folders_is_whole() -> None:
+    folders = {path.parent.name for path in (ROOT / "orthoglide").glob("*/__init__.py")}
+    table = read("CONTRIBUTING.md").partition("## Map of the folders")[2].partition("\n## ")[0]
+    assert folders - set(re.findall(r"`(\w+)`", table)) == set()
+
+
 def links(page: Path) -> list[str]:
     return re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8"))
 
