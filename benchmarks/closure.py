@@ -46,10 +46,10 @@ GEOMETRY = og.Geometry()
 
 PAGE = """# Speed
 
-Printed by `python benchmarks/closure.py --markdown`, all rows in one run on one core in turns: compare
-rows of one run only, and run it on your own computer. Microseconds a posture; the last column is the
-time as a share of MuJoCo's constraint Jacobian with a Newton loop in Python, posture by posture, on the
-same machine as a platform on six bars.
+To judge whether the closure is fast enough for your use, compare rows of one run on your own computer:
+`python benchmarks/closure.py --markdown` prints this page on one core, rows in turns. Microseconds a posture;
+the last column is the time as a share of MuJoCo's constraint Jacobian with a Newton loop in Python on the
+same six bars.
 
 {table}
 
@@ -57,20 +57,14 @@ same machine as a platform on six bars.
 
 ## What the rows are
 
-- *Machine.forward* is what users call: commands and parameters in, TCP out. *Twenty effects* are drives,
-  rails, mounts and bars at their tolerances.
-- *Closure object* is `SixBars.single`: travel and displacements of the virtual joints in, tool, platform and
-  bar ends out, evaluated where the numbers lie, without checks.
-- *Pinocchio* is `Mechanism.close`: Newton's method on Pinocchio's constraint Jacobian. It defines the
-  machine, and closes every posture of a finished identification once more.
-- *All sensitivities* are the derivatives of tool, platform and bar ends by three drives and thirty virtual
-  joints.
-- *Compiled* rows use the C compiler of the computer: the closure is compiled once, after 50 000 postures,
-  and kept in a cache (`ORTHOGLIDE_CACHE` names another folder). Without a compiler CasADi interprets the
-  same functions; both return the same numbers to the last bit.
+- *Machine.forward*: commands and parameters in, TCP out; *twenty effects* at their tolerances.
+- *Closure object*: `SixBars.single`, without checks.
+- *Pinocchio*: `Mechanism.close`, Newton's method on Pinocchio's constraint Jacobian.
+- *All sensitivities*: derivatives by three drives and thirty virtual joints.
+- *Compiled*: by the computer's C compiler, once, after 50 000 postures, and kept in a cache
+  (`ORTHOGLIDE_CACHE`). Interpreted rows return the same numbers to the last bit.
 
-`python3 dev.py bench identify` times identifications of growing campaigns in the same way; `dev.py bench`
-runs both.
+`python3 dev.py bench identify` times identifications of growing campaigns.
 """
 
 

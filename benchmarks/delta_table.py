@@ -39,14 +39,13 @@ def tables(records: Sequence[Record]) -> Iterator[Table]:
     """What is asked, by instrument; and how campaigns end, by what was wrong."""
     failed = Counter(map(ending, records))
     note = (
-        f"{len(records)} campaigns, of which the readings of {failed['refused']} were refused as "
-        f"faulty and {failed['error']} ended in another error. Sigmas are root mean squares over "
-        "the readings, of their noise and of a machine's background, of what endstops, towers and "
-        "arms do not take up; a cause is *clear* that shows three and lies five from the nearest "
-        "other class."
+        f"{len(records)} campaigns; readings refused as faulty: {failed['refused']}, ended in "
+        f"another error: {failed['error']}. A cause is *clear* that shows three sigmas (root mean "
+        "square over the readings) beyond what endstops, towers and arms take up, and lies five "
+        "from the nearest other class."
     )
     rows = [["", *INSTRUMENTS], *_of_effects(records), *_of_strangers(records), *_of_whole(records)]
-    yield Table("What is told of simulated deltas", note, rows)
+    yield Table("What is reported of simulated deltas", note, rows)
     yield endings(records)
 
 
@@ -83,12 +82,11 @@ def endings(records: Sequence[Record]) -> Table:
         count = Counter(map(ending, groups[title]))
         rows.append([title, *(str(count[end] or "") for end in ends)])
     note = (
-        "All campaigns by what was wrong and by the verdict's word, all instruments together. "
-        "*Noisy*: adequate, with a warning that the readings are far noisier than is usual; *rows "
-        "set aside*: a fault of the data was reported, and the rest is adequate; *refused*: "
-        "an error that calls the readings faulty, and no verdict. What lies outside the catalogue "
-        "and ends *adequate* was not noticed; *explained* or *ambiguous*, it got a wrong name. A "
-        "bed has no place that could be located."
+        "All campaigns by what was wrong, all instruments together. *Noisy*: adequate, with a "
+        "warning that the readings are noisier than usual. *Rows set aside*: a data fault was "
+        "reported, and the rest is adequate. *Refused*: an error that calls the readings faulty. "
+        "What lies outside the catalogue and ends *adequate* was not noticed; *explained* or "
+        "*ambiguous*, it got a wrong name."
     )
     return Table("How campaigns end", note, rows)
 

@@ -74,10 +74,11 @@ SHARES = {"nothing": 6, "effect": 14, "outside": 6, "whole": 4}
 
 HEAD = """# The truth table of the linear delta
 
-Printed by `python -m benchmarks.delta_truth --campaigns {campaigns}`. Machines are simulated by
-the tests' own delta, a rigid platform on six bars that shares no code with the package: arms of 345
-mm, a mesh of 49 touches that repeat to 0.018 mm, thirty distances on a ring of 90 mm to 0.05 mm, a
-level at 13 places to 0.02 mrad, 36 places of the tool to 0.01 mm."""
+Read this page to see which instrument shows which cause of a delta, and how often the verdict is
+right. Printed by `python -m benchmarks.delta_truth --campaigns {campaigns}`. Machines are simulated
+by the tests' own delta, which shares no code with the package: arms of 345 mm, a mesh of 49 touches
+that repeat to 0.018 mm, thirty distances on a ring of 90 mm to 0.05 mm, a level at 13 places to
+0.02 mrad, 36 places of the tool to 0.01 mm."""
 
 FEW = """ A few campaigns of each kind are no rate yet;
 `--campaigns 300` takes some minutes."""
@@ -328,14 +329,14 @@ def visible() -> Table:
             norm = found["norm"]
             # Not rounded up to three.
             size = f"{norm:.0f}" if norm >= 10 else f"{np.floor(10 * norm) / 10:.1f}"
-            cells.append(f"{size}{others}" if norm >= UNSEEN else f"invisible ({size})")
+            cells.append(f"{size}{others}" if norm >= UNSEEN else f"({size})")
         columns.append(cells)
     for k, what in enumerate(CAUSES):
         rows.append([what, *(cells[k] for cells in columns)])
     note = (
-        "What one cause at a printer's tolerance shows in all readings together, in sigmas, once "
-        "endstops, towers, arms and each instrument's own nuisances are fitted; *alike*: other "
-        "causes within two sigmas of it. Below three it is invisible to that instrument."
+        "What one cause at a printer's tolerance shows in all readings together, in sigmas, with "
+        "endstops, towers, arms and nuisances fitted. *Alike*: other causes within two sigmas of "
+        "it. In brackets: below three, invisible to that instrument."
     )
     return Table("What can be seen at all", note, rows)
 

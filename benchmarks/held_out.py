@@ -70,9 +70,29 @@ def table(found: Sequence[Predicted]) -> Iterator[str]:
     for p in found:
         figures = " | ".join(f"{one:.3f}" for one in (p.stored, p.base, p.closed))
         yield f"| {p.machine} | {p.used} | {p.other} | {figures} | {p.word} |"
-    closed, base, stored = np.array([(p.closed, p.base, p.stored) for p in found]).T
     yield ""
-    yield (
+    yield conclusion(found)
+
+
+def summary(found: Sequence[Predicted]) -> Iterator[str]:
+    """A row a machine, in Markdown, and what it comes to."""
+    yield "| machine | predictions | better than base | closed/base | closed/stored |"
+    yield "|---|---:|---:|---:|---:|"
+    for machine in dict.fromkeys(p.machine for p in found):
+        chosen = [p for p in found if p.machine == machine]
+        closed, base, stored = np.array([(p.closed, p.base, p.stored) for p in chosen]).T
+        yield (
+            f"| {machine} | {len(chosen)} | {np.sum(closed < base)} | "
+            f"{np.median(closed / base):.2f} | {np.median(closed / stored):.2f} |"
+        )
+    yield ""
+    yield conclusion(found)
+
+
+def conclusion(found: Sequence[Predicted]) -> str:
+    """How many predictions are better, and by how much in the median and at worst."""
+    closed, base, stored = np.array([(p.closed, p.base, p.stored) for p in found]).T
+    return (
         f"The closed loop predicts {np.sum(closed < base)} of {len(found)} better than the base, "
         f"by a factor of {np.median(closed / base):.2f} in the median (the worst: "
         f"{np.max(closed / base):.2f}), and {np.sum(closed < stored)} better than what is stored "

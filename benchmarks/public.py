@@ -252,8 +252,7 @@ def result_json(verdict: og.Verdict) -> Result:
 
 INSIDE = (
     "orthoglide.accuracy", "orthoglide.cli", "orthoglide.closing.judging",
-    "orthoglide.effects.plates", "orthoglide.machine_file", "orthoglide.measuring",
-    "orthoglide.observations", "orthoglide.report.words",
+    "orthoglide.machine_file", "orthoglide.measuring", "orthoglide.observations",
 )  # fmt: skip
 """Modules of the package that the functions below import, as nothing public does the same."""
 
@@ -298,20 +297,6 @@ def predicted_rms_mm(
     base = hold_out(known, verdict.values, machine, [other])
     found = (stored.before.length, base.before.length, base.after.length)
     return found[0] * 1e3, found[1] * 1e3, found[2] * 1e3
-
-
-def claim_of(verdict: og.Verdict) -> str:
-    """Return the claim of a verdict in one sentence or two."""
-    from orthoglide.report.words import claim
-
-    return claim(verdict)
-
-
-def sizes_of_plates() -> list[float]:
-    """Return the standard deviations of the shapes of plates that have no name, metres."""
-    from orthoglide.effects.plates import own_shapes
-
-    return [size for _, size in own_shapes(np.zeros((1, 2)))]
 
 
 def firmware_of(found: og.Imported) -> Any:

@@ -168,4 +168,4 @@ def test_no_end_of_a_delta_outside_the_catalogue_goes_uncounted() -> None:
     assert shares["a wrong place located"] == "11.1 % (1/9)"
     assert shares["rails and carriages: a place located that holds the true one"] == "20.0 % (1/5)"
     assert ends.rows[1] == ["outside: wavy rail", "1", "1", "1", "1", "1", "", "2", "", "1", "1"]
-    assert "1 were refused as faulty and 1 ended in another error" in told.note
+    assert "refused as faulty: 1, ended in another error: 1" in told.note

@@ -11,20 +11,20 @@ import pytest
 from benchmarks.deltas import page
 from benchmarks.held_out import DATA, every, table
 
-PAGE = Path(__file__).parents[1] / "docs" / "linear-deltas.md"
+PAGE = Path(__file__).parents[1] / "docs" / "real-printers.md"
 NUMBER = re.compile(r"(?<![\w.])−?\d+(?:\.\d+)?")
 
 
 @pytest.mark.thorough
 def test_the_page_of_deltas_is_what_its_script_prints() -> None:
     """But for the last digits of its numbers, which differ between processors."""
-    remedy = "stale: python -m benchmarks.deltas > docs/linear-deltas.md"
+    remedy = "stale: python -m benchmarks.deltas > docs/real-printers.md"
     written, printed = PAGE.read_text(encoding="utf-8"), page()
     assert NUMBER.sub("#", printed) == NUMBER.sub("#", written), remedy
     old, new = (
         [float(n.replace("−", "-")) for n in NUMBER.findall(text)] for text in (written, printed)
     )
-    assert len(new) > 100
+    assert len(new) > 60
     np.testing.assert_allclose(new, old, rtol=0.05, atol=0.011, err_msg=remedy)
 
 

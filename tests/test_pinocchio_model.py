@@ -111,6 +111,8 @@ def test_the_page_runs_as_it_stands(capsys: pytest.CaptureFixture[str]) -> None:
     assert printed[:2] == ["24 joints, 5 loops", "(21, 24) rank 21"]
     assert printed[2].endswith("m/s²")
     assert re.fullmatch(r"\d steps, largest residual \de-1[5-8]", printed[3])
+    assert printed[4] == "18 joints; yourdfpy and Pinocchio agree: True"
+    assert printed[5] == "12 joints; the same foot as Pinocchio: True and a Jacobian (3, 12)"
 
 
 @pytest.mark.parametrize(

@@ -677,10 +677,9 @@ def test_held_parameters_stay_and_invisible_ones_show_in_the_rank():
 # --- the house ----------------------------------------------------------------------------------
 
 
-def test_page_of_misprints_is_fresh():
-    page = (ROOT / "docs" / "misprints.md").read_text(encoding="utf-8")
-    fresh = MISPRINTS["markdown"]()
-    assert page == fresh, "run: python docs/tables/misprints.py --markdown > docs/misprints.md"
+def test_misprints_of_the_page_are_fresh():
+    page = (ROOT / "docs" / "published-experiments.md").read_text(encoding="utf-8")
+    assert MISPRINTS["markdown"]() in page, "stale: python docs/tables/misprints.py --markdown"
 
 
 def test_every_sign_slip_and_misprint_is_on_the_page():

@@ -1,4 +1,4 @@
-"""Write the gallery, a page for each verdict: ``python docs/images/gallery.py``.
+"""Write the gallery, an example of each verdict: ``python docs/images/gallery.py``.
 
 Machines are made up and their dials simulated, but for the published one; what is wrong with each
 is said beside what was found.
@@ -18,7 +18,7 @@ sys.path.insert(0, str(HERE.parents[1]))
 
 import orthoglide as og  # noqa: E402
 from orthoglide.effects.wording import cause_words  # noqa: E402
-from orthoglide.report.words import MEANINGS, claim, evidence  # noqa: E402
+from orthoglide.report.words import MEANINGS, claim  # noqa: E402
 from orthoglide.text import sentence  # noqa: E402
 from orthoglide.units import MM  # noqa: E402
 
@@ -27,36 +27,30 @@ ZEROS = {"joint_offset.x": 5e-4, "joint_offset.y": -3e-4, "joint_offset.z": 8e-4
 NOMINAL = og.Machine.nominal()
 HEAD = """# Gallery of verdicts
 
-One page for each verdict, made by `python docs/images/gallery.py`: what was hidden in a machine,
-what its readings showed, and what to do. The drawings are those of the reports; blue is where each
-dial stood.
-
-| verdict | what it says |
-|---|---|
+Compare your report with an example of its verdict: what was hidden in a simulated machine, what its
+readings showed, and what to do. Made by `python docs/images/gallery.py`; the drawings are those of
+the reports, and blue is where each dial stood.
+[Closing the loop](closing-the-loop.md#verdicts) defines the verdicts, and the
+[truth table](truth-table.md#verdicts) counts how often they are right.
 """
 ADVICE = {
-    "explained": """Confirm the cause by the test named below, which needs no program, then mend it
-or compensate for it. Measure again afterwards: `orthoglide check` says what changed.""",
-    "ambiguous": """Look at all the parts named: the tests below decide. Where readings would
-decide, the report proposes them, and they come first.""",
-    "located": """Look at the part by the curve of the report, which says where along the travel it
-goes wrong. What was found is in the calibrated machine, so commands can be compensated for it
-without a name. If it is common on your machines,
-[declare it as an effect](../../CONTRIBUTING.md#add-an-effect-in-four-steps).""",
-    "partial": """The cause named may be no more than the nearest one known to one that is not
-known: confirm it before anything is changed. Numbers for the controller are withheld. Then measure
-where the rest shows.""",
-    "unexplained": """Change nothing by these readings. Numbers for the controller are withheld.
-Take the readings proposed, where most is left, and look for what no smooth cause does: a loose
-part, a dial that was touched, dirt.""",
-    "diffuse": """Enter the zeros. No single part stands out, so none is worth a repair: what small
-errors of many parts do to the tool, the calibrated machine and its compensation take away.""",
-    "adequate": """Enter the zeros. It does not say that the machine is perfect: what these readings
-cannot show is listed in the report as invisible.""",
+    "explained": """Confirm the cause by its test, then repair it or compensate for it. Measure
+again afterwards: `orthoglide check` reports what changed.""",
+    "ambiguous": """Look at all the parts named; their tests decide. Readings that would decide come
+first in the report.""",
+    "located": """Look at the part by the curve of the report. The calibrated machine contains the
+curve, so commands can be compensated for it. If it is common on your machines,
+[declare it as an effect](../CONTRIBUTING.md#add-an-effect-in-four-steps).""",
+    "partial": """The cause named may be only the nearest one known: confirm it before you change
+anything, and measure where the residual is largest. Numbers for the controller are withheld.""",
+    "unexplained": """Change nothing by these readings. Take the readings proposed, and look for a
+loose part, a dial that was touched, or dirt. Numbers for the controller are withheld.""",
+    "diffuse": """Enter the zeros. No single part is worth a repair; compensation corrects what
+small errors of many parts do to the tool.""",
+    "adequate": """Enter the zeros. What these readings cannot show is listed in the report as
+invisible.""",
 }
 """What to do about each verdict, whatever was found."""
-FOOT = """How a verdict is reached: [Closing the loop](../closing-the-loop.md#verdicts). How often
-it is right: [the truth table](../truth-table.md#verdicts)."""
 
 
 @dataclass(frozen=True)
@@ -137,56 +131,35 @@ def scattered(sheet: og.Campaign) -> np.ndarray:
     return np.random.default_rng(3).normal(scale=4e-5, size=at.max() + 1)[at.reshape(-1)]
 
 
-def page(case: Case) -> str:
-    """What was found, in Markdown; writes the drawing."""
+def section(case: Case) -> str:
+    """Return what was found, in Markdown, and write the drawing."""
     verdict = og.close_loop([case.campaign], NOMINAL)
     if verdict.word != case.name:
         raise SystemExit(f"{case.name} came out as {verdict.word}")
     drawn = HERE / f"gallery-{case.name}.svg"
     drawn.write_text(verdict.picture.svg(alone=True) + "\n", encoding="utf-8")
-    return "\n".join(
+    return "\n\n".join(
         [
-            f"# {case.name.capitalize()}\n",
-            f"{sentence(MEANINGS[verdict.word])}\n",
-            f"{ADVICE[case.name]}\n",
-            "## An example\n",
-            f"Hidden in the machine: {case.hidden}.\n",
-            f"![The machine, what was found marked on it](../images/{drawn.name})\n",
-            f"**{claim(verdict)}**\n",
-            f"{evidence(verdict)}\n",
-            *steps(verdict),
-            "",
-            FOOT,
+            f"## {case.name.capitalize()}",
+            f"{sentence(MEANINGS[verdict.word])} {ADVICE[case.name]}",
+            f"Hidden in the machine: {case.hidden}.",
+            f"![The machine, what was found marked on it](images/{drawn.name})",
+            f"**{claim(verdict)}**",
+            errors(verdict),
         ]
     )
 
 
-def steps(verdict: og.Verdict) -> list[str]:
-    """The tool's error now and later, and what to do, as lines."""
+def errors(verdict: og.Verdict) -> str:
+    """Return the tool's error now and after each remedy, as a sentence."""
     tool = verdict.numbers.expected
     shown = ("now", "zeros", "compensated") if verdict.stands else ("now", "zeros")
     sizes = ", ".join(f"{name} {tool[name].shape * 1e3:.3f} mm" for name in shown)
-    lines = [f"The tool's mean error over the workspace, best shift removed: {sizes}.\n"]
-    for action in verdict.actions:
-        gain = f" Gains {action.gain * 1e3:.3f} mm." if action.gain > 0 else ""
-        lines.append(f"1. {action.words}.{gain}")
-        lines += [
-            "   - "
-            + " ".join(
-                map(sentence, filter(None, (one.words, f"look at {one.look_at}", one.confirm)))
-            )
-            for one in action.options
-        ]
-    return lines
+    return f"The tool's mean error over the workspace, best translation removed: {sizes}."
 
 
 if __name__ == "__main__":
-    folder = HERE.parent / "gallery"
-    folder.mkdir(exist_ok=True)
-    rows = ""
-    for case in cases():
-        (folder / f"{case.name}.md").write_text(page(case) + "\n", encoding="utf-8")
-        link = f"[{case.name}](gallery/{case.name}.md)"
-        rows += f"| {link} | {sentence(MEANINGS[case.name])} |\n"  # type: ignore[index]
-    folder.with_suffix(".md").write_text(HEAD + rows, encoding="utf-8")
-    print(f"written: {folder}")
+    path = HERE.parent / "gallery.md"
+    sections = [section(case) + "\n" for case in cases()]
+    path.write_text("\n".join([HEAD, *sections]), encoding="utf-8")
+    print(f"written: {path}")

@@ -40,9 +40,7 @@ def stage(source: Path) -> None:
     (source / "index.md").write_text(readme + tree, encoding="utf-8")
     for page in source.rglob("*.md"):
         text = page.read_text(encoding="utf-8").replace("(../README.md", "(../index.md")
-        below = re.findall(rf"\]\(({page.stem}/\S+)\.md\)", text)
-        tree = _TOCTREE.format(page.stem, "\n".join(below)) if below else ""
-        page.write_text(text + tree, encoding="utf-8")
+        page.write_text(text, encoding="utf-8")
 
 
 def navigation(readme: str, made: Mapping[str, Sequence[str]]) -> str:

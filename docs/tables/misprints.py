@@ -1,7 +1,7 @@
 """The misprints of the two papers, each shown with numbers.
 
-``python docs/tables/misprints.py`` prints a line for each; with ``--markdown`` the page
-``docs/misprints.md``.
+``python docs/tables/misprints.py`` prints a line for each; with ``--markdown`` the section of
+``docs/published-experiments.md``.
 """
 
 from __future__ import annotations
@@ -493,11 +493,10 @@ MISPRINTS: tuple[Callable[[], Misprint], ...] = (
     largest_deviation,
 )
 
-PAGE = """# Misprints of the papers
+PAGE = """## Misprints of the papers
 
 Found by computing everything the papers print. "2008" is the book chapter, "2006" the conference
-paper; Tables 1 and 2 are those of 2008. The package follows the column "right". This page is
-printed by `python docs/tables/misprints.py --markdown`, and a test fails when it is stale.
+paper; Tables 1 and 2 are those of 2008. The package follows the column "right".
 
 | where | as printed | right | how one sees it |
 |---|---|---|---|

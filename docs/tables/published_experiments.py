@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 
-import numpy as np
+import misprints
 
 import orthoglide as og
 from orthoglide.numerals import probability
@@ -50,18 +50,20 @@ def markdown() -> Iterator[str]:
     yield from differences()
     yield from together()
     yield from held_out()
-    yield from contradictions()
+    yield from sources()
+    yield from misprints.markdown().rstrip().splitlines()
 
 
 def introduction() -> Iterator[str]:
     """What was done."""
-    yield "# The published experiments, with the loop closed"
+    yield "# The published experiments"
     yield ""
     yield (
-        "Printed by `python docs/tables/published_experiments.py --markdown`. The readings are "
-        "those of tables 1 and 2 of the 2008 chapter: twelve averaged deviations an experiment,"
-        " of which joint offsets take three degrees of freedom. The repeatability stated there "
-        "is 0.02 mm. Tolerances are the package's defaults; no case is made for these data."
+        "Read this page to see what the closed loop says of the papers' own readings, and which "
+        "of their printed figures are wrong. It is printed by "
+        "`python docs/tables/published_experiments.py --markdown`. An experiment is twelve "
+        "averaged deviations, of which joint offsets take three degrees of freedom; the stated "
+        "repeatability is 0.02 mm. Tolerances are the package's defaults."
     )
     yield ""
 
@@ -93,11 +95,9 @@ def alone(verdicts: dict[str, Verdict]) -> Iterator[str]:
     for name, verdict in verdicts.items():
         scale = verdict.before.sigma_scale
         yield (
-            f"- {name}: what offsets and lengths leave is {scale:.1f} times the noise. Effects "
-            f"that do not stand out are off by about {verdict.left.background:.1f} of their "
-            f"tolerances; "
-            f"the probability that noise alone leaves what is left then is "
-            f"{probability(verdict.left.p_value)}."
+            f"- {name}: the residual of offsets and lengths is {scale:.1f} times the noise. With a "
+            f"background of {verdict.left.background:.1f} tolerances, noise alone leaves as much "
+            f"with probability {probability(verdict.left.p_value)}."
         )
     yield ""
 
@@ -106,16 +106,15 @@ def differences() -> Iterator[str]:
     """Table 1: only max minus min, of all three experiments."""
     yield "## The differences of table 1"
     yield ""
-    yield "Six differences an experiment, three of them taken by the offsets: three are left."
+    yield "Six differences an experiment, of which the offsets take three."
     yield ""
-    yield "| experiment | verdict | rms before (mm) | why no cause is named |"
+    yield "| experiment | verdict | rms before (mm) | named |"
     yield "|---|---|---|---|"
     for k in (1, 2, 3):
         verdict = close_loop(campaign(f"experiment{k}-differences"))
-        named = ", ".join(e.name for e in verdict.effects)
-        why = f"named: {named}" if named else verdict.left.stopped
+        named = ", ".join(e.name for e in verdict.effects) or "none"
         rms = verdict.before.scores.deviation_rms * 1e3
-        yield f"| {k} | **{verdict.word}** | {rms:.3f} | {why} |"
+        yield f"| {k} | **{verdict.word}** | {rms:.3f} | {named} |"
     yield ""
 
 
@@ -125,8 +124,8 @@ def together() -> Iterator[str]:
     yield "## Both experiments together"
     yield ""
     yield (
-        "Between the two, only the offsets in the controller were changed: lengths and everything "
-        "else are shared, offsets are own to each experiment."
+        "Between the two, only the offsets in the controller were changed. Offsets are specific to "
+        "each experiment, everything else is shared."
     )
     yield ""
     before, after = verdict.before.scores, verdict.after.scores
@@ -138,8 +137,8 @@ def together() -> Iterator[str]:
     if verdict.possible:
         yield ""
         yield (
-            "No effect is certain: 24 averages were read once each, so nothing shows their noise, "
-            "and the search weighs how much of the residual is noise. If it were so:"
+            "No effect is certain: 24 averages without repeats do not show their noise, so part of "
+            "the residual may be noise. With each of the most probable effects:"
         )
         yield ""
         yield (
@@ -165,16 +164,15 @@ def together() -> Iterator[str]:
         for leg in "xyz"
     ]  # fmt: skip
     yield (
-        "The offsets that the controller was given between the two should show as their "
-        f"difference, experiment 3 less experiment 2: {change[0]:+.2f}, {change[1]:+.2f}, "
-        f"{change[2]:+.2f} mm found; table 3 gives +0.48, -0.49, +1.67 mm."
+        f"Change of the offsets, experiment 3 less experiment 2: {change[0]:+.2f}, "
+        f"{change[1]:+.2f}, {change[2]:+.2f} mm; table 3 gives +0.48, -0.49, +1.67 mm."
     )
     yield ""
 
 
 def held_out() -> Iterator[str]:
     """Does what is learned on one predict the other?"""
-    yield "## Does what is learned on one predict the other?"
+    yield "## Prediction of the other experiment"
     yield ""
     yield (
         "Geometry from one experiment; the other's own offsets and datums fitted to itself, each "
@@ -196,7 +194,7 @@ def held_out() -> Iterator[str]:
         )
     yield ""
     yield (
-        "Nothing stands out in either, so the calibrated machine is that of offsets and lengths."
+        "Nothing is active in either, so the calibrated machine is that of offsets and lengths."
         if max(map(abs, change)) < _SAME
         else "It does not: what is found in one experiment makes the other's readings worse."
         if min(change) > 0
@@ -207,37 +205,20 @@ def held_out() -> Iterator[str]:
     yield ""
 
 
-def contradictions() -> Iterator[str]:
-    """Where the printed tables disagree about the same experiment."""
-    yield "## Where the tables contradict each other"
-    yield ""
-    yield "Table 1 prints max minus min of deviations that table 2 prints one by one (mm):"
-    yield ""
-    yield "| experiment | reading | table 1 | from table 2 | apart |"
-    yield "|---|---|---|---|---|"
-    for k in (2, 3):
-        one, two = campaign(f"experiment{k}-differences"), campaign(f"experiment{k}")
-        for name in (s.name for s in one.setups):
-            first = _difference(one, name)
-            second = _difference(two, name)
-            if abs(first - second) > 0.5e-5:
-                yield (
-                    f"| {k} | {name} | {first * 1e3:+.2f} | {second * 1e3:+.2f} | "
-                    f"{(first - second) * 1e3:+.2f} |"
-                )
+def sources() -> Iterator[str]:
+    """Where the readings come from, and how they may be used."""
+    yield "## The printed readings"
     yield ""
     yield (
-        "Readings are named leg, then direction. The repeatability of 0.02 mm allows none of the "
-        "larger ones: the tables do not describe the same measurements, and no model can fit both."
+        "The readings in `orthoglide/data` are numbers typed from the tables of A. Pashkevich, "
+        "D. Chablat, P. Wenger (IFAC INCOM, 2006) and of A. Pashkevich, D. Chablat, P. Wenger, "
+        "R. Gomolitsky (in Parallel Manipulators, New Developments, I-Tech 2008, ISBN "
+        "978-3-902613-20-2). The chapter's licence is CC BY-NC-SA 3.0. Its measurements are facts, "
+        "given here with their source, misprints included; no text or figure of it was taken "
+        "over but the misprints quoted below. `orthoglide/data/SOURCE.md` lists the table behind "
+        "every file."
     )
-
-
-def _difference(source: Campaign, setup: str) -> float:
-    index = [s.name for s in source.setups].index(setup)
-    by_label = {
-        source.posture[row]: source.reading[row] for row in np.flatnonzero(source.setup == index)
-    }
-    return float(by_label["max"] - by_label["min"])
+    yield ""
 
 
 if __name__ == "__main__":

@@ -251,7 +251,7 @@ def _print_columns(rows: list[Row]) -> None:
                 print(f"rms of the data {row.printed:.2f} / {row.ours:.3f}")
             elif row.entry == "rms" and row.remark != ROUNDING:
                 print(f"rms {row.which}: {row.remark}")
-    print("* printed with the opposite sign: see docs/misprints.md")
+    print("* printed with the opposite sign: see docs/published-experiments.md")
 
 
 def _pair(row: Row) -> str:

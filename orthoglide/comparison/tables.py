@@ -105,9 +105,15 @@ def legend(rows: Sequence[Row]) -> str:
     return f"{LIMITS} {LEGEND}" if any(row.read for row in rows) else _OF_TOOL
 
 
-def markdown_table(rows: Sequence[Row]) -> str:
-    """The table in Markdown: micrometres, microradians, and millimetres for places."""
+def markdown_table(rows: Sequence[Row], columns: Sequence[str] | None = None) -> str:
+    """Return the table in Markdown: micrometres, microradians, and millimetres for places.
+
+    Args:
+        rows: effects, or a machine.
+        columns: heads of the columns to show; all where absent.
+    """
     table = _table(rows)
+    table = {head: table[head] for head in columns or table}
     table["effect"] = [f"`{name.replace('|', '/')}`" for name in table["effect"]]
     cells = [tuple(table), *zip(*table.values(), strict=True)]
     lines = ["| " + " | ".join(line) + " |" for line in cells]

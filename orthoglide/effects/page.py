@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from orthoglide.effects.catalogue import CATALOGUE, catalogue_of
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.wording import confirm_words, one_words
+from orthoglide.effects.wording import confirm_words
 from orthoglide.layout import LinearDelta
 
 GROUPS = {
@@ -24,15 +24,15 @@ EFFECTS = (*CATALOGUE.values(), *(e for e in _OF_DELTAS.values() if e.name not i
 
 _HEAD = f"""# The catalogue of effects
 
-What real machines have and the nominal one lacks, printed by `python -m orthoglide.effects.page`.
+Look up an effect by its name in a report: what to look at, what confirms it, and what it is called
+in files. Printed by `python -m orthoglide.effects.page`;
 [Contributing](../CONTRIBUTING.md#add-an-effect-in-four-steps) says how to add one.
 
-- **Tolerance** is the standard deviation to expect of a carefully built machine, and the prior of
-  the parameter; your own goes into `[tolerance]` of the [machine file](files.md).
-- **Parameters** carry a leg (`x`, `y`, `z`) and, where a second letter follows, the direction of
-  the error ([conventions](conventions.md#signs-of-errors)); those of dials and plates the
-  name of the setup. Those of a linear delta carry its towers (`a`, `b`, `c`).
-- **Together** lists patterns that symmetry makes likely, one parameter each.
+- **Tolerance**: the standard deviation expected of a carefully built machine, and the prior; your
+  own goes into `[tolerance]` of the [machine file](files.md).
+- **Parameters** carry a leg and, where a second letter follows, the direction of the error
+  ([conventions](conventions.md#signs-of-errors)); those of dials and plates the name of the setup.
+- **Together**: patterns that symmetry makes likely, one parameter each.
 - {" and ".join(f"`{name}`" for name in CATALOGUE.base)} are identified always.
 """
 
@@ -69,12 +69,10 @@ def _section(effect: Effect) -> str:
     lines = [
         f"### {effect.name}",
         "",
-        f"{effect.sentence[:1].upper()}{effect.sentence[1:]}.",
-        "",
         f"- Look at: {effect.look_at}{'' if effect.look_at.endswith('?') else '.'}",
-        f"- Tolerance {effect.tolerance:g}{effect.unit.behind or ' (a ratio)'}: {effect.because}.",
-        f"- Said, at one tolerance of `{first}`: {one_words(effect, first, effect.tolerance_si)}.",
-        f"- Confirmed: {confirm_words(effect, first, effect.tolerance_si)}.",
+        f"- Tolerance: {effect.because}.",
+        f"- Confirmed, at one tolerance of `{first}`: "
+        f"{confirm_words(effect, first, effect.tolerance_si)}.",
         f"- Parameters: {', '.join(names)}.",
     ]
     if members:
@@ -83,7 +81,7 @@ def _section(effect: Effect) -> str:
         lines.append("- On linear deltas and machines of kind `legs`, not on an Orthoglide.")
     if effect.needs:
         lines.append(f"- Depends on: {', '.join(sorted(effect.needs))}.")
-    lines.append(f"- Held by: {_held(effect)}.")
+    lines.append(f"- Corrected by: {_held(effect)}.")
     return "\n".join(lines) + "\n"
 
 
