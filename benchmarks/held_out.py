@@ -36,6 +36,9 @@ class Predicted:
         stored: by the numbers that the firmware stores.
         base: by zeros, radii, angles and arms fitted.
         closed: by the closed loop.
+        sigma: standard deviation of what the closed loop predicts.
+        cause: first cause that was found, with how many rivals; empty where none was.
+        advised: whether new numbers for the firmware are advised.
     """
 
     machine: str
@@ -45,6 +48,9 @@ class Predicted:
     stored: float
     base: float
     closed: float
+    sigma: float
+    cause: str
+    advised: bool
 
 
 def predictions(path: Path) -> Iterator[Predicted]:
@@ -60,30 +66,52 @@ def predictions(path: Path) -> Iterator[Predicted]:
             yield Predicted(
                 path.stem, f"{used.name}, {len(used)}", f"{other.name}, {len(other)}",
                 verdict.word, *public.predicted_rms_mm(verdict, machine, other),
+                public.predicted_sd_mm(verdict, other), _first(verdict),
+                any(action.kind == "zeros" for action in verdict.actions),
             )  # fmt: skip
+
+
+def _first(verdict: og.Verdict) -> str:
+    """The first cause or place, and how many others may be in its place."""
+    found = [(one.name, len(one.indistinguishable_from)) for one in verdict.effects]
+    found += [(one.name, len(one.members) - 1) for one in verdict.located]
+    if not found:
+        return ""
+    name, others = found[0]
+    return f"{name} or {others} more" if others else name
 
 
 def table(found: Sequence[Predicted]) -> Iterator[str]:
     """The table, in Markdown, and what it comes to."""
-    yield "| machine | used | predicted | stored | base | closed | verdict |"
-    yield "|---|---|---|---:|---:|---:|---|"
+    yield "| machine | used | predicted | stored | base | closed | verdict | first | numbers |"
+    yield "|---|---|---|---:|---:|---:|---|---|---|"
     for p in found:
         figures = " | ".join(f"{one:.3f}" for one in (p.stored, p.base, p.closed))
-        yield f"| {p.machine} | {p.used} | {p.other} | {figures} | {p.word} |"
+        advised = "new" if p.advised else "keep"
+        yield (
+            f"| {p.machine} | {p.used} | {p.other} | {figures} ± {p.sigma:.3f} | {p.word} | "
+            f"{p.cause} | {advised} |"
+        )
     yield ""
     yield conclusion(found)
 
 
 def summary(found: Sequence[Predicted]) -> Iterator[str]:
     """A row a machine, in Markdown, and what it comes to."""
-    yield "| machine | predictions | better than base | closed/base | closed/stored |"
-    yield "|---|---:|---:|---:|---:|"
+    yield (
+        "| machine | predictions | better than base | closed/base | closed/stored | first | new "
+        "numbers | worse by more than a sigma |"
+    )
+    yield "|---|---:|---:|---:|---:|---|---:|---:|"
     for machine in dict.fromkeys(p.machine for p in found):
         chosen = [p for p in found if p.machine == machine]
         closed, base, stored = np.array([(p.closed, p.base, p.stored) for p in chosen]).T
         yield (
             f"| {machine} | {len(chosen)} | {np.sum(closed < base)} | "
-            f"{np.median(closed / base):.2f} | {np.median(closed / stored):.2f} |"
+            f"{np.median(closed / base):.2f} | {np.median(closed / stored):.2f} | "
+            f"{next((p.cause for p in chosen if p.cause), chosen[0].word)} | "
+            f"{sum(p.advised for p in chosen)} | "
+            f"{sum(p.closed > min(p.base, p.stored) + p.sigma for p in chosen)} |"
         )
     yield ""
     yield conclusion(found)
@@ -96,7 +124,9 @@ def conclusion(found: Sequence[Predicted]) -> str:
         f"The closed loop predicts {np.sum(closed < base)} of {len(found)} better than the base, "
         f"by a factor of {np.median(closed / base):.2f} in the median (the worst: "
         f"{np.max(closed / base):.2f}), and {np.sum(closed < stored)} better than what is stored "
-        f"({np.median(closed / stored):.2f}; {np.max(closed / stored):.2f})."
+        f"({np.median(closed / stored):.2f}; {np.max(closed / stored):.2f}). It is worse than the "
+        f"base by more than its sigma in {sum(p.closed > p.base + p.sigma for p in found)}, and "
+        f"than what is stored in {sum(p.closed > p.stored + p.sigma for p in found)}."
     )
 
 

@@ -299,6 +299,24 @@ def predicted_rms_mm(
     return found[0] * 1e3, found[1] * 1e3, found[2] * 1e3
 
 
+def predicted_sd_mm(verdict: og.Verdict, other: og.Readings) -> float:
+    """Return the standard deviation, root mean square in millimetres, that a verdict's machine
+    states for readings that were not used; what their instruments' nuisances take up is left out.
+    """
+    from orthoglide.fit.factors import Factor
+
+    machine = verdict.machine
+    known = machine.posterior
+    kept = [k for k, name in enumerate(known.names) if name in machine.catalogue.motions]
+    names = [known.names[k] for k in kept]
+    factor = Factor.unread(other, machine)
+    seen = factor.linearise(machine.model, machine.values, names)
+    rows = seen.jacobian @ known.root[kept]
+    turn, _ = np.linalg.qr(factor.nuisances(seen.seen).columns)
+    past = rows - turn @ (turn.T @ rows)
+    return float(np.sqrt(np.mean(np.sum(past**2, axis=1)))) * 1e3
+
+
 def firmware_of(found: og.Imported) -> Any:
     """Return the firmware's numbers of a printer that was imported."""
     return found.machine.printer.numbers

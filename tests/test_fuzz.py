@@ -41,6 +41,18 @@ def test_spoilt_inputs_end_as_promised(first: int, tmp_path: Path) -> None:
     assert not wrong
 
 
+def test_spoilt_files_of_printers_give_a_sentence_or_a_right_import(tmp_path: Path) -> None:
+    """``benchmarks/fuzz.py --count 3000 --only "import klipper"`` runs thousands."""
+    wrong = {}
+    for number in range(40):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        found, _ = fuzz.run_case(fuzz.draw_case(number, only="import klipper"), folder)
+        if found:
+            wrong[number] = found
+    assert not wrong
+
+
 def test_a_case_is_its_number() -> None:
     assert fuzz.draw_case(7) == fuzz.draw_case(7)
     assert fuzz.draw_case(7).files != fuzz.draw_case(8).files

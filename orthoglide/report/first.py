@@ -75,7 +75,8 @@ def tiles(result: Result) -> list[Tile]:
             Tile(what, f"{size * 1e3:.3f}", ("of the heights", "that were read, rms"))
             for what, size in zip(_NUMBERS, found.height, strict=True)
         ]
-        return told if result.stands and not withheld(result.machine) else told[:1]
+        enter = result.stands and not found.keep and not withheld(result.machine)
+        return told if enter else told[:1]
     expected = result.numbers.expected
     stages = ("now", "zeros") if not result.stands and result.searches else _STAGES
     bar = result.numbers.names.bar

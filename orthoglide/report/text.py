@@ -53,9 +53,10 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
     parts += _zeros(result)
     if result.firmware is not None and result.firmware.corrections is not None:
         found = result.firmware.corrections
-        parts += _table((found.file, "old", "new"), found.rows)
-        of = "left by the firmware's equations, rms, mm"
-        parts += _table((of, "old", "new"), found.left)
+        of, last = "left by the firmware's equations, rms, mm", "tried" if found.keep else "new"
+        if not found.keep:
+            parts += _table((found.file, "old", last), found.rows)
+        parts += _table((of, "old", last), found.left)
         instead, why = too_early(result)
         if instead:
             parts.append(Text(f"{instead}: {why}.", style="bold"))

@@ -43,6 +43,7 @@ _LONG = 0.1  # of a distance, for the same
 _HANGS = 1e-3  # metres: a probe's offset that is no setting of the nozzle
 _SAME = 2e-5  # metres: a height that is stored with another offset of the probe differs by more
 _TIMES = (1.0, *(2.0**k for k in (1, -1, 2, -2, 3, -3, 4, -4)))  # that a step was longer then
+_PLANE = 3  # heights that tell of a mean and a slope
 _SET = 3e-5  # metres: heights lie less off where nothing was set since
 _LEANS = 2e-5, 0.1  # metres, or of a mean that was set: most that they lean besides
 
@@ -204,6 +205,8 @@ def _set_since(config: Config, word: str, p: Array, height: Array) -> float:
     is what its owner set the nozzle higher or lower by (Z_OFFSET_APPLY_ENDSTOP): z = 0 stays where
     the owner has it, and the heights give all else as before.
     """
+    if len(height) < _PLANE:
+        return 0.0
     mean, along_x, along_y = plane_of(p, height)
     off = float(np.median(p[:, 2] - height))
     leans = float(np.hypot(along_x, along_y) * np.hypot(*p[:, :2].T).max())

@@ -24,6 +24,11 @@ WHERE = (
 )
 """How new numbers come into the file."""
 
+_NEAREST = (
+    "These bring the tool nearest to where the firmware believes it is over the plate, the plate "
+    "being its z = 0. Enter all of them or none, and keep the old ones: they undo it."
+)
+
 _LACKING = (
     "There are none: the plate is the firmware's z = 0, and no readings of it out to its rim are "
     "kept with this machine. Take calibrated.toml of a run of close-loop that has some."
@@ -64,7 +69,8 @@ def corrections_of(old: Numbers, new: Numbers, left: Sequence[Left], keep: str) 
             f"; they take the rods for {abs(longer) * 1e3:.1f} mm {way}, as distances say, and a "
             f"print that shrank makes distances shorter: measure a rod first"
         )
-    values = new.values
+    offered = old if keep else new  # what fits worse is never shown as new numbers
+    values = offered.values
     return Corrections(
         rows=[(" ".join(key), value, values[key]) for key, value in old.values.items()],
         left=[(f"{x.file}, {x.kind}", f"{x.old * 1e3:.3f}", f"{x.new * 1e3:.3f}") for x in left],
@@ -77,7 +83,8 @@ def corrections_of(old: Numbers, new: Numbers, left: Sequence[Left], keep: str) 
         ),
         where=WHERE,
         kept={
-            "new": new.as_dict(),
+            "new": offered.as_dict(),
+            **({"tried": new.as_dict()} if keep else {}),
             "height_rms_mm": [round(before * 1e3, 6), round(after * 1e3, 6)],
             "keep_old_because": keep,
             "left_of_readings": [
@@ -87,10 +94,10 @@ def corrections_of(old: Numbers, new: Numbers, left: Sequence[Left], keep: str) 
             ],
         },
         file=FILE,
-        paste=tuple(new.lines()),
+        paste=tuple(offered.lines()),
         undo=tuple(old.lines()),
         old=old,
-        new=new,
+        new=offered,
     )  # fmt: skip
 
 
@@ -107,14 +114,15 @@ def paste_of(old: Numbers, table: object) -> Paste:
     named = [f"  {name:28}{one:>14}{other:>14}" for name, one, other in found.rows]
     left = [f"  {name:40}{one:>8}{other:>8}" for name, one, other in found.left]
     return Paste(columns, facts | dict(found.kept), (
-        "These bring the tool nearest to where the firmware believes it is over the plate, the "
-        "plate being its z = 0. Enter all of them or none, and keep the old ones: they undo it.",
+        *(() if found.keep else (_NEAREST,)),
         "\n".join((f"{found.file:30}{'old':>14}{'new':>14}", *named)),
         "\n".join(("Left of the readings by its equations, rms, mm, old and new:", *left)),
         *((f"Keep the old ones: {found.keep}.",) if found.keep else ()),
-        found.where,
-        "\n".join(("To paste:", *found.paste)),
-        "\n".join(("To undo:", *found.undo)),
+        *(() if found.keep else (
+            found.where,
+            "\n".join(("To paste:", *found.paste)),
+            "\n".join(("To undo:", *found.undo)),
+        )),
         "What no number of the firmware holds stands in the report.",
     ))  # fmt: skip
 
