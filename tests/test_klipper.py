@@ -139,12 +139,13 @@ def test_prints_keep_the_size_that_distances_gave() -> None:
     for campaign in (calibration, heights):
         made = studied([campaign], machine).corrections
         assert made is not None
+        new = Numbers.of(made.kept.get("tried", made.kept["new"]))  # whether they are better or not
         angle = np.arange(6) * np.pi / 3
         ring = 0.05 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-        same = made.old.heights(ring) - made.old.at_endstop + made.new.at_endstop
-        found_at = made.new.points(same)[:, :2]
+        same = made.old.heights(ring) - made.old.at_endstop + new.at_endstop
+        found_at = new.points(same)[:, :2]
         size.append(abs(0.05 / np.hypot(*(found_at - found_at.mean(axis=0)).T).mean() - 1))
-        arms.append(np.ptp(made.new.arm))
+        arms.append(np.ptp(new.arm))
     assert size[0] < 2e-4 < 6e-4 < size[1]
     assert arms[0] > arms[1]
 
