@@ -133,7 +133,8 @@ def every(catalogue: Catalogue) -> list[Parameter]:
 
 # What the parts of a delta are called, turned back into those of an Orthoglide.
 PARTS = (
-    (r"\bof tower (\w)\b", r"of leg \1"), (r"\btower (\w) (stands|leans|is)\b", r"the \1 rail \2"), (r"\btower (\w)\b", r"leg \1"),
+    (r"(?<!of )\btower (\w) (stands|leans|is)\b", r"the \1 rail \2"),
+    (r"\btower (\w)\b", r"leg \1"),
     (r"\brods?\b", "bars"), (r"\bbars (\d)\b", r"bar \1"), (r"\beffector\b", "platform"),
 )  # fmt: skip
 
