@@ -233,7 +233,7 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
     left = re.search(r"residuals, rms, mm ([\d.]+) ([\d.]+) ([\d.]+)", told)
     assert left is not None
     assert float(left[2]) > 0.05 > 0.032 > float(left[3])
-    assert "the rails lean and their carriages with them, all by" in told
+    assert "the towers lean and their carriages with them, all by" in told
     assert "three lobes 0.12 mm high, one of them toward 60 degrees" in told
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     page = (tmp_path / "out" / "report.html").read_text()

@@ -160,3 +160,26 @@ def test_points_that_judge_are_looked_at_as_well() -> None:
     for wrong, said in ((points.p / 25.4, "in inches"), (points.p * [1, -1, 1], "left-handed")):
         with pytest.raises(og.InputError, match=said):
             og.close_loop([dials], MACHINE, tcp=og.Readings.from_points(points.command, wrong))
+
+
+def test_points_are_judged_by_what_they_are_known_to_themselves() -> None:
+    """Noise of 20 um in the points is no error of a machine that is known to 1 um."""
+    from orthoglide.closing.judging import fits_neither, tcp_errors
+
+    worn, rng = MACHINE.with_parameters(TRUTH), np.random.default_rng(2)
+    rho = MACHINE.geometry.L + rng.uniform(*MACHINE.geometry.stroke, (40, 3))
+    p = worn.forward(rho) + rng.normal(0, 2e-5, (40, 3))
+    stated, lines = np.full((40, 3), 1e-6), np.arange(2, 42)
+
+    def judged(sigma: float, after: dict[str, float]) -> tuple[float, str]:
+        given = og.Readings.from_points(rho, p, np.full(40, sigma), np.zeros((40, 3)), lines)
+        errors = tcp_errors(MACHINE, given, {}, after, stated)["translation"]
+        return errors.inside, fits_neither(errors, stated, given.points())
+
+    assert judged(np.nan, worn.values)[0] < 0.2
+    inside, said = judged(2e-5, worn.values)
+    assert inside == pytest.approx(0.95, abs=0.06)
+    assert not said
+    _, said = judged(2e-5, {})
+    assert said.startswith("the measured points fit this result neither with nor without what was")
+    assert not judged(np.nan, {})[1]  # nobody knows how well they are known

@@ -202,6 +202,7 @@ def confirm_place(curve: Curve) -> str:
     }.get(place.part)
     if not place.loses or where is None:
         return ""
+    where = place.names.spoken(where)
     if place.against == "approach":
         return (
             f"set a dial on {where} and come to one place from smaller and from larger travel of "

@@ -6,7 +6,7 @@ An effect is one entry of one of the files beside this one, or a user's own; see
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
 from typing import Any
@@ -270,7 +270,26 @@ def catalogue_of(names: LegNames) -> Catalogue:
     if names == CATALOGUE.legs:
         return CATALOGUE
     effects = (*CATALOGUE.effects, *rails.OF_TOWERS, *parts.OF_TOWERS)
-    return Catalogue(tuple(replace(e, names=names) for e in effects), names)
+    return Catalogue(tuple(_said(e, names) for e in effects), names)
+
+
+def _said(effect: Effect, names: LegNames) -> Effect:
+    """An effect on a layout, in the words of that layout; names of setups stay as they are."""
+    if effect.of_dial or not names.nouns:
+        return replace(effect, names=names)
+    words = effect.words
+    told = {name: _speaking(getattr(words, name), names) for name in ("one", "short", "confirm")}
+    return replace(
+        effect,
+        names=names,
+        sentence=names.spoken(effect.sentence),
+        look_at=names.spoken(effect.look_at),
+        words=replace(words, many=names.spoken(words.many), **told),
+    )
+
+
+def _speaking(of: Callable[..., str] | None, names: LegNames) -> Callable[..., str] | None:
+    return None if of is None else lambda *given: names.spoken(of(*given))
 
 
 def relabelled(name: Parameter, names: LegNames = Orthoglide.names) -> Parameter:

@@ -171,7 +171,7 @@ class Place:
             "platform": f"the end of leg {leg} moves on the platform toward "
             f"{toward(self.direction, 1.0)}",
         }[self.part]
-        return f"{what} {how}"
+        return self.names.spoken(f"{what} {how}")
 
     @property
     def _by_travel(self) -> str:
@@ -187,13 +187,14 @@ class Place:
         if self.leg < 0:
             return "what warms all drives alike: the room, the motors, the machine's frame"
         leg = self.names.legs[self.leg]
-        return {
+        part = {
             "drive": f"the drive of axis {leg}: screw or belt, coupling, encoder",
             "rail": f"the rail of axis {leg}, straight edge and dial along its travel",
             "carriage": f"the carriage of axis {leg}: its bearings and preload",
             "bar": f"the bars of leg {leg}, their pivots and their warmth",
             "platform": f"the joint of leg {leg} at the platform: its pins and their fit",
         }[self.part]
+        return self.names.spoken(part)
 
     def functions(self, conditions: LegConditions, which: slice = slice(None)) -> list[Any]:
         """The free functions at some conditions, each for a coefficient of sd ``unit``."""

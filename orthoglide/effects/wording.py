@@ -33,7 +33,8 @@ def cause_words(catalogue: Catalogue, name: str, values: Mapping[str, float]) ->
         elif parameter.member == "common" and effect.words.common is not None:
             text = effect.words.common(values[name])
         elif parameter.member:
-            text = f"{_many(effect)}, {_pattern(effect, parameter, values[name])}"
+            pattern = effect.names.spoken(_pattern(effect, parameter, values[name]))
+            text = f"{_many(effect)}, {pattern}"
         else:
             text = one_words(effect, parameter, values[name])
         return text + where

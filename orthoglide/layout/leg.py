@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,6 +44,8 @@ class LegNames:
     travel: str = "travel from mechanical zero"  # how travel from mechanical zero is called
     axis: str = "axis"  # how a drive with its slide is called: an axis or a tower
     bar: str = "bar"  # how a bar is called: a bar or a rod
+    # what its parts are called in place of an Orthoglide's: patterns, each with what replaces it
+    nouns: tuple[tuple[str, str], ...] = ()
 
     @property
     def every(self) -> frozenset[str]:
@@ -57,6 +60,12 @@ class LegNames:
     def index(self, leg: str) -> int:
         """0, 1 or 2."""
         return self.legs.index(leg)
+
+    def spoken(self, text: str) -> str:
+        """Words of an Orthoglide's parts in the words of this layout."""
+        for pattern, noun in self.nouns:
+            text = re.sub(pattern, noun, text)
+        return text
 
     def relabelled(self, leg: str, direction: str) -> tuple[str, str]:
         """Names of a leg and a direction across it after the legs are relabelled one on."""

@@ -13,6 +13,14 @@ from orthoglide.layout.leg import Array, Leg, LegNames, Triple, triple
 _ACROSS = ("radial", "tangential")
 _WAYS = (("down", "downward"), ("up", "upward"))
 _HELD = ("zero", "bar_length", "place")
+_NOUNS = (
+    (r"\bthe (\w) rail\b", r"tower \1"),
+    (r"\brail(s?)\b", r"tower\1"),
+    (r"\bbar(s?)\b", r"rod\1"),
+    (r"\bplatform\b", "effector"),
+    (r"\b(and|warms) (the )?leg\b", r"\1 \2rods"),  # what hangs on the carriage, which is no tower
+    (r"\bleg(s?)\b", r"tower\1"),
+)
 _FLATTEST = float(np.sin(np.deg2rad(15.0)))
 """Of an arm against the plate: flatter ones hold the tool's height badly, and errors of some
 millimetres leave them too short."""
@@ -39,8 +47,9 @@ class LinearDelta:
 
     kind: ClassVar[str] = "linear-delta"
     names: ClassVar[LegNames] = LegNames(
-        ("a", "b", "c"), (_ACROSS, _ACROSS, _ACROSS), _HELD, _WAYS, axis="tower", bar="rod"
-    )
+        ("a", "b", "c"), (_ACROSS, _ACROSS, _ACROSS), _HELD, _WAYS,
+        axis="tower", bar="rod", nouns=_NOUNS,
+    )  # fmt: skip
     hanging: ClassVar[bool] = True
 
     def __post_init__(self) -> None:

@@ -165,7 +165,7 @@ def _machine(config: Config, numbers: Numbers, rows: Sequence[Row]) -> MachineFi
             f"does not go with the stored positions ({error}): give it in millimetres, or probe "
             f"again",
         )
-    catalogue = catalogue_of(TOWERS)
+    catalogue = catalogue_of(LinearDelta.names)
     length = next(e.name for e in catalogue.effects if e.controller == "bar_length")
     # Nobody has fitted what was taken from a drawing: the radius.
     drawn = catalogue.held_as("place") if numbers.are_nominal else ()
