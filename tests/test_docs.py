@@ -16,6 +16,7 @@ from orthoglide.errors import OrthoglideError
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file import parse_machine_file
 from orthoglide.result import Word
+from tests.page_laws import too_long
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -105,7 +106,9 @@ def test_every_verdict_is_explained(word: str) -> None:
 @pytest.mark.parametrize("word", get_args(Word))
 def test_the_gallery_has_every_verdict_with_its_drawing(word: str) -> None:
     page = read("docs/gallery.md")
-    assert f"\n## {word.capitalize()}\n" in page
+    section = page.partition(f"\n## {word.capitalize()}\n")[2].partition("\n## ")[0]
+    (found,) = re.findall(r"^\*\*(.+)\*\*$", section, re.MULTILINE)
+    assert not too_long(found)
     assert f"(images/gallery-{word}.svg)" in page
     assert "<desc>" in read(f"docs/images/gallery-{word}.svg")
 
