@@ -69,7 +69,7 @@ def calibrated_urdf(machine: MachineSource) -> str:
 def calibrated_mjcf(machine: MachineSource) -> str:
     """MJCF text of a calibrated machine, for MuJoCo, its loops closed by equality constraints.
 
-    Joints, sites and constraints are those of :func:`~orthoglide.urdf.to_mjcf`: ``x_slide`` ... are
+    Joints, sites and constraints are those of ``orthoglide.urdf.to_mjcf``: ``x_slide`` ... are
     the drives, whose position is the commanded travel; the site ``x_tcp`` is the tool. Legs of any
     lengths close, as each has the two relief joints that URDF has no room for.
 

@@ -71,7 +71,7 @@ def tool_sheets(
         count: readings that together tell most; all where absent.
 
     Raises:
-        InputError: as of :func:`sheets_of`.
+        InputError: as of ``sheets_of``.
     """
     return to_fill_in(sheets_of(Machine.of(machine), kinds, count).values())
 
