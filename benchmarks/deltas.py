@@ -42,8 +42,9 @@ columns are ratios of root mean squares, closed loop to base and to the numbers 
 stored. Stored numbers were fitted to some of these readings and are flattered by them. The files
 below v400-april were looked for after the methods were made; only how rare a background wider than
 0.1 tolerance is was settled with them in sight. t1-mnemonic3d is the printer of t1-stock at another
-time. *First* is the first cause with the number of its alternatives, *new numbers* how often they were
-offered. `python -m benchmarks.held_out` prints every prediction, and takes folders of your own files.
+time. *First* is the first cause with the number of its alternatives, or the verdict where there is
+none; *new numbers* is how often they were offered. `python -m benchmarks.held_out` prints every
+prediction, and takes folders of your own files.
 """
 
 
