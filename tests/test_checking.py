@@ -193,7 +193,7 @@ def test_from_results_and_files_to_words_and_a_page(visited: Path) -> None:
     assert "changed by as much as the readings before ask for" in page
     assert "Confirm what was put right" in page
     assert "changed by as much as the readings before ask for" in " ".join(kept.stdout.split())
-    assert "it must read" in page
+    assert "was moved the wrong way" in page
     assert "The report of new<" in page
     seen = opened(page, 390, visited)  # its table was wider than a phone
     assert (seen.inner, seen.out, seen.cut) == (390, [], [])

@@ -246,13 +246,14 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
     assert "it tells" not in told  # that stands on the page
     assert "it tells" in text
     assert "Not visible to a probe on a plate even at three times its tolerance" in told
-    for unshown in ("that the two bars of each leg differ in length", "that the rails are bent"):
+    bars = "that the two rods of each tower differ in length"
+    for unshown in (bars, "that the towers are bent"):
         assert unshown in told
         assert unshown in text
     for false in ("outward", "dial’s", "the dial", "two-gauges", "leg reading"):
         assert false not in told
         assert false not in text, false
-    assert "design --owns plate --machine machine.toml" in text
+    assert "design --owns plate,KIND --machine machine.toml" in text
     assert (
         "With another instrument, or in another way To tell the causes apart measure distances"
         in text
@@ -435,7 +436,7 @@ def test_a_hinge_turns_the_way_that_a_mechanic_sees() -> None:
     """
     catalogue = nominal().catalogue
     for name, words in (
-        ("mount_tilt.a.a", "about the leg's own axis, counter-clockwise seen from above"),
+        ("mount_tilt.a.a", "about the tower's own axis, counter-clockwise seen from above"),
         ("mount_tilt.c.b", "axis of its pivots, counter-clockwise seen from outside the tower"),
         ("mount_tilt.b.common", "about their pivots, counter-clockwise seen from outside the"),
     ):
