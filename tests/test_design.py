@@ -13,8 +13,7 @@ from click.testing import CliRunner
 from scipy.stats import ncx2
 
 import orthoglide as og
-from orthoglide.cli.design import design as design_command
-from orthoglide.cli.sheets import protocol as protocol_command
+from orthoglide.cli.measuring import design as design_command, protocol as protocol_command
 from orthoglide.effects import CATALOGUE, relabelled
 from orthoglide.errors import InputError
 from orthoglide.explanation.evidence import Scoring

@@ -1,26 +1,21 @@
-"""What is done stays done: terminals that fail, late signals, rivals for a name, damaged caches."""
+"""What is done stays done: faults of the program, rivals for a name, damaged caches."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from orthoglide.cli import running
-from orthoglide.cli.terminal import say
 from orthoglide.errors import FileError
 from orthoglide.files import check_new, write_files
-from orthoglide.machine_file import MachineFile, machine_text
 from orthoglide.mechanism.compiled import compiler
 from orthoglide.report import write_folder
-from tests.test_cli import EXPERIMENT_2, SIGNALS, listening, run
+from tests.test_cli import EXPERIMENT_2, run
 
 ROOT = Path(__file__).parents[1]
 
@@ -31,164 +26,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "c.csv").write_text(EXPERIMENT_2)
     return tmp_path
-
-
-def process(
-    command: str, **environment: str
-) -> subprocess.CompletedProcess[bytes]:  # of a shell, which closes and fills streams
-    known = {"PATH": os.environ["PATH"], "HOME": os.environ.get("HOME", "/")}
-    program = f"{sys.executable} -m orthoglide"
-    return subprocess.run(
-        ["bash", "-c", command.replace("orthoglide", program, 1)],
-        env={**known, "PYTHONPATH": str(ROOT), **environment},
-        capture_output=True,
-        timeout=60,
-        check=False,
-    )
-
-
-# --- Terminals that fail ------------------------------------------------------------------------
-
-NEGATIVE = "orthoglide forward 309 309 309"
-WHOLE = "orthoglide identify c.csv --out out"
-
-
-@pytest.fixture(scope="module")
-def wide(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """What the whole run prints in an alphabet that has every sign."""
-    folder = tmp_path_factory.mktemp("wide")
-    (folder / "c.csv").write_text(EXPERIMENT_2)
-    with contextlib.chdir(folder):
-        return process(WHOLE, PYTHONIOENCODING="utf-8").stdout.decode()
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("encoding", ["latin-1", "cp1252", "ascii"])
-def test_a_narrow_alphabet_loses_no_sign(encoding: str, wide: str, here: Path) -> None:
-    child = process(WHOLE, PYTHONIOENCODING=encoding)
-    assert child.returncode == 0, child.stderr
-    assert b"Traceback" not in child.stderr
-    shown = child.stdout.decode(encoding)
-    signs = [line.count("-") for line in shown.splitlines()]
-    assert sum(signs) >= wide.count("−") > 0
-    assert "10?" not in shown
-    assert (here / "out" / "result.json").exists()
-
-
-@pytest.mark.thorough(except_for=[">/dev/full"])
-@pytest.mark.parametrize(
-    "streams",
-    [
-        ">/dev/full",
-        "<&- >&- 2>&-",
-        *(
-            pytest.param(s, marks=pytest.mark.thorough)
-            for s in ("2>/dev/full", ">&-", "2>&-", ">&- 2>&-", "| true")
-        ),
-    ],
-)
-def test_output_that_fails_fails_no_finished_run(streams: str, here: Path) -> None:
-    if "full" in streams and not Path("/dev/full").exists():
-        pytest.skip("there is no full device here")
-    child = process(f"set -o pipefail; {WHOLE} {streams}")
-    assert child.returncode == 0, child.stderr
-    assert b"Traceback" not in child.stderr
-    assert b"Exception" not in child.stderr
-    assert (here / "out" / "result.json").exists()
-    assert sorted(os.listdir(here)) == ["c.csv", "out"]
-
-
-def test_output_is_needed_where_there_is_nothing_else(here: Path) -> None:
-    if not Path("/dev/full").exists():
-        pytest.skip("there is no full device here")
-    told = b"orthoglide: standard output: cannot be written ("
-    for streams in (">/dev/full", ">&-"):
-        child = process(f"{NEGATIVE} {streams}")
-        assert child.returncode == 2
-        assert child.stderr.startswith(told)
-        assert child.stderr.count(b"\n") == 1
-    assert process(f"set -o pipefail; {NEGATIVE} | true").returncode == 0
-
-
-@pytest.mark.thorough
-def test_json_is_the_same_bytes_in_every_alphabet(here: Path) -> None:
-    narrow = process("orthoglide identify c.csv --json --out out", PYTHONIOENCODING="ascii")
-    assert narrow.returncode == 0
-    assert narrow.stdout == (here / "out" / "result.json").read_bytes()
-
-
-def test_a_stream_that_broke_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Broken:
-        encoding = "utf-8"
-
-        def write(self, text: str) -> int:
-            raise OSError(28, "No space left on device")
-
-        def flush(self) -> None:
-            raise OSError(28, "No space left on device")
-
-    broken = Broken()
-    for err in (False, True):
-        monkeypatch.setattr(sys, "stderr" if err else "stdout", broken)
-        say("lost", err=err)
-        assert (sys.stderr if err else sys.stdout) is not broken
-    monkeypatch.setattr(sys, "stdout", broken)
-    with pytest.raises(FileError, match="no space left"):
-        say("needed", needed=True)
-
-
-# --- Late signals -------------------------------------------------------------------------------
-
-
-@pytest.mark.thorough(except_for=["15"])
-@pytest.mark.parametrize("sent", SIGNALS)
-def test_a_signal_just_after_the_rename_finds_the_run_done(
-    sent: signal.Signals, here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rename = Path.rename
-
-    def late(self: Path, target: Path) -> Any:
-        found = rename(self, target)
-        signal.raise_signal(sent)
-        return found
-
-    monkeypatch.setattr(Path, "rename", late)
-    with listening(monkeypatch):
-        result = run("identify", "c.csv", "--out", "out")
-    assert result.exit_code == 0, result.output
-    assert "nothing was written" not in result.output
-    assert sorted(os.listdir(here)) == ["c.csv", "out"]
-    assert (here / "out" / "result.json").exists()
-
-
-@pytest.mark.thorough
-def test_a_signal_while_the_summary_is_shown_finds_the_run_done(
-    here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(running, "say", lambda *_, **__: signal.raise_signal(signal.SIGTERM))
-    with listening(monkeypatch):
-        result = run("identify", "c.csv", "--out", "out")
-    assert result.exit_code == 0
-    assert "nothing was written" not in result.output
-    assert (here / "out" / "result.json").exists()
-
-
-def test_two_files_appear_together_or_not_at_all(
-    here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    machine = here / "m.toml"
-    (here / "m.toml").write_text(machine_text(MachineFile()))
-    link = os.link
-
-    def late(name: str, target: Path) -> None:
-        link(name, target)
-        signal.raise_signal(signal.SIGINT)
-
-    monkeypatch.setattr(os, "link", late)
-    with listening(monkeypatch):
-        result = run("simulate", "--machine", machine, "--out", "s.csv", "--tcp", "t.csv")
-    assert result.exit_code == 0
-    assert sorted(os.listdir(here)) == ["c.csv", "m.toml", "s.csv", "t.csv"]
 
 
 @pytest.mark.parametrize("name", ["summary", "report_files"])

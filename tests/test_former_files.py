@@ -172,7 +172,7 @@ def test_a_result_of_an_earlier_version_is_run_again(name: str, tmp_path: Path) 
     """Its numbers are no longer those of today to the last digit, which is no failure."""
     out = tmp_path / "again"
     found = run("rerun", FORMER / name / "result.json", "--out", out)
-    assert "made by an earlier state of version 0.1.0" in found.text
+    assert "to 0.2 sigma, as an earlier state of the program wrote" in found.text
     if name == "schema-1/dials":  # two causes of one rail, of which one is now told apart
         assert found.code == 3
         assert "the verdict was 'ambiguous' and is 'explained'" in found.text

@@ -306,7 +306,7 @@ def test_a_mesh_of_the_turned_plate_decides(tmp_path: Path) -> None:
         assert ("rail_tilt.tangential.common" in every) == (what == "rails")
     for wrong, why in (
         ("at = 60", "no mesh 'at'"), ("x=60", "no mesh 'x'"), ("60", "takes NAME=DEGREES"),
-        ("default=400", "takes NAME=DEGREES"), ("default=nan", "takes NAME=DEGREES"),
+        ("default=nan", "takes NAME=DEGREES"),
     ):  # fmt: skip
         out = tmp_path / "wrong"
         done = runner.invoke(

@@ -267,7 +267,6 @@ def test_what_cannot_be_rehearsed_is_refused(tmp_path: Path) -> None:
     assert "campaigns must be 1 or more" in refused("--campaigns", "0")
     assert "jobs must be" in refused("--jobs", "0")
     assert "there is no such file" in refused("--sheet", str(tmp_path / "no.csv"))
-    assert "exclude each other" in refused("--jobs", "1", "--dask", "tcp://here:8786")
     (tmp_path / "theirs").write_text("x")
     assert "holds no earlier rehearsal" in refused("--out", str(tmp_path))
     (tmp_path / "campaigns.jsonl").write_text("[]\n")
@@ -286,8 +285,7 @@ def test_the_command_keeps_and_prints(tmp_path: Path) -> None:
     assert "Weak spots" in result.stdout
     assert (tmp_path / "out" / "rehearsal.txt").read_text() == result.stdout
     assert CliRunner().invoke(cli, line).stdout == result.stdout  # nothing is left to do
-    assert CliRunner().invoke(cli, [*line, "--quiet"]).stdout == ""
-    (short,) = CliRunner().invoke(cli, [*line[:-2], "--quiet"]).stdout.splitlines()
+    short = CliRunner().invoke(cli, [*line, "--quiet"]).stdout.strip()
     assert re.fullmatch(r"campaigns 1(, (named|located|missed|false|failed) [01]){5}", short)
 
 
@@ -310,7 +308,7 @@ def test_an_interrupt_keeps_what_was_finished(tmp_path: Path) -> None:
     assert process.returncode == 130, error
     last = error.strip().splitlines()[-1]
     assert last.startswith("orthoglide: interrupted:")
-    assert "goes on" in last
+    assert "rehearse go on" in last
     assert kept.read_text().count("\n") > 1
 
 

@@ -21,8 +21,8 @@ import pytest
 import threadpoolctl
 
 import orthoglide as og
-from orthoglide.cli.rerun import compare
 from orthoglide.report import report_files, result_text
+from tests.same_numbers import compare
 
 DATA = Path(__file__).parent / "data"
 RIG = DATA / "rig"

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.cli.rerun import compare
 from orthoglide.closing import Closed, close, filled
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import confirm_words, one_words, size_words
@@ -133,30 +132,3 @@ def test_keys_in_millimetres_hold_millimetres() -> None:
             if np.isfinite(value):
                 assert told[side][f"{key}_mm"] == pytest.approx(value * 1e3, rel=1e-6)
     assert 0.003 < told["noise_mm"] < 0.03  # a dial with divisions of 0.01
-
-
-# -- numbers again --------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("change", "differs"), [(0.0, False), (1e-8, False), (2e-5, True), (1e-3, True)]
-)
-@pytest.mark.parametrize("value", [1.0, -250.0, 1e-4])
-def test_numbers_are_the_same_up_to_a_millionth(value: float, change: float, differs: bool) -> None:
-    told = list(compare({"a": {"b": [value]}}, {"a": {"b": [value * (1 + change)]}}))
-    assert [t.startswith("a.b[0] was ") for t in told] == [True] * differs
-
-
-@pytest.mark.parametrize(
-    ("one", "other", "differs"),
-    [
-        (0.100005, 0.100006, False),  # a number of six digits, rounded up and down
-        (-9.99999, -10.0, False),
-        (0.100005, 0.100007, True),
-        (0.1000051, 0.1000061, True),
-        (3, 4, True),
-        (0.0, 1e-5, True),
-    ],
-)
-def test_neighbours_of_six_digits_are_the_same(one: float, other: float, differs: bool) -> None:
-    assert len(list(compare({"a": one}, {"a": other}))) == differs

@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
-from orthoglide.cli.terminal import say
-from orthoglide.errors import FileError, InputError
-from orthoglide.text import shown
+from orthoglide.cli.app import warn
+from orthoglide.errors import InputError
 from orthoglide.units import NOISE
 
 if TYPE_CHECKING:
-    from orthoglide.effects import Catalogue
+    from orthoglide.effects import Catalogue, Effect
     from orthoglide.machine import Machine
-    from orthoglide.observations import Readings
 
 Decorator = Callable[[Any], Any]
 
 PATH = click.Path(path_type=Path)
 """A file or folder; that it is there and readable is checked where it is read."""
+
+DIAL_PROTOCOLS = ("standard", "sweep", "two-gauges")
+PROTOCOLS = (*DIAL_PROTOCOLS, "parallelism")
 
 
 class Names(click.ParamType):
@@ -31,14 +35,41 @@ class Names(click.ParamType):
     name = "NAME,..."
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        """A tuple of names."""
+        """Return a tuple of names."""
         if isinstance(value, tuple):
             return value
         return tuple(part.strip() for part in str(value).split(",") if part.strip())
 
 
+Pairs = tuple[tuple[str, float], ...]
+"""Names with their numbers, as they were given."""
+
+
+class _Pairs(click.ParamType):
+    """``NAME=NUMBER`` parted by commas."""
+
+    name = "NAME=NUMBER,..."
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Pairs:
+        """Return the pairs; numbers are finite."""
+        if isinstance(value, tuple):
+            return value
+        found = list[tuple[str, float]]()
+        for item in str(value).split(","):
+            name, _, number = (part.strip() for part in item.rpartition("="))
+            try:
+                found.append((name, float(number)))
+            except ValueError:
+                found.append((name, math.nan))
+            if not name or not math.isfinite(found[-1][1]):
+                option = max(param.opts, key=len)
+                form = param.metavar.rstrip(",.")
+                raise InputError(f"{option} takes {form}, a finite number, not {item!r}")
+        return tuple(found)
+
+
 def together(*options: Decorator) -> Decorator:
-    """Several options as one decorator; help lists them in this order."""
+    """Return several options as one decorator; help lists them in this order."""
 
     def decorate(command: Any) -> Any:
         for option in reversed(options):
@@ -48,40 +79,85 @@ def together(*options: Decorator) -> Decorator:
     return decorate
 
 
-DIAL_PROTOCOLS = ("standard", "sweep", "two-gauges")
-PROTOCOLS = (*DIAL_PROTOCOLS, "parallelism")
-
-effects = click.option(
-    "--effects-file", type=PATH, metavar="FILE.py",
-    help="Python file with effects of your own, beside the catalogue.",
-)  # fmt: skip
+def names(option: str, help: str, metavar: str = "NAME,...") -> Decorator:
+    """Return an option that takes names parted by commas."""
+    return click.option(option, type=Names(), default=(), metavar=metavar, help=help)
 
 
-def machine(required: bool = False, help: str = "") -> Decorator:
-    """``--machine FILE``, and ``--effects-file`` for what it may name beside the catalogue."""
-    usual = "Machine file (machine.toml); the nominal Orthoglide where absent."
+def pairs(option: str, help: str, metavar: str) -> Decorator:
+    """Return an option that takes numbers by name, as `Pairs`; it may be given several times."""
+
+    def every(_: Any, __: Any, given: tuple[Pairs, ...]) -> Pairs:
+        return tuple(chain.from_iterable(given))
+
+    return click.option(
+        option, type=_Pairs(), multiple=True, callback=every, metavar=metavar, help=help
+    )
+
+
+def flag(option: str, help: str) -> Decorator:
+    """Return an option that takes no value."""
+    return click.option(option, is_flag=True, help=help)
+
+
+def file(option: str, help: str, metavar: str = "FILE", **more: Any) -> Decorator:
+    """Return an option that takes a path."""
+    return click.option(option, type=PATH, metavar=metavar, help=help, **more)
+
+
+@dataclass(frozen=True)
+class MachineOption:
+    """The machine that a command was given, read where it is needed."""
+
+    path: Path | None  # of the machine file; `None` for the nominal Orthoglide
+    effects_file: Path | None  # with the user's own effects
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The user's own effects."""
+        from orthoglide.effects.loading import load_effects
+
+        return load_effects(self.effects_file)
+
+    @property
+    def words(self) -> str:
+        """The options of the command line that give this machine."""
+        given = {"--machine": self.path, "--effects-file": self.effects_file}
+        return "".join(f" {o} {click.format_filename(p)}" for o, p in given.items() if p)
+
+    def load(self) -> Machine:
+        """Return the machine, and print what is doubtful about its file.
+
+        Raises:
+            FileError: naming file, line and remedy.
+        """
+        from orthoglide.machine import Machine
+
+        effects = self.effects
+        machine = Machine.nominal() if self.path is None else Machine.load(self.path, effects)
+        printer = machine.spec.printer
+        doubts = "" if printer is None else printer.doubts(machine)
+        warn(tuple(filter(None, (doubts, *machine.warnings))))
+        return machine.with_effects(effects)
+
+
+def machine(required: bool = False) -> Decorator:
+    """Return ``--machine FILE`` with ``--effects-file``, together a `MachineOption`."""
+    key = "orthoglide.effects_file"
+
+    def remember(context: click.Context, _: Any, value: Path | None) -> None:
+        context.meta[key] = value
+
+    def both(context: click.Context, _: Any, value: Path | None) -> MachineOption:
+        return MachineOption(value, context.meta.get(key))
+
+    otherwise = "." if required else "; the nominal Orthoglide if absent."
     return together(
-        click.option("--machine", "machine_path", type=PATH, metavar="FILE", required=required,
-                     help=help or usual),
-        effects,
+        file("--machine", f"Machine file, also by itself{otherwise}", "FILE.toml",
+             required=required, callback=both),
+        file("--effects-file", "Python file with effects of your own, beside the catalogue.",
+             "FILE.py", is_eager=True, expose_value=False, callback=remember),
     )  # fmt: skip
-
-
-def _seed_of(_: Any, __: Any, value: int) -> int:
-    if value < 0:
-        raise InputError(f"--seed must be 0 or more, not {value}")
-    return value
-
-
-seed = click.option(
-    "--seed", type=int, default=0, show_default=True, callback=_seed_of,
-    help="Seed of all random draws.",
-)  # fmt: skip
-quiet = click.option(
-    "--quiet",
-    is_flag=True,
-    help="No progress and no tables: one line where no file is written.",
-)
 
 
 def _free(context: click.Context, _: Any, folder: Path | None) -> Path | None:
@@ -92,43 +168,39 @@ def _free(context: click.Context, _: Any, folder: Path | None) -> Path | None:
     return folder
 
 
-def out(required: bool = True, help: str = "") -> Decorator:
-    """``--out DIR`` of the commands that write a new folder: refused before any work is done."""
-    usual = "Folder for the results; must be new or empty."
-    return click.option(
-        "--out", type=PATH, metavar="DIR", required=required, help=help or usual, callback=_free
-    )
+def _new(context: click.Context, _: Any, path: Path | None) -> Path | None:
+    from orthoglide.files import check_new
+
+    if path is not None and not context.resilient_parsing:
+        check_new(path)
+    return path
 
 
-out_or_nothing = out(False, "Folder for the results; nothing is written where absent.")
+def out(help: str = "Folder for the results; must be new or empty.", **more: Any) -> Decorator:
+    """Return ``--out DIR`` of a new folder, which is refused before any work is done."""
+    return file("--out", help, "DIR", callback=_free, **more)
 
 
-def quantities(option: str, items: tuple[str, ...], catalogue: Catalogue) -> dict[str, float]:
-    """``NAME=NUMBER`` of an option in SI; the number is in the unit of files, of TCP millimetres.
+def out_file(help: str, metavar: str, **more: Any) -> Decorator:
+    """Return ``--out FILE`` of a new file, which is refused before any work is done."""
+    return file("--out", help, metavar, callback=_new, **more)
 
-    Raises:
-        InputError: where one is not of this form, or names nothing.
-    """
-    found: dict[str, float] = {}
-    for item in items:
-        name, _, number = item.partition("=")
-        try:
-            value = float(number)
-        except ValueError:
-            value = math.nan
-        if not name or not math.isfinite(value):
-            example = f"{catalogue.base[0]}.x=0.5"
-            raise InputError(f"{option} takes NAME=NUMBER such as {example}, not {item!r}")
-        if name in found:
-            raise InputError(f"{option} has {name} twice: give it once")
-        found[name] = value * (1e-3 if name == "TCP" else catalogue.effect_of(name).unit.si)
-    return found
+
+seed = click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of all random draws."
+)
+quiet = flag("--quiet", "No progress; the answer in one line.")
 
 
 def noise(otherwise: str = "the machine file's", least: float = NOISE[0]) -> Decorator:
-    """``--noise MM`` as metres, what counts where it is absent, and the least, metres."""
+    """Return ``--noise MM``, metres in Python.
 
-    def _metres(_: Any, __: Any, value: float | None) -> float | None:
+    Args:
+        otherwise: what counts where it is absent.
+        least: the smallest that is taken, metres.
+    """
+
+    def metres(_: Any, __: Any, value: float | None) -> float | None:
         if value is None or least <= value * 1e-3 <= NOISE[1]:
             return None if value is None else value * 1e-3
         raise InputError(
@@ -137,57 +209,45 @@ def noise(otherwise: str = "the machine file's", least: float = NOISE[0]) -> Dec
         )
 
     return click.option(
-        "--noise", type=float, metavar="MM",
-        callback=_metres,
+        "--noise", type=float, metavar="MM", callback=metres,
         help=f"Standard deviation of one reading of a leg, or of the tool where no leg is read; "
              f"else {otherwise}.",
     )  # fmt: skip
 
 
-run_options = together(
-    seed,
-    quiet,
-    click.option("--json", "as_json", is_flag=True, help="Print result.json and nothing else."),
-)
-
-fit_options = together(
-    click.option("--own", type=Names(), default=(), metavar="NAME,...",
-                 help="Effects or parameters that each campaign has of its own."),
-    machine(),
-    click.option("--fit-tcp", type=PATH, multiple=True, metavar="FILE",
-                 help="TCP points that are readings like the others; may be given several times."),
-    click.option("--frame", type=click.Choice(("rigid", "translation", "none")), default="rigid",
-                 show_default=True,
-                 help="How the instrument of --fit-tcp may stand to the machine."),
-    noise("from machine file, rows or repeats"),
-)  # fmt: skip
-
-
-def dial_sheet(path: Path, machine: Machine, otherwise: str) -> Readings:
-    """A measuring sheet of single dials on legs, filled in or not; ``otherwise`` is what to do with
-    one of other readings, as a clause.
+def in_si(option: str, given: Pairs, catalogue: Catalogue) -> dict[str, float]:
+    """Return numbers by name in SI, of an option in the units of files; that of TCP in millimetres.
 
     Raises:
-        FileError: where it cannot be read, or holds other readings.
+        InputError: if a name is given twice, or is none.
     """
-    from orthoglide.observations import read_readings
-
-    sheet = read_readings(path, machine.spec, require_readings=False)[-1]
-    others = dict.fromkeys(s.kind for s in sheet.setups if s.observation.dials != 1)
-    if others:
-        what = "readings at the tool" if sheet.of_tool else "readings of two dials at a time"
-        raise FileError(f"holds {what} ({', '.join(others)}): {otherwise}", file=shown(path))
-    return sheet
+    found = dict[str, float]()
+    for name, value in given:
+        if name in found:
+            raise InputError(f"{option} has {name} twice: give it once")
+        found[name] = value * (1e-3 if name == "TCP" else catalogue.effect_of(name).unit.si)
+    return found
 
 
-def load_machine(path: Path | None, effects_file: Path | None) -> Machine:
-    """The machine of ``--machine``, with the effects of ``--effects-file``."""
-    from orthoglide.effects.loading import load_effects
-    from orthoglide.machine import Machine
+def exclude(one: str, *others: str, because: str) -> None:
+    """Refuse options that have no effect beside another; all by their names in Python.
 
-    effects = load_effects(effects_file)
-    machine = Machine.nominal() if path is None else Machine.load(path, effects)
-    doubts = "" if machine.spec.printer is None else machine.spec.printer.doubts(machine)
-    for warning in filter(None, (doubts, *machine.warnings)):
-        say(f"warning: {warning}", err=True)
-    return machine.with_effects(effects)
+    Raises:
+        InputError: if ``one`` and one of the others were given; ``because`` says why not.
+    """
+    context = click.get_current_context()
+    shown = {p.name: _shown(p) for p in context.command.params}
+
+    def given(name: str) -> bool:
+        default = context.get_parameter_source(name) in (None, ParameterSource.DEFAULT)
+        return not default and context.params[name] not in (None, ())
+
+    for other in filter(given, others if given(one) else ()):
+        raise InputError(f"{shown[one]} and {shown[other]} exclude each other: {because}")
+
+
+def _shown(parameter: click.Parameter) -> str:
+    """Return a parameter as it is written on the command line."""
+    if isinstance(parameter, click.Argument):
+        return (parameter.metavar or parameter.human_readable_name).strip("[] .")
+    return max(parameter.opts, key=len)

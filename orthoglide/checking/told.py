@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from orthoglide import __version__
-from orthoglide.checking import COLUMNS
+from orthoglide.checking.comparing import Check
+from orthoglide.checking.difference import COLUMNS
 from orthoglide.effects.wording import parameter_words
 from orthoglide.numerals import plain
+from orthoglide.progress import Progress, silent
+from orthoglide.report import report_files
 from orthoglide.report.first import MOST
 from orthoglide.report.page import Section
 from orthoglide.report.rendering import rendered
 from orthoglide.report.text import to_do
 from orthoglide.report.words import headline
-from orthoglide.text import sentence
-
-if TYPE_CHECKING:
-    from orthoglide.checking import Check
+from orthoglide.text import csv_text, sentence
 
 
 def changes_text(found: Check) -> str:
@@ -34,6 +34,18 @@ def changes_text(found: Check) -> str:
     if data["checks"]:
         parts += ["", f"{data['zeros']}:", *(f"- {text}" for text in data["checks"])]
     return "\n".join(parts)
+
+
+def check_files(found: Check, progress: Progress = silent) -> dict[str, str | bytes]:
+    """Return the files of a comparison's folder by name: the report of the new state, and what
+    changed as a table and a page.
+    """
+    rows = ((d.parameter, *(c.replace("−", "-") for c in d.cells)) for d in found.differences)
+    return {
+        **report_files(found.verdict, progress),
+        "changes.csv": csv_text(("parameter", *COLUMNS), rows),
+        "check.html": changes_page(found),
+    }
 
 
 def changes_page(found: Check) -> str:

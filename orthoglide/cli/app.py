@@ -1,0 +1,193 @@
+"""The group of commands: errors become exit codes, long work shows its progress."""
+
+from __future__ import annotations
+
+import errno
+import os
+import textwrap
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+import click
+
+from orthoglide import __version__
+from orthoglide.errors import InputError, OrthoglideError
+from orthoglide.progress import Progress, Step
+from orthoglide.text import brief, text_width
+
+BAD_INPUT, NUMERICS_FAILED, INTERRUPTED = 2, 3, 130  # 130: 128 + SIGINT, as shells have it
+_LONGEST = 1000  # characters of an error: file, line and remedy fit, a pasted file does not
+_SENTENCE = 200  # characters: no first sentence of a command's help is cut in the list
+_BETWEEN = 1.0  # seconds between two lines of progress where the error stream is a file
+
+
+class Refusal(click.ClickException):
+    """Ends a command with one sentence on the error stream.
+
+    Args:
+        message: the sentence.
+        exit_code: of the process.
+    """
+
+    def __init__(self, message: str, exit_code: int) -> None:
+        super().__init__(brief(" ".join(message.split()), _LONGEST))
+        self.exit_code = exit_code  # type: ignore[misc]
+
+    def show(self, file: IO[Any] | None = None) -> None:
+        """Print the sentence."""
+        click.echo(f"orthoglide: {self.message}", err=True)
+
+
+class Command(click.Command):
+    """A command that takes its machine file by itself as well as with ``--machine``."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the command line; a file that ends in .toml and is no option's value is the machine.
+
+        Raises:
+            InputError: if two machine files are given.
+        """
+        options = [p for p in self.params if isinstance(p, click.Option)]
+        valued = {name for p in options if not p.is_flag for name in p.opts}
+        if "--machine" not in {name for p in options for name in p.opts}:
+            return super().parse_args(ctx, args)
+        words = list[str]()
+        for before, word in zip(["", *args], args, strict=False):
+            if word.endswith(".toml") and not word.startswith("-") and before not in valued:
+                words.append("--machine")
+            words.append(word)
+        if sum(word.partition("=")[0] == "--machine" for word in words) > 1:
+            raise InputError(f"give one machine file to {ctx.info_name}, not several")
+        return super().parse_args(ctx, words)
+
+
+class Group(click.Group):
+    """A group that lists its commands in the order of the work, and reports the package's errors.
+
+    ``ORTHOGLIDE_TRACEBACK=1`` shows where an unexpected error was raised.
+    """
+
+    command_class = Command
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names in the order in which they were added."""
+        return list(self.commands)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write every command with the whole first sentence of its help."""
+        rows = [(name, one.get_short_help_str(_SENTENCE)) for name, one in self.commands.items()]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; what it raises becomes an exit code and one sentence."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            said = "nothing is left half written; measure and rehearse go on from their --out"
+            raise Refusal(f"interrupted: {said}", INTERRUPTED) from None
+        except OrthoglideError as error:
+            code = BAD_INPUT if isinstance(error, InputError) else NUMERICS_FAILED
+            raise Refusal(str(error), code) from error
+        except (click.ClickException, click.exceptions.Exit, click.Abort):
+            raise
+        except Exception as error:
+            broken_pipe = isinstance(error, OSError) and error.errno == errno.EPIPE
+            if broken_pipe or os.environ.get("ORTHOGLIDE_TRACEBACK"):
+                raise  # click ends quietly where the reader of a pipe has left
+            raise _unexpected(error) from error
+
+
+def _unexpected(error: Exception) -> Refusal:
+    """Return the sentence for an error that no function of the package raised on purpose."""
+    kind, text = type(error).__name__, brief(str(error), 200)
+    if isinstance(error, OSError):
+        reason = (error.strerror or text).lower()
+        return Refusal(f"the output cannot be written ({reason}): choose another place", BAD_INPUT)
+    if isinstance(error, ArithmeticError | MemoryError) or kind == "LinAlgError":
+        said = f"the numerics failed ({kind}: {text}): look for readings far from all others"
+        return Refusal(said, NUMERICS_FAILED)
+    return Refusal(
+        f"failed unexpectedly ({kind}: {text}), which is a fault of the program: "
+        "ORTHOGLIDE_TRACEBACK=1 shows where",
+        NUMERICS_FAILED,
+    )
+
+
+@click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="orthoglide")
+def cli() -> None:
+    """Find what is wrong with an Orthoglide from dial readings, and calibrate it.
+
+    Try `demo` first. At a machine print a sheet with `protocol`, or let `measure` ask for the
+    readings; then `close-loop` writes the report, and `check` compares after a repair.
+
+    A machine file (machine.toml) is given by itself or with --machine. --out names a new file or
+    folder; without it, the answer is only printed. --quiet prints the answer in one line.
+
+    Exit codes: 0 done, 2 bad input or usage, 3 the numerics failed, 130 interrupted.
+    """
+
+
+@contextmanager
+def progress(quiet: bool) -> Iterator[Progress]:
+    """Show steps on the error stream: a bar on a terminal, a line now and then in a file."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress as Bar, TextColumn, TimeElapsedColumn
+
+    console, began = Console(stderr=True), time.monotonic()
+    last = began
+
+    def line(step: Step) -> None:
+        nonlocal last
+        if not quiet and (now := time.monotonic()) - last >= _BETWEEN:
+            last = now
+            click.echo(f"{now - began:4.0f} s  {step}", err=True)
+
+    if quiet or not console.is_terminal:
+        yield line
+        return
+    columns = (BarColumn(24), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
+    with Bar(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("starting", total=100)
+
+        def show(step: Step) -> None:
+            done = step.begins if step.done is None else step.done
+            completed = max(done, bar.tasks[0].completed)
+            bar.update(task, description=str(step), completed=completed)
+
+        yield show
+
+
+def warn(sentences: Iterator[str] | tuple[object, ...]) -> None:
+    """Print warnings on the error stream, a line each."""
+    for sentence in sentences:
+        click.echo(f"warning: {sentence}", err=True)
+
+
+def deliver(text: str, files: Mapping[Path, str | bytes] | None = None) -> None:
+    """Write new files, all of them or none, and print an answer.
+
+    Raises:
+        FileError: if a file exists already or cannot be written.
+    """
+    from orthoglide.files import write_files
+
+    write_files(files or {})
+    click.echo(text)
+
+
+def wrapped(text: str) -> str:
+    """Return a text with lines broken between words where they are wider than the terminal."""
+    width = text_width()
+    return "\n".join(
+        textwrap.fill(
+            line, width, subsequent_indent=" " * (len(line) - len(line.lstrip(" -"))),
+            replace_whitespace=False, break_long_words=False, break_on_hyphens=False,
+        )
+        if len(line) > width else line
+        for line in text.split("\n")
+    )  # fmt: skip

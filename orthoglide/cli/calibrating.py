@@ -1,0 +1,372 @@
+"""From readings to values and causes: ``demo``, ``close-loop``, ``check``, ``rerun`` and others."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+import orthoglide.cli.options as opt
+from orthoglide.cli.app import cli, deliver, progress, warn, wrapped
+from orthoglide.errors import InputError, NumericsError
+from orthoglide.progress import Step
+
+if TYPE_CHECKING:
+    from orthoglide.result import Command, Request
+    from orthoglide.verdict import Verdict
+
+DEMO_FOLDER = "orthoglide-demo"
+DEMO_CAMPAIGN, DEMO_SECOND, DEMO_MACHINE = "experiment2.csv", "experiment3.csv", "made-up.toml"
+
+_WITHIN = 0.2
+"""Sigmas by which a repeated value may differ: a tenth of the 95 % half width."""
+_TINY = 1e-6
+"""Relative and, in the units of files, absolute difference that rounding explains."""
+
+_as_json = click.option("--json", "as_json", is_flag=True, help="Print result.json only.")
+_judges = opt.together(
+    opt.file("--holdout", "Readings that only judge the finished result."),
+    opt.file("--tcp", "Measured TCP points that only judge the finished result."),
+)
+_run_options = opt.together(
+    click.argument("campaigns", nargs=-1, type=opt.PATH),
+    opt.machine(),
+    opt.out(),
+    opt.names("--own", "Effects or parameters that each campaign has of its own."),
+    opt.file("--fit-tcp", "TCP points that are readings like the others; may be given several "
+             "times.", multiple=True),
+    click.option("--frame", type=click.Choice(("rigid", "translation", "none")), default="rigid",
+                 show_default=True,
+                 help="How the instrument of --fit-tcp may stand to the machine."),
+    opt.noise("from machine file, rows or repeats"),
+    opt.seed,
+    opt.quiet,
+    _as_json,
+)  # fmt: skip
+
+
+@cli.command()
+@opt.out(f"Folder for the results.  [default: {DEMO_FOLDER}]")
+@opt.seed
+@opt.quiet
+@_as_json
+def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
+    """Close the loop on the published Orthoglide (2008), and on a machine with a known fault.
+
+    The first machine is that of the papers, from its authors' own readings: what offsets and
+    lengths leave, the effects that may be behind it, the error before and after each is added, and
+    what would tell which it is. The second is made up, so that its fault is known: its dials are
+    simulated over a whole sweep, and the fault is found.
+
+    \b
+    Example:
+      orthoglide demo --out demo
+    """
+    from orthoglide.report import report_files, write_folder
+    from orthoglide.report.rows import if_it_were_so
+    from orthoglide.text import sentence
+    from orthoglide.verdict import run
+
+    folder = out or _next_free(Path(DEMO_FOLDER))
+    files, answers, results = dict[str, str | bytes](), list[str](), dict[str, Any]()
+    for name, (intro, request) in _demo_requests(seed, files).items():
+        with progress(quiet or as_json) as step:
+            result = run(request, step)
+            report = report_files(result, step)
+        files |= {f"{name}/{file}": content for file, content in report.items()}
+        results[name] = json.loads(report["result.json"])
+        verdict = f"Verdict {result.word}: {results[name]['summary']}"
+        lines = [intro, verdict]
+        lines += [f"If it were so: {text}" for text in if_it_were_so(result)]
+        lines += [f"What to do: {sentence(one.words)}" for one in result.actions[:1]]
+        lines += [_report(folder / name), ""]
+        answers.append(f"{name}: {result.word}" if quiet else "\n".join(lines))
+    write_folder(folder, files)
+    if as_json:
+        click.echo(json.dumps(results, indent=1, ensure_ascii=False))
+    else:
+        deliver((", " if quiet else "\n").join(answers).rstrip("\n"))
+
+
+def _next_free(path: Path) -> Path:
+    """Return the path, numbered if earlier results stand there."""
+    free, number = path, 1
+    while free.exists():
+        number += 1
+        free = path.with_name(f"{path.name}-{number}")
+    return free
+
+
+def _report(folder: Path, page: str = "report.html") -> str:
+    return f"Report: {click.format_filename(folder / page)}"
+
+
+def _demo_requests(seed: int, files: dict[str, str | bytes]) -> dict[str, tuple[str, Request]]:
+    """Return what each run of the demo is, and its request; what it starts from goes to files."""
+    from importlib.resources import as_file, files as packaged
+    from tempfile import TemporaryDirectory
+
+    from orthoglide.effects.wording import cause_words
+    from orthoglide.machine import Machine
+    from orthoglide.observations import campaign_text
+    from orthoglide.simulation import simulate
+    from orthoglide.verdict import requested
+
+    with as_file(packaged("orthoglide") / "data") as data:
+        worn = Machine.load(data / DEMO_MACHINE)
+        files[DEMO_MACHINE] = (data / DEMO_MACHINE).read_text("utf-8")
+        published = requested(
+            (data / DEMO_CAMPAIGN, data / DEMO_SECOND), own=worn.catalogue.held_as("zero"),
+            seed=seed,
+        )  # fmt: skip
+    (fault,) = (n for n in worn.values if worn.catalogue.effect_of(n).name not in
+                worn.catalogue.base)  # fmt: skip
+    campaign = simulate(worn, "sweep", seed=seed)
+    with TemporaryDirectory() as place:
+        sheet = Path(place) / "simulated.csv"
+        sheet.write_text(campaign_text(campaign, worn.spec), encoding="utf-8")
+        files[sheet.name] = sheet.read_text("utf-8")
+        simulated = requested(sheet, seed=seed)
+    hidden = cause_words(worn.catalogue, fault, worn.values)
+    return {
+        "published": (
+            "1. The machine of the papers, from the 24 averages that its authors published: "
+            "Experiments 2 and 3, between which new offsets were set.",
+            replace(published, command="demo"),
+        ),
+        "simulated": (
+            f"2. A machine made up, so that its fault is known: {hidden}. {len(campaign)} readings "
+            f"of a whole sweep were simulated and nothing else was given.",
+            simulated,
+        ),
+    }
+
+
+@cli.command("close-loop")
+@_run_options
+@_judges
+def close_loop(**options: Any) -> None:
+    """Calibrate, trace what is left beyond the noise to a cause, and write the report.
+
+    \b
+    Examples:
+      orthoglide close-loop april.csv --machine machine.toml --out april
+      orthoglide close-loop april.csv may.csv --holdout june.csv --out spring
+    """
+    _run("close-loop", **options)
+
+
+@cli.command()
+@_run_options
+@_judges
+def diagnose(**options: Any) -> None:
+    """Print the verdict of close-loop and all causes that were weighed.
+
+    \b
+    Example:
+      orthoglide diagnose april.csv --machine machine.toml
+    """
+    _run("diagnose", **options)
+
+
+@cli.command()
+@_run_options
+@opt.names("--free", "Effects or parameters to identify.  [default: zeros and bar lengths]")
+@opt.flag("--no-priors", "Do not use the tolerances as priors.")
+@opt.flag("--reduced", "Identify with the analytic reduction.")
+def identify(free: tuple[str, ...], no_priors: bool, reduced: bool, **options: Any) -> None:
+    """Identify joint offsets and leg lengths (or more) from campaigns of dial readings.
+
+    \b
+    Examples:
+      orthoglide identify april.csv --out april
+      orthoglide identify april.csv --fit-tcp tracker.tcp.csv --noise 0.004 --out spring
+    """
+    given: dict[str, Any] = {"priors": not no_priors, "reduced": reduced}
+    _run("identify", **options, asked=given | ({"free": free} if free else {}))
+
+
+def _run(
+    command: Command, *, campaigns: tuple[Path, ...], machine: opt.MachineOption, out: Path | None,
+    fit_tcp: tuple[Path, ...], quiet: bool, as_json: bool, asked: Mapping[str, Any] | None = None,
+    **given: Any,
+) -> None:  # fmt: skip
+    """Run a request, write its folder if there is one, and print what was found.
+
+    Raises:
+        InputError: if a file or an option cannot be used.
+    """
+    if not campaigns and not fit_tcp:
+        raise InputError("name at least one campaign, or TCP points with --fit-tcp")
+    with progress(quiet or as_json) as step:
+        step(Step("reading"))
+        from orthoglide.observations import read_tcp
+        from orthoglide.report import report_files, result_text, write_folder
+        from orthoglide.text import shown
+        from orthoglide.verdict import requested, run
+
+        known = machine.load()
+        points = (read_tcp(path, known.spec) for path in fit_tcp)
+        request = requested((*campaigns, *points), known, **given)
+        name = shown(machine.effects_file.name) if machine.effects_file else ""
+        result = run(replace(request, command=command, effects_file=name, **asked or {}), step)
+        files = {} if out is None else report_files(result, step)
+        answer = _answer(result, out, quiet)
+        text = (files.get("result.json") or result_text(result)) if as_json else ""
+    if out is not None:
+        write_folder(out, files)
+    if as_json:
+        click.echo(text if isinstance(text, bytes) else text.encode(), nl=False)
+    else:
+        deliver(answer)
+
+
+def _answer(result: Verdict, out: Path | None, quiet: bool) -> str:
+    """Return what was found, for the terminal, with where its files are."""
+    from orthoglide.report import summary
+    from orthoglide.report.words import meaning
+
+    if quiet:
+        return f"Verdict {result.word}: {meaning(result)}."
+    text, file = summary(result, result.request.command == "diagnose", "machine"), "calibrated.toml"
+    if out is not None:  # commands are typed where this is read, not in the folder
+        here = shlex.quote(click.format_filename(out / file))
+        return f"{text.replace(f'--machine {file}', f'--machine {here}')}\n\n{_report(out)}"
+    return text + (f"\n({file} is written with --out DIR.)" if file in text else "")
+
+
+@cli.command()
+@click.argument("states", nargs=-1, type=opt.PATH, metavar="OLD NEW")
+@opt.machine()
+@opt.out("Folder for the report; nothing is written if absent.")
+@opt.noise("that of the results, or from machine file, rows or repeats")
+@opt.seed
+@opt.quiet
+def check(
+    states: tuple[Path, ...], machine: opt.MachineOption, out: Path | None, noise: float | None,
+    seed: int, quiet: bool,
+) -> None:  # fmt: skip
+    """Tell what changed between two states of a machine: after a repair, or a year.
+
+    OLD and NEW are campaigns, or results (their folder or result.json), of which the readings and
+    the noise are taken.
+
+    \b
+    Examples:
+      orthoglide check before.csv after.csv --machine machine.toml
+      orthoglide check april/result.json after.csv --out repaired
+    """
+    if len(states) != 2:
+        raise InputError(
+            f"give OLD and NEW, two campaigns or results, not {len(states)}; a machine file has no "
+            f"readings: give the result.json beside it"
+        )
+    with progress(quiet) as step:
+        step(Step("reading"))
+        from orthoglide.checking import check as compare, states_of
+        from orthoglide.checking.told import changes_text, check_files
+        from orthoglide.fit import twice
+        from orthoglide.report import write_folder
+
+        given = None if machine.path is None else machine.load()
+        read = states_of(states[0], states[1], given, machine.effects)
+        noise = read.noise if noise is None else noise
+        found = compare(read.old, read.new, read.machine, noise=noise, seed=seed, progress=step)
+        files = {} if out is None else check_files(found, step)
+        answer = found.line if quiet else wrapped(changes_text(found))
+    warn(twice((*read.old, *read.new)))
+    if out is not None:
+        write_folder(out, files)
+        answer += "" if quiet else f"\n\n{_report(out, 'check.html')}"
+    deliver(answer)
+
+
+@cli.command()
+@click.argument("result", type=opt.PATH, metavar="result.json")
+@opt.file("--effects-file", "Python file with effects of your own, if the run had some.", "FILE.py")
+@opt.out("Folder for the new report; nothing is written if absent.")
+@opt.quiet
+def rerun(result: Path, effects_file: Path | None, out: Path | None, quiet: bool) -> None:
+    """Do a run again from the rows kept in its result, and compare verdict and values.
+
+    Exit code 0 if they are equal to rounding, or to 0.2 sigma if another version of the program
+    wrote the result; 3 if they are not.
+
+    \b
+    Examples:
+      orthoglide rerun april/result.json
+      orthoglide rerun april --out again
+    """
+    with progress(quiet) as step:
+        step(Step("reading"))
+        from orthoglide.files import inside
+        from orthoglide.report import report_files, result_text, write_folder
+        from orthoglide.result import read_result, request_of
+        from orthoglide.result.reading import EDITED, as_edited
+        from orthoglide.verdict import run
+
+        file = inside(result, "result.json")
+        old = read_result(file)
+        effects = opt.MachineOption(None, effects_file).effects
+        new = run(request_of(old, str(file), effects), step)
+        again = json.loads(result_text(new))
+        try:
+            different = list(differences(old, again))
+            changed = list(_changed_files(old, file.parent))
+        except EDITED as error:
+            raise as_edited(error, str(file)) from None
+        files = {} if out is None or different else report_files(new, step)
+    warn(tuple(f"{name} has changed since the run" for name in changed))
+    if different:
+        name = click.format_filename(file)
+        raise NumericsError(f"{name} is not reproduced: {'; '.join(different)}")
+    count = len(again["parameters"])
+    answer = f"The same numbers again, from the rows kept in the result: all {count} agree"
+    if within := _within(old, again):
+        answer += f" to {within:g} sigma, as an earlier state of the program wrote the result"
+    answer += "."
+    if out is not None:
+        write_folder(out, files)
+        answer += "" if quiet else f"\n{_report(out)}"
+    deliver(answer)
+
+
+def _within(old: Mapping[str, Any], new: Mapping[str, Any]) -> float:
+    """Return the sigmas by which values may differ: none where the same program wrote both."""
+    return 0.0 if old["version"] == new["version"] and old.keys() >= new.keys() else _WITHIN
+
+
+def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a phrase for each difference in verdict or values of two ``result.json``."""
+    if old.get("verdict") not in (None, new["verdict"]):
+        yield f"the verdict was {str(old['verdict'])[:40]!r} and is {new['verdict']!r}"
+    within = _within(old, new)
+    before, after = old["parameters"], new["parameters"]
+    for name in dict.fromkeys((*before, *after)):
+        if name not in after or name not in before:
+            yield f"{name[:40]} is {'gone' if name in before else 'new'}"
+            continue
+        one, other = before[name], after[name]
+        limit = max(within * one["sigma"], _TINY * max(1.0, abs(one["value"])))
+        if not abs(one["value"] - other["value"]) <= limit:
+            yield f"{name} was {one['value']:g} and is {other['value']:g} {one['unit']}"
+
+
+def _changed_files(result: Mapping[str, Any], folder: Path) -> Iterator[str]:
+    """Yield the name of each file that was read and has other content now, where it is found."""
+    from orthoglide.files import read_bytes, sha256
+
+    machine = result["machine"]
+    given = {i["file"]: i["sha256"] for i in result["inputs"]} | {
+        machine["file"]: machine["sha256"]
+    }
+    for name, digest in given.items():
+        places = (folder / name, folder.parent / name) if name and digest else ()
+        found = next((path for path in places if path.is_file()), None)
+        if found is not None and sha256(read_bytes(found)) != digest:
+            yield name

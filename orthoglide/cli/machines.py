@@ -1,0 +1,390 @@
+"""A machine file at work: kinematics, compensation, exports, comparison, view and imports."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import click
+
+import orthoglide.cli.options as opt
+from orthoglide.cli.app import Group, cli, deliver, progress, warn
+from orthoglide.errors import FileError, InputError, UnreachableError
+from orthoglide.progress import Step
+from orthoglide.text import csv_text
+
+if TYPE_CHECKING:
+    from orthoglide.firmware.imported import Imported
+    from orthoglide.geometry import Array
+    from orthoglide.machine import Machine
+
+_force = opt.flag("--force", "Even where the verdict says not to act on the numbers.")
+
+
+@cli.command()
+@click.argument("path", type=opt.PATH, metavar="PATH.csv")
+@opt.machine(required=True)
+@opt.out_file("File to write; else the commands are printed.", "COMMANDS.csv")
+@click.option("--load", "load_N", type=click.FloatRange(0, 1e4), default=0.0, metavar="N",
+              show_default=True, help="Weight at the TCP.")  # fmt: skip
+@click.option("--warming", type=click.FloatRange(-100, 100), default=0.0, metavar="K",
+              show_default=True, help="Kelvin above the calibration's first "
+                   "reading.")  # fmt: skip
+@_force
+def compensate(
+    path: Path, machine: opt.MachineOption, out: Path | None, load_N: float, warming: float,
+    force: bool,
+) -> None:  # fmt: skip
+    """Turn a path of TCP points into joint commands that reach them on the real machine.
+
+    PATH.csv has the columns p_x_mm, p_y_mm, p_z_mm; its rows are gone through in their order, as
+    lost motion depends on it.
+
+    \b
+    Example:
+      orthoglide compensate path.csv --machine april/calibrated.toml --out commands.csv
+    """
+    from orthoglide import control
+
+    if not math.isfinite(load_N + warming):
+        raise InputError("give --load from 0 to 10000 N and --warming within 100 K")
+    points, known = control.read_path(path), machine.load()
+    try:
+        found = control.compensate(known, points.p, load=load_N, warming=warming, force=force)
+    except UnreachableError as error:
+        line = points.line[error.index[0]] if error.index else None
+        raise FileError(str(error), file=points.file, line=line) from error
+    warn(points.warnings)
+    _table(control.commands_text(found), out, str(found))
+
+
+def _table(text: str, out: Path | None, answer: str) -> None:
+    """Write a table and say what it is; or print it, and say it on the error stream."""
+    if out is not None:
+        deliver(f"{click.format_filename(out)}: {answer}", {out: text})
+        return
+    click.echo(text, nl=False)
+    click.echo(answer, err=True)
+
+
+@cli.command()
+@opt.machine(required=True)
+@opt.flag("--zeros-only", "For a controller that takes nothing but zeros.")
+@_force
+@opt.out("Folder for the files; else the controller's numbers are printed.")
+def export(machine: opt.MachineOption, zeros_only: bool, force: bool, out: Path | None) -> None:
+    """Write what other programs take of a calibrated machine.
+
+    The controller's numbers with the sign rule written out (controller.txt and .json), and the
+    calibrated URDF with its loop closures.
+
+    \b
+    Example:
+      orthoglide export --machine april/calibrated.toml --out controller
+    """
+    from orthoglide.control import export_files
+    from orthoglide.report import write_folder
+
+    known = machine.load()
+    if zeros_only and known.spec.printer is not None:
+        raise InputError(
+            "--zeros-only has no effect: the firmware of this machine takes all its numbers or none"
+        )
+    files = export_files(known, zeros_only=zeros_only, force=force)
+    if out is None:
+        deliver(files["controller.txt"].rstrip("\n"))
+        return
+    write_folder(out, files)
+    deliver(f"written: {click.format_filename(out)}")
+
+
+@cli.command()
+@opt.machine()
+@opt.out("Folder for tables and figures; nothing is written if absent.")
+@opt.names("--effects", "Effects or parameters to compare; the whole catalogue if absent.")
+@opt.flag("--no-figures", "Tables only.")
+@opt.quiet
+def compare(
+    machine: opt.MachineOption, out: Path | None, effects: tuple[str, ...], no_figures: bool,
+    quiet: bool,
+) -> None:  # fmt: skip
+    """Tell when the simplified model is good enough: every effect at its tolerance.
+
+    For each effect, and for the machine of --machine with all it was identified to have, the six
+    parameters of the simplified model are fitted to the general mechanism; what is left is shown
+    at the TCP over the workspace and, on an Orthoglide, in the readings of a sweep.
+
+    \b
+    Example:
+      orthoglide compare --machine april/calibrated.toml --out comparison
+    """
+    from orthoglide.comparison import compare_effects, compare_machine, worst_by_effect
+    from orthoglide.comparison.files import comparison_files
+    from orthoglide.report import write_folder
+
+    known = machine.load()
+    with progress(quiet) as step:
+        step(Step("computing", "comparing effects"))
+        rows = compare_effects(known, effects or None)
+        whole = compare_machine(known) if any(known.values.values()) else ()
+        worst = (*whole[:1], *worst_by_effect(rows))
+        if out is not None:
+            figures = () if no_figures else worst
+            write_folder(out, comparison_files(known, whole, rows, figures, step))
+    good = sum(row.good_enough for row in worst)
+    written = "" if out is None else f"\nwritten: {click.format_filename(out)}"
+    line = f"The simplified model is good enough for {good} of {len(worst)}."
+    deliver(line if quiet else "\n".join(map(str, worst)) + written)
+
+
+class _Coordinate(click.ParamType):
+    """A number, or what looks like an option and is none."""
+
+    name = "float"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        """Return millimetres."""
+        try:
+            return float(value)
+        except ValueError:
+            if str(value).startswith("-"):
+                raise click.NoSuchOption(str(value), ctx=ctx) from None
+            self.fail(f"{value!r} is not a number.", param, ctx)
+
+
+def _kinematics(metavar: str) -> opt.Decorator:
+    return opt.together(
+        # Coordinates may begin with a minus sign, which would else be read as options.
+        cli.command(context_settings={"ignore_unknown_options": True}),
+        click.argument("numbers", nargs=-1, type=_Coordinate(), metavar=f"[{metavar}]"),
+        opt.machine(),
+        opt.file("--csv", "Rows to compute, in place of numbers.", "CSV"),
+        opt.out_file("With --csv: file to write; else the rows are printed.", "CSV"),
+    )
+
+
+@_kinematics("COMMAND COMMAND COMMAND")
+def forward(**given: Any) -> None:
+    """TCP of commands: three joint coordinates in mm, or a CSV of rho_*_mm or travel_*_mm, with
+    approach_* where it is known.
+
+    Mechanical zero of the nominal machine is 310.25 310.25 310.25, where the TCP is 0 0 0. Machines
+    of another layout are commanded by travel from mechanical zero, there 0 0 0.
+
+    \b
+    Examples:
+      orthoglide forward 310.25 310.25 310.25
+      orthoglide forward --csv commands.csv --out points.csv --machine april/calibrated.toml
+    """
+    _compute(True, **given)
+
+
+@_kinematics("P_X P_Y P_Z")
+def inverse(**given: Any) -> None:
+    """Commands for a TCP: three coordinates in mm, or a CSV of p_x_mm, p_y_mm, p_z_mm.
+
+    With a calibrated machine file these are the commands that bring the real TCP to the point.
+
+    \b
+    Example:
+      orthoglide inverse 10 0 -5 --machine april/calibrated.toml
+    """
+    _compute(False, **given)
+
+
+def _compute(
+    to_tcp: bool, *, numbers: tuple[float, ...], machine: opt.MachineOption, csv: Path | None,
+    out: Path | None,
+) -> None:  # fmt: skip
+    """Print the TCP of commands, or the reverse; or write it behind the rows of a file.
+
+    Raises:
+        InputError: if a number is missing or out of reach, naming file and line.
+    """
+    import numpy as np
+
+    if (csv is None) == (not numbers) or (out is not None and csv is None):
+        raise InputError("give either three numbers in mm, or --csv with the rows to compute")
+    known = machine.load()
+    if csv is None:
+        if len(numbers) != 3 or not np.isfinite(numbers).all():
+            raise InputError("give exactly three finite numbers, in mm")
+        found = _solved(to_tcp, known, np.array([numbers]) * 1e-3, _refuse)
+        click.echo(" ".join(map(_number, found[0])))
+        return
+    from orthoglide.observations.columns import own_commands, stated_commands
+    from orthoglide.observations.schema import APPROACH, POINT
+    from orthoglide.observations.table import read_table
+
+    rows, layout = read_table(csv), known.geometry.layout.names
+    given, sought = replace(POINT, empty=None), own_commands(layout)
+    if to_tcp:
+        given, sought = stated_commands(rows, known.spec), POINT
+    names, new = given.names(layout.legs), sought.names(layout.legs)
+    rows.check_names((*names, *(n for n in rows.names if n not in names)), names)
+    seen = {}
+    if set(APPROACH.names(layout.legs)) <= set(rows.names):
+        seen["approach"] = rows.array(APPROACH, layout.legs)
+    travelled = names[0].startswith("travel")
+    found = _solved(to_tcp, known, rows.array(given, layout.legs), rows.fail, travelled, **seen)
+    if new[0].startswith("travel"):
+        found = known.spec.controller.from_rho(found, known.geometry)
+    if set(new) & set(rows.names):  # what was wanted stays beside what is found
+        new = tuple(f"computed_{name}" for name in new)
+    wider = ([*row, *map(_number, more)] for row, more in zip(rows.rows, found, strict=True))
+    text = csv_text((*rows.names, *new), wider)
+    if out is None:
+        click.echo(text, nl=False)
+    else:
+        deliver(f"{click.format_filename(out)}: {len(found)} rows", {out: text})
+
+
+def _solved(
+    to_tcp: bool, machine: Machine, given: Array, fail: Callable[[str, int | None], NoReturn],
+    travelled: bool = False, **seen: Array,
+) -> Array:  # fmt: skip
+    """Return the TCP of commands ``(n, 3)`` in metres, ``travelled`` if they are the controller's
+    values; or the reverse. ``seen`` is how each drive arrives, where it is known.
+    """
+    import numpy as np
+
+    from orthoglide.observations.checks import STROKE_SLACK, check_commands
+
+    if to_tcp:
+        return machine.forward(check_commands(given, travelled, machine.spec, fail), **seen)
+    rho, geometry = machine.inverse(given, **seen), machine.geometry
+    outside = np.argwhere(~geometry.in_stroke(rho, STROKE_SLACK))
+    if len(outside):
+        row, axis = outside[0]
+        low, high = ((geometry.zero[axis] + limit) * 1e3 for limit in geometry.stroke)
+        fail(
+            f"the point needs carriage {geometry.leg_names[axis]} at "
+            f"{rho[row, axis] * 1e3:.6f} mm, outside its stroke of {low:g} to {high:g} mm: "
+            "give a point nearer to the middle",
+            int(row),
+        )
+    return rho
+
+
+def _refuse(message: str, row: int | None) -> NoReturn:
+    raise InputError(message)
+
+
+def _number(metres: float) -> str:
+    return f"{metres * 1e3:z.6f}"
+
+
+@cli.command()
+@opt.machine()
+@click.option("--magnify", type=float, default=1.0, show_default=True, metavar="X",
+              help="Factor by which errors are enlarged.")  # fmt: skip
+@opt.out_file("Write a page that needs no network, and open no viewer.", "FILE.html")
+@opt.flag("--no-open", "Print the viewer's address, and open no browser.")
+def view(machine: opt.MachineOption, magnify: float, out: Path | None, no_open: bool) -> None:
+    """Show a machine in three dimensions.
+
+    It stands at mechanical zero, and its controls move the tool along x, y and z. What depends on
+    approach, time, temperature or load is drawn after a move outward, an hour later, 10 K warmer,
+    under 10 N. The viewer is meshcat: pip install orthoglide[viewer].
+
+    \b
+    Examples:
+      orthoglide view
+      orthoglide view april/calibrated.toml --magnify 50 --out april.html
+    """
+    from orthoglide.pictures import SHOWN
+    from orthoglide.viewer import Magnified, show, static_page
+
+    opt.exclude("out", "no_open", because="a page is written, and no viewer is opened")
+    known = machine.load()
+    zero, drawn = known.geometry.zero, Magnified(known.model, known.values, SHOWN, magnify)
+    with redirect_stdout(StringIO()):  # meshcat prints the address of its server
+        viewer = show(drawn, zero, open_browser=out is None and not no_open)
+    off = known.forward(zero, **SHOWN) - known.with_only({}).forward(zero)
+    size = ", ".join(f"{1e3 * v + 0.0:.3f}" for v in off)
+    scale = "true to scale" if magnify == 1 else f"errors {magnify:g} times as large"
+    said = f"{scale}; its errors put the tool {size} mm off in x, y and z"
+    said = said if known.values else "without errors"
+    if out is not None:
+        page = static_page(viewer, drawn, known.spec.title)
+        deliver(f"{click.format_filename(out)}: the machine, {said}", {out: page})
+        return
+    deliver(f"{viewer.viewer.url()} shows the machine, {said}")
+    click.pause("Press a key to end the viewer.")  # at once where nobody is at a terminal
+
+
+@cli.group("import", cls=Group)
+def import_() -> None:
+    """Machine file and readings from what a firmware stored."""
+
+
+@import_.command()
+@click.argument("config", type=opt.PATH)
+@opt.out("Folder for machine.toml and the campaigns; must be new or empty.", required=True)
+@opt.pairs("--turned", "Meshes by name, and how far the plate lay turned on its seat when it was "
+           "probed, counter-clockwise from above.", "NAME=DEGREES,...")  # fmt: skip
+def klipper(config: Path, out: Path, turned: opt.Pairs) -> None:
+    """Read a linear delta's printer.cfg: its numbers, heights, distances and meshes.
+
+    \b
+    Example:
+      orthoglide import klipper printer.cfg --out printer
+    """
+    from orthoglide.add_ons import add_on
+    from orthoglide.machine_file import machine_files
+
+    found = add_on("klipper").read(config, turned=dict(turned))
+    _write(found, out, dict(machine_files(found.machine, "machine.toml")), out / "machine.toml")
+
+
+@import_.command()
+@click.argument("points", metavar="FILE", type=opt.PATH)
+@opt.machine(required=True)
+@opt.out("Folder for the campaigns; must be new or empty.", required=True)
+def plates(points: Path, machine: opt.MachineOption, out: Path) -> None:
+    """Read a list of a plate's points: a heightmap.csv, lines 'Bed X: Y: Z:', or x, y, z.
+
+    \b
+    Example:
+      orthoglide import plates heightmap.csv --machine machine.toml --out plate
+    """
+    from orthoglide.firmware.plate_lists import import_plates
+
+    file = machine.path or Path("machine.toml")  # which is required
+    _write(import_plates(points, machine.load().spec), out, {}, file)
+
+
+def _write(found: Imported, out: Path, files: dict[str, str | bytes], machine: Path) -> None:
+    """Write what was imported, and print what it is and what to run with the files that go
+    together; with each alone where that is not known.
+    """
+    from orthoglide.observations import campaign_text
+    from orthoglide.report import write_folder
+
+    def command(*names: str) -> str:
+        campaigns = " ".join(f"{click.format_filename(out)}/{name}.csv" for name in names)
+        file = click.format_filename(machine)
+        return f"orthoglide close-loop {campaigns} --machine {file} --out OUT"
+
+    lines = list[str]()
+    for campaign in found.campaigns:
+        files[f"{campaign.name}.csv"] = campaign_text(campaign, found.machine)
+        what = ", ".join(f"{setup.name} ({setup.kind})" for setup in campaign.setups)
+        lines.append(f"{campaign.name}.csv: {len(campaign)} readings: {what}")
+    left = [f"{c.name}.csv" for c in found.campaigns if c.name not in found.together]
+    if not left:
+        lines.append(f"\nNext: {command('*')}")
+    elif found.together:
+        lines.append(f"\nNext, without {', '.join(left)}: probe again, or for now")
+        lines.append(command(*found.together))
+    else:
+        lines.append("\nThese files must not go together. Next, probe again, or take one alone:")
+        lines += [command(campaign.name) for campaign in found.campaigns]
+    write_folder(out, files)
+    warn(found.notes)
+    deliver("\n".join(lines))

@@ -1,0 +1,351 @@
+"""Which readings to take and taking them: ``protocol``, ``design``, ``measure`` and others."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+import orthoglide.cli.options as opt
+from orthoglide.cli.app import cli, deliver, progress, warn, wrapped
+from orthoglide.errors import FileError, InputError
+from orthoglide.progress import Step
+from orthoglide.text import shown, text_width
+
+if TYPE_CHECKING:
+    from orthoglide.machine import Machine
+    from orthoglide.observations import Readings
+
+_COUNT = 24  # readings of a design, as many as the published campaigns have
+_kind = click.option(
+    "--kind", type=click.Choice(opt.PROTOCOLS), default="standard", show_default=True,
+    help="Zero, Max and Min; the stroke in steps, both ways; the same at two places of a leg; two "
+         "dials on a leg at a time, whose difference is read at Zero, Max and Min.",
+)  # fmt: skip
+_owns = ("leg (dials), parallelism, tcp, plate, distance, ballbar, incline", "KIND,...")
+
+
+def _dial_sheet(path: Path, machine: Machine, otherwise: str) -> Readings:
+    """Return a measuring sheet of single dials on legs, filled in or not.
+
+    Raises:
+        FileError: if it has other readings; ``otherwise`` says what to do with them.
+    """
+    from orthoglide.observations import read_readings
+
+    sheet = read_readings(path, machine.spec, require_readings=False)[-1]
+    others = dict.fromkeys(s.kind for s in sheet.setups if s.observation.dials != 1)
+    if others:
+        what = "readings at the tool" if sheet.of_tool else "readings of two dials at a time"
+        raise FileError(f"holds {what} ({', '.join(others)}): {otherwise}", file=shown(path))
+    return sheet
+
+
+def _sheet_files(
+    path: Path, sheet: Readings, machine: Machine
+) -> tuple[dict[Path, str], tuple[str, ...]]:
+    """Return a measuring sheet and the page to print beside it, and a line on each."""
+    from orthoglide.observations import campaign_text
+    from orthoglide.report.sheet import sheet_page
+
+    page = path.with_suffix(".html")
+    page = page if page != path else path.with_name(f"{path.name}.html")
+    page_text = sheet_page(sheet, machine, shown(path.name))
+    return {path: campaign_text(sheet, machine.spec), page: page_text}, (
+        f"{click.format_filename(path)}: {len(sheet)} readings in {len(sheet.setups)} setups, to "
+        f"be filled in as reading_mm; {len(sheet.moves)} rows are moves: go there, read nothing",
+        f"{click.format_filename(page)}: the same rows to print and carry to the machine",
+    )
+
+
+@cli.command()
+@_kind
+@opt.machine()
+@opt.out_file("File to write, with a page to print beside it; else rows are printed.", "SHEET.csv")
+def protocol(kind: str, machine: opt.MachineOption, out: Path | None) -> None:
+    """Write a measuring sheet: every row but the reading, and the same rows as a page to print.
+
+    \b
+    Example:
+      orthoglide protocol --kind sweep --machine machine.toml --out sheet.csv
+    """
+    from orthoglide.observations import campaign_text, protocol as make
+
+    known = machine.load()
+    sheet = make(kind, known.geometry)  # type: ignore[arg-type]
+    if out is None:
+        click.echo(campaign_text(sheet, known.spec), nl=False)
+        return
+    files, written = _sheet_files(out, sheet, known)
+    deliver("\n".join(written), files)
+
+
+@cli.command()
+@opt.machine(required=True)
+@opt.pairs("--error", "More errors of the machine, in the units of files.", "NAME=NUMBER,...")
+@opt.out_file("Readings to write; else they are printed.", "CSV")
+@_kind
+@opt.file("--sheet", "Rows to be read in place of a protocol's; of any instruments.", "SHEET.csv")
+@opt.seed
+@opt.noise(least=0.0)
+@click.option("--exact", is_flag=True,
+              help="No noise, no rounding, dials exactly in place, datums zero.")  # fmt: skip
+@opt.file("--tcp", "Also write 60 exact TCP points, to judge by.", "TCP.csv")
+def simulate(
+    machine: opt.MachineOption, error: opt.Pairs, out: Path | None, kind: str, sheet: Path | None,
+    seed: int, noise: float | None, exact: bool, tcp: Path | None,
+) -> None:  # fmt: skip
+    """Measure a machine that exists as a file only: a campaign of its readings.
+
+    Each dial has its own datum and stands up to some placement error off its place, each instrument
+    at the tool has its own datum and frame; readings are noisy and rounded to their resolution.
+
+    \b
+    Example:
+      orthoglide simulate --machine bent.toml --kind sweep --seed 1 --out bent.csv
+    """
+    import numpy as np
+
+    from orthoglide import simulation
+    from orthoglide.observations import csv_text, protocol, read_readings, readings_text, tcp_rows
+
+    opt.exclude("sheet", "kind", because="a sheet has rows of its own")
+    opt.exclude("exact", "noise", because="exact readings have none")
+    if tcp is not None and out is not None and tcp.resolve() == out.resolve():
+        raise InputError(f"--out and --tcp are both {str(tcp)!r}: give each a name of its own")
+    plain = machine.load()
+    given = opt.in_si("--error", error, plain.catalogue)
+    bent, draw = plain.with_parameters(given), np.random.default_rng(seed)
+    sheets = (
+        (protocol(kind, bent.geometry),)  # type: ignore[arg-type]
+        if sheet is None
+        else read_readings(sheet, bent.spec, require_readings=False)
+    )
+    plain.catalogue.expand(given, [s.name for one in sheets for s in one.setups])
+    filled = [simulation.simulate(bent, s, noise=noise, seed=draw, exact=exact) for s in sheets]
+    text = readings_text(filled, None if bent.geometry.dialled else bent.spec)
+    files = {} if out is None else {out: text}
+    if tcp is not None:
+        points = simulation.simulate_tcp(bent, seed=draw)
+        points = points.with_readings(np.round(points.reading, 9))
+        files[tcp] = csv_text(tcp_rows(points, bent.spec))
+    unshown = simulation.unshown(bent, *filled).items()
+    counts = [f"{click.format_filename(p)}: {t.count(chr(10)) - 1} rows" for p, t in files.items()]
+    deliver(text.rstrip("\n") if out is None else "\n".join(counts), files)
+    warn(tuple(f"{name} changes no reading, as {lacking}" for name, lacking in unshown))
+
+
+@cli.command()
+@opt.file("--out", "Readings to write, or to go on with.", "CAMPAIGN.csv", required=True)
+@opt.machine()
+@opt.file("--sheet", "Measuring sheet to read first; its own if absent.", "SHEET.csv")
+@click.option("--most", type=click.IntRange(2), default=126, show_default=True,
+              help="Readings after which no more are asked for.")  # fmt: skip
+def measure(out: Path, machine: opt.MachineOption, sheet: Path | None, most: int) -> None:
+    """Ask for one reading after another at the machine, until the verdict is settled.
+
+    Says where each dial stands and where to go, takes what is typed or sent to its standard input
+    (12.34, 12,34, 340 um; skip, undo, quit, ?), says at once when a reading cannot be or does not
+    agree with its repeats, and asks next for the readings that the verdict suggests. Every
+    reading is on the disk before the next question; the same command goes on where it was.
+
+    The verdict is settled when no significant lack of fit is left and no suggested readings would
+    separate two explanations by two standard deviations; that nothing is wrong is believed after 90
+    readings.
+
+    \b
+    Examples:
+      orthoglide measure --machine machine.toml --out april.csv
+      orthoglide measure --sheet sheet.csv --out april.csv
+    """
+    from orthoglide.measuring import Record, Session, Stopped
+    from orthoglide.report import summary
+
+    known, name = machine.load(), click.format_filename(out)
+    otherwise = "measure asks for dials on legs; fill it in and give it to close-loop"
+    first = None if sheet is None else _dial_sheet(sheet, known, otherwise)
+    record = Record(out, known.spec)
+    try:
+        end = Session(known, record, _ask, deliver, sheet=first, most=most).run()
+    except Stopped:
+        count = f"{record.readings} reading" + "s" * (record.readings != 1)
+        deliver(f"Stopped with {count} in {name}: the same command goes on from there.")
+        return
+    deliver(
+        f"{'Settled' if end.settled else 'Not settled'} after {end.readings} readings: "
+        f"{end.reason}.\n\n{summary(end.verdict, said='machine')}\n\nThe report: orthoglide "
+        f"close-loop {name}{machine.words} --out {click.format_filename(out.stem)}"
+    )
+
+
+def _ask(question: str) -> str:
+    """Put a question; return what is typed, or comes next on standard input."""
+    if sys.stdin.isatty():
+        return input(question)
+    click.echo(question)
+    if not (answer := sys.stdin.readline()):
+        raise EOFError
+    return answer
+
+
+@cli.command()
+@click.argument("sheets", nargs=-1, type=opt.PATH, metavar="[SHEET.csv ...]")
+@opt.machine()
+@opt.out_file("Measuring sheet to write; for dials with a page to print.", "SHEET.csv")
+@opt.names("--free", "Effects or parameters it is for.  [default: zeros and bar lengths; with "
+           "--criterion discriminate all that a design can show]")  # fmt: skip
+@click.option("--count", type=int, help="Readings to choose.  [default: 24; all with --owns]")
+@click.option("--criterion", type=click.Choice(("d-optimal", "discriminate")), default="d-optimal",
+              show_default=True, help="To identify what is free as well as can be, or to tell "
+                   "effects apart.")  # fmt: skip
+@opt.pairs("--want", "Accuracies wanted, in the units of files, TCP=0.01 among them: how often to "
+           "repeat.", "NAME=SIGMA,...")  # fmt: skip
+@opt.names("--owns", f"Instruments that you have ({_owns[0]}): what they would tell together, and "
+           "with --out a sheet; with --count as many of the tool's readings as tell most "
+           "together.", _owns[1])  # fmt: skip
+@opt.flag("--detect", "Also tell the smallest effects found and named.")
+@opt.noise()
+@opt.seed
+@opt.quiet
+def design(
+    sheets: tuple[Path, ...], machine: opt.MachineOption, out: Path | None, free: tuple[str, ...],
+    count: int | None, criterion: str, want: opt.Pairs, owns: tuple[str, ...], detect: bool,
+    noise: float | None, seed: int, quiet: bool,
+) -> None:  # fmt: skip
+    """Choose readings before any is taken, and compare protocols and sheets by what they see.
+
+    \b
+    Examples:
+      orthoglide design --machine machine.toml --count 24 --out sheet.csv
+      orthoglide design sheet.csv --want TCP=0.02 --detect
+      orthoglide design --owns plate,distance --machine machine.toml --out sheet.csv
+    """
+    from orthoglide import planning, prospects
+    from orthoglide.planning.wording import index_rows, pair_rows, repeats_row
+    from orthoglide.prospects.wording import detectable_rows
+
+    opt.exclude(
+        "owns", "sheets", "free", "criterion", "want", "detect", "noise",
+        because="every instrument has a sheet and a noise of its own, and its smallest effects "
+        "are told anyway",
+    )  # fmt: skip
+    known = machine.load()
+    if owns:
+        _design_for(owns, known, count, out, seed, quiet)
+        return
+    count, most = _COUNT if count is None else count, len(planning.reading_pool(known.geometry))
+    if count > most:
+        raise InputError(f"there are {most} readings to choose from: give --count {most} or less")
+    wanted = opt.in_si("--want", want, known.catalogue)
+    with progress(quiet) as step:
+        step(Step("computing", "choosing readings"))
+        found = planning.design(known, free or None, count, criterion, noise=noise)  # type: ignore[arg-type]
+        step(Step("computing", "comparing"))
+        several = dict(_compared(known, sheets))
+        rows = [(name, planning.observability(known, one, found.names, noise))
+                for name, one in several.items()]  # fmt: skip
+        lines = [*index_rows([*rows, ("design", found.indices)]), *pair_rows(found)]
+        several["design"] = found.campaign
+        for name, one in several.items():
+            lines += [f"{name}: {warning}" for warning in planning.aliasing(known, one)]
+        for name, one in several.items():
+            for what, sigma in wanted.items():
+                step(Step("computing", f"how often to repeat {name}"))
+                answer = planning.repeats_needed(known, one, found.names, what, sigma, noise)
+                lines.append(f"{name}, {repeats_row(answer, known.catalogue)}")
+        for name, one in several.items() if detect else ():
+            step(Step("computing", f"smallest effects: {name}"))
+            smallest = prospects.smallest_effects(known, one, noise=noise, seed=seed)
+            lines += ["", f"{name}:", *detectable_rows(smallest, text_width())]
+        files, written = ({}, ()) if out is None else _sheet_files(out, found.campaign, known)
+    seen = f"{found.indices.rank} of {found.indices.unknowns} unknowns"
+    line = f"{len(found.campaign)} readings show {seen}."
+    deliver(line if quiet else wrapped("\n".join([*lines, *written])), files)
+
+
+def _compared(machine: Machine, paths: tuple[Path, ...]) -> Mapping[str, Readings]:
+    """Return the sheets given by name, or the protocols that there are."""
+    from orthoglide.observations import protocol
+
+    otherwise = (
+        "design --owns says what its instruments tell, and rehearse --sheet how often it would "
+        "find what is wrong"
+    )
+    if paths:
+        read = [_dial_sheet(path, machine, otherwise) for path in paths]
+        return {sheet.name: sheet for sheet in read}
+    return {kind: protocol(kind, machine.geometry) for kind in opt.DIAL_PROTOCOLS}  # type: ignore[arg-type]
+
+
+def _design_for(
+    owns: tuple[str, ...], machine: Machine, count: int | None, out: Path | None, seed: int,
+    quiet: bool,
+) -> None:  # fmt: skip
+    """Print the smallest effects that instruments detect, and write a sheet of the tool's."""
+    from orthoglide.observations import readings_text
+    from orthoglide.planning import sheets_of, to_fill_in
+    from orthoglide.prospects import TAKEN_BY, smallest_effects
+    from orthoglide.prospects.wording import detectable_rows
+
+    with progress(quiet) as step:
+        step(Step("computing", "what the instruments would tell"))
+        owned = sheets_of(machine, owns, count)
+        found = smallest_effects(machine, list(owned.values()), seed=seed)
+    listed = ", ".join(f"{TAKEN_BY[k]} ({len(s)})" for k, s in owned.items())
+    lines = [f"with {listed}:", *detectable_rows(found, text_width())]
+    files = dict[Path, str]()
+    if out is not None:
+        sheets, placed = to_fill_in(owned.values()), machine.spec.kinematics is not None
+        if not sheets:
+            raise InputError("dials alone have sheets of their own: orthoglide protocol")
+        files[out] = readings_text(sheets, machine.spec, places=True)
+        moves = sum(len(sheet.moves) for sheet in sheets)
+        between = f"; rows of kind move ({moves}): go there, read nothing" if moves else ""
+        lines += ["", f"{click.format_filename(out)}: {sum(map(len, sheets))} readings of the "
+                      f"tool, to be filled in{between}"]  # fmt: skip
+        if placed:
+            lines.append("Send the tool to x_mm, y_mm, z_mm, with its numbers as they are.")
+        for one in (sheet.setups[0].observation for sheet in sheets):
+            lines.append(f"{one.words}: {(one.fill_place if placed else '') or one.fill}.")
+    hidden = len(found.invisible)
+    line = f"{len(found.by_effect)} effects are seen, {hidden} parameters are not visible."
+    deliver(line if quiet else wrapped("\n".join(lines)), files)
+
+
+@cli.command()
+@opt.machine()
+@opt.file("--sheet", "Measuring sheet; the protocol sweep if absent, or a probe on a plate where "
+          "no dial stands on a leg.", "SHEET.csv")  # fmt: skip
+@opt.names("--owns", f"In place of a sheet, readings you can take: {_owns[0]}.", _owns[1])
+@click.option("--campaigns", type=int, default=90, show_default=True, help="How many to simulate.")
+@opt.seed
+@click.option("--jobs", type=int, default=-1, metavar="N",
+              help="Processes side by side.  [default: one for every processor]")  # fmt: skip
+@opt.file("--out", "Folder for finished campaigns and the table; a run that was stopped goes on "
+          "from there.", "DIR")  # fmt: skip
+@opt.quiet
+def rehearse(
+    machine: opt.MachineOption, sheet: Path | None, owns: tuple[str, ...], campaigns: int,
+    seed: int, jobs: int, out: Path | None, quiet: bool,
+) -> None:  # fmt: skip
+    """Simulate campaigns on machines like yours, and count what your sheet would find.
+
+    Machines are drawn by the dimensions and tolerances of the machine file: with nothing wrong but
+    zeros and lengths, with one effect at 3 to 10 tolerances, with something that no catalogue
+    knows, and with everything off by a share f of its tolerance.
+
+    \b
+    Examples:
+      orthoglide rehearse --machine machine.toml --sheet sheet.csv --out rehearsal
+      orthoglide rehearse --owns plate,incline --campaigns 900
+    """
+    from orthoglide.rehearsal import rehearse as run
+
+    known = machine.load()
+    with progress(quiet) as step:
+        found = run(known, sheet, campaigns, owns=owns, seed=seed, out=out, progress=step,
+                    jobs=jobs)  # fmt: skip
+    deliver(found.line if quiet else str(found))
