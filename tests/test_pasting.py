@@ -12,7 +12,7 @@ import pytest
 import orthoglide as og
 from orthoglide.add_ons import Corrections
 from orthoglide.closing import Closed, filled
-from orthoglide.explanation.rest import rest_by_setup
+from orthoglide.explanation.residuals import residual_by_setup
 from orthoglide.firmware.klipper import Imported, import_printer
 from orthoglide.firmware.klipper.new_numbers import left_of, why_not
 from orthoglide.firmware.klipper.numbers import Numbers
@@ -200,7 +200,7 @@ def test_places_to_read_again_are_the_firmware_s() -> None:
     estimate = og.identify([found.campaigns[0]], Machine(found.machine))
     firmware = found.machine.printer.numbers
     assert firmware is not None
-    for one in rest_by_setup(estimate):
+    for one in residual_by_setup(estimate):
         words = repeating(one).reason
         assert "either side" not in words
         place = firmware.points(one.command[None] + firmware.zero)[0]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from orthoglide.explanation.instead import Alternatives
+from orthoglide.explanation.alternatives import Alternatives
 from orthoglide.explanation.linear import Group, Linear, whole
 from orthoglide.explanation.mixture import Mixture
 from orthoglide.explanation.search import Search, State, gained, left_singular

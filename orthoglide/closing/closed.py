@@ -18,7 +18,7 @@ from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
 from orthoglide.explanation import Cause, Explanation, FullPosterior, Located, budget
 from orthoglide.explanation.data_faults import Blunder
-from orthoglide.explanation.rest import rest_by_setup
+from orthoglide.explanation.residuals import residual_by_setup
 from orthoglide.explanation.significance import Left
 from orthoglide.fit import Change, Estimate
 from orthoglide.machine import Machine
@@ -250,7 +250,7 @@ class Closed:
         """The residuals of the last fit against the noise."""
         left, known = self.left, self.posterior
         stopped = "nothing else stands out of the noise and of the background of small errors"
-        mountings = rest_by_setup(self.after)
+        mountings = residual_by_setup(self.after)
         return LackOfFit(
             p_value=left.p_value,
             background=float("nan") if known is None else known.share,

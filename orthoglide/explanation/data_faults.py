@@ -22,6 +22,7 @@ from orthoglide.explanation.alternative_readings import (
     without_weight,
 )
 from orthoglide.explanation.changes import likeliest_changes, separated
+from orthoglide.explanation.credible_faults import certain_data_faults, unsure
 from orthoglide.explanation.everything import FullPosterior, first_look, glance
 from orthoglide.explanation.faults import (
     DATUMS,
@@ -36,7 +37,6 @@ from orthoglide.explanation.faults import (
 )
 from orthoglide.explanation.ranking import ranked
 from orthoglide.explanation.repeats import check_scatter, far_repeats, quieter, scattered
-from orthoglide.explanation.standing import standing, unsure
 from orthoglide.explanation.suspects import Key, put_right
 from orthoglide.fit import Change, Estimate, Factor, Problem, solve
 from orthoglide.fit.least_squares import known_rows
@@ -125,10 +125,10 @@ def find_faults(read: Estimate) -> Findings:
             found = _joined(found, [_of(read.problem, meant)])
             fit = _fitted(_set_right(read.problem, found))
             continue
-        if look.quiet < _QUIET:  # or a unit in which they were as noisy would seem to be theirs
-            look = first_look(_fitted(quieter(look.before.problem, look.quiet)))
+        if look.chi2_per_dof < _QUIET:  # else a wrong unit could pass for the noise
+            look = first_look(_fitted(quieter(look.before.problem, look.chi2_per_dof)))
         meant = _meant(look, found)
-        faults = standing(look) if meant is None else [meant]
+        faults = certain_data_faults(look) if meant is None else [meant]
         if not faults:
             break
         found = _joined(found, [_of(read.problem, f) for f in faults])
@@ -207,7 +207,7 @@ def slips_of_tool(estimate: Estimate) -> Iterator[Note]:
     if not problem.tool:
         return
     check_scatter(problem)
-    for fault in standing(first_look(estimate)):
+    for fault in certain_data_faults(first_look(estimate)):
         if fault.setups[0] not in problem.leg_setups:
             text = f"{message(problem, fault)}; close-loop sets it aside"
             yield Note(text, "slip")

@@ -1,6 +1,6 @@
-"""The posterior of everything about a fit: what it knows of the machine, and where it was taken.
+"""The posterior of the full model: base parameters, effects, free-form errors and data faults.
 
-The readings are linearised at the posterior's own mean, again until that no longer moves.
+The readings are linearised at the posterior mean, repeatedly until the mean is stationary.
 """
 
 from __future__ import annotations
@@ -30,64 +30,63 @@ from orthoglide.parameters import Parameter
 
 _LINEARISATIONS = 3
 _DOUBT = 3.0
-"""Log of the odds, twenty to one, that a base beyond its tolerances has to have against all else,
-or all else against it, for the other not to count."""
+"""Log Bayes factor (twenty to one) that decides between a base beyond its tolerances and all other
+causes; below it both are reported."""
 
 _SETTLED = 0.1
 """Root mean square, in sigmas of a reading, by which the prediction may still differ from its
-linearisation: a hundredth of a chi2 a reading, next to nothing of any cause."""
+linearisation: 0.01 of chi2 per reading, negligible for any cause."""
 
 _UNSETTLED = 1.25
-"""Root mean square, in sigmas, from which a prediction is another than its linearisation: more than
-noise. Machines off by all their tolerances come to 1.1; what a command typed wrong was taken for,
-to 1.3 and more."""
+"""Root mean square, in sigmas, from which the linearisation is not valid: more than noise. Machines
+off by all their tolerances reach 1.1; causes mistaken for a wrong command reach 1.3 and more."""
 
 _COMMAND = 2e-6
-"""Metres by which the size of a wrong command may still change."""
+"""Metres: a change of a wrong command's estimate below this counts as converged."""
 
 _HELD = 1e-10
-"""Variance, in tolerances, of what another parameter stands for: nothing is known of it apart."""
+"""Squared tolerances: prior variance up to which a parameter is represented by its twin."""
 
 TOLERANCES, _SHOWN = 3.0, 3.0
-"""What shows less than three sigmas of all readings together at three tolerances is invisible."""
+"""A parameter is invisible if three tolerances of it change all readings by under three sigmas."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FullPosterior:
-    """Everything that could be wrong, as the readings have it."""
+    """Posterior of the full model, given the readings."""
 
-    before: Estimate  # the fit of the base
+    before: Estimate  # the fit of the base model
     about: Everything  # the readings linearised at the mean
     mixture: Mixture  # of the explanations
-    # a fit of the base, far beyond its tolerances, that the readings do not rule out
-    instead: Estimate | None = None
+    # alternative fit with the base far beyond its tolerances, which the readings do not rule out
+    alternative: Estimate | None = None
 
     @property
     def mean(self) -> Array:
-        """Of all coefficients, in their units ``(C,)``."""
+        """Posterior mean of all coefficients, in their units ``(C,)``."""
         return self.mixture.mean
 
     @property
     def evidence(self) -> float:
-        """Log evidence of the best explanation; a base many tolerances off was expected less."""
+        """Log evidence of the best explanation, less the log factor of widened base priors."""
         widths = np.array([u.width for u in self.before.problem.unknowns])
         fit = self.mixture.total(self.mixture.best) - self.about.outside / 2
         return float(fit - np.log(widths).sum())
 
     @property
-    def quiet(self) -> float:
-        """Chi2 a degree of freedom of the best explanation, its priors counted."""
+    def chi2_per_dof(self) -> float:
+        """Chi2 per degree of freedom of the best explanation, its priors counted."""
         return self.mixture.chi2 / max(len(self.mixture.linear.residual), 1)
 
     @property
     def standing(self) -> tuple[Suspect, ...]:
-        """Faults of the data and changes of the best explanation."""
+        """Data faults and changes that are active in the best explanation."""
         by_name = {s.name: s for s in self.about.suspects}
         names = [self.mixture.linear.groups[k].name for k, _ in self.mixture.best]
         return tuple(by_name[name] for name in names if name in by_name)
 
     def fault(self, suspect: Suspect) -> Fault:
-        """A fault of the best explanation, with its size in it."""
+        """Return an active data fault with its size in the best explanation."""
         mixture = self.mixture
         names = [g.name for g in mixture.linear.groups]
         at = mixture.linear.groups[names.index(suspect.name)].places
@@ -95,9 +94,7 @@ class FullPosterior:
 
     @property
     def next_point(self) -> Array:
-        """Parameters about which readings are linearised again ``(P,)``, SI: the mean, but dials
-        that do not stand out do nothing.
-        """
+        """Next point of linearisation ``(P,)``, SI: the mean, inactive dial effects at zero."""
         known, effect_of = self.about.known, self.before.problem.machine.catalogue.effect_of
         of_dial = np.array([effect_of(n).of_dial for n in self.about.problem.names])
         for group, _ in self.mixture.best:
@@ -107,15 +104,15 @@ class FullPosterior:
 
     @cached_property
     def known(self) -> Averaged:
-        """Of all coefficients, in their units; of use where the mean has settled."""
+        """Mean and covariance averaged over all explanations, in units of the coefficients."""
         return self.mixture.averaged(self.about.known)
 
     @cached_property
     def covariance(self) -> Array:
-        """Of these ``(C, C)``.
+        """Posterior covariance of all coefficients ``(C, C)``.
 
-        Where the machine as a whole sits is known to the full tolerances, whatever the background,
-        and as well as the readings tell.
+        Translations of the whole machine keep their full tolerances as prior, whatever the scale of
+        the background.
         """
         count, along = self.about.known, self.about.translations
         seen = self.mixture.linear.columns[:, :count] @ along
@@ -127,11 +124,10 @@ class FullPosterior:
 
     @cached_property
     def _alone(self) -> Array:
-        """Variance of each coefficient that the background holds back, were it alone off by about
-        its tolerance ``(C,)``; 0 of others.
+        """Variance ``(C,)`` of each shrunk coefficient under its full tolerance; 0 elsewhere.
 
-        Small scales are learned from what the readings see; of what they do not see they are a
-        guess, and at a later visit with another sheet no more may be held against that.
+        A small background scale is learned from visible coefficients and only assumed for invisible
+        ones. A later visit with another sheet must not be tested against that assumption.
         """
         found, at = np.zeros(len(self.covariance)), np.arange(self.about.known)
         variance, spike = self.mixture.likeliest_variance(at)
@@ -142,30 +138,30 @@ class FullPosterior:
 
     @property
     def settled(self) -> bool:
-        """Whether the machine found predicts the readings about as its linearisation does, and no
-        worse than the base: else what it leaves was never looked at.
-        """
+        """True if the linearisation is valid at the mean, which fits no worse than the base."""
         before, after = self.before.scores, self.after.scores
-        # A few readings have no degree of freedom left: less than one in chi2 is nothing.
+        # Few readings leave no degree of freedom: a chi2 difference below one is negligible.
         near = after.chi2 <= before.chi2 + max(after.dof, 1.0)
         return near and self.about.apart < _UNSETTLED
 
     @property
     def share(self) -> float:
-        """Of their tolerances, by which effects that do not stand out are off."""
+        """Posterior mean scale of inactive effects, in tolerances."""
         return self.mixture.shares[0]
 
     @cached_property
     def invisible(self) -> tuple[Parameter, ...]:
-        """Parameters beyond the base that would not show at three tolerances: what they draw is
-        drawn by the base, by the instruments' nuisances or by a plate's own shape, or is too small.
+        """Parameters beyond the base that these readings cannot detect at three tolerances.
+
+        Their signature is too small, or is explained by the base, the instruments' nuisances or a
+        plate's shape.
         """
         columns = self.mixture.scales[0].basis.columns
         place = {n: k for k, n in enumerate(self.about.problem.names)}
         plate = {e.name for e in self.about.problem.machine.catalogue.effects if e.of_body}
 
         def shown(name: Parameter) -> float:
-            # One plate has one shape, in how many setups it may have been probed.
+            # A plate has one shape, however many setups probe it.
             same = [n for n in place if (n.effect, n.direction) == (name.effect, name.direction)]
             each = same if name.effect in plate else [name]
             return TOLERANCES * float(np.linalg.norm(columns[:, [place[n] for n in each]].sum(1)))
@@ -174,7 +170,7 @@ class FullPosterior:
 
     @cached_property
     def places(self) -> tuple[Place, ...]:
-        """Places that belong to the machine and are probable enough to be part of it."""
+        """Free-form errors probable enough to enter the calibrated machine."""
         likely = {
             g.name
             for g, p in zip(self.mixture.linear.groups, self.mixture.inclusion, strict=True)
@@ -183,7 +179,7 @@ class FullPosterior:
         return tuple(p for p in self.about.places if p.name in likely and p.of_machine)
 
     def machine_with(self, mean: Array) -> tuple[tuple[str, ...], Array, Array]:
-        """Names of the last campaign's machine parameters, values SI, and weights by coefficient.
+        """Return names, values (SI) and weights by coefficient of the last campaign's machine.
 
         Args:
             mean: of all coefficients ``(C,)``.
@@ -202,7 +198,7 @@ class FullPosterior:
 
     @cached_property
     def machine(self) -> Machine:
-        """The calibrated machine: its mean, with its covariance."""
+        """The calibrated machine: posterior mean and covariance."""
         start = self.before.problem.machine
         known = start.catalogue
         start = start.with_effects(p.effect for p in self.places if p.effect.name not in known)
@@ -213,7 +209,7 @@ class FullPosterior:
 
     @cached_property
     def after(self) -> Estimate:
-        """The readings as the mean has them, scored; what was learned in place of tolerances."""
+        """Estimate at the posterior mean, scored, with the learned prior in place of tolerances."""
         about, mixture, prior = self.about, self.mixture, self.known.prior
         count, scale = about.known, about.scale
         known = _rows(prior[:count, :count]) / scale[:count]
@@ -233,8 +229,8 @@ class FullPosterior:
             problem, at = near, linearise(near, x)
         estimate = assessed(problem, nuisances(problem, at.seen), at, "posterior",
                             len(mixture.children), self.about.apart)  # fmt: skip
-        # What of the base could be wrong in place of what is told.
-        far = () if self.instead is None else self.instead.warnings
+        # Base parameters that could be wrong in place of the reported causes.
+        far = () if self.alternative is None else self.alternative.warnings
         instead = [n.partition(":")[0] for n in far if n.kind == "tolerance"]
         told = [Note(f"these readings fit as well if {n}: measure it", "instead") for n in instead]
         return replace(
@@ -245,8 +241,9 @@ class FullPosterior:
         )
 
     def _curves(self, prior: Array) -> Block | None:
-        """Rows by the places that may stand out and by the plates' own shapes, as nuisances: the
-        mean is over explanations, each of which needs its own.
+        """Return columns of probable free-form errors, data faults and plate shapes, as nuisances.
+
+        The mean is averaged over explanations, each of which has a different set of these.
         """
         linear, best = self.mixture.linear, {k for k, _ in self.mixture.best}
         likely = [k in best or p > LEAST_SHARE for k, p in enumerate(self.mixture.inclusion)]
@@ -260,12 +257,15 @@ class FullPosterior:
 
 
 def glance(before: Estimate) -> FullPosterior:
-    """Everything weighed about the fit of the base alone."""
+    """Return the posterior of the full model, linearised at the fit of the base."""
     return _about(before, (), faults=True)
 
 
 def first_look(before: Estimate) -> FullPosterior:
-    """As :func:`glance`, with wrong commands put right and everything weighed again."""
+    """Return the posterior linearised at the base fit, with wrong commands corrected.
+
+    The base is fitted again after each correction, until the corrections are stationary.
+    """
     try:
         return _looked(before)
     except ClosureError as error:
@@ -294,23 +294,21 @@ def full_posterior(
     look: FullPosterior | None = None,
     unsure: Collection[Key] = (),
 ) -> FullPosterior:
-    """Weigh everything that could be wrong against the readings; causes that are given stand out
-    whatever these say.
+    """Return the posterior of the full model; the causes in ``given`` are active in any case.
 
-    A base fitted far beyond its tolerances may be bent by what stands within its own: both are
-    weighed, the base with its priors as wide as it asks for and everything at its tolerance. The
-    result's own fit of it may keep the tolerances that ``before`` left.
+    A base far beyond its tolerances may be biased by another cause. Both are therefore compared:
+    the base with widened priors, and the full model with all priors at their tolerances.
 
     Args:
         before: the fit.
-        given: names of causes.
-        look: what was seen at first of the same fit, or of that at its tolerances.
-        unsure: faults that the data may have.
+        given: names of declared causes.
+        look: first posterior of the same fit, or of the fit at its tolerances.
+        unsure: keys of the data faults that are searched for.
 
     Raises:
-        SolverError: where the mean does not settle.
+        SolverError: if the mean does not converge.
     """
-    # What changed since a calibration, or between campaigns, is known to be no such base.
+    # Changes since a calibration, or between campaigns, never ask for a widened base.
     unknowns = before.problem.unknowns
     if before.problem.earlier is not None or any(u.name.campaign for u in unknowns):
         return _settled(before, given, look, unsure)
@@ -336,12 +334,12 @@ def full_posterior(
             raise
         return other
     if unsettled:
-        # What a wide base needs causes beside it for may be what bent it.
+        # A wide base that needs further causes may have been biased by them.
         return other if held and found.mixture.best else found
     less = found.evidence - other.evidence
     if less > _DOUBT:
         return found
-    return replace(other, instead=wide if less > -_DOUBT else None)
+    return replace(other, alternative=wide if less > -_DOUBT else None)
 
 
 def _settled(
@@ -350,7 +348,7 @@ def _settled(
     look: FullPosterior | None = None,
     unsure: Collection[Key] = (),
 ) -> FullPosterior:
-    """The posterior linearised at its own mean, from a first look at the same fit on."""
+    """Return the posterior linearised at its mean, starting from ``look`` where it is given."""
     try:
         found = look if look is not None and not given else _about(before, given, faults=unsure)
         best = found
@@ -358,7 +356,7 @@ def _settled(
             if found.about.apart < _SETTLED:
                 break
             found = _about(before, given, found, faults=unsure)
-            # Two explanations may take turns, each where the other is linearised.
+            # Two explanations may alternate, each at the linearisation of the other.
             best = best_of((best, found), lambda one: -one.about.apart)
     except ClosureError as error:
         raise SolverError(_unreached(before)) from error
@@ -372,7 +370,7 @@ def _about(
     corrected: Sequence[Fault] = (),
     faults: bool | Collection[Key] = False,
 ) -> FullPosterior:
-    """The posterior of readings linearised at the fit of the base, or at the last mean."""
+    """Return the posterior, linearised at the base fit or at the mean of ``last``."""
     at, start = (None, ()) if last is None else (last.next_point, last.mixture.standing)
     about = everything(before, at, corrected, faults)
     found = FullPosterior(before, about, Mixture(about.linear, given, start))
@@ -380,7 +378,7 @@ def _about(
 
 
 def _unreached(before: Estimate) -> str:
-    """Why a machine does not close over its stroke, and what to do, in a sentence."""
+    """Return the message that a machine does not close over its stroke: why, and what to do."""
     far = [note.partition(":")[0] for note in before.warnings if note.kind == "tolerance"]
     if not far:
         return (
@@ -394,6 +392,6 @@ def _unreached(before: Estimate) -> str:
 
 
 def _rows(covariance: Array) -> Array:
-    """Rows ``W`` with ``W^T W`` the inverse of a covariance ``(P, P)``."""
+    """Return ``W`` with ``W^T W`` the inverse of a covariance ``(P, P)``."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray((vectors / np.sqrt(np.maximum(values, 1e-12 * values.max()))).T)

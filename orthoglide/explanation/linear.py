@@ -1,4 +1,4 @@
-"""The readings, linear in everything that could be wrong, and scales of the background."""
+"""The linear model of the readings, and the grid of background scales."""
 
 from __future__ import annotations
 
@@ -12,98 +12,97 @@ from numpy.typing import NDArray
 from orthoglide.geometry import Array
 
 SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
-"""Scales of the effects of the catalogue that no slab lets out, in tolerances."""
+"""Scales of the inactive effects of the catalogue, in tolerances."""
 
 STRANGE = 0.1
-"""Probability of a place to be wrong in its own way, over that of a cause of the catalogue: what is
-known to go wrong with such machines goes wrong more often. One that may be wrong in short waves or
-else smoothly is so in either way with half of that."""
+"""Prior probability of a free-form error, relative to a cause of the catalogue: known faults
+of machines are more frequent. Several forms of an error at one place share it equally."""
 
 EXPECTED = 3.0
-"""Causes that stand out, expected before the readings are seen (the mean of a Poisson law): who
-measures a machine has a reason to."""
+"""Prior mean number of active causes (Poisson): who measures a machine has a reason to."""
 
 _UNSEEN = 1e-6
-"""Sigmas that the largest slab may add along a direction which counts as not seen at all."""
+"""Sigmas: a direction to which the largest slab adds less counts as invisible."""
 
 RARE = -3.0
-"""Log of the prior weight of a machine beyond its tolerances altogether, and of noise larger than
-the repeats show: one in twenty each."""
+"""Log prior weight of a background beyond all tolerances, and of noise larger than repeats show:
+one in twenty each."""
 
 FREE = (0.003, 0.03, 0.1, 0.3)
-"""Scales of the free functions that no slab lets out, in their units."""
+"""Scales of the inactive free functions, in their units."""
 
 NOISE = (1.0, 1.7, 3.0, 5.0, 9.0, 16.0, 30.0)
-"""Scales of the noise beyond the declared one: standard deviations of an error of its own at every
+"""Scales of noise beyond the declared one: standard deviations of an independent error of each
 station, in sigmas of a reading. Steps of 1.7 lose at most 0.1 of ln Z on 50 readings."""
 
 _NOISY_SHARES = (0.003, 0.1, 0.3, 1.0, 3.0)
-"""Shares that are told apart under larger noise, in which small ones do not show."""
+"""Scales of the catalogue that are combined with larger noise, under which small ones are equal."""
 
 SOUND = 0.03
-"""Tolerances: a machine of which everything is off by less is sound."""
+"""Tolerances: largest background scale of a machine that counts as sound."""
 
 SLABS = (0.3, 1.0, 3.0, 10.0)
-"""Scales of what stands out."""
+"""Scales tau of active groups, in tolerances or units of the group."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Group:
-    """Coefficients that stand out together, or not."""
+    """Coefficients that are active or inactive together."""
 
-    name: str  # of the cause or place
-    places: NDArray[np.intp]  # of the coefficients that it moves (k,), or (q,) with `weights`
-    weights: Array  # from its own coefficients to those (q, k)
+    name: str  # of the cause, free-form error or data fault
+    places: NDArray[np.intp]  # indices of the coefficients that it moves (q,)
+    weights: Array  # from the group's k parameters to those coefficients (q, k)
     free: bool  # whether it is a free function
-    chance: float = 1.0  # how often it goes wrong, over a cause of the catalogue
-    unit: float = 1.0  # tolerances that a slab of scale one lets its coefficients out by
-    # of a fault of the data how many of it are expected, before the readings are seen; of what is
-    # wrong with the machine that follows from all chances
+    chance: float = 1.0  # prior probability, relative to a single cause of the catalogue
+    unit: float = 1.0  # standard deviation of its slab at tau one, tolerances
+    # prior mean number of a data fault; None for errors of the machine, whose prior follows from
+    # `chance`
     expected: float | None = None
 
     @property
     def of_data(self) -> bool:
-        """Whether it is a fault of the data."""
+        """True for a data fault."""
         return self.expected is not None
 
     @property
     def size(self) -> int:
-        """Number of its own coefficients."""
+        """Number of the group's parameters."""
         return self.weights.shape[1]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Linear:
-    """Readings about a machine, linear in everything that could be wrong."""
+    """Whitened readings as a linear model of all coefficients."""
 
     columns: Array  # whitened, nuisances projected out, by coefficient in tolerances (m, C)
-    residual: Array  # what the readings say of the sum (m,)
-    fixed: Array  # prior sd of the coefficients that no background has (C,); nan elsewhere
+    residual: Array  # readings less the prediction at zero, whitened (m,)
+    fixed: Array  # prior sd of coefficients without background scale (C,); else nan
     free: NDArray[np.bool_]  # which belong to free functions (C,)
-    # which belong to shapes of a plate that no effect names (C,): these explain readings without
-    # telling anything
+    # mask of plate shapes that no effect names (C,): they explain readings, but are not reported
     unnamed: NDArray[np.bool_]
-    groups: tuple[Group, ...]  # that may stand out
+    groups: tuple[Group, ...]  # that may be active
     stations: Array  # an error of one sigma at each station (m, s)
     # scales that the effects' background may have, in tolerances
     shares: tuple[float, ...] = SHARES
-    slabs: tuple[float, ...] = SLABS  # those of what stands out
+    slabs: tuple[float, ...] = SLABS  # scales of active groups
     # share beyond which a background is unlikely, and log of its weight
     wide: tuple[float, float] = (max(SHARES), 0.0)
     noise_weight: float = RARE  # log of the prior weight of noise larger than declared
-    # what stations show beside all columns: squared, in how many directions, and the visits that
-    # each has; none where all directions are kept
+    # residual of station means orthogonal to all columns: its square, its degrees of freedom, and
+    # visits per station; zero if no direction was dropped
     beyond: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def spike(self, share: float, free_share: float) -> Array:
-        """Prior variance of each coefficient without slabs ``(C,)``."""
+        """Return the prior variance of each inactive coefficient ``(C,)``."""
         background = np.where(self.free, free_share, share)
         return np.where(np.isfinite(self.fixed), self.fixed, background) ** 2
 
     @cached_property
     def squares(self) -> tuple[Array, Array, Array, Array]:
-        """What readings would vary by ``(m, m)``: for coefficients that no background has, free
-        functions of scale one, a background of one tolerance, and errors of stations of one sigma.
+        """Prior covariances of the readings at scale one, each ``(m, m)``.
+
+        Of coefficients with a fixed prior, of free functions, of the background, and of station
+        errors.
         """
         fixed, A = np.isfinite(self.fixed), self.columns
         known = A[:, fixed] * self.fixed[fixed]
@@ -113,16 +112,16 @@ class Linear:
 
     @cached_property
     def by_group(self) -> Array:
-        """What readings see of all groups side by side ``(m, K)``."""
+        """Visible columns of all groups side by side ``(m, K)``."""
         none = np.zeros((len(self.columns), 0))  # where nothing is seen through the noise
         both = zip(self.groups, self.seen, strict=True)
         return np.hstack([none, *(self.columns[:, g.places] @ seen for g, seen in both)])
 
     @cached_property
     def seen(self) -> tuple[Array, ...]:
-        """Of each group the combinations of its coefficients that readings see ``(q, r)``.
+        """Combinations of coefficients of each group that the readings can see ``(q, r)``.
 
-        All its coefficients stand out alike, so any turn of them is as good.
+        The slab is isotropic in the group's parameters, so any rotation of them is equivalent.
         """
         found = []
         for group in self.groups:
@@ -136,17 +135,17 @@ class Linear:
 
 
 class Basis:
-    """Everything whitened by all but the background of the effects, along what that would add.
+    """The linear model whitened by all but the background, in eigenvectors of the background.
 
-    Its directions are the same for all shares, of which each makes no more than other weights.
+    All background scales share these directions and differ in their weights only.
 
     Attributes:
-        free_share: scale of the free functions that no slab lets out.
-        noise: error of its own at every station, in the noise of a reading.
-        columns: by coefficient ``(m, C)``.
-        residual: ``(m,)``.
-        by_group: those of all groups side by side, see :attr:`Linear.by_group`.
-        grows: what a background of one tolerance adds to the variance of each direction ``(m,)``.
+        free_share: scale of the inactive free functions.
+        noise: sd of an independent error of each station, in sigmas of a reading.
+        columns: whitened columns by coefficient ``(m, C)``.
+        residual: whitened residual ``(m,)``.
+        by_group: whitened columns of all groups, see :attr:`Linear.by_group`.
+        grows: variance that a background of one tolerance adds to each direction ``(m,)``.
         log_det: of the covariance without background.
     """
 
@@ -166,14 +165,14 @@ class Basis:
 
 
 class Scale:
-    """One point of the grid of scales: everything whitened by its background."""
+    """One point of the grid of scales: the linear model whitened by its background."""
 
     def __init__(self, basis: Basis, share: float) -> None:
         self.basis, self.share = basis, share
         self.free_share, self.noise = basis.free_share, basis.noise
         self.spike = basis.linear.spike(share, basis.free_share)
         self.weight = 1 / np.sqrt(1 + share**2 * basis.grows)
-        # Where no repeats show the noise, more of it than was declared is nothing rare.
+        # Larger noise than declared is rare only if repeats determine the noise.
         self.rare = (share > 1) + (basis.noise > 0 and basis.linear.noise_weight < 0)
         square, count, visits = basis.linear.beyond
         beyond, weight = basis.linear.wide
@@ -190,25 +189,25 @@ class Scale:
 
     @property
     def columns(self) -> Array:
-        """By coefficient ``(m, C)``."""
+        """Whitened columns by coefficient ``(m, C)``."""
         return self.basis.columns * self.weight[:, None]
 
     def along(self, rows: Array) -> Array:
-        """What rows ``(..., m)`` have along the columns of all coefficients ``(..., C)``."""
+        """Return inner products of rows ``(..., m)`` with all columns ``(..., C)``."""
         return np.asarray((rows * self.weight) @ self.basis.columns)
 
     @property
     def residual(self) -> Array:
-        """Of the readings ``(m,)``."""
+        """Whitened residual ``(m,)``."""
         return self.basis.residual * self.weight
 
     def of_groups(self, at: NDArray[np.intp]) -> Array:
-        """Some columns of those of all groups side by side ``(m, k)``."""
+        """Return some of the whitened group columns ``(m, k)``."""
         return self.basis.by_group[:, at] * self.weight[:, None]
 
 
 def scales(linear: Linear) -> tuple[Scale, ...]:
-    """The grid of scales."""
+    """Return the grid of scales."""
     quiet = [Basis(linear, free, 0.0) for free in FREE]
     noisy = [Basis(linear, FREE[0], noise) for noise in NOISE]
     found = [Scale(basis, share) for share in linear.shares for basis in quiet]
@@ -219,5 +218,5 @@ def scales(linear: Linear) -> tuple[Scale, ...]:
 def whole(
     name: str, places: Sequence[int] | NDArray[np.intp], *, free: bool, chance: float = 1.0
 ) -> Group:
-    """A group of coefficients, each for itself."""
+    """Return a group whose parameters are the coefficients themselves."""
     return Group(name, np.array(places, dtype=np.intp), np.eye(len(places)), free, chance)

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from orthoglide.effects.places import Place
 from orthoglide.effects.wording import cause_short
+from orthoglide.explanation.alternatives import Alternatives
 from orthoglide.explanation.causes import Located
 from orthoglide.explanation.everything import FullPosterior
 from orthoglide.explanation.free import by_places
-from orthoglide.explanation.instead import Alternatives
 from orthoglide.fit.problem import Factor
 from orthoglide.geometry import Array
 from orthoglide.ordering import descending

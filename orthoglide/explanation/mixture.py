@@ -1,4 +1,4 @@
-"""Spike and slab: a background of everything at a learned scale, and what stands out of it.
+"""Spike-and-slab posterior: a background of learned scale and the groups active beyond it.
 
 Means and covariances are averaged over the states that were searched, with their weights Z
 (Carvalho and Scott 2009; Wang et al. 2020, *A simple new approach to variable selection in
@@ -21,29 +21,29 @@ from orthoglide.geometry import Array
 from orthoglide.machine_file import root_of
 from orthoglide.ordering import EQUAL_ODDS, descending, largest, ranked
 
-_NEGLIGIBLE = 1e-4  # weight of a state that means are not averaged over
-_KEPT = 60  # of them at most
+_NEGLIGIBLE = 1e-4  # weight below which a state is left out of averages
+_KEPT = 60  # most states and scales in an average
 _LIKELY, _ASKED = 0.05, 8  # weight of explanations over that of the likeliest, and their number
 
 LEAST_SHARE = 0.05
-"""Probability of a place from which it is part of the calibrated machine."""
+"""Least probability of a free-form error that enters the calibrated machine."""
 
 
 @dataclass(frozen=True, eq=False)
 class Averaged:
-    """Coefficients over all explanations."""
+    """Moments of the coefficients, averaged over all explanations."""
 
     mean: Array  # (C,)
-    covariance: Array  # (C, C); zero for places that hardly stand out
-    prior: Array  # covariance before the readings, by the same weights (C, C); the same
+    covariance: Array  # (C, C); zero for free-form errors that are improbable
+    prior: Array  # prior covariance, averaged with equal weights and equally zero (C, C)
 
 
 class Mixture(Search):
-    """The states that explain the readings, with their weights."""
+    """Posterior over the states that were searched."""
 
     @cached_property
     def weights(self) -> dict[State, Array]:
-        """Weights ``(scales,)`` of all states seen, summing to one over all."""
+        """Posterior probabilities ``(scales,)`` of all visited states, with sum one."""
         logs: dict[State, Array] = dict(self.visited)
         for state, table in self.children.items():
             pooled = table.max(axis=0)
@@ -57,7 +57,7 @@ class Mixture(Search):
 
     @cached_property
     def inclusion(self) -> Array:
-        """Probability that each group stands out ``(groups,)``."""
+        """Probability that each group is active ``(groups,)``."""
         found = np.zeros(len(self.linear.groups))
         for state, weight in self.weights.items():
             for group in {g for g, _ in state}:
@@ -65,12 +65,12 @@ class Mixture(Search):
         return found
 
     def without(self, member: int) -> State:
-        """The best state without one of its groups."""
+        """Return the best state without one of its groups."""
         return tuple(s for s in self.best if s[0] != member)
 
     @cached_property
     def strongest(self) -> tuple[int, ...]:
-        """Groups of the best state, that first without which readings are explained worst."""
+        """Groups of the best state, in the order of how much the fit needs them."""
         left = {}
         for member, _ in self.best:
             self.table(rest := self.without(member))
@@ -79,7 +79,7 @@ class Mixture(Search):
 
     @cached_property
     def shares(self) -> tuple[float, float, float]:
-        """Mean scales: of the catalogue, of free functions, of noise beyond the declared one."""
+        """Posterior mean scales of the catalogue, the free functions and the excess noise."""
         by_scale = np.sum(list(self.weights.values()), axis=0)
         each = np.array([(s.share, s.free_share, s.noise) for s in self.scales])
         named, free, noise = (by_scale @ each).tolist()
@@ -87,15 +87,13 @@ class Mixture(Search):
 
     @property
     def _plain(self) -> NDArray[np.bool_]:
-        """Scales without small errors that have no name ``(scales,)``."""
+        """Mask of the scales without station errors and with least free functions ``(scales,)``."""
         least = min(s.free_share for s in self.scales)
         return np.array([s.noise == 0 and s.free_share == least for s in self.scales])
 
     @cached_property
     def named(self) -> tuple[tuple[State, Scale], ...]:
-        """The likely explanations without small errors that have no name, the likeliest first:
-        without those of single stations, and without free functions but those that stand out.
-        """
+        """Likely states, each with a scale without station errors, most probable first."""
         plain = self._plain
         weight = {state: float(found[plain].sum()) for state, found in self.weights.items()}
         order = ranked(weight, lambda state: weight[state])[:_ASKED]
@@ -104,16 +102,15 @@ class Mixture(Search):
         return tuple((s, self.scales[k]) for s, k in zip(likely, at, strict=True))
 
     def likeliest_background(self) -> Scale:
-        """The likeliest scale of a machine within its tolerances on which nothing stands out, under
-        the noise that was declared.
-        """
+        """Return the likeliest scale within tolerances, at the declared noise, no group active."""
         within = self._plain & np.array([s.share <= 1 for s in self.scales])
         return self.scales[largest(np.where(within, self.visited[()], -np.inf), EQUAL_ODDS)]
 
-    def told(self, names: Collection[str]) -> tuple[tuple[State, Scale], ...]:
-        """Of these explanations those in which nothing else stands out than what has been told,
-        groups by name; of the best state what has, over the likeliest background, where none of
-        them is among these.
+    def restricted_to(self, names: Collection[str]) -> tuple[tuple[State, Scale], ...]:
+        """Return the likely explanations whose active groups are all in ``names``.
+
+        If there is none, return the best state restricted to ``names`` over the likeliest
+        background.
         """
         groups = self.linear.groups
         found = [one for one in self.named if all(groups[g].name in names for g, _ in one[0])]
@@ -125,39 +122,37 @@ class Mixture(Search):
 
     @cached_property
     def rare(self) -> float:
-        """Probability of a machine beyond its tolerances altogether, or of more noise than the
-        repeats show.
-        """
+        """Probability of a background beyond all tolerances, or of noise larger than declared."""
         return self._weight_of([s.rare > 0 for s in self.scales])
 
     @cached_property
     def beyond(self) -> float:
-        """Probability of a machine beyond its tolerances altogether."""
+        """Probability of a background beyond all tolerances."""
         return self._weight_of([s.share > 1 for s in self.scales])
 
     def _weight_of(self, scales: list[bool]) -> float:
-        """Probability of some scales together."""
+        """Return the total probability of the scales in a mask."""
         return float(sum(weight[np.array(scales)].sum() for weight in self.weights.values()))
 
     @property
     def _sound(self) -> list[int]:
-        """Scales of a machine that is sound but for what stands out."""
+        """Indices of the scales of a machine that is sound apart from its active groups."""
         return [k for k, s in enumerate(self.scales) if s.share <= SOUND and s.noise == 0]
 
     def over_sound_machine(self) -> Array:
-        """Log Bayes factor of each group alone, on a sound machine, by tau ``(groups, taus)``."""
+        """Return log Bayes factors of single groups on a sound machine ``(groups, taus)``."""
         return np.asarray(
             self.table(())[self._sound].max(axis=0) - self.visited[()][self._sound].max()
         )
 
     def over_sound(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
-        """As `likeliest`, on a sound machine."""
+        """Return mean ``(C,)`` and covariance ``(k, k)`` in a state on a sound machine."""
         sound = [self.scales[k] for k in self._sound]
         logs = self._log_z(sound, *self._out(sound, state))
         return self.moments(state, sound[largest(logs, EQUAL_ODDS)], at)
 
     def next_odds(self) -> Array:
-        """Log Bayes factor of each group's standing out besides the best state ``(groups,)``."""
+        """Return log Bayes factors of each group added to the best state ``(groups,)``."""
         table = self.table(self.best)
         top = self.total(self.best)
         with np.errstate(divide="ignore"):
@@ -165,8 +160,9 @@ class Mixture(Search):
         return np.asarray(pooled + self.cost)
 
     def precision(self, state: State, scale: Scale, *, unnamed: bool = False) -> Array:
-        """Inverse covariance of the readings in a state ``(m, m)``; what has neither name nor
-        place explains nothing there unless asked.
+        """Return the inverse prior covariance of the readings in a state ``(m, m)``.
+
+        Plate shapes that no effect names are included only if ``unnamed`` is true.
         """
         columns = self.linear.columns
         out = columns @ self._spread(state)
@@ -175,7 +171,7 @@ class Mixture(Search):
         return np.asarray(np.linalg.inv(cov + np.eye(len(cov))), dtype=np.float64)
 
     def _spread(self, state: State) -> Array:
-        """What is out by coefficient ``(C, q)``, each times its tau."""
+        """Return a root of the slab covariance of a state's active groups ``(C, q)``."""
         count = len(self.linear.fixed)
         spread = np.zeros((count, 0))
         for group, tau in state:
@@ -186,7 +182,7 @@ class Mixture(Search):
         return spread
 
     def likeliest(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Mean ``(C,)``, and covariance ``(k, k)`` of some, in a state at its likeliest scales."""
+        """Return mean ``(C,)`` and covariance ``(k, k)`` in a state at its likeliest scales."""
         return self.moments(state, self._likeliest(state), at)
 
     def likeliest_mean(self, state: State) -> Array:
@@ -194,7 +190,7 @@ class Mixture(Search):
         return self._mean(state, self._likeliest(state))
 
     def likeliest_variance(self, at: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Variance of some coefficients in the best state, and before the readings ``(k,)``."""
+        """Return posterior and prior variance of coefficients in the best state ``(k,)``."""
         scale = self._likeliest(self.best)
         prior = scale.spike[at] + np.sum(self._spread(self.best)[at] ** 2, axis=1)
         return np.diag(self._covariance(self.best, scale, at)), prior
@@ -206,17 +202,17 @@ class Mixture(Search):
 
     @cached_property
     def chi2(self) -> float:
-        """Of the readings in the best state at its likeliest scales, whose mean is their number."""
+        """Chi2 of the readings in the best state; its expectation is their number."""
         scale = self._likeliest(self.best)
         (left,), (shrink,) = self._out([scale], self.best)
         return float(np.sum(whitened(scale.residual, left, shrink) ** 2))
 
     def moments(self, state: State, scale: Scale, at: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Mean ``(C,)`` of all coefficients in a state, and covariance ``(k, k)`` of some."""
+        """Return mean ``(C,)`` and covariance ``(k, k)`` of some coefficients in a state."""
         return self._mean(state, scale), self._covariance(state, scale, at)
 
     def _mean(self, state: State, scale: Scale) -> Array:
-        """Mean of all coefficients in a state ``(C,)``."""
+        """Return the mean of all coefficients in a state at a scale ``(C,)``."""
         (left,), (shrink,) = self._out([scale], state)
         spread = self._spread(state)
         once = whitened(scale.residual, left, shrink)
@@ -224,21 +220,21 @@ class Mixture(Search):
         return np.asarray(scale.spike * along + spread @ (spread.T @ along))
 
     def _covariance(self, state: State, scale: Scale, at: NDArray[np.intp]) -> Array:
-        """Covariance of some coefficients in a state ``(k, k)``."""
+        """Return the covariance of some coefficients in a state at a scale ``(k, k)``."""
         (left,), (shrink,) = self._out([scale], state)
         columns = whitened(scale.columns, left, shrink)
         spread = self._spread(state)
-        # Prior covariance: the spike's diagonal and what is out.
+        # Prior covariance: diagonal of the spike, plus the slabs of the active groups.
         seen = columns * scale.spike + (columns @ spread) @ spread.T
         prior = np.diag(scale.spike[at]) + spread[at] @ spread[at].T
         return np.asarray(prior - seen[:, at].T @ seen[:, at])
 
     def _covariances(self, at: NDArray[np.intp]) -> Callable[[State, Scale], Array]:
-        """The same, all others marginalised, of readings however exact, by state and scale.
+        """Return a function of state and scale: the covariance of some coefficients ``(k, k)``.
 
-        Prior less gain is a difference of large numbers where readings know a direction a million
-        times better than the prior does: what is left there is rounding, and no covariance. Here
-        the others count as noise, and precisions are added up.
+        Prior less gain cancels to rounding errors where the readings determine a direction a
+        million times better than the prior. Here the other coefficients are marginalised as
+        noise, and precisions are added.
         """
         linear, others = self.linear, np.ones(len(self.linear.fixed), dtype=bool)
         others[at] = False
@@ -264,7 +260,7 @@ class Mixture(Search):
 
     @cached_property
     def _terms(self) -> tuple[tuple[float, State, Scale], ...]:
-        """States and scales that means are averaged over, with their weights."""
+        """Weight, state and scale of every term of the averages."""
         states, every = list(self.weights), np.stack(list(self.weights.values()))
         likely = np.flatnonzero(every > _NEGLIGIBLE)
         order = likely[descending(every.flat[likely])[:_KEPT]]
@@ -274,21 +270,21 @@ class Mixture(Search):
 
     @cached_property
     def _means(self) -> list[Array]:
-        """Of all coefficients ``(C,)`` in each of these."""
+        """Means of all coefficients ``(C,)`` in each term of the averages."""
         return [self._mean(state, scale) for _, state, scale in self._terms]
 
     @cached_property
     def mean(self) -> Array:
-        """Of all coefficients ``(C,)``, over all states and scales that count."""
+        """Mean of all coefficients, averaged over states and scales ``(C,)``."""
         weighted = (w * m for (w, _, _), m in zip(self._terms, self._means, strict=True))
         return np.asarray(sum(weighted))
 
     def draws(self, weights: Array, normal: Array) -> Array:
-        """Linear combinations of all coefficients, drawn from the explanations in their shares.
+        """Draw linear combinations of the coefficients from the posterior, stratified by term.
 
         Args:
-            weights: by coefficient ``(k, C)``.
-            normal: of the standard normal distribution ``(n, k)``.
+            weights: of the combinations, by coefficient ``(k, C)``.
+            normal: draws of the standard normal distribution ``(n, k)``.
 
         Returns:
             As many draws ``(n, k)``.
@@ -305,8 +301,10 @@ class Mixture(Search):
         return drawn
 
     def averaged(self, known: int) -> Averaged:
-        """Everything over all states and scales that count: the ``known`` first coefficients have
-        their covariance in any case, others where their group stands out with some probability.
+        """Return the moments of the coefficients, averaged over states and scales.
+
+        The covariance covers the first ``known`` coefficients, and others whose group is active
+        with a probability above ``LEAST_SHARE``.
         """
         best = {g for g, _ in self.best}
         likely = [

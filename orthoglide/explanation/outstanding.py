@@ -1,8 +1,9 @@
-"""Reading causes, places and their credible sets off the posterior.
+"""Credible sets of causes and free-form errors, from the posterior.
 
-A credible set holds the truth with 95 % probability, something being there at all: the smallest set
-of causes and places whose probabilities, all else that was found given, sum to that (Wang et al.
-2020, section 3). What gives the same readings and the same tool is one cause with one name.
+A credible set contains the true cause with 95 % probability, if there is one: it is the smallest
+set of causes and free-form errors whose probabilities, conditional on the other active groups, sum
+to that (Wang et al. 2020, section 3). Parameters with equal effects on readings and tool count as
+one cause.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from orthoglide.accuracy import tcp_slopes
 from orthoglide.effects.kernels import Bump
 from orthoglide.effects.places import Place
 from orthoglide.errors import InputError
+from orthoglide.explanation.alternatives import Alternatives
 from orthoglide.explanation.causes import (
     CandidateScore,
     Cause,
@@ -28,37 +30,35 @@ from orthoglide.explanation.causes import (
 )
 from orthoglide.explanation.everything import FullPosterior
 from orthoglide.explanation.faults import message, places
-from orthoglide.explanation.instead import Alternatives
 from orthoglide.explanation.linear import Group
 from orthoglide.fit.problem import FAR
 from orthoglide.geometry import Array
 from orthoglide.ordering import EQUAL, EQUAL_ODDS, descending, largest, ranked
 from orthoglide.result import DataRival
 
-_OFF = 0.1  # tolerances: a background that is worth a word
+_OFF = 0.1  # tolerances: scale of a background that is worth reporting
 
-_POSSIBLE, _WORTH = 6, 0.02  # causes that are told though none stands out; their probability
-_NEAREST = 24  # causes and places that are listed as weighed
+_POSSIBLE, _WORTH = 6, 0.02  # causes reported where none is active; least probability
+_NEAREST = 24  # causes and free-form errors listed with their scores
 
-_FLAT = 3.0  # widths of a bump beyond which nothing of it is left
-_SURELY = 2.0  # sigmas by which a parameter lies beyond what is expected of it
+_FLAT = 3.0  # widths of a bump beyond which it has vanished
+_SURELY = 2.0  # standard deviations by which a parameter must exceed its limit
 
 CREDIBLE = 0.95
-"""Probability that a credible set holds the truth."""
+"""Probability that a credible set contains the true cause."""
 
 SURE = 0.99
-"""Probability that a credible set holds the truth where a fault of the data is in it: readings are
-thrown away by it."""
+"""Probability of a credible set with a data fault in it, for which readings are discarded."""
 
 MOST = 20
-"""Members of a set that says something: of more it could be anything."""
+"""Largest credible set that is reported: a larger one excludes too little to be of use."""
 
 NAMED = 0.9
-"""Least probability of what is claimed: that something stands out, and of its kind."""
+"""Least probability of a claim: that a cause is active, and that it is of the stated kind."""
 
 
 def outstanding(posterior: FullPosterior, given: Sequence[str] = ()) -> Outstanding:
-    """Read off what stands out of the background, beside the causes that are given."""
+    """Return the credible sets of all active causes, those declared in ``given`` included."""
     reader = _Reader(posterior)
     found = [reader.set_of(member, given) for member in posterior.mixture.strongest]
     found += reader.of_base()
@@ -72,7 +72,7 @@ def outstanding(posterior: FullPosterior, given: Sequence[str] = ()) -> Outstand
 
 
 def smallest(odds: Array, probability: float) -> int:
-    """Return how many of the probabilities, largest first, are the fewest that sum to another."""
+    """Return the smallest count of ``odds`` (sorted, largest first) that sum to ``probability``."""
     return int(np.searchsorted(np.cumsum(odds), probability * (1 - EQUAL))) + 1
 
 
@@ -85,13 +85,13 @@ class _Reader:
         return self.posterior.mixture.linear.groups
 
     @cached_property
-    def instead(self) -> Alternatives:
+    def alternatives(self) -> Alternatives:
         return Alternatives(self.posterior.mixture)
 
     def set_of(self, member: int, given: Sequence[str]) -> Cause | Located | None:
-        """The credible set in the place of one group of the best state; ``None``: no claim."""
+        """Return the credible set for one active group; ``None`` if nothing is claimed."""
         known = self.groups[member].name in given
-        odds = self.instead.of(member)
+        odds = self.alternatives.of(member)
         if known:
             odds = np.eye(len(odds))[member]
         odds = odds[:-1]
@@ -104,7 +104,7 @@ class _Reader:
         if count > MOST and not known:
             return None
         chosen = [k for k in order[:count] if not self.groups[k].of_data]
-        if not chosen:  # a fault of the data, of which no verdict on the machine speaks
+        if not chosen:  # a data fault, which is no statement about the machine
             return None
         each = [(k, float(odds[k])) for k in chosen]
         there = sum(p for _, p in each)
@@ -117,14 +117,14 @@ class _Reader:
         return replace(located, data=data) if data else located
 
     def _of_data(self, member: int, groups: Sequence[int], odds: Array) -> tuple[DataRival, ...]:
-        """Faults of the data that may be in the place of a cause instead."""
+        """Return the data faults of a credible set, which rival its causes."""
         found = list[DataRival]()
         if not groups:
             return ()
         by_name = {s.name: s for s in self.posterior.about.suspects}
         problem = self.posterior.about.problem
         for k in groups:
-            mean, _ = self.instead.moments(member, k, at := self.groups[k].places)
+            mean, _ = self.alternatives.moments(member, k, at := self.groups[k].places)
             fault = by_name[self.groups[k].name].sized(mean[at])
             rows = tuple(int(problem.factors[t].readings.line[row])
                          for t, row in places(problem, fault.rows))  # fmt: skip
@@ -132,9 +132,7 @@ class _Reader:
         return tuple(found)
 
     def of_base(self) -> Iterator[Cause]:
-        """Parameters of the base model that are certainly far beyond their tolerances, the zeros of
-        the drives aside, which are only to be set: each is a cause of its own.
-        """
+        """Yield base parameters certainly far beyond tolerance, zeros of drives excepted."""
         posterior, about = self.posterior, self.posterior.about
         problem, known = posterior.before.problem, posterior.known
         machine = posterior.before.problem.machine
@@ -161,9 +159,7 @@ class _Reader:
             yield Cause(one, (), ())
 
     def alone(self) -> tuple[Explanation, ...]:
-        """Causes of which one would be behind it if the rest of the machine were sound: a set of
-        95 %; none where the machine is sound.
-        """
+        """Return the 95 % credible set of single causes on an otherwise sound machine."""
         mixture = self.posterior.mixture
         table = mixture.over_sound_machine()
         if self.posterior.share < _OFF or table.max(initial=0.0) <= 0:
@@ -177,11 +173,11 @@ class _Reader:
             group = named[k]
             state = ((group, mixture.linear.slabs[largest(table[group], EQUAL_ODDS)]),)
             at = self.groups[group].places
-            found.append(self._told(group, float(weight[k]), *mixture.over_sound(state, at)))
+            found.append(self._explain(group, float(weight[k]), *mixture.over_sound(state, at)))
         return tuple(one for explanation in found for one in self._twins(explanation))
 
     def possible(self) -> tuple[Explanation, ...]:
-        """The most probable causes where none stands out, each as if it were there alone."""
+        """Return the most probable causes where none is active, each estimated as the only one."""
         mixture, groups = self.posterior.mixture, self.groups
         named = [k for k, g in enumerate(groups) if not g.free and not g.of_data]
         odds = mixture.inclusion[named]
@@ -190,14 +186,14 @@ class _Reader:
             if mixture.inclusion[k] < _WORTH:
                 break
             moments = mixture.likeliest(mixture.child((), k), groups[k].places)
-            found.append(self._told(k, float(mixture.inclusion[k]), *moments))
+            found.append(self._explain(k, float(mixture.inclusion[k]), *moments))
         return tuple(found)
 
     def _cause(self, member: int, odds: Sequence[tuple[int, float]]) -> Cause:
         named = self._by_cause([o for o in odds if not self.groups[o[0]].free])
-        moments = [self.instead.moments(member, k, self.groups[k].places) for k, _ in named]
-        told = [self._told(*own, *found) for own, found in zip(named, moments, strict=True)]
-        # Beyond the widest slab nothing is linear, and no machine is so wrong.
+        moments = [self.alternatives.moments(member, k, self.groups[k].places) for k, _ in named]
+        told = [self._explain(*own, *found) for own, found in zip(named, moments, strict=True)]
+        # Beyond the widest slab the linearisation fails, and no machine is that far off.
         units = [self.groups[k].unit for k, _ in named]
         told = [
             one for one, unit in zip(told, units, strict=True) if self._is_possible(one, unit)
@@ -213,7 +209,7 @@ class _Reader:
         )
 
     def _by_cause(self, odds: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
-        """Likeliest first; what is one cause of a leg, as a wave at any phase, stands once."""
+        """Merge the groups of one cause on one leg (a wave at any phase); most probable first."""
         found: dict[tuple[str, ...], tuple[int, float]] = {}
         for k, p in odds:
             candidate = self.posterior.about.candidates[k]
@@ -226,7 +222,7 @@ class _Reader:
         return ranked(found.values(), lambda one: one[1])
 
     def _twins(self, one: Explanation) -> list[Explanation]:
-        """An explanation with those under other names that show the same, readings and tool."""
+        """Return an explanation and its twins, which have equal effects on readings and tool."""
         catalogue, about = one.catalogue, self.posterior.about
         setups = tuple(s for f in about.problem.factors for s in f.setup_names)
         parts = {n: tuple(catalogue.elementary(n, setups)) for n in one.parameters}
@@ -258,12 +254,12 @@ class _Reader:
             )
         return [replace(e, probability=one.probability / len(found)) for e in found]
 
-    def _told(self, k: int, probability: float, mean: Array, covariance: Array) -> Explanation:
-        """One group by the mean of all coefficients and the covariance of those it moves."""
+    def _explain(self, k: int, probability: float, mean: Array, covariance: Array) -> Explanation:
+        """Return one group as explanation, with the covariance of the coefficients it moves."""
         posterior, group = self.posterior, self.groups[k]
         about = posterior.about
         candidate = about.candidates[k]
-        # Its own coefficients by those that it moves: the mean of a pattern is its projection.
+        # Project the coefficients it moves on its pattern.
         own = np.linalg.pinv(group.weights)
         value = own @ mean[group.places]
         spread = own @ covariance @ own.T
@@ -281,13 +277,11 @@ class _Reader:
             ),
             dict(zip(names, values.tolist(), strict=True)),
             shown - posterior.about.nuisance.fitted(shown),
-            posterior.machine.catalogue,  # which knows places, too
+            posterior.machine.catalogue,  # which includes free-form errors
         )
 
     def _is_possible(self, one: Explanation, unit: float) -> bool:
-        """Whether its parameters lie within twice the widest scale of what stands out, in so many
-        tolerances; what is more than expected of a part is no less of a dial.
-        """
+        """True if all parameters lie within twice the widest slab, at least that of a part."""
         of = self.posterior.about.problem.machine.tolerance
         most = 2 * max(self.posterior.mixture.linear.slabs) * max(unit, 1.0)
         return all(abs(value) <= most * of(name) for name, value in one.values.items())
@@ -300,10 +294,10 @@ class _Reader:
         return True
 
     def _same_tool(self, one: Explanation, other: Explanation) -> bool:
-        """Whether two causes put the tool in the same places, over the workspace.
+        """True if two causes move the tool equally over the workspace.
 
-        What differs by less than half the noise of one reading, no reading would show. What is
-        wrong with an instrument is nothing that is wrong with the machine.
+        The limit is half the noise of one reading, rms: a smaller difference shows in no reading. A
+        fault of an instrument never equals a fault of the machine.
         """
         of = self.posterior.machine.catalogue.effect_of
         if of(one.name).of_dial != of(other.name).of_dial:
@@ -315,7 +309,7 @@ class _Reader:
 
     @cached_property
     def _slopes(self) -> Array:
-        """TCP over the workspace by parameter of the machine ``(g, 3, P)``."""
+        """Jacobian of the TCP over the workspace by machine parameter ``(g, 3, P)``, SI."""
         machine = self.posterior.machine
         names, _, _ = self.posterior.machine_with(self.posterior.mean)
         return tcp_slopes(machine, names)
@@ -330,7 +324,7 @@ class _Reader:
         return Located(members, resembling, probability, member, ruled_out)
 
     def _curves(self, member: int, odds: Sequence[tuple[int, float]]) -> tuple[Curve, ...]:
-        """Of those groups that are places."""
+        """Return the curves of the free-form errors in a credible set."""
         by_name = {p.name: p for p in self.posterior.about.places}
         return tuple(
             self._curve(member, k, p, by_name[self.groups[k].name])
@@ -339,7 +333,7 @@ class _Reader:
         )
 
     def _causes_at(self, place: Place) -> Iterator[str]:
-        """Causes that were weighed and that move what a place moves, or change its dial."""
+        """Yield the candidate causes that move the joints, or change the dial, of a place."""
         about = self.posterior.about
         motions, joints = about.problem.machine.catalogue.motions, {j for j, _ in place.joints}
         for cause in about.candidates:
@@ -356,12 +350,12 @@ class _Reader:
 
     def _curve(self, member: int, k: int, probability: float, place: Place) -> Curve:
         group = self.groups[k]
-        mean, spread = self.instead.moments(member, k, group.places)
+        mean, spread = self.alternatives.moments(member, k, group.places)
         u = np.linspace(-1, 1, 2 * place.kernel.count + 1 if place.short else 41)
         if isinstance(bump := place.kernel, Bump):
             u = bump.at + bump.width * np.linspace(-_FLAT, _FLAT, 41)
         functions = np.stack(place.kernel.functions(u), axis=1) * place.unit
-        # The level of a curve may belong to the zeros.
+        # The mean of a curve cannot be separated from the zeros.
         if not place.two_sided and not place.single:
             functions -= functions.mean(axis=0)
         low, high = place.interval(self.posterior.before.problem.machine.geometry.stroke)
@@ -374,10 +368,10 @@ class _Reader:
         )
 
     def weighed(self) -> tuple[CandidateScore, ...]:
-        """What came nearest to standing out, most probable first."""
+        """Return the scores of the groups nearest to being active, most probable first."""
         mixture, found = self.posterior.mixture, dict[int, float]()
         for member, _ in mixture.best:
-            odds = self.instead.of(member)
+            odds = self.alternatives.of(member)
             for k, p in enumerate(odds[:-1]):
                 if p > 0:
                     score = float(np.log(p) - np.log(max(odds[-1], 1e-300)) + mixture.cost[k])

@@ -39,15 +39,15 @@ def remains(posterior: FullPosterior, found: Outstanding) -> Left:
     base = left_over(posterior.before).p_value
     if not posterior.settled:
         return Left(np.nan, mixture.rare, base=base)
-    told = mixture.told(found.names)
-    p = untold = _best(posterior, told)
+    reported = mixture.restricted_to(found.names)
+    p = untold = _best(posterior, reported)
     if p < _ENOUGH:
         untold = max(p, _best(posterior, mixture.named))
         mean = posterior.after.scores
         p = max(p, min(untold, mean.lack_of_fit_p) if mean.dof >= _FEW else untold)
     shaped = 0.0
     if mixture.linear.unnamed.any():
-        shaped = _chance(posterior, mixture.precision(*told[0], unnamed=True))
+        shaped = _chance(posterior, mixture.precision(*reported[0], unnamed=True))
     few = any(dof < _SURE for _, dof in posterior.before.problem.repeated)
     rare = mixture.beyond if few else mixture.rare
     return Left(p, rare, shaped, untold, base, base < SIGNIFICANT and _is_diffuse(posterior))

@@ -1,16 +1,16 @@
-"""The search for what stands out of a background, state by state.
+"""Search of the active groups of coefficients beyond a background.
 
 Readings ``r = A z + noise``, whitened, with all coefficients z in their tolerances. The *spike* of
 every coefficient is N(0, s^2), with one scale s for the effects of the catalogue and one for the
-free functions, averaged over a grid with one for noise beyond the declared one. A *slab*
-lets one group of coefficients out, N(0, tau^2) more, tau averaged over a grid. With a
-state (which groups are out, at which tau), all is Gaussian:
+free functions, averaged over a grid that includes excess noise. An active group has a *slab*,
+N(0, tau^2) more, tau averaged over a grid. Given a state (the active groups with their tau), all
+is Gaussian:
 
     ln Z = -(r^T S^-1 r + ln det S) / 2,     S = 1 + A D A^T
 
-States are searched by letting out one more group, or two, in place of none, of one or of two that
-were out. Of causes of one coefficient all pairs are tried: where two stand out, neither alone need
-be better than a wide background, and each other pair that shows the same is as far away.
+The search adds one or two groups, and removes none, one or two. All pairs of causes with one
+coefficient are tried: where two are active, neither alone need be better than a wide background,
+and no other pair with equal signatures is nearer.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from orthoglide.explanation.pairs import likely_pairs
 from orthoglide.geometry import Array
 from orthoglide.ordering import EQUAL_ODDS, best_of, largest
 
-_MOST = 6  # groups that stand out together
+_MOST = 6  # active groups in one state
 
 State = tuple[tuple[int, float], ...]
-"""Groups that stand out, by place, each with its tau."""
+"""Active groups by index, each with its tau."""
 
 
 class Search:
-    """States and how well each explains the readings.
+    """States of active groups, with the log weight of each given the readings.
 
     Args:
         linear: the readings.
-        given: groups that stand out whatever they say.
-        start: what stood out of nearly the same readings, with its taus.
+        given: names of groups that are active in every state.
+        start: best state of nearly the same readings, as names with their taus.
 
     Attributes:
         scales: of the background.
-        cost: log odds against each group's standing out, at one tau ``(groups,)``.
+        cost: prior log odds against each group being active, at one tau ``(groups,)``.
         visited: log weights of states by scale ``(scales,)``.
-        children: of states with one more group out ``(scales, groups, taus)``.
-        best: the likeliest state.
+        children: log weights of states with one more group ``(scales, groups, taus)``.
+        best: the state of largest weight.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Search:
         self._by_size: dict[int, list[int]] = {}
         for k, span in enumerate(self._span):
             self._by_size.setdefault(len(span), []).append(k)
-        # Each slab is one of so many, at one of so many scales.
+        # The prior is shared by all groups in their chances, and equally by the taus.
         often = EXPECTED / max(sum(g.chance for g in linear.groups if not g.of_data), EXPECTED)
         expected = [often * g.chance if g.expected is None else g.expected for g in linear.groups]
         self.cost = np.log(len(linear.slabs) / np.array(expected))
@@ -77,13 +77,13 @@ class Search:
 
     @cached_property
     def _known(self) -> frozenset[int]:
-        """Groups that stand out whatever the readings say."""
+        """Indices of the groups that are active in every state."""
         names = [g.name for g in self.linear.groups]
         return frozenset(names.index(n) for n in self._given_names if n in names)
 
     @cached_property
     def standing(self) -> tuple[tuple[str, float], ...]:
-        """The best state, each group by its name."""
+        """The best state as names of groups with their taus."""
         return tuple((self.linear.groups[k].name, tau) for k, tau in self.best)
 
     def _search(self, start: Iterable[tuple[str, float]]) -> State:
@@ -95,13 +95,13 @@ class Search:
         if self._known <= {g for g, _ in earlier}:
             self.table(earlier)
             state = best_of((state, earlier), self.total, EQUAL_ODDS)
-        # Weights once given stay, whatever rounding says of another way there: this ends.
+        # A state keeps the weight of its first visit, despite rounding, so the loop terminates.
         while better := self._better(state):
             state = better
         return state
 
     def _better(self, state: State) -> State | None:
-        """A state of more weight: the best by one group, by two, or else of all come across."""
+        """Return a state of more weight from ever larger neighbourhoods, if there is one."""
         for reach in (self._by_one, self._by_two, self._met):
             best = best_of((state, *reach(state)), self.total, EQUAL_ODDS)
             if best != state:
@@ -109,17 +109,17 @@ class Search:
         return None
 
     def _by_one(self, state: State) -> Iterator[State]:
-        """One group more, one less, one against another."""
+        """Yield states with one group added, removed or exchanged."""
         yield from self._more(state)
         for rest in self._fewer(state, 1):
             yield from self._more(rest)
             yield rest
 
     def _by_two(self, state: State) -> Iterator[State]:
-        """Two or three groups more, two in place of one or of two.
+        """Yield states with two or three groups added, or one or two exchanged for two.
 
-        Where several stand out, a wide background explains them all as well as all but one of
-        them: only the last makes it narrow.
+        Where several groups are active, a wide background may fit as well as all but one of them:
+        only the last one makes the background narrow.
         """
         further = [two for one in self._more(state) for two in self._more(one)]
         further += self._pair(state, ())
@@ -131,18 +131,18 @@ class Search:
                 yield from self._pair(rest, [g for g, _ in state])
 
     def _met(self, _: State) -> Iterator[State]:
-        """The best children of all states that were looked at on the way."""
+        """Yield the best child of every state that was expanded so far."""
         for state in list(self.children):
             if self._known <= {g for g, _ in state}:
                 yield from self._more(state)
 
     def _fewer(self, state: State, count: int) -> list[State]:
-        """The states with so many groups less, of those that need not be out."""
+        """Return the states with ``count`` groups removed, given ones excepted."""
         own = [s for s in state if s[0] not in self._known]
         return [tuple(s for s in state if s not in out) for out in combinations(own, count)]
 
     def _more(self, state: State) -> list[State]:
-        """The best state with one more group out, if there may be one."""
+        """Return the best state with one more group, as a list; empty if there is none."""
         if len(state) >= _MOST:
             return []
         table = self.table(state)
@@ -153,7 +153,7 @@ class Search:
         return [self._child(state, int(group), int(tau))]
 
     def _pair(self, state: State, but: Sequence[int]) -> list[State]:
-        """The best state with two more causes out, of one coefficient each, without some."""
+        """Return the best state with two more one-coefficient causes, those in ``but`` excluded."""
         if len(state) + 2 > _MOST:
             return []
         self.table(state)
@@ -172,17 +172,17 @@ class Search:
         return [best_of(found, self.total, EQUAL_ODDS)] if found else []
 
     def total(self, state: State) -> float:
-        """Log weight of a state that was visited, over all scales."""
+        """Return the log weight of a visited state, summed over scales."""
         return float(np.logaddexp.reduce(self.visited[state]))
 
     def table(self, state: State) -> Array:
-        """Log weights ``(scales, groups, taus)`` of a state with one more group out."""
+        """Return log weights ``(scales, groups, taus)`` of a state with one more group."""
         if state not in self.children:
             self.children[state] = self._expand(state)
         return self.children[state]
 
     def child(self, state: State, group: int) -> State:
-        """The state with one more group out, at its likeliest scale."""
+        """Return a state with one more group, at the likeliest tau."""
         pooled = np.logaddexp.reduce(self.table(state)[:, group], axis=0)
         return self._child(state, group, largest(pooled, EQUAL_ODDS))
 
@@ -206,7 +206,7 @@ class Search:
             out = inside[:, :, at].transpose(0, 2, 3, 1)
             inner = self._inner(size, at)
             left = inner - out @ out.transpose(0, 1, 3, 2)
-            # Where what is out shows the same, rounding may leave less than nothing.
+            # Where active groups have an equal signature, rounding may make this negative.
             left[..., range(size), range(size)] += (
                 1e-13 * np.trace(inner, axis1=2, axis2=3)[..., None]
             )
@@ -218,14 +218,14 @@ class Search:
 
     @cached_property
     def _coarse(self) -> list[int]:
-        """Scales of which every background is near one: with and without errors of stations."""
+        """Indices of scales that represent the grid: fewer noises, least free functions."""
         least = min(s.free_share for s in self.scales)
         noise = sorted({s.noise for s in self.scales})[::2]
         return [k for k, s in enumerate(self.scales) if s.free_share == least and s.noise in noise]
 
     @cached_property
     def _ones(self) -> NDArray[np.intp]:
-        """Causes of one coefficient that the readings see."""
+        """Indices of the visible causes with one coefficient."""
         each = zip(self.linear.groups, self._span, strict=True)
         return np.flatnonzero(
             [g.size == len(span) == 1 and not g.free and not g.of_data for g, span in each]
@@ -233,14 +233,17 @@ class Search:
 
     @cached_property
     def _crossed(self) -> Array:
-        """Products of the columns of causes of one coefficient ``(scales, ones, ones)``."""
+        """Inner products of the columns of one-coefficient causes ``(scales, ones, ones)``."""
         at = self._first[self._ones]
         each = (s.of_groups(at) for s in self.scales)
         return np.stack([columns.T @ columns for columns in each])
 
     def _besides(self, left: Array, shrink: Array, at: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Along what is out ``(scales, q, k)``, and what besides it the residual has along some
-        columns of the groups ``(scales, k)``.
+        """Project columns of the groups past the active ones.
+
+        Returns:
+            Their components along the active groups ``(scales, q, k)``, and their products with
+            the residual past these ``(scales, k)``.
         """
         taken = np.sqrt(1 - (1 - shrink[..., None]) ** 2) * left.transpose(0, 2, 1)
         met = (taken @ self._residuals[..., None])[..., 0]
@@ -249,19 +252,19 @@ class Search:
 
     @cached_property
     def _across(self) -> Array:
-        """What the residual has along the columns of all groups ``(scales, K)``."""
+        """Inner products of the residual and the columns of all groups ``(scales, K)``."""
         each = np.arange(sum(map(len, self._span)))
         return self._along(self._residuals[:, None], each)[:, 0]
 
     @cached_property
     def _residuals(self) -> Array:
-        """Of all scales ``(scales, m)``."""
+        """Whitened residuals of all scales ``(scales, m)``."""
         return np.stack([s.residual for s in self.scales])
 
     def _along(self, rows: Array, at: NDArray[np.intp]) -> Array:
-        """What rows ``(scales, q, m)`` have along some columns ``(scales, q, k)``.
+        """Return inner products of rows ``(scales, q, m)`` and columns ``(scales, q, k)``.
 
-        Scales of one basis together: its columns are large, and read once.
+        Scales of one basis are computed together, as its columns are large.
         """
         found = np.empty((*rows.shape[:2], len(at)))
         for basis in dict.fromkeys(s.basis for s in self.scales):
@@ -273,17 +276,16 @@ class Search:
         return found
 
     def _inner(self, size: int, at: NDArray[np.intp]) -> Array:
-        """Products of the columns of each group of a size ``(scales, groups, size, size)``."""
+        """Return Gram matrices of all groups of a size ``(scales, groups, size, size)``."""
         if size not in self._products:
             each = (s.of_groups(at.ravel()).T.reshape(*at.shape, -1) for s in self.scales)
             self._products[size] = np.stack([b @ b.transpose(0, 2, 1) for b in each])
         return self._products[size]
 
     def _out(self, scales: Sequence[Scale], state: State) -> tuple[Array, Array]:
-        """What is out: left singular vectors ``(scales, m, q)`` of its columns and what they shrink
-        ``(scales, q)``.
+        """Return left singular vectors of the active columns and their shrinkage.
 
-        :func:`whitened` whitens what is out as well.
+        Shapes ``(scales, m, q)`` and ``(scales, q)``; :func:`whitened` takes both.
         """
         at = [k for group, _ in state for k in self._span[group]]
         tau = np.array([tau for group, tau in state for _ in self._span[group]])
@@ -294,7 +296,7 @@ class Search:
         return left, 1 - 1 / np.sqrt(1 + singular**2)
 
     def _log_z(self, scales: Sequence[Scale], left: Array, shrink: Array) -> Array:
-        """Log weight of what is out, at some scales ``(scales,)``."""
+        """Return the log marginal likelihood with the active groups ``(scales,)``."""
         along = np.stack([s.residual for s in scales])[:, None] @ left
         gain = ((1 - (1 - shrink) ** 2) * along[:, 0] ** 2).sum(axis=1)
         plain = np.array([s.log_z for s in scales])
@@ -302,10 +304,10 @@ class Search:
 
 
 def left_singular(columns: Array) -> tuple[Array, Array]:
-    """Left singular vectors ``(..., m, q)`` of columns, and singular values ``(..., q)``.
+    """Return left singular vectors ``(..., m, q)`` and singular values ``(..., q)`` of columns.
 
-    Where LAPACK's divide and conquer does not converge, as happens to sound matrices: by the
-    eigenvectors of their products, less exact for what is small, which hardly counts.
+    LAPACK's divide and conquer fails to converge for some regular matrices. Then eigenvectors of
+    the Gram matrix are used, which are less exact for small singular values.
     """
     try:
         left, singular, _ = np.linalg.svd(columns, full_matrices=False)
@@ -322,13 +324,13 @@ def left_singular(columns: Array) -> tuple[Array, Array]:
 
 
 def gained(inner: Array, met: Array, square: Array, tau: float) -> Array:
-    """Log weight that groups add by standing out ``(...)``.
+    """Return the log Bayes factor of activating each group ``(...)``.
 
     Args:
-        inner: products of their columns ``(..., k, k)``.
-        met: of these and the residual ``(..., k)``.
-        square: no less than that of the residual, broadcast to ``(...)``: no group explains more.
-        tau: scale.
+        inner: Gram matrices of their columns ``(..., k, k)``.
+        met: inner products of columns and residual ``(..., k)``.
+        square: upper bound of the squared residual, broadcast to ``(...)``.
+        tau: scale of the slab.
     """
     count = met.shape[-1]
     if count == 1:
@@ -344,5 +346,5 @@ def gained(inner: Array, met: Array, square: Array, tau: float) -> Array:
 
 
 def whitened(rows: Array, left: Array, shrink: Array) -> Array:
-    """Rows ``(m, ...)`` shrunk along orthonormal directions ``(m, q)``."""
+    """Return rows ``(m, ...)`` shrunk along orthonormal directions ``(m, q)``."""
     return np.asarray(rows - (left * shrink) @ (left.T @ rows))

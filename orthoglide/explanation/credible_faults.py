@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from orthoglide.explanation.alternatives import Alternatives
 from orthoglide.explanation.everything import FullPosterior
 from orthoglide.explanation.faults import Fault, places
-from orthoglide.explanation.instead import Alternatives
 from orthoglide.explanation.outstanding import NAMED, SURE
 from orthoglide.explanation.suspects import Key
 from orthoglide.fit import Problem
@@ -22,7 +22,7 @@ _LEAST_SHARE = float(np.exp(-3.0))
 the one whose command is wrong: one in twenty, below which it would not be in a 95 % set."""
 
 
-def standing(posterior: FullPosterior) -> list[Fault]:
+def certain_data_faults(posterior: FullPosterior) -> list[Fault]:
     """Return the data faults that are certain enough to correct, with their estimated sizes.
 
     Such a fault is active with a probability of at least 0.9, and data faults hold 99 % of its

@@ -17,7 +17,7 @@ _PLACES = 3  # at which most is left
 _ROUNDING = 1e-6  # of the noise of a reading, root mean square
 
 
-def rest_by_setup(estimate: Estimate) -> tuple[SetupResidual, ...]:
+def residual_by_setup(estimate: Estimate) -> tuple[SetupResidual, ...]:
     """What a fit leaves of every mounting of a dial, and of every axis of an instrument at the
     tool, largest share first; TCP points have no mounting.
     """
