@@ -13,10 +13,10 @@ import pytest
 
 import orthoglide as og
 from orthoglide.fit.excited import excited_effects
-from orthoglide.fit.repeats import repeat_steps
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations import Readings, read_readings, readings_text
+from orthoglide.observations.repetition import repeat_steps
 from orthoglide.planning import tool_sheets
 from tests.rig import Rig
 from tests.rig_delta import DeltaRig

@@ -270,7 +270,6 @@ def check(
         step(Step("reading"))
         from orthoglide.checking import check as compare, states_of
         from orthoglide.checking.told import changes_text, check_files
-        from orthoglide.fit import twice
         from orthoglide.report import write_folder
 
         given = None if machine.path is None else machine.load()

@@ -23,14 +23,14 @@ from orthoglide.explanation.significance import SIGNIFICANT, Left, left_over
 from orthoglide.explanation.suspects import Key
 from orthoglide.fit import Change, Estimate, account_for_changes, assemble, solve, tempered
 from orthoglide.fit.change_search import WIDTHS
-from orthoglide.fit.copies import shared
-from orthoglide.fit.earlier import vague
-from orthoglide.fit.exchanged import check_columns
-from orthoglide.fit.loud import is_misdeclared
+from orthoglide.fit.exchanged_columns import check_columns
+from orthoglide.fit.noise_notes import is_misdeclared
 from orthoglide.fit.plausible import check_plausible
+from orthoglide.fit.recalibration import vague
 from orthoglide.fit.verification import verify
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
+from orthoglide.observations.repetition import shared_fraction
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.result import Request, Word
 from orthoglide.threads import on_one_thread
@@ -198,7 +198,7 @@ def judge(closed: Closed) -> Closed:
             closed = _warned(closed, Note(text, "holdout"))
     held = (*request.holdout, *([] if request.tcp is None else [request.tcp]))
     fitted = (*request.campaigns, *request.points)
-    if any(shared(one, other) > 0.5 for one in held for other in fitted):
+    if any(shared_fraction(one, other) > 0.5 for one in held for other in fitted):
         text = "the readings held out are readings that were fitted: they judge nothing"
         closed = _warned(closed, Note(text, "holdout"))
     return replace(closed, hold_out=scored, tcp=errors)

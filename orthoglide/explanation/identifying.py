@@ -12,7 +12,7 @@ from orthoglide.errors import InputError, check_word
 from orthoglide.explanation.data_faults import slips_of_tool
 from orthoglide.fit import Estimate, Problem, account_for_changes, assemble, solve
 from orthoglide.fit.assembling import read_given
-from orthoglide.fit.exchanged import check_columns
+from orthoglide.fit.exchanged_columns import check_columns
 from orthoglide.fit.plausible import check_plausible
 from orthoglide.fit.solving import Method
 from orthoglide.fit.verification import verify

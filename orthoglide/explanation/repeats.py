@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from orthoglide.errors import InputError
 from orthoglide.explanation.faults import Fault, Rows, message, places
 from orthoglide.fit import Factor, Problem
-from orthoglide.fit.repeats import repeat_steps, repeated
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
+from orthoglide.observations.repetition import repeat_steps, repeated
 from orthoglide.ordering import best_of
 
 _LITTLE = 1e-4  # square of the noise that no reading is without

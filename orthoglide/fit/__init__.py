@@ -7,9 +7,7 @@ from orthoglide.fit.assembling import (
     sorted_out as sorted_out,
 )
 from orthoglide.fit.change import Change as Change
-from orthoglide.fit.copies import twice as twice
 from orthoglide.fit.crosscheck import CrossCheck as CrossCheck
-from orthoglide.fit.earlier import account_for_changes as account_for_changes
 from orthoglide.fit.estimate import Estimate as Estimate
 from orthoglide.fit.excited import excited_effects as excited_effects
 from orthoglide.fit.factors import Factor as Factor
@@ -21,6 +19,7 @@ from orthoglide.fit.noise import (
     noise_of as noise_of,
 )
 from orthoglide.fit.problem import Problem as Problem
+from orthoglide.fit.recalibration import account_for_changes as account_for_changes
 from orthoglide.fit.repeats import common_rounding as common_rounding
 from orthoglide.fit.scores import Scores as Scores
 from orthoglide.fit.solving import solve as solve, tempered as tempered

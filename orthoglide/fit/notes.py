@@ -7,11 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from orthoglide.effects.wording import parameter_words
-from orthoglide.fit.copies import copied, repeated_points, twice
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.loud import loud_dials, loud_instruments
+from orthoglide.fit.noise_notes import noisy_dials, noisy_instruments, small_residuals
 from orthoglide.fit.problem import Problem
-from orthoglide.fit.quiet import quieter
 from orthoglide.fit.repeats import OFF_GRID, off_grid
 from orthoglide.fit.roughness import LOUD
 from orthoglide.fit.sizes import part_sizes
@@ -19,6 +17,11 @@ from orthoglide.notes import Note
 from orthoglide.numerals import compact
 from orthoglide.observations import Readings, source
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
+from orthoglide.observations.repetition import (
+    copied_files,
+    copied_point_lines,
+    count_copied_repeats,
+)
 
 _CHANCE = 1e-3  # of a campaign in which noise alone makes a reading that is said to be off
 _ABOUT = 0.999  # of the loudest that a plate's roughness may count as
@@ -60,8 +63,8 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         found.append(Note(text, "lack_of_fit"))
     else:
         found += slips(estimate)
-    found += [*quieter(estimate), *louder(estimate), *loud_dials(estimate)]
-    found += loud_instruments(estimate)
+    found += [*small_residuals(estimate), *louder(estimate), *noisy_dials(estimate)]
+    found += noisy_instruments(estimate)
     found += part_sizes(problem)
     found += standing(estimate)
     for name in estimate.on_bound:
@@ -81,16 +84,16 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
 def copies(problem: Problem) -> Iterator[Note]:
     """Readings that are the same to the last digit as others, and so may be copies of them."""
     given = [f.readings for f in problem.factors]
-    for text in twice(given):
+    for text in copied_files(given):
         yield Note(text, "copies")
     for one in given:
-        if one.by_point and (lines := repeated_points(one)):
+        if one.by_point and (lines := copied_point_lines(one)):
             text = (
                 f"{_lines(one, lines)}: the same point as before to the last "
                 f"digit: a copy tells nothing that the other does not, so leave it out"
             )
             yield Note(text, "copies", lines)
-        elif count := copied(one):
+        elif count := count_copied_repeats(one):
             text = (
                 f"all {count} repeats of {one.name} are the same to the last digit as the "
                 f"visit before: if they are copies they say nothing of the noise, so leave them "

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
+from orthoglide.observations.repetition import repeat_steps
 
 OFF_GRID = 0.06
 """Steps by which six decimals of a millimetre, in metres or inches, miss a multiple of a dial's."""
@@ -151,20 +152,6 @@ def total_variance(within: ArrayLike, resolution: float) -> Array:
     shown = np.maximum.accumulate(total - common_rounding(np.sqrt(total), resolution) ** 2)
     seen = np.asarray(within, dtype=float)
     return np.asarray(np.interp(seen, shown, total) + np.maximum(seen - shown[-1], 0.0))
-
-
-def repeated(campaign: Readings) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows of readings that repeat one, station by station, and of those at the visit before."""
-    table = campaign.stations
-    order = np.lexsort([campaign.order, *table.T[::-1]])
-    same = np.all(np.diff(table[order], axis=0) == 0, axis=1)
-    return order[1:][same], order[:-1][same]
-
-
-def repeat_steps(campaign: Readings) -> Array:
-    """Each reading that repeats one, less the one at the visit before, metres."""
-    later, before = repeated(campaign)
-    return np.asarray(campaign.reading[later] - campaign.reading[before])
 
 
 def repeat_variance(campaigns: Sequence[Readings]) -> tuple[float, int]:

@@ -1,0 +1,271 @@
+"""Notes on noise that is larger or smaller than declared.
+
+With too small a declared noise, a sound machine appears faulty: the lack of fit is blamed on it.
+Repeats show the noise whatever the machine does, so the declared noise is tested against them.
+With readings in too large a unit (inches, degrees), readings and residuals are both small numbers,
+and a faulty machine appears sound: the residuals are tested against the assumed noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+
+import numpy as np
+
+from orthoglide.fit.estimate import Estimate
+from orthoglide.fit.noise_scales import NoiseScale, noise_scales, together
+from orthoglide.fit.problem import Problem
+from orthoglide.fit.repeats import total_variance
+from orthoglide.geometry import Array
+from orthoglide.machine_file import Instrument
+from orthoglide.notes import Note
+from orthoglide.numerals import compact
+from orthoglide.observations import Readings, source
+from orthoglide.observations.repetition import repeat_steps
+
+_CHANCE = 1e-3  # probability of a note on readings whose noise is what a test takes it to be
+# Degrees of freedom that a test needs: noise alone leaves a tenth of itself once in 4e8 such setups
+_FEWEST = 10.0
+
+# Repeats that scatter by more than declared
+_SUSPICIOUS = 0.01  # probability under which other setups are taken to be noisier than declared too
+_FEW = 2  # setups that are named one by one: more of them have a common cause
+_TIMES = 1.2  # smallest ratio to the declared noise that is reported
+_SEVERAL = 2.0  # ratio to the declared noise, without rounding, that refutes the declaration
+
+# Residuals that scatter by less than assumed. Inches are 25 times too small and degrees 57 times,
+# but unmodelled errors of the machine remain in the residual, so the limit is a tenth; a fifth for
+# noise that was declared, which is not as wrong as a usual figure.
+_SMALL, _SMALL_OF_DECLARED = 0.1, 0.2
+_EXACT = 1e-8  # metres or radians: readings of smaller declared noise are computed, not measured
+_HALF = 2.0  # factor by which the declared noise may be too large without a note
+_MOST = 1e3  # ratio above which its value is not reported
+_DECLARED, _FROM_REPEATS = "as declared", "from their repeats"
+_FROM_FILE, _IN_FILE = "as the machine file has it", " in the machine file, "
+
+
+# Noise larger than declared -------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Repeats:
+    """Repeat differences of the residuals of one setup."""
+
+    where: str  # file and setup, for people
+    steps: Array  # each repeat minus the visit before (k,), metres
+    sigma: float  # declared standard deviation of one reading, rounding included, metres
+    resolution: float  # of the dial, metres
+
+
+def noisy_dials(estimate: Estimate) -> Iterator[Note]:
+    """Yield a note on all dials, or one for each of a few setups, whose repeats scatter by more
+    than declared; nothing if the noise comes from the repeats, or is the usual figure.
+    """
+    problem = estimate.problem
+    declared = _declared_dial_noise(problem)
+    if declared is None or not problem.campaigns:
+        return
+    figure, remedy = f"{compact(declared * 1e3, 2)} was declared", "correct what was declared"
+    if problem.noise.source == "machine":
+        figure = f"the machine file says {compact(declared * 1e3, 2)}"
+        remedy = "correct repeatability under [dial_mm]"
+    every = _dial_repeats(estimate)
+    noisy = [one for one in every if _is_noisy([one], _CHANCE / len(every))]
+    others = [one for one in every if one not in noisy]
+    have_common_cause = (
+        2 * len(noisy) >= len(every) > 1 or len(noisy) > _FEW or _is_noisy(others, _SUSPICIOUS, 1.0)
+    )
+    if have_common_cause or (not noisy and _is_noisy(every)):
+        yield Note(
+            f"repeats of the dials scatter by {compact(_scatter(every) * 1e3, 2)} mm, where "
+            f"{figure}: {remedy}, or look for what is loose",
+            "scatter",
+        )
+        return
+    for one in noisy:
+        yield Note(
+            f"{one.where}: repeats scatter by {compact(_scatter([one]) * 1e3, 2)} mm, where "
+            f"{figure}, which those of other setups agree with: look for what is loose on this "
+            f"dial, its stand and its leg, and read the setup again",
+            "scatter",
+        )
+
+
+def noisy_instruments(estimate: Estimate) -> Iterator[Note]:
+    """Yield a note for each instrument at the tool whose repeats scatter by more than the
+    repeatability in the machine file.
+    """
+    problem = estimate.problem
+    for k, factor, number, setup in problem.mounted:
+        chosen, rows = factor.setup == number, problem.factor_rows[k]
+        declared = problem.machine.spec.instruments.get(setup.kind, Instrument()).repeatability
+        if declared is None or np.isfinite(factor.readings.sigma[chosen]).any():
+            continue
+        residuals = replace(factor.readings, reading=estimate.residuals[rows])
+        one = _repeats_of_setup(residuals, number, factor.noise.total, problem.step[rows])
+        if _is_noisy([one]):
+            yield Note(
+                f"{one.where}: repeats scatter by {compact(_scatter([one]) * 1e3, 2)} "
+                f"{setup.observation.unit}, where the machine file says "
+                f"{compact(declared * 1e3, 2)}: correct repeatability under "
+                f"[instrument.{setup.kind}], or look for what is loose",
+                "scatter",
+            )
+
+
+def is_misdeclared(estimate: Estimate) -> bool:
+    """Return whether repeats of dials scatter by several times the declared noise of one dial,
+    rounding excluded. A curve fitted to such repeats may only follow undeclared noise.
+    """
+    declared = _declared_dial_noise(estimate.problem)
+    if declared is None or not any(noisy_dials(estimate)):
+        return False
+    return _scatter(_dial_repeats(estimate)) > _SEVERAL * declared
+
+
+def _declared_dial_noise(problem: Problem) -> float | None:
+    """Return the declared standard deviation of one dial, metres, or ``None``."""
+    if problem.noise.source == "machine":
+        return problem.machine.spec.dial.repeatability
+    return problem.noise.declared if problem.noise.source == "declared" else None
+
+
+def _dial_repeats(estimate: Estimate) -> list[_Repeats]:
+    """Return the repeats of every dial setup that has any."""
+    problem, found = estimate.problem, []
+    total = np.hypot(problem.sigma, problem.common)
+    for campaign, rows in zip(problem.campaigns, problem.rows, strict=True):
+        residuals = campaign.with_readings(estimate.residuals[rows])
+        for k in np.unique(campaign.setup).tolist():
+            one = _repeats_of_setup(residuals, k, total[rows], problem.step[rows])
+            if len(one.steps):
+                found.append(one)
+    return found
+
+
+def _repeats_of_setup(residuals: Readings, number: int, sigma: Array, step: Array) -> _Repeats:
+    """Return the repeats of one setup.
+
+    Args:
+        residuals: a table with residuals in the place of its readings ``(n,)``, metres or radians.
+        number: of the setup.
+        sigma: assumed noise of each row ``(n,)``, metres or radians.
+        step: resolution of each row ``(n,)``, metres or radians.
+    """
+    rows = residuals.setup == number
+    return _Repeats(
+        f"{source(residuals)}, setup {residuals.setups[number].name!r}",
+        repeat_steps(residuals.subset(rows)),
+        float(np.sqrt(np.mean(sigma[rows] ** 2))),
+        float(step[rows].max()),
+    )
+
+
+def _is_noisy(several: Sequence[_Repeats], chance: float = _CHANCE, times: float = _TIMES) -> bool:
+    """Return whether the repeats scatter by more than ``times`` the declared noise, and noise as
+    declared would scatter as much with a probability below ``chance``.
+    """
+    from scipy.special import chdtrc
+
+    count = sum(len(one.steps) for one in several)
+    dof = 2 * count / 3  # successive differences share readings
+    if dof < _FEWEST:
+        return False
+    square = sum(float(np.sum(one.steps**2)) / 2 / one.sigma**2 for one in several) / count
+    return bool(square > times**2 and chdtrc(dof, dof * square) < chance)
+
+
+def _scatter(several: Sequence[_Repeats]) -> float:
+    """Return the standard deviation of one reading without its rounding, metres."""
+    count = [len(one.steps) for one in several]
+    resolution = np.array([one.resolution for one in several])
+    total = [total_variance(np.mean(one.steps**2) / 2, one.resolution) for one in several]
+    mean = float(np.average(total - resolution**2 / 12, weights=count))
+    return float(np.sqrt(max(mean, 0.0)))
+
+
+# Noise smaller than assumed -------------------------------------------------------------------
+
+
+def small_residuals(estimate: Estimate) -> tuple[Note, ...]:
+    """Return notes on readings that fit far better than their noise: one for each instrument, or
+    else one for all readings.
+    """
+    return tuple(_small_by_instrument(estimate)) or tuple(_small_overall(estimate))
+
+
+def _small_by_instrument(estimate: Estimate) -> Iterator[Note]:
+    """Yield a note for each setup of an instrument at the tool, and for all dials of a file, whose
+    residuals are a small fraction of the assumed noise.
+    """
+    problem = estimate.problem
+    for table, several in groupby(noise_scales(estimate), key=lambda one: one.readings):
+        setups = list(several)
+        dials = bool(table.on_legs.all())
+        for noise in [together(setups)] if dials else setups:
+            origin = _noise_origin(problem, noise)
+            limit = _SMALL_OF_DECLARED if origin else _SMALL
+            # Dials with declared noise are tested by `_small_overall`.
+            tested_overall = dials and problem.noise.source == "declared"
+            testable = noise.sigma >= _EXACT and noise.dof >= _FEWEST
+            if not tested_overall and testable and noise.scale < limit:
+                yield Note(_small_sentence(noise, origin), "quiet")
+
+
+def _small_overall(estimate: Estimate) -> Iterator[Note]:
+    """Yield a note if chi2 would be too small even for half of the declared noise."""
+    from scipy.special import chdtr
+
+    problem, scores = estimate.problem, estimate.scores
+    all_declared = all(np.isfinite(f.readings.sigma).all() for f in problem.tool if problem.on_legs)
+    if problem.noise.source != "declared" or not all_declared or estimate.sigma_scale > 1:
+        return
+    if chdtr(max(scores.dof, 1e-9), _HALF**2 * scores.chi2) < _CHANCE:
+        times = np.sqrt(scores.dof / max(scores.chi2, 1e-300))
+        yield Note(
+            f"the readings scatter {compact(times, 2)} times less than the noise that was declared "
+            f"({problem.one_reading.said()}; chi2 {compact(scores.chi2, 2)} on "
+            f"{scores.dof:.0f} degrees of freedom), so that faults may go unnoticed: correct the "
+            f"declared noise, or the unit of the readings",
+            "quiet",
+        )
+
+
+def _small_sentence(noise: NoiseScale, origin: str) -> str:
+    """Return the sentence on readings with small residuals, and what to do about them."""
+    table, setup = noise.readings, noise.setup
+    unit, other = ("mrad", "degrees") if setup.observation.angular else ("mm", "inches")
+    times = 1 / max(noise.scale, 1 / _MOST)
+    count = f"more than {_MOST:.0f}" if times >= _MOST else compact(times, 2)
+    where = source(table)
+    if table.on_legs.all():
+        place = f"{_IN_FILE}[dial_mm]"
+    elif table.by_point:
+        place = " in a column sigma_mm"
+    else:
+        where, place = f"{where}, setup {setup.name!r}", f"{_IN_FILE}[instrument.{setup.kind}]"
+    return (
+        f"{where}: the readings are {count} times quieter than the noise assumed of them "
+        f"({compact(noise.sigma * 1e3, 2)} {unit}, {origin or 'the usual figure'}): are they in "
+        f"another unit, as {other}? If not, "
+        f"{'correct' if origin else 'declare'} the instrument's noise"
+        f"{'' if origin == _DECLARED else place}"
+    )
+
+
+def _noise_origin(problem: Problem, noise: NoiseScale) -> str:
+    """Return where the assumed noise comes from, in words; empty for the usual figure."""
+    spec = problem.machine.spec
+    if noise.readings.on_legs.all():
+        if problem.noise.source == "repeats":
+            return _FROM_REPEATS
+        return _FROM_FILE if spec.dial.repeatability else ""
+    table, kind = noise.readings, noise.setup.kind
+    of_kind = np.array([s.kind == kind for s in table.setups])[table.setup]
+    declared = problem.noise.source == "declared" and not problem.campaigns
+    if declared or np.isfinite(table.sigma[of_kind]).all():
+        return _DECLARED
+    instrument = spec.instruments.get(kind)
+    return _FROM_FILE if instrument is not None and instrument.repeatability else ""
