@@ -59,7 +59,7 @@ class Kernel:
 
 @dataclass(frozen=True)
 class Level:
-    """The same everywhere."""
+    """A constant."""
 
     count = 1
 

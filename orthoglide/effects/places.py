@@ -62,7 +62,7 @@ class Place:
 
     @property
     def where(self) -> str:
-        """The same of what is short and of what is not: it is one or the other."""
+        """Key that short and long variants share, as only one of them can be the cause."""
         if self.of_dial:
             return f"dial{self.setup and '.'}{self.setup}/{self.against}"
         way = f".{self.direction}" if self.direction else ""
@@ -77,7 +77,7 @@ class Place:
 
     @property
     def turns(self) -> bool:
-        """Whether it turns a part; else it moves or stretches one."""
+        """Whether it rotates a part; else it moves or stretches one."""
         return self.part == "carriage"
 
     @property
@@ -140,7 +140,7 @@ class Place:
 
     @property
     def words(self) -> str:
-        """Where and how, as a clause."""
+        """Clause with the location and the kind of the error."""
         if self.of_dial and not self.setup:
             return "all dials read more or less by the way that their plungers came"
         if self.part == "drive" and self.leg < 0:
@@ -280,7 +280,7 @@ def places(
     stroke: Range = (-_LENGTH, _LENGTH),
     scale: float = 1.0,
 ) -> tuple[Place, ...]:
-    """All places of a machine.
+    """Return all places of a machine.
 
     Args:
         sessions: of each leg, and of the campaign; none where time was not recorded.

@@ -113,7 +113,7 @@ def own_shapes(place: Array, scale: float = 1.0) -> list[tuple[Array, float]]:
 
 
 def every_shape(place: Array) -> Iterator[tuple[Array, float]]:
-    """The same with those that effects name."""
+    """Yield all shapes of a plate at places ``(n, 2)``, each with its size."""
     for effect in EFFECTS:
         yield from ((shape(*place.T), FLAT) for _, shape in effect.plate)
     yield from own_shapes(place)

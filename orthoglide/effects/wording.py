@@ -51,7 +51,7 @@ def cause_words(catalogue: Catalogue, name: str, values: Mapping[str, float]) ->
 
 
 def cause_short(catalogue: Catalogue, name: str) -> str:
-    """The same cause without its size."""
+    """Return the clause of a cause without its size."""
     effect, parameter = _resolved(catalogue, name)
     where = _campaign(parameter, name)
     if parameter is None and name != effect.name:  # the paired parameters of one leg

@@ -47,18 +47,18 @@ class Change:
 
     @property
     def unit(self) -> Unit:
-        """Of the parameter in files."""
+        """Unit of the parameter in files."""
         return self.catalogue.effect_of(self.parameter).unit
 
     @property
     def files(self) -> tuple[str, str]:
-        """Those of ``between``, without their folders."""
+        """The two file names in ``between``, without folders."""
         before, after = (path.rpartition("/")[2] for path in self.between)
         return before, after
 
     @property
     def moved(self) -> dict[Parameter, float]:
-        """By how much each member would have changed, SI; nan where that is not known."""
+        """Change of each member, were it the one that changed, SI; nan if unknown."""
         by, of = self.after - self.before, self.catalogue.effect_of
         alike = [by if of(name).unit == self.unit else float("nan") for name in self.members]
         return dict(zip(self.members, (by, *(self.sizes or alike)[1:]), strict=True))
@@ -75,7 +75,7 @@ class Change:
 
     @property
     def what(self) -> str:
-        """What changed, from what to what, and what else it may be."""
+        """Clause with the parameter, both values, and the alternatives."""
         return self._told(self.others)
 
     @property
@@ -85,7 +85,7 @@ class Change:
 
     @property
     def what_alone(self) -> str:
-        """What changed, without what else it may be."""
+        """Clause with the parameter and both values, without the alternatives."""
         return self._told("")
 
     def _told(self, others: str) -> str:
@@ -102,7 +102,7 @@ class Change:
 
     @property
     def others(self) -> str:
-        """What else may have changed instead, each by its own size; in brackets, or empty."""
+        """The alternatives with their sizes, in brackets; empty if there are none."""
         return f" (or {', or '.join(self._rivals)})" if self._rivals else ""
 
     @property
@@ -120,7 +120,7 @@ class Change:
 
     @property
     def own(self) -> tuple[str, ...]:
-        """What is separate from ``since`` on, as ``build_problem`` takes it."""
+        """Members as per-campaign parameters from ``since`` on, for ``build_problem``."""
         return tuple(f"{name}@{self.since}" for name in self.members)
 
     @property
@@ -143,11 +143,11 @@ class Change:
 
     @property
     def is_cause(self) -> bool:
-        """Whether the parameter still has an error after the change that these readings show."""
+        """Whether the error that remains after the change is significant."""
         return abs(self.after) > SIGNIFICANT * self.sigma_after
 
     def now(self, estimate: Estimate) -> Change:
-        """With the value of a later fit."""
+        """Return the change with the value and the sigma of a later fit."""
         summed = self.summed
         places = [k for k, name in enumerate(estimate.names) if name in summed]
         if len(places) < len(summed):

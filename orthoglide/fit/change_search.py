@@ -20,10 +20,10 @@ from orthoglide.geometry import Array
 from orthoglide.ordering import EQUAL_ODDS, best_of, descending, largest
 
 State = tuple[tuple[int, float], ...]
-"""What changed: places of hypotheses, each with its width."""
+"""A set of changes: index of each hypothesis, with its prior width in tolerances."""
 
 Weighed = tuple[float, State]
-"""A state behind its log odds against no change."""
+"""Log odds of a state against no change, and the state."""
 
 WIDTHS = (1.0, 3.0, 10.0)
 """Tolerances by which something changes, each less likely by as much as it is wider."""
@@ -83,7 +83,7 @@ class Hypotheses:
         )
 
     def _best(self) -> tuple[State, float]:
-        """Added one by one, each the best beside those before it; then exchanged."""
+        """Return the best state and its log odds: greedy forward selection, then exchanges."""
         path: list[Weighed] = [(0.0, ())]
         while more := self._more(path[-1][1]):
             path += more
@@ -96,7 +96,7 @@ class Hypotheses:
             state, weight = better, best
 
     def _near(self, state: State) -> Iterator[Weighed]:
-        """One or two more, or none, in place of none to three."""
+        """Yield the states in which up to three changes are replaced by up to two others."""
         for count in range(4 if len(state) <= _FEW else 3):
             for gone in combinations(state, count):
                 rest = tuple(s for s in state if s not in gone)
@@ -139,7 +139,7 @@ class Hypotheses:
         return [best_of(best, _log_odds, EQUAL_ODDS)] if best else []
 
     def _weights(self, state: State) -> Array:
-        """Log weights ``(c, widths)`` of a state with one more."""
+        """Return the log odds ``(c, widths)`` of a state with one more change."""
         gain, occam, left, met = self._past(state)
         square = np.square(WIDTHS)
         spread = 1 + square * np.diag(left)[:, None]
@@ -211,7 +211,7 @@ class Hypotheses:
                     yield near, float(weights[place, width])
 
     def _rivals(self, state: State, k: int) -> dict[int, float]:
-        """What could have changed in place of one, with its size, the likest first."""
+        """Return the alternatives to one change with their sizes, most probable first."""
         rest = _less(state, k)
         gain, _, left, met = self._past(rest)
         square = max(WIDTHS) ** 2

@@ -71,13 +71,13 @@ class Moved:
 
     @property
     def parameter(self) -> Parameter:
-        """That changed."""
+        """The parameter that changed."""
         return next(iter(self.sizes))
 
 
 @dataclass(frozen=True)
 class Changed:
-    """What changed, all at once."""
+    """The most probable set of changes."""
 
     moved: tuple[Moved, ...]  # the most decisive change first
     weight: float  # log odds of all of them against none

@@ -230,5 +230,5 @@ class Estimate(Framed):
 
 
 def _to_tenths(left: ByUnit) -> str:
-    """What is left, to tenths of a micrometre and of a microradian."""
+    """Return the residual rms as text, to 0.1 um and 0.1 urad."""
     return " and ".join(f"{value:.4f} {unit}" for unit, value in left.shown.items())

@@ -26,12 +26,12 @@ def excited_effects(problem: Problem) -> tuple[Effect, ...]:
 
 
 def unmet(problem: Problem, effect: Effect) -> tuple[str, ...]:
-    """What an effect needs to be seen and the readings do not vary: ``approach``, ``load`` ..."""
+    """Return the conditions that an effect needs and the readings do not vary."""
     return tuple(sorted(need for need in effect.needs if not _MET[need](problem)))
 
 
 def both_sides(approach: Array) -> NDArray[np.bool_]:
-    """Which axes some of the readings ``(n, 3)`` are known to come to from either side ``(3,)``."""
+    """Return which axes ``(3,)`` readings ``(n, 3)`` approach from both sides, as booleans."""
     return np.asarray((approach > 0).any(axis=0) & (approach < 0).any(axis=0))
 
 

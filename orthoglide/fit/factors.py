@@ -93,7 +93,7 @@ class Factor:
 
     @property
     def on_legs(self) -> bool:
-        """Whether it reads legs; the tool otherwise."""
+        """Whether the readings are taken on legs; else they are taken at the tool."""
         return bool(self.readings.on_legs.all())
 
     @property

@@ -108,11 +108,11 @@ class Nuisances:
 
     @property
     def free(self) -> int:
-        """How many of them nothing is known of, those that others make up left out."""
+        """Number of linearly independent nuisance parameters without a prior."""
         return self.basis.shape[1] - int(np.sum(self.precision > 0))
 
     def project(self, rows: Array) -> Array:
-        """Whitened rows ``(n, ...)`` without what the nuisances explain, ``(n + k, ...)``."""
+        """Return rows ``(n, ...)``, whitened and projected past the nuisances ``(n + k, ...)``."""
         return whitened(self.weighing, self.basis, rows)
 
     def solve(self, rest: Array) -> Array:
@@ -121,7 +121,7 @@ class Nuisances:
         return np.asarray(np.linalg.lstsq(self.augmented, target, rcond=1e-12)[0])
 
     def fitted(self, rest: Array) -> Array:
-        """What the nuisances take of what the model leaves ``(n,)``, metres."""
+        """Return the part of residuals ``(n,)`` that the nuisances explain ``(n,)``, metres."""
         return np.asarray(self.columns @ self.solve(rest))
 
 
@@ -153,16 +153,16 @@ class Normal:
 
     @property
     def chi2(self) -> float:
-        """Of the data and its nuisances."""
+        """Sum of squared whitened residuals, nuisance parameters included."""
         return float(self.residual @ self.residual)
 
     def prior_chi2(self, x: Array) -> float:
-        """Of what is known before, at the unknowns ``x`` ``(P,)``."""
+        """Return the sum of squares of the prior at the unknowns ``x`` ``(P,)``."""
         return float(np.sum((self.prior @ x - self.target) ** 2))
 
     @property
     def cost(self) -> float:
-        """What is minimised: data, nuisances and priors."""
+        """The objective: sum of squares of residuals, nuisance parameters and prior."""
         return self.chi2 + self.prior_chi2(self.x)
 
     @property

@@ -174,7 +174,7 @@ def _weighed(rows: Any, weighing: Weighing) -> Any:
 
 
 def _values(problem: Problem, factor: int, x: Any) -> dict[str, Any]:
-    """All parameters of a factor's machine and dials, as MX."""
+    """Return all parameters of the machine and dials of a factor as MX."""
     names, matrix = problem.elementary(factor)
     values = {name: ca.MX(value) for name, value in problem.held[factor].items()}
     free = ca.DM(matrix) @ x

@@ -97,7 +97,7 @@ class RowNoise:
 
 @dataclass(frozen=True)
 class Level:
-    """What one reading of a kind scatters by."""
+    """Standard deviation of one reading of a kind."""
 
     total: float  # standard deviation, rounding to `step` counted, metres or radians
     step: float  # of the instruments that it was found for
@@ -234,7 +234,7 @@ class _Kind:
 
     @property
     def summary(self) -> Noise:
-        """All of it in one figure."""
+        """Noise of all readings of the kind as one figure."""
         counted = any(s.any() for s in self._shown)
         step = self._commonest if not self._told or counted else 0.0
         typical = float(self.level.at(np.array([step]))[0])
@@ -242,7 +242,7 @@ class _Kind:
         return Noise(typical, self.level.source, self._commonest, self.level.dof, told)
 
     def rows(self) -> Iterator[RowNoise]:
-        """Of each table."""
+        """Yield the noise of the rows of each table."""
         # Whether any station is visited twice from the same side.
         again = any(len(np.unique(one.stations, axis=0)) < len(one) for one in self._tables)
         usual = self._own.repeatability or self._observation.repeatability

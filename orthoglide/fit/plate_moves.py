@@ -42,7 +42,7 @@ class PlateMove:
 
     @property
     def leans(self) -> bool:
-        """Whether its slopes do."""
+        """Whether its slopes differ significantly."""
         return self._tells(self.rise, self.sigma[1])
 
     def _tells(self, size: float, sigma: float) -> bool:
@@ -50,7 +50,7 @@ class PlateMove:
 
     @property
     def words(self) -> str:
-        """Which way and by how much, without a cause."""
+        """Clause with direction and size of the move, without a cause."""
         said = []
         if self.is_higher:
             size = plain(abs(self.higher) * 1e3, 2)
@@ -102,7 +102,7 @@ def _touches(
 
 
 def _move(setup: str, old: Array, new: Array, least: float) -> PlateMove:
-    """From touches ``(m, 4)`` of both visits; ``least`` is worth a sentence, metres."""
+    """Return the move between touches ``(m, 4)`` of two visits; ``least`` is reported, metres."""
     places = np.concatenate([old, new])[:, :2]
     middle = places.mean(axis=0)
     radius = float(np.hypot(*(places - middle).T).max())

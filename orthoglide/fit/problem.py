@@ -72,7 +72,7 @@ class Problem:
 
     @property
     def legs_alone(self) -> bool:
-        """Whether legs are all that was read."""
+        """Whether all readings are taken on legs."""
         return not self.tool
 
     def with_factors(self, on_legs: Sequence[Factor]) -> Problem:
@@ -111,7 +111,7 @@ class Problem:
 
     @cached_property
     def measured(self) -> Array:
-        """All rows ``(n,)``, metres or radians."""
+        """Readings of all factors ``(n,)``, metres or radians."""
         return np.concatenate([f.measured for f in self.factors])
 
     @cached_property
@@ -126,7 +126,7 @@ class Problem:
 
     @cached_property
     def common(self) -> Array:
-        """What an instrument rounds away alike at every visit, of all rows ``(n,)``, metres."""
+        """Rounding error that the visits to a station share, sigma of each row ``(n,)``, metres."""
         return np.concatenate([f.noise.common for f in self.factors])
 
     @cached_property
@@ -143,7 +143,7 @@ class Problem:
 
     @property
     def told_noise(self) -> float:
-        """The same of a length as it was declared, before its rounding, where it was."""
+        """Declared standard deviation of a length without rounding, else that of one reading."""
         declared = self.noise.declared
         return declared if np.isfinite(declared) else self.one_reading.length
 
@@ -217,7 +217,7 @@ class Problem:
         return np.asarray(self.tolerance * width)
 
     def far(self, x: Array) -> NDArray[np.bool_]:
-        """Which of the unknowns ``x`` ``(P,)`` are beyond what their tolerances let expect."""
+        """Return which unknowns ``x`` ``(P,)`` are implausible by their tolerances."""
         return np.asarray(np.abs(self.past_entered(x)) > FAR * self.tolerance)
 
     def past_entered(self, x: Array) -> Array:
@@ -233,7 +233,7 @@ class Problem:
 
     @cached_property
     def prior_rows(self) -> tuple[Array, Array]:
-        """What is known before: matrix ``(k, P)`` and target ``(k,)`` of ``|W x - t|^2``."""
+        """The prior ``|W x - t|^2``: matrix ``(k, P)`` and target ``(k,)``."""
         if self.prior is not None:
             return self.prior
         tolerances = np.diag(1 / self.prior_sd)
@@ -245,7 +245,7 @@ class Problem:
 
     @cached_property
     def start(self) -> Array:
-        """Where to start ``(P,)``, SI."""
+        """Initial values ``(P,)``, SI."""
         return np.array([u.start for u in self.unknowns])
 
     @cached_property
@@ -254,7 +254,7 @@ class Problem:
         return np.array([u.bound for u in self.unknowns])
 
     def on_bound(self, x: Array) -> NDArray[np.bool_]:
-        """Which of the unknowns ``x`` ``(P,)`` stand on their bounds."""
+        """Return which unknowns ``x`` ``(P,)`` are on their bounds."""
         return np.asarray(np.abs(x) >= self.bound * (1 - 1e-6))
 
     def elementary(self, factor: int) -> tuple[tuple[str, ...], Array]:
@@ -264,13 +264,13 @@ class Problem:
         return names, weight_matrix(names, parts)
 
     def of_machine(self, factor: int) -> tuple[tuple[str, ...], Array]:
-        """The same of the machine's parameters alone."""
+        """Return the machine parameters that the unknowns set, and the matrix ``(E, P)``."""
         names, matrix = self.elementary(factor)
         kept = [k for k, n in enumerate(names) if not self.machine.catalogue.effect_of(n).of_dial]
         return tuple(names[k] for k in kept), matrix[kept]
 
     def values(self, factor: int, x: Array) -> dict[str, float]:
-        """All parameters of a factor's machine and dials at the unknowns ``x`` ``(P,)``, SI."""
+        """Return all parameters of a factor's machine and dials at unknowns ``x`` ``(P,)``, SI."""
         names, matrix = self.elementary(factor)
         found = dict(self.held[factor])
         for name, value in zip(names, matrix @ x, strict=True):
@@ -317,13 +317,13 @@ class Problem:
 
     @property
     def elastic(self) -> bool:
-        """Whether bars give under a load in some posture."""
+        """Whether a load deforms the bars in some posture."""
         model = self.machine.model
         return any(model.is_elastic(factor.conditions()) for factor in self.factors)
 
     @cached_property
     def representable(self) -> bool:
-        """Whether the reduction's six parameters say all that is asked and held."""
+        """Whether the six parameters of the reduction cover all unknowns and held values."""
         plain = all(s.observation.dials == 1 for s in self.setups)
         if not plain or self.earlier is not None or self.machine.spec.urdf or self.elastic:
             return False
@@ -333,7 +333,7 @@ class Problem:
         return all(catalogue.effect_of(n).name in catalogue.base for n in [*named, *held])
 
     def at_tolerance(self) -> Problem:
-        """The same problem with no prior wider than its tolerance."""
+        """Return this problem with the width of every prior reset to its tolerance."""
         narrow = tuple(replace(u, width=1.0) for u in self.unknowns)
         return self if narrow == self.unknowns else replace(self, unknowns=narrow)
 

@@ -37,7 +37,7 @@ _VAGUE = {
 
 
 def vague(spec: MachineFile) -> str:
-    """What an earlier calibration holds in place of causes, as a clause; empty where nothing."""
+    """Return a clause on what an earlier calibration left ambiguous; empty if nothing."""
     for kept, words in _VAGUE.items():
         several = spec.provenance.get(kept, ())
         if isinstance(several, Sequence) and several:
@@ -76,7 +76,7 @@ def _found(estimate: Estimate, known: Posterior) -> Changed | None:
 
 
 def _changed(estimate: Estimate, known: Posterior, bent: float) -> Changed | None:
-    """Of what was calibrated, and without dials of plates and patterns of equal legs too."""
+    """Return the changes of calibrated parameters; without dials also of plates and patterns."""
     first = estimate.problem
     names = [name for name in first.names if name in known.names]
     if not names:
@@ -114,7 +114,7 @@ def _let_go(problem: Problem, left: Posterior, names: Collection[Parameter]) -> 
 
 
 def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -> Iterator[Change]:
-    """What was found, with the values of both visits."""
+    """Yield the changes found, with the values of both visits."""
     last, catalogue = now.problem.factors[now.problem.last], now.problem.machine.catalogue
     spec = now.problem.machine.spec
     old, unclear = Path(spec.file).name or "earlier calibration", bool(vague(spec))

@@ -95,12 +95,12 @@ def _coarser(apart: Array, step: float) -> float:
 
 
 def off_grid(readings: Array, step: float | Array) -> Array:
-    """How far readings ``(n,)`` are from multiples of a dial's step, both metres; in steps."""
+    """Return the distance of readings ``(n,)`` from multiples of a step, both metres, in steps."""
     return np.abs(readings / step - np.round(readings / step))
 
 
 def on_grid(readings: Array, step: float | Array, miss: float = OFF_GRID) -> bool:
-    """Whether readings ``(n,)`` are multiples of their dials' steps, but for less than ``miss``."""
+    """Return whether readings ``(n,)`` are multiples of the step within ``miss`` steps."""
     return bool((off_grid(readings, step) < miss).all())
 
 

@@ -169,7 +169,7 @@ def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
 
 
 def _begin(problem: Problem, method: Method) -> Array:
-    """Where to start: of very many readings of dials, where some of every setup lead."""
+    """Return the initial values ``(P,)``; of very many readings, a fit to a subset."""
     count = sum(map(len, problem.campaigns))
     if count < _MANY or method == "reduction":
         return problem.start

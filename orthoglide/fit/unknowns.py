@@ -135,7 +135,7 @@ def build_problem(
 def _without(
     held: Sequence[Mapping[str, float]], unknowns: Sequence[Unknown]
 ) -> tuple[dict[str, float], ...]:
-    """What stays held of each factor's parameters."""
+    """Return the values of each factor that no unknown sets, which stay held."""
     free = [{n for u in unknowns for n in u.parts[k]} for k in range(len(held))]
     return tuple(
         {n: v for n, v in values.items() if n not in set_here}

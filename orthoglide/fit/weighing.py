@@ -30,7 +30,7 @@ class Weighing:
     station: NDArray[np.int64]  # of each row (n,)
 
     def part(self, rows: NDArray[Any]) -> Weighing:
-        """Of some rows, by indices or booleans ``(n,)``."""
+        """Return the weighing of some rows, given as indices or booleans ``(n,)``."""
         return Weighing(self.sigma[rows], self.common[rows], numbered(self.station[rows]))
 
     @cached_property
@@ -46,7 +46,7 @@ class Weighing:
 
     @cached_property
     def direction(self) -> Array:
-        """What a station's rows have in common, whitened: of unit length in each ``(n,)``."""
+        """Direction of the common error of each station, whitened, of unit length ``(n,)``."""
         return self.weight / np.sqrt(np.bincount(self.station, self.weight**2))[self.station]
 
     @cached_property
@@ -86,9 +86,9 @@ class Weighing:
         return np.asarray(rows + (part.T * (self.direction * (factor - 1))).T)
 
     def whiten(self, rows: Array) -> Array:
-        """Rows ``(n, ...)`` in metres in units of their noise."""
+        """Return whitened rows ``(n, ...)``, dimensionless, from rows in metres."""
         return self._scaled((rows.T * self.weight).T, 1 / self._stretch)
 
     def metres(self, rows: Array) -> Array:
-        """The reverse of :meth:`whiten`."""
+        """Return whitened rows ``(n, ...)`` in metres; the inverse of :meth:`whiten`."""
         return np.asarray((self._scaled(rows, self._stretch).T * self.sigma).T)

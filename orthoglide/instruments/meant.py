@@ -61,7 +61,7 @@ def wrong_bar(p: Array, value: Array) -> str:
 
 
 def _unit(left: Array) -> str:
-    """What readings seem to be of which each factor leaves so much ``(factors,)``, metres."""
+    """Return a clause on a mistaken unit; ``left``: rms by factor ``(factors,)``, metres."""
     best = _least(left)
     if left[0] < _FAR or left[best] > _MENDED * left[0]:
         return ""

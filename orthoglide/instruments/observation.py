@@ -187,7 +187,7 @@ class Taken:
 
     @property
     def open(self) -> bool:
-        """Whether they are still to be taken."""
+        """Whether the readings are still to be taken."""
         return bool(np.isnan(self.value).all())
 
 
@@ -247,7 +247,7 @@ class Observation(ABC):
 
     @property
     def on_leg(self) -> bool:
-        """Whether it reads a leg; the tool otherwise."""
+        """Whether it is read on a leg; else at the tool."""
         return self.dials > 0
 
     @property
@@ -257,7 +257,7 @@ class Observation(ABC):
 
     @property
     def unit(self) -> str:
-        """In which files and people give its readings."""
+        """Unit of its readings in files and texts."""
         return "mrad" if self.angular else "mm"
 
     def takes(self, effect: Effect) -> bool:

@@ -302,7 +302,7 @@ class SixBars:
 
 
 def _is_closed(check: Array, most: float) -> NDArray[np.bool_]:
-    """Which postures ``(n,)`` are closed, in the machine's own assembly mode."""
+    """Return which postures ``(n,)`` are closed in the machine's assembly mode."""
     return np.asarray((check[:, 0] <= most) & (check[:, 1] < -FLAT) & (check[:, 2] > _TURNED))
 
 

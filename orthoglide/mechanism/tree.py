@@ -111,7 +111,7 @@ class Tree:
 
     @cached_property
     def hanging(self) -> bool:
-        """Whether the platform hangs below parallel rails."""
+        """Return whether the platform hangs below parallel rails."""
         return bool((self.slides @ self.slides[0] > 1 - _PARALLEL).all())
 
     def frame(self, name: str) -> int:

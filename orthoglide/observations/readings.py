@@ -251,13 +251,13 @@ class Readings:
 
     @property
     def places(self) -> Array:
-        """What is read where: setup, axis and both commands ``(n, 8)``."""
+        """Place of each reading: setup, axis and both commands ``(n, 8)``."""
         second = np.nan_to_num(self.second)
         return np.column_stack([self.setup, self.axis, self.command, second])
 
     @property
     def stations(self) -> Array:
-        """What makes visits the same: places, approach of all axes, load ``(n, k)``."""
+        """Station of each reading: place, approach of all axes, load ``(n, k)``."""
         return np.column_stack([self.places, self.approach, self.load])
 
     @property

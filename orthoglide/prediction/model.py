@@ -107,18 +107,18 @@ class Model:
 
     @cached_property
     def engine(self) -> Engine:
-        """What closes postures."""
+        """The engine that closes postures."""
         if self._engine == "pinocchio":
             return ByPinocchio(self.mechanism)
         return SixBars(self.mechanism, compile=self._compile)
 
     @property
     def _compliance(self) -> float:
-        """Of a bar, m/N."""
+        """Compliance of a bar, m/N."""
         return 0.0 if self.stiffness.bar is None else 1 / self.stiffness.bar
 
     def is_elastic(self, conditions: Conditions) -> bool:
-        """Whether the bars give under a load in these postures."""
+        """Return whether the load deforms the bars in these postures."""
         return self.stiffness.bar is not None and bool(conditions.load.any())
 
     def _travel(self, conditions: Conditions) -> Array:
@@ -163,7 +163,7 @@ class Model:
 
     @cached_property
     def moving(self) -> Displacements:
-        """From parameters and conditions to displacements."""
+        """Map from parameters and conditions to displacements of the virtual joints."""
         return Displacements(self.catalogue, self.geometry, self.pitch, self._compile)
 
     @cached_property
