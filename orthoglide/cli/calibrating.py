@@ -278,7 +278,7 @@ def check(
         found = compare(read.old, read.new, read.machine, noise=noise, seed=seed, progress=step)
         files = {} if out is None else check_files(found, step)
         answer = found.line if quiet else wrapped(changes_text(found))
-    warn(twice((*read.old, *read.new)))
+    warn(copied_files((*read.old, *read.new)))
     if out is not None:
         write_folder(out, files)
         answer += "" if quiet else f"\n\n{_report(out, 'check.html')}"
