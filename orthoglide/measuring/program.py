@@ -20,9 +20,9 @@ from orthoglide.planning.pool import dial_scale
 from orthoglide.planning.suggestions import DECIDES
 
 SETTLED = (
-    "The verdict is settled when no significant lack of fit is left and no suggested readings would "
-    "separate two explanations by two standard deviations; that nothing is wrong is believed after "
-    "90 readings."
+    "The verdict is settled when no significant lack of fit is left and no suggested readings "
+    "would separate two explanations by two standard deviations; that nothing is wrong is believed "
+    "after 90 readings."
 )
 """The criterion, in words."""
 

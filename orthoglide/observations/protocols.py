@@ -214,4 +214,7 @@ def _swept(geometry: Geometry) -> list[Posture]:
 
 def steps(travel: ArrayLike) -> list[Posture]:
     """Return postures at travels from mechanical zero ``(n,)``, metres, each with its label."""
-    return [(f"{s * 1e3:+.6g}", s) for s in np.round(travel, _LABELLED).tolist()]
+    return [
+        (f"{s * 1e3:+.6g}", s)
+        for s in np.round(np.asarray(travel, dtype=float), _LABELLED).tolist()
+    ]

@@ -102,11 +102,16 @@ def next_sheet(suggestions: Sequence[Suggestion]) -> Readings | None:
 
     A visit that serves two purposes stands once.
     """
-    visits: Counter[int] = Counter()
+    pools: dict[tuple[Any, ...], Readings] = {}
+    visits: dict[tuple[Any, ...], Counter[int]] = {}
     for suggestion in suggestions:
-        visits |= Counter(suggestion.chosen)
-    pool = next((s.pool for s in suggestions if s.pool is not None), None)
-    return sheet(pool, tuple(visits.elements())) if visits and pool is not None else None
+        pool = suggestion.pool
+        if pool is not None and suggestion.chosen:
+            key = (*pool.setups, len(pool))
+            pools.setdefault(key, pool)
+            visits[key] = visits.get(key, Counter()) | Counter(suggestion.chosen)
+    sheets = [sheet(pools[key], tuple(wanted.elements())) for key, wanted in visits.items()]
+    return Readings.concatenated(sheets) if sheets else None
 
 
 def next_measurements(

@@ -1,14 +1,12 @@
-"""Which other instrument would tell rivals apart, where no dial can be set against the legs.
+"""Which instrument at the tool would separate rivals, where no dial can be set against the legs.
 
-New readings are taken together with those at hand, all linear in the parameters. What one cause of
-its size would show is fitted by its rival of any size, the base, the background and the
-instruments' own nuisances; what is left, in sigmas, beyond what is left of the readings at hand, is
-how far the new ones set the two apart.
+New readings are linear in the parameters, as those at hand. How far they set two rivals apart is in
+sigmas, the instruments' own nuisances and everything else that may be wrong fitted again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -16,6 +14,7 @@ import numpy as np
 
 from orthoglide.effects.wording import cause_short
 from orthoglide.explanation import Cause, Explanation, FullPosterior
+from orthoglide.explanation.members import Members
 from orthoglide.fit import Problem
 from orthoglide.fit.factors import Block, Factor
 from orthoglide.fit.least_squares import linearise, nuisances
@@ -24,7 +23,7 @@ from orthoglide.instruments import AT_TOOL, OBSERVATIONS
 from orthoglide.numerals import compact
 from orthoglide.ordering import EQUAL, ranked
 from orthoglide.parameters import plain_and_campaign
-from orthoglide.planning.criteria import EffectSeparation
+from orthoglide.planning.criteria import EffectSeparation, RivalSeparation
 from orthoglide.planning.sheets import KINDS, tool_sheet
 from orthoglide.planning.suggestions import Suggestion
 
@@ -41,7 +40,17 @@ _TURNED = 60.0  # degrees, of a plate on its seat: the lobes of a shape of three
 _LONGER = 0.04  # metres: as much again as a nozzle hangs below the joints of a platform
 _SHEET = "; a sheet for it: orthoglide design --owns {0} --machine machine.toml --out {0}.csv"
 
-Pair = tuple[Explanation, Explanation]
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """One of the explanations of a credible set, or of the places of a class."""
+
+    words: str  # as it is quoted
+    probability: float
+    cause: Explanation | None = None  # that it is, where it is no place
+
+
+Pair = tuple[Rival, Rival]
 
 
 @dataclass(frozen=True)
@@ -52,6 +61,7 @@ class Proposal:
     how: str  # they are taken
     sheet: str  # where there is one
     problem: Problem  # of them alone, in the unknowns of the readings at hand
+    usual: bool = True  # whether a workshop has what they take
 
 
 @dataclass(frozen=True)
@@ -59,17 +69,17 @@ class Decision:
     """What an instrument's readings would decide."""
 
     proposal: Proposal  # whose readings
-    # sigmas between each two explanations of one cause, the likelier one first
+    # sigmas between each two rivals of one set, the likelier one first
     apart: dict[Pair, float]
 
-    def of(self, cause: Cause, *, told: bool) -> list[Pair]:
-        """Pairs of a cause that are told apart, or those that are not, likeliest first."""
-        found = (p for p, sigmas in self.apart.items() if (sigmas >= _TELLS) == told)
-        return ranked((p for p in found if p[0] in cause.explanations), _weight)
+    def of(self, rivals: Sequence[Rival], *, separated: bool) -> list[Pair]:
+        """Return the pairs of a set that are separated, or those that are not, likeliest first."""
+        found = (p for p, sigmas in self.apart.items() if (sigmas >= _TELLS) == separated)
+        return ranked((pair for pair in found if pair[0] in rivals), _weight)
 
     @property
     def probability(self) -> float:
-        """That of two machines, each with a cause as probable as it is, it tells which is which."""
+        """That of two machines, each with a rival as probable as it is, it tells which is which."""
         return sum(_weight(pair) for pair, sigmas in self.apart.items() if sigmas >= _TELLS)
 
 
@@ -78,22 +88,58 @@ def _weight(pair: Pair) -> float:
 
 
 def deciding_instruments(known: FullPosterior, causes: Sequence[Cause]) -> tuple[Suggestion, ...]:
-    """Instruments at the tool that would decide between rivals of the causes found, where no dial
-    is set on the legs, with the most sigmas between two of them.
+    """Return the instruments at the tool that would decide between rivals of the causes found,
+    where no dial is set on the legs.
+    """
+    sets = [
+        [
+            Rival(f'"{cause_short(one.catalogue, one.name)}"', one.probability, one)
+            for one in ranked(cause.explanations, lambda one: one.probability)
+        ]
+        for cause in causes
+    ]
+    proposals = _instruments(known.after.problem)
+    return _decisions("causes", sets, proposals, lambda new, pairs: _apart(known, new, pairs))
+
+
+def parting_instruments(members: Members) -> tuple[Suggestion, ...]:
+    """Return the instruments at the tool that would part the places of a class. A plate may have
+    any shape, which a free function of any part draws as well, so that a probe does not count.
+    """
+    rivals = [Rival(f'"{one.words}"', one.probability) for one in members.each]
+    proposals = (
+        one for one in _instruments(members.posterior.after.problem)
+        if not one.problem.factors[0].readings.touching.any()
+    )  # fmt: skip
+    return _decisions("places", [rivals], proposals, lambda new, pairs: _parted(members, new))
+
+
+def _decisions(
+    rivals: str,
+    sets: Sequence[Sequence[Rival]],
+    proposals: Iterator[Proposal],
+    separation: Callable[[Problem, Sequence[Pair]], Sequence[float]],
+) -> tuple[Suggestion, ...]:
+    """Return a suggestion for each instrument that separates any two rivals of one set.
 
     First stands what decides between the likeliest: the sum of the products of the probabilities
-    of any two that it tells apart is the largest. They are known to a tenth or so: of those alike
+    of any two that it separates is the largest. They are known to a tenth or so: of those equal
     by that first stands what needs least.
     """
-    each = (ranked(cause.explanations, lambda one: one.probability) for cause in causes)
-    pairs = [pair for likeliest_first in each for pair in combinations(likeliest_first, 2)]
+    pairs = [pair for one in sets for pair in combinations(one, 2)]
     if not pairs:
         return ()
     several = [
-        Decision(i, _apart(known, i.problem, pairs)) for i in _instruments(known.after.problem)
+        Decision(p, dict(zip(pairs, separation(p.problem, pairs), strict=True))) for p in proposals
     ]
-    order = _by_need(several)
-    return tuple(_suggested(one, causes, several) for one in order if one.probability > 0)
+    several = _by_need(several)
+    for usual in (True, False):  # a tracker or a ball bar only where nothing else decides
+        own = [one for one in several if one.proposal.usual is usual]
+        if found := [_suggested(rivals, one, sets, own) for one in own if one.probability > 0]:
+            return tuple(found)
+    one, other = pairs[0]
+    reason = f"no instrument at the tool separates {one.words} from {other.words}"
+    return (Suggestion(reason, "none", 0.0, None),)
 
 
 def _by_need(several: Sequence[Decision]) -> list[Decision]:
@@ -127,7 +173,8 @@ def _instruments(problem: Problem) -> Iterator[Proposal]:
             _turned(problem, *max(plates)[1:]),
         )
     long = f"{_LONGER * 1e3:.0f}"
-    several = [(i, 0.0, i.words, i.how, _SHEET.format(i.kind)) for i in AT_TOOL.values() if i.how]
+    several = [(i, 0.0, i.words, i.how, _SHEET.format(i.kind)) for i in AT_TOOL.values()
+               if not i.touches]  # fmt: skip
     several += [
         (i, _LONGER, f"{i.reads} by a tool {long} mm longer", f", a pen or a rod, around the rim "
          f"and across it, commanded {long} mm higher, as a setup of their own with -{long} under "
@@ -138,7 +185,8 @@ def _instruments(problem: Problem) -> Iterator[Proposal]:
         sheet = tool_sheet(problem.machine, instrument, longer)
         factor = Factor.unread(sheet, problem.machine)
         known = f"{how}, to {compact(float(factor.sigma[0]) * 1e3, 2)} {instrument.unit} each"
-        yield Proposal(brief, known, told, _alone(problem, problem.last, factor))
+        alone = _alone(problem, problem.last, factor)
+        yield Proposal(brief, known, told, alone, usual=bool(instrument.how))
 
 
 def _turned(problem: Problem, k: int, setup: int, factor: Factor) -> Problem:
@@ -168,8 +216,22 @@ def _alone(problem: Problem, k: int, factor: Factor, curves: Block | None = None
 # -- what it would tell ----------------------------------------------------------------------------
 
 
-def _apart(known: FullPosterior, new: Problem, pairs: Sequence[Pair]) -> dict[Pair, float]:
-    """Sigmas that new readings set pairs apart by."""
+def _parted(members: Members, new: Problem) -> list[float]:
+    """Return the sigmas that new readings separate each two places by, each narrowed by them."""
+    rows, seen = members.rows(new.factors[0])
+    means = np.stack([one.mean for one in members.each], axis=1)
+    shown = nuisances(new, (seen,)).project(np.hstack([rows, rows @ means]))
+    spread = np.stack([one.covariance for one in members.each])
+    pairs = np.array([*combinations(range(len(members.each)), 2)])
+    apart = replace(RivalSeparation.between(spread, pairs), information=shown.T @ shown)
+    return list(apart.sigmas.values())
+
+
+def _apart(known: FullPosterior, new: Problem, pairs: Sequence[Pair]) -> list[float]:
+    """Return the sigmas that new readings separate pairs of causes by: what one of its size would
+    show is fitted by its rival of any size, the base and the background, beyond what that leaves of
+    the readings at hand.
+    """
     problem, fixed = known.after.problem, known.mixture.linear.fixed[: known.about.known]
     # About the base: what causes do together is of the second order, and differs by what is there.
     x = problem.padded(known.before.x)
@@ -178,7 +240,8 @@ def _apart(known: FullPosterior, new: Problem, pairs: Sequence[Pair]) -> dict[Pa
     more = nuisances(new, then.seen).project(then.jacobian)
     base = np.diag(np.where(np.isnan(fixed), known.share, fixed) * problem.tolerance)
     several = list(dict.fromkeys(one for pair in pairs for one in pair))
-    columns = np.hstack([base, np.stack([_of(one, problem) for one in several], axis=1)])
+    sizes = [_of(one.cause, problem) for one in several if one.cause is not None]
+    columns = np.hstack([base, np.stack(sizes, axis=1)])
     index = np.array([[several.index(one) for one in pair] for pair in pairs])
 
     def squares(rows: Array) -> Array:
@@ -188,7 +251,8 @@ def _apart(known: FullPosterior, new: Problem, pairs: Sequence[Pair]) -> dict[Pa
         return EffectSeparation(information, len(base), index).squares
 
     gained = squares(np.vstack([old, more])) - squares(old)
-    return dict(zip(pairs, np.sqrt(np.maximum(gained, 0.0)).tolist(), strict=True))
+    found: list[float] = np.sqrt(np.maximum(gained, 0.0)).tolist()
+    return found
 
 
 def _of(one: Explanation, problem: Problem) -> Array:
@@ -204,34 +268,32 @@ def _of(one: Explanation, problem: Problem) -> Array:
     return found
 
 
-def _suggested(one: Decision, causes: Sequence[Cause], several: Sequence[Decision]) -> Suggestion:
-    said = [text for cause in causes for text in _of_cause(one, cause, several)]
+def _suggested(
+    rivals: str, one: Decision, sets: Sequence[Sequence[Rival]], several: Sequence[Decision]
+) -> Suggestion:
+    told = [text for own in sets for text in _of_set(one, own, several)]
     i, most = one.proposal, max(one.apart.values())
-    what = f"to tell the causes apart measure {i.brief}{i.how}"
-    reason = f"{what}: {'; '.join(said)}{i.sheet}"
+    what = f"to tell the {rivals} apart measure {'' if i.usual else 'with '}{i.brief}{i.how}"
+    reason = f"{what}: {'; '.join(told)}{i.sheet}"
     return Suggestion(reason, "none", most, None, what=f"{what}{i.sheet}")
 
 
-def _of_cause(one: Decision, cause: Cause, several: Sequence[Decision]) -> Iterator[str]:
-    """What of a cause it tells, and the likeliest that it does not, with what would."""
-    told, left = one.of(cause, told=True), one.of(cause, told=False)
-    if told:
-        first = told[0][0]
-        rivals = {b: one.apart[a, b] for a, b in told if a is first}
-        named = [_quoted(other) for other in rivals]
+def _of_set(one: Decision, own: Sequence[Rival], several: Sequence[Decision]) -> Iterator[str]:
+    """What of a set it separates, and the likeliest that it does not, with what would."""
+    separated, left = one.of(own, separated=True), one.of(own, separated=False)
+    if separated:
+        first = separated[0][0]
+        rivals = {b: one.apart[a, b] for a, b in separated if a is first}
+        named = [other.words for other in rivals]
         if len(named) > _NAMED:
             named[_NAMED:] = [f"{len(named) - _NAMED} more"]
         listed = " and ".join([", ".join(named[:-1]), named[-1]] if named[1:] else named)
         least = f"{min(rivals.values()):.0f} sigma or more"
-        yield f"it tells {_quoted(first)} from {listed}, by {least}"
+        yield f"it tells {first.words} from {listed}, by {least}"
     if left:
         a, b = left[0]
         others = [d.proposal.brief for d in several if d.apart[a, b] >= _TELLS]
         yield (
-            f"it does not tell {_quoted(a)} from {_quoted(b)}, "
+            f"it does not tell {a.words} from {b.words}, "
             f"{f'for that take {others[0]}' if others else 'as none of these does'}"
         )
-
-
-def _quoted(one: Explanation) -> str:
-    return f'"{cause_short(one.catalogue, one.name)}"'

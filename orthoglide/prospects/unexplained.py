@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from orthoglide.explanation import FullPosterior
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.instruments import OBSERVATIONS
+from orthoglide.observations.protocols import unread
 from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.suggestions import Suggestion
 from orthoglide.result import DataRival, SetupResidual
@@ -69,24 +72,20 @@ def deciding_visits(posterior: FullPosterior, fault: DataRival) -> Suggestion | 
     own = np.flatnonzero(np.isin(table.line, fault.rows) & table.on_legs)
     if not len(own):
         return None
-    pool, dials = reading_pool(posterior.machine.geometry), set[int]()
-    for number in np.unique(table.setup[own]):
-        setup = table.setups[number]
-        alike = [k for k, s in enumerate(pool.setups)
-                 if (s.leg, s.axis, s.bar) == (setup.leg, setup.axis, setup.bar)]  # fmt: skip
-        off = [abs(pool.setups[k].gauge - setup.gauge) for k in alike]
-        dials |= {alike[k] for k in np.argsort(off, kind="stable")[:1]}
-    rows = np.flatnonzero(np.isin(pool.setup, [*dials]))
-    if not len(rows):
-        return None
-    apart = np.linalg.norm(pool.command[rows] - table.command[own[0]], axis=1)
-    apart = np.round(apart, 6)
-    chosen = rows[np.isin(apart, np.unique(apart)[:_NEIGHBOURS])]
+    rows = np.flatnonzero(np.isin(table.setup, table.setup[own]))
+    apart = np.linalg.norm(table.command[rows] - table.command[own[0]], axis=1).round(6)
+    near = rows[np.isin(apart, np.unique(apart)[:_NEIGHBOURS])]
+    visits = np.column_stack([table.stations[near], table.approach[near]])
+    once = table.subset(np.sort(near[np.unique(visits, axis=0, return_index=True)[1]]))
+    setups = [replace(s, name=f"{s.name}-line-{fault.rows[0]}") for s in once.setups]
+    pool = unread(
+        posterior.machine.geometry, "next", setups, once.setup, once.command, once.approach,
+        posture=once.posture,
+    )  # fmt: skip
     reason = (
         f"the posture of line {fault.rows[0]} and the nearest postures once more, "
-        f"{len(chosen) * _TWICE} readings: a defect of the machine repeats, a slip or a wrong "
+        f"{len(pool) * _TWICE} readings: a defect of the machine repeats, a slip or a wrong "
         f"command does not"
     )
-    return Suggestion(
-        reason, "trace", float("nan"), pool, tuple(np.repeat(chosen, _TWICE).tolist())
-    )
+    chosen = np.repeat(np.arange(len(pool)), _TWICE)
+    return Suggestion(reason, "trace", float("nan"), pool, tuple(chosen.tolist()))

@@ -105,29 +105,6 @@ def _closed(scope: Scope, drawn: Drawn, rng: np.random.Generator) -> dict[str, A
     }  # fmt: skip
 
 
-def said(verdict: Closed | Result) -> dict[str, list[dict[str, Any]]]:
-    """Causes with their credible sets, and classes of places, ready for JSON."""
-    effects = [
-        {
-            "name": e.name,
-            "family": verdict.catalogue.effect_of(e.name).name,
-            "members": [
-                [one.name, list(one.parameters), one.probability] for one in e.explanations
-            ],
-        }
-        for e in verdict.effects
-    ]
-    located = [
-        {
-            "places": [c.name for c in f.members],
-            "resembling": list(f.resembling),
-            "probability": f.probability,
-        }
-        for f in verdict.located
-    ]
-    return {"effects": effects, "located": located}
-
-
 def is_cause(
     name: str, parameters: Sequence[str], cause: str, family: str, alike: Collection[str] = ()
 ) -> bool:
@@ -146,13 +123,13 @@ def claims(verdict: Closed | Result, drawn: Drawn) -> tuple[list[str], list[str]
     On a machine of which everything is off, a cause is there if it is off by twice its share.
     """
     named, located, false = list[str](), list[str](), list[str]()
-    told = said(verdict)
-    for effect in told["effects"]:
-        there = any(_is_there(name, parts, drawn) for name, parts, _ in effect["members"])
-        (named if there else false).append(effect["name"])
-    for found in told["located"]:
-        there = bool(drawn.cause) and drawn.cause in (*found["places"], *found["resembling"])
-        (located if there else false).append(found["places"][0])
+    for cause in verdict.effects:
+        there = any(_is_there(one.name, one.parameters, drawn) for one in cause.explanations)
+        (named if there else false).append(cause.name)
+    for found in verdict.located:
+        places = [curve.name for curve in found.members]
+        there = bool(drawn.cause) and drawn.cause in (*places, *found.resembling)
+        (located if there else false).append(places[0])
     false += [f"a fault of the data ({b.kind})" for b in verdict.blunders]
     return named, located, false
 

@@ -11,7 +11,6 @@ import numpy as np
 from orthoglide.frames import Framed, data_frame
 from orthoglide.rehearsal.drawing import KINDS, OUTSIDE, Kind
 from orthoglide.rehearsal.outcome import Outcome
-from orthoglide.rehearsal.weak_spots import WeakSpot
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,14 +30,14 @@ class Rehearsal(Framed):
         readings: of the sheet.
         seed: of every draw.
         campaigns: one after the other.
-        weak: what the sheet hardly sees or confuses.
+        weak: what the sheet hardly finds, cannot name or does not show, as rows of text.
     """
 
     machine: str
     readings: int
     seed: int
     campaigns: tuple[Outcome, ...]
-    weak: tuple[WeakSpot, ...]
+    weak: tuple[str, ...]
 
     def of(self, kind: Kind) -> tuple[Outcome, ...]:
         """Campaigns on which that was wrong."""
@@ -97,9 +96,7 @@ class Rehearsal(Framed):
             *_aligned(["what is wrong", *(n.removesuffix("_mm") for n in _TOOL)], tool),
             *_listed("What went wrong", [_went(t) for t in self.campaigns]),
             *_listed(
-                "Weak spots of the sheet, where nothing else is wrong",
-                [w.words for w in self.weak],
-                len(self.weak),
+                "Weak spots of the sheet, where nothing else is wrong", self.weak, len(self.weak)
             ),
         ]
         return "\n".join(lines)
