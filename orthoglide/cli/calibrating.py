@@ -270,6 +270,7 @@ def check(
         step(Step("reading"))
         from orthoglide.checking import check as compare, states_of
         from orthoglide.checking.told import changes_text, check_files
+        from orthoglide.observations.repetition import copied_files
         from orthoglide.report import write_folder
 
         given = None if machine.path is None else machine.load()
