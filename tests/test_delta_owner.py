@@ -161,7 +161,7 @@ def test_instruments_that_one_owns_and_others(imported: Path, tmp_path: Path) ->
     machine, sheet = imported / "machine.toml", tmp_path / "sheet.csv"
     told = run("design", "--owns", "plate,incline", "--machine", machine, "--out", sheet)
     assert "with a probe on a plate (29), a level on the platform (26):" in told
-    assert "not visible, which is not absent: encoder_scale (a, b, c)" in told
+    assert "not detectable: encoder_scale (a, b, c)" in told
     rows = [row for row in sheet.read_text().splitlines() if not row.startswith("move")]
     assert len(rows) == 1 + 29 + 26
     told = run("close-loop", sheet, "--machine", machine, "--out", tmp_path / "o", code=2)
@@ -246,7 +246,7 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
     assert "Measure more: to tell the causes apart" in told
     assert "it tells" not in told  # that stands on the page
     assert "it tells" in text
-    assert "Not visible to a probe on a plate even at three times its tolerance" in told
+    assert "Readings of a probe on a plate cannot detect the following" in told
     bars = "that the two rods of each tower differ in length"
     for unshown in (bars, "that the towers are bent"):
         assert unshown in told

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -38,13 +37,8 @@ def test_a_bump_and_a_wrong_command_stand_in_one_set(bumpy: og.Verdict) -> None:
 def test_the_sentence_names_both(bumpy: og.Verdict) -> None:
     text = " ".join(str(bumpy).split())
     assert "toward z at travel −50 mm and nowhere else, by 0.1 mm" in text
-    likelier = re.search(
-        r"Another command than the one written in line 19 \((\d+) % likely\), or the path of the x "
-        r"carriage .* \((\d+) % likely\): read these lines again",
-        text.replace("%", " %"),
-    )
-    assert likelier is not None
-    assert int(likelier[1]) > int(likelier[2])
+    assert text.startswith("Another command than the one written in line 19. Or the path of the x")
+    assert "These readings cannot tell which." in text
 
 
 def test_the_posture_and_its_neighbours_are_read_again(bumpy: og.Verdict) -> None:

@@ -203,7 +203,7 @@ def test_the_key_numbers_are_on_the_page(which: str) -> None:
     for blunder in verdict.blunders:
         assert blunder.message in text
     assert "orthoglide rerun result.json" in text
-    assert "Not visible, which is not absent" in text or not verdict.invisible
+    assert "cannot detect the following" in text or not verdict.invisible
 
 
 @pytest.mark.thorough(except_for=["explained-390", "faulty-1280"])

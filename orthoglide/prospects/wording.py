@@ -32,7 +32,7 @@ def detectable_rows(found: Detectability, width: int, beyond: float = 0.0) -> li
         for name in found.invisible:
             groups.setdefault(name.effect, []).append(name.behind)
         listed = [f"{effect} ({', '.join(members)})" for effect, members in groups.items()]
-        lines.append(f"not visible, which is not absent: {', '.join(listed)}")
+        lines.append(f"not detectable: {', '.join(listed)}")
     return lines
 
 

@@ -125,7 +125,7 @@ def _of_data(several: Iterable[DataRival]) -> Iterator[Statement]:
     """Faults of the data, of which the drawing shows none."""
     for d in several:
         yield Statement(
-            sentence(d.words), sure_words(d.probability), brief=sentence(f"it is {d.brief}")
+            sentence(d.words), sure_words(d.probability), brief=sentence(d.brief)
         )
 
 

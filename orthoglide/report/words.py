@@ -299,7 +299,7 @@ def unshown_words(result: Result) -> str:
     parts = (f"that {words}{f' ({listed(of)})' if of else ''}" for words, of in hidden)
     taken = listed(result.instruments.values())
     return (
-        f"not visible to {taken} even at three times its tolerance, which is not absent: "
+        f"readings of {taken} cannot detect the following, even at three times the tolerance: "
         f"{'; '.join(parts)}"
     )
 
@@ -317,7 +317,7 @@ def unvaried_words(result: Result) -> str:
         return ""
     hidden = [name for name, needs in result.unseen.unvaried.items() if "approach" in needs]
     named = "; ".join(f"that {cause_short(result.catalogue, name)}" for name in hidden)
-    return f"not visible either, which is not absent: {named}, as {_SIDES[why]}"
+    return f"these readings cannot detect either: {named}, as {_SIDES[why]}"
 
 
 def dealt_with(result: Result) -> str:
