@@ -23,8 +23,9 @@ from orthoglide.observations import Readings, Setup
 from orthoglide.observations.arrays import numbered
 from orthoglide.parameters import Parameter
 
-FAR = 4.0
-"""Tolerances: one parameter in sixteen thousand of a machine as it is expected to be."""
+FAR = 3.0
+"""Tolerances from which a parameter is called far off, as the definition of *adequate* has it: one
+parameter in 370 of a machine as it is expected to be."""
 
 
 @dataclass(frozen=True, repr=False)

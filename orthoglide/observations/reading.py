@@ -113,9 +113,9 @@ def read_readings(
         return readings_of_table(table, Path(table.file).stem, machine_file, require_readings)
     except FileError:
         # What is no table of readings may be what a firmware wrote, which has a command of its own.
-        with suppress(OSError):
-            content = Path(path).read_bytes()[:_BEGINNING]
-            refuse_foreign(Path(path), content, own=("archive",))
+        if Path(path).is_file():  # a pipe is read once
+            with suppress(OSError), Path(path).open("rb") as stream:
+                refuse_foreign(Path(path), stream.read(_BEGINNING), own=("archive",))
         raise
 
 
