@@ -6,8 +6,6 @@ two slopes are fitted with every setup; here is what is left of its shape.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.words import Words, mm, more
 from orthoglide.geometry import Array
@@ -110,10 +108,3 @@ def own_shapes(place: Array, scale: float = 1.0) -> list[tuple[Array, float]]:
         for degree, shapes in by_degree.items()
         for shape in shapes
     ]
-
-
-def every_shape(place: Array) -> Iterator[tuple[Array, float]]:
-    """Yield all shapes of a plate at places ``(n, 2)``, each with its size."""
-    for effect in EFFECTS:
-        yield from ((shape(*place.T), FLAT) for _, shape in effect.plate)
-    yield from own_shapes(place)
