@@ -252,7 +252,8 @@ def result_json(verdict: og.Verdict) -> Result:
 
 INSIDE = (
     "orthoglide.accuracy", "orthoglide.cli", "orthoglide.closing.judging",
-    "orthoglide.machine_file", "orthoglide.measuring", "orthoglide.observations",
+    "orthoglide.fit.factors", "orthoglide.machine_file", "orthoglide.measuring",
+    "orthoglide.observations",
 )  # fmt: skip
 """Modules of the package that the functions below import, as nothing public does the same."""
 

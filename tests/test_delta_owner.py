@@ -301,7 +301,7 @@ def test_what_most_probably_decides_is_asked_for_first() -> None:
     )
     assert mesh.next_measurements[0].reason.endswith(first)
     assert "it does not tell" not in first
-    assert f"it does not tell {plate} from {paths}, for that take a mesh with the plate" in level
+    assert f"it does not tell {plate} from {paths}, for that take distances" in level
     assert told("mesh, distances")[1] == {lobes}
     left = told("mesh, level")[1]
     assert {lobes, "axis_tilt.tangential.common"} <= left

@@ -110,6 +110,7 @@ READ = {
     "gauge_direction": rf"dial of (?P<leg>\w+) is turned by {SIZE} .*?(?P<way>right|left)-handed",
     "gauge_scale": rf"dial of (?P<leg>\w+) shows {SIZE} (?P<way>more|less)",
     "gauge_drift": rf"stand of (?P<leg>\w+) creeps: its reading (?P<way>grows|falls) by {SIZE}",
+    "part_size": rf"distances in (?P<leg>\w+) {SIZE} (?P<way>longer|shorter)",
     "plate_bow": rf"plate of (?P<leg>\w+) is a (?P<way>bowl|dome): its rim stands {SIZE}",
     "plate_trefoil": rf"plate of (?P<leg>\w+) has three lobes {SIZE} high, one of them toward "
     rf"(?P<way>\d+) degrees",
@@ -433,7 +434,7 @@ def test_lost_motion_without_a_name_has_its_whole_size_everywhere(
 def test_a_controllers_setting_is_for_the_lost_motion_of_drives() -> None:
     name = CATALOGUE.parameter("backlash.x")
     text = screen(made_up("explained", Cause(explained(name, 2e-4, CATALOGUE, 0.97), (), ())))
-    assert "a controller's own setting for it, or orthoglide compensate makes up for it" in text
+    assert "a controller's own setting for backlash makes up for it, or" in text
 
 
 @pytest.mark.thorough

@@ -23,7 +23,7 @@ def claimed(odds: list[float], free: list[bool]) -> Any:
     mixture = SimpleNamespace(linear=SimpleNamespace(groups=groups))
 
     class Told(_Reader):
-        instead = SimpleNamespace(of=lambda _: np.array(odds))
+        alternatives = SimpleNamespace(of=lambda _: np.array(odds))
 
         def _cause(self, member, odds):
             return "cause", [k for k, _ in odds]

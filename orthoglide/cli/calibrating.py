@@ -165,7 +165,7 @@ def close_loop(**options: Any) -> None:
 @_run_options
 @_judges
 def diagnose(**options: Any) -> None:
-    """Print the verdict of close-loop and all causes that were weighed.
+    """Print the verdict of close-loop and the causes with the most evidence.
 
     \b
     Example:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from orthoglide.closing.closed import Closed
 
 _AGAIN = "numbers and commands made before {} hold no longer: take those of this result"
-_LOST = "lost motion, which the errors of the tool above leave out; "
+_LOST = "the stated errors of the tool leave lost motion out: "
 _COMPENSATED = "orthoglide compensate makes up for it"
 _DIAL_TURNS = (
     "come to one gauge block from a shorter and from a longer one: expect {} between the two "
@@ -153,7 +153,9 @@ def _made_up(found: Cause | Located) -> str:
     else:
         each = (e.catalogue.effect_of(e.name) for e in found.explanations)
         drives = all(effect.controller for effect in each)
-    return f"a controller's own setting for it, or {_COMPENSATED}" if drives else _COMPENSATED
+    if drives:
+        return f"a controller's own setting for backlash makes up for it, or {_COMPENSATED}"
+    return _COMPENSATED
 
 
 def _of_plate(found: Cause | Located) -> bool:

@@ -7,9 +7,15 @@ from __future__ import annotations
 
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.words import Words, mm, more, percent
+from orthoglide.parameters import Parameter
 from orthoglide.units import ONE
 
 _LONG = 0.1  # metres: a length that a calliper and a rule both reach
+
+
+def _in(p: Parameter) -> str:
+    return f" in {p.setup}" if p.setup else ""
+
 
 PART_SIZE = Effect(
     "part_size",
@@ -20,7 +26,7 @@ PART_SIZE = Effect(
     look_at="the calliper against a gauge block or a second calliper, and the slicer's scale",
     words=Words(
         lambda p, v: (
-            f"the printed part, or the calliper, makes distances {percent(v)} "
+            f"the printed part, or the calliper, makes distances{_in(p)} {percent(v)} "
             f"{more(v, 'longer', 'shorter')} than the plastic's shrinkage does"
         ),
         lambda p: "the printed part, or the calliper, is off in size beyond the shrinkage",

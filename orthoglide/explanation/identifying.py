@@ -55,13 +55,13 @@ def identify(
         bounds: by parameter or family, SI: values stay within plus and minus.
         weighting: ``"readings"`` weighs every reading by its noise, with a free datum a setup;
             ``"deviations"`` is the papers' ordinary least squares on differences from each
-            setup's first posture, which is taken for exact, as the dials' places are.
+            setup's first posture; that posture and the placement of the dials count as exact.
         method: ``"nlp"``, ``"nested"``, ``"pinocchio"`` (nested, closed by Pinocchio: slow) or
             ``"reduction"`` (the analytic PSS model); ``"auto"`` takes the programme for readings of
             legs up to ``NLP_POSTURES`` postures and ``NLP_UNKNOWNS`` unknowns, and else nests the
             closure.
-        frame: by what a tracker's may differ from the machine's: ``"none"``, ``"translation"``, or
-            ``"rigid"``.
+        frame: transformation between a tracker's frame and the machine's that is identified:
+            ``"none"``, ``"translation"``, or ``"rigid"``.
 
     Raises:
         InputError: where what is asked makes no sense.

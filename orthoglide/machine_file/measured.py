@@ -30,7 +30,8 @@ class Measured:
         travel: how far a carriage went that was told to go `TRAVEL`, in the mean of all, metres.
 
     Raises:
-        InputError: where a standard deviation is none.
+        InputError: where a length or a standard deviation is not above 0, or the travel differs
+            from `TRAVEL` by more than half.
     """
 
     rods: Pair | None = None
@@ -52,8 +53,9 @@ class Measured:
     def known(
         self, catalogue: Catalogue, geometry: Geometry, tolerance: Mapping[str, float]
     ) -> Iterator[tuple[tuple[Parameter, ...], float, Array]]:
-        """Yield parameters, their value, and their covariance ``(3, 3)``, SI: what all have
-        together is known as well as it was measured, and each differs by its tolerance.
+        """Yield parameters, the measured deviation of their mean, and their covariance ``(3, 3)``,
+        SI. The common part has the variance of the measurement; single bars differ by their
+        tolerance, and single drives by `_BELTS`.
         """
         for pair, held, nominal, scale in (
             (self.rods, "bar_length", geometry.L, 1.0),

@@ -41,14 +41,18 @@ def _warnings(machine: Machine, sheet: Readings) -> Iterator[str]:
         travel = np.unique(np.round(sheet.command[rows, leg], 6))
         if len(travel) < _FEWEST:
             continue
-        period, seen = hidden_wave(travel, machine.spec.screw_pitch or _SHORTEST)
+        shortest = machine.spec.screw_pitch or _SHORTEST
+        period, seen = hidden_wave(travel, shortest)
         if seen < _SEEN:
             yield (
                 f"at the {len(travel)} stations of drive {name} a wave of {period * 1e3:.3g} mm "
                 f"looks like a smooth curve, so that a compensation from this sheet may make the "
-                f"tool worse between the stations: choose unequal distances, as the protocol "
-                f"sweep has, or stations at most {period * 1e3 / 2:.2g} mm apart"
+                f"tool worse between the stations: choose other, unequal distances, or "
+                f"stations less than {shortest * 1e3 / 2:.2g} mm apart"
             )
+
+
+_ROUNDING = 1e-6  # of a period: stations are rounded to a micrometre
 
 
 def hidden_wave(travel: Array, shortest: float) -> tuple[float, float]:
@@ -60,7 +64,7 @@ def hidden_wave(travel: Array, shortest: float) -> tuple[float, float]:
         shortest: period to begin with, metres.
     """
     span, longest = float(np.ptp(travel)), 2 * float(np.diff(np.sort(travel)).max())
-    if longest <= shortest:
+    if longest <= shortest * (1 + _ROUNDING):
         return longest, 1.0
     cycles = np.arange(span / longest, span / shortest, 1 / _PER_CYCLE)
     u = (travel - travel.min()) / span

@@ -84,8 +84,8 @@ def deciding_visits(posterior: FullPosterior, fault: DataRival) -> Suggestion | 
     )  # fmt: skip
     reason = (
         f"the posture of line {fault.rows[0]} and the nearest postures once more, "
-        f"{len(pool) * _TWICE} readings: a defect of the machine repeats, a slip or a wrong "
-        f"command does not"
+        f"{len(pool) * _TWICE} readings, each command entered anew: a defect of the machine "
+        f"appears again, a slip or a wrong command does not"
     )
     chosen = np.repeat(np.arange(len(pool)), _TWICE)
     return Suggestion(reason, "trace", float("nan"), pool, tuple(chosen.tolist()))

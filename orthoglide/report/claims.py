@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
+from orthoglide.ordering import ranked
 from orthoglide.result import Cause, Change, Curve, DataRival, Explanation, Located, Result
 from orthoglide.text import sentence
 
@@ -26,6 +27,7 @@ class Statement:
     words: str  # a sentence with part, direction, size and unit
     sure: str  # how sure it is, and how well its size is known
     option: int = _NO_OPTION  # its place among the options of the drawing
+    probability: float = math.nan  # given the other findings; nan of a change
     brief: str = ""  # the same in a few words, where `words` take more than a sentence
 
 
@@ -90,18 +92,14 @@ def _of_cause(cause: Cause, option: Iterator[int]) -> Claim:
         tuple(_statement(e, e.probability, next(option)) for e in part)
         for part in (cause.same, cause.rivals)
     )
-    return Claim(first, same, (*rivals, *_of_places(cause.places, option), *_of_data(cause.data)))
+    others = (*rivals, *_of_places(cause.places, option), *_of_data(cause.data))
+    return Claim(first, same, tuple(ranked(others, lambda one: one.probability)))
 
 
 def _of_located(found: Located, option: Iterator[int]) -> Claim:
     """A place, or the fault of the data that is likelier than it."""
-    places, faults = _of_places(found.members, option), tuple(_of_data(found.data))
-    likelier = [d.probability > found.probability for d in found.data]
-    first, *others = (
-        *itertools.compress(faults, likelier),
-        *places,
-        *itertools.compress(faults, [not one for one in likelier]),
-    )
+    every = (*_of_places(found.members, option), *_of_data(found.data))
+    first, *others = ranked(every, lambda one: one.probability)
     note = ""
     if found.resembling_words:
         note = f"It resembles a known cause: {found.resembling_words[0]}."
@@ -116,7 +114,7 @@ def _of_places(curves: Iterable[Curve], option: Iterator[int]) -> tuple[Statemen
         first, p, shown = once.get(curve.description, (curve, 0.0, number))
         once[curve.description] = first, p + curve.probability, shown
     return tuple(
-        Statement(sentence(curve.words_with_measure), sure_words(min(p, 1.0)), shown)
+        Statement(sentence(curve.words_with_measure), sure_words(min(p, 1.0)), shown, p)
         for curve, p, shown in once.values()
     )
 
@@ -125,7 +123,11 @@ def _of_data(several: Iterable[DataRival]) -> Iterator[Statement]:
     """Faults of the data, of which the drawing shows none."""
     for d in several:
         yield Statement(
-            sentence(d.words), sure_words(d.probability), brief=sentence(d.brief)
+            sentence(d.words),
+            sure_words(d.probability),
+            _NO_OPTION,
+            d.probability,
+            sentence(d.brief),
         )
 
 
@@ -133,7 +135,7 @@ def _statement(one: Explanation, probability: float, option: int) -> Statement:
     sure = sure_words(probability)
     if one.half_width:
         sure += f", its size to ± {one.half_width} (95 %)"
-    return Statement(sentence(one.words), sure, option)
+    return Statement(sentence(one.words), sure, option, probability)
 
 
 def _of_change(change: Change, option: Iterator[int]) -> Claim:

@@ -150,15 +150,16 @@ def _weighed(result: Result) -> str:
 
 def _against_noise(result: Result) -> str:
     """Whether what is left is the noise: the end of a sentence, and another where it is not."""
-    what = f"the noise of {'the readings' if result.request.points else 'the dial'}"
+    of = "the readings" if result.request.points else "the dial"
+    what = f"the noise of {of} ({result.noise.single_reading.said()}) leaves"
     if any(w.kind == "side" for w in result.warnings):
-        what = "what repeats scatter by. That is noise of the readings, or lost motion"
+        what = "repeats scatter by. That is noise of the readings, or lost motion"
     if result.after.sigma_scale > 1:
         return (
             f", which is more than {what}. Each likely explanation fits them; their mean, which "
             f"the calibrated machine has, does not quite."
         )
-    return f", which is {what}."
+    return f", which is what {what}."
 
 
 def where_left(result: Result) -> str:
@@ -296,7 +297,9 @@ def unshown_words(result: Result) -> str:
     """What these readings would not show, by effect, as a clause; empty where there is nothing."""
     if not (hidden := result.unseen.effects):
         return ""
-    parts = (f"that {words}{f' ({listed(of)})' if of else ''}" for words, of in hidden)
+    parts = [f"that {words}{f' ({listed(of)})' if of else ''}" for words, of in hidden]
+    if still := [cause_short(result.catalogue, name) for name in result.unseen.unexcited]:
+        parts.append(f"that {', that '.join(still)}, as nothing here varies what would show it")
     taken = listed(result.instruments.values())
     return (
         f"readings of {taken} cannot detect the following, even at three times the tolerance: "
