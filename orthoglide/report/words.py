@@ -298,7 +298,8 @@ def unshown_words(result: Result) -> str:
     if not (hidden := result.unseen.effects):
         return ""
     parts = [f"that {words}{f' ({listed(of)})' if of else ''}" for words, of in hidden]
-    if still := [cause_short(result.catalogue, name) for name in result.unseen.unexcited]:
+    of_machine = (n for n in result.unseen.unexcited if not result.catalogue[n].of_dial)
+    if still := [cause_short(result.catalogue, name) for name in of_machine]:
         parts.append(f"that {', that '.join(still)}, as nothing here varies what would show it")
     taken = listed(result.instruments.values())
     return (
