@@ -70,6 +70,7 @@ def test_what_depends_on_the_way_there_is_located(kind: str) -> None:
     assert record["tcp"]["after"][0] < 0.3 * record["tcp"]["before"][0]
 
 
+@pytest.mark.thorough
 def test_spoilt_readings_are_found_and_not_explained_by_physics() -> None:
     record = ended(Case("fault", "outlier", "sweep", 0.0, 0))
     assert fault_found(record)

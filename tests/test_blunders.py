@@ -138,6 +138,7 @@ def test_knocked_stand(protocol, step, machine, nominal):
         assert [row for _, row in blunder.rows] == touched
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "setups",
     [["yz-0.5"], pytest.param([], marks=pytest.mark.thorough)],
@@ -261,7 +262,7 @@ def test_exchanged_labels(other, machine):
     assert set(blunder.setups) == {"yz-0.5", other}
 
 
-@pytest.mark.thorough(except_for=["3-xz-0.5"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("one", ["xy-0.5", "yx-0.5", "xz-0.5"])
 @pytest.mark.parametrize("seed", [0, 3])
 def test_exchanged_dials_of_one_direction(one, seed, machine):
@@ -443,7 +444,7 @@ def test_unit(factor, said, machine):
     assert said in blunder.message
 
 
-@pytest.mark.thorough(except_for=["0.0001-beside a bow"])
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("protocol", "setup", "errors"),
     [
@@ -526,7 +527,7 @@ def test_a_slip_in_most_setups_is_found_in_each(machine, nominal):
         assert sorted(row for b in found for _, row in b.rows) == list(slipped)
 
 
-@pytest.mark.thorough(except_for=["standard"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("protocol", ["standard", "sweep"])
 def test_a_dial_that_stuck_from_its_first_reading(protocol, machine, nominal):
     """Nothing of its setup is left that repeats could be compared with."""

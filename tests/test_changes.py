@@ -128,7 +128,7 @@ def test_a_tilt_that_is_gone_is_no_cause_any_more(machine):
     assert (verdict.word, verdict.effects) == ("adequate", ())
 
 
-@pytest.mark.thorough(except_for=["standard"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("protocol", ["standard", "sweep"])
 def test_a_drive_with_a_new_zero(protocol, machine):
     old = campaign(machine, "old", 1, protocol)
@@ -168,6 +168,7 @@ def test_two_changes_between_three_files(machine):
     assert len(found) == 2
 
 
+@pytest.mark.thorough
 def test_a_fault_of_one_file_is_no_change(machine):
     rng = np.random.default_rng(3)
     rows = [rc.simulate(Rig().with_errors(BASE), "standard", rng) for _ in range(2)]

@@ -180,6 +180,7 @@ def test_from_files_and_results_to_the_same_words(visited: Path) -> None:
     assert (silent.exit_code, silent.stdout) == (0, short.stdout)
 
 
+@pytest.mark.thorough
 def test_from_results_and_files_to_words_and_a_page(visited: Path) -> None:
     options = ("--machine", RIG / "machine.toml")
     assert run("identify", "old.csv", *options, "--out", "before", "--quiet").exit_code == 0

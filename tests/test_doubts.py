@@ -226,6 +226,7 @@ def test_a_command_recorded_wrongly_is_blamed_on_no_part(number: int, beside: fl
     assert verdict.tcp["translation"].after[0] < 0.02e-3
 
 
+@pytest.mark.thorough
 def test_a_few_readings_of_a_sound_machine_are_no_fault() -> None:
     """Nothing is left over for a test: it had been significant below a millionth."""
     sheet, off = og.protocol("sweep"), {"joint_offset.x": 1e-3, "leg_length.y": 3e-5}

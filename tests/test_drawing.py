@@ -241,6 +241,7 @@ def driven(page: str, folder: Path, script: str, size: str = "900,900") -> dict[
     return browsed(folder / "page.html", size, 4000)
 
 
+@pytest.mark.thorough
 def test_another_explanation_is_drawn_where_it_is_picked(tmp_path: Path) -> None:
     told = driven(files_of("explained")["report.html"], tmp_path, PICK)
     assert told["before"] == ["inline", "none"]

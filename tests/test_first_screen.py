@@ -467,6 +467,7 @@ def test_lost_motion_of_the_catalogue_is_said_to_be_left_out_too() -> None:
     assert "Lost motion is left out" not in screen(made_up("explained", Cause(straight, (), ())))
 
 
+@pytest.mark.thorough
 def test_a_place_in_the_budget_is_its_own_words_and_nothing_is_below_zero_that_rounds_to_it() -> (
     None
 ):
@@ -516,6 +517,7 @@ def test_the_gain_of_one_of_several_causes_is_said_to_be_that() -> None:
     assert "gains 0.1 mm on average, whichever of these it is" in screen(verdict)
 
 
+@pytest.mark.thorough
 def test_a_cause_that_may_be_a_place_instead_names_it_on_the_first_screen() -> None:
     """It was ambiguous, and nobody was told with what."""
     curve = lost_loop("reversal").located[0].members[0]

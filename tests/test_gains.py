@@ -38,6 +38,7 @@ def test_compensating_leaves_what_the_readings_do_not_know() -> None:
     assert sum(i.compensated for i in rest) < 0.5 * sum(i.gain for i in rest)
 
 
+@pytest.mark.thorough
 def test_a_sound_machine_has_nothing_to_gain() -> None:
     """What moves the machine as a whole is open, and is no cause's part of the tool's error."""
     drawn = og.Machine.nominal().with_parameters({"joint_offset.x": 1e-3, "leg_length.y": 5e-5})

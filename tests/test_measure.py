@@ -195,6 +195,7 @@ def test_a_file_of_something_else_is_refused(machine: og.Machine, tmp_path: Path
         run()
 
 
+@pytest.mark.thorough
 def test_it_goes_on_within_a_later_sheet_in_the_controllers_own_coordinates(
     machine: og.Machine, tmp_path: Path
 ) -> None:

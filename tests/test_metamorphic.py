@@ -153,7 +153,7 @@ def test_what_says_nothing_of_the_machine_changes_nothing(
     the_same(plain[case], og.close_loop(written(tmp_path, *files), machine()), share=share)
 
 
-@pytest.mark.thorough(except_for=["rig-2"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", CASES)
 def test_legs_with_other_names_are_found_under_them(
     case: str, tmp_path: Path, plain: dict[str, Verdict]
@@ -179,7 +179,7 @@ def test_legs_with_other_names_are_found_under_them(
         assert catalogue.parameter(after.name).leg == TURN[leg]
 
 
-@pytest.mark.thorough(except_for=["rig-2"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", CASES)
 def test_the_seed_draws_and_does_not_decide(case: str, plain: dict[str, Verdict]) -> None:
     campaign = og.read_campaign(RIG / f"{case}.csv", machine().spec)

@@ -80,6 +80,7 @@ def caution(estimate: og.Estimate | Fit) -> str:
     return " ".join(w for w in estimate.warnings if w.kind == "quiet")
 
 
+@pytest.mark.thorough
 def test_noise_declared_far_too_large_is_said() -> None:
     """Faults that it hides would else pass for a sound machine."""
     worn = og.Machine.nominal().with_parameters({"joint_offset.x": 6e-4, "axis_tilt.y.z": 2.5e-3})

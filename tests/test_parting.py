@@ -74,6 +74,7 @@ def test_the_sheet_and_the_page_hold_them_and_they_come_first() -> None:
     assert verdict.actions[0].words == f"Measure more: {one.reason}"
 
 
+@pytest.mark.thorough
 def test_a_place_that_is_alone_needs_no_readings(machine: og.Machine) -> None:
     rig = Rig(errors=OFF, extra=(hysteresis(0, 1.2e-4),))
     verdict = og.close_loop([measured(machine, rig, "sweep", 6)], machine)

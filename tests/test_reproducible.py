@@ -123,6 +123,7 @@ def test_pages_do_not_depend_on_compiled_code(name: str, monkeypatch: pytest.Mon
     assert len(compiled.split()) > 500
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["delta", *THOROUGH])
 def test_numbers_do_not_depend_on_the_last_bit(name: str) -> None:
     same(usual(name), numbers(name, bits=1))

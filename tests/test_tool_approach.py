@@ -135,7 +135,7 @@ def test_plates_are_touched_from_above_and_distances_have_no_side() -> None:
     assert not len(distance.moves)
 
 
-@pytest.mark.thorough(except_for=["abc-82"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [81, 82])
 @pytest.mark.parametrize("legs", ["abc", "xyz"])
 def test_lost_motion_is_found_with_a_sheet_of_the_tool(

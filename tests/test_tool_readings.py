@@ -609,6 +609,7 @@ def test_another_unit_is_told_before_any_fit(unit: str, tmp_path: Path) -> None:
     og.identify([campaign], MACHINE)
 
 
+@pytest.mark.thorough
 def test_a_ball_bar_in_metres_is_told_by_its_length(tmp_path: Path) -> None:
     """About a ball in the middle of its circles it hardly varies, whatever the unit."""
     (campaign,) = read(tmp_path, text(("ballbar",)))

@@ -97,6 +97,7 @@ def test_what_is_left_at_the_tool_is_told_and_followed_there() -> None:
     assert not any("shows on leg" in option.words for option in verdict.picture.options)
 
 
+@pytest.mark.thorough
 def test_a_single_dial_is_not_all_dials() -> None:
     left = odd_tool().left
     only = replace(left, mountings=(replace(left.by_dial[0], share=1.0),))
@@ -155,6 +156,7 @@ def test_millimetres_and_milliradians_are_told_apart() -> None:
     assert f"{mm[1]:.4f} mm" in repr(after)
 
 
+@pytest.mark.thorough
 def test_of_a_level_alone_nothing_is_in_millimetres() -> None:
     closed, verdict = level_alone(), filled(level_alone(), Verdict)
     told = json.loads(result_text(verdict))
@@ -177,6 +179,7 @@ def test_what_readings_do_not_see_is_not_called_nominal() -> None:
     assert "the noise of a reading (0.02 mrad)" in said
 
 
+@pytest.mark.thorough
 def test_residuals_stand_under_their_units() -> None:
     closed = with_level()
     (points,) = (f.readings for f in closed.after.problem.tool)

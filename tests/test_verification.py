@@ -79,6 +79,7 @@ def test_a_result_says_how_far_pinocchio_is_from_it(result: Callable[[], Verdict
     assert written == found.verification.as_dict()
 
 
+@pytest.mark.thorough
 def test_of_many_postures_as_many_are_drawn() -> None:
     machine = Machine.nominal().with_parameters({"joint_offset.x": 3e-4})
     points = simulate_tcp(machine, MOST_POSTURES + 40)

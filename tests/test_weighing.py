@@ -96,7 +96,7 @@ def test_scores_are_of_the_readings_however_quiet_the_dial(noise: float) -> None
     assert max(map(abs, seen.values())) < 4
 
 
-@pytest.mark.thorough(except_for=["2e-05-rounded"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("resolution", [1e-5, 0.0], ids=["rounded", "not rounded"])
 @pytest.mark.parametrize(
     "noise",
