@@ -83,6 +83,20 @@ def test_rods_that_were_measured_are_no_cause_any_more() -> None:
     assert np.mean(lengths) == pytest.approx(4e-3, abs=2e-4)
     with pytest.raises(og.InputError, match=r"rods_mm at place 2 must be above 0"):
         parse_machine_file(file.replace("[272.0, 0.1]", "[272.0, 0.0]"))
+    with pytest.raises(og.InputError, match="rods_mm is 2720 mm, where the machine has 268 mm"):
+        parse_machine_file(file.replace("[272.0, 0.1]", "[2720.0, 0.1]"))
+
+
+@pytest.mark.parametrize("rods", [268.0, 272.0])
+def test_new_numbers_keep_to_rods_that_were_measured(rods: float) -> None:
+    found = og.import_printer(FIELD / "rods-entered-4mm-short" / "printer-with-mesh.cfg")
+    file = machine_text(found.machine) + f"\n[measured]\nrods_mm = [{rods}, 0.05]\n"
+    verdict = og.close_loop(found.campaigns, og.Machine(parse_machine_file(file)))
+    corrections = verdict.corrections
+    assert corrections is not None
+    assert "measure a rod" not in corrections.words
+    arms = [float(new) for name, _, new in corrections.rows if "arm_length" in name]
+    assert np.mean(arms) == pytest.approx(rods, abs=0.3)
 
 
 def test_a_part_of_metal_says_how_long_the_rods_are() -> None:

@@ -18,6 +18,8 @@ TRAVEL = 0.1
 _BELTS = 1e-3
 """Ratio by which drives of one kind differ: pulleys are alike, and belts stretch."""
 
+_HALF = 0.5  # of the nominal length: what differs by more is in another unit, or of another part
+
 Pair = tuple[float, float]
 
 
@@ -30,8 +32,7 @@ class Measured:
         travel: how far a carriage went that was told to go `TRAVEL`, in the mean of all, metres.
 
     Raises:
-        InputError: where a length or a standard deviation is not above 0, or the travel differs
-            from `TRAVEL` by more than half.
+        InputError: where a length or a standard deviation is not above 0.
     """
 
     rods: Pair | None = None
@@ -44,11 +45,6 @@ class Measured:
                     f"{name} is a length and its standard deviation, both above 0: "
                     f"correct it to [length, sigma]"
                 )
-        if self.travel is not None and abs(self.travel[0] / TRAVEL - 1) > 0.5:
-            raise InputError(
-                "travel_of_100_mm is how far a carriage went that was told to go 100 mm: give "
-                "about 100"
-            )
 
     def known(
         self, catalogue: Catalogue, geometry: Geometry, tolerance: Mapping[str, float]
@@ -56,13 +52,21 @@ class Measured:
         """Yield parameters, the measured deviation of their mean, and their covariance ``(3, 3)``,
         SI. The common part has the variance of the measurement; single bars differ by their
         tolerance, and single drives by `_BELTS`.
+
+        Raises:
+            InputError: where a length differs from the nominal one by more than half.
         """
-        for pair, held, nominal, scale in (
-            (self.rods, "bar_length", geometry.L, 1.0),
-            (self.travel, "scale", TRAVEL, 1 / TRAVEL),
+        for key, pair, held, nominal, scale in (
+            ("rods_mm", self.rods, "bar_length", geometry.L, 1.0),
+            ("travel_of_100_mm", self.travel, "scale", TRAVEL, 1 / TRAVEL),
         ):
             if pair is None:
                 continue
+            if abs(pair[0] / nominal - 1) > _HALF:
+                raise InputError(
+                    f"{key} is {pair[0] * 1e3:g} mm, where the machine has {nominal * 1e3:g} mm by "
+                    f"its other numbers: correct one of them, in millimetres"
+                )
             (name,) = (effect for effect in catalogue.held_as(held))
             each = tolerance[name] if held == "bar_length" else _BELTS
             value, sigma = (pair[0] - nominal) * scale, pair[1] * scale

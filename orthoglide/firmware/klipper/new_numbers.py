@@ -71,9 +71,10 @@ def new_numbers(printer: Printer, machine: Machine, read: Sequence[Readings]) ->
         return np.concatenate([off[:, 2], along.ravel(), *apart])
 
     start = replace(old, arm=_arms(old, machine))
-    new = _solved(start, miss, _WITH_ARMS if paired else _FITTED)
+    known = machine.spec.measured.rods is not None  # and the machine's arms are as measured
+    new = _solved(start, miss, _WITH_ARMS if paired and not known else _FITTED)
     left = tuple(left_of(printer, new, read))
-    return corrections_of(old, new, left, why_not(printer, left))
+    return corrections_of(old, new, left, why_not(printer, left), known)
 
 
 def why_not(printer: Printer, left: Sequence[Left]) -> str:

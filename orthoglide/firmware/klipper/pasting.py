@@ -46,7 +46,9 @@ class Left:
     new: float  # with the new ones
 
 
-def corrections_of(old: Numbers, new: Numbers, left: Sequence[Left], keep: str) -> Corrections:
+def corrections_of(
+    old: Numbers, new: Numbers, left: Sequence[Left], keep: str, rods_measured: bool
+) -> Corrections:
     """Return new numbers beside the old ones.
 
     Args:
@@ -54,6 +56,7 @@ def corrections_of(old: Numbers, new: Numbers, left: Sequence[Left], keep: str) 
         new: those that bring the calibrated machine nearest to where it is commanded to be.
         left: what both leave of the readings.
         keep: why the new ones are not to be entered, a clause; empty where they are better.
+        rods_measured: whether the machine file gives the length of the rods as measured.
     """
     # Every file counts alike, as heights of two days lie apart by more than touches scatter.
     each = [(one.old, one.new) for one in left if one.kind == "heights"] or [(0.0, 0.0)]
@@ -65,10 +68,12 @@ def corrections_of(old: Numbers, new: Numbers, left: Sequence[Left], keep: str) 
     longer, rods = float(np.mean(new.arm) - np.mean(old.arm)), ""
     if abs(longer) > SPREAD:
         way = "longer" if longer > 0 else "shorter"
-        rods = (
-            f"; they take the rods for {abs(longer) * 1e3:.1f} mm {way}, as distances say, and a "
-            f"print that shrank makes distances shorter: measure a rod first"
-        )
+        why = "as measured"
+        if not rods_measured:
+            why = (
+                "as distances say, and a print that shrank makes these shorter: measure a rod first"
+            )
+        rods = f"; they take the rods for {abs(longer) * 1e3:.1f} mm {way}, {why}"
     offered = old if keep else new  # what fits worse is never shown as new numbers
     values = offered.values
     return Corrections(
@@ -87,6 +92,7 @@ def corrections_of(old: Numbers, new: Numbers, left: Sequence[Left], keep: str) 
             **({"tried": new.as_dict()} if keep else {}),
             "height_rms_mm": [round(before * 1e3, 6), round(after * 1e3, 6)],
             "keep_old_because": keep,
+            **({"rods_measured": True} if rods_measured else {}),
             "left_of_readings": [
                 {"file": x.file, "kind": x.kind, "count": x.count,
                  "old_rms_mm": round(x.old * 1e3, 6), "new_rms_mm": round(x.new * 1e3, 6)}
@@ -141,4 +147,5 @@ def _kept(old: Numbers, table: Any) -> Corrections:
         for x in table.get("left_of_readings", ())
     ]  # fmt: skip
     keep = str(table.get("keep_old_because", ""))
-    return replace(corrections_of(old, Numbers.of(table["new"]), left, keep), kept=table)
+    known = table.get("rods_measured") is True
+    return replace(corrections_of(old, Numbers.of(table["new"]), left, keep, known), kept=table)
