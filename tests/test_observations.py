@@ -860,6 +860,12 @@ def test_time_never_runs_back_in_a_protocol() -> None:
         assert np.max(np.diff(sheet.time)) == 600.0
 
 
+def test_no_dial_is_set_where_its_leg_moves_past_it() -> None:
+    assert len(og.protocol("sweep", og.Geometry(stroke=(-0.15, 0.06))))
+    with pytest.raises(InputError, match=r"moves past a dial .* give a shorter stroke"):
+        og.protocol("sweep", og.Geometry(stroke=(-0.16, 0.06)))
+
+
 def test_no_such_protocol() -> None:
     with pytest.raises(InputError, match="it is one of standard, sweep, two-gauges"):
         protocol("fast")  # type: ignore[arg-type]

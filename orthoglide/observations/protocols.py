@@ -87,7 +87,7 @@ def protocol(kind: Kind, geometry: Geometry | None = None) -> Readings:
         reached from a known side.
 
     Raises:
-        InputError: for an unknown kind.
+        InputError: for an unknown kind, and a stroke over which a leg moves past a dial.
     """
     check_word("protocol", kind, get_args(Kind))
     geometry = geometry or Geometry()
@@ -117,7 +117,11 @@ def along_legs(
         postures: in their order.
         repeats: how often they are gone through.
         bar: that is touched, as of `Setup`.
+
+    Raises:
+        InputError: where a leg moves past a dial.
     """
+    _check_on_leg(geometry, gauges, [travel for _, travel in postures])
     visits = [
         (leg, repeat, posture)
         for leg in range(3)
@@ -203,6 +207,20 @@ def unread(
         posture=tuple(posture),
         moves=Moves(beyond=overshoot(geometry.stroke)),
     )
+
+
+def _check_on_leg(
+    geometry: Geometry, gauges: Sequence[tuple[float, ...]], travel: Sequence[float]
+) -> None:
+    """Refuse dials, given as fractions of the leg, past which it moves at some travel, metres."""
+    place = geometry.L * np.array([share for shares in gauges for share in shares])
+    if place.min() <= max(travel) or place.max() >= geometry.L + min(travel):
+        raise InputError(
+            f"between travel {min(travel) * 1e3:g} and {max(travel) * 1e3:g} mm a leg of "
+            f"{geometry.L * 1e3:g} mm moves past a dial set between "
+            f"{place.min() * 1e3:.1f} and {place.max() * 1e3:.1f} mm along it: give "
+            f"a shorter stroke in the machine file"
+        )
 
 
 def _swept(geometry: Geometry) -> list[Posture]:
