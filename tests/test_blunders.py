@@ -279,7 +279,7 @@ def test_exchanged_dials_of_one_direction(one, seed, machine):
     assert set(blunder.setups) <= {one, other}
 
 
-@pytest.mark.thorough(except_for=["early"])
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("protocol", "by", "errors"),
     [
@@ -651,6 +651,7 @@ def test_a_knocked_setup_becomes_two(machine):
     np.testing.assert_allclose(again.x, untouched.x, atol=3 * np.sqrt(untouched.covariance[0, 0]))
 
 
+@pytest.mark.thorough
 def test_two_knocks_of_one_setup_make_three(machine):
     rows = rc.knocked_stand(rows_of(seed=2), "yz-0.5", 0.5, after=0.3).rows
     rows = rc.knocked_stand(rows, "yz-0.5", -0.3, after=0.7).rows

@@ -53,6 +53,7 @@ def compared(machine: og.Machine, old: list[rc.Row], new: list[rc.Row]) -> Check
     return check([campaign(machine, "c", old)], [campaign(machine, "c", new)], machine)
 
 
+@pytest.mark.thorough
 def test_zeros_that_were_entered_are_seen_and_nothing_else(machine: og.Machine) -> None:
     new = {"joint_offset.x": 0.0, "joint_offset.y": 0.1e-3}
     found = compared(machine, rows(1), rows(2, **new))

@@ -133,6 +133,7 @@ def test_json_is_the_file(rig: Path) -> None:
     assert set(tree(rig / "a")) >= FILES | {"figures/causes.svg", "figures/signatures-1.svg"}
 
 
+@pytest.mark.thorough
 def test_diagnose_writes_nothing_and_ranks_the_causes(rig: Path) -> None:
     before = tree(rig)
     shown = flat(done("diagnose", "rig-2.csv", "--machine", "machine.toml"))

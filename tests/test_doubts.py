@@ -179,6 +179,7 @@ def test_the_training_file_as_holdout_is_said() -> None:
         assert len([w for w in judged.after.warnings if w.kind == "holdout"]) == said
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("missing", [False, True])
 def test_points_of_the_tool_that_are_there_twice_are_said(missing: bool) -> None:
     points = tcp_points(0.0)

@@ -65,6 +65,7 @@ def shown(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str
     return found
 
 
+@pytest.mark.thorough
 def test_identify_and_diagnose(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -106,6 +106,7 @@ def same(one: dict[str, Any], other: dict[str, Any]) -> None:
     assert any(isinstance(v, float) and math.isfinite(v) for v in values)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["delta", *THOROUGH])
 def test_numbers_do_not_depend_on_compiled_code(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     compiled = usual(name)

@@ -51,6 +51,7 @@ def test_nothing_has_changed(calibrated: og.Machine) -> None:
     assert tilt_of(again.values) == pytest.approx(1.5e-3, abs=5e-5)
 
 
+@pytest.mark.thorough
 def test_a_tilt_put_right_is_told_from_the_machines_total_error(calibrated: og.Machine) -> None:
     """It was said to lean the other way by the difference."""
     again = og.close_loop(measured({**ERRORS, TILT: 3e-4}, 2, "second"), calibrated)

@@ -86,6 +86,7 @@ def test_a_visit_that_disagrees_with_the_other_is_told() -> None:
     assert re.search(said, fault.message)
 
 
+@pytest.mark.thorough
 def test_a_slip_among_repeats_hides_no_other_in_the_noise() -> None:
     """It had made the noise of the repeats ten times too large, in which the other was lost."""
     campaign = read("tcp")

@@ -417,6 +417,7 @@ def test_dials_and_tool_readings_of_an_orthoglide_go_together(tmp_path: Path) ->
     assert programme.x == pytest.approx(both.x, abs=1e-9)
 
 
+@pytest.mark.thorough(except_for=["ballbar"])
 @pytest.mark.parametrize("kind", ALL)
 def test_the_programme_agrees_with_nested_steps(kind: str, tmp_path: Path) -> None:
     (campaign,) = read(tmp_path, text((kind,), noise=2e-6))

@@ -204,7 +204,7 @@ def quiet(verdict: Verdict) -> list[Note]:
     return [note for note in verdict.after.warnings if note.kind == "quiet"]
 
 
-@pytest.mark.thorough(except_for=["incline-57.3-degrees"])
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "factor", "unit"), [("incline", 57.3, "degrees"), ("plate", 25.4, "inches")]
 )
