@@ -145,9 +145,7 @@ SEEN = """<script>addEventListener("load", () => setTimeout(() => {
 }, 1500));</script></body>"""
 
 
-@pytest.mark.parametrize(
-    "size", ["1280,900", pytest.param("500,987", marks=pytest.mark.thorough)]
-)
+@pytest.mark.parametrize("size", ["1280,900", pytest.param("500,987", marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_browser_draws_all_of_it_and_asks_nothing_of_a_network(
     kind: str, size: str, tmp_path: Path
