@@ -434,7 +434,7 @@ def test_lost_motion_without_a_name_has_its_whole_size_everywhere(
 def test_a_controllers_setting_is_for_the_lost_motion_of_drives() -> None:
     name = CATALOGUE.parameter("backlash.x")
     text = screen(made_up("explained", Cause(explained(name, 2e-4, CATALOGUE, 0.97), (), ())))
-    assert "a controller's own setting for backlash makes up for it, or" in text
+    assert "a controller's own setting makes up for it, or" in text
 
 
 @pytest.mark.thorough

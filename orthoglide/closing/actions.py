@@ -154,7 +154,7 @@ def _made_up(found: Cause | Located) -> str:
         each = (e.catalogue.effect_of(e.name) for e in found.explanations)
         drives = all(effect.controller for effect in each)
     if drives:
-        return f"a controller's own setting for backlash makes up for it, or {_COMPENSATED}"
+        return f"a controller's own setting makes up for it, or {_COMPENSATED}"
     return _COMPENSATED
 
 

@@ -122,7 +122,7 @@ def _changed(changes: Iterable[Change]) -> str:
 
 def _weighed(result: Result) -> str:
     base = effects_named(result)
-    corrected = f"With the {base} set right"
+    corrected = f"With the {base} corrected"
     if result.word == "unexplained":
         return f"{corrected}, {_fall(result)}."
     if result.word == "partial":
@@ -151,15 +151,15 @@ def _weighed(result: Result) -> str:
 def _against_noise(result: Result) -> str:
     """Whether what is left is the noise: the end of a sentence, and another where it is not."""
     of = "the readings" if result.request.points else "the dial"
-    what = f"the noise of {of} ({result.noise.single_reading.said()}) leaves"
+    what = f"the noise of {of} ({result.noise.single_reading.said()})"
     if any(w.kind == "side" for w in result.warnings):
-        what = "repeats scatter by. That is noise of the readings, or lost motion"
+        what = "what repeats scatter by. That is noise of the readings, or lost motion"
     if result.after.sigma_scale > 1:
         return (
             f", which is more than {what}. Each likely explanation fits them; their mean, which "
             f"the calibrated machine has, does not quite."
         )
-    return f", which is what {what}."
+    return f", which is {what}."
 
 
 def where_left(result: Result) -> str:
