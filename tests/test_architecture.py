@@ -304,6 +304,7 @@ OF_ONE_LAYOUT = {
     "observations/readings.py:Readings.relabelled.turned": "the same",
     "observations/checks.py:_gauges": "places of dials along a leg, from joint coordinates",
     "observations/checks.py:_gauges.on_leg": "the same",
+    "observations/protocols.py:_check_on_leg": "the same",
     "explanation/faults.py:_commanded": "a column of their campaigns",
     # The Orthoglide's own
     "urdf/solids.py:base_solids": "the drawing of its frame; others are drawn by their legs",
