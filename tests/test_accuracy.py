@@ -52,7 +52,7 @@ def parts(error: Array) -> tuple[float, float]:
     return float(np.linalg.norm(error - place, axis=1).mean()), float(np.linalg.norm(place))
 
 
-@pytest.mark.thorough(except_for=["tilted"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("which", MACHINES)
 def test_what_is_stated_is_what_is_achieved(which: str) -> None:
     rig, machine = rig_of(which), verdict_of(which).machine

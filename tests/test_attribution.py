@@ -27,7 +27,7 @@ def test_nothing_is_found_where_only_small_errors_are(protocol: str) -> None:
     assert (record["word"], record["effects"], record["blunders"]) == ("adequate", [], [])
 
 
-@pytest.mark.thorough(except_for=["backlash-sweep"])
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("family", "protocol"),
     [("backlash", "sweep"), ("rail_bow", "sweep"), ("screw_error", "sweep"),

@@ -158,6 +158,7 @@ def test_short_errors_are_cases_of_their_own(kind: str) -> None:
     assert len(cause.places) == 2
 
 
+@pytest.mark.thorough
 def test_a_bump_at_a_station_is_recorded_with_the_rows_that_it_moves() -> None:
     record = run(Case("bump", "rail.b", "sweep", 0.2, 0), 1)
     assert record["word"] not in ("error", "crash"), record["message"]

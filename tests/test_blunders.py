@@ -433,7 +433,7 @@ def test_a_drive_that_goes_with_another_is_no_wrong_label(protocol, rms, machine
     assert found_in(drawn.rows, machine) == ()
 
 
-@pytest.mark.thorough(except_for=["0.001-in metres"])
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("factor", "said"),
     [(1e-3, "in metres"), (1 / 25.4, "in inches"), (10.0, "decimal point")],
@@ -515,6 +515,7 @@ def test_stuck_dial(protocol, machine):
     assert len({row for _, row in blunder.rows} ^ set(touched)) <= 1
 
 
+@pytest.mark.thorough
 def test_a_slip_in_most_setups_is_found_in_each(machine, nominal):
     """Noise from repeats has grown by them, and what a setup scatters is no measure of it."""
     rows, slipped = rows_of("standard"), (2, 5, 20, 23, 41)

@@ -122,6 +122,7 @@ def test_a_tilt_that_was_put_right(machine, tmp_path):
     assert told["sigma"] == pytest.approx(change.sigma, rel=1e-4)
 
 
+@pytest.mark.thorough
 def test_a_tilt_that_is_gone_is_no_cause_any_more(machine):
     verdict = close_loop(tilted(machine, 1.5e-3, 0.0), machine)
     assert [c.before for c in verdict.changed] == [pytest.approx(1.5e-3, abs=2e-4)]

@@ -97,7 +97,7 @@ MEASURED: dict[str, tuple[re.Pattern[str], Callable[..., float], tuple[str, str]
 """By effect: what its words expect, how that is measured, and the words for either sign."""
 
 
-@pytest.mark.thorough(except_for=["backlash.x-0.00015"])
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "value"),
     [

@@ -288,6 +288,7 @@ def test_what_is_folded_is_printed(tmp_path: Path) -> None:
     assert printed(tmp_path / "page.html") > 8  # folded it is four
 
 
+@pytest.mark.thorough
 def test_the_first_screen_draws_what_it_says() -> None:
     """The words beside the drawing and in it are the same, and each can be shown."""
     verdict = verdict_of("explained")

@@ -187,6 +187,7 @@ def test_a_result_that_kept_no_rows_is_refused_in_a_sentence() -> None:
     assert found.errors.count("\n") == 1
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("old", "new"),
     [

@@ -189,6 +189,7 @@ def test_moved_readings_are_not_adequate_without_a_word(number: int) -> None:
     assert not found.false
 
 
+@pytest.mark.thorough
 def test_a_reading_too_near_to_be_set_aside_is_spoken_of() -> None:
     """Eight sigmas beside its repeats: one line to be read again, no fault."""
     machine = og.Machine.load(Path(__file__).parent / "data" / "rig" / "machine.toml")

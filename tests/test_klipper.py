@@ -396,6 +396,7 @@ def test_a_machine_with_nothing_wrong_is_left_alone(tmp_path: Path) -> None:
     assert verdict.word == "adequate"
 
 
+@pytest.mark.thorough
 def test_the_stored_mesh_ends_in_a_class(tmp_path: Path) -> None:
     """FLSUN V400: six numbers leave 0.05 mm; tilted towers and the bed share what is left."""
     out, done = tmp_path / "in", tmp_path / "out"

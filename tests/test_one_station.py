@@ -75,6 +75,7 @@ def test_a_bump_is_found_again_by_its_name(at: float) -> None:
     assert [str(name) for name in motions] == [str(name) for name in place.effect.motions]
 
 
+@pytest.mark.thorough
 def test_a_single_part_comes_before_patterns_that_fit_no_better() -> None:
     verdict = og.close_loop([og.read_campaign(RIG2 / "b2.csv")])
     (cause,) = verdict.effects

@@ -37,7 +37,7 @@ def measured(seed: int = 0, missing: bool = False) -> og.Readings:
     return og.Readings.from_points(rho, p, np.full(n, 1e-6), np.zeros((n, 3)), np.arange(2, n + 2))
 
 
-@pytest.mark.thorough(except_for=["rigid-True"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("missing", [False, True])
 @pytest.mark.parametrize("frame", ["none", "translation", "rigid"])
 def test_a_planted_machine_is_recovered(frame: Frame, missing: bool) -> None:

@@ -695,7 +695,7 @@ def test_a_dial_at_the_tool_points_about_along_its_direction(tmp_path: Path) -> 
             assert low <= SHIFTED.values.get(name, 0.0) <= high
 
 
-@pytest.mark.thorough(except_for=["tcp-0.0004"])
+@pytest.mark.thorough
 @pytest.mark.parametrize(("kind", "size"), [("ballbar", 1.5e-4), ("tcp", 4e-4)])
 def test_a_slip_of_an_exact_instrument_is_told(kind: str, size: float, tmp_path: Path) -> None:
     """Far less than a bed's bumps, and many times its noise; a cause besides is no slip."""

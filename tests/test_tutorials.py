@@ -85,6 +85,7 @@ def test_the_tutorial_at_the_machine(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert told.count("moved the wrong way") == 3
 
 
+@pytest.mark.thorough
 def test_the_tutorial_in_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}

@@ -41,7 +41,7 @@ KINDS = {
 }  # fmt: skip
 
 
-@pytest.mark.thorough(except_for=["jump of a drive"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_no_catalogue_lists_is_located(kind: str) -> None:
     rig, (part, leg, against), size = KINDS[kind]

@@ -63,6 +63,7 @@ def closed() -> Verdict:
     return close_loop([campaign], machine)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("result", [identified, closed], ids=["identify", "close-loop"])
 def test_a_result_says_how_far_pinocchio_is_from_it(result: Callable[[], Verdict]) -> None:
     found = result()
