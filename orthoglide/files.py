@@ -9,7 +9,7 @@ import select
 import stat
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 
 from orthoglide.errors import FileError, path_of
@@ -26,9 +26,6 @@ SILENCE = 5.0
 
 _PIECE = 2**20
 _BOM = b"\xef\xbb\xbf"
-
-Commit = Callable[[], AbstractContextManager[None]]
-"""Surrounds the moment at which files appear: what is entered last may still refuse."""
 
 
 def inside(path: str | os.PathLike[str], name: str) -> Path:
@@ -147,14 +144,12 @@ def write_files(
     contents: Mapping[Path, str | bytes],
     *,
     overwrite: bool = False,
-    commit: Commit = nullcontext,
 ) -> None:
     """Writes files that appear whole, all of them or none.
 
     Args:
         contents: by path; text is encoded as UTF-8.
         overwrite: whether existing files may be replaced.
-        commit: surrounds the moment at which they appear.
 
     Raises:
         FileError: where a file stands already and may not be replaced, or none can be written.
@@ -168,11 +163,10 @@ def write_files(
                 waiting[target] = waiting_name(target)
                 with waiting[target].open("xb") as stream:
                     stream.write(content.encode() if isinstance(content, str) else content)
-        with commit():
-            for target, name in waiting.items():
-                with writing(target):
-                    _put(name, target, overwrite)
-                put.append(target)
+        for target, name in waiting.items():
+            with writing(target):
+                _put(name, target, overwrite)
+            put.append(target)
     except BaseException:
         for target in put if not overwrite else ():
             target.unlink(missing_ok=True)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from orthoglide import files
 from orthoglide.errors import FileError
 from orthoglide.files import check_new, write_files
 from orthoglide.mechanism.compiled import compiler
-from orthoglide.report import write_folder
+from orthoglide.report import folder, write_folder
 from tests.test_cli import EXPERIMENT_2, run
 
 ROOT = Path(__file__).parents[1]
@@ -62,14 +63,23 @@ def test_failing_arithmetic_is_failed_numerics(
 # --- Rivals for a name --------------------------------------------------------------------------
 
 
-def test_a_file_that_another_process_wrote_meanwhile_stands(here: Path) -> None:
-    @contextlib.contextmanager
-    def meanwhile() -> Iterator[None]:
-        (here / "b.csv").write_text("theirs")
-        yield
+def before_it_appears(monkeypatch: pytest.MonkeyPatch, module: Any, act: Callable[[], Any]) -> None:
+    """Have another process act between a file's or folder's last check and its appearance."""
+    put = module._put
 
+    def later(*arguments: Any) -> None:
+        act()
+        put(*arguments)
+
+    monkeypatch.setattr(module, "_put", later)
+
+
+def test_a_file_that_another_process_wrote_meanwhile_stands(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before_it_appears(monkeypatch, files, lambda: (here / "b.csv").write_text("theirs"))
     with pytest.raises(FileError, match=r"b\.csv: exists and is not overwritten"):
-        write_files({here / "a.csv": "ours", here / "b.csv": "ours"}, commit=meanwhile)
+        write_files({here / "a.csv": "ours", here / "b.csv": "ours"})
     assert (here / "b.csv").read_text() == "theirs"
     assert sorted(os.listdir(here)) == ["b.csv", "c.csv"]
 
@@ -91,18 +101,19 @@ def test_so_it_does_where_there_are_no_hard_links(
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
-def test_a_folder_that_another_process_wrote_meanwhile_stands(overwrite: bool, here: Path) -> None:
-    @contextlib.contextmanager
-    def meanwhile() -> Iterator[None]:
+def test_a_folder_that_another_process_wrote_meanwhile_stands(
+    overwrite: bool, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def theirs() -> None:
         (here / "out").mkdir()
         (here / "out" / "result.json").write_text("theirs")
-        yield
 
+    before_it_appears(monkeypatch, folder, theirs)
     if overwrite:  # an earlier report may be replaced, whoever wrote it
-        write_folder(here / "out", {"result.json": "ours"}, True, commit=meanwhile)
+        write_folder(here / "out", {"result.json": "ours"}, True)
     else:
         with pytest.raises(FileError, match="not empty"):
-            write_folder(here / "out", {"result.json": "ours"}, commit=meanwhile)
+            write_folder(here / "out", {"result.json": "ours"})
     expected = "ours" if overwrite else "theirs"
     assert (here / "out" / "result.json").read_text() == expected
     assert sorted(os.listdir(here)) == ["c.csv", "out"]

@@ -7,28 +7,21 @@ from __future__ import annotations
 
 import ast
 import json
+import runpy
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-NOTEBOOKS = sorted((Path(__file__).parents[1] / "examples" / "notebooks").glob("*.ipynb"))
+ROOT = Path(__file__).parents[1]
+NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
+run = runpy.run_path(str(ROOT / "docs" / "images" / "notebooks.py"))["run"]
 
 
 def cells(path: Path, kind: str) -> list[str]:
     document = json.loads(path.read_text(encoding="utf-8"))
     assert document["nbformat"] == 4
     return ["".join(c["source"]) for c in document["cells"] if c["cell_type"] == kind]
-
-
-def run(source: str, names: dict[str, Any]) -> Any:
-    """Run a cell; the value of its last expression, as a notebook shows it."""
-    tree = ast.parse(source)
-    last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
-    exec(compile(tree, "<cell>", "exec"), names)
-    if last is None:
-        return None
-    return eval(compile(ast.Expression(last.value), "<cell>", "eval"), names)  # type: ignore[attr-defined]
 
 
 def test_there_are_three() -> None:

@@ -181,8 +181,9 @@ def check(
     old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
     jointly = not past and len(visits(together.before.problem)) > 1
     was, gone, come = None, tuple[Located, ...](), tuple[Located, ...]()
-    without_name = any(one.located or one.word == "unexplained" for one in (together, closed))
-    if not jointly or together.changed or without_name:
+    # No parameter is what changed of an error without a name, so each state is closed by itself.
+    has_unnamed = any(one.located or one.word == "unexplained" for one in (together, closed))
+    if not jointly or together.changed or has_unnamed:
         was = close(of_one(request, before), progress)
         gone, come = _unlike(was, closed), _unlike(closed, was)
         jointly = jointly and not gone and not come

@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Mapping
-from contextlib import nullcontext
 from pathlib import Path
 from typing import NoReturn
 
 from orthoglide.errors import FileError
-from orthoglide.files import Commit, waiting_name, writing
+from orthoglide.files import waiting_name, writing
 from orthoglide.text import shown
 
 _REPORT = {
@@ -62,8 +61,6 @@ def write_folder(
     out: Path,
     files: Mapping[str, str | bytes],
     overwrite: bool = False,
-    *,
-    commit: Commit = nullcontext,
 ) -> None:
     """Write files into a temporary sibling, then rename it.
 
@@ -71,7 +68,6 @@ def write_folder(
         out: the folder; new or empty, or an earlier report.
         files: content by name, ``/`` for folders inside; written in this order, text as UTF-8.
         overwrite: whether an earlier report is replaced whole.
-        commit: surrounds the moment at which the folder appears.
 
     Raises:
         FileError: where the folder cannot be written.
@@ -87,8 +83,7 @@ def write_folder(
                 path = made / name
                 path.parent.mkdir(exist_ok=True)
                 path.write_bytes(content.encode() if isinstance(content, str) else content)
-            with commit():
-                _put(made, target, overwrite)
+            _put(made, target, overwrite)
         except BaseException:
             shutil.rmtree(made, ignore_errors=True)
             raise

@@ -295,12 +295,13 @@ def gain_words(action: Action) -> tuple[str, str]:
 
 def unshown_words(result: Result) -> str:
     """What these readings would not show, by effect, as a clause; empty where there is nothing."""
-    if not (hidden := result.unseen.effects):
-        return ""
+    hidden = result.unseen.effects
     parts = [f"that {words}{f' ({listed(of)})' if of else ''}" for words, of in hidden]
     of_machine = (n for n in result.unseen.unexcited if not result.catalogue[n].of_dial)
     if still := [cause_short(result.catalogue, name) for name in of_machine]:
         parts.append(f"that {', that '.join(still)}, as nothing here varies what would show it")
+    if not parts:
+        return ""
     taken = listed(result.instruments.values())
     return (
         f"readings of {taken} cannot detect the following, even at three times the tolerance: "

@@ -232,8 +232,8 @@ def _add_saved(config: Config, saved: Config) -> None:
         own = config.sections.setdefault(name, section)
         for key, below in section.entries.items():
             above = own.entries.setdefault(key, below)
-            twofold = above is not below and above.values != below.values
-            if twofold and name.partition(" ")[0] in _READ:
+            differs = above is not below and above.values != below.values
+            if differs and name.partition(" ")[0] in _READ:
                 values = f"{_value(above, config)}, below {_value(below, config)}"
                 twice.append(f"[{name}] {key}: {values}")
     if twice:
