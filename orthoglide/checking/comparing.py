@@ -181,9 +181,7 @@ def check(
     old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
     jointly = not past and len(visits(together.before.problem)) > 1
     was, gone, come = None, tuple[Located, ...](), tuple[Located, ...]()
-    # No parameter is what changed of an error without a name, so each state is closed by itself.
-    has_unnamed = any(one.located or one.word == "unexplained" for one in (together, closed))
-    if not jointly or together.changed or has_unnamed:
+    if not jointly or together.changed or any(map(_has_unnamed, (together, closed))):
         was = close(of_one(request, before), progress)
         gone, come = _unlike(was, closed), _unlike(closed, was)
         jointly = jointly and not gone and not come
@@ -199,6 +197,13 @@ def check(
     moves = plate_moves(after_all.problem, after_all.x, old_names, new_names)
     told = () if was is None or machine.spec.printer else tuple(entered(was.machine, differences))
     return Check(old_names, new_names, closed, differences, changes, moves, gone, come, told)
+
+
+def _has_unnamed(closed: Closed) -> bool:
+    """Return whether something has no name: then no parameter is what changed, and each state must
+    be closed by itself.
+    """
+    return bool(closed.located) or closed.word == "unexplained"
 
 
 def _unlike(one: Closed, other: Closed) -> tuple[Located, ...]:
