@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
@@ -9,22 +10,32 @@ import pytest
 
 import orthoglide as og
 from orthoglide.checking import check
-from orthoglide.fit.change_search import WIDTHS, Hypotheses
+from orthoglide.explanation.change_model import CLASS_WIDTH, SLAB_ODDS, WIDTHS
+from orthoglide.explanation.linear import FreeNoise, Linear, whole
+from orthoglide.explanation.mixture import Mixture
 from orthoglide.geometry import Array
 from tests.studied import studied
 from tests.test_second_visit import ERRORS, SHEET, TILT, measured
 
 COUNT, ROWS = 7, 30
+COST = 3.0
 
 
-def hypotheses(columns: Array, residual: Array) -> Hypotheses:
-    return Hypotheses(
-        columns.T @ columns,
-        columns.T @ residual,
-        np.full(columns.shape[1], 3.0),
-        float(residual @ residual),
-        float(len(residual)),
+def searched(columns: Array, residual: Array) -> Mixture:
+    """The search over changes with these columns, the size of the noise unknown."""
+    count, chi2 = columns.shape[1], float(residual @ residual)
+    groups = tuple(
+        replace(whole(f"change.{k}", [k], free=False), expected=float(np.exp(-COST)))
+        for k in range(count)
     )
+    none = np.zeros(count, dtype=bool)
+    return Mixture(
+        Linear(
+            columns, residual, np.zeros(count), none, none, groups, np.zeros((len(residual), 0)),
+            (1.0,), WIDTHS, slab_odds=SLAB_ODDS, most=12,
+            free_noise=FreeNoise(chi2, float(len(residual))),
+        )
+    )  # fmt: skip
 
 
 def weight(columns: Array, residual: Array, places: list[int], widths: Array) -> float:
@@ -36,7 +47,7 @@ def weight(columns: Array, residual: Array, places: list[int], widths: Array) ->
         return -ROWS / 2 * (share if share < 1 else 1 + float(np.log(share)))
 
     fit = of(float(residual @ np.linalg.solve(spread, residual))) - of(float(residual @ residual))
-    prior = np.log(1 / widths / np.sum(1 / np.array(WIDTHS))).sum() - 3.0 * len(places)
+    prior = np.log(1 / widths / np.sum(1 / np.array(WIDTHS))).sum() - COST * len(places)
     return fit - float(np.linalg.slogdet(spread)[1]) / 2 + float(prior)
 
 
@@ -50,36 +61,38 @@ def test_no_set_weighs_more_than_the_one_found(seed: int) -> None:
     columns = 2 * (shared @ rng.standard_normal((3, COUNT)) + rng.standard_normal((ROWS, COUNT)))
     true = rng.choice(COUNT, 2, replace=False)
     residual = columns[:, true] @ rng.uniform(1, 3, 2) + rng.standard_normal(ROWS)
-    found = hypotheses(columns, residual).found()
-    assert found is not None
+    found = searched(columns, residual)
     every = (
         weight(columns, residual, list(places), np.array(widths))
         for count in range(4)
         for places in combinations(range(COUNT), count)
         for widths in product(WIDTHS, repeat=count)
     )
-    most = max(every)
-    assert found.weight >= most - 1e-6
-    assert len(found.places) > 3 or found.weight == pytest.approx(most, abs=1e-6)
+    most, weighed = max(every), found.total(found.best) - found.total(())
+    assert weighed >= most - 1e-6
+    assert len(found.best) > 3 or weighed == pytest.approx(most, abs=1e-6)
 
 
-def test_what_reads_the_same_is_told_with_its_own_size() -> None:
+def test_what_reads_the_same_is_in_the_class() -> None:
     rng = np.random.default_rng(1)
     columns = 5 * rng.standard_normal((ROWS, 4))
     columns[:, 2] = -2 * columns[:, 1]
     residual = 1.5 * columns[:, 1] - 2 * columns[:, 3] + rng.standard_normal(ROWS)
-    found = hypotheses(columns, residual).found()
-    assert found is not None
-    each = {frozenset(sizes): sizes for sizes in found.instead}
-    assert set(each) == {frozenset({1, 2}), frozenset({3})}
-    assert each[frozenset({1, 2})][1] == pytest.approx(1.5, abs=0.2)
-    assert each[frozenset({1, 2})][2] == pytest.approx(-0.75, abs=0.1)
+    found = searched(columns, residual)
+    each = {member: found.like(member, CLASS_WIDTH) for member, _ in found.best}
+    assert {frozenset({k, *others}) for k, others in each.items()} == {
+        frozenset({1, 2}), frozenset({3}),
+    }  # fmt: skip
+    (first,) = {1, 2} & set(each)
+    size, sigma, _ = found.spread_of(first)
+    assert size == pytest.approx({1: 1.5, 2: -0.75}[first], abs=0.2)
+    assert 0.01 < sigma < 0.1
 
 
 def test_nothing_is_found_in_noise() -> None:
     rng = np.random.default_rng(5)
     none = [
-        hypotheses(5 * rng.standard_normal((ROWS, 20)), rng.standard_normal(ROWS)).found() is None
+        not searched(5 * rng.standard_normal((ROWS, 20)), rng.standard_normal(ROWS)).best
         for _ in range(200)
     ]
     assert sum(none) >= 198

@@ -9,9 +9,9 @@ import pytest
 
 import orthoglide as og
 from orthoglide.errors import InputError
+from orthoglide.explanation.change import Change
 from orthoglide.explanation.data_faults import find_faults
 from orthoglide.explanation.identifying import identify
-from orthoglide.fit import Change
 from orthoglide.observations import Campaign
 from orthoglide.verdict import close_loop
 from tests import rig_campaigns as rc

@@ -19,7 +19,7 @@ from orthoglide.closing.actions import _one_of_two
 from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
 from orthoglide.effects.wording import cause_short
 from orthoglide.explanation import Cause, Explanation, Located
-from orthoglide.fit import Change
+from orthoglide.explanation.change import Change
 from orthoglide.layout import LinearDelta
 from orthoglide.numerals import ByUnit
 from orthoglide.parameters import Parameter

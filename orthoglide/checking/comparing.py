@@ -16,8 +16,10 @@ from orthoglide.checking.states import State, states_of
 from orthoglide.closing import Closed, close, filled
 from orthoglide.effects.wording import parameter_words
 from orthoglide.explanation import Located
+from orthoglide.explanation.change import Change
 from orthoglide.explanation.changes import visits
-from orthoglide.fit import Change, Estimate, Problem, account_for_changes, assemble, solve
+from orthoglide.explanation.recalibration import account_for_changes
+from orthoglide.fit import Estimate, Problem, assemble, solve
 from orthoglide.fit.plate_moves import PlateMove, plate_moves
 from orthoglide.fit.unknown import Unknown
 from orthoglide.frames import Framed

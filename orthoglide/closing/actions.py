@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from orthoglide.control import withheld
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.explanation import Cause, Curve, Explanation, Located
-from orthoglide.fit import Change
+from orthoglide.explanation.change import Change
 from orthoglide.numerals import compact, plain
 from orthoglide.ordering import ranked
 from orthoglide.result import Action, Suspect, Withheld

@@ -17,10 +17,11 @@ from orthoglide.control import ControllerNumbers, controller_numbers
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
 from orthoglide.explanation import Cause, Explanation, FullPosterior, Located, budget
+from orthoglide.explanation.change import Change
 from orthoglide.explanation.data_faults import Blunder
 from orthoglide.explanation.residuals import residual_by_setup
 from orthoglide.explanation.significance import Left
-from orthoglide.fit import Change, Estimate
+from orthoglide.fit import Estimate
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.numerals import told_apart

@@ -16,17 +16,18 @@ from orthoglide.explanation import (
     outstanding,
     remains,
 )
+from orthoglide.explanation.change import Change
+from orthoglide.explanation.change_model import WIDTHS
 from orthoglide.explanation.changes import separated
 from orthoglide.explanation.data_faults import Blunder, find_faults, without
 from orthoglide.explanation.identifying import identify
+from orthoglide.explanation.recalibration import account_for_changes, vague
 from orthoglide.explanation.significance import SIGNIFICANT, Left, left_over
 from orthoglide.explanation.suspects import Key
-from orthoglide.fit import Change, Estimate, account_for_changes, assemble, solve, tempered
-from orthoglide.fit.change_search import WIDTHS
+from orthoglide.fit import Estimate, assemble, solve, tempered
 from orthoglide.fit.exchanged_columns import check_columns
 from orthoglide.fit.noise_notes import is_misdeclared
 from orthoglide.fit.plausible import check_plausible
-from orthoglide.fit.recalibration import vague
 from orthoglide.fit.verification import verify
 from orthoglide.machine import Machine
 from orthoglide.notes import Note

@@ -10,7 +10,7 @@ import numpy as np
 
 from orthoglide.effects.words import toward
 from orthoglide.explanation import Curve
-from orthoglide.fit import Change
+from orthoglide.explanation.change import Change
 from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 from orthoglide.numerals import compact

@@ -10,8 +10,9 @@ from orthoglide.closing.actions import confirm, loses
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short, size_words
 from orthoglide.explanation import Cause, Curve, Explanation, Located
+from orthoglide.explanation.change import Change
 from orthoglide.explanation.data_faults import Blunder
-from orthoglide.fit import Change, Estimate
+from orthoglide.fit import Estimate
 from orthoglide.observations import Readings
 from orthoglide.result import fits, found, residuals
 

@@ -3,7 +3,7 @@
 Campaigns are those of dials, in their order; without dials visits with instruments at the tool, of
 one file or of several.
 
-All that stays is open beside what may have changed (`fit.changed`), and beside faults of the data
+All that stays is open beside what may have changed (`change_model`), and beside faults of the data
 that the changes found are weighed against.
 """
 
@@ -14,8 +14,9 @@ from dataclasses import replace
 from itertools import product
 
 from orthoglide.errors import NumericsError
-from orthoglide.fit import Change, Estimate, Problem, with_free, with_others
-from orthoglide.fit.changed import Candidate, Changed, may_change, what_changed
+from orthoglide.explanation.change import Change
+from orthoglide.explanation.change_model import Candidate, Moved, may_change, what_changed
+from orthoglide.fit import Estimate, Problem, with_free, with_others
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.unknown import Unknown
 from orthoglide.fit.unknowns import one_plate
@@ -65,18 +66,14 @@ def likeliest_changes(estimate: Estimate) -> tuple[list[Change], float]:
         found = what_changed(wide, wide.padded(estimate.x), candidates, floor)
     except NumericsError:
         return [], 0.0
-    if found is None:
-        return [], 0.0
-    place = {c.parameter: k for k, c in enumerate(candidates)}
-    cost = found.about.hypotheses.cost[[place[one.parameter] for one in found.moved]]
-    return list(_told(problem, several, found)), float(cost.sum())
+    return list(_told(problem, several, found)), sum(one.cost for one in found)
 
 
 def _told(
-    problem: Problem, several: Sequence[tuple[str, str, int]], found: Changed
+    problem: Problem, several: Sequence[tuple[str, str, int]], found: Sequence[Moved]
 ) -> Iterator[Change]:
     stems, files = [stem for stem, _, _ in several], [file for _, file, _ in several]
-    for one in found.moved:
+    for one in found:
         since = one.parameter.campaign
         sizes = {name.plain: size for name, size in one.sizes.items() if name.campaign == since}
         first = stems.index(since)

@@ -16,7 +16,7 @@ from orthoglide.explanation.compressed import MANY, Beyond, compressed
 from orthoglide.explanation.faults import Fault
 from orthoglide.explanation.free import curves, curves_of_dials, one_surface, only_plates, plates
 from orthoglide.explanation.grouping import groups_of, spans
-from orthoglide.explanation.linear import RARE, SLABS, Linear, whole
+from orthoglide.explanation.linear import RARE, SLABS, Linear, reduced, whole
 from orthoglide.explanation.screening import screened
 from orthoglide.explanation.suspects import Key, Suspect, suspects
 from orthoglide.explanation.twins import tool_slopes, translations, twins
@@ -36,9 +36,6 @@ from orthoglide.parameters import Parameter
 
 _UNTIED = 1e3
 """Tolerances: the prior of a coefficient that rows of its own speak of."""
-
-_UNNOTICED = 1e-2
-"""Sigmas: directions of the readings that all coefficients together move by less are left out."""
 
 _NOTHING = 1e-9  # tolerances: prior of a coefficient for which another stands
 
@@ -149,9 +146,9 @@ def everything(
         if not isinstance(faults, bool):
             several = [s for s in several if s.key(wide) in faults]
         about = _with_suspects(about, several, corrected, faults is True)
-    linear, reduced = about.linear, _reduced(about.linear)
-    outside = float(linear.residual @ linear.residual - reduced.residual @ reduced.residual)
-    return replace(about, linear=reduced, outside=outside)
+    linear, kept = about.linear, reduced(about.linear)
+    outside = float(linear.residual @ linear.residual - kept.residual @ kept.residual)
+    return replace(about, linear=kept, outside=outside)
 
 
 def _of_machine(problem: Problem, wide: Problem, here: Linearised) -> Everything:
@@ -230,7 +227,7 @@ def _with_suspects(
     first, groups = len(about.scale), list(linear.groups)
     for one in kept:
         group = whole(one.name, range(first, first + one.size), free=False)
-        groups.append(replace(group, expected=one.expected))
+        groups.append(replace(group, expected=one.expected, of_data=True))
         first += one.size
     more = (0, first - len(about.scale))
     linear = replace(
@@ -323,16 +320,3 @@ def _fixed(problem: Problem, count: int) -> tuple[Array, tuple[Array, Array]]:
     matrix, target, spoken = rows_about(problem.earlier, problem.unknowns)
     fixed[: len(spoken)][spoken] = _UNTIED
     return fixed, (matrix, target)
-
-
-def _reduced(linear: Linear) -> Linear:
-    """The same in the few directions of the readings in which anything could show."""
-    every = np.column_stack([linear.columns, linear.stations, linear.residual])
-    if len(every) > every.shape[1]:
-        every = np.asarray(np.linalg.qr(every, mode="r"))
-    values, vectors = np.linalg.eigh(every[:, :-1] @ every[:, :-1].T)
-    every = vectors[:, values > _UNNOTICED**2].T @ every
-    count = linear.columns.shape[1]
-    return replace(
-        linear, columns=every[:, :count], stations=every[:, count:-1], residual=every[:, -1]
-    )

@@ -21,6 +21,7 @@ from orthoglide.explanation.alternative_readings import (
     with_noise_of_the_rest,
     without_weight,
 )
+from orthoglide.explanation.change import Change
 from orthoglide.explanation.changes import likeliest_changes, separated
 from orthoglide.explanation.credible_faults import certain_data_faults, unsure
 from orthoglide.explanation.everything import FullPosterior, first_look, glance
@@ -38,7 +39,7 @@ from orthoglide.explanation.faults import (
 from orthoglide.explanation.ranking import ranked
 from orthoglide.explanation.repeats import check_scatter, far_repeats, quieter, scattered
 from orthoglide.explanation.suspects import Key, put_right
-from orthoglide.fit import Change, Estimate, Factor, Problem, solve
+from orthoglide.fit import Estimate, Factor, Problem, solve
 from orthoglide.fit.least_squares import known_rows
 from orthoglide.fit.scores import rms_by_unit
 from orthoglide.geometry import Array

@@ -10,7 +10,8 @@ import numpy as np
 
 from orthoglide.errors import InputError, check_word
 from orthoglide.explanation.data_faults import slips_of_tool
-from orthoglide.fit import Estimate, Problem, account_for_changes, assemble, solve
+from orthoglide.explanation.recalibration import account_for_changes
+from orthoglide.fit import Estimate, Problem, assemble, solve
 from orthoglide.fit.assembling import read_given
 from orthoglide.fit.exchanged_columns import check_columns
 from orthoglide.fit.plausible import check_plausible

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,6 +23,9 @@ EXPECTED = 3.0
 
 _UNSEEN = 1e-6
 """Sigmas: a direction to which the largest slab adds less counts as invisible."""
+
+_UNNOTICED = 1e-2
+"""Sigmas: directions of the readings that all coefficients together move by less are left out."""
 
 RARE = -3.0
 """Log prior weight of a background beyond all tolerances, and of noise larger than repeats show:
@@ -45,6 +48,25 @@ SLABS = (0.3, 1.0, 3.0, 10.0)
 """Scales tau of active groups, in tolerances or units of the group."""
 
 
+@dataclass(frozen=True)
+class FreeNoise:
+    """Noise of unknown size: what remains unexplained shows it, down to a floor."""
+
+    chi2: float  # of the readings where no group is active
+    dof: float  # degrees of freedom: what noise of the declared size makes of it
+    floor: float = 1.0  # least chi2 per degree of freedom
+
+    def support(self, explained: Array | float) -> Array:
+        """Return the log likelihood gained where so much of chi2 is explained ``(...)``."""
+        share = (self.chi2 - np.append(np.asarray(explained), 0.0)) / (self.dof * self.floor)
+        lack = self.dof / 2 * np.where(share > 1, 1 + np.log(np.maximum(share, 1)), share)
+        return np.asarray(lack[-1] - lack[:-1].reshape(np.shape(explained)))
+
+    def scale(self, explained: float) -> float:
+        """Return the variance of the noise where so much of chi2 is explained, as declared: 1."""
+        return max(self.floor, (self.chi2 - explained) / self.dof)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Group:
     """Coefficients that are active or inactive together."""
@@ -55,14 +77,10 @@ class Group:
     free: bool  # whether it is a free function
     chance: float = 1.0  # prior probability, relative to a single cause of the catalogue
     unit: float = 1.0  # standard deviation of its slab at tau one, tolerances
-    # prior mean number of a data fault; None for errors of the machine, whose prior follows from
-    # `chance`
+    # prior mean number of a data fault or a change; None for errors of the machine, whose prior
+    # follows from `chance`
     expected: float | None = None
-
-    @property
-    def of_data(self) -> bool:
-        """True for a data fault."""
-        return self.expected is not None
+    of_data: bool = False  # whether it is a data fault
 
     @property
     def size(self) -> int:
@@ -91,6 +109,24 @@ class Linear:
     # residual of station means orthogonal to all columns: its square, its degrees of freedom, and
     # visits per station; zero if no direction was dropped
     beyond: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    slab_odds: tuple[float, ...] = (0.0,) * len(
+        SLABS
+    )  # log prior odds of each slab to an equal share
+    most: int = 6  # active groups in one state
+    # where the size of the noise is unknown: then one background, of one tolerance, is all
+    free_noise: FreeNoise | None = None
+
+    def support(self, explained: Array, before: Array) -> Array:
+        """Return the log likelihood gained where more of chi2 is explained ``(scales, ...)``.
+
+        Args:
+            explained: by how much more ``(scales, ...)``.
+            before: how much is explained already ``(scales,)``.
+        """
+        if self.free_noise is None:
+            return explained / 2
+        before = before.reshape(-1, *[1] * (explained.ndim - 1))
+        return self.free_noise.support(before + explained) - self.free_noise.support(before)
 
     def spike(self, share: float, free_share: float) -> Array:
         """Return the prior variance of each inactive coefficient ``(C,)``."""
@@ -208,6 +244,8 @@ class Scale:
 
 def scales(linear: Linear) -> tuple[Scale, ...]:
     """Return the grid of scales."""
+    if linear.free_noise is not None:
+        return (Scale(Basis(linear, 0.0, 0.0), 1.0),)
     quiet = [Basis(linear, free, 0.0) for free in FREE]
     noisy = [Basis(linear, FREE[0], noise) for noise in NOISE]
     found = [Scale(basis, share) for share in linear.shares for basis in quiet]
@@ -220,3 +258,16 @@ def whole(
 ) -> Group:
     """Return a group whose parameters are the coefficients themselves."""
     return Group(name, np.array(places, dtype=np.intp), np.eye(len(places)), free, chance)
+
+
+def reduced(linear: Linear) -> Linear:
+    """The same in the few directions of the readings in which anything could show."""
+    every = np.column_stack([linear.columns, linear.stations, linear.residual])
+    if len(every) > every.shape[1]:
+        every = np.asarray(np.linalg.qr(every, mode="r"))
+    values, vectors = np.linalg.eigh(every[:, :-1] @ every[:, :-1].T)
+    every = vectors[:, values > _UNNOTICED**2].T @ every
+    count = linear.columns.shape[1]
+    return replace(
+        linear, columns=every[:, :count], stations=every[:, count:-1], residual=every[:, -1]
+    )

@@ -196,6 +196,8 @@ class Mixture(Search):
         return np.diag(self._covariance(self.best, scale, at)), prior
 
     def _likeliest(self, state: State) -> Scale:
+        if len(self.scales) == 1:
+            return self.scales[0]
         if state in self.visited:
             return self.scales[largest(self.visited[state], EQUAL_ODDS)]
         return self.scales[largest(self.weights[state])]
@@ -206,6 +208,36 @@ class Mixture(Search):
         scale = self._likeliest(self.best)
         (left,), (shrink,) = self._out([scale], self.best)
         return float(np.sum(whitened(scale.residual, left, shrink) ** 2))
+
+    def like(self, member: int, rise: float) -> list[int]:
+        """Return groups that explain as much as one of the best state in its place, but for a rise
+        of chi2, at the widest slab and the first scale; those that explain most first.
+        """
+        rest = self.without(member)
+        left, shrink = self._out(self.scales, rest)
+        explained = self._gains(left, shrink)[0][0, :, -1]
+        free, noise = self.linear.free_noise, 1.0
+        if free is not None:
+            noise = free.scale(float(self._explained(left, shrink)[0] + explained[member]))
+        near = explained >= explained[member] - rise * noise
+        near[[g for g, _ in self.best]] = False
+        others = np.flatnonzero(near)
+        return [int(k) for k in others[descending(explained[others], EQUAL_ODDS * noise)]]
+
+    def spread_of(self, member: int) -> tuple[float, float, float]:
+        """Return mean and standard deviation of a group of one coefficient in the best state, and
+        the standard deviation that is added by the other states that contain it.
+        """
+        at = self.linear.groups[member].places
+        mean, cov = self.likeliest(self.best, at)
+        size, variance = float(mean[at[0]]), float(cov[0, 0])
+        more = total = 0.0
+        for (weight, state, scale), m in zip(self._terms, self._means, strict=True):
+            if any(g == member for g, _ in state):
+                spread = float(self._covariance(state, scale, at)[0, 0])
+                more += weight * (spread - variance + (float(m[at[0]]) - size) ** 2)
+                total += weight
+        return size, float(np.sqrt(variance)), float(np.sqrt(max(more / max(total, 1e-300), 0.0)))
 
     def moments(self, state: State, scale: Scale, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return mean ``(C,)`` and covariance ``(k, k)`` of some coefficients in a state."""
@@ -227,7 +259,10 @@ class Mixture(Search):
         # Prior covariance: diagonal of the spike, plus the slabs of the active groups.
         seen = columns * scale.spike + (columns @ spread) @ spread.T
         prior = np.diag(scale.spike[at]) + spread[at] @ spread[at].T
-        return np.asarray(prior - seen[:, at].T @ seen[:, at])
+        noise, free = 1.0, self.linear.free_noise
+        if free is not None:
+            noise = free.scale(float(self._explained(left[None], shrink[None])[0]))
+        return np.asarray(noise * (prior - seen[:, at].T @ seen[:, at]))
 
     def _covariances(self, at: NDArray[np.intp]) -> Callable[[State, Scale], Array]:
         """Return a function of state and scale: the covariance of some coefficients ``(k, k)``.

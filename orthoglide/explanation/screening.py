@@ -122,4 +122,5 @@ def _roughly(several: Sequence[Suspect], problem: Problem, left: Array) -> Array
 
 def _best(inner: Array, met: Array, square: Array) -> Array:
     """Log Bayes factors ``(...)`` of groups at their best scales; arguments as of `gained`."""
-    return np.asarray(np.max([gained(inner, met, square, tau) for tau in SLABS], axis=0))
+    each = (gained(inner, met, square, tau) for tau in SLABS)
+    return np.asarray(np.max([explained / 2 - occam for explained, occam in each], axis=0))

@@ -27,7 +27,7 @@ from orthoglide.explanation.pairs import likely_pairs
 from orthoglide.geometry import Array
 from orthoglide.ordering import EQUAL_ODDS, best_of, largest
 
-_MOST = 6  # active groups in one state
+_FEW = 6  # active groups of which three may be exchanged for two others
 
 State = tuple[tuple[int, float], ...]
 """Active groups by index, each with its tau."""
@@ -65,7 +65,7 @@ class Search:
         for k, span in enumerate(self._span):
             self._by_size.setdefault(len(span), []).append(k)
         # The prior is shared by all groups in their chances, and equally by the taus.
-        often = EXPECTED / max(sum(g.chance for g in linear.groups if not g.of_data), EXPECTED)
+        often = EXPECTED / max(sum(g.chance for g in linear.groups if g.expected is None), EXPECTED)
         expected = [often * g.chance if g.expected is None else g.expected for g in linear.groups]
         self.cost = np.log(len(linear.slabs) / np.array(expected))
         self.visited: dict[State, Array] = {(): np.array([s.log_z for s in self.scales])}
@@ -102,7 +102,7 @@ class Search:
 
     def _better(self, state: State) -> State | None:
         """Return a state of more weight from ever larger neighbourhoods, if there is one."""
-        for reach in (self._by_one, self._by_two, self._met):
+        for reach in (self._by_one, self._by_two, self._by_three, self._met):
             best = best_of((state, *reach(state)), self.total, EQUAL_ODDS)
             if best != state:
                 return best
@@ -130,6 +130,14 @@ class Search:
             for rest in self._fewer(state, count):
                 yield from self._pair(rest, [g for g, _ in state])
 
+    def _by_three(self, state: State) -> Iterator[State]:
+        """Yield states with two or three groups removed, or exchanged for one or two others."""
+        for count in (2, 3) if len(state) <= _FEW else (2,):
+            for rest in self._fewer(state, count):
+                yield from self._more(rest)
+                yield from self._pair(rest, ())
+                yield rest
+
     def _met(self, _: State) -> Iterator[State]:
         """Yield the best child of every state that was expanded so far."""
         for state in list(self.children):
@@ -143,7 +151,7 @@ class Search:
 
     def _more(self, state: State) -> list[State]:
         """Return the best state with one more group, as a list; empty if there is none."""
-        if len(state) >= _MOST:
+        if len(state) >= self.linear.most:
             return []
         table = self.table(state)
         if not np.isfinite(table).any():
@@ -154,7 +162,7 @@ class Search:
 
     def _pair(self, state: State, but: Sequence[int]) -> list[State]:
         """Return the best state with two more one-coefficient causes, those in ``but`` excluded."""
-        if len(state) + 2 > _MOST:
+        if len(state) + 2 > self.linear.most:
             return []
         self.table(state)
         left, shrink = self._out(self.scales, state)
@@ -163,8 +171,9 @@ class Search:
         out = np.isin(self._ones, [*but, *(g for g, _ in state)])
         cost = np.where(out, np.inf, self.cost[self._ones])
         found = []
+        base = self.visited[state], self._explained(left, shrink)
         for i, tau, j, other, logs in likely_pairs(
-            seen, met, self.visited[state], cost, self.linear.slabs, self._coarse
+            self.linear, seen, met, base, cost, self._coarse
         ):
             pair = (int(self._ones[i]), tau), (int(self._ones[j]), other)
             found.append(tuple(sorted((*state, *pair))))
@@ -194,27 +203,42 @@ class Search:
     def _expand(self, state: State) -> Array:
         left, shrink = self._out(self.scales, state)
         if state not in self.visited:
-            self.visited[state] = self._log_z(self.scales, left, shrink) - sum(
-                self.cost[g] for g, _ in state
-            )
+            paid = sum(self.cost[g] - self._odds.get(tau, 0.0) for g, tau in state)
+            self.visited[state] = self._log_z(self.scales, left, shrink) - paid
+        explained, occam = self._gains(left, shrink)
+        table = self.linear.support(explained, self._explained(left, shrink)) - occam
+        table += list(self._odds.values()) - self.cost[:, None]
+        table += self.visited[state][:, None, None]
+        table[:, [k for k, _ in state]] = -np.inf
+        return table
+
+    @cached_property
+    def _odds(self) -> dict[float, float]:
+        """Log prior odds of each slab to an equal share."""
+        return dict(zip(self.linear.slabs, self.linear.slab_odds, strict=False))
+
+    def _gains(self, left: Array, shrink: Array) -> tuple[Array, Array]:
+        """Return what each group explains of chi2 past the active ones, and its Occam factor.
+
+        Both ``(scales, groups, taus)``; the second is half the log determinant.
+        """
         shape = len(self.scales), len(self.linear.groups), len(self.linear.slabs)
-        table = np.full(shape, -np.inf)
+        explained, occam = np.zeros(shape), np.zeros(shape)
         inside, met = self._besides(left, shrink, np.arange(self._across.shape[1]))
         square = np.array([[s.residual @ s.residual] for s in self.scales])
         for size, members in self._by_size.items():
             at = np.array([self._span[g] for g in members])
             out = inside[:, :, at].transpose(0, 2, 3, 1)
             inner = self._inner(size, at)
-            left = inner - out @ out.transpose(0, 1, 3, 2)
+            beside = inner - out @ out.transpose(0, 1, 3, 2)
             # Where active groups have an equal signature, rounding may make this negative.
-            left[..., range(size), range(size)] += (
+            beside[..., range(size), range(size)] += (
                 1e-13 * np.trace(inner, axis1=2, axis2=3)[..., None]
             )
             for t, tau in enumerate(self.linear.slabs):
-                table[:, members, t] = gained(left, met[:, at], square, tau)
-        table += self.visited[state][:, None, None] - self.cost[:, None]
-        table[:, [k for k, _ in state]] = -np.inf
-        return table
+                found = gained(beside, met[:, at], square, tau)
+                explained[:, members, t], occam[:, members, t] = found
+        return explained, occam
 
     @cached_property
     def _coarse(self) -> list[int]:
@@ -297,10 +321,16 @@ class Search:
 
     def _log_z(self, scales: Sequence[Scale], left: Array, shrink: Array) -> Array:
         """Return the log marginal likelihood with the active groups ``(scales,)``."""
-        along = np.stack([s.residual for s in scales])[:, None] @ left
-        gain = ((1 - (1 - shrink) ** 2) * along[:, 0] ** 2).sum(axis=1)
-        plain = np.array([s.log_z for s in scales])
-        return np.asarray(plain + gain / 2 + np.log1p(-shrink).sum(axis=1))
+        residuals = np.stack([s.residual for s in scales])
+        gain = self._explained(left, shrink, residuals)
+        plain = np.array([s.log_z for s in scales]) + np.log1p(-shrink).sum(axis=1)
+        return np.asarray(plain + self.linear.support(gain, np.zeros(len(gain))))
+
+    def _explained(self, left: Array, shrink: Array, residuals: Array | None = None) -> Array:
+        """Return what the active groups explain of chi2 ``(scales,)``."""
+        residuals = self._residuals if residuals is None else residuals
+        along = (residuals[:, None] @ left)[:, 0]
+        return np.asarray(((1 - (1 - shrink) ** 2) * along**2).sum(axis=1))
 
 
 def left_singular(columns: Array) -> tuple[Array, Array]:
@@ -323,8 +353,10 @@ def left_singular(columns: Array) -> tuple[Array, Array]:
     return left, singular
 
 
-def gained(inner: Array, met: Array, square: Array, tau: float) -> Array:
-    """Return the log Bayes factor of activating each group ``(...)``.
+def gained(inner: Array, met: Array, square: Array, tau: float) -> tuple[Array, Array]:
+    """Return what each group explains of chi2, and half the log determinant, both ``(...)``.
+
+    With noise as declared, half the first less the second is the log Bayes factor of the group.
 
     Args:
         inner: Gram matrices of their columns ``(..., k, k)``.
@@ -335,14 +367,14 @@ def gained(inner: Array, met: Array, square: Array, tau: float) -> Array:
     count = met.shape[-1]
     if count == 1:
         wider = 1 + tau**2 * inner[..., 0, 0]
-        return np.asarray(((tau * met[..., 0]) ** 2 / wider - np.log(wider)) / 2)
+        return np.asarray((tau * met[..., 0]) ** 2 / wider), np.asarray(np.log(wider) / 2)
     bordered = np.zeros((*met.shape[:-1], count + 1, count + 1))
     bordered[..., :count, :count] = tau**2 * inner + np.eye(count)
     bordered[..., count, :count] = tau * met
     bordered[..., count, count] = edge = 2.0 * square + 1.0  # positive, whatever rounding does
     root = np.diagonal(np.linalg.cholesky(bordered), axis1=-2, axis2=-1)
     explained = edge - root[..., count] ** 2
-    return np.asarray(explained / 2 - np.log(root[..., :count]).sum(axis=-1))
+    return np.asarray(explained), np.asarray(np.log(root[..., :count]).sum(axis=-1))
 
 
 def whitened(rows: Array, left: Array, shrink: Array) -> Array:

@@ -6,7 +6,6 @@ from orthoglide.fit.assembling import (
     readings_of as readings_of,
     sorted_out as sorted_out,
 )
-from orthoglide.fit.change import Change as Change
 from orthoglide.fit.crosscheck import CrossCheck as CrossCheck
 from orthoglide.fit.estimate import Estimate as Estimate
 from orthoglide.fit.excited import excited_effects as excited_effects
@@ -19,7 +18,6 @@ from orthoglide.fit.noise import (
     noise_of as noise_of,
 )
 from orthoglide.fit.problem import Problem as Problem
-from orthoglide.fit.recalibration import account_for_changes as account_for_changes
 from orthoglide.fit.repeats import common_rounding as common_rounding
 from orthoglide.fit.scores import Scores as Scores
 from orthoglide.fit.solving import solve as solve, tempered as tempered

@@ -11,11 +11,11 @@ import numpy as np
 
 from orthoglide.errors import InputError, check_list, check_whole
 from orthoglide.explanation.candidates import Candidate
+from orthoglide.explanation.change_model import CLASS_WIDTH
 from orthoglide.explanation.evidence import Scoring
 from orthoglide.explanation.signatures import Signatures, signatures
 from orthoglide.explanation.significance import DRAWS, noise_residuals
 from orthoglide.fit import solve
-from orthoglide.fit.change_search import CLASS_WIDTH
 from orthoglide.frames import Framed
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource

@@ -2,7 +2,7 @@
 
 The earlier calibration is a prior ``x ~ N(m, C)``. Of a parameter that changed since it says
 nothing any more: it was repaired, or broke, by as much as it likes. Which ones have is decided by
-the evidence of the new readings, all at once (`fit.changed`).
+the evidence of the new readings, all at once (`change_model`).
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from orthoglide.fit.change import Change, summed_of
-from orthoglide.fit.change_search import WIDTHS
-from orthoglide.fit.changed import Candidate, Changed, may_change, what_changed
+from orthoglide.explanation.change import Change, summed_of
+from orthoglide.explanation.change_model import WIDTHS, Candidate, Moved, may_change, what_changed
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.problem import Problem
@@ -54,9 +53,9 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
     if known is None or not first.calibrated:
         return estimate
     found = _found(estimate, known)
-    if found is None:
+    if not found:
         return estimate
-    gone = [one.parameter for one in found.moved]
+    gone = [one.parameter for one in found]
     method = "nested" if method == "auto" else method
     left = known.without(gone)
     free = _let_go(first, left, gone)
@@ -64,24 +63,24 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
     return replace(now, changes=tuple(_changes(known, left, now, found)))
 
 
-def _found(estimate: Estimate, known: Posterior) -> Changed | None:
+def _found(estimate: Estimate, known: Posterior) -> tuple[Moved, ...]:
     """What changed; beside plates that are bent a little where that leaves as much to tell, for a
     shape that is not quite a bowl's must not rule the plate out.
     """
-    found = _changed(estimate, known, _AS_BEFORE)
-    if found is None or len(found.about.problem.unknowns) == len(estimate.x):
+    wide = _beside_plates(estimate.problem, _AS_BEFORE)
+    found = _changed(estimate, known, wide)
+    if not found or len(wide.unknowns) == len(estimate.x):
         return found
-    loose = _changed(estimate, known, _LITTLE)
-    return loose if loose is not None and len(loose.moved) == len(found.moved) else found
+    loose = _changed(estimate, known, _beside_plates(estimate.problem, _LITTLE))
+    return loose if len(loose) == len(found) else found
 
 
-def _changed(estimate: Estimate, known: Posterior, bent: float) -> Changed | None:
+def _changed(estimate: Estimate, known: Posterior, wide: Problem) -> tuple[Moved, ...]:
     """Return the changes of calibrated parameters; without dials also of plates and patterns."""
     first = estimate.problem
     names = [name for name in first.names if name in known.names]
     if not names:
-        return None
-    wide = _beside_plates(first, bent)
+        return ()
     several = may_change(wide, [*names, *wide.names[len(first.names) :]])
     candidates = [Candidate(n, 0, s, wide.machine.tolerance(n)) for n, s in several.items()]
     return what_changed(wide, wide.padded(estimate.x), candidates)
@@ -113,12 +112,14 @@ def _let_go(problem: Problem, left: Posterior, names: Collection[Parameter]) -> 
     return replace(wide, unknowns=tuple(unknowns), earlier=left)
 
 
-def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -> Iterator[Change]:
+def _changes(
+    known: Posterior, left: Posterior, now: Estimate, found: Sequence[Moved]
+) -> Iterator[Change]:
     """Yield the changes found, with the values of both visits."""
     last, catalogue = now.problem.factors[now.problem.last], now.problem.machine.catalogue
     spec = now.problem.machine.spec
     old, unclear = Path(spec.file).name or "earlier calibration", bool(vague(spec))
-    for one in found.moved:
+    for one in found:
         average = unclear and catalogue.effect_of(one.parameter).controller != "zero"
         if one.parameter in known.names:
             summed = summed_of(tuple(one.sizes), catalogue)

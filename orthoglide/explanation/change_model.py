@@ -1,20 +1,21 @@
 """What changed between two visits to a machine: columns of the readings after it.
 
 What the machine was before, and what stays, are the unknowns of a problem with its prior; a change
-adds to the readings from one row on. The set that explains them best is looked for about one point,
-and again about the machine that so changed, until it stays the same.
+adds to the readings from one row on. It is a group of the search for causes, and the set that
+explains the readings best is looked for about one point, and again about the machine that so
+changed, until it stays the same.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from orthoglide.fit.change_search import Found, Hypotheses
-from orthoglide.fit.least_squares import Nuisances, linearise, normal, nuisances
+from orthoglide.explanation.linear import FreeNoise, Linear, reduced, whole
+from orthoglide.explanation.mixture import Mixture
+from orthoglide.fit.least_squares import linearise, normal, nuisances
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.unknown import weight_matrix
 from orthoglide.geometry import Array
@@ -23,9 +24,19 @@ from orthoglide.parameters import Parameter
 _ROUNDS = 5
 """Linearisations, each of the machine that changed as the one before says."""
 
-# One parameter in twenty changes between two visits: the log odds that a change must overcome,
-# and again the logarithm of the number of parameters that could have.
-_ODDS = 3.0
+_EXPECTED = float(np.exp(-3.0))
+"""Prior mean number of changes of each zero, and of all other parameters together: between two
+visits, one in twenty changes."""
+
+WIDTHS = (1.0, 3.0, 10.0)
+"""Tolerances by which something changes, each less likely by as much as it is wider."""
+
+SLAB_ODDS = tuple(np.log(len(WIDTHS) / np.array(WIDTHS) / np.sum(1 / np.array(WIDTHS))).tolist())
+
+_MOST = 12  # changes between two visits
+
+CLASS_WIDTH = 4.0
+"""Rise of chi2 within which two causes cannot be told apart: two sigmas (Wilks)."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +79,7 @@ class Moved:
     sigma: float  # standard deviation of its size, SI
     among: float  # what this has of other sets that could have changed, SI
     evidence: float  # log Bayes factor in its favour, the others given
+    cost: float  # log prior odds against it
 
     @property
     def parameter(self) -> Parameter:
@@ -75,56 +87,54 @@ class Moved:
         return next(iter(self.sizes))
 
 
-@dataclass(frozen=True)
-class Changed:
-    """The most probable set of changes."""
-
-    moved: tuple[Moved, ...]  # the most decisive change first
-    weight: float  # log odds of all of them against none
-    about: Linear  # the readings about the machine that so changed
-
-
 def what_changed(
     problem: Problem, x: Array, candidates: Sequence[Candidate], floor: float = 1.0
-) -> Changed | None:
-    """The changes that the readings speak for most; ``None`` where for none.
+) -> tuple[Moved, ...]:
+    """Return the most probable set of changes, the most decisive first; empty if there is none.
 
     Args:
         problem: what was and what stays, with its prior.
         x: about where its unknowns are ``(P,)``.
         candidates: what may have changed.
-        floor: least chi2 a degree of freedom.
+        floor: least chi2 per degree of freedom.
 
     Raises:
         NumericsError: where the machine that so changed cannot be closed.
     """
-    places: set[int] = set()
-    sizes = np.zeros(len(candidates))
+    found, sizes = frozenset[int](), np.zeros(len(candidates))
     for _ in range(_ROUNDS):
-        here = Linear.about(problem, x, candidates, sizes, floor)
-        found = here.hypotheses.found()
-        if found is None:
-            return None
-        changed = Changed(tuple(_moved(found, candidates)), found.weight, here)
-        if set(found.places) == places:
+        about = _About.point(problem, x, candidates, sizes)
+        mixture = Mixture(about.linear(floor))
+        last, found = found, frozenset(group for group, _ in mixture.best)
+        if not found or found == last:
             break
-        places, sizes = set(found.places), np.zeros(len(candidates))
-        sizes[list(found.places)] = found.sizes
-        x = here.mean(sizes)
-    return changed
+        mean = mixture.likeliest_mean(mixture.best)
+        sizes = np.where(np.isin(np.arange(len(candidates)), list(found)), mean[len(x) :], 0.0)
+        x = about.unknowns(mean)
+    return tuple(_moved(mixture, member, candidates) for member in mixture.strongest)
 
 
-def _moved(found: Found, candidates: Sequence[Candidate]) -> Iterator[Moved]:
-    each = zip(found.places, found.instead, found.sigmas, found.among, found.evidence, strict=True)
-    for place, instead, sigma, among, evidence in each:
-        sizes = {candidates[k].parameter: v * candidates[k].tolerance for k, v in instead.items()}
-        unit = candidates[place].tolerance
-        sigma = float(np.hypot(sigma, among)) * unit
-        yield Moved(sizes, sigma, float(among) * unit, float(evidence))
+def _moved(mixture: Mixture, member: int, candidates: Sequence[Candidate]) -> Moved:
+    """Return one change of the best state, averaged over the states that contain it."""
+    first = len(mixture.linear.fixed) - len(candidates)
+    size, sigma, among = mixture.spread_of(member)
+    sizes = {member: size}
+    rest = mixture.without(member)
+    for other in mixture.like(member, CLASS_WIDTH):
+        state = tuple(sorted((*rest, (other, max(WIDTHS)))))
+        sizes[other] = float(mixture.likeliest_mean(state)[first + other])
+    unit = candidates[member].tolerance
+    return Moved(
+        {candidates[k].parameter: v * candidates[k].tolerance for k, v in sizes.items()},
+        float(np.hypot(sigma, among)) * unit,
+        among * unit,
+        mixture.total(mixture.best) - mixture.total(rest),
+        float(mixture.cost[member]) - float(np.log(len(WIDTHS))),
+    )
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class _About:
     """The readings about one point, whitened and past datums and placements."""
 
     problem: Problem  # what was and what stays
@@ -134,18 +144,12 @@ class Linear:
     open_to: Array  # readings by what is known no better, in its standard deviations (m, P)
     root: Array  # of the covariance of what is known, in tolerances (P, P)
     known: Array  # its mean, in tolerances (P,)
-    nuisance: Nuisances  # datums and placements
-    floor: float  # least chi2 a degree of freedom
+    free: int  # number of datums and placements
 
     @classmethod
-    def about(
-        cls,
-        problem: Problem,
-        x: Array,
-        candidates: Sequence[Candidate],
-        sizes: Array,
-        floor: float,
-    ) -> Linear:
+    def point(
+        cls, problem: Problem, x: Array, candidates: Sequence[Candidate], sizes: Array
+    ) -> _About:
         """About unknowns ``(P,)`` of a machine that changed by some sizes ``(c,)``."""
         at = linearise(_with_changes(problem, candidates, sizes), x)
         nuisance = nuisances(problem, at.seen)
@@ -159,48 +163,43 @@ class Linear:
         columns = nuisance.project(at.jacobian @ weights * after)
         residual = here.residual + jacobian @ (x / scale - known) + columns @ sizes
         return cls(
-            problem, candidates, columns, residual, jacobian @ root, root, known, nuisance, floor
+            problem, candidates, columns, residual, jacobian @ root, root, known, nuisance.free
         )
 
-    @cached_property
-    def hypotheses(self) -> Hypotheses:
-        """The candidates past all that is open."""
-        across = self._whitened(np.column_stack([self.columns, self.residual]))
-        inner = self.columns.T @ self.columns - across[:, :-1].T @ across[:, :-1]
-        met = self.columns.T @ self.residual - across[:, :-1].T @ across[:, -1]
+    def linear(self, floor: float) -> Linear:
+        """Return the linear model of a search in which every candidate is a group.
+
+        What is known before is a background of one standard deviation, whatever is active.
+        """
+        left, size, _ = np.linalg.svd(self.open_to, full_matrices=False)
+        share, along = size**2 / (1 + size**2), left.T @ self.residual
+        dof = len(self.problem.measured) - self.free - float(share.sum())
+        chi2 = float(self.residual @ self.residual - along @ (share * along))
+        count, c = self.open_to.shape[1], len(self.candidates)
         of = self.problem.machine.catalogue.effect_of
         # A zero is entered in a minute, and nothing else of the machine changes as often.
-        zero = [of(c.parameter).controller == "zero" for c in self.candidates]
-        cost = _ODDS + np.where(zero, 0.0, np.log(max(len(zero), 1)))
-        taken = len(self._inner) - float(np.sum(np.linalg.inv(self._inner) ** 2))
-        dof = max(float(len(self.problem.measured) - self.nuisance.free) - taken, 1.0)
-        chi2 = self._chi2(self.residual)
-        return Hypotheses(inner, met, cost, chi2, dof, self.floor)
+        chance = [
+            1.0 if of(one.parameter).controller == "zero" else 1 / c for one in self.candidates
+        ]
+        groups = [
+            replace(whole(f"change.{k}", [count + k], free=False), expected=_EXPECTED * chance[k])
+            for k in range(c)
+        ]
+        none = np.zeros(count + c, dtype=bool)
+        return reduced(
+            Linear(
+                np.hstack([self.open_to, self.columns]), self.residual,
+                np.where(np.arange(count + c) < count, np.nan, 0.0), none, none, tuple(groups),
+                np.zeros((len(self.residual), 0)), (1.0,), WIDTHS, slab_odds=SLAB_ODDS, most=_MOST,
+                free_noise=FreeNoise(chi2, max(dof, 1.0), floor),
+            )
+        )  # fmt: skip
 
-    def evidence(self, change: Array) -> float:
-        """Log likelihood of readings that are wrong by some ``(n,)``, metres, where nothing
-        changed, against readings that are right.
-        """
-        left = self._chi2(self.residual + self.nuisance.project(change))
-        return float(self.hypotheses.evidence(np.array(left)))
-
-    def _chi2(self, residual: Array) -> float:
-        along = self._whitened(residual)
-        return float(residual @ residual - along @ along)
-
-    def mean(self, sizes: Array) -> Array:
-        """The unknowns ``(P,)`` beside changes of some sizes ``(c,)``, SI."""
-        along = self._whitened(self.residual - self.columns @ sizes)
-        found = self.known + self.root @ np.linalg.solve(self._inner.T, along)
-        return np.asarray(found * self.problem.tolerance)
-
-    def _whitened(self, rows: Array) -> Array:
-        return np.asarray(np.linalg.solve(self._inner, self.open_to.T @ rows))
-
-    @cached_property
-    def _inner(self) -> Array:
-        inside = np.eye(self.open_to.shape[1]) + self.open_to.T @ self.open_to
-        return np.asarray(np.linalg.cholesky(inside))
+    def unknowns(self, mean: Array) -> Array:
+        """Return the unknowns ``(P,)``, SI, by the mean of all coefficients ``(P + c,)``."""
+        return np.asarray(
+            (self.known + self.root @ mean[: len(self.root)]) * self.problem.tolerance
+        )
 
 
 def _with_changes(problem: Problem, candidates: Sequence[Candidate], sizes: Array) -> Problem:
