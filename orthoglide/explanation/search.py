@@ -131,8 +131,12 @@ class Search:
                 yield from self._pair(rest, [g for g, _ in state])
 
     def _by_three(self, state: State) -> Iterator[State]:
-        """Yield states with two or three groups removed, or exchanged for one or two others."""
-        for count in (2, 3) if len(state) <= _FEW else (2,):
+        """Yield states with two or three groups removed, or exchanged for one or two others.
+
+        Over a grid of backgrounds this would take half of the time and find nothing more.
+        """
+        few = len(state) <= _FEW
+        for count in range(2, 3 + few) if len(self.scales) == 1 else ():
             for rest in self._fewer(state, count):
                 yield from self._more(rest)
                 yield from self._pair(rest, ())
