@@ -17,7 +17,7 @@ from benchmarks.delta_readings import measured
 from benchmarks.delta_truth import machine as delta
 from orthoglide import units
 from orthoglide.checking import Check, Difference, check
-from orthoglide.checking.entered import entered
+from orthoglide.checking.difference import entered
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
 from orthoglide.firmware.klipper import import_printer
@@ -351,8 +351,8 @@ def test_a_plate_that_lies_elsewhere_is_told_with_its_sign(
 def test_a_plate_that_lies_where_it_lay_is_not_told() -> None:
     assert plate_moved(8e-5, (5e-4, 0.0)).moves == ()
     (move,) = plate_moved(0.0, (0.0, 0.0), **{"leg_length.b": 3e-4}).moves
-    assert move.is_higher
-    assert move.leans
+    assert move.higher
+    assert move.rise
 
 
 @pytest.mark.thorough

@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from orthoglide.checking.difference import COLUMNS, Difference
-from orthoglide.checking.entered import entered
-from orthoglide.checking.sides import of_all, of_one, told_apart
-from orthoglide.checking.states import State, states_of
+from orthoglide.checking.difference import COLUMNS, Difference, entered
+from orthoglide.checking.plates import PlateMove, plate_moves
+from orthoglide.checking.states import State, of_all, of_one, states_of, told_apart
 from orthoglide.closing import Closed, close, filled
+from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import parameter_words
 from orthoglide.explanation import Located
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.changes import visits
 from orthoglide.explanation.recalibration import account_for_changes
-from orthoglide.fit import Estimate, Problem, assemble, solve
-from orthoglide.fit.plate_moves import PlateMove, plate_moves
+from orthoglide.fit import Problem, assemble, solve
 from orthoglide.fit.unknown import Unknown
 from orthoglide.frames import Framed
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.ordering import ranked
+from orthoglide.parameters import Parameter
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.threads import on_one_thread
 from orthoglide.verdict import Verdict
@@ -188,13 +188,13 @@ def check(
         gone, come = _unlike(was, closed), _unlike(closed, was)
         jointly = jointly and not gone and not come
     progress(Step("comparing"))
-    each, changed = (None, together.changed) if jointly else (was, ())
-    differences = tuple(_of_each(each, closed) if each else _of_both(together, new_names))
-    none = Change(
-        differences[0].parameter, (), "", (", ".join(old_names), ", ".join(new_names)),
-        float("nan"), machine.catalogue,
-    )  # fmt: skip
-    changes = tuple(_changes(differences, changed, none))
+    if jointly or was is None:
+        changes = tuple(c for c in together.changed if np.isfinite(c.after))
+        differences = tuple(_of_both(together, new_names, changes))
+    else:
+        differences = tuple(_of_each(was, closed))
+        between = ", ".join(old_names), ", ".join(new_names)
+        changes = tuple(_change(d, between, machine.catalogue) for d in differences if d.changed)
     after_all = together.after
     moves = plate_moves(after_all.problem, after_all.x, old_names, new_names)
     told = () if was is None or machine.spec.printer else tuple(entered(was.machine, differences))
@@ -248,8 +248,12 @@ def _words(located: Located) -> str:
     return f"{first.words}{rivals}"
 
 
-def _of_both(together: Closed, later: Collection[str]) -> Iterator[Difference]:
-    """A fit of all readings with one value of each parameter before and one in later campaigns."""
+def _of_both(
+    together: Closed, later: Collection[str], changes: Sequence[Change]
+) -> Iterator[Difference]:
+    """Yield what changed, then all other parameters by a fit of all readings in which each has one
+    value before and one in later campaigns.
+    """
     names = _compared(together)
     problem, request = together.before.problem, together.request
     # Rows taken for faulty have lost their weight there.
@@ -258,8 +262,21 @@ def _of_both(together: Closed, later: Collection[str]) -> Iterator[Difference]:
     ]
     noise = request.noise if request.campaigns else None
     both = assemble(kept, request.machine, names, own=names, noise=noise)
-    apart = account_for_changes(solve(_two_states(both, later)))
-    yield from _differences(apart, names, together.changed)
+    fit = account_for_changes(solve(_two_states(both, later)))
+    for c in changes:
+        if not c.parameter.setup:
+            yield Difference(c.parameter, c.before, c.after, c.sigma, c.unit, True, c.others)
+    catalogue, changed = request.machine.catalogue, {c.parameter for c in changes}
+    places: dict[Parameter, list[int]] = {}
+    for k, unknown in enumerate(fit.names):
+        places.setdefault(catalogue.parameter(unknown).plain, []).append(k)
+    for name, at in places.items():
+        if len(at) == 2 and name not in changed:
+            before, after = fit.x[at].tolist()
+            spread = fit.covariance[np.ix_(at, at)]
+            sigma = float(np.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1]))
+            unit = catalogue.effect_of(name).unit
+            yield Difference(name, before, after, sigma, unit, False)
 
 
 def _of_each(was: Closed, now: Closed) -> Iterator[Difference]:
@@ -317,41 +334,10 @@ def _compared(closed: Closed) -> list[str]:
     return list(dict.fromkeys(map(str, (*base, *named))))
 
 
-def _changes(
-    differences: Iterable[Difference], together: Sequence[Change], none: Change
-) -> Iterator[Change]:
-    """What changed with the values of both states; as found in all readings, or like ``none``."""
-    found = {c.parameter: c for c in together}
-    for d in differences:
-        if d.changed:
-            alone = replace(none, parameter=d.parameter, members=(d.parameter,))
-            yield replace(
-                found.get(d.parameter, alone),
-                before=d.before, after=d.after, sigma=d.sigma, sigma_after=d.sigma,
-            )  # fmt: skip
-    yield from (c for c in together if c.parameter.setup)
-
-
-def _differences(
-    estimate: Estimate, names: Iterable[str], changed: Sequence[Change]
-) -> Iterator[Difference]:
-    """What is known to have changed with its values, all else at what it did; the rest as it is
-    where all of them may have.
-    """
-    found = {c.parameter: c for c in changed}
-    catalogue = estimate.problem.machine.catalogue
-    plain_names = [catalogue.parameter(n).plain for n in estimate.names]
-    for name in names:
-        places = [k for k, n in enumerate(plain_names) if n == name]
-        if len(places) != 2:
-            continue
-        parameter = plain_names[places[0]]
-        unit, change = catalogue.effect_of(parameter).unit, found.get(parameter)
-        if change is not None and np.isfinite(change.after):
-            values = change.before, change.after, change.sigma
-            yield Difference(parameter, *values, unit, True, change.others)
-        else:
-            one, other = (float(v) for v in estimate.x[places])
-            spread = estimate.covariance[np.ix_(places, places)]
-            sigma = float(np.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1]))
-            yield Difference(parameter, one, other, sigma, unit, False)
+def _change(difference: Difference, between: tuple[str, str], catalogue: Catalogue) -> Change:
+    """Return what changed as each state by itself has it."""
+    d = difference
+    return Change(
+        d.parameter, (d.parameter,), "", between, float("nan"), catalogue,
+        before=d.before, after=d.after, sigma=d.sigma, sigma_after=d.sigma,
+    )  # fmt: skip

@@ -1,8 +1,8 @@
 """Where a plate lies at two visits: what the height and slopes that each fit leaves free say.
 
 Touches ``h = z - r``, z the height of the tool by one and the same machine and r the reading, have
-at both visits the plane ``h = c + s (x - m)``, m the middle of all touches. The difference of two
-planes is a plate that was moved, an instrument set anew, or a machine that moves the tool alike.
+at both visits a plane. The difference of the planes is a plate that was moved, an instrument set
+anew, or a machine that moves the tool alike: these readings cannot tell which.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.fit.problem import Problem
+from orthoglide.fit import Problem
 from orthoglide.geometry import Array, plane_columns
 from orthoglide.numerals import plain
 
@@ -29,33 +29,18 @@ class PlateMove:
     """A plate that lies elsewhere than at the visit before, at equal commands."""
 
     setup: str  # that touched it
-    higher: float  # by how much its middle is, metres
-    rise: float  # by how much more its rim is, where it is most, metres
+    higher: float  # by how much its middle is, metres; 0 where that is not significant
+    rise: float  # by how much more its rim is, where it is most, metres; 0 likewise
     toward: float  # where that is, degrees from x toward y
-    sigma: tuple[float, float]  # of both, from the noise of the touches, metres
-    least: float = _LEAST  # that is worth a sentence, metres
-
-    @property
-    def is_higher(self) -> bool:
-        """Whether its height differs beyond its uncertainty, by what matters."""
-        return self._tells(self.higher, self.sigma[0])
-
-    @property
-    def leans(self) -> bool:
-        """Whether its slopes differ significantly."""
-        return self._tells(self.rise, self.sigma[1])
-
-    def _tells(self, size: float, sigma: float) -> bool:
-        return abs(size) > max(self.least, _SIGMAS * sigma)
 
     @property
     def words(self) -> str:
         """Clause with direction and size of the move, without a cause."""
         said = []
-        if self.is_higher:
+        if self.higher:
             size = plain(abs(self.higher) * 1e3, 2)
             said.append(f"lies {size} mm {'higher' if self.higher > 0 else 'lower'} than before")
-        if self.leans:
+        if self.rise:
             size, where = plain(self.rise * 1e3, 2), f"{self.toward:.0f} degrees"
             said.append(
                 f"is tilted against before: its rim rises by {size} mm toward {where} (x is 0, "
@@ -67,7 +52,7 @@ class PlateMove:
 def plate_moves(
     problem: Problem, x: Array, before: Collection[str], after: Collection[str]
 ) -> tuple[PlateMove, ...]:
-    """Plates of one name that lie elsewhere than before.
+    """Return the plates of one name that lie elsewhere than before.
 
     Args:
         problem: of both visits, read by the tool alone.
@@ -82,14 +67,14 @@ def plate_moves(
     # The last of a visit is the state that it leaves.
     old, new = (dict(_touches(problem, values, names)) for names in (before, after))
     least = _LEAST * problem.machine.geometry.scale
-    found = (_move(setup, old[setup], new[setup], least) for setup in old if setup in new)
-    return tuple(move for move in found if move.is_higher or move.leans)
+    found = (_move(name, old[name], new[name], least) for name in old if name in new)
+    return tuple(move for move in found if move.higher or move.rise)
 
 
 def _touches(
     problem: Problem, values: dict[str, float], names: Collection[str]
 ) -> Iterator[tuple[str, Array]]:
-    """Setups, and place, height and noise of the touches of each ``(m, 4)``, metres."""
+    """Yield setups, and place, height and noise of the touches of each ``(m, 4)``, metres."""
     for factor in problem.tool:
         if factor.name not in names:
             continue
@@ -102,23 +87,24 @@ def _touches(
 
 
 def _move(setup: str, old: Array, new: Array, least: float) -> PlateMove:
-    """Return the move between touches ``(m, 4)`` of two visits; ``least`` is reported, metres."""
-    places = np.concatenate([old, new])[:, :2]
-    middle = places.mean(axis=0)
-    radius = float(np.hypot(*(places - middle).T).max())
-    (one, spread), (other, more) = (_plane(touches, middle, radius) for touches in (old, new))
-    apart, covariance = other - one, spread + more
-    rise = float(np.hypot(*apart[1:]))
-    along = apart[1:] / max(rise, 1e-12)
-    sigma = float(np.sqrt(along @ covariance[1:, 1:] @ along))
+    """Fit touches ``(m, 4)`` of two visits by one plane and what the later ones have beside it.
+
+    Only what is larger than ``least``, metres, and than its uncertainty is reported.
+    """
+    touches = np.concatenate([old, new])
+    place = touches[:, :2] - touches[:, :2].mean(axis=0)
+    columns = plane_columns(place / np.hypot(*place.T).max())
+    later = np.arange(len(touches)) >= len(old)
+    columns = np.hstack([columns, columns * later[:, None]]) / touches[:, 3:]
+    covariance = np.linalg.pinv(columns.T @ columns)
+    higher, *slope = (covariance @ columns.T @ (touches[:, 2] / touches[:, 3]))[3:]
+    rise = float(np.hypot(*slope))
+    along = np.array(slope) / max(rise, 1e-12)
     toward = float(np.degrees(np.arctan2(along[1], along[0]))) % 360
-    both = float(np.sqrt(covariance[0, 0])), sigma
-    return PlateMove(setup, float(apart[0]), rise, toward, both, least)
 
+    def significant(size: float, variance: float) -> float:
+        return float(size) if abs(size) > max(least, _SIGMAS * np.sqrt(variance)) else 0.0
 
-def _plane(touches: Array, middle: Array, radius: float) -> tuple[Array, Array]:
-    """Height in the middle and rise to the rim along x and y ``(3,)``, and their covariance."""
-    place, height, sigma = (touches[:, :2] - middle) / radius, touches[:, 2], touches[:, 3]
-    columns = plane_columns(place) / sigma[:, None]
-    spread = np.linalg.pinv(columns.T @ columns)
-    return np.asarray(spread @ columns.T @ (height / sigma)), np.asarray(spread)
+    higher = significant(higher, covariance[3, 3])
+    rise = significant(rise, float(along @ covariance[4:, 4:] @ along))
+    return PlateMove(setup, higher, rise, toward)
