@@ -122,40 +122,12 @@ def test_a_tilt_that_was_put_right(machine, tmp_path):
     assert told["sigma"] == pytest.approx(change.sigma, rel=1e-4)
 
 
-@pytest.mark.thorough
-def test_a_tilt_that_is_gone_is_no_cause_any_more(machine):
-    verdict = close_loop(tilted(machine, 1.5e-3, 0.0), machine)
-    assert [c.before for c in verdict.changed] == [pytest.approx(1.5e-3, abs=2e-4)]
-    assert (verdict.word, verdict.effects) == ("adequate", ())
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("protocol", ["standard", "sweep"])
-def test_a_drive_with_a_new_zero(protocol, machine):
-    old = campaign(machine, "old", 1, protocol)
-    new = campaign(machine, "new", 2, protocol, **{"joint_offset.y": 1e-3})
-    (change,) = changes_of(old, new, machine=machine)
-    assert change.members == ("joint_offset.y",)
-    assert change.after - change.before == pytest.approx(1.8e-3, abs=4 * change.sigma)
-    assert change.sigma < 2e-5
-
-
 @pytest.mark.thorough(except_for=["standard-errors1"])
 @pytest.mark.parametrize("errors", [{}, {"axis_tilt.x.y": 3e-3}, {"backlash.z": 1e-4}])
 @pytest.mark.parametrize("protocol", ["standard", "sweep"])
 def test_nothing_changed(protocol, errors, machine):
     both = [campaign(machine, f"c{k}", k, "standard" if k else protocol, **errors) for k in (0, 1)]
     assert changes_of(*both, machine=machine) == ()
-
-
-@pytest.mark.thorough
-def test_a_change_beside_effects_that_stay(machine):
-    stay = {"axis_tilt.x.y": 3e-3, "backlash.z": 1e-4}
-    old = campaign(machine, "old", 1, **stay)
-    new = campaign(machine, "new", 2, **stay, **{"joint_offset.x": -1.5e-3})
-    (change,) = changes_of(old, new, machine=machine)
-    assert change.parameter == "joint_offset.x"
-    assert change.after - change.before == pytest.approx(-2.7e-3, abs=4 * change.sigma)
 
 
 @pytest.mark.thorough

@@ -125,17 +125,6 @@ def test_a_bump_that_came_is_told_though_it_may_be_a_wrong_command(machine: og.M
 
 
 @pytest.mark.thorough
-def test_a_cause_that_was_put_right_is_compared_too(machine: og.Machine) -> None:
-    tilt = "axis_tilt.y.z"
-    found = compared(
-        machine, rows(1, "sweep", **{tilt: 3e-3}), rows(2, "sweep", **{tilt: 1e-3})
-    )  # fmt: skip
-    d = {str(d.parameter): d for d in found.differences}[tilt]
-    assert d.changed
-    assert d.after - d.before == pytest.approx(-2e-3, abs=max(4 * d.sigma, 0.1e-3))
-
-
-@pytest.mark.thorough
 def test_a_mended_rail_is_all_that_changed(machine: og.Machine) -> None:
     bent, shimmed = {"rail_bow.x.z": 2e-4}, {"rail_bow.x.z": 1e-5}
     old, new = rows(1, "sweep", **bent), rows(2, "sweep", **shimmed)

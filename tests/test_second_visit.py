@@ -52,30 +52,6 @@ def test_nothing_has_changed(calibrated: og.Machine) -> None:
 
 
 @pytest.mark.thorough
-def test_a_tilt_put_right_is_told_from_the_machines_total_error(calibrated: og.Machine) -> None:
-    """It was said to lean the other way by the difference."""
-    again = og.close_loop(measured({**ERRORS, TILT: 3e-4}, 2, "second"), calibrated)
-    assert tilt_of(again.values) == pytest.approx(3e-4, abs=1e-4)
-    (change,) = again.changed
-    assert change.parameter in (TILT, "rail_tilt.y.z")
-    assert change.after < change.before
-    assert again.word in ("adequate", "explained")
-    assert "−z" not in str(again)
-    assert abs(again.values["joint_offset.x"] - 8e-4) < 2e-4
-
-
-@pytest.mark.thorough
-def test_zeros_entered_in_the_controller_are_changes(calibrated: og.Machine) -> None:
-    corrected = {"joint_offset.x": 0.0, "joint_offset.y": 0.0, "leg_length.z": 5e-5, TILT: 1.5e-3}
-    again = og.close_loop(measured(corrected, 3, "second"), calibrated)
-    assert {c.parameter for c in again.changed} <= {f"joint_offset.{k}" for k in "xyz"}
-    assert {c.parameter for c in again.changed} >= {"joint_offset.x", "joint_offset.y"}
-    assert abs(again.values["joint_offset.x"]) < 2e-4
-    assert again.word == "adequate"
-    assert tilt_of(again.values) == pytest.approx(1.5e-3, abs=1e-4)
-
-
-@pytest.mark.thorough
 def test_the_sentences_of_a_second_visit_name_what_changed(tmp_path: Path) -> None:
     from orthoglide.report.words import headline
 

@@ -1,4 +1,4 @@
-"""What changed between two visits to a machine: columns of the readings after it.
+"""Changes between two visits to a machine, as groups of columns of the readings after them.
 
 What the machine was before, and what stays, are the unknowns of a problem with its prior; a change
 adds to the readings from one row on. It is a group of the search for causes, and the set that
@@ -52,7 +52,7 @@ class Candidate:
 def may_change(
     problem: Problem, names: Sequence[Parameter]
 ) -> dict[Parameter, dict[Parameter, float]]:
-    """What may have changed: a tolerance of each, by unknown of the problem, SI.
+    """Return what may have changed, each as one tolerance by unknown of the problem, SI.
 
     Args:
         problem: whose unknowns they are.
@@ -140,10 +140,10 @@ class _About:
     problem: Problem  # what was and what stays
     candidates: Sequence[Candidate]  # what may have changed, `c` of them
     columns: Array  # readings by a tolerance of each (m, c)
-    residual: Array  # readings less what is known foretells, unchanged (m,)
-    open_to: Array  # readings by what is known no better, in its standard deviations (m, P)
-    root: Array  # of the covariance of what is known, in tolerances (P, P)
-    known: Array  # its mean, in tolerances (P,)
+    residual: Array  # readings less their prediction by the prior mean, unchanged (m,)
+    open_to: Array  # readings by the unknowns, in standard deviations of their prior (m, P)
+    root: Array  # of the prior covariance, in tolerances (P, P)
+    known: Array  # prior mean, in tolerances (P,)
     free: int  # number of datums and placements
 
     @classmethod
@@ -169,7 +169,8 @@ class _About:
     def linear(self, floor: float) -> Linear:
         """Return the linear model of a search in which every candidate is a group.
 
-        What is known before is a background of one standard deviation, whatever is active.
+        The prior is a background of one standard deviation, whatever is active, so that no group
+        explains what the earlier machine leaves open.
         """
         left, size, _ = np.linalg.svd(self.open_to, full_matrices=False)
         share, along = size**2 / (1 + size**2), left.T @ self.residual
