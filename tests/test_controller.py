@@ -337,8 +337,9 @@ def test_the_text_of_the_numbers_is_readable() -> None:
     text = controller_numbers(found).text()
     assert max(map(len, text.splitlines())) <= 100
     assert not re.search(r"-0\.0+\b", "".join(re.findall(r"(?m)^  [xyz] .*$", text)))
-    assert "leave out axis tilt and rail bow: commands from" in " ".join(text.split())
-    assert "backlash" not in text.partition("leave out")[0]  # rounds to nothing
+    told = "identified (axis tilt and rail bow); commands from"
+    assert told in " ".join(text.split())
+    assert "backlash" not in text  # rounds to nothing
 
 
 def test_the_numbers_are_headed_by_the_machines_name_where_it_has_one() -> None:
@@ -364,7 +365,7 @@ def test_the_sign_rule_is_worked_out_in_words() -> None:
     assert "hold all of it" in text
     more = controller_numbers(machine({**DRIVES, "axis_tilt.y.z": 1e-3}))
     assert more.left_over == ("axis_tilt.y.z",)
-    assert "leave out axis tilt" in more.text()
+    assert "no other error that was identified (axis tilt)" in more.text()
 
 
 def test_a_controller_that_takes_zeros_alone_reads_of_nothing_else(tmp_path: Path) -> None:
@@ -372,7 +373,7 @@ def test_a_controller_that_takes_zeros_alone_reads_of_nothing_else(tmp_path: Pat
     whole, alone = (controller_numbers(machine(errors), zeros_only=z) for z in (False, True))
     for word in ("Scale", "backlash", "one-sided", "bar length"):
         assert word in whole.text()
-        assert word not in alone.text().partition("leave out")[0]
+        assert word not in alone.text().partition("no other error")[0]
     assert set(alone.as_dict()["drives"]["x"]) == {
         "sign", "offset_mm", "old_zero_mm", "new_zero_mm", "add_to_command_mm",
     }  # fmt: skip
@@ -467,8 +468,8 @@ def test_zeros_alone_are_fitted_to_the_whole_machine() -> None:
     assert numbers.zeros_only == pytest.approx(-best)
     # They are what is entered, and no drive's joint offset.
     first = " ".join(numbers.text().split())
-    assert "Axis x: where the controller shows its old zero 0.000, carriage x" in first
-    assert f"{best[0] * 1e3:.3f} mm too far out as far as zeros alone can make up for it" in first
+    assert "Axis x: at the old zero 0.000 carriage x stands on average" in first
+    assert f"{best[0] * 1e3:.3f} mm too far out" in first
     assert "joint" not in first
     assert [d.scale for d in numbers.drives] == [0, 0, 0]
     assert set(numbers.left_over) == {"axis_offset.z.x", "encoder_scale.y"}
@@ -805,7 +806,7 @@ def test_a_machine_with_a_curve_of_a_drive_is_exported(tmp_path: Path) -> None:
     assert code == 0, text
     left = f"drive x travel (2 numbers), {across}.1"
     told = " ".join((out / "controller.txt").read_text().split())
-    assert "leave out drive x travel and drive x command y: commands" in told
+    assert "identified (drive x travel and drive x command y); commands" in told
     comment = (out / "orthoglide.urdf").read_text().partition("-->")[0]
     assert f"Left out, for URDF holds constant geometry only: {left}." in comment
     assert "Holds joint_offset.x." in comment

@@ -419,7 +419,7 @@ def test_points_of_any_layout_are_simulated_judged_and_drawn(geometry: Geometry)
     closed = studied([drawn.with_readings(drawn.reading + noise)], sound)
     verdict = filled(closed, Verdict)
     assert verdict.stands
-    for picture in (verdict._repr_html_(), verdict.plot("tool").svg):
+    for picture in (verdict._repr_html_(), verdict.plot("workspace").svg):
         assert "<svg" in picture
     space = closed.workspace
     assert space is not None

@@ -256,8 +256,9 @@ def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
     assert text.startswith("The path of the y carriage is out of square toward z by 2.4 mrad")
     said = "Or the y rail leans toward z by 2.4 mrad (0.24 mm over 100 mm) and its carriage with"
     assert said in text
-    assert "0.043 to 0.003 mm rms, which is the noise of the dial (0.0058 mm)" in text
-    assert "no single cause explains the difference" in headline(verdict_of("unexplained"))
+    assert "0.043 to 0.003 mm rms. Single readings are left with 0.00" in text
+    assert "no more than the noise of the dial (0.0058 mm)" in text
+    assert "No single cause explains the difference" in headline(verdict_of("unexplained"))
     partial = headline(verdict_of("partial"))
     assert "Something else is wrong as well" in partial
     assert "Or the y rail leans" in partial

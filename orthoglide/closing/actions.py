@@ -26,7 +26,7 @@ _DIAL_TURNS = (
     "readings"
 )
 _PLAIN = "for which nothing is changed on the machine"
-_INSTEAD = "in place of new zeros and never with them, for a gain beyond theirs"
+_INSTEAD = "in place of new zeros, never with them, for a further gain"
 _MEND = "Look, confirm and put right, then measure again"
 _SCATTERS = (
     "Before more is measured, look for what is loose, or correct the noise that was declared"
@@ -69,7 +69,7 @@ def _one_of_two(done: list[Action]) -> list[Action]:
             if both and action.kind == "compensate":
                 words = words.replace(_PLAIN, _INSTEAD, 1)
             later = not {"zeros", "compensate", "mend"}.isdisjoint(kinds[:k])
-            if lead := ", ".join(["or"] * later + ["as the machine is now"] * mended):
+            if lead := ", ".join(["or"] * later + ["as long as nothing is repaired"] * mended):
                 lead = f"{lead[:1].upper()}{lead[1:]}{',' * mended}"
                 words = f"{lead} {words[:1].lower()}{words[1:]}"
         told.append(replace(action, words=words))

@@ -28,6 +28,7 @@ from orthoglide.observations import campaign_rows, source
 from orthoglide.planning import Suggestion
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.result import (
+    CandidateScore,
     DataFault,
     InstrumentNoise,
     Noise,
@@ -81,10 +82,7 @@ def _result(closed: Closed) -> Result:
         budget=closed.budget,
         identified=closed.identified,
         correlations=correlation_values(after, names),
-        candidates=tuple(
-            replace(c, words=closed.short(c.name) if c.parameters else "")
-            for c in closed.candidates
-        ),
+        candidates=tuple(_candidates(closed)),
         blunders=_faults(closed),
         changed=tuple(change_value(c, id(c) not in moved) for c in closed.changed),
         weak=after.weak,
@@ -118,6 +116,15 @@ def _result(closed: Closed) -> Result:
         possible=tuple(_possible(closed)),
         noise_by_setup=tuple(_by_setup(after)),
     )
+
+
+def _candidates(closed: Closed) -> Iterator[CandidateScore]:
+    """The causes and places that were weighed, in words."""
+    known = closed.posterior
+    places = {} if known is None else {place.name: place.words for place in known.about.places}
+    for one in closed.candidates:
+        named = closed.short(one.name) if one.parameters else places.get(one.name, "")
+        yield replace(one, words=named)
 
 
 def _faults(closed: Closed) -> tuple[DataFault, ...]:
