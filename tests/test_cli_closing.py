@@ -481,8 +481,8 @@ def test_rerun_of_a_spoilt_result(identified: Path) -> None:
         ("rows", [], "has no rows"),
         ("lines", [2, 3], "lines that are not those of its rows"),
         ("lines", [10**9 + k for k in range(len(one["rows"]))], "lines that are not those"),
-        ("lines", ["2"], "lines that are no numbers"),
-        ("role", "judge", "is none of campaign"),
+        ("lines", ["2"], "is no int"),
+        ("role", "judge", "is no campaign or fit_tcp"),
     ):
         assert words in spoilt("inputs", [{**one, key: value}])
 

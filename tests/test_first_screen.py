@@ -18,12 +18,12 @@ from orthoglide.closing import Closed, filled
 from orthoglide.closing.actions import _one_of_two
 from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
 from orthoglide.effects.wording import cause_short
-from orthoglide.explanation import Cause, Explanation, Located
+from orthoglide.explanation import Cause, Explanation
 from orthoglide.fit import Change
 from orthoglide.layout import LinearDelta
 from orthoglide.numerals import ByUnit
 from orthoglide.parameters import Parameter
-from orthoglide.report import report_files, result_text
+from orthoglide.report import result_text
 from orthoglide.report.claims import sure_words
 from orthoglide.report.first import finding
 from orthoglide.report.rendering import rendered
@@ -327,21 +327,6 @@ def test_new_zeros_and_compensated_commands_are_never_both_told() -> None:
     assert _one_of_two([both]) == [both]
 
 
-@pytest.mark.thorough
-def test_where_something_is_left_nothing_is_to_be_changed() -> None:
-    """Numbers are withheld, causes confirmed first, and the sheet follows what is left."""
-    for which, first in (("unexplained", "measure"), ("partial", "confirm")):
-        verdict = verdict_of(which)
-        kinds = [a.kind for a in verdict.actions]
-        assert kinds[0] == first
-        assert not {"zeros", "mend", "compensate"} & set(kinds)
-        text = screen(verdict)
-        assert "Enter new zeros" not in text
-        assert not re.search(r"\bgains\b", text)
-        assert len(finding(verdict)["tiles"]) == 2
-        assert ("among the causes known 9" in text) == (which == "partial")
-
-
 def test_what_is_left_is_found_where_it_is() -> None:
     """One dial sees a bend that no part makes: it is named, with its direction and its size."""
     verdict, fit = verdict_of("unexplained"), loop_of("unexplained").after
@@ -431,34 +416,6 @@ def test_lost_motion_without_a_name_has_its_whole_size_everywhere(
     assert mark.both
 
 
-def test_a_controllers_setting_is_for_the_lost_motion_of_drives() -> None:
-    name = CATALOGUE.parameter("backlash.x")
-    text = screen(made_up("explained", Cause(explained(name, 2e-4, CATALOGUE, 0.97), (), ())))
-    assert "a controller's own setting makes up for it, or" in text
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("which", ["platform", "reversal"])
-def test_the_tools_error_says_that_it_leaves_lost_motion_out(which: str) -> None:
-    text = screen(lost(which))
-    assert "Lost motion is left out: the numbers are for the middle" in text
-    assert "again (lost motion, which the errors of the tool above leave out; neither a" in text
-    assert "gains 0 mm" not in text
-    page = words(report_files(lost(which))["report.html"])
-    assert "in calibrated.toml , but not that" in page.replace("  ", " ")
-
-
-@pytest.mark.thorough
-def test_a_place_says_which_known_shapes_are_ruled_out() -> None:
-    page = words(report_files(lost("reversal"))["report.html"])
-    assert (
-        "Known shapes of this place are ruled out: drive y moves more or less than it is told; "
-        "drive y has lost motion." in page
-    )
-    page = words(report_files(lost("platform"))["report.html"])
-    assert "No known cause moves this part in this way" in page
-
-
 def test_lost_motion_of_the_catalogue_is_said_to_be_left_out_too() -> None:
     one = explained("backlash.x", 2e-4, CATALOGUE, 1.0)
     verdict = made_up("explained", Cause(one, (), ()))
@@ -515,29 +472,6 @@ def test_the_gain_of_one_of_several_causes_is_said_to_be_that() -> None:
     said = "gains 0.1 mm at the tool on average, whichever of these it is"
     assert any(said in line for line in to_do(verdict))
     assert "gains 0.1 mm on average, whichever of these it is" in screen(verdict)
-
-
-@pytest.mark.thorough
-def test_a_cause_that_may_be_a_place_instead_names_it_on_the_first_screen() -> None:
-    """It was ambiguous, and nobody was told with what."""
-    curve = lost_loop("reversal").located[0].members[0]
-    chosen = explained("backlash.y", 2e-4, CATALOGUE, 0.6)
-    verdict = made_up("ambiguous", Cause(chosen, (), (), (curve,)), drawn=True)
-    assert "drive y goes wrong along its axis by the way gone since" in screen(verdict).lower()
-    assert len(verdict.picture.options) == 2
-
-
-def test_the_gain_of_a_class_of_places_counts_all_that_the_machine_has() -> None:
-    """The most probable may be a dial's, or lost motion, which is no part of the machine."""
-    from orthoglide.effects.places import places
-
-    kinds = ("rail.x.y/approach", "rail.x.y/travel", "carriage.x.y/travel")
-    found = {place.name: place for place in places() if place.name in kinds}
-    known = CATALOGUE.with_effects([found[name].effect for name in kinds[1:]])
-    members = tuple(SimpleNamespace(name=name, place=found[name]) for name in kinds)
-    name, parts = Located(members, (), 1.0, 0).in_machine(known)  # type: ignore[arg-type]
-    assert name == found[kinds[1]].effect.name
-    assert set(parts) == {str(p) for kind in kinds[1:] for p in found[kind].effect.motions}
 
 
 @pytest.mark.parametrize(

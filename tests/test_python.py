@@ -360,17 +360,6 @@ def test_verdicts_and_estimates_plot_themselves(
         estimate.plot("workspace")
 
 
-def test_arrows_over_the_workspace_are_the_errors_that_the_report_speaks_of(
-    verdict: og.Verdict,
-) -> None:
-    space = verdict.workspace
-    assert space is not None
-    assert space.now.shape == space.left.shape == (len(space.at), 3)
-    np.testing.assert_allclose(space.now.mean(axis=0), 0.0, atol=1e-10)  # of six digits
-    assert verdict.map is not None
-    np.testing.assert_allclose(space.nominal, verdict.map.error, rtol=1e-5)
-
-
 def test_what_is_shown_of_commands_and_numbers(campaign: og.Campaign) -> None:
     worn = og.Machine.nominal().with_parameters(ERRORS, dict.fromkeys(ERRORS, 1e-5))
     found = og.compensate(worn, [[0.0, 0.0, 0.0], [0.01, 0.005, 0.0]])

@@ -107,11 +107,6 @@ def test_what_was_edited_is_refused(key: str, value: Any) -> None:
         decoded(Whole, data, {})
 
 
-def test_what_no_file_holds_is_refused() -> None:
-    with pytest.raises(TypeError, match="complex"):
-        encoded({"z": 1j})
-
-
 @pytest.fixture(scope="module")
 def verdict() -> og.Verdict:
     return og.close_loop(

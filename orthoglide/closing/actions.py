@@ -1,4 +1,4 @@
-"""What to do about a machine, in the order of what it gains: the budget turned into work."""
+"""What to do about a machine, largest gain first, and what to measure next."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from orthoglide.result import Action, Suspect, Withheld
 
 if TYPE_CHECKING:
     from orthoglide.closing.closed import Closed
+    from orthoglide.planning import Suggestion
 
 _AGAIN = "numbers and commands made before {} hold no longer: take those of this result"
 _LOST = "the stated errors of the tool leave lost motion out: "
@@ -31,6 +32,7 @@ _MEND = "Look, confirm and put right, then measure again"
 _SCATTERS = (
     "Before more is measured, look for what is loose, or correct the noise that was declared"
 )
+_MOST_RIVALS = 6  # between which readings are proposed
 _NO_GAIN = 1e-9  # metres: differences of gain below are rounding
 _SURELY = 2.0  # standard deviations by which a gain must exceed nothing
 _WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth a line
@@ -277,3 +279,30 @@ def _measure(closed: Closed) -> tuple[bool, list[Action]]:
         if not one.hopeless:
             return True, [Action("measure", f"Measure more: {one.what or one.reason}")]
     return False, []
+
+
+def next_measurements(closed: Closed) -> tuple[Suggestion, ...]:
+    """Readings to take next, what follows something unexplained first."""
+    from orthoglide import planning, prospects
+
+    geometry, follow = closed.request.machine.geometry, not closed.stands
+    left = closed.lack_of_fit
+    again = tuple(map(prospects.repeating, left.by_instrument[:follow]))
+    known = closed.posterior
+    sets = [one.data for one in closed.effects] + [one.data for one in closed.located]
+    data = [each[0] for each in sets if each]
+    visits = [prospects.deciding_visits(known, d) for d in data] if known else []
+    again = (*again, *(one for one in visits if one is not None))
+    parts = [s for one in closed.located if known for s in prospects.parting(known, one)]
+    if not geometry.dialled:
+        apart = () if known is None else prospects.deciding_instruments(known, closed.effects)
+        return (*apart, *parts, *again)
+    several = [(c.chosen, *c.rivals) for c in closed.effects if c.rivals]
+    several = several or [tuple(closed.alone[:_MOST_RIVALS])]
+    rivals = [(e.name, e.machine) for each in several for e in each]
+    pairs = planning.pairs_within(map(len, several))
+    apart = planning.next_measurements(closed.after, rivals, pairs=pairs, directions=())
+    more = planning.next_measurements(closed.before)
+    if follow and left.dials_hold_most:
+        again = tuple(prospects.tracing(rest, geometry) for rest in left.by_dial[:1])
+    return (*again, *apart, *parts, *more)

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from orthoglide.accuracy import expected_gain, tcp_map, tool_settings
+from orthoglide.accuracy import expected_gain, tool_settings
 from orthoglide.add_ons import AddOn, Corrections, Section, add_on_of
-from orthoglide.closing.actions import actions
-from orthoglide.closing.following import next_measurements
+from orthoglide.closing.actions import actions, next_measurements
 from orthoglide.closing.picture import picture
 from orthoglide.closing.values import explanation_value
-from orthoglide.closing.workspace import uncertain_effects, workspace_of
 from orthoglide.control import ControllerNumbers, controller_numbers
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
@@ -22,10 +20,8 @@ from orthoglide.explanation.residuals import residual_by_setup
 from orthoglide.explanation.significance import Left
 from orthoglide.fit import Change, Estimate
 from orthoglide.machine import Machine
-from orthoglide.notes import Note
 from orthoglide.numerals import told_apart
 from orthoglide.observations import Readings
-from orthoglide.parameters import Parameter
 from orthoglide.result import (
     Action,
     BudgetItem,
@@ -38,7 +34,6 @@ from orthoglide.result import (
     Scores,
     TcpErrors,
     Word,
-    Workspace,
 )
 
 if TYPE_CHECKING:
@@ -216,34 +211,7 @@ class Closed:
         told = {self.catalogue.parameter(n).plain for n in told}
         return tuple(c for c in self.changed if c.parameter not in told)
 
-    @property
-    def shapes_of_plate(self) -> bool:
-        """Whether a probed plate may have a shape that no effect names."""
-        known = self.posterior
-        return known is not None and bool(known.mixture.linear.unnamed.any())
-
     # --- What is left -----------------------------------------------------------------------
-
-    @cached_property
-    def invisible(self) -> tuple[Parameter, ...]:
-        """Parameters that these readings would not show at three tolerances: not absent."""
-        return () if self.posterior is None else self.posterior.invisible
-
-    @cached_property
-    def instruments(self) -> dict[str, str]:
-        """Kinds of readings that were taken, ``leg``, ``plate`` ..., and what takes them."""
-        from orthoglide.prospects import TAKEN_BY
-
-        kinds = {s.kind for f in self.after.problem.factors for s in f.readings.setups}
-        return {kind: words for kind, words in TAKEN_BY.items() if kind in kinds}
-
-    @property
-    def unexcited(self) -> tuple[str, ...]:
-        """Effects whose conditions the campaigns do not vary at all."""
-        from orthoglide.fit.excited import excited_effects
-
-        excited = {*(e.name for e in excited_effects(self.after.problem)), *self.catalogue.base}
-        return tuple(name for name in self.request.machine.catalogue if name not in excited)
 
     @cached_property
     def lack_of_fit(self) -> LackOfFit:
@@ -284,18 +252,6 @@ class Closed:
         from orthoglide.planning import next_sheet
 
         return next_sheet(self.next_measurements)
-
-    @cached_property
-    def workspace(self) -> Workspace | None:
-        """The TCP's errors over the workspace; ``None`` of ``identify``."""
-        if self.posterior is None:
-            return None
-        return workspace_of(self.before, self.posterior.machine, tcp_map(self.machine))
-
-    @cached_property
-    def uncertain_effects(self) -> tuple[tuple[str, float], ...]:
-        """Effects that make most of the TCP's uncertainty, each with its share."""
-        return () if self.posterior is None else uncertain_effects(self.machine)
 
     @cached_property
     def numbers(self) -> ControllerNumbers:
@@ -355,14 +311,6 @@ class Closed:
         """
         settings = tool_settings(self.machine)
         return expected_gain(self.machine, settings["zeros"], settings["compensated"])
-
-    @property
-    def warnings(self) -> tuple[Note, ...]:
-        """Of the final fit, lack of fit apart: the verdict's word says it already."""
-        machine, found = self.request.machine, list(self.after.warnings)
-        if (printer := machine.spec.printer) is not None:
-            found += printer.assumptions(machine, self.effects)
-        return tuple(w for w in found if w.kind != "lack_of_fit")
 
     @property
     def scattering(self) -> tuple[str, ...]:
