@@ -485,7 +485,7 @@ def test_the_gain_of_one_of_several_causes_is_said_to_be_that() -> None:
 )
 def test_what_does_not_fall_is_not_said_to_fall(now: float, said: str) -> None:
     """It had hardly fallen, from 0.005 to 0.006 mm."""
-    was, is_now = (SimpleNamespace(told=ByUnit(v, float("nan"))) for v in (5e-6, now))
+    was, is_now = (SimpleNamespace(reported=ByUnit(v, float("nan"))) for v in (5e-6, now))
     assert _falls(was, is_now) == said  # type: ignore[arg-type]
 
 

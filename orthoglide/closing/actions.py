@@ -39,7 +39,7 @@ _WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth
 
 
 def actions(closed: Closed) -> tuple[Action, ...]:
-    """What to do, most gain first; what decides before everything where the verdict is open.
+    """Return what to do, largest gain first; readings come first where the verdict depends on them.
 
     Nothing is to be entered or mended where the verdict warns against it, or where the firmware's
     own calibration comes first.
@@ -59,8 +59,8 @@ def actions(closed: Closed) -> tuple[Action, ...]:
 
 
 def _one_of_two(done: list[Action]) -> list[Action]:
-    """Actions of which those that take the place of one another say so: new zeros and compensated
-    commands together would correct the zeros twice, and either holds what is then put right.
+    """Return actions of which alternatives say so: new zeros and compensated commands together
+    would correct the zeros twice, and both hold only until something is repaired.
     """
     kinds = [action.kind for action in done]
     both, mended = {"zeros", "compensate"} <= set(kinds), "mend" in kinds
@@ -102,8 +102,9 @@ def _zeros(closed: Closed) -> Iterator[Action]:
 def _found(
     closed: Closed, kind: Literal["confirm", "mend"], zeros: bool = False
 ) -> Iterator[Action]:
-    """Causes, places and changes found, each with what to look at and what it gains; new ``zeros``
-    to be entered correct what changed of a drive's zero too.
+    """Yield causes, located errors and changes, each with the parts to look at and its gain.
+
+    New ``zeros`` to be entered correct a change of a drive's zero too.
     """
     found = [item for item in closed.budget if not item.rest]
     gains = {item.cause: (item.gain, item.gain_sigma) for item in found}
@@ -138,7 +139,7 @@ def _found(
 
 
 def loses(found: Cause | Located | Change) -> bool:
-    """Whether it may be lost motion, which the tool's expected errors leave out."""
+    """Return whether it may be lost motion, which the expected errors of the tool exclude."""
     if isinstance(found, Located):
         return any(curve.place.loses for curve in found.members)
     one = found.chosen if isinstance(found, Cause) else found
@@ -147,7 +148,7 @@ def loses(found: Cause | Located | Change) -> bool:
 
 
 def _made_up(found: Cause | Located) -> str:
-    """What makes up for lost motion, if anything does."""
+    """Return what compensates for lost motion, a clause."""
     if isinstance(found, Located):
         if not all(curve.place.in_model for curve in found.members):
             return "neither a controller nor orthoglide compensate makes up for all that it may be"
@@ -161,14 +162,14 @@ def _made_up(found: Cause | Located) -> str:
 
 
 def _of_plate(found: Cause | Located) -> bool:
-    """Whether it may be a plate's own shape."""
+    """Return whether it may be a shape of a plate."""
     if isinstance(found, Located):
         return False
     return any(bool(e.catalogue.effect_of(e.name).plate) for e in found.explanations)
 
 
 def suspects(found: Cause | Located | Change) -> tuple[Suspect, ...]:
-    """What to look at for everything in a credible set."""
+    """Return the parts to look at, for every member of a credible set."""
     if isinstance(found, Change):
         return tuple(_changed(found, k) for k in range(len(found.members)))
     if isinstance(found, Cause):
@@ -177,7 +178,7 @@ def suspects(found: Cause | Located | Change) -> tuple[Suspect, ...]:
 
 
 def _changed(change: Change, k: int) -> Suspect:
-    """What the k-th of the parameters that may have changed is now, or was and is no more."""
+    """Return the k-th of the parameters that may have changed, with its value before or after."""
     name = change.members[k]
     effect = change.catalogue.effect_of(name)
     if change.vague and not k:
@@ -194,7 +195,7 @@ def _changed(change: Change, k: int) -> Suspect:
 
 
 def confirm_place(curve: Curve) -> str:
-    """The test that shows lost motion without a name, with what to expect; else empty."""
+    """Return the test that shows lost motion of a located error; empty for other errors."""
     place, size = curve.place, curve.size_words
     if place.of_dial:
         return _DIAL_TURNS.format(size) if place.two_sided else ""
@@ -219,8 +220,9 @@ def confirm_place(curve: Curve) -> str:
 
 
 def confirm(one: Explanation) -> str:
-    """The test that confirms a cause, with the reading to expect; empty of several parameters that
-    are not those of one leg and one cause.
+    """Return the test that confirms a cause, with the reading to expect.
+
+    It is empty for several parameters that are not those of one leg and one cause.
     """
     effect = one.catalogue.effect_of(one.name)
     named = ((one.catalogue.parameter(n).plain, one.values[n]) for n in one.parameters)
@@ -244,7 +246,7 @@ def _compensate(closed: Closed) -> Iterator[Action]:
 
 
 def worth_compensating(closed: Closed) -> bool:
-    """Whether compensated commands are expected to gain anything that is worth a line."""
+    """Return whether compensated commands should reduce the tool's error by 2 % or more."""
     if not closed.request.searches or closed.firmware is not None:
         return False
     gain, _ = closed.compensation_gain
@@ -252,7 +254,7 @@ def worth_compensating(closed: Closed) -> bool:
 
 
 def not_advised(closed: Closed) -> tuple[Withheld, ...]:
-    """What is not advised, with the reason."""
+    """Return what is not advised, with the reason."""
     kinds: tuple[Literal["zeros", "compensate"], ...] = ("zeros", "compensate")
     if why := withheld(closed.machine):
         return tuple(Withheld(kind, why) for kind in kinds)
@@ -267,7 +269,7 @@ def not_advised(closed: Closed) -> tuple[Withheld, ...]:
 
 
 def _measure(closed: Closed) -> tuple[bool, list[Action]]:
-    """The readings that would tell most, of those proposed; whether the verdict hangs on them."""
+    """Return whether the verdict depends on further readings, and the readings that decide most."""
     if not closed.request.searches:
         text = "Look for the cause of what is left: orthoglide close-loop takes the same files"
         return False, [Action("measure", text)] if closed.after.sigma_scale > 1 else []
@@ -282,7 +284,7 @@ def _measure(closed: Closed) -> tuple[bool, list[Action]]:
 
 
 def next_measurements(closed: Closed) -> tuple[Suggestion, ...]:
-    """Readings to take next, what follows something unexplained first."""
+    """Return readings to take next; those at unexplained residuals come first."""
     from orthoglide import planning, prospects
 
     geometry, follow = closed.request.machine.geometry, not closed.stands

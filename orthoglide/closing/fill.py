@@ -122,7 +122,7 @@ def _result(closed: Closed) -> Result:
 
 
 def _candidates(closed: Closed) -> Iterator[CandidateScore]:
-    """The causes and places that were weighed, in words."""
+    """Yield the causes and located errors that were considered, in words."""
     known = closed.posterior
     places = {} if known is None else {place.name: place.words for place in known.about.places}
     for one in closed.candidates:
@@ -131,7 +131,7 @@ def _candidates(closed: Closed) -> Iterator[CandidateScore]:
 
 
 def _faults(closed: Closed) -> tuple[DataFault, ...]:
-    """The data faults, with their rows within the readings of the request."""
+    """Return the data faults, with their rows within the readings of the request."""
     tables = [factor.readings for factor in closed.first.problem.factors]
     given = zip(tables, closed.request.given, strict=True)
     rows = [rows_in(part, whole) for part, whole in given]
@@ -165,7 +165,7 @@ def _workspace(before: Estimate, known: Machine, calibrated: Machine) -> Workspa
 
 
 def _uncertain(machine: Machine) -> tuple[tuple[str, float], ...]:
-    """Effects with the largest shares of the TCP's variance, each with its share."""
+    """Return effects with the largest shares of the TCP's variance, each with its share."""
     shares = variance_by_effect(machine)
     total = sum(shares.values())
     largest = ranked(shares.items(), lambda item: item[1])[:_MOST_NAMED]
@@ -173,7 +173,7 @@ def _uncertain(machine: Machine) -> tuple[tuple[str, float], ...]:
 
 
 def _warnings(closed: Closed) -> tuple[Note, ...]:
-    """Warnings of the last fit, except lack of fit, which the verdict reports."""
+    """Return warnings of the last fit, except lack of fit, which the verdict reports."""
     machine, found = closed.request.machine, list(closed.after.warnings)
     if (printer := machine.spec.printer) is not None:
         found += printer.assumptions(machine, closed.effects)
@@ -195,7 +195,7 @@ def _noise(closed: Closed) -> Noise:
 
 
 def _possible(closed: Closed) -> Iterator[Possible]:
-    """The most probable causes of what nothing explains, each with the scores of its own fit."""
+    """Yield the most probable causes if nothing was found, each with the scores of its own fit."""
     problem = closed.before.problem
     for one in closed.possible:
         names = tuple(map(str, one.parameters))
@@ -207,7 +207,7 @@ def _possible(closed: Closed) -> Iterator[Possible]:
 
 
 def _by_setup(fit: Estimate) -> Iterator[SetupNoise]:
-    """The noise that a fit shows, setup by setup."""
+    """Yield the noise that the residuals show, by setup."""
     for one in noise_scales(fit):
         file, setup = source(one.readings), one.setup
         yield SetupNoise(setup.name, file, setup.kind, one.sigma, one.scale, one.scale_sigma)

@@ -52,7 +52,7 @@ _STYLE = (
 
 
 def micrometres(*values: float) -> str:
-    """Lengths in micrometres, three digits at most; below a nanometre they count as 0."""
+    """Return lengths in micrometres, three digits at most; below a nanometre they count as 0."""
 
     def one(size: float) -> str:
         if size < 1e-3:
@@ -101,7 +101,7 @@ def _table(rows: Sequence[Row]) -> dict[str, list[str]]:
 
 
 def legend(rows: Sequence[Row]) -> str:
-    """What the tables mean: what "will do" is, and the columns."""
+    """Return what the columns of the tables mean."""
     return f"{LIMITS} {LEGEND}" if any(row.read for row in rows) else _OF_TOOL
 
 
@@ -122,7 +122,7 @@ def markdown_table(rows: Sequence[Row], columns: Sequence[str] | None = None) ->
 
 
 def csv_table(rows: Sequence[Row]) -> str:
-    """All numbers of the rows as CSV, names with their unit."""
+    """Return all numbers of the rows as CSV, names with their unit."""
     return csv_text([_record(row) for row in rows])
 
 
@@ -154,7 +154,7 @@ def _record(row: Row) -> dict[str, str]:
 
 
 def slice_figure(title: str, planes: Sequence[Slice]) -> str:
-    """Three planes of the workspace in SVG, coloured by the difference at the TCP after the fit."""
+    """Return three planes of the workspace as SVG, coloured by the difference at the TCP."""
     top = max(float(np.nanmax(plane.difference)) for plane in planes) * _UM
     with style.applied():
         figure = style.new_figure(9.5, 3.2)
@@ -176,7 +176,7 @@ def slice_figure(title: str, planes: Sequence[Slice]) -> str:
 def comparison_page(
     title: str, sections: Sequence[tuple[str, Sequence[Row]]], figures: Sequence[str]
 ) -> str:
-    """One self-contained HTML page: tables by heading, then figures (SVG texts)."""
+    """Return one self-contained HTML page: tables by heading, then figures (SVG texts)."""
     tables = (html_table(heading, _table(rows), len(rows)) for heading, rows in sections)
     drawings = (f"<figure>{svg[svg.index('<svg') :]}</figure>" for svg in figures)
     told = f"<p>{escape(legend([row for _, rows in sections for row in rows]))}</p>"

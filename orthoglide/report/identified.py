@@ -39,7 +39,7 @@ def _found(result: Result) -> str:
 def _gain(result: Result) -> str:
     """What the fit does to the deviations."""
     parts, last = [], ""
-    before, after = result.nominal.told.shown, result.after.scores.told.shown
+    before, after = result.nominal.reported.shown, result.after.scores.reported.shown
     for unit, now in after.items():
         verb = "hardly change" if now > _HARDLY * before[unit] else "reduce"
         what = f"{verb} {'them' if last else 'the deviations'} " if verb != last else ""

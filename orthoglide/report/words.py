@@ -259,8 +259,8 @@ def _between(before: Scores, after: Scores) -> str:
 def _falls(before: Scores, after: Scores) -> str:
     """``falls from 0.3 to 0.01 mm rms``, and so on for inclinations where there are any."""
     parts, last = [], ""
-    for unit, now in after.told.shown.items():
-        was = before.told.shown[unit]
+    for unit, now in after.reported.shown.items():
+        was = before.reported.shown[unit]
         verb = "hardly falls" if now > _SLIGHT * was else "falls"
         figures = told_apart(was, now)
         text = f"{verb if verb != last else ''} from {' to '.join(figures)} {unit} rms".strip()

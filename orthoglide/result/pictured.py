@@ -23,7 +23,7 @@ class Picture:
     first: tuple[int, ...]  # which options are the most probable of what was found
 
     def svg(self, alone: bool = False) -> str:
-        """The drawing; ``alone``: as a file of its own."""
+        """Return the drawing as SVG; ``alone``: as a file of its own."""
         title = "The machine, what was found marked on it" if self.options else "The machine"
         return drawing(
             self.posed, self.options, self.dials, title=title, shown=self.first, alone=alone

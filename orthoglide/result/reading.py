@@ -47,7 +47,7 @@ def as_edited(error: Exception, file: str) -> FileError:
 
 
 def read_result(path: Path) -> dict[str, Any]:
-    """A ``result.json`` that can be run again.
+    """Return the keys of a ``result.json`` that can be run again.
 
     Raises:
         FileError: where it is none.
