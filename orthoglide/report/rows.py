@@ -89,7 +89,7 @@ def possible_rows(result: Result) -> list[tuple[str, str, str, str]]:
 
 def if_it_were_so(result: Result) -> list[str]:
     """The most probable causes of what nothing explains, a sentence each with both errors."""
-    what = "deviations" if math.isfinite(result.before.scores.deviation_rms) else "residuals"
+    what = "averaged readings" if math.isfinite(result.before.scores.deviation_rms) else "residuals"
     return [
         f"{words} (probability {chance}): {what} {fit}, stations left out {left_out} rms."
         for chance, words, fit, left_out in possible_rows(result)

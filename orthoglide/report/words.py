@@ -9,7 +9,7 @@ from orthoglide.effects.wording import cause_short
 from orthoglide.effects.words import toward
 from orthoglide.geometry import LEGS
 from orthoglide.notes import Note
-from orthoglide.numerals import compact, probability, told_apart
+from orthoglide.numerals import compact, probability, told_apart, with_sigma
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 from orthoglide.report.claims import BESIDES, claims, spoken
 from orthoglide.report.identified import effects_named, identified_words
@@ -26,6 +26,7 @@ _SOUND = 0.05  # probability of the residuals of the base model above which they
 _MANY = 0.1  # share of excluded readings from which their number is stated
 _ROUNDED = 1.05  # ratio of the noise of a reading to what was declared from which rounding counts
 _KNOWN = 0.1  # relative uncertainty of a gain from which it is stated
+_SHOWN = 5e-5  # millimetres: a smaller uncertainty is none that four decimals show
 
 NOTHING_SHOWN = (
     "These readings show no error at all: either they were made up of a machine that has none, or "
@@ -144,7 +145,7 @@ def _weighed(result: Result) -> str:
         besides.append("small shapes of the plate")
     head = ""
     if besides[1:]:
-        head, given = f"In the model are {listed(besides)}. ", "With them"
+        head, given = f"The model contains {listed(besides)}. ", "With them"
     return f"{head}{given}, {_fall(result)}{_against_noise(result)}.{_alone(result)}"
 
 
@@ -290,9 +291,9 @@ def gain_words(action: Action) -> tuple[str, str]:
     """What it gains with its uncertainty, and whether that is a mean; empty where not known."""
     if not math.isfinite(action.gain):
         return "", ""
-    size = compact(max(action.gain, 0.0) * 1e3, 2)
-    if math.isfinite(action.gain_sigma) and action.gain_sigma > _KNOWN * action.gain:
-        size = f"{size} ± {compact(action.gain_sigma * 1e3, 2)}"
+    gain, sigma = max(action.gain, 0.0) * 1e3, action.gain_sigma * 1e3
+    uncertain = sigma > max(_KNOWN * gain, _SHOWN)  # not if it is unknown
+    size = with_sigma(gain, sigma) if uncertain else compact(gain, 2)
     mean = PLATE if action.plate else WHICHEVER
     return f"{size} mm", f" {mean}" if action.whichever else ""
 
