@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -80,8 +81,13 @@ def tiles(result: Result) -> list[Tile]:
     expected = result.numbers.expected
     stages = ("now", "zeros") if not result.stands and result.searches else _STAGES
     bar = result.numbers.names.bar
-    every = [_tile(_STAGES[name].format(bar=bar), expected[name]) for name in stages]
-    return [one for k, one in enumerate(every) if not k or one.size != every[k - 1].size]
+    told, last = [], math.inf
+    for name in stages:
+        error = expected[name]
+        if abs(error.shape - last) > error.shape_sigma:
+            told.append(_tile(_STAGES[name].format(bar=bar), error))
+            last = error.shape
+    return told
 
 
 def _tile(what: str, error: ExpectedError) -> Tile:
