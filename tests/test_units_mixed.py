@@ -129,8 +129,10 @@ def test_millimetres_and_milliradians_are_told_apart() -> None:
     said = rf"from [\d.]+ to {mm[1]:.3f} mm rms, and (falls )?from {mrad[0]:.3f} to [\d.]+ mrad rms"
     assert re.search(said, headline(verdict))
     shown = {(tile.what, tile.unit): tile for tile in before_and_after(verdict)}
-    assert float(shown["Readings", "mrad rms left"].before) == pytest.approx(mrad[0], abs=1e-3)
-    assert float(shown["Readings", "mm rms left"].after) == pytest.approx(mm[1], abs=5e-4)
+    assert float(shown["Single readings", "mrad rms left"].before) == pytest.approx(
+        mrad[0], abs=1e-3
+    )
+    assert float(shown["Single readings", "mm rms left"].after) == pytest.approx(mm[1], abs=5e-4)
     assert shown["Noise of a reading", "mrad, sigma"].after == "0.02"
     rows = {row.what: row for row in score_rows(verdict)}
     assert float(rows["residuals, rms, mrad"].before) == pytest.approx(mrad[0], abs=1e-3)
