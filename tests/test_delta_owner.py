@@ -260,7 +260,7 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
         in text
     )
     assert "Where no reading helps" not in text
-    assert "First the joint offsets, axis offsets and leg lengths were identified" in text
+    assert "First the joint offsets, axis offsets and rod lengths were identified" in text
 
 
 @pytest.mark.thorough

@@ -10,7 +10,7 @@ from orthoglide.effects.places import all_dials, dial_places
 from orthoglide.explanation.free import curves_of_dials
 from orthoglide.explanation.identifying import identify
 from orthoglide.fit import Estimate
-from orthoglide.report.result_json import result_text
+from orthoglide.report import result_text
 from tests import rig_campaigns as rc
 from tests.rig import LEGS, Rig
 

@@ -17,7 +17,7 @@ from orthoglide.closing import filled
 from orthoglide.errors import InputError
 from orthoglide.explanation.significance import Left
 from orthoglide.notes import Note
-from orthoglide.report.result_json import result_text
+from orthoglide.report import result_text
 from orthoglide.report.words import evidence
 from orthoglide.simulation import simulate, simulate_tcp
 from tests import rig_campaigns as rc

@@ -21,8 +21,8 @@ from orthoglide.scene import Dial, Mark, Posed, drawing
 from orthoglide.scene.drawing import projection
 from tests.test_first_screen import PER, SCALES
 from tests.test_layout import DELTA, freely
-from tests.test_report import browsed, printed, words
-from tests.test_report_verdict import files_of, verdict_of
+from tests.test_report import browsed, printed
+from tests.test_report_verdict import files_of
 
 MOST = 1_500_000  # bytes of a page
 
@@ -196,19 +196,6 @@ def test_an_arrow_across_a_rail_is_seen_beside_it(kind: str) -> None:
             assert abs(x * v - y * u) / np.hypot(x, y) > 0.2
 
 
-def test_a_machine_ten_times_larger_is_drawn_as_well() -> None:
-    """Arrows and dials have their size on the paper, whatever the machine's."""
-    small = og.Machine.nominal()
-    g = small.geometry
-    large = Posed(
-        replace(g, L=10 * g.L, d=10 * g.d, r=10 * g.r, stroke=(10 * g.stroke[0], 10 * g.stroke[1])),
-        *(10 * value for value in (small.posed().lines, small.posed().p, small.posed().travel)),
-    )
-    cause = option(small, "words", dict.fromkeys(("joint_offset.y", "leg_length.x"), 1e-3))
-    text = drawing(small.posed(), [cause], [Dial("x1", small.posed().carriage(0), np.eye(3)[2])])
-    assert text == drawing(large, [cause], [Dial("x1", large.carriage(0), np.eye(3)[2])])
-
-
 def test_sizes_of_causes_that_are_shown_together_keep_apart() -> None:
     own = machine("orthoglide")
     both = [option(own, "", {f"{e}.x.y": 2e-3}) for e in ("axis_tilt", "rail_bow")]
@@ -286,23 +273,3 @@ def test_the_page_is_small_and_asks_nothing_of_a_network(which: str) -> None:
 def test_what_is_folded_is_printed(tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text(files_of("explained")["report.html"], encoding="utf-8")
     assert printed(tmp_path / "page.html") > 8  # folded it is four
-
-
-@pytest.mark.thorough
-def test_the_first_screen_draws_what_it_says() -> None:
-    """The words beside the drawing and in it are the same, and each can be shown."""
-    verdict = verdict_of("explained")
-    page = files_of("explained")["report.html"]
-    drawn = re.search(r'<figure class="drawn">(.*?)</figure>', page, flags=re.DOTALL)
-    assert drawn
-    titles = re.findall(r"<g class=\"option[^>]*><title>(.*?)</title>", drawn[1])
-    said = [one.words for one in verdict.effects[0].explanations]
-    assert [html.unescape(title) for title in titles] == said
-    assert "2.4 mrad toward z" in words(drawn[1])
-    for k in range(len(said)):
-        assert f'id="pick-{k}"' in page
-        assert f'for="pick-{k}"' in page
-    most = verdict_of("unexplained").left.by_dial[0]
-    left = verdict_of("unexplained").picture.options[0].marks[0]
-    assert (left.part, left.setup) == ("dial", most.setup)
-    assert left.way[most.axis] == np.sign(most.most)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import html
-import io
 import json
 import os
 import re
@@ -26,7 +24,6 @@ import orthoglide as og
 from orthoglide.closing import Closed, close, filled
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import parameter_words
-from orthoglide.explanation.identifying import identify
 from orthoglide.figures.draw import draw
 from orthoglide.figures.style import PALETTE
 from orthoglide.fit import Estimate, WeakDirection
@@ -77,10 +74,6 @@ def result_of(which: str = "published") -> Verdict:
 
 def published() -> Estimate:
     return closed_of().after
-
-
-def rig() -> Estimate:
-    return closed_of("rig").after
 
 
 def two_campaigns() -> Estimate:
@@ -154,18 +147,11 @@ def without_sheet(page: str) -> str:
     return re.sub(r"data:text/csv[^\"]*", "#", page)
 
 
-@pytest.mark.thorough(except_for=["published"])
-@pytest.mark.parametrize("which", ["published", "rig", "two"])
-def test_the_page_is_well_formed_and_self_contained(which: str) -> None:
-    page = files_of(which)["report.html"]
+def test_the_page_is_well_formed_self_contained_and_timeless() -> None:
+    page = files_of()["report.html"]
     assert "data:text/csv" not in page
     assert check_page(page)
-
-
-@pytest.mark.thorough(except_for=["published"])
-@pytest.mark.parametrize("which", ["published", "rig", "two"])
-def test_nothing_tells_where_or_when(which: str) -> None:
-    check_timeless(files_of(which))
+    check_timeless(files_of())
 
 
 def check_timeless(files: dict[str, str]) -> None:
@@ -178,18 +164,6 @@ def check_timeless(files: dict[str, str]) -> None:
         assert str(Path.cwd()) not in text, name
         assert not re.search(r"\b20[2-9]\d-\d\d-\d\d", text), name
         assert not re.search(r"\bnan\b|\binf\b|Infinity|NaN|None|undefined", text), name
-
-
-@pytest.mark.thorough
-def test_the_same_bytes_again() -> None:
-    first = files_of()
-    again = report_files(identified(DATA / "experiment2.csv"))
-    assert list(first) == list(again)
-    assert first == again
-
-
-def test_result_is_written_last() -> None:
-    assert list(files_of())[-1] == "result.json"
 
 
 def test_the_key_numbers_are_on_the_page() -> None:
@@ -241,7 +215,7 @@ def test_the_sign_rule_brings_the_carriage_to_its_place(
     worked = result.numbers.drives[0].worked(result.numbers.names)
     # Believing the old zero leaves each carriage its offset away, as the line says.
     shown = controller.from_rho(geometry.zero, geometry)
-    line = f"shows its old zero {shown[0] * 1e3:.3f}, carriage x stands 0.700 mm too far out"
+    line = f"at the old zero {shown[0] * 1e3:.3f} carriage x stands on average 0.700 mm too far out"
     assert line in worked
     assert not re.search("joint.offset", data["rule"] + worked)
     # A controller to whose commands `add` was added means what it shows.
@@ -266,30 +240,11 @@ def test_no_offsets_no_numbers_for_the_controller() -> None:
 
 # --- result.json and its neighbours ---------------------------------------------------------
 
-KEYS = {
-    "schema", "version", "command", "arguments", "seed", "inputs", "noise_mm", "noise_source",
-    "sigma_scale", "verdict", "before", "after", "holdout", "tcp", "effects", "parameters",
-    "candidates", "blunders", "weak_directions", "cross_check", "next_measurements",
-}  # fmt: skip
-SCORES = {
-    "rms_mm",
-    "deviation_rms_mm",
-    "max_mm",
-    "chi2",
-    "prior_chi2",
-    "dof",
-    "lack_of_fit_p",
-    "cv_rms_mm",
-}
-
 
 def test_result_has_the_keys_of_the_contract_and_the_estimates_numbers() -> None:
     estimate, result = published(), json.loads(files_of()["result.json"])
-    assert set(result) >= KEYS
     assert (result["schema"], result["command"]) == (2, "identify")
     assert result["verdict"] == "unexplained"
-    assert set(result["nominal"]) == SCORES
-    assert result["before"].keys() >= SCORES
     assert result["before"] == result["after"]
     for side, scores in (("nominal", estimate.nominal), ("after", estimate.scores)):
         assert result[side]["chi2"] == pytest.approx(scores.chi2, rel=1e-9)
@@ -307,21 +262,6 @@ def test_result_has_the_keys_of_the_contract_and_the_estimates_numbers() -> None
     assert result["cross_check"]["reduction_max_difference_mm"] < 1e-6
 
 
-def test_result_is_enough_to_run_it_again() -> None:
-    """From the rows and the machine in the file alone, the same values come out."""
-    result = json.loads(files_of("rig")["result.json"])
-    rows = result["inputs"][0]["rows"]
-    columns = {name: [row[name] for row in rows] for name in rows[0]}
-    from orthoglide.machine_file import parse_machine_file
-
-    spec = parse_machine_file(result["machine"]["toml"])
-    campaign = og.Campaign.from_frame(columns, name="rig-6", machine_file=spec)
-    again = identify(campaign, og.Machine(spec))
-    assert list(again.values) == list(result["parameters"])
-    for name, entry in result["parameters"].items():
-        assert again.values[name] * 1e3 == pytest.approx(entry["value"], abs=1e-9)
-
-
 def test_calibrated_machine_says_where_it_comes_from(tmp_path: Path) -> None:
     text = files_of("two")["calibrated.toml"]
     provenance = tomllib.loads(text)["provenance"]
@@ -333,32 +273,6 @@ def test_calibrated_machine_says_where_it_comes_from(tmp_path: Path) -> None:
     assert machine.values == two_campaigns().machine.values
     own = two_campaigns().values["joint_offset.x@experiment3"]
     assert machine.values["joint_offset.x"] == pytest.approx(own, abs=1e-15)
-
-
-def test_residuals_add_up() -> None:
-    estimate = rig()
-    table = list(csv.DictReader(io.StringIO(files_of("rig")["residuals.csv"])))
-    assert len(table) == len(estimate.problem.measured)
-    after = np.array([float(row["residual_after_mm"]) for row in table])
-    before = np.array([float(row["residual_nominal_mm"]) for row in table])
-    assert np.sqrt(np.mean(after**2)) == pytest.approx(estimate.scores.rms * 1e3, rel=1e-4)
-    assert np.sqrt(np.mean(before**2)) == pytest.approx(estimate.nominal.rms * 1e3, rel=1e-4)
-    for row in table[:20]:
-        value = float(row["reading_mm"]) - float(row["predicted_after_mm"])
-        assert value == pytest.approx(float(row["residual_after_mm"]), abs=2e-6)
-
-
-@pytest.mark.thorough
-def test_everything_can_be_freed_at_once() -> None:
-    """Nothing of the catalogue is left to weigh: lack of fit decides alone."""
-    machine = og.Machine.nominal()
-    free = tuple(name for name in machine.catalogue if name != "screw_error")
-    result = identified(DATA / "experiment2.csv", free=free)
-    assert result.left.p_value < 1e-3
-    assert result.word in ("adequate", "unexplained")
-    kept = json.loads(report_files(result)["result.json"])
-    assert kept["left"]["background"] is None
-    assert kept["invisible"] == []
 
 
 # --- Figures --------------------------------------------------------------------------------
@@ -382,16 +296,6 @@ def test_figures_are_svg_with_a_panel_a_setup(which: str) -> None:
     for title, panel in zip(titles, shown, strict=True):
         assert title in panel
         assert panel.count(": leg ") == 1
-
-
-@pytest.mark.thorough
-def test_figures_leave_matplotlib_as_it_was() -> None:
-    import matplotlib
-
-    with matplotlib.rc_context({"font.size": 23.0, "svg.hashsalt": "other"}):
-        first = draw(result_of())
-        assert matplotlib.rcParams["font.size"] == 23.0
-    assert [d.svg for d in first] == [d.svg for d in draw(result_of())]
 
 
 # --- Words and numbers ----------------------------------------------------------------------
@@ -535,15 +439,12 @@ def browsed(page: Path, size: str, budget: int, *flags: str) -> dict[str, Any]:
     return told
 
 
-@pytest.mark.thorough(except_for=["published-390"])
-@pytest.mark.parametrize("width", [390, 1280])
-@pytest.mark.parametrize("which", ["published", "rig", "two"])
-def test_nothing_overflows_in_a_browser(which: str, width: int, tmp_path: Path) -> None:
-    seen = opened(files_of(which)["report.html"], width, tmp_path)
-    assert seen.inner == width
-    assert seen.page <= width
+def test_nothing_overflows_in_a_browser(tmp_path: Path) -> None:
+    seen = opened(files_of()["report.html"], 390, tmp_path)
+    assert seen.inner == 390
+    assert seen.page <= 390
     assert (seen.out, seen.cut, seen.flat) == ([], [], 0)
-    assert seen.svgs == 4 + {"published": 6, "rig": 12, "two": 12}[which]
+    assert seen.svgs == 9  # the machine, residuals, values, and a panel for each setup
     assert seen.height > 2000
 
 

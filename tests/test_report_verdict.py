@@ -99,25 +99,18 @@ def short(name: str) -> str:
     return cause_short(CATALOGUE, name)
 
 
-@pytest.mark.parametrize("which", CASES)
-def test_the_cases_are_what_they_are_called(which: str) -> None:
-    verdict = verdict_of(which)
-    assert verdict.word == ("explained" if which == "faulty" else which)
-    assert bool(verdict.blunders) == (which == "faulty")
-
-
 # --- The page -------------------------------------------------------------------------------
 
 
-@pytest.mark.thorough(except_for=["explained", "faulty"])
 @pytest.mark.parametrize("which", CASES)
-def test_the_page_is_well_formed_and_self_contained(which: str) -> None:
-    check_page(files_of(which)["report.html"])
-
-
-@pytest.mark.parametrize("which", CASES)
-def test_what_is_read_first_keeps_the_laws_of_the_page(which: str) -> None:
-    page = files_of(which)["report.html"]
+def test_the_page_keeps_its_laws(which: str) -> None:
+    """It is well formed, self-contained and timeless, and reads plainly from the top."""
+    page, verdict = files_of(which)["report.html"], verdict_of(which)
+    assert verdict.word == ("explained" if which == "faulty" else which)
+    assert bool(verdict.blunders) == ('id="faults"' in page) == (which == "faulty")
+    check_page(page)
+    check_timeless(files_of(which))
+    assert not re.search(r"[a-z]\.\.(?!\.)", words(page))
     assert not [*broken(page, dials=True)]
     assert not too_long(headline(verdict_of(which)))
     order = ['class="word', 'class="sentence"', 'class="tiles tool"', 'class="drawn"', "What to do"]
@@ -144,37 +137,12 @@ def test_the_laws_of_the_page_see_what_breaks_them() -> None:
     assert too_long("short. " + "word " * 31 + "end.")
 
 
-@pytest.mark.thorough(except_for=["explained", "faulty"])
-@pytest.mark.parametrize("which", CASES)
-def test_nothing_tells_where_or_when(which: str) -> None:
-    check_timeless(files_of(which))
-
-
 @pytest.mark.thorough(except_for=["faulty"])
 @pytest.mark.parametrize("which", CASES)
 def test_the_same_bytes_again(which: str) -> None:
     verdict = verdict_of(which)
     assert report_files(verdict) == files_of(which)
     assert list(files_of(which))[-1] == "result.json"
-
-
-SECTIONS = {
-    "explained": {"causes", "apart", "next"},
-    "partial": {"causes", "apart", "left", "next"},
-    "unexplained": {"causes", "left", "next"},
-    "faulty": {"faults", "causes", "apart"},
-}
-
-
-@pytest.mark.thorough(except_for=["explained", "faulty"])
-@pytest.mark.parametrize("which", CASES)
-def test_sections_stand_where_they_say_something(which: str) -> None:
-    ids = set(re.findall(r'<section id="(\w+)"', files_of(which)["report.html"]))
-    always = {"finding", "controller", "judged", "workspace", "values", "readings", "method"}
-    assert always <= ids
-    sometimes = {"faults", "causes", "apart", "left", "next"}
-    assert SECTIONS[which] <= ids
-    assert ids & (sometimes - {"next"}) == SECTIONS[which] - {"next"}
 
 
 @pytest.mark.parametrize("which", CASES)
@@ -256,8 +224,9 @@ def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
     assert text.startswith("The path of the y carriage is out of square toward z by 2.4 mrad")
     said = "Or the y rail leans toward z by 2.4 mrad (0.24 mm over 100 mm) and its carriage with"
     assert said in text
-    assert "0.043 to 0.003 mm rms, which is the noise of the dial (0.0058 mm)" in text
-    assert "no single cause explains the difference" in headline(verdict_of("unexplained"))
+    assert "0.043 to 0.003 mm rms. Single readings are left with 0.00" in text
+    assert "no more than the noise of the dial (0.0058 mm)" in text
+    assert "No single cause explains the difference" in headline(verdict_of("unexplained"))
     partial = headline(verdict_of("partial"))
     assert "Something else is wrong as well" in partial
     assert "Or the y rail leans" in partial
@@ -271,37 +240,6 @@ def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
     assert re.search(rf"{left_out} of \d+ readings do not count", told)
 
 
-@pytest.mark.parametrize("which", CASES)
-def test_sentences_end_once(which: str) -> None:
-    assert not re.search(r"[a-z]\.\.(?!\.)", words(files_of(which)["report.html"]))
-
-
-@pytest.mark.thorough
-def test_a_rival_is_said_with_its_own_value_and_sign() -> None:
-    """Fitted in the cause's place, it may have the other sign."""
-    machine = rig_machine()
-    verdict = close_loop(og.read_campaign(RIG / "rig-4.csv", machine.spec), machine)
-    (cause_found,) = verdict.effects
-    rivals = {rival.name: rival for rival in cause_found.rivals}
-    rival = rivals["axis_offset.y.x"]
-    assert rival.values["axis_offset.y.x"] == pytest.approx(-4.12e-4, abs=2e-6)
-    text = "the y rail stands 0.41 mm beside its place, toward −x"
-    assert rival.words == text
-    files = report_files(verdict)
-    (effect,) = json.loads(files["result.json"])["effects"]
-    kept = {r["name"]: r for r in effect["rivals"]}["axis_offset.y.x"]
-    assert kept["value"] == pytest.approx(-0.412, abs=2e-3)
-    assert 0 < kept["sigma"] < 0.1
-    assert (kept["unit"], kept["words"]) == ("mm", text)
-    assert f"Or {text}" in headline(verdict)
-    assert text in words(files["report.html"])
-    remark = " ".join(files["calibrated.toml"].partition("schema")[0].replace("#", "").split())
-    assert remark.startswith("Averages: the readings cannot tell axis_offset.z.x, axis_offset.y.x")
-    assert "hold the average over them" in words(files["report.html"])
-    assert "toward x:" not in headline(verdict)
-    assert text in " ".join(summary(verdict).split())
-
-
 def test_the_list_counts_the_readings_of_the_sheet() -> None:
     files = files_of("explained")
     result = json.loads(files["result.json"])
@@ -309,21 +247,6 @@ def test_the_list_counts_the_readings_of_the_sheet() -> None:
     taken = [row for row in csv.DictReader(io.StringIO(files["next_measurements.csv"]))
              if row["kind"] != "move"]  # fmt: skip
     assert f"a report proposes {len(taken)} readings" in result["actions"][-1]["words"]
-
-
-def test_what_is_left_and_no_larger_than_the_noise_is_said_so() -> None:
-    """A verdict by pattern does not pretend that a size exceeds the noise."""
-    verdict = verdict_of("partial")
-    scores = replace(verdict.after.scores, rms=0.8 * verdict.noise.single_reading.length)
-    text = headline(replace(verdict, after=replace(verdict.after, scores=scores)))
-    assert "no larger than the dial's noise" in text
-    assert "by its pattern" in text
-    assert "by its pattern" not in headline(verdict)
-
-
-def test_the_tcp_tile_says_what_was_removed() -> None:
-    tile = next(t for t in before_and_after(verdict_of("explained")) if t.what.startswith("TCP"))
-    assert tile.what == "TCP, best shift removed"
 
 
 def test_numbers_are_withheld_where_the_verdict_says_not_to_act() -> None:
@@ -342,52 +265,6 @@ def test_a_machine_with_nothing_wrong() -> None:
     assert "othing else is wrong that these readings could show" in headline(verdict)
     page = report_files(verdict)["report.html"]
     assert not {"apart", "left", "faults"} & set(re.findall(r'section id="(\w+)"', page))
-
-
-def same_words(name: str) -> list[str]:
-    """A sine and a cosine are one cause; every other parameter has words of its own."""
-    leg = ".".join(name.split(".")[:2])
-    return [name] if not name.endswith((".sin", ".cos")) else [f"{leg}.sin", f"{leg}.cos"]
-
-
-@pytest.mark.parametrize("name", CATALOGUE.parameters)
-def test_every_parameter_can_be_said(name: str) -> None:
-    leg = name.split(".")[1]
-    for value in (1e-3, -1e-3):
-        text = cause(name, {name: value})
-        assert re.search(rf"\b{leg}\b", text)
-        assert not re.search(r"[{}_]|nan", text)
-    assert re.search(rf"\b{leg}\b", short(name))
-    assert not re.search(r"[{}_]|nan|\d", short(name))  # the same for every size
-    assert [n for n in CATALOGUE.parameters if short(n) == short(name)] == same_words(name)
-    opposite = cause(name, {name: -1e-3})
-    unsigned = CATALOGUE.effect_of(name).paired  # an amplitude
-    assert name.startswith(("joint_offset", "mount_tilt", "drive_c", "thermal")) or (
-        unsigned or opposite != cause(name, {name: 1e-3})
-    )
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "said"),
-    [
-        ("rail_bow.x.z", 1e-4, "its middle stands 0.1 mm toward −z"),
-        ("axis_offset.z.x", -5e-4, "the z rail stands 0.5 mm beside its place, toward −x"),
-        ("bar_mismatch.z", 2e-3, "bar 1 of leg z is 2 mm longer than bar 2"),
-        ("parallelogram_width.y", -1e-3, "is 1 mm narrower than the one at the carriage"),
-        ("encoder_scale.y", -3e-3, "drive y moves 0.3 % less than it is told"),
-        ("axis_tilt.x.y", -2e-3, "toward −y by 2 mrad (0.2 mm over 100 mm)"),
-        ("axis_tilt.cyclic", 1e-3, "in a threefold pattern (x toward y and −z"),
-        ("axis_offset.zx.symmetric", -1e-3, "z toward −x and x toward −z by 1 mm"),
-        ("axis_offset.zx.antisymmetric", 1e-3, "z toward x and x toward −z by 1 mm"),
-        ("backlash.common", 5e-5, "the drives have lost motion, all by 0.05 mm"),
-        ("mount_tilt.b.common", -2e-3, "all by 2 mrad about their pivots, left-handed"),
-        ("backlash.x@day-2", 5e-5, "drive x has 0.05 mm of lost motion (day-2)"),
-        ("gauge_scale.left", 0.02, "the dial of left shows 2 % more"),
-        ("gauge_drift.left", 1e-8, "its reading grows by 0.036 mm an hour"),
-    ],
-)
-def test_size_and_direction(name: str, value: float, said: str) -> None:
-    assert said in cause(name, {name: value})
 
 
 def test_blocks_are_said_by_their_size() -> None:
@@ -468,11 +345,6 @@ def test_what_speaks_against_acting_is_told_everywhere(worse: bool) -> None:
         assert any(text in w for w in warnings) == wanted
         assert (text in said) == wanted
         assert files["report.html"].count(text) == wanted
-
-
-def test_what_stands_is_not_warned_of() -> None:
-    assert verdict_of("explained").cautions == ()
-    assert verdict_of("unexplained").cautions == ()
 
 
 def test_faults_carry_the_lines_of_the_file() -> None:

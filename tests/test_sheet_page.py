@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -14,10 +13,8 @@ from click.testing import CliRunner
 import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.report.sheet import sheet_page
-from tests.rig import Rig
-from tests.rig_campaigns import APPROACH, Row, approaches, read_csv, simulate
+from tests.rig_campaigns import read_csv
 from tests.test_report import printed
-from tests.test_report_verdict import files_of
 
 CELL = re.compile(r"<td[^>]*class=\"([^\"]*)\"[^>]*>(.*?)</td>|<td>(.*?)</td>", re.S)
 
@@ -61,14 +58,6 @@ def test_page_and_file_have_the_same_rows_in_the_same_order(
     words: tuple[str, ...], tmp_path: Path
 ) -> None:
     compare(written(tmp_path, *words))
-
-
-@pytest.mark.thorough
-def test_what_a_report_proposes_is_printed_as_well(tmp_path: Path) -> None:
-    files = files_of("unexplained")
-    for name in ("next_measurements.csv", "next_measurements.html"):
-        (tmp_path / name).write_text(files[name], encoding="utf-8")
-    compare(tmp_path / "next_measurements.csv")
 
 
 def compare(path: Path) -> None:
@@ -127,12 +116,6 @@ def test_the_page_says_where_each_dial_stands_and_which_way_it_counts() -> None:
     assert "grow when the leg moves toward −x; if it falls, write x in column" in told
 
 
-def test_a_sheet_for_a_machine_without_a_name_begins_with_a_word() -> None:
-    machine = og.Machine(replace(og.Machine.nominal().spec, name=""))
-    page = sheet_page(og.protocol("standard"), machine, "s")
-    assert "<p>The machine: 54 readings" in page
-
-
 def test_every_page_shows_where_its_dials_stand(tmp_path: Path) -> None:
     page = written(tmp_path, "protocol").with_suffix(".html").read_text(encoding="utf-8")
     titles = re.findall(r"<svg class=\"machine\".*?<title>(.*?)</title>", page, re.S)
@@ -147,35 +130,3 @@ def test_nothing_is_written_where_one_of_both_stands(tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert "sheet.html" in result.output
     assert [p.name for p in tmp_path.iterdir()] == ["sheet.html"]
-
-
-@pytest.mark.thorough
-def test_a_sheet_driven_by_its_page_names_what_is_wrong(tmp_path: Path) -> None:
-    """Driven row by row off the page, on the independent machine; filled in by line."""
-    path = written(tmp_path, "protocol", "--kind", "sweep")
-    rows = read_csv(path)
-    driven: list[Row] = []
-    for lines, _, commands, _ in steps(path.with_suffix(".html").read_text(encoding="utf-8")):
-        for line in lines:
-            there = {f"rho_{axis}_mm": c for axis, c in zip("xyz", commands, strict=True)}
-            driven.append(rows[line - 2] | there | {"line": line})
-    near = approaches(driven)
-    read = [
-        row | dict(zip(APPROACH, map(float, side), strict=True))
-        for row, side in zip(driven, near, strict=True)
-        if row["kind"] != "move"
-    ]
-    rig = Rig(errors={"backlash.y": 0.12e-3, "joint_offset.x": 0.4e-3})
-    taken = simulate(rig, read, np.random.default_rng(3))
-    by_line = {row["line"]: row["reading_mm"] for row in taken}
-    with open(path, newline="", encoding="utf-8") as file:
-        cells = list(csv.reader(file))
-    at = cells[0].index("reading_mm")
-    for line, reading in by_line.items():
-        cells[line - 1][at] = str(reading)
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows(cells)
-    verdict = og.close_loop(path)
-    assert [e.name for e in verdict.effects] == ["backlash.y"]
-    assert verdict.values["backlash.y"] == pytest.approx(0.12e-3, rel=0.1)
-    assert verdict.values["joint_offset.x"] == pytest.approx(0.4e-3, abs=0.05e-3)

@@ -11,16 +11,14 @@ import numpy as np
 import pytest
 
 from orthoglide.closing import Closed, filled
-from orthoglide.explanation.identifying import identify
 from orthoglide.fit import Estimate
 from orthoglide.machine import Machine
-from orthoglide.machine_file import Dial
 from orthoglide.notes import Note
 from orthoglide.observations import Readings
-from orthoglide.report import report_files, result_text, summary
+from orthoglide.report import report_files, result_text
 from orthoglide.report.rows import score_rows
 from orthoglide.report.sections import before_and_after
-from orthoglide.report.words import headline, where_left
+from orthoglide.report.words import headline
 from orthoglide.result import Request
 from orthoglide.verdict import Verdict, close_loop, run
 from tests import rig_campaigns as rc
@@ -97,16 +95,6 @@ def test_what_is_left_at_the_tool_is_told_and_followed_there() -> None:
     assert not any("shows on leg" in option.words for option in verdict.picture.options)
 
 
-@pytest.mark.thorough
-def test_a_single_dial_is_not_all_dials() -> None:
-    left = odd_tool().left
-    only = replace(left, mountings=(replace(left.by_dial[0], share=1.0),))
-    one = replace(odd_tool(), left=only)
-    assert "largest on leg" in where_left(one)
-    assert "(100 % of it)" in where_left(one)
-    assert "though" not in where_left(one)
-
-
 TWISTED = {**ERRORS, "mount_tilt.x.a": 0.012}
 
 
@@ -114,11 +102,6 @@ TWISTED = {**ERRORS, "mount_tilt.x.a": 0.012}
 def with_level() -> Closed:
     """A hinge that hardly moves the tool, and turns the platform."""
     return studied([tool(("tcp", "incline"), errors=TWISTED)], MACHINE)
-
-
-@cache
-def level_alone() -> Closed:
-    return studied([tool(("incline",), errors=TWISTED)], MACHINE)
 
 
 def left_of(closed: Closed, of: str, stage: Estimate) -> float:
@@ -146,28 +129,16 @@ def test_millimetres_and_milliradians_are_told_apart() -> None:
     said = rf"from [\d.]+ to {mm[1]:.3f} mm rms, and (falls )?from {mrad[0]:.3f} to [\d.]+ mrad rms"
     assert re.search(said, headline(verdict))
     shown = {(tile.what, tile.unit): tile for tile in before_and_after(verdict)}
-    assert float(shown["Readings", "mrad rms left"].before) == pytest.approx(mrad[0], abs=1e-3)
-    assert float(shown["Readings", "mm rms left"].after) == pytest.approx(mm[1], abs=5e-4)
+    assert float(shown["Single readings", "mrad rms left"].before) == pytest.approx(
+        mrad[0], abs=1e-3
+    )
+    assert float(shown["Single readings", "mm rms left"].after) == pytest.approx(mm[1], abs=5e-4)
     assert shown["Noise of a reading", "mrad, sigma"].after == "0.02"
     rows = {row.what: row for row in score_rows(verdict)}
     assert float(rows["residuals, rms, mrad"].before) == pytest.approx(mrad[0], abs=1e-3)
     assert float(rows["largest residual, mm"].after) < 4 * mm[1]
     assert f"{mrad[1]:.4f} mrad" in repr(after)
     assert f"{mm[1]:.4f} mm" in repr(after)
-
-
-@pytest.mark.thorough
-def test_of_a_level_alone_nothing_is_in_millimetres() -> None:
-    closed, verdict = level_alone(), filled(level_alone(), Verdict)
-    told = json.loads(result_text(verdict))
-    assert told["noise_mm"] is None
-    assert told["before"]["rms_mm"] is None
-    assert told["before"]["rms_mrad"] == pytest.approx(left_of(closed, "incline", closed.before))
-    assert " mrad rms, which is the noise" in headline(verdict)
-    assert " mm rms" not in headline(verdict)
-    assert {tile.unit.split()[0].strip(",") for tile in before_and_after(verdict)} == {"mrad"}
-    assert not any(", mm" in row.what for row in score_rows(verdict))
-    assert " mm" not in repr(closed.after)
 
 
 def test_what_readings_do_not_see_is_not_called_nominal() -> None:
@@ -197,35 +168,8 @@ def test_residuals_stand_under_their_units() -> None:
         assert row["direction"] in set("xyz")
 
 
-FEW_NOISES = {"plate": 2e-5, "incline": 2e-5}
-
-
 def quiet(verdict: Verdict) -> list[Note]:
     return [note for note in verdict.after.warnings if note.kind == "quiet"]
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("kind", "factor", "unit"), [("incline", 57.3, "degrees"), ("plate", 25.4, "inches")]
-)
-def test_readings_in_a_large_unit_are_asked_about(kind: str, factor: float, unit: str) -> None:
-    """They are so small that any machine fits them: nothing was said of it."""
-    given = tool((kind,), FEW_NOISES[kind])
-    small = replace(given, reading=given.reading / factor)
-    verdict = close_loop([small], MACHINE)
-    assert verdict.word == "adequate"  # of an instrument that is simply better it would be right
-    (note,) = quiet(verdict)
-    assert note.startswith(f"tool, setup '{kind}': the readings are ")
-    times = float(re.search(r"are ([\d.]+) times quieter", note)[1])
-    assert 0.5 * factor < times < 2 * factor
-    assert ("0.02 mrad" if kind == "incline" else "0.02 mm") + ", the usual figure" in note
-    assert f"as {unit}?" in note
-    assert note in json.loads(result_text(verdict))["warnings"]
-    assert "times quieter" in " ".join(summary(verdict).split())
-    assert "times quieter" in report_files(verdict)["report.html"]
-    # Of the same readings in their unit, and of an instrument four times better, nothing is said.
-    assert not quiet(close_loop([given], MACHINE))
-    assert not quiet(close_loop([tool((kind,), FEW_NOISES[kind] / 4)], MACHINE))
 
 
 def test_an_instrument_beside_others_is_asked_about_by_itself() -> None:
@@ -233,15 +177,3 @@ def test_an_instrument_beside_others_is_asked_about_by_itself() -> None:
     small = np.where(given.of_kind("incline"), given.reading / 57.3, given.reading)
     (note,) = quiet(close_loop([replace(given, reading=small)], MACHINE))
     assert "setup 'incline'" in note
-
-
-@pytest.mark.thorough
-def test_exact_dials_are_asked_about_unless_that_was_declared() -> None:
-    read = dials()
-    exact = read.with_readings(MACHINE.model.readings({"joint_offset.x": 5e-4}, read))
-    unknown = Machine(replace(MACHINE.spec, dial=Dial(resolution=0.0, repeatability=5e-6)))
-    (note,) = [n for n in identify(exact, unknown).warnings if n.kind == "quiet"]
-    assert "dials: the readings are more than 1000 times quieter" in note
-    assert "0.005 mm, as the machine file has it" in note
-    declared = identify(exact, unknown, noise=1e-9, method="nested")
-    assert not [n for n in declared.warnings if "times quieter" in n]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import re
 import sys
-import webbrowser
 import xml.etree.ElementTree as ET
 from functools import cache
 from pathlib import Path
@@ -17,12 +16,9 @@ from click.testing import CliRunner
 
 import orthoglide as og
 from orthoglide.cli import cli
-from orthoglide.effects.loading import load_effects
 from orthoglide.errors import FileError, InputError
 from orthoglide.machine_file import MachineFile
 from orthoglide.mechanism.tree import load
-from orthoglide.mechanism.visual import RailPath
-from orthoglide.pictures import SHOWN
 from orthoglide.viewer import Magnified, show, static_page
 from tests.test_layout import DELTA
 from tests.test_report import browsed
@@ -225,16 +221,6 @@ def test_a_rail_is_drawn_along_the_path_of_its_carriage() -> None:
     np.testing.assert_array_equal(bent.places[straight], plain.places[straight])
 
 
-def test_beyond_the_stroke_a_path_goes_on_straight() -> None:
-    travel = np.linspace(-0.1, 0.1, 21)
-    aside = np.outer(travel, [0.0, 0.2, 0.0])
-    path = RailPath(np.zeros(3), np.array([1.0, 0.0, 0.0]), travel, aside)
-    for along in (-0.3, 0.0, 0.25):
-        moved, direction = path.at(along)
-        np.testing.assert_allclose(moved, [0.0, 0.2 * along, 0.0], atol=1e-12)
-        np.testing.assert_allclose(direction, [1.0, 0.2, 0.0], atol=1e-12)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_tool_moves_to_and_fro_along_each_axis(kind: str) -> None:
     keys = scene(kind, 1.0).animations[
@@ -265,15 +251,6 @@ def test_a_machine_shows_itself_and_writes_its_page(
     np.testing.assert_allclose(drawn.tools(own.geometry, "nominal")[0], start, atol=1e-9)
     with pytest.raises(FileError, match=r"machine\.html"):
         own.show(out=out)
-
-
-def test_conditions_count_as_they_do_for_a_pose() -> None:
-    own = og.Machine.nominal().with_parameters({"backlash.x": 2e-3})
-    rho = own.geometry.zero
-    drawn = Magnified(own.model, own.values, SHOWN, 1.0)
-    tool = Scene(static_page(show(drawn, rho), drawn, "")).tools(own.geometry)[0]
-    np.testing.assert_allclose(tool, own.forward(rho, **SHOWN), atol=1e-9)
-    assert np.abs(tool - own.forward(rho)).max() > 5e-4
 
 
 @pytest.mark.parametrize(
@@ -321,25 +298,3 @@ def test_view_writes_a_page(tmp_path: Path) -> None:
     again = CliRunner().invoke(cli, asked)
     assert again.exit_code == 2
     assert out.read_text(encoding="utf-8") == page
-
-
-def test_view_opens_a_browser_or_prints_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
-    opened: list[str] = []
-    monkeypatch.setattr(webbrowser, "open", lambda url, **_: opened.append(url))
-    told = CliRunner().invoke(cli, ["view", "--no-open"])
-    assert (told.exit_code, opened) == (0, [])
-    assert re.match(r"http://127\.0\.0\.1:\d+/static/ shows the machine, without err", told.output)
-    told = CliRunner().invoke(cli, ["view"])
-    assert told.exit_code == 0
-    assert [url in told.output for url in opened] == [True]
-
-
-def test_view_reads_ones_own_effects(tmp_path: Path) -> None:
-    own = og.Machine.nominal().with_effects(load_effects(Path(OWN_FILE)))
-    own.with_parameters({"carriage_play.y.b": 1.5e-4}).save(tmp_path / "worn.toml")
-    asked = ["view", str(tmp_path / "worn.toml"), "--out", str(tmp_path / "worn.html")]
-    assert CliRunner().invoke(cli, asked).exit_code == 2
-    told = CliRunner().invoke(cli, [*asked, "--effects-file", OWN_FILE])
-    assert told.exit_code == 0, told.output
-    missing = CliRunner().invoke(cli, ["view", str(tmp_path / "nowhere.toml")])
-    assert missing.exit_code == 2

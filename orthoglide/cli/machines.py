@@ -124,7 +124,7 @@ def compare(
       orthoglide compare --machine april/calibrated.toml --out comparison
     """
     from orthoglide.comparison import compare_effects, compare_machine, worst_by_effect
-    from orthoglide.comparison.files import comparison_files
+    from orthoglide.comparison.tables import comparison_files
     from orthoglide.report import write_folder
 
     known = machine.load()

@@ -1,4 +1,4 @@
-"""What to do about a machine, in the order of what it gains: the budget turned into work."""
+"""What to do about a machine, largest gain first, and what to measure next."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from orthoglide.result import Action, Suspect, Withheld
 
 if TYPE_CHECKING:
     from orthoglide.closing.closed import Closed
+    from orthoglide.planning import Suggestion
 
 _AGAIN = "numbers and commands made before {} hold no longer: take those of this result"
 _LOST = "the stated errors of the tool leave lost motion out: "
@@ -26,18 +27,19 @@ _DIAL_TURNS = (
     "readings"
 )
 _PLAIN = "for which nothing is changed on the machine"
-_INSTEAD = "in place of new zeros and never with them, for a gain beyond theirs"
+_INSTEAD = "in place of new zeros, never with them, for a further gain"
 _MEND = "Look, confirm and put right, then measure again"
 _SCATTERS = (
     "Before more is measured, look for what is loose, or correct the noise that was declared"
 )
+_MOST_RIVALS = 6  # between which readings are proposed
 _NO_GAIN = 1e-9  # metres: differences of gain below are rounding
 _SURELY = 2.0  # standard deviations by which a gain must exceed nothing
 _WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth a line
 
 
 def actions(closed: Closed) -> tuple[Action, ...]:
-    """What to do, most gain first; what decides before everything where the verdict is open.
+    """Return what to do, largest gain first; readings come first where the verdict depends on them.
 
     Nothing is to be entered or mended where the verdict warns against it, or where the firmware's
     own calibration comes first.
@@ -57,8 +59,8 @@ def actions(closed: Closed) -> tuple[Action, ...]:
 
 
 def _one_of_two(done: list[Action]) -> list[Action]:
-    """Actions of which those that take the place of one another say so: new zeros and compensated
-    commands together would correct the zeros twice, and either holds what is then put right.
+    """Return actions of which alternatives say so: new zeros and compensated commands together
+    would correct the zeros twice, and both hold only until something is repaired.
     """
     kinds = [action.kind for action in done]
     both, mended = {"zeros", "compensate"} <= set(kinds), "mend" in kinds
@@ -69,7 +71,7 @@ def _one_of_two(done: list[Action]) -> list[Action]:
             if both and action.kind == "compensate":
                 words = words.replace(_PLAIN, _INSTEAD, 1)
             later = not {"zeros", "compensate", "mend"}.isdisjoint(kinds[:k])
-            if lead := ", ".join(["or"] * later + ["as the machine is now"] * mended):
+            if lead := ", ".join(["or"] * later + ["as long as nothing is repaired"] * mended):
                 lead = f"{lead[:1].upper()}{lead[1:]}{',' * mended}"
                 words = f"{lead} {words[:1].lower()}{words[1:]}"
         told.append(replace(action, words=words))
@@ -100,8 +102,9 @@ def _zeros(closed: Closed) -> Iterator[Action]:
 def _found(
     closed: Closed, kind: Literal["confirm", "mend"], zeros: bool = False
 ) -> Iterator[Action]:
-    """Causes, places and changes found, each with what to look at and what it gains; new ``zeros``
-    to be entered correct what changed of a drive's zero too.
+    """Yield causes, located errors and changes, each with the parts to look at and its gain.
+
+    New ``zeros`` to be entered correct a change of a drive's zero too.
     """
     found = [item for item in closed.budget if not item.rest]
     gains = {item.cause: (item.gain, item.gain_sigma) for item in found}
@@ -136,7 +139,7 @@ def _found(
 
 
 def loses(found: Cause | Located | Change) -> bool:
-    """Whether it may be lost motion, which the tool's expected errors leave out."""
+    """Return whether it may be lost motion, which the expected errors of the tool exclude."""
     if isinstance(found, Located):
         return any(curve.place.loses for curve in found.members)
     one = found.chosen if isinstance(found, Cause) else found
@@ -145,7 +148,7 @@ def loses(found: Cause | Located | Change) -> bool:
 
 
 def _made_up(found: Cause | Located) -> str:
-    """What makes up for lost motion, if anything does."""
+    """Return what compensates for lost motion, a clause."""
     if isinstance(found, Located):
         if not all(curve.place.in_model for curve in found.members):
             return "neither a controller nor orthoglide compensate makes up for all that it may be"
@@ -159,14 +162,14 @@ def _made_up(found: Cause | Located) -> str:
 
 
 def _of_plate(found: Cause | Located) -> bool:
-    """Whether it may be a plate's own shape."""
+    """Return whether it may be a shape of a plate."""
     if isinstance(found, Located):
         return False
     return any(bool(e.catalogue.effect_of(e.name).plate) for e in found.explanations)
 
 
 def suspects(found: Cause | Located | Change) -> tuple[Suspect, ...]:
-    """What to look at for everything in a credible set."""
+    """Return the parts to look at, for every member of a credible set."""
     if isinstance(found, Change):
         return tuple(_changed(found, k) for k in range(len(found.members)))
     if isinstance(found, Cause):
@@ -175,7 +178,7 @@ def suspects(found: Cause | Located | Change) -> tuple[Suspect, ...]:
 
 
 def _changed(change: Change, k: int) -> Suspect:
-    """What the k-th of the parameters that may have changed is now, or was and is no more."""
+    """Return the k-th of the parameters that may have changed, with its value before or after."""
     name = change.members[k]
     effect = change.catalogue.effect_of(name)
     if change.vague and not k:
@@ -192,7 +195,7 @@ def _changed(change: Change, k: int) -> Suspect:
 
 
 def confirm_place(curve: Curve) -> str:
-    """The test that shows lost motion without a name, with what to expect; else empty."""
+    """Return the test that shows lost motion of a located error; empty for other errors."""
     place, size = curve.place, curve.size_words
     if place.of_dial:
         return _DIAL_TURNS.format(size) if place.two_sided else ""
@@ -217,8 +220,9 @@ def confirm_place(curve: Curve) -> str:
 
 
 def confirm(one: Explanation) -> str:
-    """The test that confirms a cause, with the reading to expect; empty of several parameters that
-    are not those of one leg and one cause.
+    """Return the test that confirms a cause, with the reading to expect.
+
+    It is empty for several parameters that are not those of one leg and one cause.
     """
     effect = one.catalogue.effect_of(one.name)
     named = ((one.catalogue.parameter(n).plain, one.values[n]) for n in one.parameters)
@@ -242,7 +246,7 @@ def _compensate(closed: Closed) -> Iterator[Action]:
 
 
 def worth_compensating(closed: Closed) -> bool:
-    """Whether compensated commands are expected to gain anything that is worth a line."""
+    """Return whether compensated commands should reduce the tool's error by 2 % or more."""
     if not closed.request.searches or closed.firmware is not None:
         return False
     gain, _ = closed.compensation_gain
@@ -250,7 +254,7 @@ def worth_compensating(closed: Closed) -> bool:
 
 
 def not_advised(closed: Closed) -> tuple[Withheld, ...]:
-    """What is not advised, with the reason."""
+    """Return what is not advised, with the reason."""
     kinds: tuple[Literal["zeros", "compensate"], ...] = ("zeros", "compensate")
     if why := withheld(closed.machine):
         return tuple(Withheld(kind, why) for kind in kinds)
@@ -265,7 +269,7 @@ def not_advised(closed: Closed) -> tuple[Withheld, ...]:
 
 
 def _measure(closed: Closed) -> tuple[bool, list[Action]]:
-    """The readings that would tell most, of those proposed; whether the verdict hangs on them."""
+    """Return whether the verdict depends on further readings, and the readings that decide most."""
     if not closed.request.searches:
         text = "Look for the cause of what is left: orthoglide close-loop takes the same files"
         return False, [Action("measure", text)] if closed.after.sigma_scale > 1 else []
@@ -277,3 +281,30 @@ def _measure(closed: Closed) -> tuple[bool, list[Action]]:
         if not one.hopeless:
             return True, [Action("measure", f"Measure more: {one.what or one.reason}")]
     return False, []
+
+
+def next_measurements(closed: Closed) -> tuple[Suggestion, ...]:
+    """Return readings to take next; those at unexplained residuals come first."""
+    from orthoglide import planning, prospects
+
+    geometry, follow = closed.request.machine.geometry, not closed.stands
+    left = closed.lack_of_fit
+    again = tuple(map(prospects.repeating, left.by_instrument[:follow]))
+    known = closed.posterior
+    sets = [one.data for one in closed.effects] + [one.data for one in closed.located]
+    data = [each[0] for each in sets if each]
+    visits = [prospects.deciding_visits(known, d) for d in data] if known else []
+    again = (*again, *(one for one in visits if one is not None))
+    parts = [s for one in closed.located if known for s in prospects.parting(known, one)]
+    if not geometry.dialled:
+        apart = () if known is None else prospects.deciding_instruments(known, closed.effects)
+        return (*apart, *parts, *again)
+    several = [(c.chosen, *c.rivals) for c in closed.effects if c.rivals]
+    several = several or [tuple(closed.alone[:_MOST_RIVALS])]
+    rivals = [(e.name, e.machine) for each in several for e in each]
+    pairs = planning.pairs_within(map(len, several))
+    apart = planning.next_measurements(closed.after, rivals, pairs=pairs, directions=())
+    more = planning.next_measurements(closed.before)
+    if follow and left.dials_hold_most:
+        again = tuple(prospects.tracing(rest, geometry) for rest in left.by_dial[:1])
+    return (*again, *apart, *parts, *more)

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from orthoglide.accuracy import expected_gain, tcp_map, tool_settings
+from orthoglide.accuracy import expected_gain, tool_settings
 from orthoglide.add_ons import AddOn, Corrections, Section, add_on_of
-from orthoglide.closing.actions import actions
-from orthoglide.closing.following import next_measurements
+from orthoglide.closing.actions import actions, next_measurements
 from orthoglide.closing.picture import picture
 from orthoglide.closing.values import explanation_value
-from orthoglide.closing.workspace import uncertain_effects, workspace_of
 from orthoglide.control import ControllerNumbers, controller_numbers
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
@@ -23,10 +21,8 @@ from orthoglide.explanation.residuals import residual_by_setup
 from orthoglide.explanation.significance import Left
 from orthoglide.fit import Estimate
 from orthoglide.machine import Machine
-from orthoglide.notes import Note
 from orthoglide.numerals import told_apart
 from orthoglide.observations import Readings
-from orthoglide.parameters import Parameter
 from orthoglide.result import (
     Action,
     BudgetItem,
@@ -39,7 +35,6 @@ from orthoglide.result import (
     Scores,
     TcpErrors,
     Word,
-    Workspace,
 )
 
 if TYPE_CHECKING:
@@ -90,17 +85,17 @@ class Closed:
 
     @property
     def nominal(self) -> Scores:
-        """Scores of the machine as it was, without what was identified."""
+        """Scores of the machine before calibration."""
         return self.before.nominal
 
     @property
     def catalogue(self) -> Catalogue:
-        """Of the calibrated machine: the effects that were weighed, and the places found."""
+        """Effects of the calibrated machine, located errors included."""
         machine = self.request.machine if self.posterior is None else self.posterior.machine
         return machine.catalogue
 
     def short(self, name: str) -> str:
-        """A candidate's cause without its size, as a clause."""
+        """Return a candidate's cause without its size, a clause."""
         return cause_short(self.catalogue, name)
 
     @property
@@ -112,13 +107,13 @@ class Closed:
 
     @property
     def found(self) -> bool:
-        """Whether anything was found that stands out of the background."""
+        """Whether a cause or a located error is significant."""
         return bool(self.effects or self.located)
 
     @property
     def stands(self) -> bool:
-        """Whether what was found counts: where something is left, a place is missing, and what
-        was found may stand in for it.
+        """Whether the causes found are conclusive: if significant residuals remain, they may stand
+        in for an error that the model lacks.
         """
         return self.word not in ("partial", "unexplained")
 
@@ -155,8 +150,8 @@ class Closed:
 
     @cached_property
     def corrections(self) -> Corrections | None:
-        """New numbers for the firmware of a machine that was imported from it; ``None`` for others,
-        and where the readings give none.
+        """New numbers for the firmware of an imported machine; ``None`` for others, and if the
+        readings give none.
         """
         if self._add_on is None:
             return None
@@ -202,7 +197,7 @@ class Closed:
 
     @cached_property
     def budget(self) -> tuple[BudgetItem, ...]:
-        """What is wrong by what mending it gains, largest first; none of ``identify``."""
+        """Error budget, largest gain first; empty after ``identify``."""
         if self.posterior is None:
             return ()
         causes: dict[str, tuple[str, ...]] = {c.name: c.every for c in self.effects}
@@ -212,39 +207,12 @@ class Closed:
 
     @cached_property
     def moved(self) -> tuple[Change, ...]:
-        """Changes of which no cause found tells already by its first name."""
+        """Changes that no cause found reports."""
         told = {n for c in self.effects for e in (c.chosen, *c.same) for n in e.parameters}
         told = {self.catalogue.parameter(n).plain for n in told}
         return tuple(c for c in self.changed if c.parameter not in told)
 
-    @property
-    def shapes_of_plate(self) -> bool:
-        """Whether a probed plate may have a shape that no effect names."""
-        known = self.posterior
-        return known is not None and bool(known.mixture.linear.unnamed.any())
-
     # --- What is left -----------------------------------------------------------------------
-
-    @cached_property
-    def invisible(self) -> tuple[Parameter, ...]:
-        """Parameters that these readings would not show at three tolerances: not absent."""
-        return () if self.posterior is None else self.posterior.invisible
-
-    @cached_property
-    def instruments(self) -> dict[str, str]:
-        """Kinds of readings that were taken, ``leg``, ``plate`` ..., and what takes them."""
-        from orthoglide.prospects import TAKEN_BY
-
-        kinds = {s.kind for f in self.after.problem.factors for s in f.readings.setups}
-        return {kind: words for kind, words in TAKEN_BY.items() if kind in kinds}
-
-    @property
-    def unexcited(self) -> tuple[str, ...]:
-        """Effects whose conditions the campaigns do not vary at all."""
-        from orthoglide.fit.excited import excited_effects
-
-        excited = {*(e.name for e in excited_effects(self.after.problem)), *self.catalogue.base}
-        return tuple(name for name in self.request.machine.catalogue if name not in excited)
 
     @cached_property
     def lack_of_fit(self) -> LackOfFit:
@@ -264,39 +232,27 @@ class Closed:
 
     @cached_property
     def picture(self) -> Picture:
-        """The machine with what was found."""
+        """Drawing of the machine with the causes marked."""
         return picture(self)
 
     # --- What follows -----------------------------------------------------------------------
 
     @cached_property
     def actions(self) -> tuple[Action, ...]:
-        """What to do, most gain first."""
+        """What to do, largest gain first."""
         return actions(self)
 
     @cached_property
     def next_measurements(self) -> tuple[Suggestion, ...]:
-        """What to measure next; nothing is proposed by ``identify``."""
+        """Readings to take next; empty after ``identify``."""
         return next_measurements(self) if self.request.searches else ()
 
     @cached_property
     def next_sheet(self) -> Readings | None:
-        """The proposed readings as one sheet to fill in; ``None`` where nothing helps."""
+        """The proposed readings as one sheet to fill in; ``None`` if there are none."""
         from orthoglide.planning import next_sheet
 
         return next_sheet(self.next_measurements)
-
-    @cached_property
-    def workspace(self) -> Workspace | None:
-        """The TCP's errors over the workspace; ``None`` of ``identify``."""
-        if self.posterior is None:
-            return None
-        return workspace_of(self.before, self.posterior.machine, tcp_map(self.machine))
-
-    @cached_property
-    def uncertain_effects(self) -> tuple[tuple[str, float], ...]:
-        """Effects that make most of the TCP's uncertainty, each with its share."""
-        return () if self.posterior is None else uncertain_effects(self.machine)
 
     @cached_property
     def numbers(self) -> ControllerNumbers:
@@ -309,7 +265,7 @@ class Closed:
 
     @cached_property
     def firmware(self) -> Section | None:
-        """What the firmware of an imported machine has to say of it; ``None`` for others."""
+        """Report of the firmware's add-on on an imported machine; ``None`` for others."""
         if self._add_on is None:
             return None
         causes = [explanation_value(one) for cause in self.effects for one in cause.explanations]
@@ -318,7 +274,7 @@ class Closed:
 
     @property
     def cautions(self) -> tuple[str, ...]:
-        """What speaks against acting on what was found as it stands, a sentence each."""
+        """Reasons not to act on the result, a sentence each."""
         printer = self.request.machine.spec.printer
         found = [f"{note}." for note in (printer.cautions(self.request.points) if printer else ())]
         if self.word == "partial":
@@ -333,7 +289,7 @@ class Closed:
 
     @property
     def contradicted(self) -> str:
-        """What was held out and speaks against the result, a sentence; empty where nothing does."""
+        """What readings or points held out say against the result, a sentence; empty if nothing."""
         held, tool = self.hold_out, None if self.tcp is None else self.tcp["translation"]
         least = self.before.problem.noise.typical / 2  # what no reading would show
         if tool is not None and tool.after_mean > tool.before_mean + least:
@@ -351,21 +307,13 @@ class Closed:
 
     @cached_property
     def compensation_gain(self) -> tuple[float, float]:
-        """By how much compensated commands make the tool better than the best zeros do, and the
-        standard deviation of that, metres.
+        """Decrease of the tool's mean error by compensated commands, compared with the best zeros,
+        and its standard deviation, metres.
         """
         settings = tool_settings(self.machine)
         return expected_gain(self.machine, settings["zeros"], settings["compensated"])
 
     @property
-    def warnings(self) -> tuple[Note, ...]:
-        """Of the final fit, lack of fit apart: the verdict's word says it already."""
-        machine, found = self.request.machine, list(self.after.warnings)
-        if (printer := machine.spec.printer) is not None:
-            found += printer.assumptions(machine, self.effects)
-        return tuple(w for w in found if w.kind != "lack_of_fit")
-
-    @property
     def scattering(self) -> tuple[str, ...]:
-        """Warnings that repeats scatter by more than was declared of them."""
+        """Warnings that repeats scatter by more than the declared noise."""
         return tuple(w for w in self.after.warnings if w.kind == "scatter")

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import TypeVar
 
+from orthoglide.accuracy import tcp_map, variance_by_effect, without_place, workspace
 from orthoglide.closing.actions import not_advised
 from orthoglide.closing.closed import Closed
-from orthoglide.closing.unvaried import one_sided, unshown, unvaried
+from orthoglide.closing.unseen import unseen
 from orthoglide.closing.values import (
     cause_value,
     change_value,
@@ -24,10 +25,15 @@ from orthoglide.fit.noise_scales import noise_scales
 from orthoglide.fit.shown import readings_shown, rows_in
 from orthoglide.fit.unknowns import with_free
 from orthoglide.instruments import OBSERVATIONS
+from orthoglide.machine import Machine
+from orthoglide.notes import Note
 from orthoglide.observations import campaign_rows, source
+from orthoglide.ordering import ranked
 from orthoglide.planning import Suggestion
 from orthoglide.progress import Progress, Step, silent
+from orthoglide.prospects import TAKEN_BY
 from orthoglide.result import (
+    CandidateScore,
     DataFault,
     InstrumentNoise,
     Noise,
@@ -35,7 +41,7 @@ from orthoglide.result import (
     Proposal,
     Result,
     SetupNoise,
-    Unseen,
+    Workspace,
     encoded,
 )
 from orthoglide.threads import on_one_thread
@@ -43,6 +49,7 @@ from orthoglide.threads import on_one_thread
 # Metres. Two derivations that differ by less agree; the difference below is rounding, which differs
 # from one processor to the next.
 _ROUNDING = 1e-12
+_MOST_NAMED = 3  # effects that make most of the uncertainty
 
 R = TypeVar("R", bound=Result)
 
@@ -63,7 +70,9 @@ def _result(closed: Closed) -> Result:
     request, base, after, catalogue = closed.request, closed.before, closed.after, closed.catalogue
     names = after.names if closed.posterior is None else base.names
     moved = {id(change) for change in closed.moved}
-    sheet = closed.next_sheet
+    kinds = {s.kind for f in after.problem.factors for s in f.readings.setups}
+    sheet, known = closed.next_sheet, closed.posterior
+    not_seen, invisible = unseen(closed)
     return Result(
         request=request,
         machine=closed.machine,
@@ -81,10 +90,7 @@ def _result(closed: Closed) -> Result:
         budget=closed.budget,
         identified=closed.identified,
         correlations=correlation_values(after, names),
-        candidates=tuple(
-            replace(c, words=closed.short(c.name) if c.parameters else "")
-            for c in closed.candidates
-        ),
+        candidates=tuple(_candidates(closed)),
         blunders=_faults(closed),
         changed=tuple(change_value(c, id(c) not in moved) for c in closed.changed),
         weak=after.weak,
@@ -94,22 +100,17 @@ def _result(closed: Closed) -> Result:
         next_measurements=tuple(map(_proposal, closed.next_measurements)),
         sheet=() if sheet is None else tuple(campaign_rows(sheet)),
         left=closed.lack_of_fit,
-        workspace=closed.workspace,
-        uncertain_effects=closed.uncertain_effects,
+        workspace=None if known is None else _workspace(base, known.machine, closed.machine),
+        uncertain_effects=() if known is None else _uncertain(closed.machine),
         numbers=closed.numbers,
         actions=closed.actions,
-        invisible=tuple(map(str, (*closed.invisible, *catalogue.expand(list(unvaried(closed)))))),
-        unseen=Unseen(
-            effects=unshown(closed),
-            unvaried=unvaried(closed),
-            one_sided=one_sided(closed),
-            unexcited=closed.unexcited,
-        ),
-        instruments=closed.instruments,
+        invisible=invisible,
+        unseen=not_seen,
+        instruments={kind: words for kind, words in TAKEN_BY.items() if kind in kinds},
         cautions=closed.cautions,
-        warnings=closed.warnings,
+        warnings=_warnings(closed),
         calibrated_before=base.problem.calibrated,
-        shapes_of_plate=closed.shapes_of_plate,
+        shapes_of_plate=known is not None and bool(known.mixture.linear.unnamed.any()),
         picture=closed.picture,
         readings=readings_shown(after, base, request.given),
         command_line=request.command_line,
@@ -120,8 +121,17 @@ def _result(closed: Closed) -> Result:
     )
 
 
+def _candidates(closed: Closed) -> Iterator[CandidateScore]:
+    """Yield the causes and located errors that were considered, in words."""
+    known = closed.posterior
+    places = {} if known is None else {place.name: place.words for place in known.about.places}
+    for one in closed.candidates:
+        named = closed.short(one.name) if one.parameters else places.get(one.name, "")
+        yield replace(one, words=named)
+
+
 def _faults(closed: Closed) -> tuple[DataFault, ...]:
-    """The data faults, with their rows within the readings of the request."""
+    """Return the data faults, with their rows within the readings of the request."""
     tables = [factor.readings for factor in closed.first.problem.factors]
     given = zip(tables, closed.request.given, strict=True)
     rows = [rows_in(part, whole) for part, whole in given]
@@ -135,6 +145,39 @@ def _floored(check: CrossCheck) -> CrossCheck:
         linear=max(check.linear, _ROUNDING),
         linear_size=max(check.linear_size, _ROUNDING),
     )
+
+
+def _workspace(before: Estimate, known: Machine, calibrated: Machine) -> Workspace:
+    """The TCP over the workspace by the base model and by the calibrated machine; ``known`` is the
+    posterior's machine.
+    """
+    base = tcp_map(known.with_posterior(before.machine.values, known.posterior))
+    found, geometry = tcp_map(calibrated), known.geometry
+    travels = geometry.dialled  # elsewhere no levels of travel are levels of the tool
+    return Workspace(
+        at=workspace(geometry) - geometry.zero if travels else found.nominal,
+        axis="travel of {}" if travels else "{} of the tool",
+        now=without_place(found.p - found.nominal),
+        left=without_place(found.p - base.p),
+        sure_before=base.uncertainty,
+        sure=found.uncertainty,
+    )
+
+
+def _uncertain(machine: Machine) -> tuple[tuple[str, float], ...]:
+    """Return effects with the largest shares of the TCP's variance, each with its share."""
+    shares = variance_by_effect(machine)
+    total = sum(shares.values())
+    largest = ranked(shares.items(), lambda item: item[1])[:_MOST_NAMED]
+    return tuple((name, share / total) for name, share in largest if total > 0)
+
+
+def _warnings(closed: Closed) -> tuple[Note, ...]:
+    """Return warnings of the last fit, except lack of fit, which the verdict reports."""
+    machine, found = closed.request.machine, list(closed.after.warnings)
+    if (printer := machine.spec.printer) is not None:
+        found += printer.assumptions(machine, closed.effects)
+    return tuple(w for w in found if w.kind != "lack_of_fit")
 
 
 def _noise(closed: Closed) -> Noise:
@@ -152,7 +195,7 @@ def _noise(closed: Closed) -> Noise:
 
 
 def _possible(closed: Closed) -> Iterator[Possible]:
-    """The most probable causes of what nothing explains, each with the scores of its own fit."""
+    """Yield the most probable causes if nothing was found, each with the scores of its own fit."""
     problem = closed.before.problem
     for one in closed.possible:
         names = tuple(map(str, one.parameters))
@@ -164,7 +207,7 @@ def _possible(closed: Closed) -> Iterator[Possible]:
 
 
 def _by_setup(fit: Estimate) -> Iterator[SetupNoise]:
-    """The noise that a fit shows, setup by setup."""
+    """Yield the noise that the residuals show, by setup."""
     for one in noise_scales(fit):
         file, setup = source(one.readings), one.setup
         yield SetupNoise(setup.name, file, setup.kind, one.sigma, one.scale, one.scale_sigma)

@@ -29,7 +29,7 @@ def hold_out(
     held: Sequence[Readings],
     own: Sequence[str] = (),
 ) -> HoldOut:
-    """Score two machines on readings that neither has seen.
+    """Return the scores of two machines on readings that neither was fitted to.
 
     What is own to a campaign, its datums and its placements (of the tool's instruments all that a
     setup brings) are fitted to the campaign itself; the reading scored is left out each time.
@@ -87,7 +87,9 @@ def fits_neither(errors: TcpErrors, stated: Array, points: Points) -> str:
 
 
 def _known(points: Points) -> Array:
-    """Declared standard deviation of a coordinate, 0 where none is ``(m, 1)``, metres."""
+    """Return the declared standard deviation of a coordinate ``(m, 1)``, metres; 0 if there is
+    none.
+    """
     return np.nan_to_num(points.sigma)[:, None]
 
 
@@ -98,7 +100,8 @@ def tcp_errors(
     after: Mapping[str, float],
     sigma: Array | None = None,
 ) -> dict[str, TcpErrors]:
-    """Judge machines by TCP points: as they are, after the best translation, and rigid motion.
+    """Return errors at TCP points: as they are, after the best translation, and after a rigid
+    motion.
 
     Args:
         machine: dimensions.
@@ -131,7 +134,9 @@ def tcp_errors(
 
 
 def _aligned(p: Array, measured: Array, fit: str) -> Array:
-    """Predicted points moved onto the measured by nothing, a translation, or a rigid motion."""
+    """Return predicted points after no motion, a translation, or a rigid motion onto the measured
+    ones.
+    """
     if fit == "none":
         return p
     complete = np.isfinite(measured).all(axis=1)

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 
 def picture(closed: Closed) -> Picture:
-    """The machine with what was found, or with the dial on which most is left."""
+    """Return the drawing of the machine with what was found, or with the dial of the largest
+    residual.
+    """
     machine = closed.request.machine.with_only({})
     posed = machine.posed()
     stand = dials(posed, closed.after.problem.campaigns)
@@ -47,7 +49,7 @@ def picture(closed: Closed) -> Picture:
 
 
 def _moved(machine: Machine, change: Change) -> list[Option]:
-    """What may have changed, each on its part, the way and as far as it went."""
+    """Return what may have changed, each on its part, with direction and size."""
     options = []
     for words, (name, by) in zip(change.words, change.moved.items(), strict=True):
         made = option(machine, words, {name: by} if math.isfinite(by) else {})
@@ -57,7 +59,7 @@ def _moved(machine: Machine, change: Change) -> list[Option]:
 
 
 def _placed(machine: Machine, curve: Curve) -> Option:
-    """A place without a name: the joint that moves, by the curve that was found."""
+    """Return the mark of a located error: the joint that moves, by the curve that was found."""
     place, size = curve.place, curve.size_words
     if place.of_dial:
         return Option(place.words, (Mark("dial", -1, np.zeros(3), size, setup=place.setup),))

@@ -43,7 +43,7 @@ class Circumstances:
     kind: Kind = "sweep"  # protocol of the campaign
 
     def twice(self, rho: Array) -> Conditions:
-        """Conditions ``(2 n,)`` of the two visits to commands ``(n, 3)``."""
+        """Return the conditions ``(2 n,)`` of the two visits to commands ``(n, 3)``."""
         late = np.repeat([0.0, 1.0], len(rho))
         return Conditions.at(
             np.tile(rho, (2, 1)),
@@ -74,8 +74,10 @@ def cube(geometry: Geometry) -> tuple[float, float]:
 
 
 def grid(geometry: Geometry, count: int) -> Array:
-    """TCP points ``(n, 3)`` that fill the workspace evenly, metres: of the Orthoglide the cube with
-    ``count`` points along each axis, of others what the layout says.
+    """Return TCP points ``(n, 3)`` that fill the workspace evenly, metres.
+
+    On the Orthoglide they fill the cube with ``count`` points along each axis; other layouts have
+    points of their own.
     """
     points = geometry.layout.points(geometry.L, geometry.r, geometry.stroke, count)
     if points is not None:
@@ -85,8 +87,8 @@ def grid(geometry: Geometry, count: int) -> Array:
 
 
 class Comparison:
-    """A machine's workspace, set up once to compare many effects, and where dials stand on its legs
-    a campaign. The reduction is three spheres, whatever the layout.
+    """The workspace of a machine, prepared once to compare many effects, and on an Orthoglide a
+    campaign of dials. The reduction is three spheres in every layout.
     """
 
     def __init__(
@@ -114,30 +116,36 @@ class Comparison:
 
     @cached_property
     def shown(self) -> Array:
-        """What it shows of the perfect machine ``(n,)``, metres."""
+        """Readings of the campaign on the perfect machine ``(n,)``, metres."""
         return self.model.readings({}, self.campaign)
 
     def mechanism(
         self, values: Mapping[str, float], seen: Conditions | None = None
     ) -> tuple[Array, float]:
-        """TCP ``(n, 3)`` where it is visited, and the largest turn of the platform, radians."""
+        """Return the TCP ``(n, 3)`` of the mechanism, and the platform's largest turn, radians."""
         distinct, place = self.model.merged(seen or self.seen, values)
         out = self.model.outputs(values, distinct)
         sine = np.linalg.norm(axial(out.R), axis=1)
         return out.p[place], float(np.arcsin(np.clip(sine, 0, 1)).max())
 
     def reduced(self, six: Array, seen: Conditions | None = None) -> Array:
-        """TCP ``(n, 3)`` of the reduction with offsets and lengths ``six`` ``(6,)``, metres."""
+        """Return the TCP ``(n, 3)`` of the reduction with offsets and lengths ``six`` ``(6,)``,
+        metres.
+        """
         return intersect_spheres(*self._spheres(six, seen or self.seen), self.mode)
 
     def _spheres(self, six: Array, seen: Conditions) -> tuple[Array, Array]:
-        """Centres ``(n, leg, 3)``, all bars carried to the TCP, and radii ``(leg,)``, metres."""
+        """Return centres ``(n, leg, 3)``, all bars carried to the TCP, and radii ``(leg,)``,
+        metres.
+        """
         travel = seen.command - self.geometry.zero + six[:3]
         centres = self.geometry.centres + travel[..., None] * self.geometry.slides
         return centres, self.geometry.L + six[3:]
 
     def fit_tcp(self, p: Array) -> Array:
-        """Offsets and lengths ``(6,)`` with the least squares of TCP differences, Gauss-Newton."""
+        """Return offsets and lengths ``(6,)`` of the least squares of TCP differences, by
+        Gauss-Newton.
+        """
         six = np.zeros(6)
         for _ in range(_FIT_STEPS):
             centres, radii = self._spheres(six, self.seen)
@@ -155,7 +163,7 @@ class Comparison:
         raise NumericsError("the reduction does not converge on the TCP: are the errors absurd?")
 
     def difference(self, apart: Array) -> Difference:
-        """Differences ``(2 n, 3)`` over the workspace in three numbers."""
+        """Return mean, largest value and place of differences ``(2 n, 3)`` over the workspace."""
         size = np.linalg.norm(apart, axis=1)
         x, y, z = self.p[
             int(np.argmax(size >= size.max() - SAME))
@@ -163,7 +171,7 @@ class Comparison:
         return Difference(float(size.mean()), float(size.max()), (x, y, z))
 
     def row(self, name: str, value: float, values: Mapping[str, float]) -> Row:
-        """Compare for parameters ``values``; name and value are for the table."""
+        """Return the comparison for parameters ``values``; name and value are for the table."""
         found, rotation = self.mechanism(values)
         six = self.fit_tcp(found)
         effect = None if np.isnan(value) else self.machine.catalogue.effect_of(name)
@@ -188,7 +196,7 @@ class Comparison:
     def _read(
         self, values: Mapping[str, float], found: Array
     ) -> tuple[Difference, float, float, float]:
-        """Of a row what comes from readings of dials; nan where none stand on legs."""
+        """Return the figures of a row that come from readings of dials; nan on other layouts."""
         if not self.geometry.dialled:
             return _NOWHERE, _NAN, _NAN, _NAN
         change, best, priors = self.readings(values)
@@ -203,8 +211,8 @@ class Comparison:
     def readings(
         self, values: Mapping[str, float]
     ) -> tuple[Array, reduction.ReadingFit, reduction.ReadingFit]:
-        """What the effect does to the readings less datums, and the reduction's two fits of them:
-        the best there is, and the one an identification with priors finds.
+        """Return the change of the readings by an effect, datums removed, and two fits of the
+        reduction: the best one, and the one that an identification with priors finds.
         """
         c, shown = self.campaign, self.model.readings(values, self.campaign)
         datums = np.eye(len(c.setups))[c.setup]
@@ -235,7 +243,7 @@ def compare_effects(
     names: Iterable[str] | None = None,
     circumstances: Circumstances | None = None,
 ) -> tuple[Row, ...]:
-    """Compare for effects one at a time, each at its tolerance on an else perfect machine.
+    """Return a row for each effect, at its tolerance on an otherwise perfect machine.
 
     Args:
         machine: dimensions and tolerances, or the path of its file; its identified parameters are
@@ -269,7 +277,7 @@ def compare_effects(
 def compare_machine(
     machine: MachineSource, circumstances: Circumstances | None = None
 ) -> tuple[Row, ...]:
-    """Compare for a calibrated machine: all of its parameters together, then each alone.
+    """Return rows for a calibrated machine: all of its parameters together, then each alone.
 
     Args:
         machine: with the parameters to compare for.
@@ -299,8 +307,8 @@ class Slice:
 def slices(
     machine: Machine, points: int = 41, circumstances: Circumstances | None = None
 ) -> tuple[Slice, ...]:
-    """Difference of mechanism and fitted reduction on three planes of the workspace, with an odd
-    number of points along each side.
+    """Return the difference of mechanism and fitted reduction on three planes of the workspace,
+    with an odd number of points along each side.
     """
     comparison = Comparison(machine, circumstances)
     six = comparison.fit_tcp(comparison.mechanism(machine.values)[0])

@@ -30,7 +30,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Row:
-    """How far the reduction is from the mechanism with one effect, or with all of a machine."""
+    """Difference of reduction and mechanism with one effect, or with all errors of a machine."""
 
     name: str  # of the parameter, or `"machine"`
     effect: str  # of the parameter; empty for a machine
@@ -58,12 +58,14 @@ class Row:
 
     @property
     def good_enough(self) -> bool:
-        """Whether the reduction will do: ``TCP_LIMIT`` and ``READING_LIMIT`` hold after fits."""
+        """Whether the reduction is sufficient: ``TCP_LIMIT`` and ``READING_LIMIT`` hold after the
+        fits.
+        """
         return self.fitted.max <= TCP_LIMIT and not self.reading_rms > READING_LIMIT
 
     @property
     def good_up_to(self) -> float:
-        """Size of the parameter, SI, up to which the reduction will do, by proportion."""
+        """Size of the parameter, SI, up to which the reduction is sufficient, by proportion."""
         excess = self.fitted.max / TCP_LIMIT
         if self.read:
             excess = max(excess, self.reading_rms / READING_LIMIT)
@@ -76,7 +78,9 @@ class Row:
 
 
 def worst_by_effect(rows: Sequence[Row]) -> tuple[Row, ...]:
-    """Of every effect the row in which the reduction does worst, in the order of the rows.
+    """Return for every effect the row with the largest difference, in the order of the rows.
+
+    Of equal rows it is the first, as for the legs of most effects.
 
     The first of those that are the same, as the legs of one effect mostly are.
     """

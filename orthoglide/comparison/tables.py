@@ -1,20 +1,23 @@
-"""The comparison with the reduction as tables, figures and a page."""
+"""A comparison as files: tables, figures and a page."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from html import escape
 
 import numpy as np
 
-from orthoglide.comparison.comparing import Slice
+from orthoglide.comparison.comparing import Slice, slices
 from orthoglide.comparison.rows import READING_LIMIT, TCP_LIMIT, Difference, Row
 from orthoglide.figures import style
 from orthoglide.frames import html_table
 from orthoglide.geometry import LEGS
+from orthoglide.machine import Machine
 from orthoglide.observations import csv_text
+from orthoglide.progress import Progress, Step, silent
 
+_TITLE = "When the simplified model is good enough"
 _UM = 1e6
 
 LIMITS = (
@@ -52,7 +55,7 @@ _STYLE = (
 
 
 def micrometres(*values: float) -> str:
-    """Lengths in micrometres, three digits at most; below a nanometre they count as 0."""
+    """Return lengths in micrometres, three digits at most; below a nanometre they count as 0."""
 
     def one(size: float) -> str:
         if size < 1e-3:
@@ -101,7 +104,7 @@ def _table(rows: Sequence[Row]) -> dict[str, list[str]]:
 
 
 def legend(rows: Sequence[Row]) -> str:
-    """What the tables mean: what "will do" is, and the columns."""
+    """Return what the columns of the tables mean."""
     return f"{LIMITS} {LEGEND}" if any(row.read for row in rows) else _OF_TOOL
 
 
@@ -122,7 +125,7 @@ def markdown_table(rows: Sequence[Row], columns: Sequence[str] | None = None) ->
 
 
 def csv_table(rows: Sequence[Row]) -> str:
-    """All numbers of the rows as CSV, names with their unit."""
+    """Return all numbers of the rows as CSV, names with their unit."""
     return csv_text([_record(row) for row in rows])
 
 
@@ -154,7 +157,7 @@ def _record(row: Row) -> dict[str, str]:
 
 
 def slice_figure(title: str, planes: Sequence[Slice]) -> str:
-    """Three planes of the workspace in SVG, coloured by the difference at the TCP after the fit."""
+    """Return three planes of the workspace as SVG, coloured by the difference at the TCP."""
     top = max(float(np.nanmax(plane.difference)) for plane in planes) * _UM
     with style.applied():
         figure = style.new_figure(9.5, 3.2)
@@ -176,7 +179,7 @@ def slice_figure(title: str, planes: Sequence[Slice]) -> str:
 def comparison_page(
     title: str, sections: Sequence[tuple[str, Sequence[Row]]], figures: Sequence[str]
 ) -> str:
-    """One self-contained HTML page: tables by heading, then figures (SVG texts)."""
+    """Return one self-contained HTML page: tables by heading, then figures (SVG texts)."""
     tables = (html_table(heading, _table(rows), len(rows)) for heading, rows in sections)
     drawings = (f"<figure>{svg[svg.index('<svg') :]}</figure>" for svg in figures)
     told = f"<p>{escape(legend([row for _, rows in sections for row in rows]))}</p>"
@@ -187,3 +190,48 @@ def comparison_page(
         f"<h1>{escape(title)}</h1>{told}"
         f"<div>{'</div><div>'.join(tables)}</div>{''.join(drawings)}</body></html>\n"
     )
+
+
+def comparison_files(
+    machine: Machine,
+    whole: Sequence[Row],
+    rows: Sequence[Row],
+    drawn: Sequence[Row] = (),
+    progress: Progress = silent,
+) -> dict[str, str]:
+    """Return the files of a comparison's folder by name.
+
+    Args:
+        machine: that was compared.
+        whole: rows of all that it was identified to have; may be empty.
+        rows: rows of every effect at its tolerance.
+        drawn: rows of which a figure is drawn, if the reduction cannot follow them.
+        progress: called with each figure.
+    """
+    every = [
+        (f"{machine.spec.title}: all it has, and each alone", whole),
+        ("Every effect at its tolerance", rows),
+    ]
+    sections = [(name, some) for name, some in every if some]
+    figures = dict(_figures(machine, drawn, progress))
+    tables = "".join(f"\n## {name}\n\n{markdown_table(some)}" for name, some in sections)
+    both = [row for _, some in sections for row in some]
+    return {
+        "table.csv": csv_table(both),
+        "table.md": f"# {_TITLE}\n\n{legend(both)}\n{tables}",
+        **{f"figures/{name}.svg": svg for name, svg in figures.items()},
+        "compare.html": comparison_page(_TITLE, sections, list(figures.values())),
+    }
+
+
+def _figures(
+    machine: Machine, rows: Sequence[Row], progress: Progress
+) -> Iterator[tuple[str, str]]:
+    """Yield drawings of the machine as identified, and of effects the reduction cannot follow."""
+    for row in rows:
+        progress(Step("computing", f"drawing {row.name}"))
+        if not row.effect:
+            yield row.name, slice_figure(machine.spec.title, slices(machine))
+        elif not row.good_enough and row.fitted.max > 0:
+            alone = machine.with_only({row.name: row.value})
+            yield row.name, slice_figure(f"{row.name} at its tolerance", slices(alone))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,7 +41,6 @@ _UNKNOWN = (
     "the machine file says nothing of how well its parameters are known, and so nothing is known "
     "of how near these commands bring the real machine: give the calibrated.toml of a result"
 )
-_MISSED = 1e-6  # metres
 _FAR = 0.02  # metres, more than any effect moves a command
 
 
@@ -65,8 +64,6 @@ class Compensation(Framed):
         legs: how they are called.
         sent: where the controller of a delta believes that it sends the tool ``(n, 3)``, metres;
             ``None`` of other machines.
-        turns: by how much the TCP is off ``(n,)``, metres, where a drive does not turn that the
-            path turns, as its lost motion is below zero.
     """
 
     wanted: Array
@@ -80,7 +77,6 @@ class Compensation(Framed):
     independent: bool
     legs: LegNames = ORTHOGLIDE.names
     sent: Array | None = None
-    turns: Array | None = None
 
     def __len__(self) -> int:
         return len(self.wanted)
@@ -164,17 +160,9 @@ class Compensation(Framed):
             f"both after one translation of everything (one standard deviation, {how})",
             f"where the machine as a whole sits is known to {self.place * 1e3:.2f} mm: a datum on "
             f"the workpiece removes that",
-            *self._missed(),
             *_ALWAYS,
         ]
         return "\n".join(lines)
-
-    def _missed(self) -> Iterator[str]:
-        if self.turns is not None and (missed := self.turns > _MISSED).any():
-            yield (
-                f"at {missed.sum()} of them a drive turns by less than its lost motion, which the "
-                f"machine file has below zero: off by up to {self.turns.max() * 1e3:.4f} mm"
-            )
 
 
 _ALWAYS = (
@@ -223,7 +211,7 @@ def compensate(
     conditions = {"time": given.time, "warming": given.warming, "load": given.load}
     nominal = _nominal_commands(machine, goal)
     before = _before(machine, start)
-    rho, way = _settled(machine, goal, nominal, before, conditions, resolution)
+    rho = _settled(machine, goal, nominal, before, conditions, resolution)
     steps = machine.spec.controller.from_rho(rho, machine.geometry) / resolution
     travel = np.round(np.round(steps) * resolution, 12)
     rho = machine.spec.controller.to_rho(travel, machine.geometry)
@@ -244,17 +232,7 @@ def compensate(
         machine.spec.posterior is None,
         machine.geometry.layout.names,
         None if (known := machine.spec.kinematics) is None else known.places(rho),
-        _unturned(machine, rho, predicted, {**arriving, "approach": way}, approach),
     )
-
-
-def _unturned(
-    machine: Machine, rho: Array, predicted: Array, meant: dict[str, Array], approach: Array
-) -> Array:
-    """By how much the TCP is off ``(n,)`` as drives do not arrive as they were meant to, metres."""
-    if np.array_equal(meant["approach"], approach):
-        return np.zeros(len(rho))
-    return np.asarray(np.linalg.norm(predicted - machine.forward(rho, **meant), axis=1))
 
 
 def _path(points: ArrayLike) -> Array:
@@ -359,7 +337,7 @@ def _settled(
     before: Array | None,
     conditions: dict[str, Array],
     resolution: float,
-) -> tuple[Array, Array]:
+) -> Array:
     """Commands, each for the side that its drive comes from as the path turns, given the nominal.
 
     In the middle of the lost motion drives turn where the path has them turn; what is lost besides
@@ -370,4 +348,4 @@ def _settled(
     _check_stroke(machine, nominal, _FAR)
     middle = _inverse(machine, goal, {**conditions, "approach": np.zeros_like(goal)})
     way = _approach(middle, before, 2 * resolution)
-    return _inverse(machine, goal, {**conditions, "approach": way}), way
+    return _inverse(machine, goal, {**conditions, "approach": way})

@@ -31,6 +31,7 @@ _FORMULA = (
     "carriage is at mechanical zero."
 )
 _ZEROS = "zeros alone"
+_NAMED = 2  # kinds of errors that a sentence names
 _SCALE, _LENGTH = 5e-6, 5e-7  # less is a micrometre over 0.2 m; metres
 
 
@@ -122,14 +123,12 @@ class DriveNumbers:
     def worked(self, names: LegNames) -> str:
         """The sign rule for this drive, number by number, in a layout's words."""
         way, side = names.ways[self.sign > 0][1], names.ways[_mm(self.offset) >= 0][0]
-        stands = f"stands {abs(_mm(self.offset)):.3f} mm too far {side}"
-        if self.best:
-            stands += f" as far as {self.best} can make up for it"
+        stands = "stands on average" if self.best else "stands"
         return (
-            f"where the controller shows its old zero {_mm(self.zero):.3f}, carriage {self.leg} "
-            f"{stands}, and the controller counts {way} (sign {self.sign:+d}): "
-            f"new zero = {_mm(self.zero):.3f} - ({self.sign:+d}) x ({_mm(self.offset):+.3f}) "
-            f"= {_mm(self.new_zero):.3f} mm."
+            f"at the old zero {_mm(self.zero):.3f} carriage {self.leg} {stands} "
+            f"{abs(_mm(self.offset)):.3f} mm too far {side}, and the controller counts {way} "
+            f"(sign {self.sign:+d}): new zero = {_mm(self.zero):.3f} - ({self.sign:+d}) x "
+            f"({_mm(self.offset):+.3f}) = {_mm(self.new_zero):.3f} mm."
         )
 
 
@@ -184,7 +183,7 @@ class ControllerNumbers(Framed):
     @property
     def beyond(self) -> tuple[str, ...]:
         """Effects that no such number can hold, in words."""
-        return effects_in_words(self.left_over)
+        return tuple(map(self.names.effect_words, effects_in_words(self.left_over)))
 
     @property
     def zeros_alone(self) -> bool:
@@ -284,15 +283,18 @@ class ControllerNumbers(Framed):
             return _NOMINAL
         if not self.beyond:
             return "Nothing else was identified: these numbers hold all of it."
-        more = (
-            ""
-            if self.zeros_alone
-            else " A controller that takes zeros alone needs other "
-            "zeros: `orthoglide export --zeros-only`."
+        named = [
+            *self.beyond[:_NAMED],
+            *(f"{n} more" for n in [len(self.beyond) - _NAMED] if n > 0),
+        ]
+        alone = (
+            " A controller that takes zeros alone needs other zeros: `orthoglide export "
+            "--zeros-only`." * (not self.zeros_alone)
         )
         return (
-            f"These numbers leave out {listed(self.beyond)}: commands from `orthoglide compensate` "
-            f"hold them too. Use one or the other, never both.{more}"
+            f"These numbers correct no other error that was identified ({listed(named)}); commands "
+            f"from `orthoglide compensate` correct them too. Use one or the other, never both."
+            f"{alone}"
         )
 
 

@@ -278,7 +278,8 @@ def _said(effect: Effect, names: LegNames) -> Effect:
     if effect.of_dial or not names.nouns:
         return replace(effect, names=names)
     words = effect.words
-    told = {name: _speaking(getattr(words, name), names) for name in ("one", "short", "confirm")}
+    of_value = ("one", "short", "common", "confirm")
+    told = {name: _speaking(getattr(words, name), names) for name in of_value}
     return replace(
         effect,
         names=names,

@@ -1,8 +1,7 @@
-"""Causes by probability, and what each makes of the readings, its rivals beside it."""
+"""What each cause makes of the readings, its rivals beside it, and curves without a name."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -28,34 +27,6 @@ _CURVES = (  # the chosen cause, then its rivals
     (style.PALETTE["third"], ":", 1.7, 1.0),
     (style.INK, "-.", 1.0, 1.0),
 )
-
-
-def draw_causes(causes: Sequence[Cause]) -> Drawing:
-    """Bars of probability: each cause that was added, its rivals, and all else together."""
-    rows: list[tuple[float, str, float, str]] = []
-    place = 0.0
-    for cause in causes:
-        found = [(cause.name, cause.together, style.FIT)]
-        found += [(one.name, one.probability, style.BAND) for one in cause.others]
-        rest = max(1.0 - sum(p for _, p, _ in found), 0.0)
-        found.append(("all else together", rest, style.PALETTE["before"]))
-        for name, p, colour in found:
-            rows.append((place, name, p, colour))
-            place += 1
-        place += 0.6
-    height = 0.34 + 0.24 * place
-    figure = style.new_figure(style.SINGLE, height)
-    margin = min(0.2 + 0.062 * max(len(r[1]) for r in rows), 1.9)
-    axes = style.place_axes(figure, margin, 0.06, style.SINGLE - margin - 0.45, height - 0.3)
-    axes.barh([r[0] for r in rows], [r[2] for r in rows], height=0.62, color=[r[3] for r in rows])
-    for at, _, p, _ in rows:
-        axes.text(p + 0.015, at, f"{p:.2f}", va="center", fontsize=7.5, color=style.INK)
-    axes.set_xlim(0, 1)
-    axes.set_ylim(place - 0.9, -0.6)
-    axes.set_yticks([r[0] for r in rows], [r[1] for r in rows], color=style.INK)
-    axes.set_xticks([0, 0.25, 0.5, 0.75, 1], ["0", "0.25", "0.5", "0.75", "1"])
-    axes.grid(visible=False, axis="y")
-    return Drawing("causes", "Causes by probability", style.svg_text(figure))
 
 
 @dataclass(frozen=True)

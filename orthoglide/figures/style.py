@@ -41,7 +41,7 @@ PANEL = (3.0, 2.75)  # inches: one of the small multiples
 LABEL = -0.195  # of the axes: where the small multiples carry the name of their scale
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Drawing:
     """One figure."""
 
@@ -52,6 +52,9 @@ class Drawing:
     # order of the axes; empty for a figure that stays whole
     panels: tuple[tuple[float, float, float, float], ...] = ()
     axes: int = 1  # how many axes each panel holds
+
+    def __repr__(self) -> str:
+        return f"<Drawing {self.name}: {self.title}>"
 
     def _repr_svg_(self) -> str:
         return self.svg

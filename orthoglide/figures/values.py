@@ -1,4 +1,4 @@
-"""Identified values against their tolerances, and their correlations."""
+"""Identified values against their tolerances."""
 
 from __future__ import annotations
 
@@ -10,13 +10,9 @@ import numpy as np
 import orthoglide.figures.style as style
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.figures.style import Drawing
-from orthoglide.geometry import Array
-from orthoglide.numerals import signed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-_MOST_CELLS = 8  # unknowns up to which correlations are printed as numbers
 
 
 def draw_parameters(columns: Mapping[str, Sequence[Any]], catalogue: Catalogue) -> Drawing:
@@ -72,26 +68,3 @@ def _draw_strip(
     style.few_ticks(axes, across=5)
     axes.set_title(f"{effect.name.replace('_', ' ')}, {unit.name}", pad=3)
     return [dots, band]
-
-
-def draw_correlations(names: Sequence[str], matrix: Array) -> Drawing:
-    """How far values can only be stated together, by their correlations ``(P, P)``."""
-    from matplotlib.colors import to_rgba
-
-    labels, count = list(names), len(names)
-    margin = 0.12 + 0.056 * max(map(len, labels))
-    cell = max((style.SINGLE - margin - 0.1) / count, 0.14)
-    width, height = margin + 0.1 + cell * count, margin + 0.1 + cell * count
-    figure = style.new_figure(width, height)
-    axes = style.place_axes(figure, margin, 0.05, cell * count, cell * count)
-    cells = []
-    for i, j in np.ndindex(count, count):
-        v = float(matrix[i, j])
-        text = "1" if i == j else "0" if abs(v) < 5e-3 else signed(v, 2)
-        colour = to_rgba(style.FIT if v < 0 else style.DATA, 0.06 + 0.74 * min(abs(v), 1))
-        cells.append((j, i, colour, text if count <= _MOST_CELLS else ""))
-    style.draw_cells(axes, cells, labels, labels)
-    axes.invert_yaxis()
-    axes.tick_params(axis="x", labelrotation=90, labelcolor=style.INK)
-    axes.tick_params(axis="y", labelcolor=style.INK)
-    return Drawing("correlations", "Correlations of the identified values", style.svg_text(figure))

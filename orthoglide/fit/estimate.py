@@ -211,22 +211,19 @@ class Estimate(Framed):
         """A figure of the fit, which notebooks show and ``save`` writes.
 
         Args:
-            what: ``"residuals"`` or ``"readings"`` by setup, ``"parameters"`` against their
-                tolerances, or their ``"correlations"``.
+            what: ``"residuals"`` or ``"readings"`` by setup, or ``"parameters"`` against their
+                tolerances.
 
         Raises:
             InputError: for a figure that there is not.
         """
         from orthoglide.figures.draw import draw_fit
         from orthoglide.fit.shown import readings_shown
-        from orthoglide.result import Correlations
 
         problem = self.problem
-        correlations = Correlations(self.names, self.correlation)
         return draw_fit(
-            readings_shown(self, self), problem.one_reading, self, correlations,
-            problem.machine.catalogue, what,
-        )  # fmt: skip
+            readings_shown(self, self), problem.one_reading, self, problem.machine.catalogue, what
+        )
 
 
 def _to_tenths(left: ByUnit) -> str:

@@ -12,7 +12,7 @@ from orthoglide.fit.problem import Problem
 from orthoglide.geometry import LEGS, Array
 from orthoglide.observations import Readings
 from orthoglide.result import Mounting, ReadingsShown
-from orthoglide.result.readings_shown import Numbers
+from orthoglide.result.shown import Numbers
 
 if TYPE_CHECKING:
     from orthoglide.fit.estimate import Estimate

@@ -67,6 +67,11 @@ class LegNames:
             text = re.sub(pattern, noun, text)
         return text
 
+    def effect_words(self, name: str) -> str:
+        """Name of an effect in the words of this layout: a leg's length is that of its bars."""
+        words = name.replace("_", " ")
+        return self.spoken(words.replace("leg length", "bar length")) if self.nouns else words
+
     def relabelled(self, leg: str, direction: str) -> tuple[str, str]:
         """Names of a leg and a direction across it after the legs are relabelled one on."""
         if leg not in self.legs:

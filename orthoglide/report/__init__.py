@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.report.folder import check_folder as check_folder, write_folder as write_folder
-from orthoglide.report.result_json import result_text as result_text
+from orthoglide.report.tables import result_text as result_text
 from orthoglide.report.text import summary as summary
 from orthoglide.result import Result
 

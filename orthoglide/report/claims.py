@@ -59,12 +59,12 @@ def spoken(several: Iterable[Claim]) -> str:
     told: list[str] = []
     for k, claim in enumerate(several):
         first = claim.first.brief or claim.first.words
-        told.append(f"Besides, {_lowered(first)}" if k else first)
+        told.append(f"Besides, {lowered(first)}" if k else first)
         told += (
-            f"Or {_lowered(one.words)[:-1]}, the same to these readings and to the tool."
+            f"Or {lowered(one.words)[:-1]}, the same to these readings and to the tool."
             for one in claim.same
         )
-        told += (f"Or {_lowered(one.brief or one.words)}" for one in claim.rivals[:_MOST_RIVALS])
+        told += (f"Or {lowered(one.brief or one.words)}" for one in claim.rivals[:_MOST_RIVALS])
         if (more := len(claim.rivals) - _MOST_RIVALS) > 0:
             told.append(
                 f"Or one of {more} more, named below." if more > 1 else "Or one more, below."
@@ -82,7 +82,8 @@ def sure_words(p: float) -> str:
     return f"{100 * p:.0f} % {'sure' if p >= _SURE else 'likely'}"
 
 
-def _lowered(text: str) -> str:
+def lowered(text: str) -> str:
+    """A sentence as it goes on after another word."""
     return text[:1].lower() + text[1:]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -67,8 +68,8 @@ def finding(result: Result) -> Data:
 
 
 def tiles(result: Result) -> list[Tile]:
-    """The tool's mean error over the workspace, now and as more is put right; of a printer its
-    height over the plate, which is all that its numbers are for.
+    """The tool's mean error over the workspace, now and after each correction that changes it; of a
+    printer its height over the plate, which is all that its numbers are for.
     """
     if result.firmware is not None and (found := result.firmware.corrections) is not None:
         told = [
@@ -80,10 +81,16 @@ def tiles(result: Result) -> list[Tile]:
     expected = result.numbers.expected
     stages = ("now", "zeros") if not result.stands and result.searches else _STAGES
     bar = result.numbers.names.bar
-    return [_tile(_STAGES[name].format(bar=bar), expected[name]) for name in stages]
+    told, last = [], math.inf
+    for name in stages:
+        error = expected[name]
+        if abs(error.shape - last) > error.shape_sigma:
+            told.append(_tile(_STAGES[name].format(bar=bar), error))
+            last = error.shape
+    return told
 
 
 def _tile(what: str, error: ExpectedError) -> Tile:
     shape, _, sigma = error.words.partition(" ± ")
     known = f"± {sigma} " if sigma else ""
-    return Tile(what, shape, (f"{known}in a workpiece", f"all shifted by {error.place_words}"))
+    return Tile(what, shape, (f"{known}in a workpiece", f"all shifted by {error.place_words} mm"))

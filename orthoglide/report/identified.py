@@ -39,7 +39,7 @@ def _found(result: Result) -> str:
 def _gain(result: Result) -> str:
     """What the fit does to the deviations."""
     parts, last = [], ""
-    before, after = result.nominal.told.shown, result.after.scores.told.shown
+    before, after = result.nominal.reported.shown, result.after.scores.reported.shown
     for unit, now in after.items():
         verb = "hardly change" if now > _HARDLY * before[unit] else "reduce"
         what = f"{verb} {'them' if last else 'the deviations'} " if verb != last else ""
@@ -72,7 +72,8 @@ def effects_named(result: Result) -> str:
     if result.calibrated_before:
         return "errors calibrated before"
     of = result.catalogue.effect_of
-    names = dict.fromkeys(of(name).name.replace("_", " ") for name in result.before.names)
+    called = result.catalogue.legs.effect_words
+    names = dict.fromkeys(called(of(name).name) for name in result.before.names)
     return listed(f"{n}es" if n.endswith(("sh", "ch", "ss", "x")) else f"{n}s" for n in names)
 
 
@@ -84,7 +85,7 @@ def _by_leg(result: Result, every: Sequence[Parameter], effect: str) -> list[str
             groups.setdefault(name.campaign, []).append(name)
     phrases = []
     for campaign, names in groups.items():
-        what = effect.replace("_", " ") + ("s" if len(names) > 1 else "")
+        what = result.catalogue.legs.effect_words(effect) + ("s" if len(names) > 1 else "")
         where = f" ({campaign})" if campaign else ""
         if near := _near_nominal(result, names):
             phrases.append(f"{what} {near}{where}")
@@ -151,7 +152,8 @@ def _together(weak: list[WeakDirection], legs: list[str]) -> str:
 
 
 def _general(weak: WeakDirection, catalogue: Catalogue) -> str:
-    every = [parameter_words(catalogue.parameter(name)) for name in weak.parameters]
+    spoken = catalogue.legs.spoken
+    every = [spoken(parameter_words(catalogue.parameter(name))) for name in weak.parameters]
     names = listed(every)
     if len(weak.parameters) > 1:
         text = f"The readings cannot tell {names} apart"

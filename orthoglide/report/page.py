@@ -67,7 +67,7 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
         yield Section("controller", "Numbers for the controller", controller)
     yield Section("judged", "Before and after", sections.judged(result, figures))
     if searches:
-        yield Section("causes", "Causes, and how sure they are", sections.causes(result, figures))
+        yield Section("causes", "Causes, and how sure they are", sections.causes(result))
     if result.located:
         yield Section("located", "Where it is", sections.located(result, figures))
     if result.effects:
@@ -84,7 +84,7 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
     yield Section(
         "readings", "Readings and fit, setup by setup", sections.readings(result, figures)
     )
-    yield Section("unseen", "What these readings cannot tell", sections.unseen(result, figures))
+    yield Section("unseen", "What these readings cannot tell", sections.unseen(result))
     yield Section("method", "How this was computed", sections.method(result))
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from orthoglide.numerals import compact, plain, probability, signed
+from orthoglide.numerals import compact, plain, probability, signed, with_sigma
 from orthoglide.report.words import gain_words
 from orthoglide.text import listed, sentence
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-_WORDS = (sentence, listed, gain_words, compact, plain, signed, probability)
+_WORDS = (sentence, listed, gain_words, compact, plain, signed, probability, with_sigma)
 
 
 def rendered(template: str, **data: Any) -> str:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from orthoglide.numerals import compact, decimals_for, hundredths, probability, signed
-from orthoglide.result import Result
+from orthoglide.result import CandidateScore, Result
 
+_SHOWN = 0.005  # probability that two decimals show
 _LEFT_OVER = 0.5  # degrees of freedom: less is no test
 
 
@@ -88,11 +89,16 @@ def possible_rows(result: Result) -> list[tuple[str, str, str, str]]:
 
 def if_it_were_so(result: Result) -> list[str]:
     """The most probable causes of what nothing explains, a sentence each with both errors."""
-    what = "deviations" if math.isfinite(result.before.scores.deviation_rms) else "residuals"
+    what = "averaged readings" if math.isfinite(result.before.scores.deviation_rms) else "residuals"
     return [
         f"{words} (probability {chance}): {what} {fit}, stations left out {left_out} rms."
         for chance, words, fit, left_out in possible_rows(result)
     ]
+
+
+def weighed(result: Result) -> list[CandidateScore]:
+    """Causes and places that came near to being found; two decimals show nothing of the others."""
+    return [one for one in result.candidates if one.probability >= _SHOWN]
 
 
 def score_rows(result: Result) -> list[ScoreRow]:

@@ -24,8 +24,15 @@ from orthoglide.numerals import ByUnit, compact, told_apart
 from orthoglide.observations import Readings, Setup
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.identified import effects_named, weak_sentences
-from orthoglide.report.rows import POSSIBLE, millimetres, parameter_rows, possible_rows, score_rows
-from orthoglide.report.words import unvaried_words
+from orthoglide.report.rows import (
+    POSSIBLE,
+    millimetres,
+    parameter_rows,
+    possible_rows,
+    score_rows,
+    weighed,
+)
+from orthoglide.report.words import unvaried_effects, unvaried_words
 from orthoglide.result import BudgetItem, Proposal, Result, SetupResidual, Workspace
 from orthoglide.result.result import sheet_of
 from orthoglide.text import listed, sentence
@@ -35,6 +42,7 @@ Figures = Mapping[str, Drawing]
 Station = tuple[Setup, str, str, int]
 
 _MOST_ITEMS = 12
+_LEAST = 1e-6  # metres: an item of the budget that makes less of the tool's error is not shown
 _MOST_SHAPES = 5  # known causes named as ruled out
 
 _FAULTS = {
@@ -68,7 +76,7 @@ def before_and_after(result: Result) -> list[BeforeAfter]:
     """What the finding gains, at a glance."""
     start, after = result.start, result.after
     found = [
-        *_tiles("Readings", start.told, after.scores.told, "rms left"),
+        *_tiles("Single readings", start.left, after.scores.left, "rms left"),
         *_tiles("Stations left out", start.left_out, after.scores.left_out, "rms"),
     ]
     if (held := result.hold_out) is not None:
@@ -129,11 +137,13 @@ def judged(result: Result, figures: Figures) -> Data:
     }
 
 
-def causes(result: Result, figures: Figures) -> Data:
+def causes(result: Result) -> Data:
     """Causes and places that were weighed, and how sure they are."""
+    near = weighed(result)
     return {
         "added": {c.name for c in result.effects} | {f.name for f in result.located},
-        "figure": whole(figures["causes"]) if "causes" in figures else "",
+        "weighed": near,
+        "others": len(result.candidates) - len(near),
     }
 
 
@@ -152,10 +162,12 @@ def budget(result: Result) -> Data:
     classes = [one for one in result.located if len(one.members) > 1]
     several |= {one.in_budget for one in classes}
     named = {item.cause for item in result.budget if not item.rest}
-    rows = [
-        (item, item.words + _counted(item, named, several)) for item in result.budget[:_MOST_ITEMS]
-    ]
-    return {"rows": rows}
+    sizes = ((item, max(item.tcp_mean, abs(item.gain))) for item in result.budget)
+    shown = [item for item, size in sizes if size >= _LEAST or not item.rest][:_MOST_ITEMS]
+    return {
+        "rows": [(item, item.words + _counted(item, named, several)) for item in shown],
+        "others": len(result.budget) - len(shown),
+    }
 
 
 def _counted(item: BudgetItem, named: Collection[str], several: Collection[str]) -> str:
@@ -279,11 +291,11 @@ def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
     ]
     if not result.improved:  # then the base model is all that was found
         del rows[1:3]
-    shares = result.uncertain_effects
+    shares, called = result.uncertain_effects, result.catalogue.legs.effect_words
     return {
         "rows": [(what, *millimetres([float(v.mean()), float(v.max())])) for what, v in rows],
         "groups": [every[k : k + 3] for k in range(0, len(every), 3)],
-        "most": listed([f"{name.replace('_', ' ')} ({share:.0%})" for name, share in shares]),
+        "most": listed([f"{called(name)} ({share:.0%})" for name, share in shares]),
     }
 
 
@@ -292,7 +304,8 @@ def values(result: Result, figures: Figures) -> Data:
     fit, of = result.after, result.catalogue.effect_of
     freed = {of(n).name for n in result.shown}
     held = (of(n).name for n, value in result.machine.values.items() if value)
-    others = dict.fromkeys(name.replace("_", " ") for name in held if name not in freed)
+    called = result.catalogue.legs.effect_words
+    others = dict.fromkeys(called(name) for name in held if name not in freed)
     return {
         "rows": parameter_rows(result),
         "figure": whole(figures["parameters"]) if "parameters" in figures else "",
@@ -302,19 +315,17 @@ def values(result: Result, figures: Figures) -> Data:
     }
 
 
-def unseen(result: Result, figures: Figures) -> Data:
+def unseen(result: Result) -> Data:
     """What the readings cannot tell apart, and what they would not show."""
-    figure = figures.get("correlations")
     return {
         "sentences": weak_sentences(result.weak, result.catalogue),
         "effects": [(words, listed(members)) for words, members in result.unseen.effects],
-        "unexcited": [f.replace("_", " ") for f in result.unseen.unexcited],
+        "unexcited": unvaried_effects(result),
         "sides": sentence(one) if (one := unvaried_words(result)) else "",
         "second_place": _has_one_place(result),
         "owned": ",".join(result.instruments),
         "machine": f"{Path(result.request.machine.spec.file).name or 'FILE'}"
         f"{result.request.effects_option}",
-        "figure": whole(figure) if figure else "",
     }
 
 
@@ -344,6 +355,9 @@ def method(result: Result) -> Data:
     return {
         "base": effects_named(result),
         "machine": Path(result.request.machine.spec.file).name or "the nominal Orthoglide",
+        "mechanism": result.catalogue.legs.spoken(
+            "the platform on three pairs of bars, each pair on a carriage"
+        ),
         "method": _METHODS[result.before.method],
         "source": _SOURCES[result.noise.source],
         "of_setups": " ".join(_of_setups(setups, result.request.machine.spec)),
@@ -358,7 +372,7 @@ def _of_setups(setups: Sequence[Setup], spec: MachineFile) -> Iterator[str]:
             f"The dial's zero is free in every setup, and its place along the leg is known to "
             f"{placement} mm."
         )
-    if any(not s.observation.from_datum for s in setups):
+    if any(s.observation.dials > 1 for s in setups):
         slope = spec.surface_slope
         surface = f"may slope by {compact(slope * 1e3, 2)} mrad" if slope else "is taken as exact"
         yield (

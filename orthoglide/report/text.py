@@ -6,9 +6,10 @@ import io
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from orthoglide.numerals import hundredths, signed
+from orthoglide.numerals import hundredths
+from orthoglide.report.claims import claims, lowered
 from orthoglide.report.identified import weak_sentences
-from orthoglide.report.rows import POSSIBLE, parameter_rows, possible_rows, score_rows
+from orthoglide.report.rows import POSSIBLE, parameter_rows, possible_rows, score_rows, weighed
 from orthoglide.report.sections import too_early
 from orthoglide.report.words import (
     gain_words,
@@ -42,9 +43,7 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
     ]
     parts += [Text(f"- data: {b.message}") for b in result.blunders]
     parts += _tables(result, ranked)
-    searches = result.searches
-    remarks = [f"The search ended: {result.left.stopped}."] if searches else []
-    remarks += [] if searches else weak_sentences(result.weak, result.catalogue)
+    remarks = [] if result.searches else weak_sentences(result.weak, result.catalogue)
     hidden = (unshown_words(result), unvaried_words(result))
     told = (*hidden, *(w for w in warnings_besides(result) if w.kind != said))
     remarks += [sentence(w) for w in told if w]
@@ -74,7 +73,10 @@ def _zeros(result: Result) -> Iterator[Text | Table]:
     yield from _table((f"zeros, mm: {numbers.zeros.titles[0]}", "old", "new"), numbers.zeros.rows)
     how, readings = numbers.check
     yield from map(Text, filter(None, (numbers.worked, how)))
-    yield from (Text(f"- {one} orthoglide export gives all.") for one in readings[:1])
+    yield from (
+        Text(f"- {one} orthoglide export gives such a reading for every axis.")
+        for one in readings[:1]
+    )
 
 
 def to_do(result: Result) -> Iterator[str]:
@@ -119,15 +121,12 @@ def console_text(parts: Iterable[RenderableType]) -> str:
 
 def _tables(result: Result, ranked: bool) -> Iterator[Table]:
     """What was found, and what was weighed; an empty table is none."""
-    yield from _table(("probability", "cause"), _causes(result))
-    yield from _table(("place", "probability", "size", "in words"), _located(result))
-    alone = ((hundredths(one.probability), f"{one.words}\n{one.name}") for one in result.alone)
+    yield from _table(("probability", "cause"), _found(result))
+    alone = ((hundredths(one.probability), one.words) for one in result.alone)
     yield from _table(("probability", "if one alone"), alone)
     yield from _table(POSSIBLE, possible_rows(result))
-    tried = (
-        (t.name, signed(t.evidence, 1), f"{t.probability:.2f}") for t in result.candidates if ranked
-    )
-    yield from _table(("weighed", "evidence", "probability"), tried)
+    tried = ((hundredths(t.probability), t.words or t.name) for t in weighed(result) if ranked)
+    yield from _table(("probability", "considered"), tried)
     identified = (
         (row.name, row.value, row.sigma, f"{row.low} to {row.high}", row.tolerance, row.unit)
         for row in parameter_rows(result)
@@ -147,7 +146,7 @@ def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Ta
 
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for k, column in enumerate(columns):
-        left = k == 0 or column in ("cause", "if one alone", "if it were so", "in words")
+        left = k == 0 or column in ("cause", "if one alone", "if it were so", "considered")
         made.add_column(column, justify="left" if left else "right", no_wrap=k == 0)
     for row in rows:
         made.add_row(*row)
@@ -155,24 +154,10 @@ def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Ta
         yield made
 
 
-def _causes(result: Result) -> Iterator[tuple[str, str]]:
-    """Each cause with its other names, then its rivals."""
-    for cause in result.effects:
-        names = "\nor ".join(f"{one.words}\n{one.name}" for one in (cause.chosen, *cause.same))
-        yield hundredths(cause.together), names
-        for rival in cause.rivals:
-            yield hundredths(rival.probability), f"or {rival.words}\n{rival.name}"
-        for c in cause.places:
-            yield hundredths(c.probability), f"or {c.description}\n{c.name}"
-        for d in cause.data:
-            yield hundredths(d.probability), f"or {d.words}"
-
-
-def _located(result: Result) -> Iterator[tuple[str, str, str, str]]:
-    """Each place, then what else it could be."""
-    for found in result.located:
-        for k, c in enumerate(found.members):
-            name = f"or {c.name}" if k else c.name
-            yield name, f"{c.probability:.2f}", c.size_words, c.description
-        for d in found.data:
-            yield "or a fault of the data", f"{d.probability:.2f}", "", d.words
+def _found(result: Result) -> Iterator[tuple[str, str]]:
+    """Causes and places found, each with what else it could be, most probable first."""
+    for claim in claims(result)[: len(result.effects) + len(result.located)]:
+        same = "".join(f"\nor {lowered(one.words)}" for one in claim.same)
+        yield hundredths(claim.first.probability), f"{claim.first.words}{same}"
+        for one in claim.rivals:
+            yield hundredths(one.probability), f"or {lowered(one.words)}"

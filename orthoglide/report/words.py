@@ -9,7 +9,7 @@ from orthoglide.effects.wording import cause_short
 from orthoglide.effects.words import toward
 from orthoglide.geometry import LEGS
 from orthoglide.notes import Note
-from orthoglide.numerals import compact, probability, told_apart
+from orthoglide.numerals import compact, probability, told_apart, with_sigma
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 from orthoglide.report.claims import BESIDES, claims, spoken
 from orthoglide.report.identified import effects_named, identified_words
@@ -26,6 +26,7 @@ _SOUND = 0.05  # probability of the residuals of the base model above which they
 _MANY = 0.1  # share of excluded readings from which their number is stated
 _ROUNDED = 1.05  # ratio of the noise of a reading to what was declared from which rounding counts
 _KNOWN = 0.1  # relative uncertainty of a gain from which it is stated
+_SHOWN = 5e-5  # millimetres: a smaller uncertainty is none that four decimals show
 
 NOTHING_SHOWN = (
     "These readings show no error at all: either they were made up of a machine that has none, or "
@@ -144,22 +145,24 @@ def _weighed(result: Result) -> str:
         besides.append("small shapes of the plate")
     head = ""
     if besides[1:]:
-        head, given = f"In the model are {listed(besides)}. ", "With them"
-    return f"{head}{given}, {_fall(result)}{_against_noise(result)}{_alone(result)}"
+        head, given = f"The model contains {listed(besides)}. ", "With them"
+    return f"{head}{given}, {_fall(result)}{_against_noise(result)}.{_alone(result)}"
 
 
 def _against_noise(result: Result) -> str:
-    """Whether what is left is the noise: the end of a sentence, and another where it is not."""
-    of = "the readings" if result.request.points else "the dial"
+    """Whether what is left is the noise: the end of a sentence."""
+    of, left = "the readings" if result.request.points else "the dial", ""
+    if math.isfinite(result.after.scores.deviation_rms):  # which is no figure of single readings
+        left = f". Single readings are left with {result.after.scores.left.said()} rms"
     what = f"the noise of {of} ({result.noise.single_reading.said()})"
     if any(w.kind == "side" for w in result.warnings):
-        what = "what repeats scatter by. That is noise of the readings, or lost motion"
+        what = "the scatter of repeats, which is noise of the readings or lost motion"
     if result.after.sigma_scale > 1:
         return (
-            f", which is more than {what}. Each likely explanation fits them; their mean, which "
-            f"the calibrated machine has, does not quite."
+            f"{left}, more than {what}. Each likely explanation fits them; their mean, which the "
+            f"calibrated machine has, does not quite"
         )
-    return f", which is {what}."
+    return f"{left}, no more than {what}"
 
 
 def where_left(result: Result) -> str:
@@ -217,8 +220,8 @@ def _nothing_explains(result: Result) -> str:
     """That the model does not fit, by how much, and whether more could be said."""
     left = result.after.scores.left
     text = (
-        f"The model does not fit ({left.said()} rms, noise {noise_words(result)}), and no single "
-        f"cause explains the difference."
+        f"The model does not fit: single readings are left with {left.said()} rms, and their noise "
+        f"is {noise_words(result)}. No single cause explains the difference."
     )
     if _too_few(result):
         return f"{text} {len(result.readings)} readings are too few to say more."
@@ -249,14 +252,16 @@ def _fall(result: Result) -> str:
 
 
 def _between(before: Scores, after: Scores) -> str:
-    return f"the difference between readings and prediction {_falls(before, after)}"
+    averaged = math.isfinite(after.deviation_rms)
+    of = "averaged readings and their prediction" if averaged else "readings and prediction"
+    return f"the difference between {of} {_falls(before, after)}"
 
 
 def _falls(before: Scores, after: Scores) -> str:
     """``falls from 0.3 to 0.01 mm rms``, and so on for inclinations where there are any."""
     parts, last = [], ""
-    for unit, now in after.told.shown.items():
-        was = before.told.shown[unit]
+    for unit, now in after.reported.shown.items():
+        was = before.reported.shown[unit]
         verb = "hardly falls" if now > _SLIGHT * was else "falls"
         figures = told_apart(was, now)
         text = f"{verb if verb != last else ''} from {' to '.join(figures)} {unit} rms".strip()
@@ -286,9 +291,9 @@ def gain_words(action: Action) -> tuple[str, str]:
     """What it gains with its uncertainty, and whether that is a mean; empty where not known."""
     if not math.isfinite(action.gain):
         return "", ""
-    size = compact(max(action.gain, 0.0) * 1e3, 2)
-    if math.isfinite(action.gain_sigma) and action.gain_sigma > _KNOWN * action.gain:
-        size = f"{size} ± {compact(action.gain_sigma * 1e3, 2)}"
+    gain, sigma = max(action.gain, 0.0) * 1e3, action.gain_sigma * 1e3
+    uncertain = sigma > max(_KNOWN * gain, _SHOWN)  # not if it is unknown
+    size = with_sigma(gain, sigma) if uncertain else compact(gain, 2)
     mean = PLATE if action.plate else WHICHEVER
     return f"{size} mm", f" {mean}" if action.whichever else ""
 
@@ -296,9 +301,8 @@ def gain_words(action: Action) -> tuple[str, str]:
 def unshown_words(result: Result) -> str:
     """What these readings would not show, by effect, as a clause; empty where there is nothing."""
     hidden = result.unseen.effects
-    parts = [f"that {words}{f' ({listed(of)})' if of else ''}" for words, of in hidden]
-    of_machine = (n for n in result.unseen.unexcited if not result.catalogue[n].of_dial)
-    if still := [cause_short(result.catalogue, name) for name in of_machine]:
+    parts = [f"that {words}{_which(of)}" for words, of in hidden]
+    if still := unvaried_effects(result):
         parts.append(f"that {', that '.join(still)}, as nothing here varies what would show it")
     if not parts:
         return ""
@@ -307,6 +311,26 @@ def unshown_words(result: Result) -> str:
         f"readings of {taken} cannot detect the following, even at three times the tolerance: "
         f"{'; '.join(parts)}"
     )
+
+
+def _which(members: tuple[str, ...]) -> str:
+    """Which parameters of an effect, in brackets; the page has their names."""
+    if not members:
+        return ""
+    return f" ({members[0] if ' ' in members[0] else 'some of them'})"
+
+
+def unvaried_effects(result: Result) -> list[str]:
+    """Effects of the machine that the readings cannot show as they vary no condition, clauses."""
+    unseen, of = result.unseen, result.catalogue
+    names = (n for n in unseen.unexcited if not of[n].of_dial and n not in _one_sided(result))
+    return [cause_short(of, name) for name in names]
+
+
+def _one_sided(result: Result) -> list[str]:
+    """Names of the effects that are not detected as every place was approached from one side."""
+    needs = result.unseen.unvaried.items() if result.unseen.one_sided else ()
+    return [name for name, conditions in needs if "approach" in conditions]
 
 
 _SIDES = {
@@ -320,8 +344,7 @@ def unvaried_words(result: Result) -> str:
     """That lost motion would not show, and why, as a clause; empty where it would."""
     if not (why := result.unseen.one_sided):
         return ""
-    hidden = [name for name, needs in result.unseen.unvaried.items() if "approach" in needs]
-    named = "; ".join(f"that {cause_short(result.catalogue, name)}" for name in hidden)
+    named = "; ".join(f"that {cause_short(result.catalogue, n)}" for n in _one_sided(result))
     return f"these readings cannot detect either: {named}, as {_SIDES[why]}"
 
 

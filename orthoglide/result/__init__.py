@@ -37,9 +37,7 @@ from orthoglide.result.found import (
     Located as Located,
     Possible as Possible,
 )
-from orthoglide.result.pictured import Picture as Picture, Workspace as Workspace
 from orthoglide.result.reading import read_result as read_result, request_of as request_of
-from orthoglide.result.readings_shown import Mounting as Mounting, ReadingsShown as ReadingsShown
 from orthoglide.result.request import COMMANDS as COMMANDS, Command as Command, Request as Request
 from orthoglide.result.residuals import (
     Change as Change,
@@ -51,3 +49,9 @@ from orthoglide.result.residuals import (
     SetupResidual as SetupResidual,
 )
 from orthoglide.result.result import Result as Result, Unseen as Unseen, Word as Word
+from orthoglide.result.shown import (
+    Mounting as Mounting,
+    Picture as Picture,
+    ReadingsShown as ReadingsShown,
+    Workspace as Workspace,
+)

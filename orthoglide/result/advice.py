@@ -16,7 +16,7 @@ _ADVISED = {"zeros": "zeros", "mend": "repair", "compensate": "compensate", "mea
 
 @dataclass(frozen=True)
 class Suspect:
-    """One of the causes that a part is looked at for."""
+    """One of the causes for which a part is examined."""
 
     words: str  # what would be wrong, as a clause with sign, size and unit
     look_at: str  # on the machine

@@ -23,7 +23,7 @@ _AGREEMENT = 1e-9
 
 @dataclass(frozen=True)
 class Scores:
-    """Figures of one fit; metres where not dimensionless and not said otherwise."""
+    """Figures of one fit; lengths in metres."""
 
     # root mean square of the residuals of lengths, datums fitted; nan where none was read
     rms: Metres
@@ -45,18 +45,18 @@ class Scores:
 
     @property
     def left(self) -> ByUnit:
-        """What is left of single readings, root mean square."""
+        """Residuals of single readings, root mean square."""
         return ByUnit(self.rms, self.turn_rms)
 
     @property
     def left_out(self) -> ByUnit:
-        """The same of stations left out."""
+        """Residuals of stations left out, root mean square."""
         return ByUnit(self.cv_rms, self.turn_cv_rms)
 
     @property
-    def told(self) -> ByUnit:
-        """The papers' figure where dials were read, else what is left of lengths; beside it what is
-        left of inclinations.
+    def reported(self) -> ByUnit:
+        """Figures that reports state: the papers' deviations if dials were read, else residuals of
+        lengths, and residuals of inclinations.
         """
         dials = math.isfinite(self.deviation_rms)
         return ByUnit(self.deviation_rms if dials else self.rms, self.turn_rms)
@@ -69,7 +69,7 @@ class Scores:
 
 @dataclass(frozen=True)
 class Fit:
-    """One fit of a result: what it found, and what it leaves."""
+    """One fit of a result: its parameters, and its residuals."""
 
     scores: Annotated[Scores, Key(inline=True)]
     # by the names of the parameters, SI
@@ -87,13 +87,13 @@ class Fit:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of what was identified."""
+        """Names of the identified parameters."""
         return tuple(self.values)
 
 
 @dataclass(frozen=True)
 class HoldOut:
-    """Readings of another campaign, predicted without those scored."""
+    """Scores on readings of another campaign, each predicted without itself."""
 
     # root mean square of what the base model leaves, and of what the extended one does
     before: Annotated[ByUnit, Key("before_rms")]
@@ -101,8 +101,8 @@ class HoldOut:
 
     @property
     def worse(self) -> bool:
-        """Whether the extended model predicts them worse, all told: the geometric mean of what it
-        does to lengths and to inclinations.
+        """Whether the extended model predicts worse: by the geometric mean of the ratios for
+        lengths and for inclinations.
         """
         before, after = (math.prod(both.shown.values()) for both in (self.before, self.after))
         return after > before
@@ -139,7 +139,7 @@ class TcpErrors:
 
 @dataclass(frozen=True)
 class WeakDirection:
-    """Unknowns that the readings cannot tell apart."""
+    """A direction in the parameters that the readings hardly determine."""
 
     # their shares along the direction; squares sum to one
     parameters: Annotated[Mapping[str, float], Key(digits=SHORT)]
@@ -170,7 +170,7 @@ class WeakDirection:
 
 @dataclass(frozen=True)
 class CrossCheck:
-    """How far the independent derivations are apart, metres."""
+    """Differences of the independent derivations, metres."""
 
     # parameters, mechanism against the reduction's nonlinear fit, largest difference
     reduction: Annotated[float, Key("reduction_max_difference", "_mm", _MM, _FEW)]
@@ -187,13 +187,13 @@ class CrossCheck:
 
     @property
     def second_order(self) -> bool:
-        """Whether the linear system is as near as theory asks."""
+        """Whether the linear system differs by no more than its neglected second-order terms."""
         return self.linear_size <= self.linear_bound * (1 + 1e-6) + _AGREEMENT
 
 
 @dataclass(frozen=True)
 class Verification:
-    """How far Pinocchio's closed postures are from those that the fit used."""
+    """Differences of Pinocchio's closed postures and those of the fit."""
 
     # largest closure residual by loop, metres or radians
     closure: Annotated[Mapping[str, float], Key("closure_residual_m", digits=_FEW)]

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from base64 import b64decode
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn
 
 from orthoglide.effects import CATALOGUE, Effect
 from orthoglide.errors import FileError
 from orthoglide.files import decode, read_bytes
+from orthoglide.instruments import Frame
 from orthoglide.machine import Machine
 from orthoglide.machine_file import parse_machine_file
 from orthoglide.machine_file.posterior import parse_posterior
 from orthoglide.observations import Readings, readings_from_rows, tcp_from_rows
+from orthoglide.result.codec import decoded
 from orthoglide.result.request import COMMANDS, Request
 from orthoglide.text import brief, shown, unseen_in
 
-_ROLES = ("campaign", "fit_tcp", "holdout", "tcp")
-_FRAMES = ("rigid", "translation", "none")
 _LAST_LINE = 1_000_000
 _LONGEST_NAME = 255  # bytes
 
@@ -46,7 +47,7 @@ def as_edited(error: Exception, file: str) -> FileError:
 
 
 def read_result(path: Path) -> dict[str, Any]:
-    """A ``result.json`` that can be run again.
+    """Return the keys of a ``result.json`` that can be run again.
 
     Raises:
         FileError: where it is none.
@@ -80,146 +81,133 @@ def read_result(path: Path) -> dict[str, Any]:
     return found
 
 
+@dataclass(frozen=True)
+class _Arguments:
+    """The arguments of a run, as far as they are needed to run it again."""
+
+    own: tuple[str, ...]
+    machine: str | None
+    noise_mm: float | None
+    frame: Frame = "rigid"
+    effects_file: str = ""
+    free: tuple[str, ...] = CATALOGUE.base
+    priors: bool = True
+    reduced: bool = False
+
+    def __post_init__(self) -> None:
+        if self.noise_mm is not None and not self.noise_mm > 0:
+            raise ValueError(f"noise_mm is {self.noise_mm}")
+
+
+@dataclass(frozen=True)
+class _Input:
+    """A file of readings."""
+
+    file: str  # its name
+    sha256: str
+    rows: tuple[Any, ...]  # cells by column
+    role: Literal["campaign", "fit_tcp", "holdout", "tcp"] = "campaign"
+    name: str | None = None  # of the readings, where it is not that of the file
+    lines: tuple[int, ...] = ()  # of the rows in the file, where they do not follow one another
+
+    def __post_init__(self) -> None:
+        _check_name(self.file)
+        if not self.rows:
+            raise ValueError(f"{self.file} has no rows")
+        for row in self.rows:
+            cells = row.items() if isinstance(row, dict) else ()
+            if not cells or not all(isinstance(c, str) for cell in cells for c in cell):
+                raise ValueError(f"{self.file} has a row that is none")
+        ordered = all(a < b for a, b in itertools.pairwise((1, *self.lines, _LAST_LINE)))
+        if self.lines and (len(self.lines) != len(self.rows) or not ordered):
+            raise ValueError(f"{self.file} has lines that are not those of its rows")
+
+    def readings(self, machine: Machine) -> tuple[Readings, ...]:
+        """Return the readings, of one or several kinds."""
+        origin: dict[str, Any] = {"file": self.file, "lines": self.lines, "sha256": self.sha256}
+        if self.role.endswith("tcp"):
+            return (tcp_from_rows(self.rows, machine.spec, **origin),)
+        name = Path(self.file).stem if self.name is None else self.name
+        return readings_from_rows(self.rows, machine.spec, name=name, **origin)
+
+
+@dataclass(frozen=True)
+class _KeptMachine:
+    """A machine as a result keeps it."""
+
+    file: str | None
+    sha256: str | None
+    toml: str
+    npz: str | None = None
+
+
 def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] = ()) -> Request:
-    """The request of a run from its ``result.json``; ``effects`` are the user's own, where the run
-    had some.
+    """Return the request of a run from its ``result.json``.
+
+    Args:
+        result: keys of the file.
+        file: its name, for messages.
+        effects: the user's own, where the run had some.
 
     Raises:
         FileError: where a part of it is not as it was written.
     """
     try:
-        inputs, given, seed = result["inputs"], result["arguments"], result["seed"]
-        single = result["command"] == "identify"
-        _check_inputs(inputs)
-        _check_arguments(given, single)
+        command, seed = result["command"], result["seed"]
+        single = command == "identify"
+        inputs = decoded(tuple[_Input, ...], result["inputs"], {})
+        given = decoded(_Arguments, result["arguments"], {})
         # Nothing is drawn to identify, and any seed went.
-        if not isinstance(seed, int) or isinstance(seed, bool) or (seed < 0 and not single):
+        if type(seed) is not int or (seed < 0 and not single):
             raise ValueError("seed is no number that counts")
-        noise = given["noise_mm"]
-        if given.get("effects_file") and not effects:
+        if given.effects_file and not effects:
             raise FileError(
-                f"had effects from {given['effects_file']}: give them too (--effects-file, "
-                f"effects=)",
+                f"had effects from {given.effects_file}: give them too (--effects-file, effects=)",
                 file=file,
             )
         machine = machine_of(result["machine"], effects)
-        by_role = {role: [i for i in inputs if i.get("role", _ROLES[0]) == role] for role in _ROLES}
-        read = [r for i in by_role["campaign"] for r in _readings(i, machine)]
-        tool = [r for r in read if r.of_tool]
-        request = Request(
-            result["command"],
-            tuple(r for r in read if not r.of_tool),
+        read: dict[str, list[Readings]] = {"campaign": [], "fit_tcp": [], "holdout": [], "tcp": []}
+        for one in inputs:
+            read[one.role] += one.readings(machine)
+        if not read["campaign"] and not read["fit_tcp"]:
+            raise ValueError("inputs has no campaign")
+        return Request(
+            command,
+            tuple(r for r in read["campaign"] if not r.of_tool),
             machine,
-            own=tuple(given["own"]),
-            noise=None if noise is None else noise * 1e-3,
+            own=given.own,
+            noise=None if given.noise_mm is None else given.noise_mm * 1e-3,
             seed=seed,
-            holdout=tuple(r for i in by_role["holdout"] for r in _readings(i, machine)),
-            tcp=next((_points(i, machine) for i in by_role["tcp"]), None),
-            points=(*tool, *(_points(i, machine) for i in by_role["fit_tcp"])),
-            frame=given.get("frame", "rigid"),
-            effects_file=given.get("effects_file", ""),
+            holdout=tuple(read["holdout"]),
+            tcp=next(iter(read["tcp"]), None),
+            points=(*(r for r in read["campaign"] if r.of_tool), *read["fit_tcp"]),
+            frame=given.frame,
+            effects_file=given.effects_file,
+            free=given.free,
+            priors=given.priors,
+            reduced=given.reduced,
         )
-        if not single:
-            return request
-        free, priors, reduced = tuple(given["free"]), given["priors"], given["reduced"]
-        return replace(request, free=free, priors=priors, reduced=reduced)
     except EDITED as error:
         raise as_edited(error, file) from None
 
 
 def machine_of(given: Mapping[str, Any], effects: Sequence[Effect] = ()) -> Machine:
-    """A machine that a ``result.json`` keeps.
+    """Return a machine that a ``result.json`` keeps.
 
     Raises:
         FileError, KeyError, TypeError, ValueError: where it is not as it was written.
     """
-    name = given["file"] or ""
+    kept = decoded(_KeptMachine, given, {})
+    name, digest = kept.file or "", kept.sha256 or ""
     if name:
         _check_name(name)
-    spec = parse_machine_file(given["toml"], name, CATALOGUE.with_effects(effects))
-    digest, kept = given["sha256"] or "", given.get("npz")
-    if not isinstance(digest, str) or not isinstance(kept, str | None):
-        raise ValueError("the machine's digest or covariance is no text")
-    known = None if kept is None else parse_posterior(b64decode(kept, validate=True), digest, name)
+    spec, known = parse_machine_file(kept.toml, name, CATALOGUE.with_effects(effects)), None
+    if kept.npz is not None:
+        known = parse_posterior(b64decode(kept.npz, validate=True), digest, name)
     return Machine(replace(spec, file=name, sha256=digest, posterior=known))
 
 
-def _readings(found: Mapping[str, Any], machine: Machine) -> tuple[Readings, ...]:
-    name = found.get("name", Path(found["file"]).stem)
-    return readings_from_rows(found["rows"], machine.spec, name=name, **_origin(found))
-
-
-def _points(found: Mapping[str, Any], machine: Machine) -> Readings:
-    return tcp_from_rows(found["rows"], machine.spec, **_origin(found))
-
-
-def _origin(found: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        "file": found["file"], "lines": found.get("lines", ()), "sha256": found["sha256"]
-    }  # fmt: skip
-
-
-def _check_arguments(given: Mapping[str, Any], single: bool) -> None:
-    """ValueError or KeyError where an argument is none that the command takes."""
-
-    def names(value: Any) -> bool:
-        return isinstance(value, list) and all(isinstance(n, str) for n in value)
-
-    def number(value: Any) -> bool:
-        return value is None or (type(value) in (int, float) and 0 < float(value) < float("inf"))
-
-    checks: dict[str, Callable[[Any], bool]] = {
-        "campaigns": names,
-        "own": names,
-        "machine": lambda value: isinstance(value, str | None),
-        "noise_mm": number,
-    }
-    if single:
-        truth: Callable[[Any], bool] = lambda value: isinstance(value, bool)  # noqa: E731
-        checks |= {"free": names, "priors": truth, "reduced": truth}
-    if given.get("frame", "rigid") not in _FRAMES:
-        raise ValueError(f"frame is {given['frame']!r}")
-    for name, check in checks.items():
-        if not check(given[name]):
-            raise ValueError(f"{name} is {given[name]!r}")
-
-
-def _check_inputs(found: Any) -> None:
-    """ValueError or KeyError where a file of readings is not as it was written."""
-    if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):
-        raise ValueError("inputs is no list of files")
-    for item in found:
-        _check_name(item["file"])
-        if not isinstance(item.get("name", ""), str):
-            raise ValueError(f"{item['file']} has no name of its readings")
-        if not isinstance(item["sha256"], str):
-            raise ValueError(f"{item['file']} has no digest")
-        if item.get("role", _ROLES[0]) not in _ROLES:
-            raise ValueError(f"{item['file']} is none of {', '.join(_ROLES)}")
-        _check_rows(item["file"], item["rows"])
-        _check_lines(item["file"], item.get("lines", []), len(item["rows"]))
-    if not any(item.get("role", _ROLES[0]) in _ROLES[:2] for item in found):
-        raise ValueError("inputs has no campaign")
-
-
-def _check_name(name: Any) -> None:
-    plain = isinstance(name, str) and name not in ("", "..") and name == PurePath(name).name
-    if not plain or "\0" in name or len(name.encode("utf-8", "replace")) > _LONGEST_NAME:
-        raise ValueError(f"{str(name)[:40]!r} is no name of a file")
-
-
-def _check_rows(file: str, rows: Any) -> None:
-    if not isinstance(rows, list) or not rows:
-        raise ValueError(f"{file} has no rows")
-    for row in rows:
-        cells = row.items() if isinstance(row, dict) else ()
-        if not cells or not all(isinstance(c, str) for cell in cells for c in cell):
-            raise ValueError(f"{file} has a row that is none")
-
-
-def _check_lines(file: str, lines: Any, count: int) -> None:
-    if not isinstance(lines, list) or not all(type(line) is int for line in lines):
-        raise ValueError(f"{file} has lines that are no numbers")
-    ordered = all(a < b for a, b in zip([1, *lines], [*lines, _LAST_LINE], strict=True))
-    if lines and (len(lines) != count or not ordered):
-        raise ValueError(f"{file} has lines that are not those of its rows")
+def _check_name(name: str) -> None:
+    plain = name not in ("", "..") and name == PurePath(name).name and "\0" not in name
+    if not plain or len(name.encode("utf-8", "replace")) > _LONGEST_NAME:
+        raise ValueError(f"{name[:40]!r} is no name of a file")

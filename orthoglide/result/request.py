@@ -29,7 +29,7 @@ _AGAIN = "orthoglide rerun result.json --out DIR"
 
 @dataclass(frozen=True)
 class Request:
-    """All that has an influence on the numbers of a run."""
+    """All that influences the numbers of a run."""
 
     command: Command  # of the command line
     campaigns: tuple[Readings, ...]  # the readings
@@ -59,12 +59,12 @@ class Request:
 
     @property
     def effects_option(self) -> str:
-        """Behind ``--machine`` in a command that is told: the user's own effects, where given."""
+        """Option with the user's own effects, to be added to a command; empty without any."""
         return f" --effects-file {shlex.quote(self.effects_file)}" if self.effects_file else ""
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """As ``result.json`` keeps them: names of files, no places."""
+        """Arguments as ``result.json`` keeps them: names of files without their folders."""
         found: dict[str, Any] = {
             "campaigns": list(dict.fromkeys(name_of(c) for c in self.readings)),
             "own": list(self.own),
@@ -88,17 +88,17 @@ class Request:
 
     @property
     def readings(self) -> tuple[Readings, ...]:
-        """Files of all kinds but those with a row for each point of the tool."""
+        """Readings of all kinds except measured TCP points."""
         return (*self.campaigns, *(p for p in self.points if not p.by_point))
 
     @property
     def given(self) -> tuple[Readings, ...]:
-        """All that is fitted: readings of legs, then those of the tool."""
+        """All readings that are fitted: of legs, then of the tool."""
         return (*self.campaigns, *self.points)
 
     @property
     def setups(self) -> tuple[Setup, ...]:
-        """Of all these."""
+        """Setups of all readings that are fitted."""
         return tuple(setup for given in self.given for setup in given.setups)
 
     @cached_property
@@ -136,7 +136,7 @@ class Request:
 
     @property
     def command_line(self) -> str:
-        """How to run it again beside the files, or from the result where there are none."""
+        """Command that runs it again beside the files, or from the result if there are none."""
         if self.command == "demo":
             return "orthoglide demo --out DIR" + (f" --seed {self.seed}" if self.seed else "")
         judges = [*self.holdout, *(() if self.tcp is None else (self.tcp,))]
@@ -164,7 +164,7 @@ class Request:
 
 
 def machine_kept(spec: MachineFile) -> dict[str, str | None]:
-    """A machine as ``result.json`` keeps it: its file's text, and its covariance if it has one."""
+    """Return a machine as ``result.json`` keeps it: the text of its file, and its covariance."""
     if (known := spec.posterior) is None:
         return {"toml": machine_text(spec), "npz": None}
     covariance = b64encode(posterior_bytes(known, spec.sha256)).decode()

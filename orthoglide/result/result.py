@@ -43,11 +43,10 @@ from orthoglide.result.found import (
     Located,
     Possible,
 )
-from orthoglide.result.pictured import Picture, Workspace
 from orthoglide.result.reading import EDITED, as_edited, machine_of, read_result, request_of
-from orthoglide.result.readings_shown import ReadingsShown
 from orthoglide.result.request import Request, machine_kept
 from orthoglide.result.residuals import Change, DataFault, LackOfFit, Noise, SetupNoise
+from orthoglide.result.shown import Picture, ReadingsShown, Workspace
 
 SCHEMA = 2
 

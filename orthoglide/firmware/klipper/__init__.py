@@ -53,6 +53,8 @@ class Klipper:
             return None
         again = _FIRST if printer.table.get(AGAIN) else ""
         first = " ".join(text for text in (again, printer.doubts(calibrated)) if text)
+        held, of = given.catalogue.base, given.catalogue.effect_of  # what its numbers describe
+        causes = [c for c in causes if not all(of(n).name in held for n in c.parameters)]
         beyond = tuple(f"{c.words}: {c.confirm or f'look at {c.look_at}'}" for c in causes)
         numbers = {} if found is None else {"old": found.old.as_dict(), **found.kept}
         facts = {**numbers, "cannot_hold": list(beyond)}

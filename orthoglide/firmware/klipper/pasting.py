@@ -66,14 +66,14 @@ def corrections_of(
         changed[f"position_endstop of tower {name}"] = other - one
     most = best_of(changed, lambda name: abs(changed[name]))
     longer, rods = float(np.mean(new.arm) - np.mean(old.arm)), ""
-    if abs(longer) > SPREAD:
+    if abs(longer) > SPREAD:  # the size is told with the causes
         way = "longer" if longer > 0 else "shorter"
         why = "as measured"
         if not rods_measured:
             why = (
                 "as distances say, and a print that shrank makes these shorter: measure a rod first"
             )
-        rods = f"; they take the rods for {abs(longer) * 1e3:.1f} mm {way}, {why}"
+        rods = f"; they have {way} rods, {why}"
     offered = old if keep else new  # what fits worse is never shown as new numbers
     values = offered.values
     return Corrections(

@@ -1,0 +1,123 @@
+"""A result as figures show it: the machine, the TCP over the workspace, and the readings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.geometry import Array
+from orthoglide.result.codec import SHORT, Key, MetresField, in_mm_short
+from orthoglide.scene import Dial, Option, Posed, drawing
+
+_PLACES = 12  # decimals of an SI unit: a picometre is rounding
+
+Rows = Annotated[Array, Key(places=_PLACES)]
+Numbers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Picture:
+    """A drawing of what was found."""
+
+    posed: Posed  # the nominal machine at mechanical zero
+    dials: tuple[Dial, ...]  # where they stood
+    # explanations, found ones in order, each followed by what else it could be
+    options: tuple[Option, ...]
+    first: tuple[int, ...]  # which options are the most probable of what was found
+
+    def svg(self, alone: bool = False) -> str:
+        """Return the drawing as SVG; ``alone``: as a file of its own."""
+        title = "The machine, what was found marked on it" if self.options else "The machine"
+        return drawing(
+            self.posed, self.options, self.dials, title=title, shown=self.first, alone=alone
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Workspace:
+    """The TCP over the workspace, best translation removed, metres."""
+
+    # A regular grid (g, 3): travel from mechanical zero on the Orthoglide, else where the tool is
+    # wanted. With screws, errors are of a place a part of a turn beside it.
+    at: MetresField
+    axis: str  # what its columns are, with the axis' name to fill in
+    now: MetresField  # predicted error of a controller that knows of no error (g, 3)
+    left: MetresField  # predicted error of one that knows of joint offsets and leg lengths (g, 3)
+    sure_before: MetresField  # 95 % radius about the base model, everything else allowed (g,)
+    sure: MetresField  # 95 % radius about the calibrated machine, everything else allowed (g,)
+
+    @property
+    def nominal(self) -> Array:
+        """Length of ``now`` ``(g,)``."""
+        return np.linalg.norm(self.now, axis=1)
+
+    @property
+    def before(self) -> Array:
+        """Length of ``left`` ``(g,)``."""
+        return np.linalg.norm(self.left, axis=1)
+
+    def derived(self) -> dict[str, Any]:
+        """Keys of ``result.json`` that follow from the others: mean and largest."""
+        figures = {
+            "predicted_error_nominal": self.nominal,
+            "predicted_error_before": self.before,
+            "uncertainty_95_before": self.sure_before,
+            "uncertainty_95_after": self.sure,
+        }
+        return {
+            name: {"mean_mm": in_mm_short(float(v.mean())), "max_mm": in_mm_short(float(v.max()))}
+            for name, v in figures.items()
+        }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Mounting:
+    """The readings of one setup, as a panel of a figure shows them."""
+
+    setup: str  # name of the setup
+    name: str  # name of the setup, with its campaign before it if there are several
+    title: str  # of the panel: name, leg and direction
+    label: str  # of the horizontal axis
+    rows: Numbers  # rows of `ReadingsShown` that belong to it (m,)
+    # travel of the touched leg's carriage in millimetres, or place in the file (m,)
+    x: Annotated[Array, Key(digits=SHORT)]
+    side: Annotated[Array, Key(digits=1)]  # of the approach of that leg's own axis (m,)
+    unit: str  # unit for display: mm or mrad
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ReadingsShown:
+    """All readings that were fitted, measured and predicted, metres or radians."""
+
+    mountings: tuple[Mounting, ...]  # in the order of the files
+    file: Numbers  # number of the readings within the request (n,)
+    row: Numbers  # row within these readings (n,)
+    station: Numbers  # number of the station: a posture of a setup (n,)
+    measured: Rows  # (n,)
+    sigma: Rows  # standard deviation of the noise that is independent in each reading (n,)
+    common: Rows  # standard deviation of the noise that all readings of a station share (n,)
+    nominal: Rows  # predicted for the machine as it was (n,)
+    before: Rows  # predicted by the base model (n,)
+    after: Rows  # predicted by the last fit (n,)
+
+    def __len__(self) -> int:
+        return len(self.measured)
+
+    @property
+    def turned(self) -> NDArray[np.bool_]:
+        """Whether each reading is an inclination ``(n,)``."""
+        found = np.zeros(len(self), dtype=bool)
+        for one in self.mountings:
+            found[one.rows] = one.unit == "mrad"
+        return found
+
+    @property
+    def setups(self) -> list[str]:
+        """Name of the setup of each reading, ``n`` of them."""
+        found = np.empty(len(self), dtype=object)
+        for one in self.mountings:
+            found[one.rows] = one.setup
+        return list(found)
