@@ -466,6 +466,8 @@ BROKEN = {
     "no printer": ("[printer]", "[prnter]", "no section [printer]"),
     "cartesian": ("kinematics: delta", "kinematics: cartesian", "not 'delta'"),
     "a word for a number": ("angle = 210.211440", "angle = north", "which is no number"),
+    "no section": ("[", "> [", "none of the sections of a printer.cfg"),
+    "a unit": ("delta_radius = 162.820595", "delta_radius = 162.820595 mm", "and no unit"),
     "arm too short": ("arm_length = 345.283908", "arm_length = 45.2", "exchanged"),
 }  # fmt: skip
 
@@ -599,6 +601,10 @@ ODD = {
     "other probe": lambda t: t.replace("[probe]", "[bltouch]"),
     "no general mesh": lambda t: t.replace("[bed_mesh]", "[bed_mush]"),
     "macro": lambda t: "[gcode_macro X]\ngcode:\n  {% set a = 1 %}\n\n  M117 [x]: y\n" + t,
+    "capitals": lambda t: t.replace("[printer]", "[Printer]").replace("arm_length", "Arm_Length"),
+    "copied from a page": lambda t: t.replace("= -", "= \u2212").replace(
+        "[printer]", "\u200b[printer]"
+    ),
     "include": lambda t: "[include parts/*.cfg]\n" + _apart(t)[1],
 }
 

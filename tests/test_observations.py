@@ -32,7 +32,6 @@ from orthoglide.observations import (
     read_campaign,
     read_tcp,
     readings_from_rows,
-    tcp_from_rows,
     tcp_rows,
     write_campaign,
 )
@@ -645,7 +644,7 @@ def test_tcp_points_survive_their_rows(tmp_path: Path) -> None:
         f"{row},{sigma},-1\n" for row, sigma in zip(POINTS, ("0.002", ""), strict=True)
     )
     points = read_tcp(write(tmp_path / "c.tcp.csv", text))
-    again = tcp_from_rows(tcp_rows(points), file="c.tcp.csv")
+    (again,) = readings_from_rows(tcp_rows(points), name="c.tcp", file="c.tcp.csv")
     for name in ("command", "p", "sigma", "approach"):
         found, given = (getattr(one.points(), name) for one in (again, points))
         np.testing.assert_array_equal(found, given)

@@ -15,7 +15,7 @@ from orthoglide.files import decode, read_bytes
 from orthoglide.machine import Machine
 from orthoglide.machine_file import parse_machine_file
 from orthoglide.machine_file.posterior import parse_posterior
-from orthoglide.observations import Readings, readings_from_rows, tcp_from_rows
+from orthoglide.observations import Readings, readings_from_rows
 from orthoglide.result.request import COMMANDS, Request
 from orthoglide.text import brief, shown, unseen_in
 
@@ -150,7 +150,8 @@ def _readings(found: Mapping[str, Any], machine: Machine) -> tuple[Readings, ...
 
 
 def _points(found: Mapping[str, Any], machine: Machine) -> Readings:
-    return tcp_from_rows(found["rows"], machine.spec, **_origin(found))
+    (points,) = _readings(found, machine)
+    return points
 
 
 def _origin(found: Mapping[str, Any]) -> dict[str, Any]:
