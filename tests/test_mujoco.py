@@ -71,17 +71,6 @@ def test_nominal_machine(build: str, geometry: Geometry) -> None:
         assert np.abs(turn - np.eye(3)).max() < 1e-12
 
 
-def test_closed_machine_in_mujoco_has_the_mobility_of_ours() -> None:
-    witness = MujocoMachine(exported(relief=False), NOMINAL.L)
-    for command in commands(10, 2):
-        data = witness.close(command)
-        rows = data.efc_J.reshape(data.nefc, -1)
-        values = np.linalg.svd(rows, compute_uv=False)
-        ours = mechanism().mobility(command)
-        assert rows.shape == (ours.rows, ours.joints)
-        assert int(np.sum(values > 1e-7 * values[0])) == ours.rank
-
-
 @pytest.mark.parametrize("geometry", [NOMINAL, DELTA], ids=["orthoglide", "delta"])
 def test_a_calibrated_machine_exported_to_mujoco_is_where_ours_is(geometry: Geometry) -> None:
     """All errors of constant geometry but tilts of paths: unequal bars and turned joints too."""
