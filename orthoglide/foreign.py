@@ -26,10 +26,13 @@ _FILES = {  # files that describe no machine: what stands in no others, and what
         "is Klipper's printer.cfg: read it with orthoglide import klipper {}",
     ),
     "height map": (
-        r"^RepRapFirmware height map file", f"is RepRapFirmware's height map{_LIST}",
+        r"(?i)^RepRapFirmware height map file", f"is RepRapFirmware's height map{_LIST}",
     ),
     "bed lines": (
-        r"^.*\b[Bb]ed +[Xx] *:.*\b[Yy] *:.*\b[Zz] *:", f"has Marlin's lines of touches{_LIST}",
+        r"(?i)^.*\bbed +x *:.*\by *:.*\bz *:", f"has Marlin's lines of touches{_LIST}",
+    ),
+    "probe lines": (
+        r"\bprobe at \S+ is z=", f"has Klipper's lines of touches{_LIST}",
     ),
 }  # fmt: skip
 _M665 = (r"^.*\bM665\b[^;\n]*?\bL *([\d.:]+)", r"^.*\bM665\b[^;\n]*?\bR *([\d.:]+)")
@@ -70,7 +73,8 @@ def refuse_foreign(path: Path, content: bytes, own: Collection[str]) -> None:
     Raises:
         FileError: saying what the file is and what to write instead.
     """
-    text = content.decode("latin-1").replace("\r\n", "\n").replace("\r", "\n")
+    plain = content.removeprefix(b"\xef\xbb\xbf")
+    text = plain.decode("latin-1").replace("\r\n", "\n").replace("\r", "\n")
     for kind, (pattern, message) in _FILES.items():
         if re.search(pattern, text, re.MULTILINE):
             if kind in own:

@@ -600,6 +600,9 @@ def test_states_of_two_machines_are_not_compared(here: Path) -> None:
     result = run("check", "nominal/result.json", "longer/result.json")
     assert result.exit_code == 2
     assert "machines of different dimensions" in result.stderr
+    same = run("check", "nominal.csv", "./nominal.csv", "--machine", "nominal.toml", "--quiet")
+    assert same.exit_code == 0
+    assert "OLD and NEW are the same file" in same.stderr
     (here / "copy.csv").write_bytes((here / "nominal.csv").read_bytes())
     result = run("identify", "nominal.csv", "copy.csv", "--out", "twice")
     assert result.exit_code == 0

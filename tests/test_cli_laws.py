@@ -214,6 +214,15 @@ def test_a_machine_by_itself_counts(here: Path) -> None:
     asked = ("forward", "310", "310", "310")
     by_itself = run(*asked, "planted.toml").stdout
     assert by_itself == run(*asked, *MACHINE).stdout != run(*asked).stdout
+    for given in (("planted.toml", "--", *asked[1:]), ("--", *asked[1:], "planted.toml")):
+        assert run("forward", *given).stdout == by_itself  # numbers behind -- may be negative
+
+
+def test_a_word_that_is_no_machine_file_is_named(here: Path) -> None:
+    for given in (("export", "planted"), ("compensate", "path.csv", "planted")):
+        result = run(*given)
+        assert result.exit_code == 2
+        assert "'planted' is no machine file" in result.stderr
 
 
 @pytest.mark.parametrize(

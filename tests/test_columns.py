@@ -12,7 +12,7 @@ from orthoglide.errors import FileError, InputError
 from orthoglide.instruments import OBSERVATIONS, Setup
 from orthoglide.observations import Readings, read_readings
 from orthoglide.observations.protocols import unread
-from orthoglide.observations.schema import COLUMNS, COMMANDS, FIRMWARE
+from orthoglide.observations.schema import COLUMNS
 
 MACHINE = og.Machine.nominal()
 PLACES = np.random.default_rng(0).uniform(-0.03, 0.03, (6, 3))
@@ -54,17 +54,6 @@ def same(one: Readings, other: Readings) -> bool:
     return replace(one, name="").same_as(replace(other, name=""))
 
 
-@pytest.mark.parametrize("kind", OBSERVATIONS)
-def test_a_kind_survives_its_file_and_its_frame(kind: str, tmp_path: Path) -> None:
-    given = readings(kind)
-    og.write_campaign(given, tmp_path / "a.csv")
-    found = og.read_campaign(tmp_path / "a.csv")
-    assert same(found, given)
-    assert same(og.Readings.from_frame(given.to_frame()), given)
-    og.write_campaign(found, tmp_path / "b.csv")
-    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
-
-
 def test_all_kinds_survive_one_file_and_one_frame(tmp_path: Path) -> None:
     given = og.Readings.concatenated([readings(kind) for kind in IN_A_FILE])
     assert set(given.kind) == set(OBSERVATIONS)
@@ -89,15 +78,6 @@ def test_a_column_that_a_kind_needs_is_missed(kind: str, tmp_path: Path) -> None
     for column in (c for c in needed if c.name != "order"):
         with pytest.raises(FileError, match=f"has no column {column.name}"):
             og.Readings.from_frame(frame.drop(columns=column.name))
-
-
-def test_every_column_is_held_by_an_attribute() -> None:
-    given = og.Readings.concatenated([readings(kind) for kind in OBSERVATIONS])
-    for column in COLUMNS:
-        if column is not FIRMWARE:
-            assert hasattr(given.setups[0] if column.of_setup else given, column.attribute)
-        assert column.meaning.endswith(".")
-    assert len({column.name for column in COLUMNS}) == len(COLUMNS) > len(COMMANDS)
 
 
 def test_two_dials_at_one_place_are_refused_with_their_line() -> None:

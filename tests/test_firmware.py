@@ -204,6 +204,15 @@ def test_plain_tables_in_whatever_form(kind: str, tmp_path: Path) -> None:
     assert points(listed(tmp_path, TABLES[kind])).tolist() == [list(p) for p in PLAIN]
 
 
+def test_the_console_of_klipper_gives_its_touches(tmp_path: Path) -> None:
+    """Where the nozzle stands, as its printer's file has a mesh relative to it."""
+    lines = "12:01:55 // probe at {1:.3f},{2:.3f} is z={0:.6f}\n// Probe samples: 1\n".format
+    found = listed(tmp_path, "".join(lines(z, x, y) for x, y, z in PLAIN))
+    assert points(found).tolist() == [list(p) for p in PLAIN]
+    with pytest.raises(FileError, match="import plates"):
+        import_printer(tmp_path / "points.csv")
+
+
 def test_a_log_gives_its_touches_alone(tmp_path: Path) -> None:
     """Two probings, one point touched twice, positions reported between them."""
     touch = "Recv: Bed X: {} Y: {} Z: {}\n".format

@@ -268,7 +268,7 @@ def test_a_urdf_without_closures_is_no_machine(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "phrase"),
     [
-        ('"x_tcp"', '"x_nose"', "no link of"),
+        ('"x_tcp"', '"x_nose"', "no two frames of"),
         ('"point"', '"line"', "point"),
         ("[[closure]]", "[[closure]", "no TOML"),
     ],

@@ -13,9 +13,7 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.errors import FileError
 from orthoglide.firmware.klipper import Imported, import_printer
-from orthoglide.firmware.klipper.pasting import WHERE
 from orthoglide.machine import Machine
-from orthoglide.machine_file import machine_text, parse_machine_file
 from orthoglide.verdict import close_loop
 from tests.klipper_files import DATA, simulated_cfg
 from tests.rig_delta import DeltaRig
@@ -83,18 +81,6 @@ def test_files_that_do_not_go_together_are_told_once_and_of_the_right_one(tmp_pa
 
 
 # Lines above the header of SAVE_CONFIG ------------------------------------------------------------
-
-
-def test_lines_above_the_header_are_told_with_those_below(tmp_path: Path) -> None:
-    own, below, saved = T1.read_text().partition("#*# <-")
-    stale = imported(tmp_path, f"[printer]\ndelta_radius: 169.9\n{own}{below}{saved}").notes
-    (note,) = (n for n in stale if "above the header" in n)
-    assert "delta_radius: 169.9 (line 2), below 171.8" in note
-    assert "Remove the lines that are not meant: what is pasted below the header" in note
-    # Nothing that cannot be shown comes into the machine's file.
-    odd = f"[bed_mesh default]\nalgo: x\x07\n{own}{below}{saved}"
-    parse_machine_file(machine_text(imported(tmp_path, odd).machine))
-    assert "no effect while a line above that header gives the same key" in WHERE
 
 
 def test_an_override_that_makes_another_machine_is_named_with_its_remedy(tmp_path: Path) -> None:
@@ -241,18 +227,6 @@ def test_a_folder_with_a_printer_s_file_and_one_packed(tmp_path: Path) -> None:
 
 
 # Meshes that lie apart, and touches that are none -------------------------------------------------
-
-
-@pytest.mark.parametrize(("lower", "apart"), [(0.15, False), (0.3, True)])
-def test_meshes_that_lie_apart_are_told(lower: float, apart: bool, tmp_path: Path) -> None:
-    text = simulated_cfg(DeltaRig(), count=5)
-    block = text.partition("#*# [bed_mesh default]")[2]
-    both = f"{text}#*# [bed_mesh second]" + re.sub(
-        r"-?0\.\d{6}", lambda m: f"{float(m[0]) - lower:.6f}", block
-    )
-    found = imported(tmp_path, both)
-    assert bool(found.apart) == apart
-    assert found.together == (() if apart else ("mesh-default", "mesh-second"))
 
 
 def test_a_touch_that_is_none_is_set_aside_by_its_row(tmp_path: Path) -> None:

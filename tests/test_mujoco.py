@@ -9,6 +9,8 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+import mujoco
+
 from orthoglide.control import calibrated_mjcf, held_by_urdf
 from orthoglide.geometry import Geometry
 from orthoglide.machine import Machine
@@ -69,17 +71,6 @@ def test_nominal_machine(build: str, geometry: Geometry) -> None:
         assert np.abs(turn - np.eye(3)).max() < 1e-12
 
 
-def test_closed_machine_in_mujoco_has_the_mobility_of_ours() -> None:
-    witness = MujocoMachine(exported(relief=False), NOMINAL.L)
-    for command in commands(10, 2):
-        data = witness.close(command)
-        rows = data.efc_J.reshape(data.nefc, -1)
-        values = np.linalg.svd(rows, compute_uv=False)
-        ours = mechanism().mobility(command)
-        assert rows.shape == (ours.rows, ours.joints)
-        assert int(np.sum(values > 1e-7 * values[0])) == ours.rank
-
-
 @pytest.mark.parametrize("geometry", [NOMINAL, DELTA], ids=["orthoglide", "delta"])
 def test_a_calibrated_machine_exported_to_mujoco_is_where_ours_is(geometry: Geometry) -> None:
     """All errors of constant geometry but tilts of paths: unequal bars and turned joints too."""
@@ -96,12 +87,35 @@ def test_a_calibrated_machine_exported_to_mujoco_is_where_ours_is(geometry: Geom
     assert "Left out, for MJCF holds constant geometry only: backlash." in text
     zero = float(geometry.zero[0])
     witness = MujocoMachine(text, zero, geometry.leg_names)
+    at_rest = mujoco.MjData(witness.model)
+    mujoco.mj_step(witness.model, at_rest, 1000)  # a second under gravity, from joints at zero
+    assert np.abs(at_rest.efc_pos).max() < 1e-4
     data = witness.close(np.full(3, zero))
     assert data.efc_J.size == 21 * 24  # each loop closed once: no row repeats another
     for command in zero + rng.uniform(-0.03, 0.04, (10, 3)):
         place, _ = witness.pose(command)
         assert np.abs(place - worn.forward(command)).max() < 1e-10
         assert np.abs(place - plain.forward(command)).max() > 1e-4
+
+
+@pytest.mark.parametrize("relief", [True, False], ids=["relief", "rigid-legs"])
+@pytest.mark.parametrize("geometry", [NOMINAL, DELTA], ids=["orthoglide", "delta"])
+def test_the_machine_stands_under_gravity(geometry: Geometry, relief: bool) -> None:
+    """And goes where its drives are sent, all loops closed."""
+    model = mujoco.MjModel.from_xml_string(exported(geometry, relief))
+    data = mujoco.MjData(model)
+    assert model.opt.gravity[2] < -9
+    drives = [model.joint(f"{leg}_slide").qposadr[0] for leg in geometry.leg_names]
+    for travel in (0.0, 0.02):
+        data.ctrl[:] = travel
+        for _ in range(round(1.0 / model.opt.timestep)):
+            mujoco.mj_step(model, data)
+            loops = data.efc_pos[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
+            assert len(loops) == 21
+            assert np.abs(loops).max() < 1e-4
+        np.testing.assert_allclose(data.qpos[drives], travel, atol=1e-4)
+        assert np.abs(data.qvel).max() < 1e-4
+    assert not any(warning.number for warning in data.warning)
 
 
 def test_joints_of_the_export_are_called_as_those_of_the_urdf() -> None:

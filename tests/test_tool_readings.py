@@ -5,9 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import orthoglide as og
@@ -180,20 +178,6 @@ def test_a_longer_tool_swings_as_the_platform_turns(tmp_path: Path) -> None:
     assert min(short[kind] for kind in ("tcp", "distance", "ballbar")) > 2e-5
 
 
-def test_slopes_of_readings_beside_and_below_the_tool() -> None:
-    names = ["mount_tilt.b.a", "rail_tilt.a.tangential", "axis_offset.c.radial"]
-    true, frame = MACHINE.with_parameters(dict.fromkeys(names, 4e-3)), by_a_longer_tool({})
-    place = {"beside_x_mm": 12.0, "beside_y_mm": -7.0, "beside_z_mm": -40.0}
-    frame |= {name: [value] * len(frame["kind"]) for name, value in place.items()}
-    factor = factor_of(Readings.from_frame(frame, machine_file=SPEC), MACHINE)
-    slopes = factor.linearise(true.model, true.values, names).jacobian
-    for k, name in enumerate(names):
-        up, down = (
-            factor.predict(true.model, true.values | {name: 4e-3 + step}) for step in (1e-5, -1e-5)
-        )
-        assert slopes[:, k] == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-6)
-
-
 def test_a_level_stands_nowhere_beside_the_tool() -> None:
     frame = {"kind": ["incline"] * 2, "setup": ["p"] * 2, "reading_mrad": [0.0, 0.0],
              "direction": ["x", "y"], "beside_z_mm": [-40.0, -40.0]}  # fmt: skip
@@ -301,40 +285,6 @@ def test_each_setup_has_one_probe() -> None:
         Readings.from_frame(frame, machine_file=SPEC)
 
 
-ALL = ("plate", "tcp", "distance", "ballbar", "incline")
-
-
-def test_all_kinds_of_one_file_read_back_as_written(tmp_path: Path) -> None:
-    (campaign,) = read(tmp_path, text(ALL))
-    assert [s.kind for s in campaign.setups] == list(ALL)
-    (again,) = read(tmp_path, campaign_text(campaign, SPEC))
-    for name in ("command", "second", "reading", "axis", "sign", "approach"):
-        assert np.array_equal(getattr(again, name), getattr(campaign, name), equal_nan=True)
-
-
-@pytest.mark.parametrize("kind", ALL)
-def test_the_true_machine_leaves_nothing_of_its_readings(kind: str, tmp_path: Path) -> None:
-    (campaign,) = read(tmp_path, text((kind,)))
-    factor = factor_of(campaign, TRUE)
-    value = factor.predict(TRUE.model, TRUE.values)
-    linear = factor.linearise(TRUE.model, TRUE.values, ["joint_offset.b"])
-    block, rest = factor.nuisances(linear.seen), factor.measured - value
-    left = rest - block.columns @ np.linalg.lstsq(block.columns, rest, rcond=1e-12)[0]
-    assert np.abs(left).max() < 1e-9
-
-
-@pytest.mark.parametrize("kind", ALL)
-def test_derivatives_are_finite_differences(kind: str, tmp_path: Path) -> None:
-    (campaign,) = read(tmp_path, text((kind,)))
-    factor = factor_of(campaign, MACHINE)
-    names = ["joint_offset.b", "axis_tilt.a.radial", "bar_mismatch.c"]
-    names += ["plate_trefoil.plate-1.cos"] if kind == "plate" else []
-    slopes = factor.linearise(MACHINE.model, {}, names).jacobian
-    for k, name in enumerate(names):
-        ends = [factor.predict(MACHINE.model, {name: s * 1e-6}) for s in (1, -1)]
-        assert np.abs((ends[0] - ends[1]) / 2e-6 - slopes[:, k]).max() < 1e-6, name
-
-
 def test_a_plate_and_a_level_find_what_is_wrong(tmp_path: Path) -> None:
     (campaign,) = read(tmp_path, text(("plate", "incline", "distance"), noise=2e-6))
     free = [*MACHINE.catalogue.base, "axis_tilt.tangential.common"]
@@ -417,18 +367,6 @@ def test_dials_and_tool_readings_of_an_orthoglide_go_together(tmp_path: Path) ->
     assert programme.x == pytest.approx(both.x, abs=1e-9)
 
 
-@pytest.mark.thorough(except_for=["ballbar"])
-@pytest.mark.parametrize("kind", ALL)
-def test_the_programme_agrees_with_nested_steps(kind: str, tmp_path: Path) -> None:
-    (campaign,) = read(tmp_path, text((kind,), noise=2e-6))
-    free = [*MACHINE.catalogue.base, *(["plate_trefoil"] if kind == "plate" else [])]
-    nlp, nested = (
-        og.identify(campaign, MACHINE, free, method=method) for method in ("nlp", "nested")
-    )
-    assert (nlp.method, nested.method) == ("nlp", "nested")
-    assert np.abs((nlp.x - nested.x) / np.sqrt(np.diag(nested.covariance))).max() < 1e-6
-
-
 def test_a_delta_s_file_without_its_machine_is_told_what_it_lacks(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="--machine"):
         read(tmp_path, text(("plate",)), Machine.nominal().spec)
@@ -470,23 +408,6 @@ def test_a_slip_counts_by_the_size_of_the_machine() -> None:
 
 
 KINDS = ("tcp", "plate", "distance", "ballbar", "incline")
-
-
-def test_tool_readings_as_frames_and_files(tmp_path: Path) -> None:
-    (campaign,) = read(tmp_path, text(KINDS))
-    frame = campaign.to_frame(SPEC)
-    assert list(frame["kind"]) == list(campaign.kind)
-    again = Readings.from_frame(frame, name="tool", machine_file=SPEC)
-    og.write_campaign(campaign, tmp_path / "again.csv", SPEC)
-    (read_back,) = og.read_readings(tmp_path / "again.csv", SPEC)
-    for other in (again, read_back):
-        assert (other.kind, other.setups, other.posture) == (
-            campaign.kind, campaign.setups, campaign.posture)  # fmt: skip
-        for name in ("command", "second", "reading", "axis", "sign", "approach"):
-            np.testing.assert_array_equal(getattr(other, name), getattr(campaign, name))
-    page = campaign._repr_html_()
-    assert "200 readings" in page
-    assert "<td>incline-1</td>" in page
 
 
 @pytest.mark.parametrize("zero", [0.0, 0.07])
@@ -545,17 +466,6 @@ def test_kinds_go_into_one_file(tmp_path: Path) -> None:
         ones = [getattr(given[k], name) for k in (0, 2, 3)]
         np.testing.assert_array_equal(getattr(tool, name), np.concatenate(ones))
     assert tool.kind == sum((given[k].kind for k in (0, 2, 3)), ())
-
-
-def test_frames_of_kinds_go_into_one_file(tmp_path: Path) -> None:
-    plate, leg = sheets(Machine.nominal(), "plate", "leg")
-    frame = pd.concat([leg.to_frame(), plate.to_frame()])
-    assert not [name for name in frame if name.startswith("travel")]
-    frame.to_csv(tmp_path / "mixed.csv", index=False)
-    for read, one in zip(og.read_readings(tmp_path / "mixed.csv"), (leg, plate), strict=True):
-        assert not read.warnings
-        for name in ("command", "approach", "reading"):
-            np.testing.assert_array_equal(getattr(read, name), getattr(one, name))
 
 
 def test_what_is_no_one_file_is_refused(tmp_path: Path) -> None:
@@ -885,20 +795,6 @@ def exacting(**errors: float) -> Machine:
 
 
 ZEROS = {"joint_offset.x": 5e-4, "joint_offset.y": -3e-4}
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_ball_bar_is_simulated_about_one_centre(seed: int) -> None:
-    machine = exacting(**ZEROS)
-    made = og.simulate(machine, sheet_of(machine, "ballbar"), noise=0.0, seed=seed)
-    p = machine.forward(made.command)
-
-    def left(x: np.ndarray) -> np.ndarray:
-        return 1e3 * (np.linalg.norm(p - x[:3], axis=1) + x[3] - made.reading)
-
-    found = least_squares(left, np.zeros(4), x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    assert np.linalg.norm(found.x) > 1e-4
-    assert np.abs(found.fun).max() < 1e-6
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-import yaml
 import yourdfpy
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -96,12 +95,6 @@ def test_module_writes_both_files_into_a_folder(tmp_path: Path) -> None:
     assert (target / urdf.URDF_FILE).read_bytes().decode() == urdf.to_urdf(NOMINAL)
 
 
-def test_write_takes_another_geometry(tmp_path: Path) -> None:
-    model_file, sidecar = urdf.write(tmp_path, OTHER)
-    assert model_file.read_text() == urdf.to_urdf(OTHER) != urdf.to_urdf(NOMINAL)
-    assert sidecar.read_text() == urdf.closures_text(urdf.closures(OTHER))
-
-
 def test_names_of_joints_links_and_their_axes() -> None:
     robot = ET.fromstring(urdf.to_urdf(NOMINAL))
     moving = {j.get("name"): j for j in robot.iter("joint") if j.get("type") != "fixed"}
@@ -115,16 +108,6 @@ def test_names_of_joints_links_and_their_axes() -> None:
         assert joint.get("type") == ("prismatic" if slide else "revolute")
         axis = {"slide": "1 0 0", "theta": "0 0 1", "platform": "0 0 1"}.get(part, "0 1 0")
         assert joint.find("axis").get("xyz") == axis  # type: ignore[union-attr]
-
-
-def test_frames_of_the_closures_are_found_by_bare_name() -> None:
-    model = model_of(NOMINAL)
-    assert urdf.closures(NOMINAL)
-    for item in urdf.closures(NOMINAL):
-        for frame in (item.frame_1, item.frame_2):
-            # raises where a joint's and a link's frame share the name
-            assert model.getFrameId(frame) < model.nframes
-            assert model.frames[model.getFrameId(frame)].type == pin.FrameType.BODY
 
 
 def test_sidecar_says_what_closures_returns() -> None:
@@ -243,27 +226,6 @@ def test_inertias_are_those_of_the_solids_drawn(geometry: Geometry) -> None:
     assert weighed == 18
 
 
-def test_legs_are_drawn_alike() -> None:
-    """Leg by leg the same links but for the colour, and what the platform carries for all."""
-    robot = ET.fromstring(urdf.to_urdf(NOMINAL))
-    drawn = {str(link.get("name")): link.findall("visual") for link in robot.findall("link")}
-    for part in ("carriage", "fork", "bar1", "bar2", "knuckle", "platform"):
-        legs = []
-        for n in LEGS:
-            texts = [
-                ET.tostring(visual, encoding="unicode").strip() for visual in drawn[f"{n}_{part}"]
-            ]
-            legs.append([text.replace(f"carriage_{n}", "carriage") for text in texts])
-        assert legs[1]
-        assert legs[1] == legs[2] == legs[0][: len(legs[1])]
-        assert (len(legs[0]) > len(legs[1])) == (part == "platform")
-    known = {material.get("name") for material in robot.findall("material")}
-    used = {
-        m.get("name") for visuals in drawn.values() for v in visuals for m in v.iter("material")
-    }
-    assert used == known
-
-
 def solids_that_touch(model: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[str, str]]:
     """Pairs of links whose drawn solids overlap."""
     names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, b) for b in model.geom_bodyid]
@@ -346,30 +308,6 @@ def exported(geometry: Geometry, folder: Path) -> pin.Model:
     for name, text in urdf.parallel_robot_files(geometry).items():
         (folder / name).write_text(text)
     return pin.buildModelFromUrdf(str(folder / "robot.urdf"))
-
-
-@GEOMETRIES
-def test_a_parallel_robot_closes_when_loaded_back(geometry: Geometry, tmp_path: Path) -> None:
-    model = exported(geometry, tmp_path)
-    told = yaml.safe_load((tmp_path / "robot.yaml").read_text())
-    assert set(told) >= {"closed_loop", "type", "name_mot", "joint_name", "joint_type"}
-    robot = urdf.read_parallel_robot(tmp_path)
-    assert [(c.kind, c.frame_1, c.frame_2) for c in robot.closures] == [
-        (c.kind, c.frame_1, c.frame_2) for c in urdf.closures(geometry)
-    ]
-    assert robot.motors == ("x_slide", "y_slide", "z_slide")
-    constraints, data = constraints_of(robot, model), model.createData()
-    travel = np.array([0.01, -0.02, 0.03])
-    for q in (pin.neutral(model), closed_configuration(geometry, travel, model)):
-        assert np.abs(open_by(model, data, constraints, q)).max() < 1e-12
-        pin.computeJointJacobians(model, data, q)
-        datas = [constraint.createData() for constraint in constraints]
-        for constraint, held in zip(constraints, datas, strict=True):
-            constraint.calc(model, data, held)  # without which the Jacobian is silently wrong
-        found = pin.getConstraintsJacobian(model, data, constraints, datas)
-        own = Constraints(nominal_tree(load(geometry))).jacobian(q)
-        # Their rows are the first frame's velocity less the second's.
-        assert np.abs(found + own).max() < 1e-12
 
 
 def residual_by_hand(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,12 +15,11 @@ from orthoglide.errors import FileError
 from orthoglide.explanation.identifying import identify
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
-from orthoglide.mechanism.constraints import Constraints
 from orthoglide.mechanism.engine import ByPinocchio, SixBars
 from orthoglide.mechanism.symbolic_closure import closure_functions
-from orthoglide.mechanism.tree import VIRTUAL_NAMES, load, nominal_tree
+from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import protocol
-from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, shipped_folder, write
+from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, shipped_folder
 from tests.engines import NOMINAL, commands, edited, outputs
 from tests.rig import _solve, rotation
 from tests.test_mechanism import parts
@@ -217,15 +215,6 @@ def test_identification_and_its_verification_follow_the_file(
     assert max(abs(value) for value in nominal.values.values()) > 1e-5
 
 
-def test_the_copy_itself_is_the_shipped_machine(tmp_path: Path) -> None:
-    write(tmp_path)
-    machine = Machine.from_urdf(tmp_path)
-    assert np.array_equal(machine.forward(RHO), Machine.nominal().forward(RHO))
-    own = [Constraints(nominal_tree(load(source))) for source in (tmp_path, None)]
-    q = 0.3 * np.random.default_rng(0).standard_normal(18)
-    assert np.array_equal(*(constraints.residual(q) for constraints in own))
-
-
 @pytest.mark.parametrize("beside", [True, False], ids=["beside the machine file", "elsewhere"])
 def test_a_machine_file_names_the_folder(beside: bool, tmp_path: Path) -> None:
     edit = EDITS["y bar 1 longer"]
@@ -314,18 +303,3 @@ def test_bars_in_millimetres_are_refused(tmp_path: Path) -> None:
     file.write_text(text, encoding="utf-8")
     with pytest.raises(og.InputError, match=r"bars of 310\.2 and 310\.2 m: give their lengths in"):
         og.Machine.from_urdf(folder)
-
-
-def test_threads_may_share_a_machine() -> None:
-    machine = og.Machine.nominal().with_parameters({"bar_mismatch.x": 1e-4})
-    rho = 0.31 + np.random.default_rng(0).uniform(-0.05, 0.05, (60, 3))
-    mechanism = machine.model.mechanism
-
-    def found(command: np.ndarray) -> np.ndarray:
-        posture = machine.close(command)
-        slope = mechanism.velocity_jacobian(posture)
-        return np.concatenate([posture.p, machine.forward(command), slope.ravel()])
-
-    expected = np.array([found(one) for one in rho])
-    with ThreadPoolExecutor(6) as pool:
-        assert np.array_equal(np.array(list(pool.map(found, rho))), expected)

@@ -54,14 +54,24 @@ class Command(click.Command):
         valued = {name for p in options if not p.is_flag for name in p.opts}
         if "--machine" not in {name for p in options for name in p.opts}:
             return super().parse_args(ctx, args)
-        words = list[str]()
+        machines, words = list[str](), list[str]()
         for before, word in zip(["", *args], args, strict=False):
             if word.endswith(".toml") and not word.startswith("-") and before not in valued:
-                words.append("--machine")
-            words.append(word)
+                machines += ["--machine", word]
+            else:
+                words.append(word)
+        words = [*machines, *words]  # in front of a "--", behind which no option is read
         if sum(word.partition("=")[0] == "--machine" for word in words) > 1:
             raise InputError(f"give one machine file to {ctx.info_name}, not several")
-        return super().parse_args(ctx, words)
+        try:
+            return super().parse_args(ctx, list(words))
+        except click.MissingParameter:
+            if extra := self.make_parser(ctx).parse_args(list(words))[1]:
+                raise InputError(
+                    f"{extra[0]!r} is no machine file, whose name ends in .toml: give one by "
+                    f"itself or with --machine"
+                ) from None
+            raise
 
 
 class Group(click.Group):

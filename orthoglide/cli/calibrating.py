@@ -279,7 +279,11 @@ def check(
         found = compare(read.old, read.new, read.machine, noise=noise, seed=seed, progress=step)
         files = {} if out is None else check_files(found, step)
         answer = found.line if quiet else wrapped(changes_text(found))
-    warn(copied_files((*read.old, *read.new)))
+    if states[0].resolve() == states[1].resolve():
+        name = click.format_filename(states[0])
+        warn((f"OLD and NEW are the same file, {name}: nothing can have changed",))
+    else:
+        warn(copied_files((*read.old, *read.new)))
     if out is not None:
         write_folder(out, files)
         answer += "" if quiet else f"\n\n{_report(out, 'check.html')}"

@@ -70,8 +70,9 @@ def calibrated_mjcf(machine: MachineSource) -> str:
     """MJCF text of a calibrated machine, for MuJoCo, its loops closed by equality constraints.
 
     Joints, sites and constraints are those of ``orthoglide.urdf.to_mjcf``: ``x_slide`` ... are
-    the drives, whose position is the commanded travel; the site ``x_tcp`` is the tool. Legs of any
-    lengths close, as each has the two relief joints that URDF has no room for.
+    the drives, whose position is the commanded travel, and actuators of these names hold them
+    against gravity; the site ``x_tcp`` is the tool. Legs of any lengths close, as each has the two
+    relief joints that URDF has no room for.
 
     Args:
         machine: calibrated, or the path of its file. What is no constant geometry is left out and

@@ -1,7 +1,8 @@
 """Lists of points of a plate that firmware or people wrote, as readings of a machine.
 
-Read are RepRapFirmware's ``heightmap.csv``, the lines ``Bed X: Y: Z:`` of Marlin's ``G29`` within a
-log, other lines with ``X: Y: Z:``, and plain tables of x, y, z. A height is where the nozzle stood
+Read are RepRapFirmware's ``heightmap.csv``, the lines ``Bed X: Y: Z:`` of Marlin's ``G29`` and
+``probe at X,Y is z=Z`` of Klipper's console within a log, other lines with ``X: Y: Z:``, and plain
+tables of x, y, z. A height is where the nozzle stood
 when the plate was touched; a height that is added to all of a list makes no difference.
 """
 
@@ -58,7 +59,7 @@ def import_plates(path: str | os.PathLike[str], machine_file: AnyMachine) -> Imp
             file=machine.file or "the machine file",
         )
     content = files.read_bytes(path, files.LIMIT)
-    refuse_foreign(Path(path), content, own=("height map", "bed lines"))
+    refuse_foreign(Path(path), content, own=("height map", "bed lines", "probe lines"))
     lines = re.split(r"\r\n|\r|\n", files.decode(content, Path(path), errors="replace"))
     read = read_touches(lines, shown(path))
     lists = [kept for touches in _distinct(read) if (kept := _usable(touches, kinematics, read))]

@@ -15,6 +15,7 @@ FEWEST = 3
 _MAP = re.compile(r"RepRapFirmware height map file", re.IGNORECASE)
 _NUMBER = r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?|nan"
 _LABELLED = [re.compile(rf"(?<![A-Za-z]){axis}\s*[:=]\s*({_NUMBER})", re.I) for axis in "xyz"]
+_CONSOLE = re.compile(rf"\bprobe at ({_NUMBER}),({_NUMBER}) is z=", re.I)  # of Klipper
 _BED = re.compile(r"\bbed\s+x\s*[:=]", re.IGNORECASE)
 _POSITION = re.compile(r"\bE\s*:|\bCount\b", re.IGNORECASE)  # where a tool stands, no touch
 _WARM = re.compile(rf"(?<![A-Za-z])B\s*:\s*({_NUMBER})\s*/", re.IGNORECASE)  # of the bed, in a log
@@ -89,6 +90,7 @@ class Read:
 def read_touches(lines: Sequence[str], file: str) -> Read:
     """Read the lines of a file by what stands in them."""
     read = Read()
+    lines = [_CONSOLE.sub(r"Bed X:\1 Y:\2 Z:", line) for line in lines]
     if any(_MAP.search(line) for line in lines):
         _read_maps(lines, file, read)
     elif any(all(p.search(line) for p in _LABELLED) for line in lines):

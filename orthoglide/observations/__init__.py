@@ -9,7 +9,6 @@ from orthoglide.observations.reading import (
     read_readings as read_readings,
     read_tcp as read_tcp,
     readings_from_rows as readings_from_rows,
-    tcp_from_rows as tcp_from_rows,
 )
 from orthoglide.observations.readings import (
     Points as Points,

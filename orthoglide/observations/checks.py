@@ -178,11 +178,8 @@ def check_readings(given: Readings, machine: MachineFile, fail: Fail) -> tuple[N
         for check in _CHECKS:
             check(campaign, machine, fail_leg)
         found = [note for notice in NOTICES for note in notice(campaign, machine)]
-    _noise(given, fail)
-    _places(given, fail)
-    _distances(given, fail)
-    _bars(given, fail)
-    _twice_at_once(given, fail)
+    for rule in (_noise, _places, _distances, _bars, _duplicates):
+        rule(given, fail)
     return tuple(found)
 
 
@@ -275,31 +272,23 @@ def _postures(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
             )
 
 
-def _duplicates(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
-    seen: dict[Hashable, int] = {}
-    visits = np.column_stack([campaign.setup, campaign.repeat, campaign.approach, campaign.load])
-    places = np.round(campaign.command, 9)
-    for row, key in enumerate(zip(map(tuple, visits), map(tuple, places), strict=True)):
-        first = seen.setdefault(key, row)
-        if first != row:
-            fail(
-                f"the reading of line {campaign.line[first]} stands here again (same setup, "
-                "command, approach and repeat): remove one, or count it up in column repeat",
-                row,
-            )
-
-
-def _twice_at_once(given: Readings, fail: Fail) -> None:
-    """An instrument reads one value at a visit, of which column order gives each its number."""
+def _duplicates(given: Readings, fail: Fail) -> None:
+    """Refuse a reading of a visit that was read already. An instrument at the tool is visited as
+    often as column order says, a dial on a leg as often as column repeat does.
+    """
     seen = dict[Hashable, int]()
-    visits = np.column_stack([given.stations, given.repeat, given.order])
-    for row in np.flatnonzero(~given.on_legs):
-        first = seen.setdefault(tuple(visits[row]), int(row))
+    order = np.where(given.on_legs, 0, given.order)
+    visits = np.column_stack([np.round(given.stations, 9), given.repeat, order])
+    for row, visit in enumerate(map(tuple, visits.tolist())):
+        first = seen.setdefault(visit, row)
         if first != row:
+            same, remedy = "approach", "count it up in column repeat"
+            if not given.on_legs[row]:
+                same, remedy = "order", "number the visits in column order"
             fail(
                 f"the reading of line {given.line[first]} stands here again (same setup, command, "
-                f"order and repeat): remove one, or number the visits in column order",
-                int(row),
+                f"{same} and repeat): remove one, or {remedy}",
+                row,
             )
 
 
@@ -343,7 +332,7 @@ def _dial(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
             )
 
 
-_CHECKS = (_motion, _gauges, _postures, _duplicates, _clock, _dial)
+_CHECKS = (_motion, _gauges, _postures, _clock, _dial)
 
 
 def check_given(given: Readings, machine: MachineFile) -> None:

@@ -133,7 +133,8 @@ def read_tcp(path: str | os.PathLike[str], machine_file: AnyMachine | None = Non
     Raises:
         FileError: naming the line and what would be right.
     """
-    return _points(read_table(path), machine_file_of(machine_file))
+    table = read_table(path)
+    return _points(table, Path(table.file).stem, machine_file_of(machine_file))
 
 
 def readings_from_rows(
@@ -145,7 +146,8 @@ def readings_from_rows(
     file: str = "",
     sha256: str = "",
 ) -> tuple[Readings, ...]:
-    """Readings from rows of text, as a result keeps those of its files.
+    """Readings from rows of text, as a result keeps those of its files: of rows with points of the
+    tool one table, as `read_tcp` has it.
 
     Args:
         rows: from column to text; the first row names all columns.
@@ -160,22 +162,6 @@ def readings_from_rows(
     """
     table = rows_table(rows, file or name, lines, sha256)
     return tuple(replace(r, file=file) for r in readings_of_table(table, name, machine_file))
-
-
-def tcp_from_rows(
-    rows: Sequence[Mapping[str, str]],
-    machine_file: AnyMachine | None = None,
-    *,
-    file: str,
-    lines: Sequence[int] = (),
-    sha256: str = "",
-) -> Readings:
-    """Positions of the tool from rows of text; arguments as for `readings_from_rows`.
-
-    Raises:
-        FileError: as `read_tcp`.
-    """
-    return _points(rows_table(rows, file, lines, sha256), machine_file_of(machine_file))
 
 
 def readings_from_frame(
@@ -222,7 +208,7 @@ def readings_of_table(
     machine = machine_file_of(machine_file)
     of_points = set(POINT.names()) & set(table.names)
     if of_points and not {SETUP.name, READINGS["mm"].name} & set(table.names):
-        return (_points(table, machine),)
+        return (_points(table, name, machine),)
     kinds = table.values(KIND)
     tool = which(kinds, at_tool)
     if not tool.any() or all(kinds[k] == MOVE for k in np.flatnonzero(~tool)):
@@ -343,7 +329,7 @@ def _moves_with_readings(moves: Table) -> tuple[Note, ...]:
     return (Note(told, "reading", lines),) if lines else ()
 
 
-def _points(table: Table, machine: MachineFile) -> Readings:
+def _points(table: Table, name: str, machine: MachineFile) -> Readings:
     column, legs = stated_commands(table, machine), machine.geometry.leg_names
     known = (column, RHO, TRAVEL, APPROACH, POINT, SIGMAS["mm"])
     warnings = table.check_names(names_of(known, legs), names_of((column, POINT), legs))
@@ -352,6 +338,6 @@ def _points(table: Table, machine: MachineFile) -> Readings:
     check_points(command, p, table.fail)
     return from_points(
         command, p, table.values(SIGMAS["mm"]), table.array(APPROACH, legs), table.lines,
-        name=Path(table.file).stem or "points", file=table.file, sha256=table.sha256,
+        name=name or "points", file=table.file, sha256=table.sha256,
         warnings=warnings, legs=machine.geometry.layout.names,
     )  # fmt: skip

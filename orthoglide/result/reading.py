@@ -17,7 +17,7 @@ from orthoglide.instruments import Frame
 from orthoglide.machine import Machine
 from orthoglide.machine_file import parse_machine_file
 from orthoglide.machine_file.posterior import parse_posterior
-from orthoglide.observations import Readings, readings_from_rows, tcp_from_rows
+from orthoglide.observations import Readings, readings_from_rows
 from orthoglide.result.codec import decoded
 from orthoglide.result.request import COMMANDS, Request
 from orthoglide.text import brief, shown, unseen_in
@@ -125,8 +125,6 @@ class _Input:
     def readings(self, machine: Machine) -> tuple[Readings, ...]:
         """Return the readings, of one or several kinds."""
         origin: dict[str, Any] = {"file": self.file, "lines": self.lines, "sha256": self.sha256}
-        if self.role.endswith("tcp"):
-            return (tcp_from_rows(self.rows, machine.spec, **origin),)
         name = Path(self.file).stem if self.name is None else self.name
         return readings_from_rows(self.rows, machine.spec, name=name, **origin)
 

@@ -20,6 +20,24 @@ RELIEF: Mapping[str, tuple[str, str]] = {
 """Joints before a leg's joint that URDF has no room for: the torsion of bar 1 at its tip, and a
 turn about the short link at the root of bar 2. Without them legs with unequal bars do not close."""
 
+_STEP = "0.001"
+"""Seconds of a simulation step: the rods of a small delta swing too fast for MuJoCo's 0.002."""
+
+_LOOP = {"solref": "0.003 1", "solimp": "0.9999 0.9999 0.001"}
+"""Loops pull together within three steps and yield a ten-thousandth of a load: micrometres under
+the machine's weight, where MuJoCo's soft defaults let it fall apart."""
+
+_SPINNING = "0.0001"
+"""Armature of a passive joint, kg m^2, a tenth of a bar's inertia or less: a bar hardly resists a
+turn about itself, and so quick a joint would need much smaller steps."""
+
+_SCREW = "5"
+"""Armature of a drive, kg: what a motor of 5e-5 kg m^2 on a screw of 20 mm pitch has."""
+
+_DRIVE = {"kp": "1e6", "kv": "4e3", "forcerange": "-500 500"}
+"""A drive's stiffness, N/m, that of a ball screw; its damping, N s/m, nearly critical for the
+armature; and its force, N, beyond which a sudden command is followed slowly."""
+
 _XYZ = "xyz"  # the name of an attribute of URDF, and the axes that its angles turn about in order
 
 _JOINTS = {"prismatic": "slide", "revolute": "hinge", "continuous": "hinge"}
@@ -33,7 +51,9 @@ def to_mjcf(urdf: str, loops: Sequence[Closure], *, relief: bool = True, comment
     ``y_slide`` and ``z_slide`` (``a_slide`` ... of a delta) are the drives, with the limits of the
     stroke; every other joint is passive. A link that a fixed joint carries is a site: ``x_tcp`` is
     the tool. Each loop is an equality constraint with the name of its closure, ``connect`` where
-    two origins coincide and ``weld`` where axes do too. Nothing collides; there are no actuators.
+    two origins coincide and ``weld`` where axes do too. Each drive has a position actuator with the
+    name of its joint, which holds the travel given as its control, zero at first: loaded as it is,
+    the machine stands under gravity. Nothing collides.
 
     Args:
         urdf: text of the tree, joints at zero being the closed machine.
@@ -50,6 +70,8 @@ def to_mjcf(urdf: str, loops: Sequence[Closure], *, relief: bool = True, comment
     if comment:  # XML allows no double hyphen in comments
         root.append(ET.Comment(f" {re.sub('-(?=-)', '- ', comment)} "))
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
+    ET.SubElement(root, "option", timestep=_STEP)
+    ET.SubElement(ET.SubElement(root, "default"), "joint", armature=_SPINNING)
     asset = ET.SubElement(root, "asset")
     for material in robot.findall("material"):
         color = material.find("color")
@@ -66,7 +88,13 @@ def to_mjcf(urdf: str, loops: Sequence[Closure], *, relief: bool = True, comment
     equality = ET.SubElement(root, "equality")
     for loop in loops:
         frames = {"site1": loop.frame_1, "site2": loop.frame_2}
-        ET.SubElement(equality, _EQUALITY[loop.kind], {"name": loop.name, **frames})
+        ET.SubElement(equality, _EQUALITY[loop.kind], {"name": loop.name, **frames, **_LOOP})
+    drives = ET.SubElement(root, "actuator")
+    for joint in world.iter("joint"):
+        if joint.get("type") == "slide":
+            name = joint.get("name", "")
+            limits = {"ctrlrange": joint.get("range", "")} if "range" in joint.attrib else {}
+            ET.SubElement(drives, "position", {"name": name, "joint": name, **limits, **_DRIVE})
     ET.indent(root)
     return f"{ET.tostring(root, encoding='unicode')}\n"
 
@@ -111,8 +139,10 @@ def _add_joints(body: ET.Element, joint: ET.Element, relief: bool) -> None:
     axis_of, limit = joint.find("axis"), joint.find("limit")
     made = {"name": name, "type": _JOINTS.get(joint.get("type", ""), "hinge")}
     made["axis"] = "1 0 0" if axis_of is None else axis_of.get(_XYZ, "1 0 0")
-    if made["type"] == "slide" and limit is not None:
-        made["range"] = f"{limit.get('lower', '0')} {limit.get('upper', '0')}"
+    if made["type"] == "slide":
+        made["armature"] = _SCREW
+        if limit is not None:
+            made["range"] = f"{limit.get('lower', '0')} {limit.get('upper', '0')}"
     ET.SubElement(body, "joint", made)
 
 

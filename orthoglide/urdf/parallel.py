@@ -14,7 +14,7 @@ import ast
 import os
 import tomllib
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -125,25 +125,11 @@ def _read_own(folder: str | os.PathLike[str]) -> ParallelRobot:
     for table in tables if isinstance(tables, list) else []:
         if not isinstance(table, dict):
             raise FileError("closure must be tables [[closure]]: write them so", file=file)
-        loop = {key: str(table.get(key, "")) for key in ("name", "kind", "frame_1", "frame_2")}
-        if loop["kind"] not in _KINDS.values():
-            raise FileError(
-                f"closure {brief(loop['name'])!r} has the kind {brief(loop['kind'])!r}: it is "
-                f'"point" or "frame"',
-                file=file,
-            )
-        for frame in (loop["frame_1"], loop["frame_2"]):
-            if frame not in names:
-                raise FileError(
-                    f"closure {brief(loop['name'])!r} names {brief(frame)!r}, no link of "
-                    f"{urdf_path.name}: correct it",
-                    file=file,
-                )
-        if loop["frame_1"] == loop["frame_2"]:
-            raise FileError(
-                f"closure {brief(loop['name'])!r} names one link twice: name two", file=file
-            )
-        loops.append(Closure(**loop))  # type: ignore[arg-type]
+        frames = [table.get("frame_1"), table.get("frame_2")]
+        name, kind = str(table.get("name", "")), table.get("kind")
+        if trouble := _trouble(frames, kind, _KINDS.values(), names):
+            raise FileError(f"closure {brief(name)!r} {trouble}", file=file)
+        loops.append(Closure(name, kind, *frames))  # type: ignore[arg-type]
     if not loops:
         raise FileError("has no table [[closure]], so no loop is closed: add them", file=file)
     motors = [
@@ -172,15 +158,8 @@ def read_parallel_robot(folder: str | os.PathLike[str]) -> ParallelRobot:
         found.fail("closed_loop", "has no pair of frames, so no loop is closed: add them")
     loops = []
     for k, (pair, kind) in enumerate(zip(pairs, kinds, strict=True), start=1):
-        if not (
-            isinstance(pair, list)
-            and len(pair) == 2
-            and all(isinstance(n, str) and n in names for n in pair)
-            and pair[0] != pair[1]
-        ):
-            found.fail("closed_loop", f"names in {brief(str(pair))} no two frames of {ROBOT_URDF}")
-        if str(kind).lower() not in _KINDS:
-            found.fail("type", f"has {brief(str(kind))}, which is neither 3d nor 6d: correct it")
+        if trouble := _trouble(pair, str(kind).lower(), _KINDS, names):
+            found.fail("closed_loop" if "frames" in trouble else "type", trouble)
         loops.append(Closure(f"loop{k}", _KINDS[str(kind).lower()], pair[0], pair[1]))
     if not motors:
         found.fail("name_mot", "has no joint, so nothing drives the machine: add its motors")
@@ -191,6 +170,16 @@ def read_parallel_robot(folder: str | os.PathLike[str]) -> ParallelRobot:
             found.fail("name_mot", f"names {brief(str(motor))}, no joint of {ROBOT_URDF}")
     replaced = _replaced(found, _joint_names(urdf))
     return ParallelRobot(urdf_path, urdf, tuple(loops), tuple(motors), replaced)
+
+
+def _trouble(frames: Any, kind: Any, kinds: Collection[str], names: frozenset[str]) -> str:
+    """Return what is wrong with the frames or the kind of a loop, as a clause; else nothing."""
+    texts = isinstance(frames, list) and all(isinstance(n, str) and n in names for n in frames)
+    if not texts or len(frames) != 2 or frames[0] == frames[1]:
+        return f"names {brief(str(frames))}, no two frames of the URDF: correct it"
+    if kind not in kinds:
+        return f"has {brief(str(kind))!r}, which is neither {' nor '.join(kinds)}: correct it"
+    return ""
 
 
 def _replaced(found: _Lists, names: frozenset[str]) -> dict[str, str]:

@@ -26,6 +26,8 @@ _ROW = re.compile(r"[-+.,\d\seE]+$")
 _TEMPERATURE = re.compile(r"(?:\w+_)?temp(?:erature)?(?:_c)?")
 _READ = ("printer", "stepper_a", "stepper_b", "stepper_c", "delta_calibrate", "bed_mesh", "probe")
 _DEEPEST = 8  # files that include one another
+_SECTIONS = (*_READ, "include", "bltouch", "smart_effector", "beacon", "cartographer")
+_PASTED = {0x200B: None, 0xFEFF: None, 0x2212: "-"}  # what web pages put into pasted text
 _MOST = 1e6  # of anything that a printer's file counts
 
 Lines = Sequence[tuple[int, str]]
@@ -111,7 +113,11 @@ class Section:
     def _number(self, key: str, text: str, low: float, high: float) -> float:
         value = _cell(text)
         if isinstance(value, str):
-            self.fail(key, f"is {text[:40]!r}, which is no number: correct it")
+            self.fail(
+                key,
+                f"is {text[:40]!r}, which is no number: write digits with a decimal point, and no "
+                f"unit",
+            )
         if not (math.isfinite(value) and low < value < high):
             self.fail(key, f"is {text[:40]}, out of the range from {low:g} to {high:g}: correct it")
         return value
@@ -150,6 +156,11 @@ class Config:
         """
         if name not in self.sections:
             message = f"has no section [{name}]: add it{_elsewhere(self.missing)}"
+            if not any(one.split(" ")[0] in _READ for one in self.sections):
+                message = (
+                    f"has none of the sections of a printer.cfg, such as [{name}]: give the file "
+                    f"as the firmware saved it, without marks before its lines"
+                )
             raise FileError(message, file=self.file)
         return self.sections[name]
 
@@ -192,7 +203,7 @@ def read_config(path: str | os.PathLike[str]) -> Config:
 def _lines(content: bytes, path: Path) -> Lines:
     """Return lines with their numbers; of comments in any alphabet, as only numbers are read."""
     text = files.decode(content, path, errors="replace")
-    return list(enumerate(re.split(r"\r\n|\r|\n", text), start=1))
+    return list(enumerate(re.split(r"\r\n|\r|\n", text.translate(_PASTED)), start=1))
 
 
 def _own(lines: Lines) -> Lines:
@@ -274,7 +285,7 @@ def _parse(config: Config, lines: Lines, path: Path, within: tuple[Path, ...]) -
             continue
         level = indent
         if found := _SECTION.match(text):
-            name, key = " ".join(found[1].split()), ""
+            name, key = _name(found[1]), ""
             section = Section(name, Entry("", number, shown(path)))
             if name.startswith("include "):
                 _include(config, name.removeprefix("include "), path, within)
@@ -287,6 +298,12 @@ def _parse(config: Config, lines: Lines, path: Path, within: tuple[Path, ...]) -
             why = "it is no 'key: value'" if section else "no section stands above it"
             at = f"{shown(path)}, line {number}"
             config.note("line", f"{at}: {text[:40]!r} is left out, as {why}")
+
+
+def _name(text: str) -> str:
+    """Return the name of a section; one that is read in small letters, as the firmware wants it."""
+    kind, *rest = text.split() or [""]
+    return " ".join((kind.lower() if kind.lower() in _SECTIONS else kind, *rest))
 
 
 def _include(config: Config, pattern: str, path: Path, within: tuple[Path, ...]) -> None:

@@ -16,13 +16,7 @@ from orthoglide.effects.classes import of_belts
 from orthoglide.errors import FileError, InputError
 from orthoglide.firmware.imported import Imported, Row, readings_of
 from orthoglide.firmware.klipper.config import Config, read_config
-from orthoglide.firmware.klipper.heights import (
-    CALIBRATE,
-    CALIPER,
-    PROBES,
-    probe_section,
-    stored_readings,
-)
+from orthoglide.firmware.klipper.heights import CALIBRATE, CALIPER, probe_section, stored_readings
 from orthoglide.firmware.klipper.meshes import stored_meshes
 from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
 from orthoglide.firmware.klipper.printer import (
@@ -31,7 +25,6 @@ from orthoglide.firmware.klipper.printer import (
     CALIBRATION,
     NAME,
     RELATIVE,
-    WARM,
     WARNINGS,
     disagreements,
     rods_words,
@@ -108,19 +101,12 @@ def _imported(config: Config, turned: Mapping[str, float]) -> Imported:
         RELATIVE: relative,
         **({WARNINGS: words} if words else {}),
         **({AGAIN: True} if any(note.kind == CALIBRATE for note in ordered) else {}),
-        **({WARM: warm} if (warm := _temperatures(config)) else {}),
         ASSUMED: {"r": PLATFORM * 1e3, "d": WIDTH * 1e3, "tool_below": DROP * 1e3},
     }
     machine = replace(machine, provenance={NAME: table})
     known, out = all(other == CALIBRATION for _, other, _ in apart), {name for name, *_ in apart}
     together = tuple(c.name for c in campaigns if known and c.name not in out)
     return Imported(machine, tuple(campaigns), tuple(ordered), together)
-
-
-def _temperatures(config: Config) -> dict[str, float]:
-    """Return the temperatures that were stored with probes' models, by section."""
-    each = {section.name: section.temperature for section in config.named(*PROBES)}
-    return {name: value for name, value in each.items() if np.isfinite(value)}
 
 
 def _nothing(config: Config) -> FileError:

@@ -28,9 +28,8 @@ WARNINGS, AGAIN = "warnings", "calibrate_again"
 run again before anything is entered."""
 
 RELATIVE, ASSUMED, CORRECTED = "meshes_relative", "assumed_mm", "corrected"
-WARM = "temperatures_C"
 """Keys of the table: whether the height at one place is taken out of meshes, what the firmware does
-not store, new numbers of a calibrated machine, and temperatures of probes' models."""
+not store, and new numbers of a calibrated machine."""
 
 SPREAD = 5e-4  # metres by which rods of one set do not differ
 _EVEN = 5e-5  # metres within which arms are taken as alike
