@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.explanation.alternative_readings import (
     MEANINGS,
-    alternatives,
     open_setups,
     restored,
     with_noise_of_the_rest,
@@ -173,9 +172,7 @@ def _meant(look: FullPosterior, found: Sequence[Fault], otherwise: float = -np.i
         otherwise: evidence for what explains the readings otherwise.
     """
     problem, tried = look.before.problem, list[tuple[float, Fault]]()
-    order = open_setups(problem, found)
-    several = alternatives(problem, order)
-    for _, one in ranked(look, several, order):
+    for _, one in ranked(look, open_setups(problem, found)):
         try:
             other = glance(_fitted(restored(problem, one.fault)))
         except NumericsError:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from orthoglide.explanation.alternative_readings import Alternative, restored
+from orthoglide.explanation.alternative_readings import Alternative, alternatives, restored
 from orthoglide.explanation.columns import Everything
 from orthoglide.explanation.everything import FullPosterior
 from orthoglide.explanation.faults import Rows, campaign_of
@@ -22,14 +22,19 @@ _SCALES = ((0.01, 0.003), (0.1, 0.1), (1.0, 0.1), (1.0, 3.0))
 """Tolerances by which everything may be off, and units by which free functions may."""
 
 
-def ranked(
-    known: FullPosterior, several: Sequence[Alternative], order: Mapping[int, Rows]
-) -> list[tuple[float, Alternative]]:
+def ranked(known: FullPosterior, order: Mapping[int, Rows]) -> list[tuple[float, Alternative]]:
     """The likeliest of other data, those that fit better than the readings as they stand do, with
     by how much.
+
+    Args:
+        known: the readings as they stand.
+        order: rows of each setup in which no such fault is known, in the order they were taken.
     """
     about = known.about
-    if len(about.value) > _MOST or not several:
+    if len(about.value) > _MOST:
+        return []
+    several = alternatives(about.problem, order)
+    if not several:
         return []
     wide = [Wide.of(about, *scales) for scales in _SCALES]
     several = [*several, *turned(about.problem, wide, order)]
@@ -47,16 +52,20 @@ def ranked(
         again = [Wide.of(beside, *scales) for scales in _SCALES]
         plain = max(plain, np.logaddexp.reduce([w.score(nothing)[0] for w in again]) - cost)
         scores = np.maximum(scores, np.logaddexp.reduce([w.score(changes) for w in again]) - cost)
+    by_others: dict[tuple[int, ...], int] = {}  # scales that the readings of other setups speak for
     for k, one in enumerate(several):
         if one.labels and one.odds + sum(odd[s] for s in one.labels) < 0:
             scores[k] = -np.inf
         elif one.labels:
-            rest = [p + w.without(one.fault.rows, one.change)
-                    for p, w in zip(each, wide, strict=True)]  # fmt: skip
-            at = int(np.argmax(rest))  # the scales that all others speak for
+            setups = one.fault.setups
+            if setups not in by_others:
+                rest = [p + w.without(one.fault.rows) for p, w in zip(each, wide, strict=True)]
+                by_others[setups] = int(np.argmax(rest))
+            at = by_others[setups]
             scores[k] = _labelled(about, wide[at], _SCALES[at], one)
         elif len(one.silent):
-            alone = [p + w.without(one.silent, one.change)
+            change = one.change if one.change.any() else None
+            alone = [p + w.without(one.silent, change)
                      for p, w in zip(by_scale[:, k], wide, strict=True)]  # fmt: skip
             scores[k] = np.logaddexp.reduce(alone)
     gains = scores + np.array([one.odds for one in several]) - plain

@@ -85,19 +85,30 @@ class Wide:
         square = np.sum(changed * self._past(changed), axis=0)
         return np.asarray(-(square + self._log_det) / 2)
 
-    def without(self, rows: Rows, change: Array) -> float:
-        """What the likelihood grows by once some rows say nothing, in units of their noise."""
+    @cached_property
+    def _as_read(self) -> Array:
+        """``S^-1`` times the residuals of the readings as they stand ``(n,)``."""
+        return self._past(self.residual)
+
+    def without(self, rows: Rows, change: Array | None = None) -> float:
+        """What the likelihood grows by once some rows say nothing, in units of their noise.
+
+        Args:
+            rows: that say nothing.
+            change: of the readings ``(n,)``, metres; none where absent.
+        """
         root = self._block(rows)
-        along = self._past(self.residual + self.weighing.whiten(change))[rows]
-        white = solve_triangular(root, along, lower=True)
+        past = self._as_read
+        if change is not None:
+            past = past + self._past(self.weighing.whiten(change))
+        white = solve_triangular(root, past[rows], lower=True)
         return float(white @ white) / 2 - float(np.log(np.diag(root)).sum())
 
     def odd(self, rows: Rows) -> float:
         """By how much less likely some readings are than in the mean, all others given: what other
         labels of theirs could gain at most.
         """
-        along = self._past(self.residual)[rows]
-        white = solve_triangular(self._block(rows), along, lower=True)
+        white = solve_triangular(self._block(rows), self._as_read[rows], lower=True)
         return (float(white @ white) - len(rows)) / 2
 
     def relabelled(self, rows: Rows, columns: Array, instruments: Array, residual: Array) -> float:
@@ -125,7 +136,7 @@ class Wide:
 
     def missed(self, rows: Rows) -> Array:
         """By how much some readings are off what all others foretell ``(k,)``, metres."""
-        off = cho_solve((self._block(rows), True), self._past(self.residual)[rows])
+        off = cho_solve((self._block(rows), True), self._as_read[rows])
         return np.asarray(off * self.weighing.sigma[rows])
 
     def noise(self, change: Array) -> Array:

@@ -260,7 +260,7 @@ class Readings:
         """Station of each reading: place, approach of all axes, load ``(n, k)``."""
         return np.column_stack([self.places, self.approach, self.load])
 
-    @property
+    @cached_property
     def derived_approach(self) -> Array:
         """Approach as the order of readings and moves gives it ``(n, 3)``."""
         return derive_approach(self.command, self.order, self.moves)
