@@ -268,7 +268,6 @@ def test_what_cannot_be_asked(arguments: tuple[str, ...], words: str, here: Path
 
 
 IDLE = [
-    (("design", "--owns", "leg", "--criterion", "d-optimal"), "--owns and --criterion exclude"),
     (("design", "--owns", "leg", "--free", "nonsense"), "--owns and --free exclude each other"),
     (("design", "--owns", "leg", "--want", "TCP=1"), "--owns and --want exclude each other"),
     (("design", "--owns", "leg", "--noise", "0.01"), "--owns and --noise exclude each other"),

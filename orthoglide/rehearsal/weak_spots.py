@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from orthoglide.planning import aliasing
-from orthoglide.prospects import smallest_effects
-from orthoglide.prospects.wording import detectable_rows
+from orthoglide.planning import detectable_rows, smallest_effects
 from orthoglide.rehearsal.drawing import Scope
 from orthoglide.simulation import lacks
 
@@ -16,7 +14,7 @@ _WIDTH = 100  # characters of a line
 
 def weak_spots(scope: Scope, seed: int = 0) -> tuple[str, ...]:
     """Return rows of text: effects that are found or named from more than three tolerances only,
-    those that the sheet cannot show, each with the reason, and waves that it takes for a curve.
+    and those that the sheet cannot show, each with the reason.
 
     Sizes are those found, or named, with 95 % probability on a machine on which nothing else is
     wrong.
@@ -34,5 +32,4 @@ def weak_spots(scope: Scope, seed: int = 0) -> tuple[str, ...]:
     return (
         *detectable_rows(seen, _WIDTH, HARDLY),
         *(f"not shown, as {reason}: {', '.join(effects)}" for reason, effects in missing.items()),
-        *(warning for sheet in scope.sheets for warning in aliasing(machine, sheet)),
     )
