@@ -311,14 +311,22 @@ def _design_for(
     deliver(line if quiet else wrapped("\n".join(lines)), files)
 
 
+def _some(_: click.Context, __: click.Parameter, jobs: int) -> int:
+    """Refuse no process at all."""
+    if jobs == 0:
+        raise InputError("--jobs must be a number of processes, or -1 for all processors, not 0")
+    return jobs
+
+
 @cli.command()
 @opt.machine()
 @opt.file("--sheet", "Measuring sheet; the protocol sweep if absent, or a probe on a plate where "
           "no dial stands on a leg.", "SHEET.csv")  # fmt: skip
 @opt.names("--owns", f"In place of a sheet, readings you can take: {_owns[0]}.", _owns[1])
-@click.option("--campaigns", type=int, default=90, show_default=True, help="How many to simulate.")
+@click.option("--campaigns", type=click.IntRange(1), default=90, show_default=True,
+              help="How many to simulate.")  # fmt: skip
 @opt.seed
-@click.option("--jobs", type=int, default=-1, metavar="N",
+@click.option("--jobs", type=int, default=-1, metavar="N", callback=_some,
               help="Processes side by side.  [default: one for every processor]")  # fmt: skip
 @opt.file("--out", "Folder for finished campaigns and the table; a run that was stopped goes on "
           "from there.", "DIR")  # fmt: skip
@@ -340,6 +348,7 @@ def rehearse(
     """
     from orthoglide.rehearsal import rehearse as run
 
+    opt.exclude("owns", "sheet", because="each instrument has a sheet of its own")
     known = machine.load()
     with progress(quiet) as step:
         found = run(known, sheet, campaigns, owns=owns, seed=seed, out=out, progress=step,
