@@ -84,9 +84,9 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
         design as design,
         next_measurements as next_measurements,
         repeats_needed as repeats_needed,
+        smallest_effects as smallest_effects,
         tool_sheets as tool_sheets,
     )
-    from orthoglide.prospects import smallest_effects as smallest_effects
     from orthoglide.rehearsal import Rehearsal as Rehearsal, rehearse as rehearse
     from orthoglide.result import Result as Result
     from orthoglide.simulation import simulate as simulate, simulate_tcp as simulate_tcp
@@ -128,8 +128,9 @@ _WHERE = {
         "read_readings read_tcp write_campaign"
     ),
     "as_pinocchio": "PinocchioModel pinocchio_model",
-    "planning": "Design Suggestion design next_measurements repeats_needed tool_sheets",
-    "prospects": "smallest_effects",
+    "planning": (
+        "Design Suggestion design next_measurements repeats_needed smallest_effects tool_sheets"
+    ),
     "rehearsal": "Rehearsal rehearse",
     "result": "Result",
     "simulation": "simulate simulate_tcp",

@@ -36,7 +36,6 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"fit", "comparison", "firmware", "report"}),
     frozenset({"explanation", "simulation"}),
     frozenset({"planning"}),
-    frozenset({"prospects"}),
     frozenset({"closing"}),
     frozenset({"verdict"}),
     frozenset({"checking", "measuring", "rehearsal"}),
@@ -155,7 +154,7 @@ def test_only_commands_name_a_firmware() -> None:
 
 
 # What draws a result computes nothing of it: the page, the file and Python cannot differ.
-COMPUTING = ("fit", "planning", "prospects", "accuracy", "explanation",
+COMPUTING = ("fit", "planning", "accuracy", "explanation",
              "prediction", "mechanism", "reduction", "closing")  # fmt: skip
 
 
@@ -176,11 +175,10 @@ def test_reduction_and_mechanism_know_nothing_of_each_other() -> None:
 
 
 # What is found is put into a result, and all else reads that: the search may be replaced.
-SEARCH = ("explanation", "closing", "prospects")
+SEARCH = ("explanation", "closing")
 APART_FROM_THE_SEARCH = (
-    "result", "report", "figures", "planning", "control", "comparison", "firmware", "cli",
+    "result", "report", "figures", "control", "comparison", "firmware", "cli",
 )  # fmt: skip
-ASKED_BY_COMMANDS = "prospects"  # as `checking` and others: what a command is there for
 
 
 def imports_of_the_search(part: str) -> list[str]:
@@ -190,8 +188,6 @@ def imports_of_the_search(part: str) -> list[str]:
     inside = {".".join(p.relative_to(ROOT).with_suffix("").parts) for p in modules()}
     inside = {module for module in inside if module.startswith("orthoglide.fit.")}
     search = {f"orthoglide.{one}" for one in SEARCH} | inside
-    if part == "cli":
-        search.remove(f"orthoglide.{ASKED_BY_COMMANDS}")
     return [
         f"{path.relative_to(ROOT)}: {name}"
         for path in modules()
@@ -217,7 +213,7 @@ def test_the_search_is_looked_for_where_it_is() -> None:
     assert all(f": orthoglide.{one}." in found for one in ("explanation", "fit"))
 
 
-@pytest.mark.parametrize("part", ["result", "report", "planning", "control", "comparison"])
+@pytest.mark.parametrize("part", ["result", "report", "control", "comparison"])
 def test_nothing_of_the_search_is_loaded_with_what_reads_results(part: str) -> None:
     loaded = fresh(f"import sys, orthoglide.{part}; print(*sys.modules)").split()
     assert f"orthoglide.{part}" in loaded

@@ -19,37 +19,25 @@ from orthoglide.errors import InputError
 from orthoglide.explanation.evidence import Scoring
 from orthoglide.explanation.signatures import signatures
 from orthoglide.fit import Estimate, Problem, solve, with_free
-from orthoglide.fit.least_squares import linearise, normal, nuisances
 from orthoglide.machine_file import Controller
 from orthoglide.observations import Campaign, Moves, derive_approach, protocol
 from orthoglide.planning import (
-    aliasing,
     design,
+    detectable_rows,
     next_measurements,
     observability,
     reading_pool,
     repeats_needed,
-    sheets_of,
+    smallest_effects,
 )
-from orthoglide.planning.choosing import choose
-from orthoglide.planning.criteria import (
-    Determinant,
-    EffectSeparation,
-    LeastVariance,
-    RivalSeparation,
-)
-from orthoglide.planning.linear import LinearReadings
-from orthoglide.planning.observability import of_jacobian
+from orthoglide.planning.choosing import Narrowing, RivalSeparation, choose
+from orthoglide.planning.designs import Observability
+from orthoglide.planning.detectable import noncentrality, separation
+from orthoglide.planning.linear import LinearReadings, Steps
 from orthoglide.planning.pool import DIAL_TRAVEL, sheet
-from orthoglide.planning.repeats import sigma_by_repeats
-from orthoglide.planning.rivals import inseparable_groups
-from orthoglide.planning.wording import repeats_row
-from orthoglide.prospects import smallest_effects
-from orthoglide.prospects.detectable import noncentrality, separation
-from orthoglide.prospects.wording import detectable_rows
 from tests.factors import problem_of
 from tests.rig import Rig
-from tests.rig_campaigns import APPROACH, protocol_rows, read_csv, simulate, write_csv
+from tests.rig_campaigns import APPROACH, read_csv, simulate, write_csv
 
 RIG = Path(__file__).parent / "data" / "rig"
 TEXT = {"setup", "leg", "direction", "posture", "bar", "kind"}
@@ -181,29 +169,20 @@ def stepwise(readings, criterion, rows):
     return criterion
 
 
-def test_steps_add_up_to_the_whole(readings):
-    rows = some_rows(readings)
-    C = np.diag([2.0, 1.0, 3.0])
-    M = readings.information(rows)
-    start = Determinant(np.linalg.inv(C))
+@pytest.mark.parametrize("combinations", [np.eye(3), np.array([[1.0], [0.0], [-1.0]])])
+def test_steps_add_up_to_the_whole_and_gain_what_they_promise(readings, combinations):
+    rows, prior = some_rows(readings), np.diag([0.5, 1.0, 1 / 3])
+    start = Narrowing(prior, combinations)
     after = stepwise(readings, start, rows)
-    gained = np.linalg.slogdet(np.eye(3) + C @ M)[1]
-    assert after.value - start.value == pytest.approx(gained, rel=1e-6)
-    assert after.information == pytest.approx(start.information + M, rel=1e-5)
+    covariance = np.linalg.inv(prior + readings.information(rows))
+    narrowed = combinations.T @ covariance @ combinations
+    assert after.value == pytest.approx(-np.linalg.slogdet(narrowed)[1], rel=1e-5)
     assert start.with_rows(readings, rows).value == pytest.approx(after.value, rel=1e-6)
-    d = np.array([1.0, 0.0, -1.0])
-    narrowed = stepwise(readings, LeastVariance(np.linalg.inv(C), d), rows)
-    covariance = np.linalg.inv(np.linalg.inv(C) + M)
-    assert narrowed.variance == pytest.approx(d @ covariance @ d, rel=1e-5)
-
-
-def test_steps_gain_what_they_promise(readings):
-    start = EffectSeparation(np.diag([1.0, 1.0, 0.0]), 2, np.array([[0, 0]]))
-    for objective in (Determinant(np.eye(3)), LeastVariance(np.eye(3), np.ones(3)), start):
-        steps = readings.steps(some_rows(readings), 4)
-        for k in (0, len(steps.rows) // 2, len(steps.rows) - 1):
-            promised = objective.gains(steps)[k]
-            assert objective.after(steps, k).value - objective.value == pytest.approx(promised)
+    steps = readings.steps(rows, 4)
+    taken_away = Steps(steps.rows[:2], 0.1 * steps.columns[:2], -steps.variance[:2])
+    for some, k in ((steps, 0), (steps, len(steps.rows) - 1), (taken_away, 1)):
+        risen = after.after(some, k).value - after.value
+        assert after.gains(some)[k] == pytest.approx(risen, rel=1e-6)
 
 
 def test_rivals_are_as_far_apart_as_least_squares_says(readings):
@@ -232,7 +211,7 @@ def test_rivals_are_as_far_apart_as_least_squares_says(readings):
 
 def test_indices_are_those_of_the_definitions():
     J = np.random.default_rng(0).normal(size=(30, 5)) @ np.diag([1.0, 2.0, 5.0, 0.1, 3.0])
-    found = of_jacobian(J, 30)
+    found = Observability.of_jacobian(J, 30)
     s = np.sqrt(np.linalg.eigvalsh(J.T @ J))[::-1]
     assert found.indices["O1"] == pytest.approx(np.prod(s) ** (1 / 5) / np.sqrt(30))
     assert found.indices["O2"] == pytest.approx(s[-1] / s[0])
@@ -245,8 +224,8 @@ def test_indices_are_those_of_the_definitions():
 
 def test_what_is_not_seen_has_no_observability():
     J = np.ones((4, 2))
-    assert of_jacobian(J, 4).rank == 1
-    assert set(of_jacobian(J, 4).indices.values()) == {0.0}
+    assert Observability.of_jacobian(J, 4).rank == 1
+    assert set(Observability.of_jacobian(J, 4).indices.values()) == {0.0}
 
 
 def test_observability_of_a_protocol_does_not_depend_on_the_legs_names(machine):
@@ -275,7 +254,7 @@ def test_a_d_optimal_design_beats_random_ones_and_the_protocol(machine):
     pool = reading_pool(machine.geometry)
     names = found.names
     everything = LinearReadings.of(machine, pool, names)
-    start = Determinant(1e-4 * np.eye(len(names)))
+    start = Narrowing(1e-4 * np.eye(len(names)), np.eye(len(names)))
     rng = np.random.default_rng(1)
     mountings = len(found.campaign.setups)
     random = []
@@ -293,34 +272,10 @@ def test_a_d_optimal_design_beats_random_ones_and_the_protocol(machine):
 
 
 def test_exchange_does_not_make_a_design_worse(readings):
-    start = Determinant(1e-4 * np.eye(3))
+    start = Narrowing(1e-4 * np.eye(3), np.eye(3))
     _, greedy = choose(readings, start, 8)
     _, exchanged = choose(readings, start, 8, exchange=True)
     assert exchanged.value >= greedy.value
-
-
-def identified(machine, campaign, free):
-    """Whitened Jacobian of an identification from a sheet, by unknowns in tolerances."""
-    told = campaign.with_readings(machine.readings(campaign))
-    problem = problem_of(machine, [told], free)
-    at = linearise(problem, problem.start)
-    here = normal(problem, at, nuisances(problem, at.seen))
-    return here.jacobian * problem.tolerance
-
-
-def test_a_discriminating_design_separates_better_than_a_d_optimal_one(machine):
-    families, base = ("axis_tilt.x.y", "axis_offset.x.y", "rail_bow.x.y"), 6
-    found = design(machine, families, 16, "discriminate")
-    assert len(found.campaign) == 16
-    optimal = design(machine, families, 16)
-    seen = identified(machine, optimal.campaign, (*CATALOGUE.base, *families))
-    prior = np.diag([1.0] * base + [0.0] * 3)
-    pairs = np.array([(i, j) for i in range(3) for j in range(i, 3)])
-    least = np.sqrt(EffectSeparation(prior + seen.T @ seen, base, pairs).squares.min())
-    assert found.value > least
-    again = identified(machine, found.campaign, (*CATALOGUE.base, *families))
-    same = np.sqrt(EffectSeparation(prior + again.T @ again, base, pairs).squares.min())
-    assert found.value == pytest.approx(same, rel=0.02)
 
 
 def test_a_design_is_a_sheet_that_reads_back(machine, tmp_path):
@@ -340,42 +295,17 @@ def test_a_sheet_numbers_the_visits_of_a_station(readings):
 
 
 @pytest.mark.parametrize(
-    ("families", "count", "criterion", "word"),
+    ("families", "count", "word"),
     [
-        (["gauge_scale"], 12, "d-optimal", "mounting"),
-        (["joint_offset"], 1, "d-optimal", "two readings"),
-        (["joint_offset"], 12, "discriminate", "always fitted"),
-        (["joint_offset"], 12, "e-optimal", "no criterion"),
-        (["thermal_growth"], 12, "d-optimal", "leave it out"),
+        (["gauge_scale"], 12, "mounting"),
+        (["joint_offset"], 1, "two readings"),
+        (["joint_offset"], 2000, "ask for 500 at most"),
+        (["thermal_growth"], 12, "leave it out"),
     ],
 )
-def test_what_no_design_can_serve_is_refused(machine, families, count, criterion, word):
+def test_what_no_design_can_serve_is_refused(machine, families, count, word):
     with pytest.raises(InputError, match=word):
-        design(machine, families, count, criterion)
-
-
-# -- waves between the stations ------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("stroke", [(-0.1, 0.06), (-0.04, 0.03), (-0.3, 0.2), (-0.12, 0.12)])
-def test_no_wave_of_a_drive_is_a_curve_at_the_stations_of_the_sweep(stroke):
-    made = og.Machine(og.MachineFile(og.Geometry(L=1.0, stroke=stroke)))
-    sweep = protocol("sweep", made.geometry)
-    assert aliasing(made, sweep) == ()
-    # At even steps a wave as long as two stations, and its fractions, is one.
-    rho = sweep.command
-    even = made.geometry.zero + np.round((rho - made.geometry.zero) / 0.02) * 0.02
-    told = aliasing(made, replace(sweep, command=even))
-    assert [text.split()[6] for text in told] == ["x", "y", "z"]
-    period = float(re.search(r"a wave of ([\d.]+) mm", told[0])[1]) * 1e-3
-    travel = np.unique(np.round(even[sweep.leg == 0, 0], 6))
-    turn = 2 * np.pi * travel / period
-    powers = (travel[:, None] / np.ptp(travel)) ** np.arange(3)
-    left = [
-        np.linalg.norm(w - powers @ np.linalg.lstsq(powers, w, rcond=None)[0])
-        for w in (np.sin(turn + phase) for phase in np.linspace(0, np.pi, 181))
-    ]
-    assert min(left) < 0.05 * np.sqrt(len(travel) / 2)
+        design(machine, families, count)
 
 
 # -- accuracy and repeats ------------------------------------------------------------------------
@@ -383,31 +313,27 @@ def test_no_wave_of_a_drive_is_a_curve_at_the_stations_of_the_sweep(stroke):
 
 @pytest.mark.parametrize("what", ["TCP", "joint_offset.x"])
 def test_repeats_are_the_fewest_that_reach_the_accuracy(machine, what):
-    campaign = protocol("standard")
-    two = sigma_by_repeats(machine, campaign, CATALOGUE.base, what)(2)
-    five = sigma_by_repeats(machine, campaign, CATALOGUE.base, what)(5)
-    wanted = (two + five) / 2
-    found = repeats_needed(machine, campaign, CATALOGUE.base, what, wanted)
-    assert found.sigma <= wanted
-    assert 2 < found.repeats <= 5
-    fewer = sigma_by_repeats(machine, campaign, CATALOGUE.base, what)(found.repeats - 1)
-    assert fewer > wanted
+    def needed(wanted):
+        return repeats_needed(machine, protocol("standard"), CATALOGUE.base, what, wanted)
+
+    once = needed(1.0)
+    assert once.repeats == 1
+    found = needed(0.4 * once.sigma + 0.6 * once.floor)
+    assert found.repeats > 2
+    assert once.floor < found.sigma <= found.wanted
+    assert needed(found.sigma * (1 + 1e-9)).repeats == found.repeats
+    assert needed(found.sigma * (1 - 1e-9)).repeats > found.repeats
+    assert "out of reach" in str(needed(0.9 * once.floor))
 
 
 def test_sigma_with_the_protocols_repeats_is_that_of_the_identification(machine):
     campaign = measured(machine, Rig(), "standard", 4)
     estimate = og.identify(campaign, machine, method="nested")
-    told = sigma_by_repeats(machine, campaign, CATALOGUE.base, "joint_offset.x")(3)
-    assert told == pytest.approx(estimate.sigmas["joint_offset.x"] / estimate.sigma_scale, rel=0.02)
-
-
-def test_repeats_do_not_help_beyond_their_floor(machine):
-    found = repeats_needed(machine, protocol("standard"), CATALOGUE.base, "TCP", 1e-9)
-    assert found.repeats is None
-    assert found.floor < found.sigma
-    assert "out of reach" in repeats_row(found, machine.catalogue)
+    sigma = estimate.sigmas["joint_offset.x"] / estimate.sigma_scale
+    found = repeats_needed(machine, campaign, CATALOGUE.base, "joint_offset.x", 1.02 * sigma)
+    assert found.repeats == 3
     with pytest.raises(InputError, match="not identified"):
-        repeats_needed(machine, protocol("standard"), CATALOGUE.base, "axis_tilt.x.y", 1e-3)
+        repeats_needed(machine, campaign, CATALOGUE.base, "axis_tilt.x.y", 1e-3)
 
 
 # -- the smallest effects ------------------------------------------------------------------------
@@ -460,34 +386,12 @@ def test_effects_with_one_signature_are_never_named(machine):
     bow = told["rail_bow.x.y"]
     assert bow.detectable <= bow.nameable < np.inf
     seen = smallest_effects(machine, protocol("standard"))
-    lines = detectable_rows(seen, 140)
-    *narrow, last = detectable_rows(seen, 80)
-    assert max(map(len, narrow)) <= 80 < max(map(len, lines[:-1]))
-    assert last == lines[-1]
-    whole, split = (" ".join("  ".join(rows).split()) for rows in (lines[1:-1], narrow[1:]))
-    assert split.replace("nearest: ", "") == whole
-    assert any("never" in line for line in lines)
-    assert "mount_tilt (x.a, y.a, z.a)" in lines[-1]
-
-
-@pytest.mark.thorough
-def test_a_further_instrument_never_seems_to_find_less(machine):
-    """A tracker shows turns about the leg, hard to see: those that dials show keep their row."""
-    rows = {}
-    for kinds in (["leg"], ["leg", "tcp"]):
-        tells = smallest_effects(machine, list(sheets_of(machine, kinds).values()))
-        table = [r for r in zip(*tells.columns.values(), strict=True) if r[0] == "mount_tilt"]
-        rows[len(kinds)] = {members: found for *_, found, _, _, _, members in table}
-        assert all(
-            f"(of {one})" in "\n".join(detectable_rows(tells, 200)) for one in rows[len(kinds)]
-        )
-    (easy,), pivots = rows[1].values(), "x.b, y.b, z.b"
-    assert list(rows[1]) == [pivots]
-    # More that shows is more that noise alone may look like: a little of an effect more is needed.
-    assert rows[2][pivots] <= 1.1 * easy
-    (hard,) = set(rows[2]) - {pivots}
-    assert hard.replace(".a", "") in ("x, y, z", "x, y", "y, z", "x, z", "x", "y", "z")
-    assert rows[2][hard] > 5 * easy
+    wide, narrow = ("\n".join(detectable_rows(seen, width)) for width in (140, 60))
+    assert max(map(len, narrow.split("\n")[:-1])) <= 60
+    assert re.findall(r"\d[\d.e-]+", wide) == re.findall(r"\d[\d.e-]+", narrow)
+    assert "never" in narrow
+    assert "bar mismatch of leg x looks like " in wide
+    assert "mount tilt (x.a, y.a, z.a)" in wide.split("\n")[-1]
 
 
 # -- what to measure next ------------------------------------------------------------------------
@@ -527,17 +431,6 @@ def test_suggested_readings_separate_what_the_protocol_could_not(machine, ambigu
     assert min(rose.values()) == pytest.approx(found.gain**2, rel=0.25)
 
 
-def test_rivals_may_be_given_by_their_values(machine, ambiguous):
-    _, fits = ambiguous
-    values = [(n, f.problem.values(0, f.x)) for n, f in fits.items()]
-    by_fit, by_values = (
-        next_measurements(fits[RIVALS[0]], rivals, machine, directions=())[0]
-        for rivals in ([*fits.items()], values)
-    )
-    assert by_values.gain == pytest.approx(by_fit.gain, rel=0.02)
-    assert by_values.rows == by_fit.rows
-
-
 def test_more_readings_separate_further(machine, ambiguous):
     _, fits = ambiguous
     gains = [
@@ -568,8 +461,9 @@ def test_a_mount_tilt_is_a_bar_mismatch_to_every_dial(machine):
         fits["bar_mismatch.z"], [*fits.items()], machine, count=8, directions=()
     )
     assert [s.aim for s in found] == ["separate", "none"]
-    assert "rail_bow.z.x" in found[0].reason
-    assert "tell bar_mismatch.z and mount_tilt.z.b apart" in found[1].reason
+    assert "the z rail is bent in the direction of x" in found[0].reason
+    assert "the two bars of leg z differ in length" in found[1].reason
+    assert not re.search(r"[a-z]_[a-z]|\w\.\w\.\w", "".join(s.reason for s in found))
 
 
 def test_rivals_for_one_cause_are_not_told_from_rivals_for_another(machine, ambiguous):
@@ -584,21 +478,6 @@ def test_rivals_for_one_cause_are_not_told_from_rivals_for_another(machine, ambi
         assert both in found.reason
         assert f"of {which} from {RIVALS[1]} of {other}" not in found.reason
     assert not next_measurements(fits[RIVALS[0]], two, machine, pairs=[], directions=())
-
-
-@pytest.mark.thorough
-def test_readings_are_proposed_to_tell_each_cause_from_its_own_rivals(machine):
-    errors = {"bar_mismatch.x": 5e-4, "axis_offset.z.y": 1e-3, "gauge_scale.xz-0.35": 0.13}
-    rig = Rig(errors=errors | {"joint_offset.x": 3e-3, "joint_offset.y": -3e-3})
-    found = og.close_loop([measured(machine, rig, protocol_rows("two-gauges"), 5)], machine)
-    sets = [{c.name, *(r.name for r in c.rivals)} for c in found.effects if c.rivals]
-    assert len(sets) == 2
-    reasons = [s.reason for s in found.next_measurements if s.aim in ("separate", "none")]
-    assert reasons
-    for reason in reasons:
-        for said in reason.split(";")[:-1] or [reason]:
-            names = {n for n in set.union(*sets) if n in re.split(r"[\s,]+", said)}
-            assert any(names <= one for one in sets), said
 
 
 def test_a_weak_direction_narrows_as_predicted(machine):
@@ -625,12 +504,6 @@ def test_a_direction_that_no_dial_sees_is_said_to_stay(machine):
     assert found.aim == "none"
     assert "tolerances" in found.reason
     assert found.rows == ()
-
-
-def test_rivals_alike_are_told_in_groups_of_which_no_two_differ():
-    chain = inseparable_groups({(0, 1): 0.5, (1, 2): 1.5, (3, 4): 0.1})
-    assert chain == [([0, 1], 0.5), ([1, 2], 1.5), ([3, 4], 0.1)]
-    assert inseparable_groups({(0, 1): 0.5, (0, 2): 1.0, (1, 2): 1.5}) == [([0, 1, 2], 1.5)]
 
 
 # -- sheets are driven as they are written --------------------------------------------------------
@@ -673,14 +546,14 @@ def test_next_measurements_filled_in_row_by_row_decide(machine, lost_motion, tmp
 
 def test_a_design_filled_in_row_by_row_gives_the_verdict(machine, tmp_path):
     rig = Rig(errors={"backlash.y": 1e-4})
-    found = design(machine, ("backlash", "axis_tilt"), 32, "discriminate")
+    found = design(machine, ("backlash", "axis_tilt"), 32)
     og.write_campaign(found.campaign, tmp_path / "design.csv")
     campaign = driven(machine, rig, tmp_path / "design.csv", 2)
     assert len(campaign) == 32
     verdict = og.close_loop([campaign], machine)
     assert verdict.word in ("explained", "ambiguous")
     assert [e.name for e in verdict.effects] == ["backlash.y"]
-    assert verdict.after.values["backlash.y"] == pytest.approx(1e-4, rel=0.2)
+    assert verdict.after.values["backlash.y"] == pytest.approx(1e-4, rel=0.3)
 
 
 def test_a_sheet_without_its_moves_is_warned_of(machine, tmp_path):
@@ -705,7 +578,7 @@ def test_the_command_writes_a_sheet_and_compares(tmp_path, machine):
     done = CliRunner().invoke(design_command, [*arguments, "--want", "TCP=0.003"])
     assert done.exit_code == 0, done.output
     assert len(og.read_campaign(out, machine.spec, require_readings=False)) == 12
-    for word in ("standard", "\ndesign  ", "O1 to O5", "TCP: sigma 0.003 mm takes"):
+    for word in ("standard", "\ndesign ", "O1 to O5", "TCP: sigma 0.003 mm takes"):
         assert word in done.output
     again = CliRunner().invoke(design_command, arguments)
     assert isinstance(again.exception, InputError)
@@ -755,8 +628,3 @@ def test_the_sheet_of_a_report_shows_what_the_controller_shows(counting, ambiguo
 @pytest.mark.parametrize("count", [2, 3, 4, 5])
 def test_a_few_readings_are_chosen_too(count: int) -> None:
     assert len(og.design(og.Machine.nominal(), count=count).campaign) == count
-
-
-def test_more_readings_than_anybody_takes_are_refused() -> None:
-    with pytest.raises(og.InputError, match="ask for 500 at most"):
-        og.design(og.Machine.nominal(), count=2000)

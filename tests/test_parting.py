@@ -15,7 +15,7 @@ import orthoglide as og
 from benchmarks.delta_readings import measured as read_by
 from benchmarks.delta_truth import machine as delta
 from orthoglide.closing import filled
-from orthoglide.prospects import parting
+from orthoglide.planning import parting
 from orthoglide.report import report_files
 from tests.rig import Rig
 from tests.rig_campaigns import hysteresis, s_curve

@@ -20,7 +20,7 @@ from orthoglide.firmware.klipper.pasting import Left, paste_of
 from orthoglide.firmware.klipper.printer import AGAIN, RELATIVE, Printer
 from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text, parse_machine_file
-from orthoglide.prospects import repeating
+from orthoglide.planning import repeating
 from orthoglide.report import report_files
 from orthoglide.verdict import Verdict, close_loop
 from tests.klipper_files import DATA, simulated_cfg

@@ -20,7 +20,7 @@ from orthoglide.fit.scores import deviation_rms, tail
 from orthoglide.fit.unknowns import build_unknowns
 from orthoglide.machine_file import Dial
 from orthoglide.observations import protocol
-from orthoglide.prospects import smallest_effects
+from orthoglide.planning import smallest_effects
 from orthoglide.simulation import simulate
 
 NOISE = 5e-6

@@ -14,7 +14,6 @@ from orthoglide.checking.plates import PlateMove, plate_moves
 from orthoglide.checking.states import State, of_all, of_one, states_of, told_apart
 from orthoglide.closing import Closed, close, filled
 from orthoglide.effects import Catalogue
-from orthoglide.effects.wording import parameter_words
 from orthoglide.explanation import Located
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.changes import visits
@@ -128,7 +127,7 @@ class Check(Framed):
     @property
     def line(self) -> str:
         """What changed by name, and the verdict of the new readings, in one line."""
-        names = [parameter_words(d.parameter) for d in self.differences if d.changed]
+        names = [d.words for d in self.differences if d.changed]
         names += ["the plate"] * bool(self.plates)
         names += ["where the plate lies"] * bool(self.moves)
         names += ["what is located"] * bool(self.places)
@@ -263,10 +262,11 @@ def _of_both(
     noise = request.noise if request.campaigns else None
     both = assemble(kept, request.machine, names, own=names, noise=noise)
     fit = account_for_changes(solve(_two_states(both, later)))
+    catalogue, changed = request.machine.catalogue, {c.parameter for c in changes}
+    legs = catalogue.legs
     for c in changes:
         if not c.parameter.setup:
-            yield Difference(c.parameter, c.before, c.after, c.sigma, c.unit, True, c.others)
-    catalogue, changed = request.machine.catalogue, {c.parameter for c in changes}
+            yield Difference(c.parameter, c.before, c.after, c.sigma, c.unit, True, c.others, legs)
     places: dict[Parameter, list[int]] = {}
     for k, unknown in enumerate(fit.names):
         places.setdefault(catalogue.parameter(unknown).plain, []).append(k)
@@ -276,7 +276,7 @@ def _of_both(
             spread = fit.covariance[np.ix_(at, at)]
             sigma = float(np.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1]))
             unit = catalogue.effect_of(name).unit
-            yield Difference(name, before, after, sigma, unit, False)
+            yield Difference(name, before, after, sigma, unit, False, legs=legs)
 
 
 def _of_each(was: Closed, now: Closed) -> Iterator[Difference]:
@@ -303,8 +303,8 @@ def _of_each(was: Closed, now: Closed) -> Iterator[Difference]:
             variance += max(float(one.covariance[k, k]), alone)
         parameter = catalogue.parameter(name)
         unit = catalogue.effect_of(parameter).unit
-        told = others.get(name, "")
-        found = Difference(parameter, before, after, float(np.sqrt(variance)), unit, False, told)
+        sigma, told = float(np.sqrt(variance)), others.get(name, "")
+        found = Difference(parameter, before, after, sigma, unit, False, told, catalogue.legs)
         yield replace(found, changed=found.far)
 
 

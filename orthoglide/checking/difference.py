@@ -6,7 +6,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from orthoglide.accuracy import best_zeros
+from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import parameter_words
+from orthoglide.layout import LegNames
 from orthoglide.machine import Machine
 from orthoglide.numerals import decimals_for, plain, signed
 from orthoglide.parameters import Parameter
@@ -43,6 +45,12 @@ class Difference:
     unit: Unit  # of files
     changed: bool  # whether the difference is beyond what the readings leave open
     others: str = ""  # what else may have changed instead, in brackets, or empty
+    legs: LegNames = CATALOGUE.legs  # names of the machine's legs and parts
+
+    @property
+    def words(self) -> str:
+        """The parameter in words."""
+        return parameter_words(self.parameter, self.legs)
 
     @property
     def cells(self) -> tuple[str, ...]:
@@ -57,7 +65,7 @@ class Difference:
         return before, after, apart, f"{self.sigma / si:.{places}f}"
 
     def __str__(self) -> str:
-        unit, words = self.unit.spoken, parameter_words(self.parameter)
+        unit, words = self.unit.spoken, self.words
         before, after, apart, sigma = self._figures(unit)
         if self.changed:
             size = f"from {before} to {after} {unit.name}: by {apart} ± {sigma}"
@@ -73,7 +81,7 @@ class Difference:
     def still(self) -> str:
         """By how much it did not change, in a list."""
         _, _, apart, sigma = self._figures(self.unit.spoken)
-        return f"{parameter_words(self.parameter)} {apart} ± {sigma} {self.unit.spoken.name}"
+        return f"{self.words} {apart} ± {sigma} {self.unit.spoken.name}"
 
 
 def entered(was: Machine, differences: Iterable[Difference]) -> Iterator[str]:

@@ -8,7 +8,6 @@ from typing import Any
 from orthoglide import __version__
 from orthoglide.checking.comparing import Check
 from orthoglide.checking.difference import COLUMNS
-from orthoglide.effects.wording import parameter_words
 from orthoglide.numerals import plain
 from orthoglide.progress import Progress, silent
 from orthoglide.report import report_files
@@ -57,7 +56,7 @@ def changes_page(found: Check) -> str:
         "most": MOST,
         "sheet": False,
         "columns": COLUMNS,
-        "rows": [(sentence(parameter_words(d.parameter))[:-1], d) for d in found.differences],
+        "rows": [(sentence(d.words)[:-1], d) for d in found.differences],
     }
     return rendered(
         "page.html.j2",

@@ -21,6 +21,7 @@ from orthoglide.text import brief, text_width
 BAD_INPUT, NUMERICS_FAILED, INTERRUPTED = 2, 3, 130  # 130: 128 + SIGINT, as shells have it
 _LONGEST = 1000  # characters of an error: file, line and remedy fit, a pasted file does not
 _SENTENCE = 200  # characters: no first sentence of a command's help is cut in the list
+_RESUMED = ("measure", "rehearse")  # commands that keep what was done
 _BETWEEN = 1.0  # seconds between two lines of progress where the error stream is a file
 
 
@@ -97,8 +98,10 @@ class Group(click.Group):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            said = "nothing is left half written; measure and rehearse go on from their --out"
-            raise Refusal(f"interrupted: {said}", INTERRUPTED) from None
+            said = "interrupted: nothing is left half written"
+            if ctx.invoked_subcommand in _RESUMED:
+                said += "; the same command goes on from what --out holds"
+            raise Refusal(said, INTERRUPTED) from None
         except OrthoglideError as error:
             code = BAD_INPUT if isinstance(error, InputError) else NUMERICS_FAILED
             raise Refusal(str(error), code) from error

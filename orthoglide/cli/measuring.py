@@ -195,12 +195,8 @@ def _ask(question: str) -> str:
 @click.argument("sheets", nargs=-1, type=opt.PATH, metavar="[SHEET.csv ...]")
 @opt.machine()
 @opt.out_file("Measuring sheet to write; for dials with a page to print.", "SHEET.csv")
-@opt.names("--free", "Effects or parameters it is for.  [default: zeros and bar lengths; with "
-           "--criterion discriminate all that a design can show]")  # fmt: skip
+@opt.names("--free", "Effects or parameters it is for.  [default: zeros and bar lengths]")
 @click.option("--count", type=int, help="Readings to choose.  [default: 24; all with --owns]")
-@click.option("--criterion", type=click.Choice(("d-optimal", "discriminate")), default="d-optimal",
-              show_default=True, help="To identify what is free as well as can be, or to tell "
-                   "effects apart.")  # fmt: skip
 @opt.pairs("--want", "Accuracies wanted, in the units of files, TCP=0.01 among them: how often to "
            "repeat.", "NAME=SIGMA,...")  # fmt: skip
 @opt.names("--owns", f"Instruments that you have ({_owns[0]}): what they would tell together, and "
@@ -212,8 +208,8 @@ def _ask(question: str) -> str:
 @opt.quiet
 def design(
     sheets: tuple[Path, ...], machine: opt.MachineOption, out: Path | None, free: tuple[str, ...],
-    count: int | None, criterion: str, want: opt.Pairs, owns: tuple[str, ...], detect: bool,
-    noise: float | None, seed: int, quiet: bool,
+    count: int | None, want: opt.Pairs, owns: tuple[str, ...], detect: bool, noise: float | None,
+    seed: int, quiet: bool,
 ) -> None:  # fmt: skip
     """Choose readings before any is taken, and compare protocols and sheets by what they see.
 
@@ -223,12 +219,10 @@ def design(
       orthoglide design sheet.csv --want TCP=0.02 --detect
       orthoglide design --owns plate,distance --machine machine.toml --out sheet.csv
     """
-    from orthoglide import planning, prospects
-    from orthoglide.planning.wording import index_rows, pair_rows, repeats_row
-    from orthoglide.prospects.wording import detectable_rows
+    from orthoglide import planning
 
     opt.exclude(
-        "owns", "sheets", "free", "criterion", "want", "detect", "noise",
+        "owns", "sheets", "free", "want", "detect", "noise",
         because="every instrument has a sheet and a noise of its own, and its smallest effects "
         "are told anyway",
     )  # fmt: skip
@@ -242,24 +236,22 @@ def design(
     wanted = opt.in_si("--want", want, known.catalogue)
     with progress(quiet) as step:
         step(Step("computing", "choosing readings"))
-        found = planning.design(known, free or None, count, criterion, noise=noise)  # type: ignore[arg-type]
+        found = planning.design(known, free or None, count, noise=noise)
         step(Step("computing", "comparing"))
         several = dict(_compared(known, sheets))
         rows = [(name, planning.observability(known, one, found.names, noise))
                 for name, one in several.items()]  # fmt: skip
-        lines = [*index_rows([*rows, ("design", found.indices)]), *pair_rows(found)]
+        lines = planning.index_rows([*rows, ("design", found.indices)], text_width())
         several["design"] = found.campaign
-        for name, one in several.items():
-            lines += [f"{name}: {warning}" for warning in planning.aliasing(known, one)]
         for name, one in several.items():
             for what, sigma in wanted.items():
                 step(Step("computing", f"how often to repeat {name}"))
                 answer = planning.repeats_needed(known, one, found.names, what, sigma, noise)
-                lines.append(f"{name}, {repeats_row(answer, known.catalogue)}")
+                lines.append(f"{name}, {answer}")
         for name, one in several.items() if detect else ():
             step(Step("computing", f"smallest effects: {name}"))
-            smallest = prospects.smallest_effects(known, one, noise=noise, seed=seed)
-            lines += ["", f"{name}:", *detectable_rows(smallest, text_width())]
+            smallest = planning.smallest_effects(known, one, noise=noise, seed=seed)
+            lines += ["", f"{name}:", *planning.detectable_rows(smallest, text_width())]
         files, written = ({}, ()) if out is None else _sheet_files(out, found.campaign, known)
     seen = f"{found.indices.rank} of {found.indices.unknowns} unknowns"
     line = f"{len(found.campaign)} readings show {seen}."
@@ -286,9 +278,13 @@ def _design_for(
 ) -> None:  # fmt: skip
     """Print the smallest effects that instruments detect, and write a sheet of the tool's."""
     from orthoglide.observations import readings_text
-    from orthoglide.planning import sheets_of, to_fill_in
-    from orthoglide.prospects import TAKEN_BY, smallest_effects
-    from orthoglide.prospects.wording import detectable_rows
+    from orthoglide.planning import (
+        TAKEN_BY,
+        detectable_rows,
+        sheets_of,
+        smallest_effects,
+        to_fill_in,
+    )
 
     with progress(quiet) as step:
         step(Step("computing", "what the instruments would tell"))
@@ -315,14 +311,22 @@ def _design_for(
     deliver(line if quiet else wrapped("\n".join(lines)), files)
 
 
+def _some(_: click.Context, __: click.Parameter, jobs: int) -> int:
+    """Refuse no process at all."""
+    if jobs == 0:
+        raise InputError("--jobs must be a number of processes, or -1 for all processors, not 0")
+    return jobs
+
+
 @cli.command()
 @opt.machine()
 @opt.file("--sheet", "Measuring sheet; the protocol sweep if absent, or a probe on a plate where "
           "no dial stands on a leg.", "SHEET.csv")  # fmt: skip
 @opt.names("--owns", f"In place of a sheet, readings you can take: {_owns[0]}.", _owns[1])
-@click.option("--campaigns", type=int, default=90, show_default=True, help="How many to simulate.")
+@click.option("--campaigns", type=click.IntRange(1), default=90, show_default=True,
+              help="How many to simulate.")  # fmt: skip
 @opt.seed
-@click.option("--jobs", type=int, default=-1, metavar="N",
+@click.option("--jobs", type=int, default=-1, metavar="N", callback=_some,
               help="Processes side by side.  [default: one for every processor]")  # fmt: skip
 @opt.file("--out", "Folder for finished campaigns and the table; a run that was stopped goes on "
           "from there.", "DIR")  # fmt: skip
@@ -344,6 +348,7 @@ def rehearse(
     """
     from orthoglide.rehearsal import rehearse as run
 
+    opt.exclude("owns", "sheet", because="each instrument has a sheet of its own")
     known = machine.load()
     with progress(quiet) as step:
         found = run(known, sheet, campaigns, owns=owns, seed=seed, out=out, progress=step,

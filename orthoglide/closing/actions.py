@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import combinations
 from typing import TYPE_CHECKING, Literal
 
 from orthoglide.control import withheld
@@ -285,26 +286,28 @@ def _measure(closed: Closed) -> tuple[bool, list[Action]]:
 
 def next_measurements(closed: Closed) -> tuple[Suggestion, ...]:
     """Return readings to take next; those at unexplained residuals come first."""
-    from orthoglide import planning, prospects
+    from orthoglide import planning
 
     geometry, follow = closed.request.machine.geometry, not closed.stands
     left = closed.lack_of_fit
-    again = tuple(map(prospects.repeating, left.by_instrument[:follow]))
+    again = tuple(map(planning.repeating, left.by_instrument[:follow]))
     known = closed.posterior
     sets = [one.data for one in closed.effects] + [one.data for one in closed.located]
     data = [each[0] for each in sets if each]
-    visits = [prospects.deciding_visits(known, d) for d in data] if known else []
+    visits = [planning.deciding_visits(known, d) for d in data] if known else []
     again = (*again, *(one for one in visits if one is not None))
-    parts = [s for one in closed.located if known for s in prospects.parting(known, one)]
+    parts = [s for one in closed.located if known for s in planning.parting(known, one)]
     if not geometry.dialled:
-        apart = () if known is None else prospects.deciding_instruments(known, closed.effects)
+        apart = () if known is None else planning.deciding_instruments(known, closed.effects)
         return (*apart, *parts, *again)
     several = [(c.chosen, *c.rivals) for c in closed.effects if c.rivals]
     several = several or [tuple(closed.alone[:_MOST_RIVALS])]
-    rivals = [(e.name, e.machine) for each in several for e in each]
-    pairs = planning.pairs_within(map(len, several))
+    rivals, pairs = list[tuple[str, Mapping[str, float]]](), list[tuple[int, int]]()
+    for each in several:  # rivals for one cause are not told from rivals for another
+        pairs += combinations(range(len(rivals), len(rivals) + len(each)), 2)
+        rivals += [(e.name, e.machine) for e in each]
     apart = planning.next_measurements(closed.after, rivals, pairs=pairs, directions=())
     more = planning.next_measurements(closed.before)
     if follow and left.dials_hold_most:
-        again = tuple(prospects.tracing(rest, geometry) for rest in left.by_dial[:1])
+        again = tuple(planning.tracing(rest, geometry) for rest in left.by_dial[:1])
     return (*again, *apart, *parts, *more)

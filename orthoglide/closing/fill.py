@@ -29,9 +29,8 @@ from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.observations import campaign_rows, source
 from orthoglide.ordering import ranked
-from orthoglide.planning import Suggestion
+from orthoglide.planning import TAKEN_BY, Suggestion
 from orthoglide.progress import Progress, Step, silent
-from orthoglide.prospects import TAKEN_BY
 from orthoglide.result import (
     CandidateScore,
     DataFault,

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from orthoglide.effects.catalogue import CATALOGUE, Catalogue
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.words import across, mm, mrad, percent, toward, turned
-from orthoglide.layout import DIRECTIONS, LinearDelta
+from orthoglide.layout import DIRECTIONS, LegNames, LinearDelta
 from orthoglide.numerals import MINUS, compact
 from orthoglide.parameters import Parameter
 
@@ -98,9 +98,20 @@ def _told_size(effect: Effect, value: float) -> str:
     return size_words(effect, value) if effect.paired else signed_size(effect, value)
 
 
-def parameter_words(parameter: Parameter) -> str:
-    """``axis_tilt.y.z`` as ``axis tilt of leg y toward z``, for tables."""
+def parameter_words(parameter: Parameter, names: LegNames = CATALOGUE.legs) -> str:
+    """Return ``axis_tilt.y.z`` as ``axis tilt of leg y toward z``, for tables.
+
+    Args:
+        parameter: or a structured member.
+        names: of the machine's legs and parts; on a delta a leg is a tower with its rods.
+    """
     words = parameter.effect.replace("_", " ")
+    if names.nouns:  # the length of a leg is that of its bars
+        words = words.replace("leg length", "bar length")
+    return names.spoken(_parameter_words(parameter, words))
+
+
+def _parameter_words(parameter: Parameter, words: str) -> str:
     where = f" ({parameter.campaign})" if parameter.campaign else ""
     if parameter.setup:
         part = f", {parameter.direction}" if parameter.direction else ""

@@ -88,6 +88,9 @@ class Change:
         """Clause with the parameter and both values, without the alternatives."""
         return self._told("")
 
+    def _words(self, parameter: Parameter) -> str:
+        return parameter_words(parameter, self.catalogue.legs)
+
     def _told(self, others: str) -> str:
         unit = self.unit.spoken
         decimals = decimals_for(self.sigma / unit.si, most=9)
@@ -96,7 +99,7 @@ class Change:
         if self.vague:
             size = f"by {signed((self.after - self.before) / unit.si, decimals)}"
         return (
-            f"the {parameter_words(self.parameter)}{others} changed {size} {unit.name} "
+            f"the {self._words(self.parameter)}{others} changed {size} {unit.name} "
             f"(± {compact(self.sigma / unit.si, 2)})"
         )
 
@@ -110,7 +113,7 @@ class Change:
         named = []
         for name, by in list(self.moved.items())[1:]:
             size = signed_size(self.catalogue.effect_of(name), by) if math.isfinite(by) else ""
-            named.append(f"the {parameter_words(name)}{size and f' by {size}'}")
+            named.append(f"the {self._words(name)}{size and f' by {size}'}")
         return tuple(named)
 
     @property
@@ -137,7 +140,7 @@ class Change:
             return ""
         value, unit = compact(self.after / self.unit.spoken.si, 3), self.unit.spoken.name
         return (
-            f"the {parameter_words(self.parameter)} is {value} {unit}: the readings of the "
+            f"the {self._words(self.parameter)} is {value} {unit}: the readings of the "
             f"calibration before could not see it, so nothing shows that it changed since"
         )
 

@@ -104,14 +104,14 @@ def copies(problem: Problem) -> Iterator[Note]:
 
 def far_off(estimate: Estimate) -> Iterator[Note]:
     """Parameters of the base beyond what their tolerances let expect."""
-    problem = estimate.problem
+    problem, catalogue = estimate.problem, estimate.problem.machine.catalogue
     for unknown, value, far in zip(
         problem.unknowns, estimate.x, problem.far(estimate.x), strict=True
     ):
         if far:
             unit = estimate.unit(unknown.name)
             text = (
-                f"{parameter_words(problem.machine.catalogue.parameter(unknown.name))} "
+                f"{parameter_words(catalogue.parameter(unknown.name), catalogue.legs)} "
                 f"is {abs(value) / unknown.tolerance:.1f} times its tolerance of "
                 f"{compact(unknown.tolerance / unit.si, 2)}{unit.behind}: measure it, or correct "
                 f"the tolerance in the machine file"

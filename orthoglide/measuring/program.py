@@ -36,7 +36,7 @@ the same phase of a screw as zero and the ends, as round numbers often are."""
 _DIALS = ((0.25, 0), (0.65, 0), (0.25, 1), (0.65, 2), (0.5, 0))
 """Where the dials stand, as parts of the leg, and the bar that they touch (0: the median line),
 sheet by sheet. The first two together find every effect from a fifth more than the size at which a
-sweep sheet does, or less (``orthoglide.prospects.smallest_effects``)."""
+sweep sheet does, or less (``orthoglide.smallest_effects``)."""
 
 _CLEARANCE = 8e-3
 """Metres that a dial keeps from the ends of its leg, over the whole stroke; on a machine of less

@@ -1,23 +1,169 @@
-"""Choosing readings: greedy, then every mounting in turn taken out and chosen again."""
+"""Choosing readings: what a further reading is worth, and the readings that are worth most.
+
+A step is the scalar observation ``d x + e`` of variance ``s2`` (see ``linear``): it adds
+``d' d / s2`` to the information on the unknowns. Two criteria say what it is worth: how closely
+some combinations of the unknowns are known, and how far rival explanations are apart.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TypeVar
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self, TypeVar
 
 import numpy as np
 
 from orthoglide.errors import InputError
+from orthoglide.geometry import Array
 from orthoglide.ordering import largest
-from orthoglide.planning.criteria import Criterion
-from orthoglide.planning.linear import LinearReadings
+from orthoglide.planning.linear import LinearReadings, Steps
 
-C = TypeVar("C", bound=Criterion)
-
-_PASSES = 2
+_PASSES = 2  # of exchange over all mountings: a third gained nothing on the machines tried
 _MOST = 500  # readings of a sheet: a day's work, and some minutes to choose
 _BETTER = 1e-6  # of a criterion's value: an exchange that gains less is none
 _NOTHING = 1e-9  # gain below which a step is not worth a reading
+
+
+@dataclass(frozen=True)
+class Criterion(ABC):
+    """A criterion with what is known so far."""
+
+    information: Array  # on all columns of the readings (P, P), priors in it
+
+    @property
+    @abstractmethod
+    def value(self) -> float:
+        """The larger the better."""
+
+    @property
+    def reached(self) -> bool:
+        """Whether no more is wanted: never, as a rule; the readings asked for are the limit."""
+        return False
+
+    @abstractmethod
+    def gains(self, steps: Steps) -> Array:
+        """Return how much better each step would make the value ``(k,)``."""
+
+    def after(self, steps: Steps, k: int) -> Self:
+        """Return the criterion once step ``k`` has been taken."""
+        d = steps.columns[k]
+        return replace(self, information=self.information + np.outer(d, d) / steps.variance[k])
+
+    def with_rows(self, readings: LinearReadings, rows: Sequence[int]) -> Self:
+        """Return the criterion once rows have been read, in mountings of their own."""
+        return replace(self, information=self.information + readings.information(rows))
+
+
+@dataclass(frozen=True)
+class Narrowing(Criterion):
+    """How closely combinations A of the unknowns are known: ``-log det(A' C A)`` with their
+    covariance C.
+
+    It is D-optimality where A is the identity, and the variance of one combination where A is a
+    column. A step of negative variance takes a reading away.
+    """
+
+    combinations: Array  # A (P, m)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the unknowns ``(P, P)``."""
+        return np.asarray(np.linalg.inv(self.information))
+
+    @cached_property
+    def spread(self) -> Array:
+        """Covariance of the combinations ``(m, m)``."""
+        return np.asarray(self.combinations.T @ self.covariance @ self.combinations)
+
+    @property
+    def value(self) -> float:
+        """Minus the logarithm of the determinant of the combinations' covariance."""
+        return -float(np.linalg.slogdet(self.spread)[1])
+
+    def gains(self, steps: Steps) -> Array:
+        """Return ``-log(1 - d C A (A' C A)^-1 A' C d' / (s2 + d C d'))``: matrix determinant
+        lemma.
+        """
+        toward = steps.columns @ self.covariance
+        variance = steps.variance + np.sum(toward * steps.columns, axis=1)
+        along = toward @ self.combinations
+        shared = np.sum(along * np.linalg.solve(self.spread, along.T).T, axis=1)
+        # Rounding must not make a step tell everything.
+        return np.asarray(-np.log1p(-np.minimum(shared / variance, 1 - 1e-12)))
+
+
+@dataclass(frozen=True)
+class RivalSeparation(Criterion):
+    """Rival explanations, as far apart as can be once each has been fitted again.
+
+    The last columns of the readings are what each rival predicts of them. For an ordered pair
+    (a, b), a true and b fitted, a step raises the expected chi2 of b by
+    ``(d (x_a - x_b) expected)^2 / (s2 + d C_b d')``.
+    """
+
+    spread: Array  # covariance of the unknowns under each rival before any step (K, P, P)
+    pairs: Array  # of rivals (q, 2); both ways round count
+    enough: float = np.inf  # chi2 beyond which no more is wanted
+
+    @classmethod
+    def between(cls, spread: Array, pairs: Array, enough: float = np.inf) -> Self:
+        """Return the criterion before any step."""
+        return cls(np.zeros((sum(spread.shape[:2]),) * 2), spread, np.asarray(pairs), enough)
+
+    @cached_property
+    def _ordered(self) -> Array:
+        return np.concatenate([self.pairs, self.pairs[:, ::-1]])
+
+    @cached_property
+    def _refitted(self) -> Array:
+        """Covariance of the unknowns under each rival once fitted again ``(K, P, P)``."""
+        size = self.spread.shape[1]
+        known = np.eye(size) + self.information[:size, :size] @ self.spread
+        # (C^-1 + W)^-1 = C (1 + W C)^-1, whatever C's rank.
+        return np.asarray(self.spread @ np.linalg.inv(known))
+
+    @cached_property
+    def chi2(self) -> Array:
+        """Expected of the wrong rival of each pair so far, then the other way round ``(2 q,)``."""
+        size, W = self.spread.shape[1], self.information
+        left = W[size:, size:] - W[size:, :size] @ self._refitted @ W[:size, size:]
+        a, b = self._ordered.T
+        return np.maximum(left[b, a, a] + left[b, b, b] - left[b, a, b] - left[b, b, a], 0.0)
+
+    @property
+    def sigmas(self) -> dict[tuple[int, int], float]:
+        """Root of the chi2 of each pair, the smaller of the two ways round."""
+        least = np.sqrt(self.chi2.reshape(2, -1).min(axis=0))
+        return {(a, b): s for (a, b), s in zip(self.pairs.tolist(), least.tolist(), strict=True)}
+
+    @property
+    def value(self) -> float:
+        """Minus the logarithm of the mean relative likelihood of the wrong one."""
+        return -float(_log_mean_exp(-self.chi2 / 2))
+
+    @property
+    def reached(self) -> bool:
+        """Whether the least separated pair is far enough apart."""
+        return bool(self.chi2.min() >= self.enough)
+
+    def gains(self, steps: Steps) -> Array:
+        """Return the rise of ``value``."""
+        size = self.spread.shape[1]
+        unknowns, predicted = steps.columns[:, :size], steps.columns[:, size:]
+        raised = np.empty((len(unknowns), len(self._ordered)))
+        for rival, covariance in enumerate(self._refitted):
+            mine = self._ordered[:, 1] == rival
+            fitted = unknowns @ covariance
+            expected = predicted - fitted @ self.information[:size, size:]
+            left = expected[:, self._ordered[mine, 0]] - expected[:, [rival]]
+            variance = np.sum(fitted * unknowns, axis=1) + steps.variance
+            raised[:, mine] = left**2 / variance[:, None]
+        return np.asarray(-_log_mean_exp(-(self.chi2 + raised) / 2) - self.value)
+
+
+C = TypeVar("C", bound=Criterion)
 
 
 def choose(
@@ -28,7 +174,7 @@ def choose(
     mounting: float = 2.0,
     exchange: bool = False,
 ) -> tuple[tuple[int, ...], C]:
-    """Readings that serve a criterion best.
+    """Return the readings that serve a criterion best.
 
     Args:
         readings: to choose from.
@@ -82,3 +228,8 @@ def _grow(
         criterion = criterion.after(steps, k)
         taken += steps.taken(k)
     return taken, criterion
+
+
+def _log_mean_exp(x: Array) -> Array:
+    top = x.max(axis=-1, keepdims=True)
+    return np.asarray(np.log(np.mean(np.exp(x - top), axis=-1)) + top[..., 0])

@@ -1,41 +1,127 @@
-"""A design before any measurement: the readings to take."""
+"""A design before any measurement: the readings to take, what they see, and how often."""
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from orthoglide.errors import InputError, check_list, check_word
+from orthoglide.accuracy import tcp_slopes, without_place, workspace
+from orthoglide.errors import InputError, check_list
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings
-from orthoglide.ordering import EQUAL_ODDS, descending
-from orthoglide.planning.choosing import choose
-from orthoglide.planning.criteria import Determinant, EffectSeparation
-from orthoglide.planning.linear import LinearReadings
-from orthoglide.planning.observability import Observability, observability
+from orthoglide.planning.choosing import Narrowing, choose
+from orthoglide.planning.linear import LinearReadings, in_tolerances
 from orthoglide.planning.pool import reading_pool, sheet
+from orthoglide.prediction import Conditions
+from orthoglide.text import brief
 from orthoglide.threads import on_one_thread
+from orthoglide.units import MM, Unit
 
 if TYPE_CHECKING:
     import pandas as pd
 
-Criterion = Literal["d-optimal", "discriminate"]
+TCP = "TCP"
+"""Stands for the TCP where a parameter's name might stand."""
 
-_NEVER = 5.0  # sigmas by the whole pool: a pair that no few of its readings tell apart
 _LOOSE = 100.0  # tolerances: priors that keep a determinant finite and otherwise say nothing
+_UNSEEN = 1e-9  # of the largest singular value: rounding
+_MOST = 1000  # repeats: nobody visits a station more often
+_GRID = 4  # commands along each axis: enough for a mean over the workspace
+_EXACT = 1e-3  # of a reading's sigma: keeps the limit of many repeats finite
 
 
 @dataclass(frozen=True)
-class Pair:
-    """Two effects at their tolerance; ``other`` is empty where one stands against none."""
+class Observability:
+    """How well the readings of a campaign see some unknowns.
 
-    one: str  # parameter
-    other: str  # parameter
-    sigmas: float  # between them, zeros and lengths, datums and the other's size fitted
+    With the singular values ``s_1 >= ... >= s_m`` of the identification Jacobian of ``n`` readings
+    (Y. Sun and J. M. Hollerbach, "Observability index selection for robot calibration", ICRA 2008):
+
+        O1 = (s_1 ... s_m)^(1/m) / sqrt(n)      O2 = s_m / s_1      O3 = s_m
+        O4 = s_m^2 / s_1                        O5 = 1 / (1/s_1 + ... + 1/s_m)
+
+    O1 is D-, O3 E- and O5 close to A-optimality. Unknowns are in tolerances and readings in sigmas,
+    datums and the dials' places taken out, so that the figures compare between campaigns.
+    """
+
+    readings: int  # how many
+    # singular values (m,), largest first, sigmas a tolerance; 0 where a combination of the unknowns
+    # is not seen at all
+    singular: tuple[float, ...]
+
+    @classmethod
+    def of_jacobian(cls, jacobian: Array, readings: int) -> Observability:
+        """Return the observability by a whitened Jacobian ``(rows, m)`` of so many readings."""
+        singular = np.zeros(jacobian.shape[1])
+        values = np.linalg.svd(jacobian, compute_uv=False)
+        singular[: len(values)] = values
+        singular[singular < _UNSEEN * singular.max(initial=0.0)] = 0.0
+        return cls(readings, tuple(singular.tolist()))
+
+    @property
+    def unknowns(self) -> int:
+        """How many."""
+        return len(self.singular)
+
+    @property
+    def rank(self) -> int:
+        """Unknowns that the readings see at all, in combinations."""
+        return int(np.count_nonzero(self.singular))
+
+    @property
+    def indices(self) -> dict[str, float]:
+        """All five by name; 0 where a combination of unknowns is not seen."""
+        s = np.array(self.singular)
+        if self.rank < self.unknowns:
+            return dict.fromkeys(("O1", "O2", "O3", "O4", "O5"), 0.0)
+        o1 = np.exp(np.mean(np.log(s))) / np.sqrt(self.readings)
+        found = (o1, s[-1] / s[0], s[-1], s[-1] ** 2 / s[0], 1 / np.sum(1 / s))
+        return {f"O{k}": float(value) for k, value in enumerate(found, start=1)}
+
+
+def observability(
+    machine: Machine, campaign: Readings, free: Sequence[str], noise: float | None = None
+) -> Observability:
+    """Return the observability indices of a campaign or protocol.
+
+    Args:
+        machine: tolerances, dial, and where to linearise.
+        campaign: with or without readings.
+        free: effects, parameters or structured members to identify.
+        noise: standard deviation of one reading, metres; as the machine's dial has it if absent.
+    """
+    names = machine.catalogue.expand(free, [s.name for s in campaign.setups])
+    readings = LinearReadings.of(machine, campaign, names, noise)
+    return Observability.of_jacobian(readings.whitened(), len(campaign))
+
+
+def index_rows(compared: Sequence[tuple[str, Observability]], width: int) -> list[str]:
+    """Return a table of observability indices, campaigns or protocols by name, as rows of text.
+
+    Args:
+        compared: names with their indices.
+        width: in characters; longer names are cut, numbers never.
+    """
+    names = min(max(len(name) for name, _ in compared), max(10, width - 54))
+    head = f"{'':<{names}}{'read':>5}{'seen':>7}" + "".join(f"{f'O{k}':>8}" for k in range(1, 6))
+    return [
+        head,
+        *(
+            f"{brief(name, names):<{names}}{o.readings:>5}{f'{o.rank}/{o.unknowns}':>7}"
+            + "".join(f"{v:>8.2g}" for v in o.indices.values())
+            for name, o in compared
+        ),
+        "O1 to O5, the larger the better: all unknowns, evenness, worst seen, O2 times O3, mean "
+        "seen.",
+    ]
+
+
+# -- readings to take ------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -43,30 +129,22 @@ class Design:
     """Readings chosen before any is taken.
 
     Attributes:
-        criterion: ``d-optimal`` or ``discriminate``.
-        names: parameters it is for; those fitted besides come first.
+        names: parameters it is for.
         campaign: a measuring sheet.
-        value: of the criterion: log det of the information in tolerances, gained over its loose
-            priors; or the sigmas between the two effects that are hardest to tell apart.
+        value: log det of the information in tolerances, gained over its loose priors.
         indices: of the sheet for ``names``.
-        closest: for ``discriminate``: pairs that are told apart least, least first.
-        never: for ``discriminate``: pairs that no few readings within reach tell apart.
     """
 
-    criterion: Criterion
     names: tuple[str, ...]
     campaign: Readings
     value: float
     indices: Observability
-    closest: tuple[Pair, ...] = ()
-    never: tuple[Pair, ...] = ()
 
     def __repr__(self) -> str:
-        count, names = len(self.campaign), len(self.names)
-        return f"<Design, {self.criterion}: {count} readings for {names} parameters>"
+        return f"<Design: {len(self.campaign)} readings for {len(self.names)} parameters>"
 
     def to_frame(self) -> pd.DataFrame:
-        """The measuring sheet as a data frame, a row a reading.
+        """Return the measuring sheet as a data frame, a row a reading.
 
         Raises:
             InputError: where pandas is not installed.
@@ -82,61 +160,40 @@ def design(
     machine: MachineSource,
     free: Sequence[str] | None = None,
     count: int = 24,
-    criterion: Criterion = "d-optimal",
     *,
     noise: float | None = None,
     pool: Readings | None = None,
 ) -> Design:
-    """Choose readings before any is taken: greedily, then by exchange of whole mountings.
+    """Choose readings before any is taken: those of the largest determinant of the information,
+    greedily, then by exchange of whole mountings.
 
     Args:
         machine: tolerances, dial, and where to linearise.
-        free: effects, parameters or structured members: to identify (``d-optimal``; zeros and
-            lengths if None), or to tell apart (``discriminate``; all that a design can show if
-            None, zeros and lengths being fitted besides).
+        free: effects, parameters or structured members to identify; zeros and lengths if None.
         count: readings.
-        criterion: ``d-optimal``: the largest determinant of the information, with priors of a
-            hundred tolerances; ``discriminate``: the largest least separation of two effects at
-            tolerance.
         noise: standard deviation of one reading, metres.
         pool: to choose from; all of ``reading_pool`` where absent.
 
     Raises:
-        InputError: for dial effects, too few readings, or an unknown criterion.
+        InputError: for dial effects, or too few readings.
     """
-    check_word("criterion", criterion, get_args(Criterion))
     check_list("free", free)
     machine = Machine.of(machine)
     pool = pool or reading_pool(machine.geometry)
-    closest: tuple[Pair, ...] = ()
-    never: tuple[Pair, ...] = ()
-    base = machine.catalogue.base
-    if criterion == "d-optimal":
-        names = shown_names(machine, pool, base if free is None else free)
-        readings = LinearReadings.of(machine, pool, names, noise)
-        start = Determinant(np.eye(len(names)) / _LOOSE**2)
-        rows, best = choose(readings, start, count, exchange=True)
-        if not rows:
-            raise InputError("through this noise no reading says anything: correct it")
-        value = best.value - start.value
-    else:
-        fitted = machine.catalogue.expand(base)
-        apart = tuple(n for n in shown_names(machine, pool, free or ()) if n not in fitted)
-        if not apart:
-            raise InputError(
-                "offsets and lengths are always fitted: name other effects to tell apart"
-            )
-        names = (*fitted, *apart)
-        readings = LinearReadings.of(machine, pool, names, noise)
-        rows, closest, never = _told_apart(readings, apart, len(fitted), count)
-        value = closest[0].sigmas
+    names = shown_names(machine, pool, machine.catalogue.base if free is None else free)
+    readings = LinearReadings.of(machine, pool, names, noise)
+    start = Narrowing(np.eye(len(names)) / _LOOSE**2, np.eye(len(names)))
+    rows, best = choose(readings, start, count, exchange=True)
+    if not rows:
+        raise InputError("through this noise no reading says anything: correct it")
     campaign = sheet(pool, rows, "design")
     seen = observability(machine, campaign, names, noise)
-    return Design(criterion, names, campaign, value, seen, closest, never)
+    return Design(names, campaign, best.value - start.value, seen)
 
 
 def shown_names(machine: Machine, pool: Readings, free: Sequence[str]) -> tuple[str, ...]:
-    """Parameters of the machine that names stand for; all that a design can show where empty.
+    """Return the parameters of the machine that names stand for; all that a design can show where
+    empty.
 
     Raises:
         InputError: for effects of the dial, which belong to a mounting and not to a design, and for
@@ -163,29 +220,95 @@ def shown_names(machine: Machine, pool: Readings, free: Sequence[str]) -> tuple[
     return catalogue.expand(free)
 
 
-def _told_apart(
-    readings: LinearReadings, names: Sequence[str], base: int, count: int
-) -> tuple[tuple[int, ...], tuple[Pair, ...], tuple[Pair, ...]]:
-    """Rows that tell effects apart, pairs by their separation, and pairs that nothing separates;
-    the readings are by the base, which is fitted besides, then by the effects.
+# -- how often to take them ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """An answer to "how often"."""
+
+    # parameter, or `"TCP"`: root mean square over the workspace and its three axes, best
+    # translation removed
+    what: str
+    wanted: float  # standard deviation, SI
+    repeats: int | None  # visits to every station; `None` where no number is enough
+    sigma: float  # with that many; with one visit where none is enough
+    # residual with any number of repeats: rounding, placement, and what is not seen
+    floor: float
+    unit: Unit = MM  # of the standard deviations in files
+
+    def __str__(self) -> str:
+        wanted, sigma, floor = (v / self.unit.si for v in (self.wanted, self.sigma, self.floor))
+        asked = f"{self.what}: sigma {wanted:.3g}{self.unit.behind}"
+        if self.repeats is None:
+            return (
+                f"{asked} is out of reach of repeats: {sigma:.3g} with one visit, {floor:.3g} with "
+                f"any number"
+            )
+        visits = "visit" if self.repeats == 1 else "visits"
+        return f"{asked} takes {self.repeats} {visits} to every station (then {sigma:.3g})"
+
+
+def repeats_needed(
+    machine: MachineSource,
+    campaign: Readings,
+    free: Sequence[str],
+    what: str,
+    wanted: float,
+    noise: float | None = None,
+) -> Repeats:
+    """Return how often every station must be visited for a wanted accuracy.
+
+    Repeats reduce the scatter of readings. They reduce neither the rounding that a station's
+    visits share, nor the dial's misplacement, nor what no reading of the protocol sees.
+
+    Args:
+        machine: tolerances and dial.
+        campaign: stations; its own repeats do not count.
+        free: to identify, with their tolerances as priors.
+        what: one of their parameters, or ``"TCP"``.
+        wanted: standard deviation, SI.
+        noise: standard deviation of one reading, metres.
+
+    Raises:
+        InputError: for a parameter that is not identified, or a ``wanted`` that is not positive.
     """
-    size = len(names)
-    pairs = np.array([(i, j) for i in range(size) for j in range(i, size)])
-    prior = np.diag([1.0] * base + [0.0] * size)
-    most = np.sqrt(EffectSeparation(prior + readings.information(), base, pairs).squares)
-    possible = most >= _NEVER
-    if not possible.any():
-        raise InputError("no reading within reach shows any of these effects at its tolerance")
-    start = EffectSeparation(prior, base, pairs[possible])
-    rows, best = choose(readings, start, count, exchange=True)
-    sigmas = np.sqrt(best.squares)
+    if not wanted > 0:
+        raise InputError(f"the accuracy wanted of {what} must be a positive standard deviation")
+    machine = Machine.of(machine)
+    _, first = np.unique(campaign.stations, axis=0, return_index=True)
+    once = campaign.subset(np.sort(first))
+    names = machine.catalogue.expand(free, [s.name for s in once.setups])
+    if what != TCP and what not in names:
+        known = ", ".join(names)
+        raise InputError(f"{what} is not identified here: it is TCP, or one of {known}")
+    slope, unit = _slope(machine, names, what), MM
+    if what != TCP:
+        unit = machine.catalogue.effect_of(what).unit
+    readings = LinearReadings.of(machine, once, names, noise)
 
-    def described(places: Array, values: Array) -> tuple[Pair, ...]:
-        return tuple(
-            Pair(names[i], "" if i == j else names[j], float(s))
-            for (i, j), s in zip(places.tolist(), values, strict=True)
-        )
+    def sigma(repeats: float) -> float:
+        mean = readings.sigma * max(1 / np.sqrt(repeats), _EXACT)
+        information = replace(readings, sigma=mean).information()
+        spread = slope @ np.linalg.inv(information + np.eye(len(names)))
+        return float(np.sqrt(np.mean(np.sum(spread * slope, axis=1))))
 
-    order = descending(-np.log(np.maximum(sigmas, 1e-6)), EQUAL_ODDS)
-    closest = described(pairs[possible][order], sigmas[order])
-    return rows, closest, described(pairs[~possible], most[~possible])
+    if sigma(_MOST) > wanted:
+        return Repeats(what, wanted, None, sigma(1), sigma(np.inf), unit)
+    few = 1 + bisect_left(range(1, _MOST), True, key=lambda n: sigma(n) <= wanted)
+    return Repeats(what, wanted, few, sigma(few), sigma(np.inf), unit)
+
+
+def _slope(machine: Machine, names: Sequence[str], what: str) -> Array:
+    """Return the derivatives ``(n, P)`` of a figure by names in tolerances: of the TCP's
+    coordinates over the workspace after their mean, or of one parameter.
+    """
+    if what != TCP:
+        return np.array([[machine.tolerance(n) if n == what else 0.0 for n in names]])
+    moving = [n for n in names if not machine.catalogue.effect_of(n).of_dial]
+    parts, weights = in_tolerances(machine, moving)
+    where = Conditions.at(workspace(machine.geometry, _GRID, machine.spec.screw_pitch))
+    slope = np.zeros((3 * len(where), len(names)))
+    moved = without_place(tcp_slopes(machine, parts, where) @ weights)
+    slope[:, [names.index(n) for n in moving]] = moved.reshape(len(slope), -1)
+    return slope

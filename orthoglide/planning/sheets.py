@@ -19,18 +19,23 @@ from orthoglide.observations import Readings, Setup, in_sequence, protocol
 from orthoglide.observations.approach import Moves, overshoot
 from orthoglide.observations.checks import DECIMALS
 from orthoglide.ordering import EQUAL, largest
-from orthoglide.planning.linear import foreseen
+from orthoglide.planning.choosing import Narrowing
+from orthoglide.planning.linear import Steps, foreseen
 from orthoglide.threads import on_one_thread
 
 KINDS = tuple(sorted(OBSERVATIONS, key=lambda kind: not OBSERVATIONS[kind].on_leg))
 """Kinds of readings, those of dials on legs first."""
+
+TAKEN_BY = {kind: OBSERVATIONS[kind].words for kind in KINDS}
+"""Kinds of readings, and what takes them."""
 
 _LOOSE = 1e-6  # precision of a datum, in readings: one of which nothing is known
 
 LEAST = 6
 """Readings that are worth choosing: a plate's own height and slopes take three."""
 
-_AROUND, _HALVINGS = 12, 12
+_AROUND = 12  # places on a circle: the lobes of a plate's shapes of three and four come out
+_HALVINGS = 12  # of the workspace's size: to a few thousandths of it
 _PLACED = 4  # decimals of a metre: places that people can type
 
 
@@ -168,12 +173,12 @@ def _widest(machine: Machine, points: Callable[[float], Array]) -> float:
 
 
 def mixed_sheet(machine: Machine, sheets: Sequence[Readings], count: int) -> tuple[Readings, ...]:
-    """The ``count`` readings, of sheets of one instrument each, that together tell most of
+    """Return the ``count`` readings, of sheets of one instrument each, that together tell most of
     everything that could be wrong with a machine.
 
     From all of them the one is dropped, again and again, without which the determinant of the
     information falls least: of all parameters in their tolerances, what belongs to the setups
-    (a plate's height and slopes, an instrument's frame) projected out.
+    (a plate's height and slopes, an instrument's frame) fitted besides.
 
     Returns:
         What is kept of each sheet; sheets of which nothing is are left out.
@@ -187,15 +192,14 @@ def mixed_sheet(machine: Machine, sheets: Sequence[Readings], count: int) -> tup
             f"there are {most} readings of the tool to choose from: ask for {LEAST} to {most}, not "
             f"{count}"
         )
-    rows, shared, prior = whitened(machine, sheets)
-    kept = np.arange(len(rows))
-    both = np.diag(prior) + rows.T @ rows
+    rows, parameters, prior = whitened(machine, sheets)
+    known = Narrowing(np.diag(prior) + rows.T @ rows, np.eye(rows.shape[1])[:, :parameters])
+    kept = np.arange(most)
     while len(kept) > count:
-        whole = _leverage(both, rows[kept])
-        datums = _leverage(both[shared:, shared:], rows[kept, shared:])
-        worst = largest(np.log1p(-whole) - np.log1p(-datums), EQUAL)
-        both -= np.outer(rows[kept[worst]], rows[kept[worst]])
-        kept = np.delete(kept, worst)
+        gone = Steps(np.column_stack([-np.ones(len(kept)), kept]), rows[kept], -np.ones(len(kept)))
+        least = largest(known.gains(gone), EQUAL)
+        known = known.after(gone, least)
+        kept = np.delete(kept, least)
     owner = np.repeat(np.arange(len(sheets)), [len(s) for s in sheets])
     first = np.cumsum([0, *(len(s) for s in sheets)])
     chosen = [kept[owner[kept] == k] - first[k] for k in range(len(sheets))]
@@ -203,7 +207,9 @@ def mixed_sheet(machine: Machine, sheets: Sequence[Readings], count: int) -> tup
 
 
 def whitened(machine: Machine, sheets: Sequence[Readings]) -> tuple[Array, int, Array]:
-    """Rows ``(n, P + k)`` by parameters in tolerances and by datums, ``P``, and precisions."""
+    """Return rows ``(n, P + k)`` by parameters in tolerances and by datums, ``P``, and precisions
+    before any reading.
+    """
     estimate = solve(foreseen(machine, sheets), method="nested")
     problem = estimate.problem
     wide = with_others(problem, [effect.name for effect in excited_effects(problem)])
@@ -216,9 +222,3 @@ def whitened(machine: Machine, sheets: Sequence[Readings]) -> tuple[Array, int, 
     known = nuisance.precision / size**2
     prior = np.concatenate([np.ones(columns.shape[1]), np.maximum(known, _LOOSE)])
     return np.hstack([columns, datums / size]), columns.shape[1], prior
-
-
-def _leverage(information: Array, rows: Array) -> Array:
-    """Share of each row ``(n,)`` in what is known along it."""
-    share = np.sum(rows * np.linalg.solve(information, rows.T).T, axis=1)
-    return np.asarray(np.clip(share, 0.0, 1 - 1e-12))

@@ -1,48 +1,29 @@
-"""What to measure next: the few readings that separate rivals or pin down a weak direction."""
+"""Suggestions of readings to take next, and those that follow a residual without an explanation."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
 
-from orthoglide.fit import Estimate, WeakDirection
+from orthoglide.explanation import FullPosterior
 from orthoglide.frames import Framed
-from orthoglide.geometry import Array
-from orthoglide.instruments.leg_dial import PLACE
-from orthoglide.machine import Machine
+from orthoglide.geometry import LEGS, Geometry
+from orthoglide.instruments import OBSERVATIONS
 from orthoglide.observations import Readings, campaign_rows
-from orthoglide.ordering import EQUAL_ODDS, best_of, ranked
-from orthoglide.planning.choosing import choose
-from orthoglide.planning.criteria import LeastVariance, RivalSeparation
-from orthoglide.planning.linear import LinearReadings
+from orthoglide.observations.protocols import unread
 from orthoglide.planning.pool import reading_pool, sheet
-from orthoglide.planning.rivals import (
-    Rival,
-    Values,
-    inseparable_groups,
-    inseparable_words,
-    rival_of,
-)
+from orthoglide.result import DataRival, SetupResidual
 
-Rivals = Sequence[tuple[str, "Values | Estimate"]]
 Aim = Literal["separate", "narrow", "trace", "none"]
-Pairs = dict[tuple[int, int], float]
-"""Sigmas between two rivals, the smaller number first."""
 
-ENOUGH = 6.0
-"""Sigmas of separation beyond which no further reading is proposed."""
-
-_NEVER = 2.0  # sigmas by the whole pool: rivals that no reading within reach tells apart
-_HINTS = 1.0  # sigmas: less is not worth taking readings for
 DECIDES = 2.0  # sigmas: less leaves both in one class, which is a chi2 of 4 wide
-_WORTH = 0.9  # of a sigma before: readings that leave more are not worth taking
-_MOST_DIRECTIONS = 2
-_MOUNTING = 4.0  # readings that mounting a dial, with its first two, is worth
+_TWICE = 2  # visits: a single one may be misread
+_NEIGHBOURS = 3  # distances from a posture: itself, and those next to it
+_MID = 0.5  # of the leg
 
 
 @dataclass(frozen=True)
@@ -98,7 +79,7 @@ class Suggestion(Framed):
 
 
 def next_sheet(suggestions: Sequence[Suggestion]) -> Readings | None:
-    """One measuring sheet for all suggestions of a run; ``None`` where nothing helps.
+    """Return one measuring sheet for all suggestions of a run; ``None`` where nothing helps.
 
     A visit that serves two purposes stands once.
     """
@@ -114,169 +95,77 @@ def next_sheet(suggestions: Sequence[Suggestion]) -> Readings | None:
     return Readings.concatenated(sheets) if sheets else None
 
 
-def next_measurements(
-    fit: Estimate,
-    rivals: Rivals = (),
-    machine: Machine | None = None,
-    *,
-    pairs: Sequence[tuple[int, int]] | None = None,
-    count: int = 12,
-    directions: Sequence[WeakDirection] | None = None,
-    pool: Readings | None = None,
-) -> tuple[Suggestion, ...]:
-    """The few readings that would tell most, out of those that the machine can reach.
+def _trace(reason: str, pool: Readings | None = None, rows: Sequence[int] = ()) -> Suggestion:
+    """Return the advice to visit rows of a pool twice."""
+    twice = np.repeat(np.asarray(rows, dtype=int), _TWICE)
+    return Suggestion(reason, "trace", float("nan"), pool, tuple(twice.tolist()))
 
-    Everything is linear around the fits, but for the readings that the rivals predict. Base
-    parameters, the rivals' own and the new datums and places are fitted again on old and new
-    readings together: what is counted is what no fit could explain away.
 
-    Args:
-        fit: of the readings at hand.
-        rivals: explanations between which these cannot decide: names with all parameters of the
-            machine as it is now, SI, or with their fits.
-        machine: where the readings will be taken; the fit's where absent.
-        pairs: of rivals that are to be told apart, by place; all where absent.
-        count: readings to propose, at most, for each purpose.
-        directions: to pin down; the fit's weakest two where absent, none where empty.
-        pool: readings to choose from; all within reach where absent.
+def tracing(rest: SetupResidual, geometry: Geometry) -> Suggestion:
+    """Return a sheet for the dial whose residual is largest; no rival explanation is needed.
 
-    Raises:
-        InputError: for fewer than two readings.
+    Both bars of the leg are touched along the direction in which most is left, at every step of its
+    travel, reached from both sides: a curve tells a bend from a tilt, two sides lost motion, two
+    bars a twist from a shift.
     """
-    machine = machine or fit.problem.machine
-    weak = fit.weak[:_MOST_DIRECTIONS] if directions is None else directions
-    scale = max(fit.sigma_scale, 1.0)
-    several = [rival_of(name, found, fit, scale) for name, found in rivals]
-    own = rival_of("", fit, fit, scale)
-    names = tuple(dict.fromkeys(p for e in (own, *several) for p in e.parts))
-    choice = pool or reading_pool(machine.geometry, load=usual_load(fit))
-    at = machine.model.linearised(own.values, choice, names)
-    total = fit.problem.noise.typical * scale
-    readings = LinearReadings.around(
-        machine, choice, at.jacobian, at.seen.by_nuisance[:, PLACE], total
-    )
-    found: list[Suggestion] = []
-    every = [*combinations(range(len(several)), 2)] if pairs is None else pairs
-    if every:
-        predicted = [machine.model.readings(e.values, choice) for e in several]
-        both = replace(readings, columns=np.column_stack([at.jacobian, *predicted]))
-        found += to_separate(machine, both, names, several, every, count)
-    for direction in weak:
-        found.append(_to_narrow(readings, names, own, fit, direction, count))
-    return tuple(found)
-
-
-def usual_load(estimate: Estimate) -> float:
-    """At the TCP over the last campaign, newtons; 0 where none is known."""
-    if not estimate.problem.campaigns:
-        return 0.0
-    load = estimate.problem.campaigns[-1].load
-    known = load[np.isfinite(load)]
-    return float(np.median(known)) if len(known) else 0.0
-
-
-def to_separate(
-    machine: Machine,
-    readings: LinearReadings,
-    names: tuple[str, ...],
-    several: Sequence[Rival],
-    pairs: Sequence[tuple[int, int]],
-    count: int,
-) -> list[Suggestion]:
-    """Readings between pairs of rivals, and the groups of rivals that none tells apart; the
-    readings are by elementary parameters of these names, then as each rival predicts them.
-    """
-    spread = np.stack([e.spread(names) for e in several])
-    every = RivalSeparation.between(spread, np.array(pairs))
-    most = replace(every, information=readings.information()).sigmas
-    never = {pair: sigmas for pair, sigmas in most.items() if sigmas < _NEVER}
-    rows, end, weak = _for_pairs(readings, spread, [p for p in most if p not in never], count)
-    pool, level = readings.campaign, float(readings.sigma.max())
-    found = []
-    for group, sigmas in inseparable_groups({**never, **weak}):
-        rivals = [several[k] for k in group]
-        text = inseparable_words(machine, rivals, sigmas, len(pool), level)
-        found.append(Suggestion(text, "none", sigmas, pool))
-    if end is None:
-        return found
-    least = ranked(end.sigmas.items(), lambda item: -float(np.log(item[1])), EQUAL_ODDS)
-    text = "; ".join(
-        f"{several[a].name} from {several[b].name} by {s:.1f} sigma" for (a, b), s in least[:3]
-    )
-    more = f" (and {len(least) - 3} further pairs by more)" if len(least) > 3 else ""
-    reason = f"{_size(pool, rows)} expected to separate {text}{more}"
-    gain = least[0][1]
-    if gain < DECIDES:
-        reason += ": too little to decide, but the most that so few readings can do"
-    return [Suggestion(reason, "separate", gain, pool, rows), *found]
-
-
-def _for_pairs(
-    readings: LinearReadings, spread: Array, pairs: Sequence[tuple[int, int]], count: int
-) -> tuple[tuple[int, ...], RivalSeparation | None, Pairs]:
-    """Readings for the pairs that so few of them can separate; the others with what they reach."""
-    weak: Pairs = {}
-    pairs = list(pairs)
-    while pairs:
-        start = RivalSeparation.between(spread, np.array(pairs), ENOUGH**2)
-        rows, end = choose(readings, start, count, mounting=_MOUNTING)
-        low = [pair for pair, sigmas in end.sigmas.items() if sigmas < _HINTS]
-        # A pair may have come off badly for the sake of others: it counts alone.
-        alone = {pair: _alone(readings, spread, pair, count) for pair in low}
-        out = {pair: sigmas for pair, sigmas in alone.items() if sigmas < _HINTS}
-        if not out:
-            # Every station is visited again where there is room: a single visit may be misread.
-            again = [k for k in rows if rows.count(k) == 1]
-            if again and len(rows) + len(again) <= count:
-                rows = (*rows, *again)
-                end = start.with_rows(readings, [*rows])
-            return rows, end, weak
-        weak |= out
-        pairs = [pair for pair in pairs if pair not in out]
-    return (), None, weak
-
-
-def _alone(readings: LinearReadings, spread: Array, pair: tuple[int, int], count: int) -> float:
-    """Sigmas between two rivals by the best readings for them alone."""
-    size = spread.shape[1]
-    here = replace(readings, columns=readings.columns[:, [*range(size), *(size + k for k in pair)]])
-    start = RivalSeparation.between(spread[list(pair)], np.array([(0, 1)]), ENOUGH**2)
-    return choose(here, start, count, mounting=_MOUNTING)[1].sigmas[0, 1]
-
-
-def _to_narrow(
-    readings: LinearReadings,
-    names: tuple[str, ...],
-    own: Rival,
-    estimate: Estimate,
-    direction: WeakDirection,
-    count: int,
-) -> Suggestion:
-    """Readings for one weak direction of the fit, in its own unknowns, each in its tolerance."""
-    shares = direction.parameters
-    d = np.array([shares.get(n, 0.0) for n in estimate.problem.names])
-    unit = estimate.unit(best_of(shares, lambda n: abs(shares[n])))
-    tolerance = estimate.problem.tolerance
-    here = replace(readings, columns=readings.columns @ (own.weights_of(names) * tolerance))
-    information = np.linalg.inv(own.covariance / tolerance / tolerance[:, None])
-    start = LeastVariance(np.asarray(information), d * tolerance)
-    rows, end = choose(here, start, count, mounting=_MOUNTING)
-    before, after = (np.sqrt(o.variance) / unit.si for o in (start, end))
-    along = " ".join(f"{share:+.2f} {name}" for name, share in shares.items())
-    gain = float(before / after)
-    if not rows or after > _WORTH * before:
-        reason = (
-            f"no {count} readings of a dial on a leg narrow {' and '.join(shares)} noticeably: "
-            f"sigma along {along} stays at {before:.2g}{unit.behind}, as the tolerances have it"
-        )
-        return Suggestion(reason, "none", gain, here.campaign)
+    pool = reading_pool(geometry)
+    gauge = _MID * geometry.L
+    dials = [
+        k
+        for k, s in enumerate(pool.setups)
+        if (s.leg, s.axis) == (rest.leg, rest.axis) and s.bar and abs(s.gauge - gauge) < 1e-6
+    ]
+    own = [axis for axis in range(3) if axis != rest.leg]
+    along = np.ptp(pool.command[:, own], axis=1) < 1e-6  # the other two stand alike: on the axis
+    rows = np.flatnonzero(np.isin(pool.setup, dials) & along)
+    axis = LEGS[rest.axis]
     reason = (
-        f"{_size(here.campaign, rows)} expected to narrow {' and '.join(shares)}: sigma along "
-        f"{along} from {before:.2g} to {after:.2g}{unit.behind}"
+        f"the residual is largest on {rest.reads}: take {len(rows) * _TWICE} readings of both "
+        f"bars of the leg along {axis}, over its whole travel and from both sides, which "
+        f"distinguish a bent part, a turned part, lost motion and a wrong bar"
     )
-    return Suggestion(reason, "narrow", gain, here.campaign, rows)
+    return _trace(reason, pool, rows.tolist())
 
 
-def _size(pool: Readings, rows: Sequence[int]) -> str:
-    setups = len(np.unique(pool.setup[list(rows)]))
-    return f"{len(rows)} readings in {setups} {'setup' if setups == 1 else 'setups'} are"
+def repeating(rest: SetupResidual) -> Suggestion:
+    """Return the advice to repeat the readings of an instrument at the tool at the places where its
+    residual is largest.
+    """
+    own = OBSERVATIONS[rest.kind]
+    sides = "" if own.touches or own.paired else " and coming from either side"
+    return _trace(
+        f"the residual is largest in {rest.reads} ({rest.setup}): read it again with the tool at "
+        f"{'; '.join(rest.where)} mm, three times each{sides}. If the error repeats, the machine "
+        f"or what the instrument stands on causes it; if not, look for a loose part, lost motion "
+        f"or a faulty instrument"
+    )
+
+
+def deciding_visits(posterior: FullPosterior, fault: DataRival) -> Suggestion | None:
+    """Return the advice to visit a posture and its neighbours again, where its readings show either
+    a defect of the machine at one place or a fault of the data; ``None`` where no dial was read.
+
+    A defect comes again and is smaller beside the place; a wrong command or a slip does not come
+    again.
+    """
+    problem = posterior.about.problem
+    table = next(f.readings for f in problem.factors if fault.rows[0] in f.readings.line)
+    own = np.flatnonzero(np.isin(table.line, fault.rows) & table.on_legs)
+    if not len(own):
+        return None
+    rows = np.flatnonzero(np.isin(table.setup, table.setup[own]))
+    apart = np.linalg.norm(table.command[rows] - table.command[own[0]], axis=1).round(6)
+    near = rows[np.isin(apart, np.unique(apart)[:_NEIGHBOURS])]
+    visits = np.column_stack([table.stations[near], table.approach[near]])
+    once = table.subset(np.sort(near[np.unique(visits, axis=0, return_index=True)[1]]))
+    setups = [replace(s, name=f"{s.name}-line-{fault.rows[0]}") for s in once.setups]
+    pool = unread(
+        posterior.machine.geometry, "next", setups, once.setup, once.command, once.approach,
+        posture=once.posture,
+    )  # fmt: skip
+    reason = (
+        f"the posture of line {fault.rows[0]} and the nearest postures once more, "
+        f"{len(pool) * _TWICE} readings, each command entered anew: a defect of the machine "
+        f"appears again, a slip or a wrong command does not"
+    )
+    return _trace(reason, pool, range(len(pool)))

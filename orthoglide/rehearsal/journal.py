@@ -40,16 +40,24 @@ class Journal:
     Args:
         folder: that holds it; new, empty, or of an earlier run.
         request: see :func:`request_digests`.
+        campaigns: that are asked for.
 
     Raises:
-        FileError: where the folder holds something else, or campaigns of another request.
+        FileError: where the folder holds something else, or campaigns of another request, or more
+            of them.
     """
 
-    def __init__(self, folder: Path, request: Mapping[str, str]) -> None:
+    def __init__(self, folder: Path, request: Mapping[str, str], campaigns: int) -> None:
         self.path = folder / FILE
         self.finished: dict[int, Outcome] = {}
         if self.path.exists():
             self._read(request)
+            if (count := max(self.finished, default=-1) + 1) > campaigns:
+                raise FileError(
+                    f"holds a rehearsal of {count} campaigns, and its table is not replaced by one "
+                    f"of {campaigns}: ask for {count} or more, or name another folder",
+                    file=shown(folder),
+                )
             return
         with writing(folder):
             folder.mkdir(exist_ok=True)

@@ -14,16 +14,20 @@ from orthoglide.instruments import LegDial, PlateTouch
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings, protocol, read_readings
 from orthoglide.observations.protocols import Kind
-from orthoglide.planning import sheets_of
+from orthoglide.planning import detectable_rows, sheets_of, smallest_effects
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.rehearsal.drawing import Scope
 from orthoglide.rehearsal.journal import Journal, request_digests
 from orthoglide.rehearsal.outcome import Outcome, outcome_of
 from orthoglide.rehearsal.table import Rehearsal
-from orthoglide.rehearsal.weak_spots import weak_spots
+from orthoglide.simulation import lacks
+from orthoglide.text import text_width
 
 CAMPAIGNS = 90
 """Ten of each turn of :data:`orthoglide.rehearsal.drawing.TURNS`."""
+
+HARDLY = 3.0
+"""Tolerances: an effect that must be larger to be found, or named, is a weak spot of the sheet."""
 
 
 def rehearse(
@@ -58,7 +62,8 @@ def rehearse(
         progress: called with each step; any callable will do.
 
     Raises:
-        InputError: for a machine or sheet that cannot be used, or a folder of another rehearsal.
+        InputError: for a machine or sheet that cannot be used, or a folder of another rehearsal or
+            of more campaigns.
         NumericsError: where a process is ended from outside.
     """
     progress = progress or silent
@@ -68,7 +73,7 @@ def rehearse(
     machine = Machine.of(machine).with_only({})
     progress(Step("computing", "what the sheet can see"))
     scope = Scope.of(machine, *_sheets(machine, sheet, owns))
-    kept = None if out is None else Journal(Path(out), request_digests(scope, seed))
+    kept = None if out is None else Journal(Path(out), request_digests(scope, seed), campaigns)
     weak = weak_spots(scope, seed)
     tried = _all(scope, campaigns, seed, jobs, kept, progress)
     readings = sum(len(sheet) for sheet in scope.sheets)
@@ -91,6 +96,29 @@ def _sheets(
     if sheet in get_args(Kind):
         return (protocol(sheet, machine.geometry),)  # type: ignore[arg-type]
     return read_readings(sheet, machine.spec, require_readings=False)
+
+
+def weak_spots(scope: Scope, seed: int = 0) -> tuple[str, ...]:
+    """Return rows of text: effects that are found or named from more than three tolerances only,
+    and those that the sheet cannot show, each with the reason.
+
+    Sizes are those found, or named, with 95 % probability on a machine on which nothing else is
+    wrong.
+    """
+    machine, catalogue = scope.machine, scope.machine.catalogue
+    seen = smallest_effects(machine, scope.sheets, seed=seed)
+    names = (*seen.invisible, *(s.name for s in seen.smallest if s.elementary))
+    judged = {*catalogue.base, *(catalogue.effect_of(name).name for name in names)}
+    dials = any(sheet.on_legs.any() for sheet in scope.sheets)
+    missing: dict[str, list[str]] = {}
+    for effect in catalogue.values():
+        of_others = effect.instead_of or effect.of_body or (effect.of_dial and not dials)
+        if effect.name not in judged and not of_others:
+            missing.setdefault(lacks(effect.needs), []).append(effect.name)
+    return (
+        *detectable_rows(seen, text_width(), HARDLY),
+        *(f"not shown, as {reason}: {', '.join(effects)}" for reason, effects in missing.items()),
+    )
 
 
 def _all(
@@ -116,7 +144,7 @@ def _all(
     except BrokenExecutor as error:
         raise NumericsError(
             "a process of the rehearsal was ended from outside, perhaps for want of memory: give "
-            "fewer --jobs"
+            "fewer jobs"
         ) from error
     return tuple(done[k] for k in range(campaigns))
 

@@ -29,7 +29,9 @@ def _found(result: Result) -> str:
     names = [catalogue.parameter(name) for name in result.identified]
     parts = [text for effect in catalogue.base for text in _by_leg(result, names, effect)]
     others = [name for name in names if name.effect not in catalogue.base]
-    parts += [f"{parameter_words(n)} {_value(result, n)}" for n in others[:_MOST_NAMED]]
+    parts += [
+        f"{parameter_words(n, catalogue.legs)} {_value(result, n)}" for n in others[:_MOST_NAMED]
+    ]
     if len(others) > _MOST_NAMED:
         parts.append(f"{len(others) - _MOST_NAMED} further parameters")
     text = listed(parts)
@@ -152,8 +154,7 @@ def _together(weak: list[WeakDirection], legs: list[str]) -> str:
 
 
 def _general(weak: WeakDirection, catalogue: Catalogue) -> str:
-    spoken = catalogue.legs.spoken
-    every = [spoken(parameter_words(catalogue.parameter(name))) for name in weak.parameters]
+    every = [parameter_words(catalogue.parameter(name), catalogue.legs) for name in weak.parameters]
     names = listed(every)
     if len(weak.parameters) > 1:
         text = f"The readings cannot tell {names} apart"

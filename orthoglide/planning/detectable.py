@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
@@ -9,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from orthoglide.effects import CATALOGUE
+from orthoglide.effects.wording import parameter_words
 from orthoglide.errors import InputError, check_list, check_whole
 from orthoglide.explanation.candidates import Candidate
 from orthoglide.explanation.change_model import CLASS_WIDTH
@@ -18,11 +21,13 @@ from orthoglide.explanation.significance import DRAWS, noise_residuals
 from orthoglide.fit import solve
 from orthoglide.frames import Framed
 from orthoglide.geometry import Array
+from orthoglide.layout import LegNames
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings
 from orthoglide.ordering import EQUAL_ODDS, best_of, largest, ranked
 from orthoglide.parameters import Parameter
 from orthoglide.planning.linear import foreseen
+from orthoglide.text import brief
 from orthoglide.units import Unit
 
 POWER = 0.95
@@ -45,7 +50,7 @@ class SmallestEffect:
     # always does
     nameable: float
     # candidate of another effect that is hardest to tell from it; empty: there is none
-    nearest: str
+    nearest: Parameter | str
     elementary: bool  # whether it is a single parameter, no structured member
 
 
@@ -60,6 +65,7 @@ class Detectability(Framed):
     # parameters that these readings cannot show, whatever their size within reason
     invisible: tuple[Parameter, ...]
     threshold: float  # evidence that noise alone exceeds with the probability asked for
+    legs: LegNames = CATALOGUE.legs  # names of the machine's legs and parts
     _index = "effect"
 
     def __repr__(self) -> str:
@@ -108,13 +114,48 @@ class Detectability(Framed):
         }
 
     def _parameters(self, members: Sequence[SmallestEffect]) -> str:
-        """Those of one row, without their effect's name; empty where they are all there are."""
+        """Return those of one row, without their effect's name; nothing where they are all."""
         effect = members[0].effect
         hidden = sum(name.effect == effect for name in self.invisible)
         if len(members) == len(self.by_effect[effect]) + hidden:
             return ""
-        given = [s.name for s in self.by_effect[effect] if s in members]
-        return ", ".join(name.behind for name in given)
+        return ", ".join(s.name.behind for s in self.by_effect[effect] if s in members)
+
+
+def detectable_rows(found: Detectability, width: int, beyond: float = 0.0) -> list[str]:
+    """Return rows of text, one for the parameters of an effect that are found from about the same
+    size: the largest sizes that one of them takes to be found, and to be named; below it what the
+    hardest of them looks like.
+
+    Args:
+        found: of a sheet.
+        width: in characters, 60 at least; sentences go on below each other.
+        beyond: tolerances; effects that are found and named from less have no row.
+    """
+    lines = [f"{'effect':<22}{'tolerance':>10}{'found from':>11}{'named from':>11}  unit"]
+    for row in zip(*found.columns.values(), strict=True):
+        effect, unit, tolerance, size, named, hardest, nearest, parameters = row
+        if max(size, named) <= beyond * tolerance:
+            continue
+        words = brief(effect.replace("_", " "), 21)
+        shown = f"{named:.2g}" if np.isfinite(named) else "never"
+        lines.append(f"{words:<22}{tolerance:>10.2g}{size:>11.2g}{shown:>11}  {unit}")
+        if parameters:
+            lines += _indented(f"of {parameters}", width)
+        if nearest:
+            one, other = (parameter_words(n, found.legs) for n in (hardest, nearest))
+            lines += _indented(f"{one} looks like {other}", width)
+    groups: dict[str, list[str]] = {}
+    for name in found.invisible:
+        groups.setdefault(name.effect.replace("_", " "), []).append(name.behind)
+    if groups:
+        every = (f"{effect} ({', '.join(members)})" for effect, members in groups.items())
+        lines.append(f"not detectable: {', '.join(every)}")
+    return lines
+
+
+def _indented(text: str, width: int) -> list[str]:
+    return textwrap.wrap(text, width, initial_indent="    ", subsequent_indent="    ")
 
 
 def smallest_effects(
@@ -126,7 +167,7 @@ def smallest_effects(
     noise: float | None = None,
     seed: int = 0,
 ) -> Detectability:
-    """Sizes of effect that a protocol detects and names with 95 % probability.
+    """Return the sizes of effect that a protocol detects and names with 95 % probability.
 
     An effect of v tolerances with signature S has the evidence ``(w X - log(1 + |S|^2)) / 2``, X
     noncentral chi-squared with one degree of freedom and noncentrality ``v^2 |S|^2``,
@@ -170,17 +211,17 @@ def smallest_effects(
                 machine.catalogue[candidate.effect].unit,
                 detectable * tolerance,
                 nameable * tolerance,
-                single[closest].name if cosine[k, closest] > 0 else "",
+                machine.catalogue.parameter(single[closest].name) if cosine[k, closest] > 0 else "",
                 candidate.name in seen.names,
             )
         )
     effect_of = machine.catalogue.effect_of
     hidden = [n for n in seen.invisible if not names or {n, effect_of(n).name} & set(names)]
-    return Detectability(tuple(found), tuple(hidden), threshold)
+    return Detectability(tuple(found), tuple(hidden), threshold, machine.catalogue.legs)
 
 
 def _threshold(seen: Signatures, scoring: Scoring, level: float, seed: int) -> float:
-    """Evidence that the best candidate exceeds on noise alone with a probability."""
+    """Return the evidence that the best candidate exceeds on noise alone with a probability."""
     if not (isinstance(level, Real) and 0 < level < 1):
         raise InputError(f"level is a probability between 0 and 1, such as 0.01, not {level!r}")
     drawn = noise_residuals(seen, np.random.default_rng(check_whole("seed", seed, 0)), DRAWS)
@@ -189,7 +230,9 @@ def _threshold(seen: Signatures, scoring: Scoring, level: float, seed: int) -> f
 
 
 def _likeness(seen: Signatures, single: Sequence[Candidate]) -> tuple[Array, Array]:
-    """Lengths of signatures ``(k,)``, and cosines ``(k, k)`` between those of different effects."""
+    """Return the lengths of signatures ``(k,)``, and cosines ``(k, k)`` between those of
+    different effects.
+    """
     columns = np.column_stack([np.zeros((len(seen.residual), 0)), *(seen.of(c) for c in single)])
     length = np.linalg.norm(columns, axis=0)
     cosine = np.abs(columns.T @ columns) / np.multiply.outer(length, length)
@@ -199,7 +242,7 @@ def _likeness(seen: Signatures, single: Sequence[Candidate]) -> tuple[Array, Arr
 
 
 def _sizes(length: float, cosine: float, threshold: float) -> tuple[float, float]:
-    """Sizes that are detected and named, in tolerances."""
+    """Return the sizes that are detected and named, in tolerances."""
     detected = np.sqrt(noncentrality(length**2, threshold)) / length
     sine = np.sqrt(max(1 - cosine**2, 0.0))
     named = np.inf if sine < _SAME else separation() / (length * sine)
@@ -207,8 +250,8 @@ def _sizes(length: float, cosine: float, threshold: float) -> tuple[float, float
 
 
 def noncentrality(square: float, threshold: float) -> float:
-    """Noncentrality at which an effect's evidence exceeds a threshold with the probability `POWER`;
-    ``square`` is that of its signature at tolerance.
+    """Return the noncentrality at which an effect's evidence exceeds a threshold with the
+    probability `POWER`; ``square`` is that of its signature at tolerance.
     """
     from scipy.special import chndtrinc
 
@@ -217,7 +260,8 @@ def noncentrality(square: float, threshold: float) -> float:
 
 
 def separation() -> float:
-    """Distance in sigmas from which the wrong fit's chi2 is larger by the width of a class.
+    """Return the distance in sigmas from which the wrong fit's chi2 is larger by the width of a
+    class.
 
     The difference of chi2 at distance D is normal with mean D^2 and standard deviation 2 D.
     """

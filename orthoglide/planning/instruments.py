@@ -19,16 +19,14 @@ from orthoglide.fit import Problem
 from orthoglide.fit.factors import Block, Factor
 from orthoglide.fit.least_squares import linearise, nuisances
 from orthoglide.geometry import Array
-from orthoglide.instruments import AT_TOOL, OBSERVATIONS
+from orthoglide.instruments import AT_TOOL
 from orthoglide.numerals import compact
 from orthoglide.ordering import EQUAL, ranked
 from orthoglide.parameters import plain_and_campaign
-from orthoglide.planning.criteria import EffectSeparation, RivalSeparation
-from orthoglide.planning.sheets import KINDS, tool_sheet
+from orthoglide.planning.choosing import RivalSeparation
+from orthoglide.planning.sheets import tool_sheet
 from orthoglide.planning.suggestions import Suggestion
-
-TAKEN_BY = {kind: OBSERVATIONS[kind].words for kind in KINDS}
-"""Kinds of readings, and what takes them."""
+from orthoglide.text import listed
 
 _TELLS = 3.0
 """Sigmas: the wrong one of two becomes less likely by a factor of 90, more than the odds between
@@ -42,7 +40,7 @@ _SHEET = "; a sheet for it: orthoglide design --owns {0} --machine machine.toml 
 
 
 @dataclass(frozen=True, eq=False)
-class Rival:
+class Quoted:
     """One of the explanations of a credible set, or of the places of a class."""
 
     words: str  # as it is quoted
@@ -50,7 +48,7 @@ class Rival:
     cause: Explanation | None = None  # that it is, where it is no place
 
 
-Pair = tuple[Rival, Rival]
+Pair = tuple[Quoted, Quoted]
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,7 @@ class Decision:
     # sigmas between each two rivals of one set, the likelier one first
     apart: dict[Pair, float]
 
-    def of(self, rivals: Sequence[Rival], *, separated: bool) -> list[Pair]:
+    def of(self, rivals: Sequence[Quoted], *, separated: bool) -> list[Pair]:
         """Return the pairs of a set that are separated, or those that are not, likeliest first."""
         found = (p for p, sigmas in self.apart.items() if (sigmas >= _TELLS) == separated)
         return ranked((pair for pair in found if pair[0] in rivals), _weight)
@@ -93,7 +91,7 @@ def deciding_instruments(known: FullPosterior, causes: Sequence[Cause]) -> tuple
     """
     sets = [
         [
-            Rival(f'"{cause_short(one.catalogue, one.name)}"', one.probability, one)
+            Quoted(f'"{cause_short(one.catalogue, one.name)}"', one.probability, one)
             for one in ranked(cause.explanations, lambda one: one.probability)
         ]
         for cause in causes
@@ -106,7 +104,7 @@ def parting_instruments(members: Members) -> tuple[Suggestion, ...]:
     """Return the instruments at the tool that would part the places of a class. A plate may have
     any shape, which a free function of any part draws as well, so that a probe does not count.
     """
-    rivals = [Rival(f'"{one.words}"', one.probability) for one in members.each]
+    rivals = [Quoted(f'"{one.words}"', one.probability) for one in members.each]
     proposals = (
         one for one in _instruments(members.posterior.after.problem)
         if not one.problem.factors[0].readings.touching.any()
@@ -116,7 +114,7 @@ def parting_instruments(members: Members) -> tuple[Suggestion, ...]:
 
 def _decisions(
     rivals: str,
-    sets: Sequence[Sequence[Rival]],
+    sets: Sequence[Sequence[Quoted]],
     proposals: Iterator[Proposal],
     separation: Callable[[Problem, Sequence[Pair]], Sequence[float]],
 ) -> tuple[Suggestion, ...]:
@@ -242,13 +240,17 @@ def _apart(known: FullPosterior, new: Problem, pairs: Sequence[Pair]) -> list[fl
     several = list(dict.fromkeys(one for pair in pairs for one in pair))
     sizes = [_of(one.cause, problem) for one in several if one.cause is not None]
     columns = np.hstack([base, np.stack(sizes, axis=1)])
-    index = np.array([[several.index(one) for one in pair] for pair in pairs])
+    i, j = np.array([[several.index(one) for one in pair] for pair in pairs]).T
 
     def squares(rows: Array) -> Array:
+        """Return chi2 of one cause of its size where the other is fitted, the smaller of both."""
         shown = rows @ columns
-        information = shown.T @ shown
-        information[: len(base), : len(base)] += np.eye(len(base))
-        return EffectSeparation(information, len(base), index).squares
+        b, information = len(base), shown.T @ shown
+        past = np.linalg.solve(np.eye(b) + information[:b, :b], information[:b, b:])
+        G = information[b:, b:] - information[b:, :b] @ past
+        large = np.maximum(G[i, i], G[j, j])
+        left = np.minimum(G[i, i], G[j, j]) - G[i, j] ** 2 / np.where(large > 0, large, 1.0)
+        return np.maximum(left, 0.0)
 
     gained = squares(np.vstack([old, more])) - squares(old)
     found: list[float] = np.sqrt(np.maximum(gained, 0.0)).tolist()
@@ -256,7 +258,7 @@ def _apart(known: FullPosterior, new: Problem, pairs: Sequence[Pair]) -> list[fl
 
 
 def _of(one: Explanation, problem: Problem) -> Array:
-    """A cause of its size in the unknowns ``(P,)``, SI."""
+    """Return a cause of its size in the unknowns ``(P,)``, SI."""
     setups = [s for f in problem.factors for s in f.setup_names]
     found = np.zeros(len(problem.names))
     for name, value in one.values.items():
@@ -269,7 +271,7 @@ def _of(one: Explanation, problem: Problem) -> Array:
 
 
 def _suggested(
-    rivals: str, one: Decision, sets: Sequence[Sequence[Rival]], several: Sequence[Decision]
+    rivals: str, one: Decision, sets: Sequence[Sequence[Quoted]], several: Sequence[Decision]
 ) -> Suggestion:
     told = [text for own in sets for text in _of_set(one, own, several)]
     i, most = one.proposal, max(one.apart.values())
@@ -278,7 +280,7 @@ def _suggested(
     return Suggestion(reason, "none", most, None, what=f"{what}{i.sheet}")
 
 
-def _of_set(one: Decision, own: Sequence[Rival], several: Sequence[Decision]) -> Iterator[str]:
+def _of_set(one: Decision, own: Sequence[Quoted], several: Sequence[Decision]) -> Iterator[str]:
     """What of a set it separates, and the likeliest that it does not, with what would."""
     separated, left = one.of(own, separated=True), one.of(own, separated=False)
     if separated:
@@ -287,9 +289,8 @@ def _of_set(one: Decision, own: Sequence[Rival], several: Sequence[Decision]) ->
         named = [other.words for other in rivals]
         if len(named) > _NAMED:
             named[_NAMED:] = [f"{len(named) - _NAMED} more"]
-        listed = " and ".join([", ".join(named[:-1]), named[-1]] if named[1:] else named)
         least = f"{min(rivals.values()):.0f} sigma or more"
-        yield f"it tells {first.words} from {listed}, by {least}"
+        yield f"it tells {first.words} from {listed(named)}, by {least}"
     if left:
         a, b = left[0]
         others = [d.proposal.brief for d in several if d.apart[a, b] >= _TELLS]
