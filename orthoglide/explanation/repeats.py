@@ -164,9 +164,7 @@ def with_noise_of_repeats(problem: Problem) -> Problem:
     if not scales or max(scales) <= 1:
         return problem
     typical = problem.noise.typical * float(np.median(scales))
-    return replace(
-        problem, factors=tuple(factors), noise=replace(problem.noise, typical=typical)
-    )
+    return replace(problem, factors=tuple(factors), noise=replace(problem.noise, typical=typical))
 
 
 def _scales_of(factor: Factor, rows: Rows) -> Array:
