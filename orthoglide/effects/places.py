@@ -55,7 +55,7 @@ class Place:
     def name(self) -> str:
         """Unique, such as ``rail.x.y/travel``."""
         if self.bump is not None:
-            return f"{self.where}@{round(self.bump * 1e3, 1):g}"
+            return f"{self.where}@{round(self.bump * 1e3, 2 if self.of_dial else 1):g}"
         if self.jump is not None:
             return f"{self.where}@{self.jump:.0f}s"
         return self.where.replace("/travel", "/waves") if self.short else self.where

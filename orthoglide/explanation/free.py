@@ -201,12 +201,13 @@ def _touching(place: Place, campaign: Readings) -> Array:
     return np.take(np.asarray(sees, dtype=float), campaign.setup)
 
 
-def curves_of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place, ...]]:
+def curves_of_dials(problem: Problem, value: Array, rest: Array) -> tuple[Array, tuple[Place, ...]]:
     """Rows ``(n, F)`` by the coefficients of the dials' places in their units.
 
     Args:
         problem: its campaigns.
         value: predicted readings ``(n,)``, metres.
+        rest: residuals of the readings that their bumps are to explain ``(n,)``, metres.
     """
     columns, found = [np.zeros((len(value), 0))], list[Place]()
     ways, turning = np.zeros(len(value)), 0
@@ -224,12 +225,13 @@ def curves_of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place,
             range_ = (float(shown.min()), float(shown.max()))
             turns = bool((side > 0).any() and (side < 0).any())
             several = dial_places(name, setup.leg, span, range_, turns, scale)
-            off = problem.measured[rows] - shown
+            # As commands are written: a corrected one is no part of what a bump is to explain.
+            written = problem.measured[rows] - rest[rows]
             dents = [d for p in several if p.against == "reading"
-                     for d in _dents(p, shown, off / problem.sigma[rows])]  # fmt: skip
+                     for d in _dents(p, written, rest[rows] / problem.sigma[rows])]  # fmt: skip
             for place in (*several, *dents):
                 low, high = place.span or (0.0, 1.0)
-                by = time if place.against == "time" else shown
+                by = time if place.against == "time" else written if place.single else shown
                 functions = place.kernel.functions(2 * (by - low) / (high - low) - 1)
                 block = np.zeros((len(value), len(functions)))
                 block[rows] = np.stack(functions, axis=1) * place.unit
@@ -253,7 +255,7 @@ def _dents(place: Place, shown: Array, off: Array) -> Iterator[Place]:
         shown: predicted readings of the dial ``(k,)``, metres.
         off: residuals there ``(k,)``, in sigmas; their median is the datum's.
     """
-    at = np.unique(np.round(shown, 4))  # a tenth of a millimetre, by which a bump is named
+    at = np.unique(np.round(shown, 5))  # hundredths of a millimetre, by which a bump is named
     off = off - np.median(off)
     gain = np.empty((len(at), len(DENTS)))
     for k, width in enumerate(DENTS):
