@@ -16,6 +16,7 @@ from benchmarks.attribution_run import campaign as campaign_of, points_of
 from orthoglide.closing import filled
 from orthoglide.errors import InputError
 from orthoglide.explanation.significance import Left
+from orthoglide.machine_file.measured import Measured
 from orthoglide.notes import Note
 from orthoglide.report import result_text
 from orthoglide.report.words import evidence
@@ -108,6 +109,16 @@ def test_a_bar_wrong_by_five_millimetres_is_told(kind: str, length: float) -> No
     assert what == "leg length of leg y"
     assert float(size.split()[0]) == pytest.approx(50, rel=0.1)
     assert verdict.after.values["leg_length.y"] == pytest.approx(length, rel=0.1)
+
+
+def test_bars_of_one_wrong_length_are_one_cause() -> None:
+    """Measured by one calliper, they were three."""
+    known = replace(MACHINE.spec, measured=Measured(rods=(MACHINE.geometry.L + 2e-3, 2e-5)))
+    right = MACHINE.with_parameters({f"leg_length.{leg}": 2e-3 for leg in "xyz"})
+    read = simulate(right, "standard", noise=5e-6, seed=1)
+    verdict = og.close_loop(read, og.Machine(known.with_measured()))
+    assert [cause.name for cause in verdict.effects] == ["leg_length.common"]
+    assert verdict.effects[0].chosen.value == pytest.approx(2.0, abs=0.2)
 
 
 def tcp_points(slip: float, **more: float):

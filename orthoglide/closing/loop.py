@@ -22,6 +22,7 @@ from orthoglide.explanation.changes import separated
 from orthoglide.explanation.data_faults import Blunder, find_faults, without
 from orthoglide.explanation.identifying import identify
 from orthoglide.explanation.recalibration import account_for_changes, vague
+from orthoglide.explanation.repeats import with_noise_of_repeats
 from orthoglide.explanation.significance import SIGNIFICANT, Left, left_over
 from orthoglide.explanation.suspects import Key
 from orthoglide.fit import Estimate, assemble, solve, tempered
@@ -66,6 +67,7 @@ def close(request: Request, progress: Progress = silent) -> Closed:
         given, machine, (*machine.catalogue.base, *carried),
         own=request.own, noise=request.noise, frame=request.frame,
     )  # fmt: skip
+    problem = with_noise_of_repeats(problem)
     read = account_for_changes(solve(problem, method="nested"))
     check_columns(read)
     progress(Step("faults"))

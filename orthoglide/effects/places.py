@@ -47,7 +47,7 @@ class Place:
     setup: str = ""  # the dial's mounting; empty where it is all of them, or no dial
     names: LegNames = Orthoglide.names  # of legs and directions
     short: bool = False  # whether it comes and goes over a few centimetres, however long the stroke
-    bump: float | None = None  # travel at which it has a bump, metres; `None`: it is no bump
+    bump: float | None = None  # travel, or a dial's reading, of a bump, metres; `None`: it is none
     jump: float | None = None  # second at which it jumps; `None`: it does not
     chance: float = 1.0  # how often it goes wrong, over other places
 
@@ -55,7 +55,7 @@ class Place:
     def name(self) -> str:
         """Unique, such as ``rail.x.y/travel``."""
         if self.bump is not None:
-            return f"{self.where}@{round(self.bump * 1e3, 1):g}"
+            return f"{self.where}@{round(self.bump * 1e3, 2 if self.of_dial else 1):g}"
         if self.jump is not None:
             return f"{self.where}@{self.jump:.0f}s"
         return self.where.replace("/travel", "/waves") if self.short else self.where
@@ -149,8 +149,9 @@ class Place:
             what = {
                 "time": "creeps with time",
                 "reading": "is not true over its range",
+                "": "is wrong at one place of its range and nowhere else",
                 "approach": "reads more or less by the way that its plunger came",
-            }[self.against]
+            }["" if self.bump is not None else self.against]
             return f"the dial of {self.setup} {what}"
         leg = self.names.legs[self.leg]
         how = {

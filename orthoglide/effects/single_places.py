@@ -85,6 +85,26 @@ def bumps(
     return tuple(found)
 
 
+DENTS = (0.03e-3, 0.1e-3)
+"""Metres: standard deviations of a bump over the readings of a dial: three graduations of a
+hundredth, a tooth of its rack or dirt on it, and as far as its smooth curve does not bend."""
+
+
+def dented(place: Place, at: float, width: float, among: int) -> Place:
+    """Return a dial's place that is wrong about one reading alone.
+
+    Args:
+        place: the dial's curve by its reading.
+        at: the reading, metres.
+        width: standard deviation of the bump, metres.
+        among: number of readings at which it could be; each is that much less probable.
+    """
+    low, high = place.span or (0.0, 1.0)
+    half = (high - low) / 2
+    bump = Bump((at - low) / half - 1, width / half)
+    return replace(place, kernel=bump, bump=at, unit=30 * _UM, chance=1 / among)
+
+
 def _bump_travel(effects: Iterable[str]) -> set[float]:
     """Travel of the bumps among names of effects, metres; see :attr:`Place.name`."""
     found = set()

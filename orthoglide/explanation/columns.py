@@ -18,7 +18,7 @@ from orthoglide.explanation.free import curves, curves_of_dials, one_surface, on
 from orthoglide.explanation.grouping import groups_of, spans
 from orthoglide.explanation.linear import RARE, SLABS, Linear, reduced, whole
 from orthoglide.explanation.screening import screened
-from orthoglide.explanation.suspects import Key, Suspect, suspects
+from orthoglide.explanation.suspects import Key, Suspect, slopes, suspects
 from orthoglide.explanation.twins import tool_slopes, translations, twins
 from orthoglide.fit import Estimate, Problem, with_others
 from orthoglide.fit.excited import excited_effects
@@ -101,7 +101,7 @@ class Everything:
         """
         predicted = predict(self.problem, (mean * self.scale)[: self.known])
         linear = self.value + self.rows[:, : self.known] @ mean[: self.known]
-        columns, dials = curves_of_dials(self.problem, predicted)
+        columns, dials = curves_of_dials(self.problem, predicted, self.problem.measured - predicted)
         own = spans(self.places, self.known)
         for name, part in spans(dials).items():
             if name in own:
@@ -140,7 +140,7 @@ def everything(
         faults: whether the data may have faults, or which.
     """
     wide, _, here = _linearised(estimate, at)
-    about = _of_machine(estimate.problem, wide, here)
+    about = _of_machine(estimate.problem, wide, here, _moved_by(wide, here, corrected))
     if faults:
         several = suspects(wide, here, corrected)
         if not isinstance(faults, bool):
@@ -151,18 +151,32 @@ def everything(
     return replace(about, linear=kept, outside=outside)
 
 
-def _of_machine(problem: Problem, wide: Problem, here: Linearised) -> Everything:
+def _moved_by(wide: Problem, here: Linearised, corrected: Sequence[Fault]) -> Array:
+    """Return by how much corrected commands moved the predicted readings ``(n,)``, metres: what
+    other explanations of them have to explain.
+    """
+    moved = np.zeros(len(here.value))
+    if corrected:
+        by_command = slopes(wide, here.x, here.value)
+        for fault in corrected:
+            drive, size = fault.commands[0]
+            moved[fault.rows] += by_command[fault.rows, drive] * size
+    return moved
+
+
+def _of_machine(problem: Problem, wide: Problem, here: Linearised, moved: Array) -> Everything:
     """The readings, linear in everything that could be wrong with the machine and its instruments.
 
     Args:
         problem: with the base free.
         wide: with everything free.
         here: where this is linearised.
+        moved: by how much corrected commands moved the readings there ``(n,)``, metres.
     """
     nuisance, sd, x = nuisances(wide, here.seen), wide.tolerance, here.x
-    off = problem.measured - here.value
+    off = problem.measured - here.value + moved
     free_rows, found = curves(wide, x, off - nuisance.fitted(off))
-    of_dials, dials = curves_of_dials(wide, here.value)
+    of_dials, dials = curves_of_dials(wide, here.value, off)
     of_plates, sizes = plates(wide)
     rows = np.hstack([here.jacobian * sd, free_rows, of_dials, of_plates])
     found = (*found, *dials)

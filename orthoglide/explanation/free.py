@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from orthoglide.effects.kernels import Level
 from orthoglide.effects.places import BUILD_UP, Place, Session, all_dials, dial_places, places
 from orthoglide.effects.plates import own_shapes
-from orthoglide.effects.single_places import bumps, jumping, may_jump
+from orthoglide.effects.single_places import DENTS, bumps, dented, jumping, may_jump
 from orthoglide.fit import Problem
 from orthoglide.fit.excited import both_sides
 from orthoglide.fit.problem import Factor
@@ -19,11 +19,12 @@ from orthoglide.geometry import LEGS, Array
 from orthoglide.instruments import Observation
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings
-from orthoglide.ordering import descending
+from orthoglide.ordering import EQUAL_ODDS, descending, largest
 from orthoglide.prediction import Model
 
 _OFTEN = 0.2  # share of the readings at one travel of a leg, from which it is no single place
 _STATIONS = 40  # travels of a leg: of more, each is seen by too few readings to weigh a bump
+_DENTED = 2  # readings of a dial at which a bump is weighed: those that explain most
 _JUMPS = 8  # moments at which a part may jump: those that explain most
 _BESIDE = 6  # readings on either side of a jump: fewer are slips
 _SEES = 0.1  # sigmas of a reading that a place of its usual size shows
@@ -200,12 +201,13 @@ def _touching(place: Place, campaign: Readings) -> Array:
     return np.take(np.asarray(sees, dtype=float), campaign.setup)
 
 
-def curves_of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place, ...]]:
+def curves_of_dials(problem: Problem, value: Array, rest: Array) -> tuple[Array, tuple[Place, ...]]:
     """Rows ``(n, F)`` by the coefficients of the dials' places in their units.
 
     Args:
         problem: its campaigns.
         value: predicted readings ``(n,)``, metres.
+        rest: residuals of the readings that their bumps are to explain ``(n,)``, metres.
     """
     columns, found = [np.zeros((len(value), 0))], list[Place]()
     ways, turning = np.zeros(len(value)), 0
@@ -222,9 +224,14 @@ def curves_of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place,
             side = _side(campaign, rows - part.start, shown, problem.measured[rows] - shown)
             range_ = (float(shown.min()), float(shown.max()))
             turns = bool((side > 0).any() and (side < 0).any())
-            for place in dial_places(name, setup.leg, span, range_, turns, scale):
+            several = dial_places(name, setup.leg, span, range_, turns, scale)
+            # As commands are written: a corrected one is no part of what a bump is to explain.
+            written = problem.measured[rows] - rest[rows]
+            dents = [d for p in several if p.against == "reading"
+                     for d in _dents(p, written, rest[rows] / problem.sigma[rows])]  # fmt: skip
+            for place in (*several, *dents):
                 low, high = place.span or (0.0, 1.0)
-                by = time if place.against == "time" else shown
+                by = time if place.against == "time" else written if place.single else shown
                 functions = place.kernel.functions(2 * (by - low) / (high - low) - 1)
                 block = np.zeros((len(value), len(functions)))
                 block[rows] = np.stack(functions, axis=1) * place.unit
@@ -238,6 +245,25 @@ def curves_of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place,
         found.append(all_dials((float(read.min()), float(read.max())), scale))
         columns.append((ways * found[-1].unit)[:, None])
     return np.hstack(columns), tuple(found)
+
+
+def _dents(place: Place, shown: Array, off: Array) -> Iterator[Place]:
+    """Yield a dial's place with a bump, at the readings that explain most of the residuals.
+
+    Args:
+        place: the dial's curve by its reading.
+        shown: predicted readings of the dial ``(k,)``, metres.
+        off: residuals there ``(k,)``, in sigmas; their median is the datum's.
+    """
+    at = np.unique(np.round(shown, 5))  # hundredths of a millimetre, by which a bump is named
+    off = off - np.median(off)
+    gain = np.empty((len(at), len(DENTS)))
+    for k, width in enumerate(DENTS):
+        about = np.exp(-0.5 * ((shown - at[:, None]) / width) ** 2)
+        gain[:, k] = (about @ off) ** 2 / np.maximum(np.sum(about**2, axis=1), 1.0)
+    for centre in descending(gain.max(axis=1), EQUAL_ODDS)[:_DENTED]:
+        width = DENTS[largest(gain[centre], EQUAL_ODDS)]
+        yield dented(place, float(at[centre]), width, len(at))
 
 
 def _side(campaign: Readings, rows: NDArray[np.int64], shown: Array, off: Array) -> Array:

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtr
 
 from orthoglide.accuracy import tcp_slopes
 from orthoglide.effects.kernels import Bump
 from orthoglide.effects.places import Place
 from orthoglide.errors import InputError
 from orthoglide.explanation.alternatives import Alternatives
+from orthoglide.explanation.base_causes import far_base_causes
 from orthoglide.explanation.causes import (
     CandidateScore,
     Cause,
@@ -31,7 +31,6 @@ from orthoglide.explanation.causes import (
 from orthoglide.explanation.everything import FullPosterior
 from orthoglide.explanation.faults import message, places
 from orthoglide.explanation.linear import Group
-from orthoglide.fit.problem import FAR
 from orthoglide.geometry import Array
 from orthoglide.ordering import EQUAL, EQUAL_ODDS, descending, largest, ranked
 from orthoglide.result import DataRival
@@ -42,7 +41,6 @@ _POSSIBLE, _WORTH = 6, 0.02  # causes reported where none is active; least proba
 _NEAREST = 24  # causes and free-form errors listed with their scores
 
 _FLAT = 3.0  # widths of a bump beyond which it has vanished
-_SURELY = 2.0  # standard deviations by which a parameter must exceed its limit
 
 CREDIBLE = 0.95
 """Probability that a credible set contains the true cause."""
@@ -61,7 +59,7 @@ def outstanding(posterior: FullPosterior, given: Sequence[str] = ()) -> Outstand
     """Return the credible sets of all active causes, those declared in ``given`` included."""
     reader = _Reader(posterior)
     found = [reader.set_of(member, given) for member in posterior.mixture.strongest]
-    found += reader.of_base()
+    found += far_base_causes(posterior)
     return Outstanding(
         tuple(f for f in found if isinstance(f, Cause)),
         tuple(f for f in found if isinstance(f, Located)),
@@ -130,33 +128,6 @@ class _Reader:
                          for t, row in places(problem, fault.rows))  # fmt: skip
             found.append(DataRival(fault.kind, rows, float(odds[k]), message(problem, fault)))
         return tuple(found)
-
-    def of_base(self) -> Iterator[Cause]:
-        """Yield base parameters certainly far beyond tolerance, zeros of drives excepted."""
-        posterior, about = self.posterior, self.posterior.about
-        problem, known = posterior.before.problem, posterior.known
-        machine = posterior.before.problem.machine
-        names, values, _ = posterior.machine_with(posterior.mean)
-        count = len(problem.names)
-        past = problem.past_entered(known.mean[:count] * about.scale[:count])
-        for k, name in enumerate(problem.names):
-            value, sigma = past[k], float(np.sqrt(known.covariance[k, k])) * about.scale[k]
-            most = FAR * machine.tolerance(name)
-            is_zero = machine.catalogue.effect_of(name).controller == "zero"
-            if is_zero or abs(value) - _SURELY * sigma < most:
-                continue
-            shown = about.rows[:, k] * known.mean[k]
-            one = Explanation(
-                str(name),
-                (str(name),),
-                float(ndtr((abs(value) - most) / sigma)),
-                {str(name): float(value)},
-                {str(name): sigma},
-                dict(zip(names, values.tolist(), strict=True)),
-                shown - about.nuisance.fitted(shown),
-                posterior.machine.catalogue,
-            )
-            yield Cause(one, (), ())
 
     def alone(self) -> tuple[Explanation, ...]:
         """Return the 95 % credible set of single causes on an otherwise sound machine."""

@@ -1,5 +1,5 @@
 """What repeats show before anything is searched: instruments that scatter as none does, repeats
-that are no measure of the noise, and noise that was declared too large.
+that are no measure of the noise, and noise that was declared too large or too small.
 """
 
 from __future__ import annotations
@@ -8,10 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from orthoglide.errors import InputError
 from orthoglide.explanation.faults import Fault, Rows, message, places
 from orthoglide.fit import Factor, Problem
+from orthoglide.fit.repeats import common_rounding
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
 from orthoglide.observations.repetition import repeat_steps, repeated
@@ -30,9 +32,13 @@ _FAR = 4.0
 """Times what most repeats differ by, beyond which two are no measure of the noise: one in sixteen
 thousand."""
 
-_MOST, _QUANTILE = 0.7, 1.04
+_MOST, _HALF = (0.7, 1.04), (0.5, 0.674)
 """Share of repeats that slips leave alone, and the quantile of a normal law within which so many
-are."""
+are; of differences of differences, in which a slip stands twice as often."""
+
+_TIMES, _CHANCE = 1.2, 1e-3
+"""Ratio to the noise assumed from which repeats refute it, and the probability that noise as
+assumed would scatter as much: those of the note that says so."""
 
 
 def scattered(problem: Problem) -> list[Fault]:
@@ -115,17 +121,86 @@ def far_repeats(problem: Problem) -> NDArray[np.bool_]:
     return found
 
 
-def _most_scatter(apart: Array, step: float) -> float:
+def _most_scatter(apart: Array, step: float, most: tuple[float, float] = _MOST) -> float:
     """Root mean square of differences between repeats ``(k,)``, those left out that are far beyond
     it; no less than what an instrument with a step shows.
+
+    Args:
+        apart: differences.
+        step: of the instrument.
+        most: share of them that slips leave alone, and the quantile of so many.
     """
     if not len(apart):
         return np.inf
     apart, least = np.abs(apart), max(step / 2, 1e-300)
-    size = max(float(np.quantile(apart, _MOST) / _QUANTILE), least)
+    size = max(float(np.quantile(apart, most[0]) / most[1]), least)
     for _ in range(_ROUNDS):
         near = apart[apart <= _FAR * size]
         size = max(float(np.sqrt(np.mean(near**2))), least)
+    return size
+
+
+def with_noise_of_repeats(problem: Problem) -> Problem:
+    """Return the problem with larger noise where repeats refute the noise that was assumed.
+
+    There is one scale for each kind of instrument, and a larger one for a setup that scatters more
+    than the others of its kind. Differences of successive repeat differences are taken, which
+    neither a drift, a knocked stand nor a dial set to zero anew enlarges; slips are left out.
+    """
+    factors, scales = [], list[float]()
+    for factor in problem.factors:
+        scale = np.ones(len(factor.readings))
+        for kind in dict.fromkeys(factor.readings.kind):
+            of_kind = factor.readings.of_kind(kind) & factor.noise.weighted
+            scale = np.where(of_kind, _scales_of(factor, np.flatnonzero(of_kind)), scale)
+        noise, loud = factor.noise, scale > 1
+        total = noise.total * scale
+        common = np.array([float(common_rounding(t, s)) if l else c for t, s, l, c in
+                           zip(total, noise.step, loud, noise.common, strict=True)])  # fmt: skip
+        sigma = np.sqrt(np.maximum(total**2 - common**2, 0.0))
+        more = replace(noise, sigma=np.where(loud, sigma, noise.sigma), common=common)
+        factors.append(replace(factor, noise=more))
+        scales += scale[noise.weighted].tolist()
+    if not scales or max(scales) <= 1:
+        return problem
+    typical = problem.noise.typical * float(np.median(scales))
+    return replace(problem, factors=tuple(factors), noise=replace(problem.noise, typical=typical))
+
+
+def _scales_of(factor: Factor, rows: Rows) -> Array:
+    """Return the ratio of the noise that repeats show to that assumed, by reading ``(n,)``; 1
+    where they agree with it.
+
+    Args:
+        factor: the readings.
+        rows: those of one kind of instrument.
+    """
+    setup, found = factor.readings.setup, np.ones(len(factor.readings))
+    apart = dict[int, Array]()
+    for number in np.unique(setup[rows]).tolist():
+        own = rows[setup[rows] == number]
+        if factor.noise.from_repeats[own].any() or not factor.approach_known(number):
+            continue
+        sigma = float(np.sqrt(np.mean(factor.noise.total[own] ** 2)))
+        apart[number] = np.diff(_in_time(factor.readings.subset(own))) / (2 * sigma)
+    if not apart:
+        return found
+    every = np.concatenate(list(apart.values()))
+    all_alike = _refuted(every, 1.0, _CHANCE)
+    for number, own in apart.items():
+        found[setup == number] = max(all_alike, _refuted(own, all_alike, _CHANCE / len(apart)))
+    return found
+
+
+def _refuted(apart: Array, scale: float, chance: float) -> float:
+    """Return the standard deviation of differences ``(k,)`` where it refutes the one assumed, and
+    the one assumed otherwise.
+    """
+    size = _most_scatter(apart, 0.0, _HALF)
+    dof = len(apart) / 2  # differences of differences share readings
+    ratio = size / scale
+    if dof < _FEWEST / 2 or not ratio > _TIMES or chdtrc(dof, dof * ratio**2) >= chance:
+        return scale
     return size
 
 

@@ -104,7 +104,7 @@ def noisy_instruments(estimate: Estimate) -> Iterator[Note]:
         if declared is None or np.isfinite(factor.readings.sigma[chosen]).any():
             continue
         residuals = replace(factor.readings, reading=estimate.residuals[rows])
-        one = _repeats_of_setup(residuals, number, factor.noise.total, problem.step[rows])
+        one = _repeats_of_setup(residuals, number, factor.noise.expected, problem.step[rows])
         if _is_noisy([one]):
             yield Note(
                 f"{one.where}: repeats scatter by {compact(_scatter([one]) * 1e3, 2)} "
@@ -135,7 +135,7 @@ def _declared_dial_noise(problem: Problem) -> float | None:
 def _dial_repeats(estimate: Estimate) -> list[_Repeats]:
     """Return the repeats of every dial setup that has any."""
     problem, found = estimate.problem, []
-    total = np.hypot(problem.sigma, problem.common)
+    total = np.concatenate([f.noise.expected for f in problem.on_legs])
     for campaign, rows in zip(problem.campaigns, problem.rows, strict=True):
         residuals = campaign.with_readings(estimate.residuals[rows])
         for k in np.unique(campaign.setup).tolist():
