@@ -22,6 +22,7 @@ from orthoglide.fit import Estimate, Problem, solve, with_free
 from orthoglide.machine_file import Controller
 from orthoglide.observations import Campaign, Moves, derive_approach, protocol
 from orthoglide.planning import (
+    aliasing,
     design,
     detectable_rows,
     next_measurements,
@@ -306,6 +307,30 @@ def test_a_sheet_numbers_the_visits_of_a_station(readings):
 def test_what_no_design_can_serve_is_refused(machine, families, count, word):
     with pytest.raises(InputError, match=word):
         design(machine, families, count)
+
+
+# -- waves between the stations ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stroke", [(-0.1, 0.06), (-0.04, 0.03), (-0.3, 0.2), (-0.12, 0.12)])
+def test_no_wave_of_a_drive_is_a_curve_at_the_stations_of_the_sweep(stroke):
+    made = og.Machine(og.MachineFile(og.Geometry(L=1.0, stroke=stroke)))
+    sweep = protocol("sweep", made.geometry)
+    assert aliasing(made, sweep) == ()
+    # At even steps a wave as long as two stations, and its fractions, is one.
+    rho = sweep.command
+    even = made.geometry.zero + np.round((rho - made.geometry.zero) / 0.02) * 0.02
+    told = aliasing(made, replace(sweep, command=even))
+    assert [text.split()[6] for text in told] == ["x", "y", "z"]
+    period = float(re.search(r"a wave of ([\d.]+) mm", told[0])[1]) * 1e-3
+    travel = np.unique(np.round(even[sweep.leg == 0, 0], 6))
+    turn = 2 * np.pi * travel / period
+    powers = (travel[:, None] / np.ptp(travel)) ** np.arange(3)
+    left = [
+        np.linalg.norm(w - powers @ np.linalg.lstsq(powers, w, rcond=None)[0])
+        for w in (np.sin(turn + phase) for phase in np.linspace(0, np.pi, 181))
+    ]
+    assert min(left) < 0.05 * np.sqrt(len(travel) / 2)
 
 
 # -- accuracy and repeats ------------------------------------------------------------------------

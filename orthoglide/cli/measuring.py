@@ -244,6 +244,8 @@ def design(
         lines = planning.index_rows([*rows, ("design", found.indices)], text_width())
         several["design"] = found.campaign
         for name, one in several.items():
+            lines += [f"{name}: {warning}" for warning in planning.aliasing(known, one)]
+        for name, one in several.items():
             for what, sigma in wanted.items():
                 step(Step("computing", f"how often to repeat {name}"))
                 answer = planning.repeats_needed(known, one, found.names, what, sigma, noise)

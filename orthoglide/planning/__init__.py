@@ -2,6 +2,7 @@
 and next.
 """
 
+from orthoglide.planning.aliasing import aliasing as aliasing
 from orthoglide.planning.designs import (
     Design as Design,
     Repeats as Repeats,

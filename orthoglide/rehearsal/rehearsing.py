@@ -14,7 +14,7 @@ from orthoglide.instruments import LegDial, PlateTouch
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings, protocol, read_readings
 from orthoglide.observations.protocols import Kind
-from orthoglide.planning import detectable_rows, sheets_of, smallest_effects
+from orthoglide.planning import aliasing, detectable_rows, sheets_of, smallest_effects
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.rehearsal.drawing import Scope
 from orthoglide.rehearsal.journal import Journal, request_digests
@@ -100,7 +100,7 @@ def _sheets(
 
 def weak_spots(scope: Scope, seed: int = 0) -> tuple[str, ...]:
     """Return rows of text: effects that are found or named from more than three tolerances only,
-    and those that the sheet cannot show, each with the reason.
+    those that the sheet cannot show, each with the reason, and waves that it takes for a curve.
 
     Sizes are those found, or named, with 95 % probability on a machine on which nothing else is
     wrong.
@@ -118,6 +118,7 @@ def weak_spots(scope: Scope, seed: int = 0) -> tuple[str, ...]:
     return (
         *detectable_rows(seen, text_width(), HARDLY),
         *(f"not shown, as {reason}: {', '.join(effects)}" for reason, effects in missing.items()),
+        *(warning for sheet in scope.sheets for warning in aliasing(machine, sheet)),
     )
 
 

@@ -1,0 +1,78 @@
+"""Waves of a drive that the stations of a sheet cannot tell from a smooth curve."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from orthoglide.geometry import LEGS, Array
+from orthoglide.machine import Machine, MachineSource
+from orthoglide.observations import Readings
+
+_SHORTEST = 5e-3
+"""Metres: the shortest wave that matters where the machine file states no lead of the screws; it is
+the smallest common lead of a ball screw."""
+
+_SMOOTH = 2  # degree of the polynomial that a wave is taken for: a bow
+_FEWEST = _SMOOTH + 3  # stations: fewer show no curve that could be compensated
+_SEEN = 0.05  # of a wave's size: 5 um of a wave of 0.1 mm are the noise of a dial
+_PER_CYCLE = 10  # periods that are tried while the stroke takes one more cycle
+
+
+def aliasing(machine: MachineSource, sheet: Readings) -> tuple[str, ...]:
+    """Return a warning for each drive of which a sheet cannot tell a short wave from a curve.
+
+    Waves are tried from the lead of the screws (5 mm where the machine file states none) to twice
+    the largest distance of neighbouring stations; longer ones are sampled twice a cycle.
+
+    Args:
+        machine: stroke and lead of the screws.
+        sheet: readings of dials on legs; their values do not count.
+    """
+    machine = Machine.of(machine)
+    return tuple(_warnings(machine, sheet))
+
+
+def _warnings(machine: Machine, sheet: Readings) -> Iterator[str]:
+    on_legs = sheet.on_legs
+    for leg, name in zip(range(len(LEGS)), machine.geometry.layout.names.legs, strict=True):
+        rows = on_legs & (sheet.leg == leg)
+        travel = np.unique(np.round(sheet.command[rows, leg], 6))
+        if len(travel) < _FEWEST:
+            continue
+        shortest = machine.spec.screw_pitch or _SHORTEST
+        period, seen = hidden_wave(travel, shortest)
+        if seen < _SEEN:
+            yield (
+                f"at the {len(travel)} stations of drive {name} a wave of {period * 1e3:.3g} mm "
+                f"looks like a smooth curve, so that a compensation from this sheet may make the "
+                f"tool worse between the stations: choose other, unequal distances, or "
+                f"stations less than {shortest * 1e3 / 2:.2g} mm apart"
+            )
+
+
+_ROUNDING = 1e-6  # of a period: stations are rounded to a micrometre
+
+
+def hidden_wave(travel: Array, shortest: float) -> tuple[float, float]:
+    """Return the period of the wave that the stations show least, metres, and the share of it that
+    no parabola takes, at the phase at which that is least.
+
+    Args:
+        travel: of the stations ``(n,)``, different, metres.
+        shortest: period to begin with, metres.
+    """
+    span, longest = float(np.ptp(travel)), 2 * float(np.diff(np.sort(travel)).max())
+    if longest <= shortest * (1 + _ROUNDING):
+        return longest, 1.0
+    cycles = np.arange(span / longest, span / shortest, 1 / _PER_CYCLE)
+    u = (travel - travel.min()) / span
+    smooth, _ = np.linalg.qr(np.polynomial.legendre.legvander(2 * u - 1, _SMOOTH))
+    turn = 2 * np.pi * cycles[:, None] * u
+    waves = np.stack([np.sin(turn), np.cos(turn)], axis=2)
+    beside = waves - smooth @ (smooth.T @ waves)
+    # A sine over many stations has the norm sqrt(n / 2).
+    seen = np.linalg.svd(beside, compute_uv=False)[:, -1] / np.sqrt(len(travel) / 2)
+    least = int(np.argmin(seen))
+    return float(span / cycles[least]), float(seen[least])
