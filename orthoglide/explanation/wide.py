@@ -125,8 +125,10 @@ class Wide:
         both[rows] = -cho_solve((root, True), self._past(both)[rows])
         found = self._past(both)[rest]
         own = columns @ columns.T + instruments @ instruments.T + np.eye(len(rows))
+        # Rounding is of the size of what is subtracted from, not of what is left.
+        rounding = _ROUNDING * own.diagonal().max()
         own -= across @ found[:, :-1]
-        own[np.diag_indices_from(own)] += _ROUNDING * own.diagonal().max()
+        own[np.diag_indices_from(own)] += rounding
         new = np.linalg.cholesky(own)
         white = solve_triangular(new, residual - across @ found[:, -1], lower=True)
         log_det = self._log_det + 2 * float(
