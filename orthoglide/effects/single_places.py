@@ -89,6 +89,10 @@ DENTS = (0.03e-3, 0.1e-3)
 """Metres: standard deviations of a bump over the readings of a dial: three graduations of a
 hundredth, a tooth of its rack or dirt on it, and as far as its smooth curve does not bend."""
 
+_DENT = 10 * _UM
+"""Metres: height of such a bump. A dial's standard (DIN 878) allows 17 um over all of its range; a
+tenth of a millimetre, which ten times this allows, stops the hand and is seen."""
+
 
 def dented(place: Place, at: float, width: float, among: int) -> Place:
     """Return a dial's place that is wrong about one reading alone.
@@ -102,7 +106,7 @@ def dented(place: Place, at: float, width: float, among: int) -> Place:
     low, high = place.span or (0.0, 1.0)
     half = (high - low) / 2
     bump = Bump((at - low) / half - 1, width / half)
-    return replace(place, kernel=bump, bump=at, unit=30 * _UM, chance=1 / among)
+    return replace(place, kernel=bump, bump=at, unit=_DENT, chance=1 / among)
 
 
 def _bump_travel(effects: Iterable[str]) -> set[float]:
