@@ -427,7 +427,7 @@ def test_what_is_left_of_touches_is_held_against_their_own_noise() -> None:
     assert verdict.word in ("partial", "located", "unexplained")
     told = headline(verdict)
     assert "The plate's own shape would explain it, finer than a bowl or three lobes" in told
-    assert "mm rms, noise 0.019 mm)" in told
+    assert "mm rms, and their noise is 0.019 mm" in told
     assert "dial" not in told
 
 
