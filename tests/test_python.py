@@ -383,7 +383,7 @@ def test_what_is_shown_of_commands_and_numbers(campaign: og.Campaign) -> None:
 def test_what_is_shown_of_readings_to_take(estimate: og.Estimate) -> None:
     chosen = og.design(og.Machine.nominal(), count=6)
     assert len(chosen.to_frame()) >= 6
-    assert repr(chosen) == "<Design, d-optimal: 6 readings for 6 parameters>"
+    assert repr(chosen) == "<Design: 6 readings for 6 parameters>"
     assert chosen._repr_html_() == chosen.campaign._repr_html_()
     for one in og.next_measurements(estimate):
         assert len(one.to_frame()) == len(one.rows)
