@@ -352,7 +352,7 @@ def test_noise_declared_too_small_is_said_and_the_machine_is_not_blamed(size: fl
     fit = scattering(size)
     verdict = og.close_loop(fit.problem.campaigns, fit.problem.machine)
     assert (verdict.word, verdict.blunders) == ("adequate", ())
-    assert verdict.before.problem.noise.typical == pytest.approx(size, rel=0.25)
+    assert verdict.noise.single_reading.length == pytest.approx(size, rel=0.25)
     assert summary(verdict).count("scatter by") == 1
     assert words(report_files(verdict)["report.html"]).count("scatter by") == 1
 

@@ -27,7 +27,6 @@ from orthoglide.explanation.significance import SIGNIFICANT, Left, left_over
 from orthoglide.explanation.suspects import Key
 from orthoglide.fit import Estimate, assemble, solve, tempered
 from orthoglide.fit.exchanged_columns import check_columns
-from orthoglide.fit.noise_notes import is_misdeclared
 from orthoglide.fit.plausible import check_plausible
 from orthoglide.fit.verification import verify
 from orthoglide.machine import Machine
@@ -148,9 +147,6 @@ def _searched(
     if _missing(left) and not _explains_most(known):
         # A place is missing, and others may stand in for it.
         found = replace(found, located=())
-    elif is_misdeclared(known.after):  # scatter that was not reckoned with passes for any curve
-        kept = tuple(one for one in found.located if not one.in_repeats)
-        found = replace(found, located=kept)
     return known, found, left, _word(found, left)
 
 

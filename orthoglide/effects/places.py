@@ -149,9 +149,10 @@ class Place:
             what = {
                 "time": "creeps with time",
                 "reading": "is not true over its range",
-                "": "is wrong at one place of its range and nowhere else",
                 "approach": "reads more or less by the way that its plunger came",
-            }["" if self.bump is not None else self.against]
+            }[self.against]
+            if self.bump is not None:
+                what = "is wrong at one place of its range and nowhere else"
             return f"the dial of {self.setup} {what}"
         leg = self.names.legs[self.leg]
         how = {

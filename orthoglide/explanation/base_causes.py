@@ -62,8 +62,7 @@ def _far(
         value, sigma = float(weights @ past), float(np.sqrt(weights @ spread @ weights))
         if abs(value) - _SURELY * sigma < most:
             continue
-        moved = np.ones(len(at)) if name.endswith("common") else weights > 0
-        shown = about.rows[:, at] @ (moved * value / scale)
+        shown = about.rows[:, at] @ ((weights > 0) * value / scale)
         one = Explanation(
             str(name),
             (str(name),),

@@ -197,12 +197,6 @@ class Located:
         """Of the most probable place."""
         return self.members[0].name
 
-    @property
-    def in_repeats(self) -> bool:
-        """Whether repeats of one reading could show it: by time, by a dial, by the way it came."""
-        places = [curve.place for curve in self.members]
-        return any(p.of_dial or p.two_sided or p.against == "time" for p in places)
-
     def in_machine(self, known: Container[str]) -> tuple[str, tuple[str, ...]]:
         """Name of the class in an error budget, and the parameters of its places in a machine that
         has these effects; places of a dial, of lost motion, and improbable ones, are none of them.

@@ -37,7 +37,7 @@ class Change:
     sigma_after: float = float("nan")  # standard deviation of the value after the change, SI
     sizes: tuple[float, ...] = ()  # by how much each of `members` would have changed, SI
     size_sigma: float = float("nan")  # standard deviation of the first of `sizes`, SI
-    among: float = 0.0  # what that has of others that could have changed beside it, SI
+    among: float = 0.0  # the part of `size_sigma` that other sets of changes contribute, SI
     # whether the value before is an average over causes that could not be told apart
     vague: bool = False
     unseen: float = 0.0  # by how much it may have been off before unseen, a standard deviation, SI

@@ -32,8 +32,9 @@ WIDTHS = (1.0, 3.0, 10.0)
 """Tolerances by which something changes, each less likely by as much as it is wider."""
 
 SLAB_ODDS = tuple(np.log(len(WIDTHS) / np.array(WIDTHS) / np.sum(1 / np.array(WIDTHS))).tolist())
+"""Log prior odds of each of these widths, against all being as likely."""
 
-_MOST = 12  # changes between two visits
+_MOST = 12  # changes between two visits: more than anybody makes, few enough to search
 
 CLASS_WIDTH = 4.0
 """Rise of chi2 within which two causes cannot be told apart: two sigmas (Wilks)."""
@@ -77,7 +78,7 @@ class Moved:
 
     sizes: Mapping[Parameter, float]  # by how much each would have, SI, the change itself first
     sigma: float  # standard deviation of its size, SI
-    among: float  # what this has of other sets that could have changed, SI
+    among: float  # the part of `sigma` that other sets of changes contribute, SI
     evidence: float  # log Bayes factor in its favour, the others given
     cost: float  # log prior odds against it
 
@@ -116,19 +117,14 @@ def what_changed(
 
 def _moved(mixture: Mixture, member: int, candidates: Sequence[Candidate]) -> Moved:
     """Return one change of the best state, averaged over the states that contain it."""
-    first = len(mixture.linear.fixed) - len(candidates)
     size, sigma, among = mixture.spread_of(member)
-    sizes = {member: size}
-    rest = mixture.without(member)
-    for other in mixture.like(member, CLASS_WIDTH):
-        state = tuple(sorted((*rest, (other, max(WIDTHS)))))
-        sizes[other] = float(mixture.likeliest_mean(state)[first + other])
+    sizes = {member: size} | mixture.instead(member, CLASS_WIDTH)
     unit = candidates[member].tolerance
     return Moved(
         {candidates[k].parameter: v * candidates[k].tolerance for k, v in sizes.items()},
         float(np.hypot(sigma, among)) * unit,
         among * unit,
-        mixture.total(mixture.best) - mixture.total(rest),
+        mixture.total(mixture.best) - mixture.total(mixture.without(member)),
         float(mixture.cost[member]) - float(np.log(len(WIDTHS))),
     )
 

@@ -109,12 +109,16 @@ class Linear:
     # residual of station means orthogonal to all columns: its square, its degrees of freedom, and
     # visits per station; zero if no direction was dropped
     beyond: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    slab_odds: tuple[float, ...] = (0.0,) * len(
-        SLABS
-    )  # log prior odds of each slab to an equal share
+    # log prior odds of each slab, against all being as likely; none where they are
+    slab_odds: tuple[float, ...] = ()
     most: int = 6  # active groups in one state
-    # where the size of the noise is unknown: then one background, of one tolerance, is all
+    # noise of unknown size; the search then has one background alone, of one tolerance
     free_noise: FreeNoise | None = None
+
+    @cached_property
+    def odds_of(self) -> dict[float, float]:
+        """Log prior odds of each slab, against all being as likely."""
+        return dict(zip(self.slabs, self.slab_odds or (0.0,) * len(self.slabs), strict=True))
 
     def support(self, explained: Array, before: Array) -> Array:
         """Return the log likelihood gained where more of chi2 is explained ``(scales, ...)``.

@@ -209,9 +209,17 @@ class Mixture(Search):
         (left,), (shrink,) = self._out([scale], self.best)
         return float(np.sum(whitened(scale.residual, left, shrink) ** 2))
 
-    def like(self, member: int, rise: float) -> list[int]:
-        """Return groups that explain as much as one of the best state in its place, but for a rise
-        of chi2, at the widest slab and the first scale; those that explain most first.
+    def instead(self, member: int, rise: float) -> dict[int, float]:
+        """Return the groups that could be active in place of one, with the size of each.
+
+        All have one coefficient. They are judged at the widest slab, over the first background.
+
+        Args:
+            member: a group of the best state.
+            rise: of chi2, by which they may fit worse than ``member``.
+
+        Returns:
+            From group to its coefficient; the one that explains most first.
         """
         rest = self.without(member)
         left, shrink = self._out(self.scales, rest)
@@ -222,7 +230,11 @@ class Mixture(Search):
         near = explained >= explained[member] - rise * noise
         near[[g for g, _ in self.best]] = False
         others = np.flatnonzero(near)
-        return [int(k) for k in others[descending(explained[others], EQUAL_ODDS * noise)]]
+        found = {}
+        for other in others[descending(explained[others], EQUAL_ODDS * noise)].tolist():
+            state = tuple(sorted((*rest, (other, self.linear.slabs[-1]))))
+            found[other] = float(self.likeliest_mean(state)[self.linear.groups[other].places[0]])
+        return found
 
     def spread_of(self, member: int) -> tuple[float, float, float]:
         """Return mean and standard deviation of a group of one coefficient in the best state, and

@@ -47,8 +47,7 @@ def likely_pairs(
     if not len(first):
         return
     # At one scale for both and few of the background first: off by no more than some log odds.
-    (logs, before), slabs = base, linear.slabs
-    odds = dict(zip(slabs, linear.slab_odds, strict=False))
+    (logs, before), slabs, odds = base, linear.slabs, linear.odds_of
 
     def gain(at: Sequence[int] | slice, pairs: Pairs, taus: tuple[float, float]) -> Array:
         explained, occam = together(seen[at], met[at], pairs, taus)

@@ -154,9 +154,9 @@ def with_noise_of_repeats(problem: Problem) -> Problem:
             of_kind = factor.readings.of_kind(kind) & factor.noise.weighted
             scale = np.where(of_kind, _scales_of(factor, np.flatnonzero(of_kind)), scale)
         noise, loud = factor.noise, scale > 1
-        total = noise.total * scale
-        common = np.array([float(common_rounding(t, s)) if l else c for t, s, l, c in
-                           zip(total, noise.step, loud, noise.common, strict=True)])  # fmt: skip
+        total, common = noise.total * scale, noise.common.copy()
+        for row in np.flatnonzero(loud).tolist():
+            common[row] = common_rounding(float(total[row]), float(noise.step[row]))
         sigma = np.sqrt(np.maximum(total**2 - common**2, 0.0))
         more = replace(noise, sigma=np.where(loud, sigma, noise.sigma), common=common)
         factors.append(replace(factor, noise=more))

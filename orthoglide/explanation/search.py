@@ -207,19 +207,14 @@ class Search:
     def _expand(self, state: State) -> Array:
         left, shrink = self._out(self.scales, state)
         if state not in self.visited:
-            paid = sum(self.cost[g] - self._odds.get(tau, 0.0) for g, tau in state)
+            paid = sum(self.cost[g] - self.linear.odds_of.get(tau, 0.0) for g, tau in state)
             self.visited[state] = self._log_z(self.scales, left, shrink) - paid
         explained, occam = self._gains(left, shrink)
         table = self.linear.support(explained, self._explained(left, shrink)) - occam
-        table += list(self._odds.values()) - self.cost[:, None]
+        table += list(self.linear.odds_of.values()) - self.cost[:, None]
         table += self.visited[state][:, None, None]
         table[:, [k for k, _ in state]] = -np.inf
         return table
-
-    @cached_property
-    def _odds(self) -> dict[float, float]:
-        """Log prior odds of each slab to an equal share."""
-        return dict(zip(self.linear.slabs, self.linear.slab_odds, strict=False))
 
     def _gains(self, left: Array, shrink: Array) -> tuple[Array, Array]:
         """Return what each group explains of chi2 past the active ones, and its Occam factor.

@@ -260,8 +260,8 @@ class _Kind:
             told = given if self._declared is None else np.ones(len(table), dtype=bool)
             repeats = ~told & (self.level.source == "repeats")
             weighted = np.ones(len(table), dtype=bool)
-            counted = np.where(told, total, expected)
-            yield RowNoise(total, common, rounding, counted, repeats, weighted)
+            assumed = np.where(repeats, expected, total)
+            yield RowNoise(total, common, rounding, assumed, repeats, weighted)
 
 
 def expected_sigma(given: Readings, spec: MachineFile) -> Array:

@@ -33,7 +33,6 @@ _FEWEST = 10.0
 _SUSPICIOUS = 0.01  # probability under which other setups are taken to be noisier than declared too
 _FEW = 2  # setups that are named one by one: more of them have a common cause
 _TIMES = 1.2  # smallest ratio to the declared noise that is reported
-_SEVERAL = 2.0  # ratio to the declared noise, without rounding, that refutes the declaration
 
 # Residuals that scatter by less than assumed. Inches are 25 times too small and degrees 57 times,
 # but unmodelled errors of the machine remain in the residual, so the limit is a tenth; a fifth for
@@ -113,16 +112,6 @@ def noisy_instruments(estimate: Estimate) -> Iterator[Note]:
                 f"[instrument.{setup.kind}], or look for what is loose",
                 "scatter",
             )
-
-
-def is_misdeclared(estimate: Estimate) -> bool:
-    """Return whether repeats of dials scatter by several times the declared noise of one dial,
-    rounding excluded. A curve fitted to such repeats may only follow undeclared noise.
-    """
-    declared = _declared_dial_noise(estimate.problem)
-    if declared is None or not any(noisy_dials(estimate)):
-        return False
-    return _scatter(_dial_repeats(estimate)) > _SEVERAL * declared
 
 
 def _declared_dial_noise(problem: Problem) -> float | None:
