@@ -260,7 +260,7 @@ def test_other_readings_against_their_covariance_written_out(causes: int) -> Non
     silent = log_likelihood(changed[10:, 0], cov[10:, 10:])
     assert wide.score(change)[0] + wide.without(own, change[:, 0]) == pytest.approx(silent)
     foretold = cov[:10, 10:] @ np.linalg.solve(cov[10:, 10:], residual[10:])
-    assert wide.missed(own) == pytest.approx(2 * (residual[:10] - foretold))
+    assert wide.foretold(own).off == pytest.approx(2 * (residual[:10] - foretold))
     columns, placed, rest = rng.standard_normal((10, causes)), np.full((10, 1), 50.0), residual[::3]
     moved = np.vstack([columns, machine[10:]])
     other = np.eye(n) + moved @ moved.T

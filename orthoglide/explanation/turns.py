@@ -41,7 +41,7 @@ def turned(
     found: dict[bytes, Alternative] = {}
     least, most = _DIVISIONS
     for wide in several:
-        by_others = {s: wide.missed(own) for s, own in order.items()}
+        by_others = {s: wide.foretold(own).off for s, own in order.items()}
         for turn in TURNS:
             # What the hand of a dial of some step, 0 where there is none, may show by a turn.
             steps = {s: float(problem.step[own].max()) for s, own in order.items()}

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg import solve_triangular
 
 from orthoglide.explanation.columns import Everything
 from orthoglide.explanation.faults import Rows
@@ -22,7 +22,58 @@ from orthoglide.geometry import Array
 DATUM = 1e-2
 """Metres: where a dial's zero may be."""
 
+_OF_SUMS = 1e-15  # of the largest square: what sums of that size leave of the ones beside them
 _ROUNDING = 1e-12  # of the largest variance: far below the noise, far above what sums leave of it
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Root:
+    """The inverse of a covariance ``S = 1 + A A^T``, by the Cholesky factor of ``1 + A^T A``: as
+    large as what is unknown, however much was read.
+    """
+
+    columns: Array  # A (n, q), no more columns than rows
+    inner: Array  # (q, q)
+
+    @classmethod
+    def of(cls, columns: Array) -> Root:
+        """Return it for columns ``A`` ``(n, k)``; as many as there are rows show all of more."""
+        if columns.shape[1] > len(columns):
+            square = columns @ columns.T
+            square[np.diag_indices_from(square)] += _ROUNDING * square.diagonal().max()
+            columns = np.linalg.cholesky(square)
+        inner = columns.T @ columns
+        inner[np.diag_indices_from(inner)] += 1 + _OF_SUMS * inner.diagonal().max(initial=0.0)
+        return cls(columns, np.linalg.cholesky(inner))
+
+    @cached_property
+    def white(self) -> Array:
+        """``V`` of ``S^-1 = 1 - V V^T`` ``(n, q)``."""
+        return np.asarray(solve_triangular(self.inner, self.columns.T, lower=True).T)
+
+    def past(self, rows: Array) -> Array:
+        """Return ``S^-1`` times rows ``(n, ...)``."""
+        return np.asarray(rows - self.white @ (self.white.T @ rows))
+
+    def log_likelihood(self, rows: Array) -> Array:
+        """Return the log likelihood ``(h,)`` of rows ``(n, h)``."""
+        shown = solve_triangular(self.inner, self.columns.T @ rows, lower=True)
+        square = np.sum(rows**2, axis=0) - np.sum(shown**2, axis=0)
+        return np.asarray(-(square + _log_det(self.inner)) / 2)
+
+
+def _log_det(root: Array) -> float:
+    """Log determinant of the matrix whose Cholesky factor is ``root``."""
+    return 2 * float(np.log(np.diag(root)).sum())
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Foretold:
+    """Some readings compared with what all others foretell of them."""
+
+    off: Array  # difference of each (k,), metres
+    square: float  # of all together, in units of their covariance
+    log_det: float  # of the inverse of that, in units of their noise
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -47,48 +98,37 @@ class Wide:
         )  # fmt: skip
 
     @cached_property
-    def _factor(self) -> Array:
-        """``F`` of the covariance ``1 + F F^T`` of the readings, no wider than they are many."""
-        every = np.hstack([self.columns, self.instruments])
-        if every.shape[1] <= len(every):
-            return every
-        square = every @ every.T
-        square[np.diag_indices_from(square)] += _ROUNDING * square.diagonal().max()
-        return np.asarray(np.linalg.cholesky(square), dtype=np.float64)
-
-    @cached_property
-    def _inner(self) -> Array:
-        """Cholesky factor of ``1 + F^T F``, whose determinant is that of the covariance, and
-        ``S^-1 = 1 - F (1 + F^T F)^-1 F^T``: as large as what is unknown, however much was read.
-        """
-        square = self._factor.T @ self._factor
-        return np.asarray(np.linalg.cholesky(square + np.eye(len(square))), dtype=np.float64)
-
-    @cached_property
-    def _log_det(self) -> float:
-        return 2 * float(np.log(np.diag(self._inner)).sum())
-
-    def _past(self, rows: Array) -> Array:
-        """``S^-1`` times whitened rows ``(n, ...)``."""
-        found = cho_solve((self._inner, True), self._factor.T @ rows)
-        return np.asarray(rows - self._factor @ found)
+    def _root(self) -> Root:
+        return Root.of(np.hstack([self.columns, self.instruments]))
 
     def _block(self, rows: Rows) -> Array:
         """Cholesky factor of the part of ``S^-1`` of some rows ``(k, k)``."""
-        half = solve_triangular(self._inner, self._factor[rows].T, lower=True)
-        part = (1 + _ROUNDING) * np.eye(len(rows)) - half.T @ half
+        own = self._root.white[rows]
+        part = (1 + _ROUNDING) * np.eye(len(rows)) - own @ own.T
         return np.asarray(np.linalg.cholesky(part), dtype=np.float64)
 
     def score(self, change: Array) -> Array:
         """Log likelihood of changed readings ``(h,)``, changes ``(n, h)`` in metres."""
-        changed = self.residual[:, None] + self.weighing.whiten(change)
-        square = np.sum(changed * self._past(changed), axis=0)
-        return np.asarray(-(square + self._log_det) / 2)
+        return self._root.log_likelihood(self.residual[:, None] + self.weighing.whiten(change))
 
     @cached_property
     def _as_read(self) -> Array:
         """``S^-1`` times the residuals of the readings as they stand ``(n,)``."""
-        return self._past(self.residual)
+        return self._root.past(self.residual)
+
+    @cached_property
+    def _by_rows(self) -> dict[bytes, Foretold]:
+        return {}
+
+    def foretold(self, rows: Rows) -> Foretold:
+        """Compare some readings with what all others foretell of them."""
+        key = rows.tobytes()
+        if key not in self._by_rows:
+            root = self._block(rows)
+            white = solve_triangular(root, self._as_read[rows], lower=True)
+            off = solve_triangular(root, white, lower=True, trans="T") * self.weighing.sigma[rows]
+            self._by_rows[key] = Foretold(off, float(white @ white), _log_det(root))
+        return self._by_rows[key]
 
     def without(self, rows: Rows, change: Array | None = None) -> float:
         """What the likelihood grows by once some rows say nothing, in units of their noise.
@@ -97,53 +137,37 @@ class Wide:
             rows: that say nothing.
             change: of the readings ``(n,)``, metres; none where absent.
         """
+        if change is None:
+            found = self.foretold(rows)
+            return (found.square - found.log_det) / 2
         root = self._block(rows)
-        past = self._as_read
-        if change is not None:
-            past = past + self._past(self.weighing.whiten(change))
+        past = self._as_read + self._root.past(self.weighing.whiten(change))
         white = solve_triangular(root, past[rows], lower=True)
-        return float(white @ white) / 2 - float(np.log(np.diag(root)).sum())
+        return (float(white @ white) - _log_det(root)) / 2
 
     def odd(self, rows: Rows) -> float:
         """By how much less likely some readings are than in the mean, all others given: what other
         labels of theirs could gain at most.
         """
-        white = solve_triangular(self._block(rows), self._as_read[rows], lower=True)
-        return (float(white @ white) - len(rows)) / 2
+        return (self.foretold(rows).square - len(rows)) / 2
 
     def relabelled(self, rows: Rows, columns: Array, instruments: Array, residual: Array) -> float:
         """Log likelihood where whole setups have other columns ``(k, C)``, nuisances of their own,
         and residuals ``(k,)``.
         """
-        root = self._block(rows)
-        rest = np.delete(np.arange(len(self.residual)), rows)
-        across = columns @ self.columns[rest].T
-        both = np.zeros((len(self.residual), len(rows) + 1))
-        both[rest] = np.column_stack([across.T, self.residual[rest]])
-        # By the inverse of the others' covariance: what is in the rows is chosen so that S^-1 has
-        # nothing there.
-        both[rows] = -cho_solve((root, True), self._past(both)[rows])
-        found = self._past(both)[rest]
-        own = columns @ columns.T + instruments @ instruments.T + np.eye(len(rows))
-        # Rounding is of the size of what is subtracted from, not of what is left.
-        rounding = _ROUNDING * own.diagonal().max()
-        own -= across @ found[:, :-1]
-        own[np.diag_indices_from(own)] += rounding
-        new = np.linalg.cholesky(own)
-        white = solve_triangular(new, residual - across @ found[:, -1], lower=True)
-        log_det = self._log_det + 2 * float(
-            np.log(np.diag(new)).sum() + np.log(np.diag(root)).sum()
-        )
-        return -float(white @ white + self.residual[rest] @ found[:, -1] + log_det) / 2
-
-    def missed(self, rows: Rows) -> Array:
-        """By how much some readings are off what all others foretell ``(k,)``, metres."""
-        off = cho_solve((self._block(rows), True), self._as_read[rows])
-        return np.asarray(off * self.weighing.sigma[rows])
+        count = self.columns.shape[1]
+        both = np.zeros((len(self.residual), count + self.instruments.shape[1]))
+        both[:, :count], both[:, count:] = self.columns, self.instruments
+        both[rows, :count], both[rows, count:] = columns, 0.0
+        own = np.zeros((len(both), instruments.shape[1]))
+        own[rows] = instruments
+        left = self.residual.copy()
+        left[rows] = residual
+        return float(Root.of(np.hstack([both, own])).log_likelihood(left[:, None])[0])
 
     def noise(self, change: Array) -> Array:
         """What the machine does not explain of changed readings ``(n,)``, metres."""
-        return self.weighing.metres(self._past(self.residual + self.weighing.whiten(change)))
+        return self.weighing.metres(self._root.past(self.residual + self.weighing.whiten(change)))
 
 
 def in_deviations(about: Everything, rows: Array, share: float, free: float) -> tuple[Array, Array]:
