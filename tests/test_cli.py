@@ -626,6 +626,33 @@ def test_piped_text_is_as_wide_as_columns_says(here: Path, monkeypatch: pytest.M
             assert columns - 25 < max(map(len, prose)) <= columns
 
 
+def test_no_number_is_cut_on_a_narrow_terminal(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = dict[int, str]()
+    for columns in (60, 100):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        told[columns] = done("identify", "experiment2.csv", "--free", "joint_offset,axis_tilt")
+        assert max(map(len, told[columns].splitlines())) <= columns
+    narrow, wide = (re.findall(r"[+−]?\d[\d.]*", told[columns]) for columns in (60, 100))
+    assert sorted(narrow) == sorted(wide)
+
+
+@pytest.mark.parametrize(
+    ("out", "words"), [((), ""), (("--out", "kept"), "; the same command goes on from what --out")]
+)
+def test_an_interrupted_rehearsal_goes_on_from_a_folder_only(
+    out: tuple[str, ...], words: str, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("orthoglide.rehearsal.rehearse", interrupt)
+    result = run("rehearse", *out)
+    assert result.exit_code == 130
+    said = "orthoglide: interrupted: nothing is left half written"
+    assert result.stderr.strip().startswith(said + words)
+    assert ("goes on" in result.stderr) == bool(out)
+
+
 @pytest.mark.thorough
 def test_a_noisy_machine_is_found_within_its_sigmas(here: Path) -> None:
     planted_machine(here)
