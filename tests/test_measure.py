@@ -329,11 +329,11 @@ def test_a_recorded_campaign_is_replayed_through_a_pipe(tmp_path: Path) -> None:
 
 
 def test_the_end_of_the_input_is_a_stop(tmp_path: Path) -> None:
-    process = start(tmp_path / "c.csv")
-    said, errors = process.communicate("0\n", timeout=60)
-    assert (process.returncode, errors) == (0, "")
-    assert "Stopped with 1 reading in" in said
-    assert said.count("shows:") == 2
+    command = ["measure", "--machine", str(MACHINE), "--out", str(tmp_path / "c.csv")]
+    result = CliRunner().invoke(cli, command, input="0\n")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "Stopped with 1 reading in" in result.stdout
+    assert result.stdout.count("shows:") == 2
 
 
 def test_the_help_says_the_criterion_and_how_many_readings() -> None:
