@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import sys
+import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
@@ -93,6 +94,19 @@ def text_width() -> int:
     if is_terminal() or os.environ.get("COLUMNS", "").isdigit():
         return shutil.get_terminal_size((_WIDTH, 24)).columns
     return _WIDTH
+
+
+def wrapped(text: str) -> str:
+    """Return a text with lines broken between words where they are wider than the terminal."""
+    width = text_width()
+    return "\n".join(
+        textwrap.fill(
+            line, width, subsequent_indent=" " * (len(line) - len(line.lstrip(" -"))),
+            replace_whitespace=False, break_long_words=False, break_on_hyphens=False,
+        )
+        if len(line) > width else line
+        for line in text.split("\n")
+    )  # fmt: skip
 
 
 def is_terminal(err: bool = False) -> bool:

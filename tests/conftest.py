@@ -1,6 +1,7 @@
 # ruff: noqa: E402  (the number of threads must be set before numpy is imported)
 """One thread a worker, and cases that repeat what others show already on demand only."""
 
+import gc
 import os
 
 # Before numpy is imported: threads of the linear algebra only get in each other's way here.
@@ -34,11 +35,25 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--thorough", action="store_true", help="run the cases marked thorough too")
 
 
+# Files of more than ten seconds of processor time, the longest first: workers take files in this
+# order, and one that is begun last would run alone.
+LONGEST = (
+    "test_blunders.py", "test_identification.py", "test_golden.py", "test_cli_closing.py",
+    "test_first_screen.py", "test_delta_owner.py", "test_klipper.py", "test_closing.py",
+    "test_architecture.py", "test_doubts.py", "test_field.py", "test_controller.py", "test_cli.py",
+)  # fmt: skip
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if not config.getoption("--thorough"):
-        left = [item for item in items if any(_is_thorough(item))]
-        config.hook.pytest_deselected(items=left)
-        items[:] = [item for item in items if item not in set(left)]
+        thorough = {item for item in items if any(_is_thorough(item))}
+        config.hook.pytest_deselected(items=list(thorough))
+        items[:] = [item for item in items if item not in thorough]
+    place = {name: k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path.name, len(place)))
+    # What is loaded by now stays: to look through it for garbage again and again takes seconds.
+    gc.collect()
+    gc.freeze()
 
 
 def _is_thorough(item: pytest.Item) -> Iterator[bool]:

@@ -81,6 +81,11 @@ def planted_machine(folder: Path) -> Path:
     return folder / "planted.toml"
 
 
+def a_folder(here: Path) -> list[str]:
+    """A command that writes a folder of several files, and computes little."""
+    return ["export", "--machine", planted_machine(here).name, "--force", "--out", "out"]
+
+
 # --- What is refused ------------------------------------------------------------------------
 
 Edit = Callable[[list[list[str]]], object]
@@ -354,9 +359,9 @@ def test_results_are_never_overwritten(here: Path) -> None:
         assert "exists and is not overwritten" in result.stderr
     (here / "planted.toml").unlink()
     assert tree(here) == before
-    (here / "empty").mkdir()
-    done("identify", "experiment2.csv", "--out", "empty", "--quiet")
-    assert (here / "empty" / "result.json").exists()
+    (here / "out").mkdir()
+    done(*a_folder(here))  # an empty folder is filled
+    assert (here / "out" / "controller.txt").exists()
 
 
 def test_failed_numerics_exit_with_3(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -376,11 +381,12 @@ def test_interrupted_while_writing(here: Path, monkeypatch: pytest.MonkeyPatch, 
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
+    command = a_folder(here)
     monkeypatch.setattr(Path, where, interrupt)
-    result = run("identify", "experiment2.csv", "--out", "out")
+    result = run(*command)
     assert result.exit_code == 130
     assert result.stderr.splitlines()[-1].startswith("orthoglide: interrupted: nothing")
-    assert os.listdir(here) == ["experiment2.csv"]
+    assert sorted(os.listdir(here)) == ["experiment2.csv", "planted.toml"]
 
 
 @pytest.mark.parametrize("made", ["mkdir", "open"])
@@ -396,14 +402,11 @@ def test_interrupted_the_moment_something_stands(
             raise KeyboardInterrupt
         return done
 
+    command = a_folder(here) if made == "mkdir" else ["protocol", "--out", "sheet.csv"]
+    before = os.listdir(here)
     monkeypatch.setattr(Path, made, interrupt)
-    command = (
-        ["identify", "experiment2.csv", "--out", "out"]
-        if made == "mkdir"
-        else ["design", "--out", "sheet.csv"]
-    )
     assert run(*command).exit_code == 130
-    assert os.listdir(here) == ["experiment2.csv"]
+    assert os.listdir(here) == before
 
 
 @pytest.mark.thorough
@@ -428,11 +431,12 @@ def test_a_disk_that_fails(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
+    command = a_folder(here)
     monkeypatch.setattr(Path, "write_bytes", full)
-    result = run("identify", "experiment2.csv", "--out", "out")
+    result = run(*command)
     assert result.exit_code == 2
     assert "out: cannot be written (no space left on device)" in result.stderr
-    assert os.listdir(here) == ["experiment2.csv"]
+    assert sorted(os.listdir(here)) == ["experiment2.csv", "planted.toml"]
 
 
 def test_a_disk_that_is_full(here: Path) -> None:
@@ -479,16 +483,12 @@ def test_the_same_bytes_wherever_the_files_lie(here: Path, monkeypatch: pytest.M
     assert not [name for name, content in tree(here / "out").items() if place in content]
 
 
-def test_json_is_the_file(here: Path) -> None:
+def test_json_is_the_file_and_a_calibrated_machine_is_a_machine(here: Path) -> None:
     text = done("identify", "experiment2.csv", "--out", "out", "--json")
     assert text.encode() == (here / "out" / "result.json").read_bytes()
     result = json.loads(text)
     assert result["verdict"] == "unexplained"
     assert result["parameters"]["joint_offset.z"]["value"] == pytest.approx(-1.723, abs=1e-3)
-
-
-def test_a_calibrated_machine_is_a_machine(here: Path) -> None:
-    done("identify", "experiment2.csv", "--out", "out", "--quiet")
     estimate = identify(og.read_campaign("experiment2.csv"))
     machine = og.Machine.load("out/calibrated.toml")
     assert machine.values == estimate.machine.values
@@ -624,6 +624,33 @@ def test_piped_text_is_as_wide_as_columns_says(here: Path, monkeypatch: pytest.M
         for text in told:
             prose = [line for line in text.splitlines() if line.startswith(("-", "The ", " "))]
             assert columns - 25 < max(map(len, prose)) <= columns
+
+
+def test_no_number_is_cut_on_a_narrow_terminal(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = dict[int, str]()
+    for columns in (60, 100):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        told[columns] = done("identify", "experiment2.csv", "--free", "joint_offset,axis_tilt")
+        assert max(map(len, told[columns].splitlines())) <= columns
+    narrow, wide = (re.findall(r"[+−]?\d[\d.]*", told[columns]) for columns in (60, 100))
+    assert sorted(narrow) == sorted(wide)
+
+
+@pytest.mark.parametrize(
+    ("out", "words"), [((), ""), (("--out", "kept"), "; the same command goes on from what --out")]
+)
+def test_an_interrupted_rehearsal_goes_on_from_a_folder_only(
+    out: tuple[str, ...], words: str, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("orthoglide.rehearsal.rehearse", interrupt)
+    result = run("rehearse", *out)
+    assert result.exit_code == 130
+    said = "orthoglide: interrupted: nothing is left half written"
+    assert result.stderr.strip().startswith(said + words)
+    assert ("goes on" in result.stderr) == bool(out)
 
 
 @pytest.mark.thorough

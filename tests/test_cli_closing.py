@@ -373,17 +373,15 @@ def test_rerun_sees_a_reading_that_was_tampered_with(identified: Path) -> None:
     assert run("rerun", "out/result.json").exit_code == 3
 
 
-def test_rerun_names_the_file_that_was_read(here: Path) -> None:
-    done("identify", "experiment2.csv", "--out", "out", "--quiet")
-
+def test_rerun_names_the_file_that_was_read(identified: Path) -> None:
     def edit(result: Any) -> None:
         result["inputs"][0]["rows"][1]["reading_mm"] = "99"
 
-    change(here / "out" / "result.json", edit)
+    change(identified / "out" / "result.json", edit)
     result = run("rerun", "out/result.json")
     assert result.exit_code == 2
     assert result.stderr.startswith("orthoglide: out/result.json: is not as it was written")
-    assert "(experiment2.csv, line 3: reading_mm is 99" in result.stderr
+    assert "(rig-2.csv, line 3: reading_mm is 99" in result.stderr
     assert "orthoglide-" not in result.stderr
 
 

@@ -22,7 +22,7 @@ from orthoglide.firmware.klipper import import_printer
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.planning.sheets import sheet_of
 from orthoglide.rehearsal.drawing import EFFECT, KINDS, NOTHING, OUTSIDE, TURNS, WHOLE, Scope, draw
-from orthoglide.rehearsal.outcome import Outcome, claims, is_cause, outcome_of
+from orthoglide.rehearsal.outcome import Outcome, claims, outcome_of
 from orthoglide.rehearsal.rehearsing import weak_spots
 from orthoglide.rehearsal.table import Rehearsal
 from tests.klipper_files import DATA
@@ -116,14 +116,6 @@ def test_a_place_is_located_by_its_class(scope: Scope) -> None:
     assert claims(verdict_of(("axis_tilt.x.y",)), one)[2] == ["axis_tilt.x.y"]
 
 
-def test_the_same_rule_scores_the_truth_table() -> None:
-    assert is_cause("axis_tilt.x.y", ["axis_tilt.x.y"], "axis_tilt.x.y", "axis_tilt")
-    assert not is_cause("axis_tilt.common", ["axis_tilt.common"], "axis_tilt.x.y", "axis_tilt")
-    assert is_cause(
-        "axis_tilt.common", ["axis_tilt.common"], "axis_tilt.x.y", "axis_tilt", ["axis_tilt.common"]
-    )
-
-
 # --- weak spots -----------------------------------------------------------------------------------
 
 
@@ -207,12 +199,14 @@ def test_a_failed_campaign_counts_and_is_shown(scope: Scope, monkeypatch: Any) -
     assert Outcome.from_dict(json.loads(json.dumps(tried.as_dict()))).failed == tried.failed
 
 
-def test_the_result_is_a_table(alone: Rehearsal) -> None:
+def test_the_result_is_a_table(alone: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     frame = alone.to_frame()
     assert list(frame.index) == [0, 1, 2]
     assert frame.after_mm.notna().all()
     assert alone.columns["campaigns"] == [sum(k is t for t in TURNS[:3]) for k in KINDS]
     assert "<table>" in alone._repr_html_()
+    monkeypatch.setenv("COLUMNS", "60")
+    assert max(map(len, str(alone).splitlines())) <= 60
     assert {len(alone.of(k)) for k in KINDS} == {0, 1}
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import textwrap
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -16,12 +15,12 @@ import click
 from orthoglide import __version__
 from orthoglide.errors import InputError, OrthoglideError
 from orthoglide.progress import Progress, Step
-from orthoglide.text import brief, text_width
+from orthoglide.text import brief
 
 BAD_INPUT, NUMERICS_FAILED, INTERRUPTED = 2, 3, 130  # 130: 128 + SIGINT, as shells have it
 _LONGEST = 1000  # characters of an error: file, line and remedy fit, a pasted file does not
 _SENTENCE = 200  # characters: no first sentence of a command's help is cut in the list
-_RESUMED = ("measure", "rehearse")  # commands that keep what was done
+_RESUMED = ("measure", "rehearse")  # commands that keep in --out what was done
 _BETWEEN = 1.0  # seconds between two lines of progress where the error stream is a file
 
 
@@ -74,6 +73,16 @@ class Command(click.Command):
                 ) from None
             raise
 
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; an interrupt ends it with one sentence."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            said = "interrupted: nothing is left half written"
+            if ctx.info_name in _RESUMED and ctx.params["out"] is not None:
+                said += "; the same command goes on from what --out holds"
+            raise Refusal(said, INTERRUPTED) from None
+
 
 class Group(click.Group):
     """A group that lists its commands in the order of the work, and reports the package's errors.
@@ -97,11 +106,6 @@ class Group(click.Group):
         """Run a command; what it raises becomes an exit code and one sentence."""
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt:
-            said = "interrupted: nothing is left half written"
-            if ctx.invoked_subcommand in _RESUMED:
-                said += "; the same command goes on from what --out holds"
-            raise Refusal(said, INTERRUPTED) from None
         except OrthoglideError as error:
             code = BAD_INPUT if isinstance(error, InputError) else NUMERICS_FAILED
             raise Refusal(str(error), code) from error
@@ -191,16 +195,3 @@ def deliver(text: str, files: Mapping[Path, str | bytes] | None = None) -> None:
 
     write_files(files or {})
     click.echo(text)
-
-
-def wrapped(text: str) -> str:
-    """Return a text with lines broken between words where they are wider than the terminal."""
-    width = text_width()
-    return "\n".join(
-        textwrap.fill(
-            line, width, subsequent_indent=" " * (len(line) - len(line.lstrip(" -"))),
-            replace_whitespace=False, break_long_words=False, break_on_hyphens=False,
-        )
-        if len(line) > width else line
-        for line in text.split("\n")
-    )  # fmt: skip

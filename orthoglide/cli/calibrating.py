@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import orthoglide.cli.options as opt
-from orthoglide.cli.app import cli, deliver, progress, warn, wrapped
+from orthoglide.cli.app import cli, deliver, progress, warn
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.progress import Step
+from orthoglide.text import wrapped
 
 if TYPE_CHECKING:
     from orthoglide.result import Command, Request

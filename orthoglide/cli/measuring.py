@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import click
 
 import orthoglide.cli.options as opt
-from orthoglide.cli.app import cli, deliver, progress, warn, wrapped
+from orthoglide.cli.app import cli, deliver, progress, warn
 from orthoglide.errors import FileError, InputError
 from orthoglide.progress import Step
-from orthoglide.text import shown, text_width
+from orthoglide.text import shown, text_width, wrapped
 
 if TYPE_CHECKING:
     from orthoglide.machine import Machine
@@ -161,16 +161,15 @@ def measure(out: Path, machine: opt.MachineOption, sheet: Path | None, most: int
       orthoglide measure --machine machine.toml --out april.csv
       orthoglide measure --sheet sheet.csv --out april.csv
     """
-    from orthoglide.measuring import Record, Session, Stopped
+    from orthoglide.measuring import Record, Session
     from orthoglide.report import summary
 
     known, name = machine.load(), click.format_filename(out)
     otherwise = "measure asks for dials on legs; fill it in and give it to close-loop"
     first = None if sheet is None else _dial_sheet(sheet, known, otherwise)
     record = Record(out, known.spec)
-    try:
-        end = Session(known, record, _ask, deliver, sheet=first, most=most).run()
-    except Stopped:
+    end = Session(known, record, _ask, deliver, sheet=first, most=most).run()
+    if end is None:
         count = f"{record.readings} reading" + "s" * (record.readings != 1)
         deliver(f"Stopped with {count} in {name}: the same command goes on from there.")
         return

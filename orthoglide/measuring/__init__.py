@@ -2,4 +2,4 @@
 
 from orthoglide.measuring.program import MOST as MOST, SETTLED as SETTLED, opening as opening
 from orthoglide.measuring.record import Record as Record
-from orthoglide.measuring.session import End as End, Session as Session, Stopped as Stopped
+from orthoglide.measuring.session import End as End, Session as Session

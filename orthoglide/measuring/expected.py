@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -32,51 +33,53 @@ class Expected:
     """What the readings of a sheet are likely to be."""
 
     sheet: Readings  # the readings to take
-    linear: LinearReadings  # by everything in the catalogue, in tolerances
-    nominal: Array  # of the machine as it is believed to be (n,), metres
+    station: NDArray[np.intp]  # of each reading (n,)
+    mean: Array  # of the machine as it is believed to be (n,), metres
     covariance: Array  # of all readings (n, n), square metres
 
     @classmethod
     def of(cls, sheet: Readings, machine: Machine) -> Self:
-        """Readings of a machine within some tolerances of what its file says."""
+        """Return the readings of a machine within some tolerances of what its file states."""
         linear = LinearReadings.of(machine, sheet, shown_names(machine, sheet, ()))
-        noise = np.diag(machine.spec.dial.resolution**2 * np.ones(len(sheet)))
+        noise = machine.spec.dial.resolution**2 * np.eye(len(sheet))
         spread = _WIDE**2 * linear.columns @ linear.columns.T + linear.scatter() + noise
-        return cls(sheet, linear, machine.readings(sheet), np.asarray(spread))
+        return cls(sheet, linear.station, machine.readings(sheet), np.asarray(spread))
 
-    def doubt(self, row: int, reading: float, taken: Mapping[int, float]) -> str:
-        """Return what speaks against a reading, a clause; empty where nothing does.
+    def objection(self, row: int, reading: float, taken: Mapping[int, float]) -> tuple[str, bool]:
+        """Return what speaks against a reading and whether it is possible all the same.
 
         Args:
             row: of the sheet.
             reading: metres.
             taken: readings so far by row, metres.
+
+        Returns:
+            A clause, empty where nothing speaks against it.
         """
-        own = [k for k in taken if self.sheet.setup[k] == self.sheet.setup[row]]
-        if not own:
-            return ""
+        mounting = self.sheet.setup == self.sheet.setup[row]
+        same = {k: value for k, value in taken.items() if mounting[k]}
+        if not same:
+            return "", True
+        axis = self.sheet.setups[self.sheet.setup[row]].axis
+        span = float(np.ptp([reading, *same.values()]))
+        if span > DIAL_RANGE + np.ptp(self.sheet.command[mounting, axis]):
+            moved = f"the dial would have moved {span * 1e3:.1f} mm in this mounting"
+            return f"{moved}, which no leg does", False
         done = np.array(list(taken))
         across = self.covariance[row, done]
         weights = np.linalg.solve(self.covariance[np.ix_(done, done)], across)
-        mean = self.nominal[row] + weights @ (np.array([*taken.values()]) - self.nominal[done])
+        mean = self.mean[row] + weights @ (np.array([*taken.values()]) - self.mean[done])
         sd = float(np.sqrt(self.covariance[row, row] - weights @ across))
         if abs(reading - mean) <= _BEYOND * sd:
-            return ""
-        station = self.linear.station
-        if before := [taken[k] for k in own if station[k] == station[row]]:
+            return "", True
+        if before := [value for k, value in same.items() if self.station[k] == self.station[row]]:
             listed = ", ".join(f"{value * 1e3:.3f}" for value in before)
-            return f"it is out of step with its repeats: this dial showed {listed} here before"
+            return (
+                f"it is out of step with its repeats: this dial showed {listed} here before",
+                True,
+            )
         low, high = ((mean + side * _BEYOND * sd) * 1e3 for side in (-1, 1))
         return (
             f"after the readings before it, and with the tolerances of this machine, it should lie "
             f"between {low:.2f} and {high:.2f}"
-        )
-
-    def impossible(self, row: int, reading: float, taken: Mapping[int, float]) -> str:
-        """Return why a reading cannot be, a clause; empty where it can."""
-        rows = self.sheet.setup == self.sheet.setup[row]
-        along = self.sheet.command[rows, self.sheet.setups[self.sheet.setup[row]].axis]
-        span = float(np.ptp([reading, *(value for k, value in taken.items() if rows[k])]))
-        if span <= DIAL_RANGE + np.ptp(along):
-            return ""
-        return f"the dial would have moved {span * 1e3:.1f} mm in this mounting, which no leg does"
+        ), True

@@ -75,25 +75,23 @@ class Record:
             return False
         text = files.decode(files.read_bytes(self.path), self.path).replace("\r\n", "\n")
         whole = text[: text.rfind("\n") + 1]  # a row that was torn by a power cut is none
-        lines = list(csv.reader(io.StringIO(whole, newline="")))
-        if not lines or tuple(lines[0]) != self._columns:
+        head, *lines = list(csv.reader(io.StringIO(whole, newline=""))) or [[]]
+        if tuple(head) != self._columns:
+            problem = "was not begun by this command with this machine file"
             raise FileError(
-                "was not begun by this command with this machine file: choose another name for "
-                "--out",
-                file=shown(self.path),
-                line=1,
+                f"{problem}: choose another name for --out", file=shown(self.path), line=1
             )
-        for number, cells in enumerate(lines[1:], start=2):
-            if len(cells) != len(self._columns):
+        for number, cells in enumerate(lines, start=2):
+            if len(cells) != len(head):
                 text = "has another number of columns than the first line: restore it"
                 raise FileError(text, file=shown(self.path), line=number)
-        self.rows = [dict(zip(self._columns, cells, strict=True)) for cells in lines[1:]]
+        self.rows = [dict(zip(head, cells, strict=True)) for cells in lines]
         self.idle = max(time.time() - self.path.stat().st_mtime, 0.0)
         if whole != text:
             self._write()
         return True
 
-    def append(self, row: Row) -> Row:
+    def append(self, row: Row) -> None:
         """Add a row, numbered, and see it on the disk."""
         full = row | {"order": str(len(self.rows))}
         with files.writing(self.path), open(self.path, "ab") as stream:
@@ -101,7 +99,6 @@ class Record:
             stream.flush()
             os.fsync(stream.fileno())
         self.rows.append(full)
-        return full
 
     def take_back(self) -> bool:
         """Remove the last reading and what follows it; return whether there was one."""

@@ -2,32 +2,67 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from decimal import Decimal
+from typing import Literal
 
-from orthoglide.closing import Closed, close, filled
+from orthoglide.closing import close, filled
 from orthoglide.errors import FileError, InputError
 from orthoglide.machine import Machine
-from orthoglide.measuring.answers import HELP, understood
 from orthoglide.measuring.expected import Expected
-from orthoglide.measuring.program import MOST, SETTLED, Next, following, opening
+from orthoglide.measuring.program import MOST, SETTLED, following, opening
 from orthoglide.measuring.record import AGAIN, SKIPPED, Record
 from orthoglide.observations import Moves, Readings
 from orthoglide.observations.writing import Row, command_columns
 from orthoglide.report.sheet import counted, dial_words, mounted_together
-from orthoglide.text import shown
+from orthoglide.text import brief, shown
 from orthoglide.verdict import Verdict, requested
 
-_OTHERWISE = "give all its numbers with the other sign"
+# --- What is typed, or sent by a dial -------------------------------------------------------------
+
+Word = Literal["skip", "undo", "quit", "help"]
+
+_WORDS: dict[str, Word] = {
+    "skip": "skip", "s": "skip", "undo": "undo", "u": "undo", "back": "undo", "b": "undo",
+    "quit": "quit", "q": "quit", "exit": "quit", "?": "help", "help": "help", "h": "help",
+}  # fmt: skip
+
+HELP = """\
+  12.34   what the dial shows, in millimetres; 12,34 and 340 um are understood
+  skip    this reading cannot be taken: go on with the next
+  undo    take the last reading back and ask for it again (also: back)
+  quit    stop here; the same command goes on later
+  ?       this help"""
+
+_NUMBER = re.compile(r"([+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+))\s*(mm|um|µm|μm)?", re.IGNORECASE)
+_LARGEST = Decimal(1000)  # millimetres: no dial shows more
 
 
-class Stopped(Exception):
-    """Somebody asked to stop before the verdict was settled."""
+def understood(answer: str) -> Decimal | Word:
+    """Return a reading in millimetres, exactly as it was given, or what a word asks for.
+
+    Raises:
+        InputError: if the answer is neither.
+    """
+    text = answer.strip().replace("−", "-")
+    if text.lower() in _WORDS:
+        return _WORDS[text.lower()]
+    found = _NUMBER.fullmatch(text)
+    if found is None:
+        raise InputError(
+            f"{brief(text)!r} is no reading: type a number such as 12.34, or ? for help"
+        )
+    in_mm = (found[2] or "mm").lower() == "mm"
+    value = Decimal(found[1].replace(",", ".")).scaleb(0 if in_mm else -3)
+    if abs(value) > _LARGEST:
+        raise InputError(f"{brief(text)} is more than any dial shows: give millimetres")
+    return value
 
 
-class _Undone(Exception):
-    """The last reading was taken back."""
+# --- The conversation -----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -40,9 +75,24 @@ class End:
     readings: int  # that were taken
 
 
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A sheet that the session goes through."""
+
+    sheet: Readings
+    rows: list[Row]  # as the file has them, moves included
+    start: int  # rows of all sheets before it
+    expected: Expected  # readings of the sheet
+
+    @property
+    def end(self) -> int:
+        """Rows up to its last one."""
+        return self.start + len(self.rows)
+
+
 @dataclass(eq=False)
 class Session:
-    """One campaign being measured; what its file contains is all that it goes by."""
+    """One campaign being measured: its file determines what is asked next."""
 
     machine: Machine  # as its file has it
     record: Record  # the campaign file
@@ -53,99 +103,93 @@ class Session:
     most: int = MOST  # readings after which no more are asked for
     clock: Callable[[], float] = time.time  # seconds; only differences count
     _began: float = field(default=0.0, init=False)
-    _at: int = field(default=0, init=False)  # rows of the file that were gone through
-    _live: bool = field(default=False, init=False)  # whether the last row was given just now
-    _last: tuple[str, ...] = field(default=(), init=False)  # mounting, then position, last said
-    # verdict and what follows, by number of rows and how many times readings were taken back
-    _verdicts: dict[str, tuple[Closed, Next]] = field(default_factory=dict, init=False)
+    _parts: list[_Part] = field(default_factory=list, init=False)  # up to the row that is next
+    # whether the machine came to the last row of the file by what was said
+    _live: bool = field(default=False, init=False)
+    _mounted: str = field(default="", init=False)  # dials that were told last
+    _place: str = field(default="", init=False)  # position that was told last
 
-    def run(self) -> End:
+    def run(self) -> End | None:
         """Ask until the verdict is settled, or no more is to be read.
 
+        Returns:
+            What it came to; `None` if somebody asked to stop, or the input ended.
+
         Raises:
-            Stopped: where somebody asked to stop.
-            InputError: where the file or the sheet cannot be used.
+            InputError: if the file or the sheet cannot be used.
         """
-        first = self.sheet or opening(self.machine)
+        first, name = self.sheet or opening(self.machine), shown(self.record.path)
         first = first if len(first.moves) else first.with_moves()
-        name = shown(self.record.path)
         if self.record.open(first):
             self.tell(f"{name} holds {self.record.readings} readings: going on after them.")
         else:
             self.tell(f"Readings go to {name}, each as soon as it is given. Answers:\n{HELP}")
-        last = max((float(r["time_s"] or 0) for r in self.record.rows), default=0.0)
+        last = max((float(row["time_s"] or 0) for row in self.record.rows), default=0.0)
         self._began = self.clock() - last - self.record.idle
+        self._begin(first)
         while True:
-            try:
-                return self._through(first)
-            except _Undone:
+            while self._done < self._parts[-1].start:  # a reading was taken back
+                self._parts.pop()
+            part = self._parts[-1]
+            if self._done < part.end:
+                if not self._take(part):
+                    return None
                 continue
-            except EOFError:
-                raise Stopped from None
-
-    def _through(self, sheet: Readings) -> End:
-        """Go through all sheets; rows that the file contains already are passed over."""
-        self._at, self._live, self._last, number = 0, False, self._last[:1], 1
-        while True:
-            self._read(sheet)
-            closed, step = self._verdict(number)
+            rows = self.record.rows[: int(self._answers[part.end - 1]["order"]) + 1]
+            self.tell("\nComputing the verdict.")
+            closed = close(requested(self.record.campaign(rows), self.machine))
+            room = self.most - sum(bool(row["reading_mm"]) for row in rows)
+            step = following(closed, len(self._parts), room)
             if step.sheet is None:
                 verdict = filled(closed, Verdict)
                 return End(verdict, step.settled, step.reason, self.record.readings)
             self.tell(f"\nNot settled yet, {step.reason}: {len(step.sheet)} readings more.")
-            sheet, number = step.sheet, number + 1
+            self._begin(step.sheet)
 
-    def _verdict(self, number: int) -> tuple[Closed, Next]:
-        """Return the verdict on the rows so far, and what follows; the file may go on."""
-        rows = self.record.rows[: self._at]
-        key = str(rows)
-        if key not in self._verdicts:
-            self.tell("\nComputing the verdict.")
-            closed = close(requested(self.record.campaign(rows), self.machine))
-            room = self.most - sum(bool(row["reading_mm"]) for row in rows)
-            self._verdicts[key] = closed, following(closed, number, room)
-        return self._verdicts[key]
+    @property
+    def _answers(self) -> list[Row]:
+        """Rows of the file that answer those of the sheets, one after the other."""
+        return [row for row in self.record.rows if row["posture"] != AGAIN]
 
-    def _read(self, sheet: Readings) -> None:
-        """Take the readings of a sheet that the file does not contain yet."""
-        expected, taken, reading = Expected.of(sheet, self.machine), dict[int, float](), 0
-        for planned in self.record.plan(sheet):
-            row, moves = self._recorded(planned), planned["kind"] == "move"
-            if row is None:
-                self._mounting(sheet, planned)
-            if row is None and moves:
-                row = self._move(planned)
-            elif row is None:
-                row = self._question(sheet, planned, reading, expected, taken)
-            if row["reading_mm"]:
-                taken[reading] = float(row["reading_mm"]) * 1e-3
-            self._at, reading = self._at + 1, reading + (not moves)
+    @property
+    def _done(self) -> int:
+        return len(self._answers)
 
-    def _recorded(self, planned: Row) -> Row | None:
-        """Return the row of the file that answers a planned one, if there is one yet."""
-        rows = self.record.rows
-        while self._at < len(rows) and rows[self._at]["posture"] == AGAIN:
-            self._at += 1
-        if self._at >= len(rows):
-            return None
-        row = rows[self._at]
-        if any(row[name] != planned[name] for name in ("setup", *command_columns(planned))):
-            raise FileError(
-                "was not measured with this machine file and sheet: choose another name for --out",
-                file=shown(self.record.path),
-                line=self._at + 2,
-            )
-        return row
+    def _begin(self, sheet: Readings) -> None:
+        """Go on with a sheet, of which the file may contain rows already.
 
-    # --- Asking ---------------------------------------------------------------------------
+        Raises:
+            FileError: if these are rows of another sheet.
+        """
+        start, rows = self._parts[-1].end if self._parts else 0, self.record.plan(sheet)
+        for row, planned in zip(self._answers[start:], rows, strict=False):
+            if any(row[name] != planned[name] for name in ("setup", *command_columns(planned))):
+                raise FileError(
+                    "was not measured with this machine file and sheet: choose another name for "
+                    "--out",
+                    file=shown(self.record.path),
+                    line=int(row["order"]) + 2,
+                )
+        self._parts.append(_Part(sheet, rows, start, Expected.of(sheet, self.machine)))
 
-    def _question(
-        self, sheet: Readings, planned: Row, row: int, expected: Expected, taken: dict[int, float]
-    ) -> Row:
-        """Ask for one reading until it is given or skipped."""
-        if not self._live and self._at:
-            self._again(sheet, row)
-        self._position(planned, "go to", f"posture {planned['posture']}")
+    def _take(self, part: _Part) -> bool:
+        """Go to the next place of a sheet and read it; return False if somebody asks to stop."""
+        before = part.rows[: self._done - part.start]
+        planned, reading = part.rows[len(before)], sum(row["kind"] != "move" for row in before)
+        self._mount(part, planned["setup"])
+        if planned["kind"] == "move":
+            self._pass(planned)
+            return True
+        if not self._live and self.record.rows:
+            self._lead_back(part.sheet, reading)
+        self._go(planned, "go to", f"posture {planned['posture']}")
+        return self._question(part, planned, reading)
+
+    def _question(self, part: _Part, planned: Row, reading: int) -> bool:
+        """Ask for one reading until it is given, skipped, or the one before is taken back."""
+        answers = zip(part.rows, self._answers[part.start :], strict=False)
+        taken = [row["reading_mm"] for asked, row in answers if asked["kind"] != "move"]
+        known = {k: float(value) * 1e-3 for k, value in enumerate(taken) if value}
         doubted = None
         while True:
             try:
@@ -153,61 +197,63 @@ class Session:
             except InputError as error:
                 self.tell(f"  {error}")
                 continue
+            except EOFError:
+                return False
+            if answer == "quit":
+                return False
             if answer == "help":
                 self.tell(f"{HELP}\n{SETTLED}")
-            elif answer == "quit":
-                raise Stopped
             elif answer == "skip":
-                return self._keep(planned | {"kind": "move", "posture": SKIPPED, "repeat": ""})
+                self._keep(planned | {"kind": "move", "posture": SKIPPED, "repeat": ""})
+                return True
             elif answer == "undo":
                 if self.record.take_back():
-                    raise _Undone
+                    self._live, self._place = False, ""
+                    return True
                 self.tell("  there is no reading to take back")
             else:
-                value = float(answer) * 1e-3
-                wrong, remedy = expected.impossible(row, value, taken), "Type the number again."
-                judged = "cannot be"
-                if not wrong and answer != doubted:
-                    wrong, judged = expected.doubt(row, value, taken), "is odd"
-                    remedy = "Type the same again to keep it, or the right number."
-                if not wrong:
+                wrong, possible = part.expected.objection(reading, float(answer) * 1e-3, known)
+                if not wrong or (possible and answer == doubted):
                     now = f"{max(self.clock() - self._began, 0.0):.0f}"
-                    return self._keep(planned | {"reading_mm": f"{answer:f}", "time_s": now})
-                doubted = answer
+                    self._keep(planned | {"reading_mm": f"{answer:f}", "time_s": now})
+                    return True
+                doubted, judged = answer, "is odd" if possible else "cannot be"
+                remedy = "Type the same again to keep it, or the right number."
+                remedy = remedy if possible else "Type the number again."
                 self.tell(f"  {answer:f} mm {judged}: {wrong}. {remedy}")
 
-    def _keep(self, row: Row) -> Row:
+    def _keep(self, row: Row) -> None:
+        self.record.append(row)
         self._live = True
-        return self.record.append(row)
 
-    def _mounting(self, sheet: Readings, planned: Row) -> None:
+    def _mount(self, part: _Part, setup: str) -> None:
         """Say where the dials of a mounting stand, once."""
-        names = mounted_together(self.record.plan(sheet))[planned["setup"]]
-        if self._last[:1] == (" and ".join(names),):
+        names = mounted_together(part.rows)[setup]
+        if self._mounted == " and ".join(names):
             return
-        self._last = (" and ".join(names),)
-        self.tell(f"\nMount {'dials' if len(names) > 1 else 'a dial'}: {self._last[0]}")
-        for setup in sheet.setups:
-            if setup.name in names:
-                words = "\n    ".join(dial_words(setup, self.machine, _OTHERWISE))
-                self.tell(f"  {setup.name}\n    {words}")
+        self._mounted, self._place = " and ".join(names), ""
+        self.tell(f"\nMount {'dials' if len(names) > 1 else 'a dial'}: {self._mounted}")
+        for one in part.sheet.setups:
+            if one.name in names:
+                otherwise = "give all its numbers with the other sign"
+                words = "\n    ".join(dial_words(one, self.machine, otherwise))
+                self.tell(f"  {one.name}\n    {words}")
         self.tell(f"  {counted(self.machine)}")
 
-    def _move(self, planned: Row) -> Row:
+    def _pass(self, row: Row) -> None:
         """Send the machine to a place where nothing is read."""
-        self._position(planned, "go past", "and read nothing")
-        return self._keep(planned)
+        self._go(row, "go past", "and read nothing")
+        self._keep(row)
 
-    def _again(self, sheet: Readings, row: int) -> None:
+    def _lead_back(self, sheet: Readings, reading: int) -> None:
         """Lead the machine back, so that it comes to the next place from the side it should."""
-        back = sheet.command[row] - sheet.moves.beyond * sheet.approach[row]
-        alone = replace(sheet.subset([row]), command=back[None], moves=Moves())
-        self._move(self.record.plan(alone)[0] | {"kind": "move", "posture": AGAIN, "repeat": ""})
-        self._at += 1
+        back = sheet.command[reading] - sheet.moves.beyond * sheet.approach[reading]
+        alone = replace(sheet.subset([reading]), command=back[None], moves=Moves())
+        self._pass(self.record.plan(alone)[0] | {"kind": "move", "posture": AGAIN, "repeat": ""})
 
-    def _position(self, planned: Row, what: str, why: str) -> None:
+    def _go(self, planned: Row, what: str, why: str) -> None:
         cells = {name.split("_")[1]: planned[name] for name in command_columns(planned)}
         place = "  ".join(f"{axis} {float(cell):.3f}" for axis, cell in cells.items())
-        if self._last[1:] != (place,):
+        if self._place != place:
             self.tell(f"{what:<7}  {place}  {why}")
-        self._last = (*self._last[:1], place)
+        self._place = place

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from orthoglide.effects import Catalogue
 from orthoglide.effects.places import Place
 from orthoglide.effects.wording import cause_short
 from orthoglide.explanation import places_of, with_everything
@@ -80,11 +79,6 @@ class Drawn:
     cause: str = ""  # name of what stands out, as verdicts call it; empty where nothing does
     size: float = 0.0  # of that in tolerances, or in the deviation to expect of a place
     words: str = ""  # what that is, as a clause
-
-    @property
-    def catalogue(self) -> Catalogue:
-        """Of the machine."""
-        return self.machine.catalogue
 
 
 def kind_of(scope: Scope, number: int) -> Kind:

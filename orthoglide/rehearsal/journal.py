@@ -16,15 +16,9 @@ from orthoglide.rehearsal.drawing import Scope
 from orthoglide.rehearsal.outcome import Outcome
 from orthoglide.text import shown
 
-FILE = "campaigns.jsonl"
-"""Within the folder: the request in its first line, then a campaign a line."""
-
-TABLE = "rehearsal.txt"
-"""Beside it: the table of what is finished."""
-
 
 def request_digests(scope: Scope, seed: int) -> dict[str, str]:
-    """What decides about every campaign, digests of files in place of them."""
+    """Return what determines every campaign, digests of files in place of them."""
     machine = machine_text(scope.machine.spec) + " ".join(scope.machine.catalogue)
     return {
         "the version of orthoglide": __version__,
@@ -35,43 +29,39 @@ def request_digests(scope: Scope, seed: int) -> dict[str, str]:
 
 
 class Journal:
-    """The file of finished campaigns.
+    """The file of finished campaigns: the request in its first line, then a campaign a line.
 
     Args:
-        folder: that holds it; new, empty, or of an earlier run.
+        folder: that contains it; new, empty, or of an earlier run.
         request: see :func:`request_digests`.
         campaigns: that are asked for.
 
     Raises:
-        FileError: where the folder holds something else, or campaigns of another request, or more
+        FileError: if the folder contains something else, or campaigns of another request, or more
             of them.
     """
 
     def __init__(self, folder: Path, request: Mapping[str, str], campaigns: int) -> None:
-        self.path = folder / FILE
+        self.path = folder / "campaigns.jsonl"
         self.finished: dict[int, Outcome] = {}
-        if self.path.exists():
-            self._read(request)
-            if (count := max(self.finished, default=-1) + 1) > campaigns:
-                raise FileError(
-                    f"holds a rehearsal of {count} campaigns, and its table is not replaced by one "
-                    f"of {campaigns}: ask for {count} or more, or name another folder",
-                    file=shown(folder),
-                )
-            return
         with writing(folder):
             folder.mkdir(exist_ok=True)
-            if any(folder.iterdir()):
+            begun = self.path.exists()
+            if not begun and any(folder.iterdir()):
                 raise FileError(
                     "is not empty and holds no earlier rehearsal: name a new or empty folder",
                     file=shown(folder),
                 )
-        with writing(self.path), self.path.open("x", encoding="utf-8") as file:
-            file.write(json.dumps(dict(request)) + "\n")
-
-    def conclude(self, table: str) -> None:
-        """Write the table of all campaigns, in place of an earlier one."""
-        write_whole(self.path.with_name(TABLE), table, overwrite=True)
+        if not begun:
+            write_whole(self.path, json.dumps(dict(request)) + "\n", overwrite=False)
+            return
+        self._read(request)
+        if (count := max(self.finished, default=-1) + 1) > campaigns:
+            raise FileError(
+                f"holds a rehearsal of {count} campaigns, and its table is not replaced by one "
+                f"of {campaigns}: ask for {count} or more, or name another folder",
+                file=shown(folder),
+            )
 
     def _read(self, request: Mapping[str, str]) -> None:
         content = read_bytes(self.path)
@@ -100,3 +90,7 @@ class Journal:
         line = json.dumps(outcome.as_dict(), allow_nan=False) + "\n"
         with writing(self.path), self.path.open("a", encoding="utf-8") as file:
             file.write(line)
+
+    def conclude(self, table: str) -> None:
+        """Write the table of all campaigns beside it, in place of an earlier one."""
+        write_whole(self.path.with_name("rehearsal.txt"), table, overwrite=True)

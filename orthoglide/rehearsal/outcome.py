@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -105,18 +105,6 @@ def _closed(scope: Scope, drawn: Drawn, rng: np.random.Generator) -> dict[str, A
     }  # fmt: skip
 
 
-def is_cause(
-    name: str, parameters: Sequence[str], cause: str, family: str, alike: Collection[str] = ()
-) -> bool:
-    """Whether a named cause is the true one.
-
-    That is itself, a block of its family that holds it, or a member that shows the same.
-    """
-    of_family = name == family or name.startswith(f"{family}.")
-    block = of_family and len(parameters) > 1 and (name == family or cause in parameters)
-    return name == cause or block or (of_family and name in alike)
-
-
 def claims(verdict: Closed | Result, drawn: Drawn) -> tuple[list[str], list[str], list[str]]:
     """Names of what a verdict claims: causes that are there, places that are, and what is not.
 
@@ -135,18 +123,21 @@ def claims(verdict: Closed | Result, drawn: Drawn) -> tuple[list[str], list[str]
 
 
 def _is_there(name: str, parameters: Sequence[str], drawn: Drawn) -> bool:
+    """Whether a named cause is the true one: itself, or a block of its family that contains it."""
     # A machine is drawn whole: what a file has for itself goes by its plain name.
     name, *parameters = (plain_and_campaign(n)[0] for n in (name, *parameters))
     if drawn.kind.extra == "effect":
-        return is_cause(name, parameters, drawn.cause, drawn.catalogue.effect_of(drawn.cause).name)
+        family = drawn.machine.catalogue.effect_of(drawn.cause).name
+        block = len(parameters) > 1 and name.startswith(f"{family}.") and drawn.cause in parameters
+        return name in (drawn.cause, family) or block
     least = _BEYOND * drawn.kind.share
     return any(abs(_size(n, drawn)) > least for n in parameters if drawn.sizes)
 
 
 def _size(name: str, drawn: Drawn) -> float:
-    """True size of a parameter or of a structured member, in tolerances."""
-    parameters = map(drawn.catalogue.parameter, drawn.sizes)
-    setups = dict.fromkeys(n.setup for n in parameters if n.setup)
-    weights = drawn.catalogue.elementary(name, list(setups))
+    """Return the true size of a parameter or of a structured member, in tolerances."""
+    catalogue = drawn.machine.catalogue
+    setups = dict.fromkeys(n.setup for n in map(catalogue.parameter, drawn.sizes) if n.setup)
+    weights = catalogue.elementary(name, list(setups))
     along = sum(w * drawn.sizes.get(str(n), 0.0) for n, w in weights.items())
     return along / sum(w**2 for w in weights.values())

@@ -41,7 +41,7 @@ def rehearse(
     out: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
 ) -> Rehearsal:
-    """How often a sheet would find what is wrong with machines like this one.
+    """Return how often a sheet would find what is wrong with machines like this one.
 
     Machines are drawn by dimensions and tolerances, measured by the sheet, and calibrated from what
     was measured; what is then said is held against what is true. They are simulated by the model
@@ -125,35 +125,32 @@ def weak_spots(scope: Scope, seed: int = 0) -> tuple[str, ...]:
 def _all(
     scope: Scope, campaigns: int, seed: int, jobs: int | None, kept: Journal | None, show: Progress
 ) -> tuple[Outcome, ...]:
-    """All campaigns in their order, those of an earlier run as they were."""
+    """Return all campaigns in their order, those of an earlier run as they were."""
     from joblib import Parallel, delayed
 
     done = dict(kept.finished) if kept else {}
-    missing = [k for k in range(campaigns) if k not in done]
-    began, before = time.monotonic(), campaigns - len(missing)
-    show(Step("computing", _left(before, campaigns, 0, 0.0), 100 * before / campaigns))
-    parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
+    missing, began = [k for k in range(campaigns) if k not in done], time.monotonic()
+    before = campaigns - len(missing)
+
+    def progress(fresh: int) -> None:
+        count, text = before + fresh, f"campaign {before + fresh} of {campaigns}"
+        if fresh and count < campaigns:
+            rest = (campaigns - count) * (time.monotonic() - began) / fresh
+            text += f", about {rest:.0f} s left" if rest < 90 else f", {rest / 60:.0f} min left"
+        show(Step("computing", text, 100 * count / campaigns))
+
+    progress(0)
     tasks = (delayed(outcome_of)(scope, k, seed) for k in missing)
     try:
-        for tried in parallel(tasks) if missing else ():
+        parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
+        for fresh, tried in enumerate(parallel(tasks) if missing else (), start=1):
             done[tried.number] = tried
             if kept:
                 kept.add(tried)
-            count = sum(k in done for k in range(campaigns))
-            told = _left(count, campaigns, count - before, time.monotonic() - began)
-            show(Step("computing", told, 100 * count / campaigns))
+            progress(fresh)
     except BrokenExecutor as error:
         raise NumericsError(
             "a process of the rehearsal was ended from outside, perhaps for want of memory: give "
             "fewer jobs"
         ) from error
     return tuple(done[k] for k in range(campaigns))
-
-
-def _left(count: int, campaigns: int, fresh: int, seconds: float) -> str:
-    """How far it is, and how long it takes from here."""
-    told = f"campaign {count} of {campaigns}"
-    if not fresh or count == campaigns:
-        return told
-    rest = (campaigns - count) * seconds / fresh
-    return f"{told}, about {rest:.0f} s left" if rest < 90 else f"{told}, {rest / 60:.0f} min left"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +11,8 @@ import numpy as np
 from orthoglide.frames import Framed, data_frame
 from orthoglide.rehearsal.drawing import KINDS, OUTSIDE, Kind
 from orthoglide.rehearsal.outcome import Outcome
+from orthoglide.report.text import console_text, table
+from orthoglide.text import wrapped
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,7 +42,7 @@ class Rehearsal(Framed):
     weak: tuple[str, ...]
 
     def of(self, kind: Kind) -> tuple[Outcome, ...]:
-        """Campaigns on which that was wrong."""
+        """Return the campaigns on which that was wrong."""
         return tuple(t for t in self.campaigns if t.kind == kind.name)
 
     @property
@@ -63,7 +65,7 @@ class Rehearsal(Framed):
         return dict(zip(titles, map(list, zip(*rows, strict=True)), strict=True))
 
     def to_frame(self) -> pd.DataFrame:
-        """All campaigns as a data frame, a row each.
+        """Return all campaigns as a data frame, a row each.
 
         Raises:
             InputError: where pandas is not installed.
@@ -81,68 +83,38 @@ class Rehearsal(Framed):
         return f"<Rehearsal {self.machine!r}: {len(self.campaigns)} campaigns, seed {self.seed}>"
 
     def __str__(self) -> str:
-        table = list(zip(*self.columns.values(), strict=True))
+        rows = [*zip(*self.columns.values(), strict=True)]
         last = 2 + len(_SAID)
-        said = [[k.name, *_counts(k, row[1:last])] for k, row in zip(KINDS, table, strict=True)]
-        tool = [[row[0], *_figures(row[last:])] for row in table]
-        lines = [
+        said = [[row[0], *map(str, row[1:last])] for row in rows]
+        judged = [row for row in rows if np.isfinite(row[last])]
+        tool = [[row[0], *(f"{value:.4f}" for value in row[last:])] for row in judged]
+        head = ["what is wrong", *(name.removesuffix("_mm") for name in _TOOL)]
+        parts = [
             f"{len(self.campaigns)} campaigns of {self.readings} readings on machines like "
             f"{self.machine!r}, seed {self.seed}",
-            "",
-            *_aligned(["what is wrong", "campaigns", *_SAID], said),
-            "",
-            "TCP error, mean after the best translation, mm; coordinates in their 95 % interval:",
-            "",
-            *_aligned(["what is wrong", *(n.removesuffix("_mm") for n in _TOOL)], tool),
-            *_listed("What went wrong", [_went(t) for t in self.campaigns]),
-            *_listed(
-                "Weak spots of the sheet, where nothing else is wrong", self.weak, len(self.weak)
-            ),
+            console_text(table(["what is wrong", "tried", *_SAID], said)),
+            "Mean TCP error after the best translation, mm; share of coordinates inside their "
+            "95 % interval:",
+            console_text(table(head, tool)),
         ]
-        return "\n".join(lines)
+        if went := list(self._against_the_wish()):
+            more = [f"and {len(went) - _LISTED} more"] if len(went) > _LISTED else []
+            parts += ["\nWhat went wrong:", *(f"  {line}" for line in [*went[:_LISTED], *more])]
+        if self.weak:
+            title = "\nWeak spots of the sheet, where nothing else is wrong:"
+            parts += [title, *self.weak]
+        return wrapped("\n".join(parts))
 
-
-def _counts(kind: Kind, counts: Sequence[int]) -> list[str]:
-    """A count is left out where there is nothing to find."""
-    campaigns, named, located, missed, false, failed = map(str, counts)
-    if kind.extra != "effect" and not kind.share:
-        named = "-"
-    if not kind.extra:
-        located, missed = "-", "-"
-    return [campaigns, named, located, missed, false, failed]
-
-
-def _figures(values: Sequence[float]) -> list[str]:
-    if not np.isfinite(values[0]):
-        return ["-"] * len(values)
-    return [*(f"{v:.4f}" for v in values[:-1]), f"{100 * values[-1]:.0f} %"]
-
-
-def _aligned(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    every = [titles, *rows]
-    widths = [max(len(row[k]) for row in every) for k in range(len(titles))]
-    return [
-        "  ".join(c.ljust(w) if k == 0 else c.rjust(w)
-                  for k, (c, w) in enumerate(zip(row, widths, strict=True)))
-        for row in every
-    ]  # fmt: skip
-
-
-def _went(tried: Outcome) -> str:
-    """What went against the wish in one campaign; empty where nothing did."""
-    about = f"campaign {tried.number}, {tried.kind}"
-    if tried.failed:
-        return f"{about}: failed, {tried.failed}"
-    found = []
-    if tried.missed:
-        measure = "its usual size" if tried.kind == OUTSIDE.name else "its tolerance"
-        found.append(f"missed that {tried.words}, {tried.size:.1f} times {measure}")
-    if tried.false:
-        found.append(f"claimed {', '.join(tried.false)}, which was not there")
-    return f"{about}: {'; '.join(found)} ({tried.word})" if found else ""
-
-
-def _listed(title: str, lines: Sequence[str], most: int = _LISTED) -> list[str]:
-    lines = [line for line in lines if line]
-    more = [f"  and {len(lines) - most} more"] if len(lines) > most else []
-    return ["", f"{title}:", *(f"  {line}" for line in lines[:most]), *more] if lines else []
+    def _against_the_wish(self) -> Iterator[str]:
+        """Yield a sentence for each campaign that did not go as it should."""
+        for tried in self.campaigns:
+            found, about = list[str](), f"campaign {tried.number}, {tried.kind}"
+            if tried.failed:
+                yield f"{about}: failed, {tried.failed}"
+            if tried.missed:
+                measure = "its usual size" if tried.kind == OUTSIDE.name else "its tolerance"
+                found.append(f"missed that {tried.words}, {tried.size:.1f} times {measure}")
+            if tried.false:
+                found.append(f"claimed {', '.join(tried.false)}, which was not there")
+            if found:
+                yield f"{about}: {'; '.join(found)} ({tried.word})"

@@ -54,8 +54,8 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
         found = result.firmware.corrections
         of, last = "left by the firmware's equations, rms, mm", "tried" if found.keep else "new"
         if not found.keep:
-            parts += _table((found.file, "old", last), found.rows)
-        parts += _table((of, "old", last), found.left)
+            parts += table((found.file, "old", last), found.rows)
+        parts += table((of, "old", last), found.left)
         instead, why = too_early(result)
         if instead:
             parts.append(Text(f"{instead}: {why}.", style="bold"))
@@ -70,7 +70,7 @@ def _zeros(result: Result) -> Iterator[Text | Table]:
     if result.firmware is not None or all(one.kind != "zeros" for one in result.actions):
         return
     numbers = result.numbers
-    yield from _table((f"zeros, mm: {numbers.zeros.titles[0]}", "old", "new"), numbers.zeros.rows)
+    yield from table((f"zeros, mm: {numbers.zeros.titles[0]}", "old", "new"), numbers.zeros.rows)
     how, readings = numbers.check
     yield from map(Text, filter(None, (numbers.worked, how)))
     yield from (
@@ -108,50 +108,62 @@ def console_text(parts: Iterable[RenderableType]) -> str:
     """Parts one below the other, as wide as the terminal."""
     from rich.console import Console
 
-    terminal, width = is_terminal(), min(text_width(), 120)
     stream = io.StringIO()
     console = Console(
-        file=stream, width=width, force_terminal=terminal, highlight=False, legacy_windows=False,
-        markup=False, emoji=False,
+        file=stream, width=_width(), force_terminal=is_terminal(), highlight=False,
+        legacy_windows=False, markup=False, emoji=False,
     )  # fmt: skip
     for part in parts:
         console.print(part)
     return stream.getvalue().rstrip("\n")
 
 
+def _width() -> int:
+    return min(text_width(), 120)
+
+
 def _tables(result: Result, ranked: bool) -> Iterator[Table]:
     """What was found, and what was weighed; an empty table is none."""
-    yield from _table(("probability", "cause"), _found(result))
+    yield from table(("probability", "cause"), _found(result))
     alone = ((hundredths(one.probability), one.words) for one in result.alone)
-    yield from _table(("probability", "if one alone"), alone)
-    yield from _table(POSSIBLE, possible_rows(result))
+    yield from table(("probability", "if one alone"), alone)
+    yield from table(POSSIBLE, possible_rows(result))
     tried = ((hundredths(t.probability), t.words or t.name) for t in weighed(result) if ranked)
-    yield from _table(("probability", "considered"), tried)
+    yield from table(("probability", "considered"), tried)
     identified = (
-        (row.name, row.value, row.sigma, f"{row.low} to {row.high}", row.tolerance, row.unit)
-        for row in parameter_rows(result)
+        (f"{one.name}, {one.unit}", one.value, one.sigma, f"{one.low} to {one.high}", one.tolerance)
+        for one in parameter_rows(result)
         if not result.searches
     )
-    columns = ("parameter", "value", "± sigma", "95 % interval", "tolerance", "unit")
-    yield from _table(columns, identified)
-    yield from _table(("", "nominal", "before", "after"), score_rows(result))
+    columns = ("parameter", "value", "± sigma", "95 % interval", "tolerance")
+    yield from table(columns, identified)
+    yield from table(("", "nominal", "before", "after"), score_rows(result))
 
 
-def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Table]:
-    """A table whose first column does not wrap and whose others are numbers, or in words; none
-    where there are no rows.
+def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Table]:
+    """Yield a table for the terminal if there are rows: cells are broken between words, and no
+    number is cut.
     """
     from rich import box
     from rich.table import Table
 
-    made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for k, column in enumerate(columns):
-        left = k == 0 or column in ("cause", "if one alone", "if it were so", "considered")
-        made.add_column(column, justify="left" if left else "right", no_wrap=k == 0)
-    for row in rows:
+    lines = [columns, *rows]
+    if len(lines) == 1:
+        return
+    cells = [*zip(*lines, strict=True)]
+    widths = [max(map(len, "\n".join(column).split("\n"))) for column in cells]
+    longest = [max(map(len, " ".join(column).split()), default=0) for column in cells]
+    room = _width() - 2 * len(columns) - 1  # two spaces between columns, and one at the edge
+    while sum(widths) > room and widths != longest:
+        slack = [width - least for width, least in zip(widths, longest, strict=True)]
+        widths[slack.index(max(slack))] -= 1
+    made = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    for k, title in enumerate(columns):
+        left = k == 0 or title in ("cause", "if one alone", "if it were so", "considered")
+        made.add_column(title, justify="left" if left else "right", width=widths[k])
+    for row in lines[1:]:
         made.add_row(*row)
-    if made.rows:
-        yield made
+    yield made
 
 
 def _found(result: Result) -> Iterator[tuple[str, str]]:
