@@ -102,18 +102,6 @@ def tcp_map(machine: Machine, commands: Array | None = None) -> Map:
     return Map(where, nominal, machine.forward(where), np.sqrt(np.maximum(variance, 0.0)))
 
 
-def variance_by_effect(machine: Machine) -> dict[str, float]:
-    """Variance of the TCP's shape over the workspace from each effect alone, square metres."""
-    posterior, shares = machine.posterior, {}
-    slopes = without_place(tcp_slopes(machine, posterior.names))
-    effects = [machine.catalogue.effect_of(n).name for n in posterior.names]
-    for effect in dict.fromkeys(effects):
-        members = np.flatnonzero([e == effect for e in effects])
-        block, part = posterior.covariance[np.ix_(members, members)], slopes[:, :, members]
-        shares[effect] = float(np.einsum("gip,pq,giq->", part, block, part)) / len(slopes)
-    return shares
-
-
 @dataclass(frozen=True)
 class ExpectedError:
     """Mean distance of the TCP from where it is wanted over the workspace, metres."""
@@ -136,12 +124,6 @@ class ExpectedError:
     def place_words(self) -> str:
         """Place with its standard deviation, millimetres."""
         return with_sigma(self.place * 1e3, self.place_sigma * 1e3)
-
-    def __str__(self) -> str:
-        return (
-            f"{self.shape * 1e3:.4f} mm (sigma {self.shape_sigma * 1e3:.4f} mm) after the best "
-            f"translation; where the machine as a whole sits is known to {self.place * 1e3:.2f} mm"
-        )
 
 
 def expected_error(machine: Machine, settings: Mapping[str, float]) -> ExpectedError:

@@ -1,7 +1,6 @@
 """Benchmarks outlive the package's insides: they call its public interface and the tests' rigs."""
 
 import ast
-import json
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +10,7 @@ import orthoglide as og
 from benchmarks import blunders, compare_frozen, independent, public
 from benchmarks.attribution_cases import SHARES, SHORT, Case, cases
 from benchmarks.attribution_run import draw, run
-from benchmarks.independent import Sheet, Visible
-from benchmarks.independent_delta import structured as structured_of_delta
+from benchmarks.independent import Sheet
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -94,32 +92,6 @@ def test_places_have_the_names_of_the_truth(place: dict, name: str) -> None:
     assert public.place_name({**whole, **place}) == name
 
 
-def test_the_size_of_a_wrong_command_is_read_from_its_message() -> None:
-    text = "fit with rho_y = 304.38 mm where 297.14294 is written, or with rho_x = −1.5 mm where 2"
-    (first, size), (other, less) = public.commands_in(text)
-    assert (first, other) == ("y", "x")
-    assert (size, less) == pytest.approx((7.23706, -3.5))
-
-
-def test_structured_members_are_those_of_the_format() -> None:
-    tilts = independent.structured("axis_tilt")
-    assert set(tilts) == {
-        "axis_tilt.common", "axis_tilt.cyclic",
-        *(f"axis_tilt.{pair}.{way}" for pair in ("xy", "yz", "zx")
-          for way in ("symmetric", "antisymmetric")),
-    }  # fmt: skip
-    plus = {n for n, w in tilts["axis_tilt.cyclic"].items() if w > 0}
-    assert plus == {"axis_tilt.x.y", "axis_tilt.y.z", "axis_tilt.z.x"}
-    assert set(independent.structured("mount_tilt")) == {
-        "mount_tilt.a.common",
-        "mount_tilt.b.common",
-    }
-    assert len(independent.structured("backlash")["backlash.common"]) == 3
-    assert set(structured_of_delta("rail_bow")) == {
-        "rail_bow.radial.common", "rail_bow.tangential.common"
-    }  # fmt: skip
-
-
 def test_a_cause_is_as_large_as_was_asked_and_the_oracle_finds_it() -> None:
     drawn = draw(Case("effect", "backlash", "sweep", 8.0, 0), 3)
     ((cause, size),) = drawn.causes
@@ -133,16 +105,6 @@ def test_a_cause_is_as_large_as_was_asked_and_the_oracle_finds_it() -> None:
     told = drawn.points.points()
     error = independent.tcp_error(found, told.command, told.p)
     assert error[0] < 0.01
-
-
-def test_nothing_is_left_of_what_datums_offsets_and_lengths_explain() -> None:
-    sheet = Sheet(rc.protocol_rows("standard"))
-    visible = Visible(sheet, Rig())
-    moved = sheet.predict(Rig(errors={"joint_offset.y": 1e-4})) - sheet.predict(Rig())
-    plain = np.linalg.norm((moved - sheet.datums @ np.linalg.pinv(sheet.datums) @ moved) / 5.77e-6)
-    # What the prior of the offset holds back is less than a tenth of a sigma.
-    assert np.linalg.norm(visible.past(moved)) < 0.1 < 10 < plain
-    assert np.linalg.norm(visible.past(sheet.datums)) < 1e-9
 
 
 @pytest.mark.parametrize("kind", SHORT)
@@ -185,15 +147,3 @@ def test_frozen_tables_are_those_of_their_page(name: str) -> None:
     _, *lines = compare_frozen.compared(name, None)
     assert len(lines) > 3
     assert [line for line in lines if line and line not in page] == []
-
-
-def test_a_fresh_run_stands_beside_the_frozen_one(tmp_path: Path) -> None:
-    frozen = compare_frozen.records_in(compare_frozen.frozen_path("whole_machines"))
-    first, *others = frozen.values()
-    fresh = tmp_path / "fresh.jsonl"
-    changed = {**first, "tcp": [9.0, *first["tcp"][1:]]}
-    fresh.write_text("\n".join(map(json.dumps, (changed, *others[:7]))) + "\n", encoding="utf-8")
-    count, *lines = compare_frozen.compared("whole_machines", fresh)
-    assert count.endswith("8 fresh, 8 in both")
-    (row,) = [line for line in lines if line.startswith(f"| f = {first['case'][0]:g} ")]
-    assert row.count(" -> ") == 1

@@ -17,14 +17,7 @@ from scipy.optimize import least_squares
 
 from orthoglide import Machine, reduction
 from orthoglide.cli import cli
-from orthoglide.comparison import (
-    Circumstances,
-    Row,
-    compare_effects,
-    compare_machine,
-    slices,
-    worst_by_effect,
-)
+from orthoglide.comparison import Circumstances, Row, compare_effects, compare_machine, slices
 from orthoglide.comparison.comparing import Comparison, cube
 from orthoglide.comparison.rows import READING_LIMIT, TCP_LIMIT
 from orthoglide.comparison.tables import comparison_page, csv_table, markdown_table
@@ -84,20 +77,6 @@ def test_the_effect_itself_is_that_of_the_independent_machine(name: str) -> None
     assert found.translated.max == pytest.approx(centred.max(), abs=1e-9)
     turn = np.arccos(np.clip((np.trace(R, axis1=1, axis2=2) - 1) / 2, -1, 1))
     assert found.rotation == pytest.approx(turn.max(), abs=1e-7)
-
-
-@pytest.mark.parametrize("name", ["joint_offset.x", "leg_length.z"])
-def test_its_own_parameters_are_found_exactly(name: str) -> None:
-    found = row(name)
-    planted = np.zeros(6)
-    leg = "xyz".index(name[-1])
-    planted[leg + (3 if name.startswith("leg") else 0)] = found.value
-    assert np.abs(found.six - planted).max() < 1e-11
-    assert found.fitted.max < 1e-12
-    assert found.reading_max < 1e-11
-    assert found.nominal.max > 1e-5
-    assert found.good_enough
-    assert found.good_up_to == np.inf
 
 
 @pytest.mark.parametrize("name", ["axis_tilt.z.y", "bar_mismatch.y", "backlash.x"])
@@ -198,14 +177,6 @@ def test_constants_cannot_be_cold_and_warm_or_come_from_both_sides() -> None:
     assert np.all(seen.approach[half:] == -1)
     assert np.ptp(comparison().campaign.temperature_rise) == pytest.approx(FEW.warming)
     assert np.all(comparison().campaign.load == FEW.load)
-
-
-def test_the_worst_of_a_family() -> None:
-    rows = compare_effects(names=("rail_tilt", "joint_offset"), circumstances=FEW)
-    worst = worst_by_effect(rows)
-    assert [r.name.partition(".")[0] for r in worst] == ["rail_tilt", "joint_offset"]
-    assert worst[0].fitted.max == pytest.approx(max(r.fitted.max for r in rows), abs=1e-9)
-    assert worst[1].name == "joint_offset.x"
 
 
 def test_tables_hold_the_rows() -> None:

@@ -489,7 +489,7 @@ def test_what_nothing_explains_of_the_tool_is_shown_and_followed(word: str, tilt
     page = re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", files["report.html"]))
     for part in (f"{most.share:.0%} of it is in the tool along x", "What is left", "What to do"):
         assert part in page
-    kept = json.loads(files["result.json"])["left"]["by_instrument"]
+    kept = json.loads(files["result.json"])["left"]["mountings"]
     assert sum(one["share"] for one in kept) == pytest.approx(1.0)
     assert kept[0]["where"][0] == place
 

@@ -6,7 +6,6 @@ import html
 import re
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -21,10 +20,6 @@ from orthoglide.scene import Dial, Mark, Posed, drawing
 from orthoglide.scene.drawing import projection
 from tests.test_first_screen import PER, SCALES
 from tests.test_layout import DELTA, freely
-from tests.test_report import browsed, printed
-from tests.test_report_verdict import files_of
-
-MOST = 1_500_000  # bytes of a page
 
 
 @cache
@@ -196,80 +191,4 @@ def test_an_arrow_across_a_rail_is_seen_beside_it(kind: str) -> None:
             assert abs(x * v - y * u) / np.hypot(x, y) > 0.2
 
 
-def test_sizes_of_causes_that_are_shown_together_keep_apart() -> None:
-    own = machine("orthoglide")
-    both = [option(own, "", {f"{e}.x.y": 2e-3}) for e in ("axis_tilt", "rail_bow")]
-    root = ET.fromstring(drawing(posed("orthoglide"), both, shown=(0, 1)))
-    one, other = [room for room in rooms(root) if len(room[0]) > 2]
-    assert apart(one, *other[1:])
-
-
-def test_a_machine_shows_itself_in_a_notebook() -> None:
-    root = ET.fromstring(og.Machine.nominal()._repr_svg_())
-    assert root.tag == "{http://www.w3.org/2000/svg}svg"
-
-
 # --- In the report --------------------------------------------------------------------------
-
-
-PICK = """<script>
-addEventListener("load", () => {
-  const shown = k => getComputedStyle(document.querySelector(`.drawn .option-${k}`)).display;
-  const before = [shown(0), shown(1)];
-  document.querySelector("#pick-1").click();
-  document.title = JSON.stringify({ before, after: [shown(0), shown(1)],
-    asked: performance.getEntriesByType("resource").map(e => e.name) });
-});
-</script></body>"""
-
-
-def driven(page: str, folder: Path, script: str, size: str = "900,900") -> dict[str, object]:
-    (folder / "page.html").write_text(page.replace("</body>", script), encoding="utf-8")
-    return browsed(folder / "page.html", size, 4000)
-
-
-@pytest.mark.thorough
-def test_another_explanation_is_drawn_where_it_is_picked(tmp_path: Path) -> None:
-    told = driven(files_of("explained")["report.html"], tmp_path, PICK)
-    assert told["before"] == ["inline", "none"]
-    assert told["after"] == ["none", "inline"]
-    assert told["asked"] == []
-
-
-LAID_OUT = """<script>addEventListener("load", () => {
-  const at = s => document.querySelector(s).getBoundingClientRect();
-  document.title = JSON.stringify({ width: innerWidth, said: at(".sentence").bottom,
-    top: at(".drawn svg").top, bottom: at(".drawn svg").bottom, rivals: at(".rivals").top });
-});</script></body>"""
-
-
-def test_on_a_phone_the_drawing_stands_in_the_first_screen_whatever_many_rivals(
-    tmp_path: Path,
-) -> None:
-    page = files_of("explained")["report.html"]
-    rival = re.search(r'<ul class="rivals">\s*(<li>.*?</li>)', page, flags=re.DOTALL)
-    assert rival
-    told = driven(page.replace(rival[1], 6 * rival[1]), tmp_path, LAID_OUT, "390,844")
-    said, top, bottom, rivals = (float(str(told[k])) for k in ("said", "top", "bottom", "rivals"))
-    assert said <= top < bottom <= 844
-    assert rivals >= bottom
-
-
-@pytest.mark.thorough(except_for=["explained"])
-@pytest.mark.parametrize(
-    "which", ["explained", pytest.param("partial", marks=pytest.mark.thorough), "unexplained"]
-)
-def test_the_page_is_small_and_asks_nothing_of_a_network(which: str) -> None:
-    page = files_of(which)["report.html"]
-    assert len(page.encode()) < MOST
-    assert "default-src 'none'" in page
-    assert not re.search(r"\b(fetch|XMLHttpRequest|WebSocket|EventSource|sendBeacon)\b", page)
-    assert "<canvas" not in page
-    drawn = re.search(r'<figure class="drawn">\s*(.*?)</figure>', page, flags=re.DOTALL)
-    assert drawn
-    assert drawn[1].startswith('<svg class="machine"')
-
-
-def test_what_is_folded_is_printed(tmp_path: Path) -> None:
-    (tmp_path / "page.html").write_text(files_of("explained")["report.html"], encoding="utf-8")
-    assert printed(tmp_path / "page.html") > 8  # folded it is four

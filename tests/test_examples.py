@@ -61,20 +61,6 @@ def test_scripts_run_from_any_folder(name: str, said: str, tmp_path: Path) -> No
     assert not list(tmp_path.iterdir())
 
 
-def test_kinematics() -> None:
-    shown = load("kinematics").compute()
-    reduced, general = shown.modes["machine"]
-    assert np.allclose(reduced, shown.p, rtol=0, atol=1e-15)
-    assert np.allclose(general, shown.p, rtol=0, atol=1e-12)
-    reduced, general = shown.modes["other"]
-    assert np.allclose(reduced, general, rtol=0, atol=1e-12)
-    assert np.linalg.norm(reduced - shown.p) > 0.1
-    assert np.allclose(*shown.jacobian, rtol=0, atol=1e-9)
-    assert shown.tcp < 1e-12
-    assert 1e-7 < np.linalg.norm(shown.moved) < 1e-4
-    assert 1e-7 < np.linalg.norm(shown.corrected - shown.rho) < 1e-4
-
-
 def test_table_3() -> None:
     rows = list(load("published_tables").table3())
     assert len(rows) == 15

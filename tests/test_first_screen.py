@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 from functools import cache
@@ -15,26 +14,24 @@ import pytest
 
 import orthoglide as og
 from orthoglide.closing import Closed, filled
-from orthoglide.closing.actions import _one_of_two
 from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
+from orthoglide.effects.places import places
 from orthoglide.effects.wording import cause_short
 from orthoglide.explanation import Cause, Explanation
 from orthoglide.explanation.change import Change
 from orthoglide.layout import LinearDelta
 from orthoglide.numerals import ByUnit
 from orthoglide.parameters import Parameter
-from orthoglide.report import result_text
 from orthoglide.report.claims import sure_words
-from orthoglide.report.first import finding
-from orthoglide.report.rendering import rendered
+from orthoglide.report.page import finding, rendered
+from orthoglide.report.sections import budget
 from orthoglide.report.text import to_do
 from orthoglide.report.words import _falls
 from orthoglide.result import Action, BudgetItem, Suspect
-from orthoglide.result.result import sheet_of
 from orthoglide.verdict import Verdict
-from tests.studied import studied
-from tests.test_report import closed_of, words
-from tests.test_report_verdict import closed_of as loop_of, verdict_of
+from tests import rig_campaigns as rc
+from tests.rig import Rig
+from tests.test_report import closed_of, result_of, screen, words
 from tests.tiers import in_turn
 
 DELTA = catalogue_of(LinearDelta.names)
@@ -76,12 +73,13 @@ def made_up(
     return filled(closed, Verdict)
 
 
-def screen(verdict: Verdict) -> str:
-    """What a reader finds on the first screen, folded parts left out."""
-    html = rendered("sections/finding.html.j2", data=finding(verdict))
-    html = re.sub(r"<svg.*?</svg>", "", html, flags=re.DOTALL)
-    open_parts = re.sub(r"</summary>.*?</details>", "</summary></details>", html, flags=re.DOTALL)
-    return words(open_parts)
+def item(name: str, **values: Any) -> BudgetItem:
+    """An item of the error budget."""
+    known = BudgetItem(
+        name, cause_short(CATALOGUE, name), (name,), 1e-3, 1e-5, "rad", 2.0, 1.0,
+        ByUnit(1e-5, float("nan")), 1e-4, 1e-6, 1e-4, 1e-6, 1e-4, 1e-6, 0.5,
+    )  # fmt: skip
+    return replace(known, **values)
 
 
 SIZE = r"([\d.]+) (mm|mrad|%|µm)"
@@ -274,100 +272,15 @@ def test_rivals_beyond_the_first_are_folded_and_counted() -> None:
 # --- The tool, and what to do ---------------------------------------------------------------
 
 
-def test_tiles_are_the_tool_at_every_stage() -> None:
-    verdict = verdict_of("explained")
-    tiles = {t.what: t for t in finding(verdict)["tiles"]}
-    shapes = [float(t.size) for t in tiles.values()]
-    assert len(tiles) == 3  # lengths change nothing that the digits show
-    assert shapes[0] > shapes[1] > shapes[2]
-    kept = json.loads(result_text(verdict))["tool"]
-    stages = [kept[name] for name in ("now", "zeros", "compensated")]
-    for tile, stage in zip(tiles.values(), stages, strict=True):
-        assert float(tile.size) == pytest.approx(stage["shape_mm"], abs=stage["shape_sigma_mm"])
-        sigma = stage["shape_sigma_mm"]
-        assert float(tile.lines[0].split()[1]) == pytest.approx(sigma, rel=0.5)
-        assert len(tile.size.partition(".")[2]) == len(tile.lines[0].split()[1].partition(".")[2])
-        assert re.match(r"all shifted by [\d.]+ ± [\d.]+ mm$", tile.lines[1])
-
-
-def test_whatto_do_goes_by_what_it_gains() -> None:
-    verdict = verdict_of("explained")
-    kinds = [a.kind for a in verdict.actions]
-    assert kinds == ["zeros", "mend", "compensate", "measure"]
-    gains = [a.gain for a in verdict.actions[:3]]
-    assert gains == sorted(gains, reverse=True)
-    assert gains[1] == verdict.budget[0].gain
-    zeros = verdict.actions[0].words
-    for drive, zero in zip("xyz", verdict.numbers.zeros_only, strict=True):
-        assert f"{drive} {zero * 1e3:.3f}" in zeros
-    option: Suspect = verdict.actions[1].options[0]
-    assert "expect 0.24 mm toward z" in option.confirm
-    text = screen(verdict)
-    assert option.confirm[1:] in text
-    kept = json.loads(result_text(verdict))["actions"]
-    assert [a["action"] for a in kept] == kinds
-    assert kept[0]["gain_mm"] == pytest.approx(gains[0] * 1e3, rel=1e-5)
-
-
-def test_new_zeros_and_compensated_commands_are_never_both_told() -> None:
-    """Together they correct the zeros twice: whichever comes later says so, on every list."""
-    verdict = verdict_of("explained")
-    commands = next(a.words for a in verdict.actions if a.kind == "compensate")
-    said = "Or, as long as nothing is repaired, send compensated commands, in place of new zeros"
-    assert commands.startswith(said)
-    assert commands in " ".join(to_do(verdict))
-    assert commands in " ".join(screen(verdict).split())
-    assert commands in [a["words"] for a in json.loads(result_text(verdict))["actions"]]
-    zeros, both = Action("zeros", "Enter new zeros"), Action("compensate", "Send them")
-    assert [a.words for a in _one_of_two([both, zeros])] == ["Send them", "Or enter new zeros"]
-    mend = Action("mend", "Look, confirm and put right, then measure again")
-    told = [a.words for a in _one_of_two([zeros, mend, both])]
-    until = "as long as nothing is repaired, "
-    assert told == [f"A{until[1:]}enter new zeros", mend.words, f"Or, {until}send them"]
-    assert _one_of_two([both]) == [both]
-
-
-def test_what_is_left_is_found_where_it_is() -> None:
-    """One dial sees a bend that no part makes: it is named, with its direction and its size."""
-    verdict, fit = verdict_of("unexplained"), loop_of("unexplained").after
-    most = verdict.left.by_dial[0]
-    assert sum(rest.share for rest in verdict.left.by_dial) == pytest.approx(1.0)
-    rows = np.flatnonzero(fit.problem.setup_of_row == 0)
-    name = fit.problem.campaigns[0].setups[0].name
-    one = next(rest for rest in verdict.left.by_dial if rest.setup == name)
-    assert one.rms == pytest.approx(np.sqrt(np.mean(fit.residuals[rows] ** 2)))
-    text = screen(verdict)
-    leg, axis = "xyz"[most.leg], "xyz"[most.axis]
-    sign = "−" if most.most < 0 else ""
-    assert f"The residual is largest on leg {leg} read along {axis}" in text
-    assert re.search(rf"up to [\d.]+ mm, toward {sign}{axis}\b", text)
-    assert verdict.next_measurements[0].aim == "trace"
-    sheet = sheet_of(verdict.next_measurements[0].readings, verdict.request.machine)
-    assert {(s.leg, s.axis) for s in sheet.setups} == {(most.leg, most.axis)}
-    assert {s.bar for s in sheet.setups} == {1, 2}
-    assert set(np.unique(sheet.approach[:, most.leg])) == {-1.0, 1.0}
-    kept = json.loads(result_text(verdict))["left"]["by_setup"]
-    assert kept[0]["setup"] == most.setup
-
-
 def test_identify_says_what_to_enter_and_what_to_run_next() -> None:
-    text = screen(filled(closed_of(), Verdict))
+    text = screen(result_of())
     zero = closed_of().numbers.zeros_only[0] * 1e3
     assert f"Enter new zeros in the controller: x {zero:.3f}" in text
     assert "orthoglide close-loop takes the same files" in text
 
 
-@cache
 def lost(which: str) -> Verdict:
-    return filled(lost_loop(which), Verdict)
-
-
-@cache
-def lost_loop(which: str) -> Closed:
     """A machine that loses 0.2 mm in a way that no catalogue knows, by its own simulator."""
-    from tests import rig_campaigns as rc
-    from tests.rig import Rig
-
     zeros = {"joint_offset.x": 5e-4, "joint_offset.y": -3e-4, "joint_offset.z": 8e-4}
     rig = {
         "platform": Rig(errors=zeros, extra_platform=(rc.platform_play(0, 1, 2e-4),)),
@@ -376,7 +289,7 @@ def lost_loop(which: str) -> Closed:
     sheet = "fine-sweep" if which == "reversal" else "sweep"
     rows = rc.simulate(rig, sheet, np.random.default_rng(5))
     table = {key: [row[key] for row in rows] for key in rows[0]}
-    return studied([og.Campaign.from_frame(table, name="lost")], og.Machine.nominal())
+    return og.close_loop([og.Campaign.from_frame(table, name="lost")])
 
 
 @pytest.mark.thorough
@@ -416,27 +329,19 @@ def test_lost_motion_without_a_name_has_its_whole_size_everywhere(
     assert mark.both
 
 
-def test_lost_motion_of_the_catalogue_is_said_to_be_left_out_too() -> None:
-    one = explained("backlash.x", 2e-4, CATALOGUE, 1.0)
-    verdict = made_up("explained", Cause(one, (), ()))
-    assert "Lost motion is left out" in screen(verdict)
-    straight = explained("rail_bow.x.z", 2e-4, CATALOGUE, 1.0)
-    assert "Lost motion is left out" not in screen(made_up("explained", Cause(straight, (), ())))
+@pytest.mark.parametrize(("name", "loses"), [("backlash.x", True), ("rail_bow.x.z", False)])
+def test_lost_motion_of_the_catalogue_is_said_to_be_left_out_too(name: str, loses: bool) -> None:
+    one = explained(name, 2e-4, CATALOGUE, 1.0)
+    text = screen(made_up("explained", Cause(one, (), ())))
+    assert ("Lost motion is left out" in text) == loses
 
 
-@pytest.mark.thorough
-def test_a_place_in_the_budget_is_its_own_words_and_nothing_is_below_zero_that_rounds_to_it() -> (
-    None
-):
+def test_a_place_in_the_budget_has_its_own_words_and_nothing_rounds_to_less_than_zero() -> None:
     """`rail.x.y/travel` is of one leg, not of all."""
-    from orthoglide.effects.places import places
-    from orthoglide.report.sections import budget
-
     place = next(p for p in places() if p.name == "rail.x.y/travel")
-    own = CATALOGUE.with_effects([place.effect])
-    assert cause_short(own, place.effect.name) == place.words
-    item = replace(lost("platform").budget[0], gain=-1e-9, share=-1e-6, tcp_mean=1e-4)
-    verdict = made_up("explained", budget=(item,))
+    assert cause_short(CATALOGUE.with_effects([place.effect]), place.effect.name) == place.words
+    less = item("axis_tilt", gain=-1e-9, share=-1e-6)
+    verdict = made_up("explained", budget=(less,))
     page = rendered("sections/budget.html.j2", data=budget(verdict), result=verdict)
     assert not re.search(r">−0(\.0+)?\b", page)
     assert '"of all">0%<' in page
@@ -444,16 +349,12 @@ def test_a_place_in_the_budget_is_its_own_words_and_nothing_is_below_zero_that_r
 
 def test_a_cause_that_is_a_whole_family_gains_its_own_not_what_the_rest_of_it_gains() -> None:
     """Both have the family's name: 0.2 um stood beside a cause of 0.175 mm, behind all else."""
-    from orthoglide.report.sections import budget
-
     tilt, rest = ("axis_tilt.x.z", "axis_tilt.y.z"), ("axis_tilt.x.y",)
     cause = Explanation(
         "axis_tilt", tilt, 1.0, dict.fromkeys(tilt, 9e-3), dict.fromkeys(tilt, 1e-5), {},
         np.zeros(0), CATALOGUE,
     )  # fmt: skip
-    known = lost("platform").budget[0]
-    said = cause_short(CATALOGUE, "axis_tilt")
-    found = replace(known, cause="axis_tilt", words=said, members=tilt, gain=1.75e-4, rest=False)
+    found = item("axis_tilt", members=tilt, gain=1.75e-4)
     left = replace(found, members=rest, gain=2.2e-6, rest=True)
     verdict = made_up("explained", Cause(cause, (), ()), budget=(found, left))
     (action,) = (a for a in verdict.actions if a.kind == "mend")
@@ -467,8 +368,7 @@ def test_the_gain_of_one_of_several_causes_is_said_to_be_that() -> None:
     chosen, rival = (
         explained(name, 2e-3, CATALOGUE, 0.5) for name in ("axis_tilt.y.z", "rail_tilt.y.z")
     )
-    item = replace(lost("platform").budget[0], cause=chosen.name, gain=1e-4, rest=False)
-    verdict = made_up("ambiguous", Cause(chosen, (rival,), ()), budget=(item,))
+    verdict = made_up("ambiguous", Cause(chosen, (rival,), ()), budget=(item(chosen.name),))
     said = "gains 0.1 mm at the tool on average, whichever of these it is"
     assert any(said in line for line in to_do(verdict))
     assert "gains 0.1 mm on average, whichever of these it is" in screen(verdict)

@@ -16,7 +16,7 @@ from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.constraints import Constraints
 from orthoglide.mechanism.mechanism import Posture
 from orthoglide.reduction.spheres import intersect_spheres
-from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, write
+from orthoglide.urdf import CLOSURES_FILE, write
 from tests.engines import commands, forward
 
 FOREIGN = Path(__file__).parent / "data" / "foreign"
@@ -69,20 +69,6 @@ def test_a_four_bar_is_two_circles_over_a_whole_turn() -> None:
     for angle, posture in zip(angles, swept(mechanism, angles), strict=True):
         assert np.abs(posture.p - [*coupler_end(angle), 0.02]).max() < 1e-12
         assert max(posture.residual.values()) < 1e-11
-
-
-def test_a_four_bar_obeys_freudensteins_equation() -> None:
-    """K1 cos psi - K2 cos phi + K3 = cos(phi - psi), angles of crank and rocker from the ground."""
-    ground = 0.4
-    k1, k2 = ground / CRANK, ground / ROCKER
-    k3 = (CRANK**2 - COUPLER**2 + ROCKER**2 + ground**2) / (2 * CRANK * ROCKER)
-    mechanism = robot(FOUR_BAR)
-    rocker = mechanism.tree.model.joints[mechanism.tree.model.getJointId("rocker_joint")].idx_q
-    for angle in np.linspace(-1.0, 1.0, 11):
-        phi, psi = np.pi / 2 + angle, np.pi / 2 + mechanism.close([angle]).q[rocker]
-        assert k1 * np.cos(psi) - k2 * np.cos(phi) + k3 == pytest.approx(
-            np.cos(phi - psi), abs=1e-12
-        )
 
 
 def test_a_fixed_joint_carries_its_link_along() -> None:
@@ -245,24 +231,6 @@ def test_missing_files_are_named(missing: str, tmp_path: Path) -> None:
     (folder / missing).unlink()
     with pytest.raises(FileError, match="no such file"):
         Mechanism.from_urdf(folder)
-
-
-@pytest.mark.parametrize("missing", [URDF_FILE, CLOSURES_FILE])
-def test_missing_files_of_this_package_are_named(missing: str, tmp_path: Path) -> None:
-    write(tmp_path)
-    (tmp_path / missing).unlink()
-    with pytest.raises(FileError, match="no such file") as caught:
-        Mechanism.from_urdf(tmp_path)
-    assert caught.value.file.endswith(missing)
-
-
-def test_a_urdf_without_closures_is_no_machine(tmp_path: Path) -> None:
-    write(tmp_path)
-    (tmp_path / CLOSURES_FILE).write_text("# none\n")
-    for build in (Mechanism.from_urdf, lambda folder: Mechanism(urdf=folder)):
-        with pytest.raises(FileError, match="no loop is closed") as caught:
-            build(tmp_path)
-        assert caught.value.file.endswith(CLOSURES_FILE)
 
 
 @pytest.mark.parametrize(

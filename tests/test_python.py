@@ -192,7 +192,7 @@ def test_what_a_verdict_holds_is_shown_in_a_few_lines(verdict: og.Verdict, close
     catalogue = verdict.machine.catalogue
     assert repr(catalogue["backlash"]).startswith("<Effect backlash: ")
     for held in (
-        verdict.effects, verdict.located, verdict.changed, verdict.budget[0], verdict.correlations,
+        verdict.effects, verdict.located, verdict.changed, verdict.budget[0],
         verdict.readings, verdict.workspace, verdict.map, verdict.picture, catalogue,
         verdict.machine.posterior, closed.effects, closed.posterior, closed.before.problem,
         closed.after.nuisance,

@@ -18,19 +18,30 @@ import pytest
 
 import orthoglide as og
 from orthoglide.closing import Closed, filled
+from orthoglide.closing.actions import _one_of_two
 from orthoglide.effects import CATALOGUE
-from orthoglide.effects.wording import cause_short, cause_words
 from orthoglide.errors import FileError
 from orthoglide.numerals import ByUnit
 from orthoglide.observations import Campaign, protocol
-from orthoglide.report import report_files, summary
-from orthoglide.report.sections import before_and_after
+from orthoglide.report import report_files, result_text, summary
+from orthoglide.report.page import finding
+from orthoglide.report.text import to_do
 from orthoglide.report.words import dealt_with, evidence, headline
-from orthoglide.result import HoldOut
+from orthoglide.result import Action, HoldOut, Suspect
+from orthoglide.result.result import sheet_of
 from orthoglide.verdict import Verdict, close_loop
 from tests.page_laws import broken, too_long
 from tests.studied import studied
-from tests.test_report import RIG, browsed, check_page, check_timeless, opened, words
+from tests.test_report import (
+    RIG,
+    browsed,
+    check_page,
+    check_timeless,
+    opened,
+    printed,
+    screen,
+    words,
+)
 
 CASES = ("explained", "partial", "unexplained", "faulty")
 
@@ -91,14 +102,6 @@ def files_of(which: str) -> dict[str, str]:
     return report_files(verdict_of(which))
 
 
-def cause(name: str, values: dict[str, float]) -> str:
-    return cause_words(CATALOGUE, name, values)
-
-
-def short(name: str) -> str:
-    return cause_short(CATALOGUE, name)
-
-
 # --- The page -------------------------------------------------------------------------------
 
 
@@ -150,17 +153,6 @@ def test_the_key_numbers_are_on_the_page(which: str) -> None:
     verdict, text = verdict_of(which), words(files_of(which)["report.html"].replace("&amp;", "&"))
     assert evidence(verdict) in text
     assert f"{verdict.word} " in text
-    page = files_of(which)["report.html"]
-    change = re.search(r'<dl class="tiles change">(.*?)</dl>', page, re.DOTALL)
-    assert change
-    shown = re.findall(r'<div class="tile"><dt>(.*?)</dt><dd>(.*?)</dd></div>', change[1])
-    assert [words(f"<p>{what}</p>") for what, _ in shown] == [
-        t.what for t in before_and_after(verdict)
-    ]
-    for (_, figures), tile in zip(shown, before_and_after(verdict), strict=True):
-        sides = [side for side in (tile.before, "→" if tile.before else "") if side]
-        told = " ".join([*sides, tile.after, tile.unit])
-        assert words(f"<p>{figures}</p>").split() == told.split()
     for effect in verdict.effects:
         assert effect.chosen.words[1:] in text
         for rival in effect.indistinguishable_from:
@@ -265,14 +257,6 @@ def test_a_machine_with_nothing_wrong() -> None:
     assert "othing else is wrong that these readings could show" in headline(verdict)
     page = report_files(verdict)["report.html"]
     assert not {"apart", "left", "faults"} & set(re.findall(r'section id="(\w+)"', page))
-
-
-def test_blocks_are_said_by_their_size() -> None:
-    both = {"screw_error.x.sin": 3e-5, "screw_error.x.cos": -4e-5}
-    assert "drive x runs 0.05 mm ahead and behind" in cause("screw_error.x", both)
-    many = {"backlash.x": 1e-5, "backlash.y": -4e-5}
-    assert cause("backlash", many) == "the drives have lost motion, from 0.01 mm to 0.04 mm"
-    assert short("axis_tilt.cyclic").endswith("out of square, in a threefold pattern")
 
 
 # --- result.json and its neighbours ---------------------------------------------------------
@@ -453,6 +437,133 @@ def test_the_workspace_is_told_before_and_after() -> None:
     assert np.all(space.sure_before > space.sure)
     assert space.before.mean() < space.nominal.mean()
     assert np.all(space.before > 0)
-    families = verdict_of("explained").uncertain_effects
-    assert 0.3 < sum(share for _, share in families) <= 1
-    assert [s for _, s in families] == sorted((s for _, s in families), reverse=True)
+
+
+# --- The first screen -----------------------------------------------------------------------
+
+
+def test_tiles_are_the_tool_at_every_stage() -> None:
+    verdict = verdict_of("explained")
+    tiles = {t.what: t for t in finding(verdict)["tiles"]}
+    shapes = [float(t.size) for t in tiles.values()]
+    assert len(tiles) == 3  # lengths change nothing that the digits show
+    assert shapes[0] > shapes[1] > shapes[2]
+    kept = json.loads(result_text(verdict))["tool"]
+    stages = [kept[name] for name in ("now", "zeros", "compensated")]
+    for tile, stage in zip(tiles.values(), stages, strict=True):
+        assert float(tile.size) == pytest.approx(stage["shape_mm"], abs=stage["shape_sigma_mm"])
+        sigma = stage["shape_sigma_mm"]
+        assert float(tile.lines[0].split()[1]) == pytest.approx(sigma, rel=0.5)
+        assert len(tile.size.partition(".")[2]) == len(tile.lines[0].split()[1].partition(".")[2])
+        assert re.match(r"all shifted by [\d.]+ ± [\d.]+ mm$", tile.lines[1])
+
+
+def test_what_to_do_goes_by_what_it_gains() -> None:
+    verdict = verdict_of("explained")
+    kinds = [a.kind for a in verdict.actions]
+    assert kinds == ["zeros", "mend", "compensate", "measure"]
+    gains = [a.gain for a in verdict.actions[:3]]
+    assert gains == sorted(gains, reverse=True)
+    assert gains[1] == verdict.budget[0].gain
+    zeros = verdict.actions[0].words
+    for drive, zero in zip("xyz", verdict.numbers.zeros_only, strict=True):
+        assert f"{drive} {zero * 1e3:.3f}" in zeros
+    option: Suspect = verdict.actions[1].options[0]
+    assert "expect 0.24 mm toward z" in option.confirm
+    text = screen(verdict)
+    assert option.confirm[1:] in text
+    kept = json.loads(result_text(verdict))["actions"]
+    assert [a["action"] for a in kept] == kinds
+    assert kept[0]["gain_mm"] == pytest.approx(gains[0] * 1e3, rel=1e-5)
+
+
+def test_new_zeros_and_compensated_commands_are_never_both_told() -> None:
+    """Together they correct the zeros twice: whichever comes later says so, on every list."""
+    verdict = verdict_of("explained")
+    commands = next(a.words for a in verdict.actions if a.kind == "compensate")
+    said = "Or, as long as nothing is repaired, send compensated commands, in place of new zeros"
+    assert commands.startswith(said)
+    assert commands in " ".join(to_do(verdict))
+    assert commands in " ".join(screen(verdict).split())
+    assert commands in [a["words"] for a in json.loads(result_text(verdict))["actions"]]
+    zeros, both = Action("zeros", "Enter new zeros"), Action("compensate", "Send them")
+    assert [a.words for a in _one_of_two([both, zeros])] == ["Send them", "Or enter new zeros"]
+    mend = Action("mend", "Look, confirm and put right, then measure again")
+    told = [a.words for a in _one_of_two([zeros, mend, both])]
+    until = "as long as nothing is repaired, "
+    assert told == [f"A{until[1:]}enter new zeros", mend.words, f"Or, {until}send them"]
+    assert _one_of_two([both]) == [both]
+
+
+def test_what_is_left_is_found_where_it_is() -> None:
+    """One dial sees a bend that no part makes: it is named, with its direction and its size."""
+    verdict, fit = verdict_of("unexplained"), closed_of("unexplained").after
+    most = verdict.left.by_dial[0]
+    assert sum(rest.share for rest in verdict.left.by_dial) == pytest.approx(1.0)
+    rows = np.flatnonzero(fit.problem.setup_of_row == 0)
+    name = fit.problem.campaigns[0].setups[0].name
+    one = next(rest for rest in verdict.left.by_dial if rest.setup == name)
+    assert one.rms == pytest.approx(np.sqrt(np.mean(fit.residuals[rows] ** 2)))
+    text = screen(verdict)
+    leg, axis = "xyz"[most.leg], "xyz"[most.axis]
+    sign = "−" if most.most < 0 else ""
+    assert f"The residual is largest on leg {leg} read along {axis}" in text
+    assert re.search(rf"up to [\d.]+ mm, toward {sign}{axis}\b", text)
+    assert verdict.next_measurements[0].aim == "trace"
+    sheet = sheet_of(verdict.next_measurements[0].readings, verdict.request.machine)
+    assert {(s.leg, s.axis) for s in sheet.setups} == {(most.leg, most.axis)}
+    assert {s.bar for s in sheet.setups} == {1, 2}
+    assert set(np.unique(sheet.approach[:, most.leg])) == {-1.0, 1.0}
+    kept = json.loads(result_text(verdict))["left"]["mountings"]
+    assert kept[0]["setup"] == most.setup
+
+
+# --- The drawing in a browser ----------------------------------------------------------------
+
+
+PICK = """<script>
+addEventListener("load", () => {
+  const shown = k => getComputedStyle(document.querySelector(`.drawn .option-${k}`)).display;
+  const before = [shown(0), shown(1)];
+  document.querySelector("#pick-1").click();
+  document.title = JSON.stringify({ before, after: [shown(0), shown(1)],
+    asked: performance.getEntriesByType("resource").map(e => e.name) });
+});
+</script></body>"""
+
+
+def driven(page: str, folder: Path, script: str, size: str = "900,900") -> dict[str, object]:
+    (folder / "page.html").write_text(page.replace("</body>", script), encoding="utf-8")
+    return browsed(folder / "page.html", size, 4000)
+
+
+@pytest.mark.thorough
+def test_another_explanation_is_drawn_where_it_is_picked(tmp_path: Path) -> None:
+    told = driven(files_of("explained")["report.html"], tmp_path, PICK)
+    assert told["before"] == ["inline", "none"]
+    assert told["after"] == ["none", "inline"]
+    assert told["asked"] == []
+
+
+LAID_OUT = """<script>addEventListener("load", () => {
+  const at = s => document.querySelector(s).getBoundingClientRect();
+  document.title = JSON.stringify({ width: innerWidth, said: at(".sentence").bottom,
+    top: at(".drawn svg").top, bottom: at(".drawn svg").bottom, rivals: at(".rivals").top });
+});</script></body>"""
+
+
+def test_on_a_phone_the_drawing_stands_in_the_first_screen_whatever_many_rivals(
+    tmp_path: Path,
+) -> None:
+    page = files_of("explained")["report.html"]
+    rival = re.search(r'<ul class="rivals">\s*(<li>.*?</li>)', page, flags=re.DOTALL)
+    assert rival
+    told = driven(page.replace(rival[1], 6 * rival[1]), tmp_path, LAID_OUT, "390,844")
+    said, top, bottom, rivals = (float(str(told[k])) for k in ("said", "top", "bottom", "rivals"))
+    assert said <= top < bottom <= 844
+    assert rivals >= bottom
+
+
+def test_what_is_folded_is_printed(tmp_path: Path) -> None:
+    (tmp_path / "page.html").write_text(files_of("explained")["report.html"], encoding="utf-8")
+    assert printed(tmp_path / "page.html") > 8  # folded it is four

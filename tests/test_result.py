@@ -209,12 +209,11 @@ def edited(folder: Path, out: Path, **keys: Any) -> Path:
         {"cautions": "beware"},
         {"rms_of_all_mm": "0.1"},
         {"calibrated_before": 1},
-        {"sigma_scale": 1, "uncertain_effects": [["backlash", 10**400]]},
+        {"sigma_scale": 1, "workspace": {"at_mm": [[10**400]]}},
         {"arguments": {"campaigns": [], "own": [], "machine": None, "noise_mm": 10**400}},
         {"readings": {}},
         {"calibrated_machine": {"toml": 3}},
         {"actions": "none"},
-        {"correlations": {"parameters": ["x"], "matrix": [["one"]]}},
     ],
     ids=lambda keys: next(iter(keys)),
 )

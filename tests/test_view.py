@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import base64
 import re
-import sys
-import xml.etree.ElementTree as ET
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,6 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.errors import FileError, InputError
 from orthoglide.machine_file import MachineFile
-from orthoglide.mechanism.tree import load
 from orthoglide.viewer import Magnified, show, static_page
 from tests.test_layout import DELTA
 from tests.test_report import browsed
@@ -107,25 +104,6 @@ def scene(kind: str, factor: float) -> Scene:
 # --- The page ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_solid_of_every_link_is_in_the_page(kind: str) -> None:
-    drawn = scene(kind, 1.0)
-    shapes = {
-        f"{link.get('name')}_{k}": next(iter(visual.find("geometry") or ())).tag
-        for link in ET.fromstring(load(nominal(kind).geometry).text).iter("link")
-        for k, visual in enumerate(link.iter("visual"))
-    }
-    assert len(shapes) > 30
-    pieces = {name.rpartition("_piece")[0] for name in drawn.objects if "_piece" in name}
-    for name, shape in shapes.items():
-        path = f"machine/visuals/{name}"
-        if name.startswith("base") and path in pieces:
-            continue  # a bent rail
-        kinds = {"box": "BoxGeometry", "cylinder": "CylinderGeometry"}
-        assert drawn.objects[path]["geometries"][0]["type"] == kinds[shape]
-        assert path in drawn.places
-
-
 SEEN = """<script>addEventListener("load", () => setTimeout(() => {
   viewer.render();
   const canvas = document.querySelector("canvas"), flat = document.createElement("canvas");
@@ -181,27 +159,6 @@ def test_errors_are_magnified_and_the_nominal_machine_stands_beside(kind: str) -
     for tool in scene(kind, FACTOR).tools(geometry, "nominal"):
         np.testing.assert_allclose(tool, start, atol=1e-9)
     assert not any(path.startswith("nominal/visuals/") for path in scene(kind, 1.0).objects)
-
-
-def test_bars_end_at_their_bearings_however_long_they_are() -> None:
-    own = worn("orthoglide")
-    moves = Magnified(own.model, own.values, {}, FACTOR).displacements(posture("orthoglide"))
-    drawn, length, width = scene("orthoglide", FACTOR), own.geometry.L, own.geometry.d
-    assert np.abs(moves[:, 6:]).max() > 1e-3
-    for leg, name in enumerate(own.geometry.leg_names):
-        for bar in (1, 2):
-            solid, inner, outer = (drawn.at(f"{name}_bar{bar}_{k}") for k in range(3))
-            long = length + moves[leg, 5 + bar]
-            apart = inner[:3, 3] - outer[:3, 3]
-            assert np.linalg.norm(apart) == pytest.approx(long, abs=1e-9)
-            np.testing.assert_allclose(solid[:3, 3], (inner + outer)[:3, 3] / 2, atol=1e-9)
-            scales = np.linalg.norm(solid[:3, :3], axis=0)
-            np.testing.assert_allclose(np.sort(scales), np.sort([1, 1, long / length]), atol=1e-9)
-        knuckle = drawn.at(f"{name}_knuckle_0")
-        ends = [drawn.at(f"{name}_bar{bar}_2")[:3, 3] for bar in (1, 2)]
-        np.testing.assert_allclose(knuckle[:3, 3], np.mean(ends, axis=0), atol=1e-9)
-        wide = width + moves[leg, 8] + moves[leg, 9]
-        assert np.linalg.norm(knuckle[:3, 2]) == pytest.approx(wide / width)
 
 
 def test_a_rail_is_drawn_along_the_path_of_its_carriage() -> None:
@@ -265,18 +222,6 @@ def test_a_machine_shows_itself_and_writes_its_page(
 def test_what_cannot_be_shown_is_refused(options: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         worn("orthoglide").show(**options)
-
-
-def test_without_meshcat_it_is_told_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setitem(sys.modules, "meshcat", None)
-    with pytest.raises(InputError, match=r"pip install orthoglide\[viewer\]"):
-        og.Machine.nominal().show()
-    told = CliRunner().invoke(cli, ["view", "--out", str(tmp_path / "x.html")])
-    assert told.exit_code == 2
-    assert "pip install orthoglide[viewer]" in told.output
-    assert not list(tmp_path.iterdir())
 
 
 # --- On the command line ------------------------------------------------------------------------

@@ -11,9 +11,7 @@ from orthoglide.checking.difference import COLUMNS
 from orthoglide.numerals import plain
 from orthoglide.progress import Progress, silent
 from orthoglide.report import report_files
-from orthoglide.report.first import MOST
-from orthoglide.report.page import Section
-from orthoglide.report.rendering import rendered
+from orthoglide.report.page import MOST, Section, rendered
 from orthoglide.report.text import to_do
 from orthoglide.report.words import headline
 from orthoglide.text import csv_text, sentence

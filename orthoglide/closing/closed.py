@@ -13,7 +13,6 @@ from orthoglide.closing.picture import picture
 from orthoglide.closing.values import explanation_value
 from orthoglide.control import ControllerNumbers, controller_numbers
 from orthoglide.effects import Catalogue
-from orthoglide.effects.wording import cause_short
 from orthoglide.explanation import Cause, Explanation, FullPosterior, Located, budget
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.data_faults import Blunder
@@ -32,7 +31,6 @@ from orthoglide.result import (
     LackOfFit,
     Picture,
     Request,
-    Scores,
     TcpErrors,
     Word,
 )
@@ -84,19 +82,10 @@ class Closed:
     possible: tuple[Explanation, ...] = ()
 
     @property
-    def nominal(self) -> Scores:
-        """Scores of the machine before calibration."""
-        return self.before.nominal
-
-    @property
     def catalogue(self) -> Catalogue:
         """Effects of the calibrated machine, located errors included."""
         machine = self.request.machine if self.posterior is None else self.posterior.machine
         return machine.catalogue
-
-    def short(self, name: str) -> str:
-        """Return a candidate's cause without its size, a clause."""
-        return cause_short(self.catalogue, name)
 
     @property
     def first(self) -> Estimate:

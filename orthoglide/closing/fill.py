@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TypeVar
+from typing import Literal, TypeVar
 
-from orthoglide.accuracy import tcp_map, variance_by_effect, without_place, workspace
+from orthoglide.accuracy import tcp_map, without_place, workspace
 from orthoglide.closing.actions import not_advised
 from orthoglide.closing.closed import Closed
-from orthoglide.closing.unseen import unseen
 from orthoglide.closing.values import (
     cause_value,
     change_value,
-    correlation_values,
     data_fault_value,
     explanation_value,
     fit_value,
     located_value,
 )
+from orthoglide.effects.wording import cause_short
 from orthoglide.errors import NumericsError
+from orthoglide.explanation.free import one_surface
 from orthoglide.fit import CrossCheck, Estimate, solve
+from orthoglide.fit.excited import excited_effects, unmet
 from orthoglide.fit.noise_scales import noise_scales
 from orthoglide.fit.shown import readings_shown, rows_in
 from orthoglide.fit.unknowns import with_free
@@ -28,7 +30,7 @@ from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.observations import campaign_rows, source
-from orthoglide.ordering import ranked
+from orthoglide.parameters import Parameter
 from orthoglide.planning import TAKEN_BY, Suggestion
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.result import (
@@ -40,6 +42,7 @@ from orthoglide.result import (
     Proposal,
     Result,
     SetupNoise,
+    Unseen,
     Workspace,
     encoded,
 )
@@ -48,7 +51,8 @@ from orthoglide.threads import on_one_thread
 # Metres. Two derivations that differ by less agree; the difference below is rounding, which differs
 # from one processor to the next.
 _ROUNDING = 1e-12
-_MOST_NAMED = 3  # effects that make most of the uncertainty
+
+_OF_ONE = "one alone, or several differently"
 
 R = TypeVar("R", bound=Result)
 
@@ -67,17 +71,16 @@ def filled(closed: Closed, cls: type[R], progress: Progress = silent) -> R:
 
 def _result(closed: Closed) -> Result:
     request, base, after, catalogue = closed.request, closed.before, closed.after, closed.catalogue
-    names = after.names if closed.posterior is None else base.names
     moved = {id(change) for change in closed.moved}
     kinds = {s.kind for f in after.problem.factors for s in f.readings.setups}
     sheet, known = closed.next_sheet, closed.posterior
-    not_seen, invisible = unseen(closed)
+    not_seen, invisible = _unseen(closed)
     return Result(
         request=request,
         machine=closed.machine,
         word=closed.word,
         noise=_noise(closed),
-        nominal=closed.nominal,
+        nominal=closed.before.nominal,
         before=fit_value(base),
         after=fit_value(after),
         rms_of_all=closed.first.scores.rms,
@@ -88,7 +91,6 @@ def _result(closed: Closed) -> Result:
         alone=tuple(map(explanation_value, closed.alone)),
         budget=closed.budget,
         identified=closed.identified,
-        correlations=correlation_values(after, names),
         candidates=tuple(_candidates(closed)),
         blunders=_faults(closed),
         changed=tuple(change_value(c, id(c) not in moved) for c in closed.changed),
@@ -100,7 +102,6 @@ def _result(closed: Closed) -> Result:
         sheet=() if sheet is None else tuple(campaign_rows(sheet)),
         left=closed.lack_of_fit,
         workspace=None if known is None else _workspace(base, known.machine, closed.machine),
-        uncertain_effects=() if known is None else _uncertain(closed.machine),
         numbers=closed.numbers,
         actions=closed.actions,
         invisible=invisible,
@@ -125,7 +126,9 @@ def _candidates(closed: Closed) -> Iterator[CandidateScore]:
     known = closed.posterior
     places = {} if known is None else {place.name: place.words for place in known.about.places}
     for one in closed.candidates:
-        named = closed.short(one.name) if one.parameters else places.get(one.name, "")
+        named = (
+            cause_short(closed.catalogue, one.name) if one.parameters else places.get(one.name, "")
+        )
         yield replace(one, words=named)
 
 
@@ -161,14 +164,6 @@ def _workspace(before: Estimate, known: Machine, calibrated: Machine) -> Workspa
         sure_before=base.uncertainty,
         sure=found.uncertainty,
     )
-
-
-def _uncertain(machine: Machine) -> tuple[tuple[str, float], ...]:
-    """Return effects with the largest shares of the TCP's variance, each with its share."""
-    shares = variance_by_effect(machine)
-    total = sum(shares.values())
-    largest = ranked(shares.items(), lambda item: item[1])[:_MOST_NAMED]
-    return tuple((name, share / total) for name, share in largest if total > 0)
 
 
 def _warnings(closed: Closed) -> tuple[Note, ...]:
@@ -222,3 +217,60 @@ def _proposal(one: Suggestion) -> Proposal:
         other_instrument=one.pool is None,
         hopeless=one.hopeless,
     )
+
+
+def _unseen(closed: Closed) -> tuple[Unseen, tuple[str, ...]]:
+    """Return what the readings cannot detect, and the names of all parameters concerned."""
+    hidden = () if closed.posterior is None else closed.posterior.invisible
+    excited = {e.name for e in excited_effects(closed.after.problem)} | {*closed.catalogue.base}
+    still = tuple(name for name in closed.request.machine.catalogue if name not in excited)
+    varied = _unvaried(closed, still)
+    found = Unseen(
+        effects=_unshown(closed, hidden),
+        unvaried=varied,
+        one_sided=_one_sided(closed, varied),
+        unexcited=still,
+    )
+    return found, tuple(map(str, (*hidden, *closed.catalogue.expand(list(varied)))))
+
+
+def _unshown(
+    closed: Closed, invisible: tuple[Parameter, ...]
+) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Return effects that would not show at three tolerances, each as a clause with the parameters
+    concerned: none where it is all of them; of an effect that was found, its other parameters.
+    """
+    asked = [] if closed.posterior is None else closed.posterior.about.asked
+    every, hidden = (Counter(n.effect for n in names) for names in (asked, invisible))
+    several = [one for cause in closed.effects for one in cause.explanations]
+    told = {one.catalogue.effect_of(one.name).name for one in several}
+
+    def which(effect: str) -> tuple[str, ...]:
+        if hidden[effect] == every[effect]:
+            return (_OF_ONE,) if effect in told else ()
+        names = (str(n) for n in invisible if n.effect == effect)
+        return tuple(name.removeprefix(f"{effect}.") for name in names)
+
+    return tuple((cause_short(closed.catalogue, effect), which(effect)) for effect in hidden)
+
+
+def _unvaried(closed: Closed, unexcited: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """Return effects of the machine for which the readings vary no condition, each with those that
+    it needs; empty where no cause was looked for.
+    """
+    problem = closed.after.problem
+    several = () if closed.posterior is None else problem.machine.catalogue.effects
+    asked = (e for e in several if not (e.of_dial or e.instead_of) and e.name in unexcited)
+    return {effect.name: unmet(problem, effect) for effect in asked}
+
+
+def _one_sided(
+    closed: Closed, unvaried: dict[str, tuple[str, ...]]
+) -> Literal["", "fixed", "same", "unknown"]:
+    """Return why lost motion is not detected, as `Unseen.one_sided`."""
+    if not any("approach" in needs for needs in unvaried.values()):
+        return ""
+    if one_surface(closed.after.problem):
+        return "fixed"
+    known = (f.conditions().approach.any() for f in closed.after.problem.factors)
+    return "same" if all(known) else "unknown"

@@ -153,9 +153,3 @@ def fit_value(fit: Estimate) -> fits.Fit:
         fit.coverage_factor, tuple(map(str, fit.on_bound)), fit.method, int(fit.iterations),
         float(fit.optimality), fit.warnings,
     )  # fmt: skip
-
-
-def correlation_values(fit: Estimate, names: Sequence[str]) -> found.Correlations:
-    """Return the correlations of the named parameters of a fit."""
-    at = [fit.names.index(n) for n in names]
-    return found.Correlations(tuple(map(str, names)), fit.correlation[at][:, at])

@@ -2,7 +2,7 @@
 files that a controller or another program takes of a calibrated machine.
 """
 
-from orthoglide.control.acting import withheld as withheld
+from orthoglide.control.checking import withheld as withheld
 from orthoglide.control.compensation import Compensation as Compensation, compensate as compensate
 from orthoglide.control.files import (
     commands_text as commands_text,

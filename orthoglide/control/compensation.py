@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.accuracy import tcp_slopes
-from orthoglide.control.acting import not_withheld
+from orthoglide.control.checking import not_withheld
 from orthoglide.errors import ClosureError, InputError, UnreachableError, numbers
 from orthoglide.frames import Framed
 from orthoglide.geometry import LEGS, Array

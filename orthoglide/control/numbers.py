@@ -10,8 +10,7 @@ import numpy as np
 
 from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
 from orthoglide.add_ons import Paste, add_on_of
-from orthoglide.control.acting import not_withheld
-from orthoglide.control.checking import ZeroCheck, check_zeros
+from orthoglide.control.checking import ZeroCheck, check_zeros, not_withheld
 from orthoglide.effects import OF_DRIVES
 from orthoglide.effects.wording import effects_in_words
 from orthoglide.frames import Framed
@@ -89,16 +88,6 @@ class DriveNumbers:
     def one_sided_zero(self) -> float:
         """``new_zero`` where backlash is compensated on one side only: rho's - direction."""
         return self.zero - self.sign * (self.offset - self.backlash / 2)
-
-    def shown(self, travel: float, approach: int = 0) -> float:
-        """What to command, in the controller's counting, for a true travel of the carriage.
-
-        Args:
-            travel: from mechanical zero along rho, metres.
-            approach: direction of the last move along rho, +1 or -1; 0: the middle of the band.
-        """
-        lag = -approach * self.backlash / 2
-        return self.zero + self.sign * (travel - self.offset - lag) * self.scale_factor
 
     def as_dict(self, zeros_alone: bool = False) -> dict[str, Any]:
         """For JSON, without all but zeros where ``zeros_alone``; lengths in millimetres."""

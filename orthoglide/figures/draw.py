@@ -1,20 +1,27 @@
-"""All figures of a result, and one of a result or a fit by its name."""
+"""All figures of a result, or one by its name; those of the workspace and of the parameters."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
-from orthoglide.effects import Catalogue
+import numpy as np
+
+import orthoglide.figures.style as style
+from orthoglide.effects import Catalogue, Effect
 from orthoglide.errors import check_word
 from orthoglide.figures.causes import draw_located, draw_signatures
 from orthoglide.figures.readings import draw_readings, draw_residuals
 from orthoglide.figures.style import Drawing, applied
-from orthoglide.figures.values import draw_parameters
-from orthoglide.figures.workspace import draw_workspace
 from orthoglide.frames import Framed
 from orthoglide.geometry import Array
-from orthoglide.numerals import ByUnit
-from orthoglide.result import ReadingsShown, Result
+from orthoglide.numerals import ByUnit, signed
+from orthoglide.result import ReadingsShown, Result, Workspace
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_DARKEST = 0.7  # opacity of a cell at the top of the scale
 
 
 def draw(result: Result) -> list[Drawing]:
@@ -82,3 +89,144 @@ def _drawn(figures: _Figures, what: str) -> Drawing:
     check_word("figure", what, figures)
     with applied():
         return figures[what]()
+
+
+# --- The workspace --------------------------------------------------------------------------
+
+
+def draw_workspace(space: Workspace, effects: bool) -> Drawing:
+    """What is wrong and what is not known on three levels of z; darker for larger.
+
+    Args:
+        space: of the result.
+        effects: whether any were added; the base model is all there is otherwise.
+    """
+    at, chosen = _levels(space)
+    rows = [
+        ("predicted error now", space.nominal, style.DATA),
+        ("with offsets and lengths set", space.before, style.DATA),
+        ("95 % radius afterwards", space.sure, style.FIT),
+    ]
+    if not effects:
+        del rows[1]
+    scale = {
+        c: max(float(v.max()) for _, v, drawn in rows if drawn == c)
+        for c in (style.DATA, style.FIT)
+    }
+    width, height = style.PANEL[0], 2.5
+    panels = [(*row, level) for row in rows for level in chosen]
+    figure, corners = style.sheet(len(panels), height)
+    for (left, top), (what, values, colour, level) in zip(corners, panels, strict=True):
+        there = np.abs(at[:, 2] - level) < 1e-3
+        axes = style.place_axes(figure, left + 0.5, top + 0.32, width - 0.6, height - 0.78)
+        _draw_level(axes, at[there], values[there] * 1e3, colour, scale[colour] * 1e3)
+        _label(axes, space.axis)
+        axes.set_title(f"{what}, z {signed(level, 0)} mm")
+    return style.multiples("workspace", "The TCP over the workspace, mm", figure, corners, height)
+
+
+def _levels(space: Workspace) -> tuple[Array, Array]:
+    """Places ``(g, 3)`` and the lowest, middle and highest of their levels, millimetres."""
+    at = np.round(space.at * 1e3, 6) + 0.0
+    levels = np.unique(at[:, 2])
+    return at, np.unique(levels[[0, len(levels) // 2, -1]])
+
+
+def _label(axes: Axes, axis: str) -> None:
+    axes.set_xlabel(f"{axis.format('x')}, mm", labelpad=2)
+    axes.set_ylabel(f"{axis.format('y')}, mm", labelpad=3)
+
+
+def _draw_level(axes: Axes, at: Array, values: Array, colour: str, most: float) -> None:
+    from matplotlib.colors import to_rgba
+
+    (xs, x), (ys, y) = (np.unique(np.round(at[:, k], 6), return_inverse=True) for k in (0, 1))
+    places = 3 if most < 0.1 else 2
+    cells = [
+        (i, j, to_rgba(colour, 0.05 + (_DARKEST - 0.05) * v / max(most, 1e-12)), f"{v:.{places}f}")
+        for i, j, v in zip(x.tolist(), y.tolist(), values.tolist(), strict=True)
+    ]
+    _draw_cells(axes, cells, [signed(v, 0) for v in xs], [signed(v, 0) for v in ys])
+
+
+Cell = tuple[int, int, tuple[float, ...], str]
+"""Column, row, colour with opacity, and the text in it."""
+
+
+def _draw_cells(
+    axes: Axes, cells: Sequence[Cell], across: Sequence[str], up: Sequence[str]
+) -> None:
+    """Coloured squares with texts, and a label for each column and row."""
+    from matplotlib.collections import PolyCollection
+
+    corners = np.array([[0.03, 0.03], [0.97, 0.03], [0.97, 0.97], [0.03, 0.97]])
+    squares = [corners + np.array([x, y]) for x, y, _, _ in cells]
+    colours = [colour for _, _, colour, _ in cells]
+    axes.add_collection(PolyCollection(squares, facecolors=colours, linewidths=0))
+    for x, y, _, text in cells:
+        axes.text(x + 0.5, y + 0.48, text, ha="center", va="center", fontsize=7)
+    axes.set_xlim(0, len(across))
+    axes.set_ylim(0, len(up))
+    axes.grid(visible=False)
+    axes.spines["bottom"].set_visible(False)
+    axes.tick_params(length=0)
+    axes.set_xticks(np.arange(len(across)) + 0.5, across)
+    axes.set_yticks(np.arange(len(up)) + 0.5, up)
+
+
+# --- Parameters -----------------------------------------------------------------------------
+
+
+def draw_parameters(columns: Mapping[str, Sequence[Any]], catalogue: Catalogue) -> Drawing:
+    """Values with their 95 % intervals against the tolerances, a strip an effect.
+
+    Args:
+        columns: name, value, limits of the interval and tolerance of each, as a fit has them.
+        catalogue: of their effects.
+    """
+    strips: dict[Effect, list[int]] = {}
+    names = columns["parameter"]
+    for k, name in enumerate(names):
+        strips.setdefault(catalogue.effect_of(name), []).append(k)
+    heights = [0.72 + 0.24 * len(members) for members in strips.values()]
+    figure = style.new_figure(style.SINGLE, sum(heights) + 0.3)
+    short = [name.removeprefix(f"{catalogue.effect_of(name).name}.") for name in names]
+    margin = min(0.2 + 0.06 * max(map(len, short)), 1.7)
+    top = 0.3
+    for (effect, members), height in zip(strips.items(), heights, strict=True):
+        axes = style.place_axes(
+            figure, margin, top + 0.2, style.SINGLE - margin - 0.12, height - 0.58
+        )
+        handles = _draw_strip(axes, columns, effect, members)
+        axes.set_yticks(range(len(members)), [short[k] for k in members], color=style.INK)
+        top += height
+    figure.legend(
+        handles, ("value, 95 % interval", "tolerance, ± 1 sigma"), loc="upper left", ncols=2,
+        bbox_to_anchor=(margin / style.SINGLE - 0.02, 1.0), borderaxespad=0.1, handlelength=1.4,
+    )  # fmt: skip
+    return Drawing(
+        "parameters", "Identified values against their tolerances", style.svg_text(figure)
+    )
+
+
+def _draw_strip(
+    axes: Axes, columns: Mapping[str, Sequence[Any]], effect: Effect, members: list[int]
+) -> list[Any]:
+    unit = effect.unit
+    value, low, high, expected = (
+        np.array(columns[title], dtype=float)[members]
+        for title in ("value", "lower", "upper", "tolerance")
+    )
+    half, tolerance = (high - low) / 2, float(expected[0])
+    rows = np.arange(len(members))
+    band = axes.axvspan(-tolerance, tolerance, color=style.BAND, alpha=0.25, linewidth=0)
+    axes.axvline(0, color=style.MUTED, linewidth=0.6)
+    axes.hlines(rows, value - half, value + half, color=style.FIT, linewidth=1.6)
+    (dots,) = axes.plot(value, rows, color=style.FIT, marker="o", linestyle="none", markersize=4.4,
+                        markeredgewidth=0)  # fmt: skip
+    reach = 1.1 * max(float(np.max(np.abs(value) + half)), 1.1 * tolerance)
+    axes.set_xlim(-reach, reach)
+    axes.set_ylim(len(members) - 0.5, -0.5)
+    style.few_ticks(axes, across=5)
+    axes.set_title(f"{effect.name.replace('_', ' ')}, {unit.name}", pad=3)
+    return [dots, band]

@@ -10,8 +10,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from orthoglide.errors import InputError
 from orthoglide.files import write_whole
 
@@ -171,26 +169,3 @@ def multiples(
     """A drawing whose panels a page may arrange; arguments as for :func:`sheet`."""
     places = tuple((x * POINTS, y * POINTS, PANEL[0] * POINTS, height * POINTS) for x, y in corners)
     return Drawing(name, title, svg_text(figure), places, axes)
-
-
-Cell = tuple[int, int, tuple[float, ...], str]
-"""Column, row, colour with opacity, and the text in it."""
-
-
-def draw_cells(axes: Axes, cells: Sequence[Cell], across: Sequence[str], up: Sequence[str]) -> None:
-    """Coloured squares with texts, and a label for each column and row."""
-    from matplotlib.collections import PolyCollection
-
-    corners = np.array([[0.03, 0.03], [0.97, 0.03], [0.97, 0.97], [0.03, 0.97]])
-    squares = [corners + np.array([x, y]) for x, y, _, _ in cells]
-    colours = [colour for _, _, colour, _ in cells]
-    axes.add_collection(PolyCollection(squares, facecolors=colours, linewidths=0))
-    for x, y, _, text in cells:
-        axes.text(x + 0.5, y + 0.48, text, ha="center", va="center", fontsize=7)
-    axes.set_xlim(0, len(across))
-    axes.set_ylim(0, len(up))
-    axes.grid(visible=False)
-    axes.spines["bottom"].set_visible(False)
-    axes.tick_params(length=0)
-    axes.set_xticks(np.arange(len(across)) + 0.5, across)
-    axes.set_yticks(np.arange(len(up)) + 0.5, up)

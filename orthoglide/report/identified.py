@@ -16,6 +16,7 @@ from orthoglide.text import listed
 _HARDLY = 0.95  # ratio of deviations above which they "hardly change"
 _UNSEEN = 0.9  # ratio of a sigma to the tolerance above which the readings add nothing
 _MOST_NAMED = 2  # parameters beyond the base model that a sentence names
+_MOST_NAMED_WEAK = 4  # parameters that a sentence names which the readings confuse
 
 
 def identified_words(result: Result) -> str:
@@ -154,18 +155,17 @@ def _together(weak: list[WeakDirection], legs: list[str]) -> str:
 
 
 def _general(weak: WeakDirection, catalogue: Catalogue) -> str:
-    every = [parameter_words(catalogue.parameter(name), catalogue.legs) for name in weak.parameters]
-    names = listed(every)
-    if len(weak.parameters) > 1:
-        text = f"The readings cannot tell {names} apart"
-    else:
-        text = f"The readings hardly see the {names}"
-    shares = listed([f"{signed(share, 2)} × {n}" for n, share in weak.parameters.items()])
-    if weak.sigma == float("inf"):
-        return f"{text}: nothing at all is seen of the combination {shares}.{_narrowed(weak)}"
+    names = [parameter_words(catalogue.parameter(name), catalogue.legs) for name in weak.parameters]
+    if len(names) > _MOST_NAMED_WEAK:
+        names[_MOST_NAMED_WEAK - 1 :] = [f"{len(names) - _MOST_NAMED_WEAK + 1} more"]
+    text = f"The readings cannot tell {listed(names)} apart: together they"
+    if not names[1:]:
+        text = f"The readings hardly see the {names[0]}: it"
+    if math.isinf(weak.sigma):
+        return f"{text} may change by any amount, and no reading changes.{_narrowed(weak)}"
     return (
-        f"{text}: along {shares} the machine may move by {compact(weak.sigma, 2)} {weak.unit} (one "
-        f"sigma) and hardly a reading changes.{_narrowed(weak)}"
+        f"{text} may change by {compact(weak.sigma, 2)} {weak.unit} (one sigma), and hardly a "
+        f"reading changes.{_narrowed(weak)}"
     )
 
 

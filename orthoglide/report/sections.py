@@ -9,7 +9,6 @@ import math
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +19,8 @@ from orthoglide.figures.readings import MOST_DRAWN
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile
-from orthoglide.numerals import ByUnit, compact, told_apart
-from orthoglide.observations import Readings, Setup
+from orthoglide.numerals import compact
+from orthoglide.observations import Setup
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.identified import effects_named, weak_sentences
 from orthoglide.report.rows import (
@@ -32,14 +31,12 @@ from orthoglide.report.rows import (
     score_rows,
     weighed,
 )
-from orthoglide.report.words import unvaried_effects, unvaried_words
-from orthoglide.result import BudgetItem, Proposal, Result, SetupResidual, Workspace
-from orthoglide.result.result import sheet_of
+from orthoglide.report.words import unshown_effects, unvaried_effects, unvaried_words
+from orthoglide.result import BudgetItem, Result, SetupResidual, Workspace
 from orthoglide.text import listed, sentence
 
 Data = dict[str, Any]
 Figures = Mapping[str, Drawing]
-Station = tuple[Setup, str, str, int]
 
 _MOST_ITEMS = 12
 _LEAST = 1e-6  # metres: an item of the budget that makes less of the tool's error is not shown
@@ -60,47 +57,6 @@ _FAULTS = {
     "scatter": "visits that do not repeat",
     "moved": "an instrument that was moved",
 }
-
-
-@dataclass(frozen=True)
-class BeforeAfter:
-    """A figure before and after."""
-
-    what: str
-    before: str
-    after: str
-    unit: str
-
-
-def before_and_after(result: Result) -> list[BeforeAfter]:
-    """What the finding gains, at a glance."""
-    start, after = result.start, result.after
-    found = [
-        *_tiles("Single readings", start.left, after.scores.left, "rms left"),
-        *_tiles("Stations left out", start.left_out, after.scores.left_out, "rms"),
-    ]
-    if (held := result.hold_out) is not None:
-        found += _tiles("Readings held out", held.before, held.after, "rms")
-    if result.tcp is not None:
-        errors = result.tcp["translation"]
-        first = errors.before if result.improved else errors.nominal
-        was, now = (ByUnit(length, math.nan) for length in (first[0], errors.after[0]))
-        found += _tiles("TCP, best shift removed", was, now, "mean error")
-    noise = result.noise.single_reading.shown
-    found += [
-        BeforeAfter("Noise of a reading", "", compact(value, 2), f"{unit}, sigma")
-        for unit, value in noise.items()
-    ]
-    return found
-
-
-def _tiles(what: str, before: ByUnit, after: ByUnit, figure: str) -> list[BeforeAfter]:
-    """A tile a unit."""
-    found = []
-    for unit, now in after.shown.items():
-        was = before.shown.get(unit, math.nan)
-        found.append(BeforeAfter(what, *told_apart(was, now), f"{unit} {figure}"))
-    return found or [BeforeAfter(what, "", "–", f"mm {figure}")]
 
 
 def faults(result: Result) -> Data:
@@ -128,7 +84,6 @@ def judged(result: Result, figures: Figures) -> Data:
     """Figures of merit of the nominal machine, before and after."""
     inside = result.tcp["translation"].inside if result.tcp else math.nan
     return {
-        "tiles": before_and_after(result),
         "rows": score_rows(result),
         "figure": whole(figures["residuals"]),
         "own": listed([n.replace("_", " ") + "s" for n in result.request.own]),
@@ -246,38 +201,17 @@ _MINUS = re.compile(r"(?<=\s)-(?=\d)")
 def following(result: Result, sheet: str) -> Data:
     """What to measure next, with the sheet as a link."""
     suggested = result.next_measurements
-    suggestions = [_suggested(s, result) for s in suggested if s.readings]
     data = base64.b64encode(sheet.encode()).decode()
     return {
-        "suggestions": suggestions,
+        "suggestions": [(_AIMS[s.aim], _reason(s.reason)) for s in suggested if s.readings],
         "others": [_reason(s.reason) for s in suggested if s.other_instrument and not s.hopeless],
         "hopeless": [_reason(s.reason) for s in suggested if s.hopeless],
-        "legs": LEGS,
         "link": f"data:text/csv;charset=utf-8;base64,{data}" if sheet else "",
     }
 
 
-def _suggested(one: Proposal, result: Result) -> tuple[str, str, Readings, Iterator[Station]]:
-    read = sheet_of(one.readings, result.request.machine)
-    return _AIMS[one.aim], _reason(one.reason), read, _stations(read)
-
-
 def _reason(text: str) -> str:
     return sentence(_MINUS.sub("−", text))
-
-
-def _stations(sheet: Readings) -> Iterator[Station]:
-    """Stations of a sheet, each once: its setup, the command and its side, and how often it is
-    visited.
-    """
-    every = zip(sheet.setup.tolist(), sheet.command.tolist(), sheet.approach.tolist(), strict=True)
-    visits = Counter(
-        (k, tuple(command), tuple(near), label)
-        for (k, command, near), label in zip(every, sheet.posture, strict=True)
-    )
-    for (k, command, near, _), times in visits.items():
-        side = "".join({1.0: "+", -1.0: "−"}.get(way, "·") for way in near)
-        yield sheet.setups[k], ", ".join(f"{value * 1e3:.2f}" for value in command), side, times
 
 
 def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
@@ -291,11 +225,9 @@ def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
     ]
     if not result.improved:  # then the base model is all that was found
         del rows[1:3]
-    shares, called = result.uncertain_effects, result.catalogue.legs.effect_words
     return {
         "rows": [(what, *millimetres([float(v.mean()), float(v.max())])) for what, v in rows],
         "groups": [every[k : k + 3] for k in range(0, len(every), 3)],
-        "most": listed([f"{called(name)} ({share:.0%})" for name, share in shares]),
     }
 
 
@@ -319,7 +251,7 @@ def unseen(result: Result) -> Data:
     """What the readings cannot tell apart, and what they would not show."""
     return {
         "sentences": weak_sentences(result.weak, result.catalogue),
-        "effects": [(words, listed(members)) for words, members in result.unseen.effects],
+        "effects": unshown_effects(result),
         "unexcited": unvaried_effects(result),
         "sides": sentence(one) if (one := unvaried_words(result)) else "",
         "second_place": _has_one_place(result),

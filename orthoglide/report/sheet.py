@@ -12,7 +12,7 @@ from orthoglide.machine_file import Controller
 from orthoglide.observations import Readings, Setup
 from orthoglide.observations.writing import Row, campaign_rows, command_columns
 from orthoglide.pictures import dials
-from orthoglide.report.rendering import rendered
+from orthoglide.report.page import rendered
 from orthoglide.scene import drawing
 
 

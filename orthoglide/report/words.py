@@ -300,8 +300,7 @@ def gain_words(action: Action) -> tuple[str, str]:
 
 def unshown_words(result: Result) -> str:
     """What these readings would not show, by effect, as a clause; empty where there is nothing."""
-    hidden = result.unseen.effects
-    parts = [f"that {words}{_which(of)}" for words, of in hidden]
+    parts = [f"that {words}" for words in unshown_effects(result)]
     if still := unvaried_effects(result):
         parts.append(f"that {', that '.join(still)}, as nothing here varies what would show it")
     if not parts:
@@ -313,8 +312,13 @@ def unshown_words(result: Result) -> str:
     )
 
 
+def unshown_effects(result: Result) -> list[str]:
+    """Return the effects that these readings would not show, a clause each."""
+    return [f"{words}{_which(members)}" for words, members in result.unseen.effects]
+
+
 def _which(members: tuple[str, ...]) -> str:
-    """Which parameters of an effect, in brackets; the page has their names."""
+    """Return which parameters of an effect are meant, in brackets; empty for all of them."""
     if not members:
         return ""
     return f" ({members[0] if ' ' in members[0] else 'some of them'})"

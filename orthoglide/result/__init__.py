@@ -8,13 +8,6 @@ its computation in ``closing/fill.py``, a line in the table of ``docs/files.md``
 results are to be read without it, a default.
 """
 
-from orthoglide.result.advice import (
-    Action as Action,
-    Kind as Kind,
-    Proposal as Proposal,
-    Suspect as Suspect,
-    Withheld as Withheld,
-)
 from orthoglide.result.codec import decoded as decoded, encoded as encoded
 from orthoglide.result.fits import (
     CrossCheck as CrossCheck,
@@ -26,16 +19,20 @@ from orthoglide.result.fits import (
     WeakDirection as WeakDirection,
 )
 from orthoglide.result.found import (
+    Action as Action,
     BudgetItem as BudgetItem,
     CandidateScore as CandidateScore,
     Cause as Cause,
-    Correlations as Correlations,
     Curve as Curve,
     DataRival as DataRival,
     Explanation as Explanation,
     Identified as Identified,
+    Kind as Kind,
     Located as Located,
     Possible as Possible,
+    Proposal as Proposal,
+    Suspect as Suspect,
+    Withheld as Withheld,
 )
 from orthoglide.result.reading import read_result as read_result, request_of as request_of
 from orthoglide.result.request import COMMANDS as COMMANDS, Command as Command, Request as Request

@@ -151,21 +151,12 @@ class WeakDirection:
     unit: str  # of both
 
     def __str__(self) -> str:
-        names = " and ".join(self.parameters)
         along = " ".join(f"{share:+.2f} {name}" for name, share in self.parameters.items())
-        left = (
-            f"sigma {self.sigma:.2g} {self.unit}"
-            if math.isfinite(self.sigma)
-            else "nothing is seen"
-        )
-        verb = "cannot be told apart by" if len(self.parameters) > 1 else "is hardly seen by"
-        tail = ""
-        if self.sigma_with_priors < 0.5 * self.sigma:
-            tail = (
-                f" (with the tolerances as priors {self.sigma_with_priors:.2g} {self.unit}: that "
-                f"is knowledge of the tolerances, not of the readings)"
-            )
-        return f"{names} {verb} these readings: {left} along {along}{tail}"
+        seen = math.isfinite(self.sigma)
+        size = f"sigma {self.sigma:.2g} {self.unit}" if seen else "nothing is seen"
+        prior = f", with the tolerances as priors {self.sigma_with_priors:.2g} {self.unit}"
+        narrowed = self.sigma_with_priors < 0.5 * self.sigma
+        return f"weak direction {along}: {size}{prior * narrowed}"
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from orthoglide.geometry import LEGS, Array
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.numerals import ByUnit
-from orthoglide.result.codec import SHORT, Key, Metres, Share, in_mm, in_mm_short
+from orthoglide.result.codec import SHORT, Key, Metres, Share, in_mm
 
 _MM = 1e-3
 
@@ -41,22 +41,6 @@ class SetupResidual:
     def unit(self) -> str:
         """Unit for display: mm or mrad."""
         return OBSERVATIONS[self.kind].unit
-
-    def facts(self) -> dict[str, Any]:
-        """Return the entry in ``by_setup`` or ``by_instrument`` of ``result.json``."""
-        share = Key(digits=SHORT).number(self.share)
-        rms, most = in_mm_short(self.rms), in_mm_short(self.most)
-        if self.leg < 0:
-            return {
-                "setup": self.setup, "reads": self.reads, "unit": self.unit, "share": share,
-                "rms": rms, "most": most, "posture": self.posture, "where": list(self.where),
-            }  # fmt: skip
-        command = [in_mm(v) for v in self.command]
-        return {
-            "setup": self.setup, "leg": LEGS[self.leg], "direction": LEGS[self.axis],
-            "share": share, "rms_mm": rms, "most_mm": most, "command_mm": command,
-            "posture": self.posture,
-        }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,13 +76,6 @@ class LackOfFit:
         """Whether the mounting with the largest share is a dial's; false without dials."""
         tool = max((one.share for one in self.by_instrument), default=-1.0)
         return any(one.share >= tool for one in self.by_dial[:1])
-
-    def derived(self) -> dict[str, Any]:
-        """Return keys of ``result.json`` that follow from the fields."""
-        return {
-            "by_setup": [one.facts() for one in self.by_dial],
-            "by_instrument": [one.facts() for one in self.by_instrument],
-        }
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,7 @@ from orthoglide.machine_file import Controller
 from orthoglide.notes import Note
 from orthoglide.observations import Readings
 from orthoglide.observations.reading import readings_of_table, rows_table
-from orthoglide.result.advice import Action, Proposal, Withheld, advised
-from orthoglide.result.codec import Key, Metres, Share, decoded, encoded, required_keys
+from orthoglide.result.codec import Key, Metres, decoded, encoded, required_keys
 from orthoglide.result.fits import (
     CrossCheck,
     Fit,
@@ -34,14 +33,17 @@ from orthoglide.result.fits import (
     WeakDirection,
 )
 from orthoglide.result.found import (
+    Action,
     BudgetItem,
     CandidateScore,
     Cause,
-    Correlations,
     Explanation,
     Identified,
     Located,
     Possible,
+    Proposal,
+    Withheld,
+    advised,
 )
 from orthoglide.result.reading import EDITED, as_edited, machine_of, read_result, request_of
 from orthoglide.result.request import Request, machine_kept
@@ -98,7 +100,6 @@ class Result(Framed):
             error of the machine.
         budget: error budget, largest gain first; empty after ``identify``.
         identified: parameters of the base model and of the causes found, by name.
-        correlations: of all parameters after ``identify``, else of those of the base model.
         candidates: causes and free-form errors considered, most probable first.
         blunders: data faults.
         changed: parameters that differ between files.
@@ -111,7 +112,6 @@ class Result(Framed):
         sheet: all proposed readings as rows of one file, commands in joint coordinates.
         left: residuals of the last fit against the noise.
         workspace: TCP errors over the workspace; ``None`` after ``identify``.
-        uncertain_effects: effects with the largest shares of the TCP's variance.
         numbers: zeros for the controller, and the TCP errors to expect.
         actions: what to do, largest gain first.
         invisible: names of parameters that the readings cannot detect; they may still be nonzero.
@@ -148,7 +148,6 @@ class Result(Framed):
     alone: Annotated[tuple[Explanation, ...], Key("single_causes")]
     budget: tuple[BudgetItem, ...]
     identified: Annotated[Mapping[str, Identified], Key("parameters")]
-    correlations: Correlations
     candidates: tuple[CandidateScore, ...]
     blunders: tuple[DataFault, ...]
     changed: tuple[Change, ...]
@@ -160,7 +159,6 @@ class Result(Framed):
     sheet: Annotated[tuple[Mapping[str, str], ...], Key("next_sheet")]
     left: LackOfFit
     workspace: Workspace | None
-    uncertain_effects: tuple[tuple[str, Share], ...]
     numbers: Annotated[ControllerNumbers, Key("controller")]
     actions: tuple[Action, ...]
     invisible: tuple[str, ...]
