@@ -19,8 +19,8 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.closing.actions import confirm
 from orthoglide.effects import CATALOGUE, Effect, Motion, Words, cos, once, sin
-from orthoglide.effects.loading import load_effects
 from orthoglide.effects.motions import Constant, sideways
+from orthoglide.effects.own import load_effects
 from orthoglide.effects.places import dial_places
 from orthoglide.effects.wording import cause_short, cause_words, confirm_words, parameter_words
 from orthoglide.errors import InputError

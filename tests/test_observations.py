@@ -198,8 +198,8 @@ MALFORMED: dict[str, tuple[Fault, str, int]] = {
     "decimal comma in quotes": (cell("reading_mm", "3,1", 7), "write it like 12.34", 7),
     "number out of all range": (cell("reading_mm", "1e400", 7), "out of range", 7),
     "a slip of the pen": (cell("reading_mm", "815", 7), "correct a slip", 7),
-    "negative sigma": (added("sigma_mm", "-0.01"), "above 0", 2),
-    "zero sigma": (added("sigma_mm", "0"), "above 0", 2),
+    "negative sigma": (added("sigma_mm", "-0.01"), "from 1e-06 to 1", 2),
+    "zero sigma": (added("sigma_mm", "0"), "from 1e-06 to 1", 2),
     "kelvin": (added("temperature_C", "293"), "from -40 to 100", 2),
     "negative load": (added("load_N", "-5"), "from 0 to 10000", 2),
     # columns and rows
