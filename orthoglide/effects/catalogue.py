@@ -323,12 +323,6 @@ def _speaking(of: Callable[..., str] | None, names: LegNames) -> Callable[..., s
     return None if of is None else lambda *given: names.spoken(of(*given))
 
 
-def relabelled(name: Parameter, names: LegNames = Orthoglide.names) -> Parameter:
-    """The parameter's name after the legs are relabelled, x -> y -> z -> x on the Orthoglide."""
-    leg, direction = names.relabelled(name.leg, name.direction)
-    return Parameter(name.effect, leg, direction, name.setup, name.member, name.campaign)
-
-
 # An effect holds functions, which do not travel between processes: those of the package go by name.
 def _effect_by_name(name: str, names: LegNames) -> Effect:
     return catalogue_of(names)[name]

@@ -30,8 +30,7 @@ PLATE_BOW = Effect(
         ),
         lambda p: f"{_plate(p)} is a bowl or a dome",
         "the plates are bowls or domes",
-        mm,
-        lambda p, v: (
+        confirm=lambda p, v: (
             f"lay a straight edge across {_plate(p)}: expect a gap of {mm(v)} under its "
             f"{more(v, 'middle', 'ends')}"
         ),
@@ -54,8 +53,7 @@ PLATE_TREFOIL = Effect(
         ),
         lambda p: f"{_plate(p)} has three high and three low sides",
         "the plates have three high and three low sides",
-        mm,
-        lambda p, v: (
+        confirm=lambda p, v: (
             f"turn {_plate(p)} by 60 degrees and measure again: expect its three lobes "
             f"of {mm(v)} to turn with it: low toward {_lobe(p.direction, v)} degrees"
         ),
@@ -84,8 +82,7 @@ PART_SIZE = Effect(
         ),
         lambda p: "the printed part, or the calliper, is off in size beyond the shrinkage",
         "the printed parts, or the calliper, are off in size beyond the shrinkage",
-        percent,
-        lambda p, v: (
+        confirm=lambda p, v: (
             f"measure a gauge block, or 100 mm of a good rule, with the calliper: expect "
             f"{mm(_LONG * v)} {more(v)}, or look for that in the slicer's scale"
         ),

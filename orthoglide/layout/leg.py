@@ -73,15 +73,6 @@ class LegNames:
         words = name.replace("_", " ")
         return self.spoken(words.replace("leg length", "bar length")) if self.nouns else words
 
-    def relabelled(self, leg: str, direction: str) -> tuple[str, str]:
-        """Names of a leg and a direction across it after the legs are relabelled one on."""
-        if leg not in self.legs:
-            return leg, direction
-        old, new = self.index(leg), (self.index(leg) + 1) % 3
-        if direction in self.across[old]:
-            direction = self.across[new][self.across[old].index(direction)]
-        return self.legs[new], direction
-
 
 @dataclass(frozen=True, eq=False)
 class Leg:

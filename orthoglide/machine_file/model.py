@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.add_ons import MARK, Kinematics, Printer, printer_of, table_of
+from orthoglide.add_ons import MARK, Kinematics, Printer, add_on, table_of
 from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
@@ -250,7 +250,8 @@ class MachineFile:
     @cached_property
     def printer(self) -> Printer | None:
         """The numbers of the firmware that the machine was imported from; ``None`` of others."""
-        return printer_of(self.provenance)
+        name, table = table_of(self.provenance)
+        return add_on(name).stored(table) if name else None
 
     @property
     def kinematics(self) -> Kinematics | None:
