@@ -143,6 +143,26 @@ class Printer(Protocol):
     def provenance(self, corrections: Any) -> Mapping[str, Any]:
         """The table, by the add-on's name, that a calibrated machine keeps."""
 
+    def corrections(self, machine: Any, readings: Sequence[Any]) -> Corrections | None:
+        """New numbers for a calibrated machine; ``None`` where the readings of its tool give
+        none.
+        """
+
+    def section(
+        self, given: Any, calibrated: Any, corrections: Corrections | None, causes: Sequence[Any]
+    ) -> Section:
+        """What a report says of a calibrated machine.
+
+        Args:
+            given: the machine as it was imported.
+            calibrated: the machine found.
+            corrections: new numbers for it, where the readings give any.
+            causes: explanations of what is wrong with it, as `orthoglide.result.Explanation`.
+        """
+
+    def paste(self) -> Paste:
+        """Numbers that a calibrated machine keeps."""
+
 
 class AddOn(Protocol):
     """Support for one firmware."""
@@ -159,26 +179,6 @@ class AddOn(Protocol):
         """Read the firmware's table of a machine file; ``None`` where it was edited and is of no
         use.
         """
-
-    def corrections(self, machine: Any, readings: Sequence[Any]) -> Corrections | None:
-        """New numbers for a calibrated machine; ``None`` where the readings of its tool give none,
-        or the machine was not imported.
-        """
-
-    def section(
-        self, given: Any, calibrated: Any, corrections: Corrections | None, causes: Sequence[Any]
-    ) -> Section | None:
-        """What a report says of a calibrated machine; ``None`` of one that was not imported.
-
-        Args:
-            given: the machine as it was imported.
-            calibrated: the machine found.
-            corrections: new numbers for it, where the readings give any.
-            causes: explanations of what is wrong with it, as `orthoglide.result.Explanation`.
-        """
-
-    def paste(self, machine: Any) -> Paste | None:
-        """Numbers that a calibrated machine keeps; ``None`` of a machine that was not imported."""
 
 
 @cache
@@ -217,21 +217,3 @@ def table_of(provenance: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
         if isinstance(table, Mapping) and name in _found():
             return name, table
     return "", {}
-
-
-def add_on_of(provenance: Mapping[str, Any]) -> AddOn | None:
-    """Return the add-on for the firmware in the provenance of a machine file, if there is one."""
-    name, _ = table_of(provenance)
-    return add_on(name) if name else None
-
-
-def printer_of(provenance: Mapping[str, Any]) -> Printer | None:
-    """Return the numbers of the firmware in the provenance of a machine file, if there are any."""
-    name, table = table_of(provenance)
-    return add_on(name).stored(table) if name else None
-
-
-def objection_to(geometry: Any, provenance: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return why dimensions do not go with the numbers of the firmware, as `Printer.objection`."""
-    printer = printer_of(provenance)
-    return () if printer is None else printer.objection(geometry)

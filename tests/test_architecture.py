@@ -285,10 +285,10 @@ OF_ONE_LAYOUT = {
     "effects/rails.py:_turned": "the same",
     # Lengths of bars
     "control/numbers.py:controller_numbers": "L with its correction",
-    "firmware/klipper/printer.py:Printer.doubts": "the same",
+    "firmware/klipper/__init__.py:Printer.doubts": "the same",
     "firmware/klipper/new_numbers.py:_arms": "the same",
     "comparison/comparing.py:Comparison._spheres": "the same",
-    "firmware/klipper/printer.py:Printer.objection": "an arm against L",
+    "firmware/klipper/__init__.py:Printer.objection": "an arm against L",
     "mechanism/six_bars.py:_turn": "the two other axes of a rotation",
     "planning/sheets.py:_widest": "a size between 0 and L that is searched for",
     # Names that files have
@@ -299,8 +299,6 @@ OF_ONE_LAYOUT = {
     "observations/writing.py:command_columns": "tells columns of commands from others",
     "observations/checks.py:check_commands": "says under which of them a command would fit",
     # Dials, which are set against the legs of the Orthoglide alone
-    "observations/readings.py:Readings.relabelled": "renames its legs in readings of dials",
-    "observations/readings.py:Readings.relabelled.turned": "the same",
     "observations/checks.py:_gauges": "places of dials along a leg, from joint coordinates",
     "observations/checks.py:_gauges.on_leg": "the same",
     "observations/protocols.py:_check_on_leg": "the same",

@@ -85,9 +85,3 @@ def test_two_dials_at_one_place_are_refused_with_their_line() -> None:
     frame["gauge2_mm"] = frame["gauge_mm"]
     with pytest.raises(FileError, match="line 2: its two dials stand at one place: correct"):
         og.Readings.from_frame(frame)
-
-
-def test_an_angle_of_a_level_is_in_milliradians() -> None:
-    frame = readings("incline").to_frame()
-    assert "reading_mm" not in frame
-    np.testing.assert_allclose(frame["reading_mrad"], readings("incline").reading * 1e3)

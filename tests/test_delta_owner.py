@@ -4,7 +4,6 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -39,18 +38,6 @@ def imported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("delta") / "in"
     run("import", "klipper", DATA / "electrocally.cfg", "--out", folder)
     return folder
-
-
-@pytest.mark.thorough
-def test_heights_judge_what_a_mesh_gave(imported: Path, tmp_path: Path) -> None:
-    common = ("close-loop", imported / "mesh-default.csv", "--machine", imported / "machine.toml")
-    run(*common, "--holdout", imported / "calibration.csv", "--out", tmp_path / "one", "--quiet")
-    told = json.loads((tmp_path / "one" / "result.json").read_text())
-    assert told["arguments"]["holdout"] == "calibration.csv"
-    assert 0 < told["holdout"]["after_rms_mm"] < 0.1
-    assert "same numbers" in run("rerun", tmp_path / "one" / "result.json")
-    run(*common, "--holdout", imported / "mesh-default.csv", "--out", tmp_path / "two", "--quiet")
-    assert "they judge nothing" in (tmp_path / "two" / "report.html").read_text()
 
 
 def test_two_visits_are_compared(imported: Path, tmp_path: Path) -> None:
@@ -160,7 +147,7 @@ def test_absurd_rods_are_told_whatever_is_asked(tmp_path: Path) -> None:
 def test_instruments_that_one_owns_and_others(imported: Path, tmp_path: Path) -> None:
     machine, sheet = imported / "machine.toml", tmp_path / "sheet.csv"
     told = run("design", "--owns", "plate,incline", "--machine", machine, "--out", sheet)
-    assert "with a probe on a plate (29), a level on the platform (26):" in told
+    assert "with a probe on a plate (29), a level at the tool (26):" in told
     assert "not detectable: encoder_scale (a, b, c)" in told
     rows = [row for row in sheet.read_text().splitlines() if not row.startswith("move")]
     assert len(rows) == 1 + 29 + 26
@@ -177,24 +164,6 @@ def test_instruments_that_one_owns_and_others(imported: Path, tmp_path: Path) ->
         "design", "--owns", "ruler", "--machine", machine, code=2
     )
     assert "linear-delta" in run("design", "--owns", "leg", "--machine", machine, code=2)
-
-
-@pytest.mark.thorough
-def test_a_count_of_readings_is_chosen_among_what_one_owns(imported: Path, tmp_path: Path) -> None:
-    machine, sheet = imported / "machine.toml", tmp_path / "sheet.csv"
-    common = ("design", "--owns", "plate,incline", "--machine", machine)
-    told = run(*common, "--count", 20, "--out", sheet)
-    numbers = re.search(
-        r"with a probe on a plate \((\d+)\), a level on the platform \((\d+)\)", told
-    )
-    assert numbers is not None
-    plate, level = map(int, numbers.groups())
-    assert plate + level == 20
-    assert min(plate, level) >= 4
-    rows = [row for row in sheet.read_text().splitlines() if not row.startswith("move")]
-    assert sum(row.startswith("plate") for row in rows) == plate
-    assert len(rows) == 21
-    assert "ask for 6 to 55, not 56" in run(*common, "--count", 56, code=2)
 
 
 def test_readings_chosen_together_tell_more_than_drawn_ones(imported: Path) -> None:
@@ -279,6 +248,7 @@ def test_distances_beside_a_mesh_name_no_cause_alone(v400: Path) -> None:
         assert {"plate_trefoil.cos.common", "rail_tilt.tangential.common"} <= every
 
 
+@pytest.mark.thorough
 def test_what_most_probably_decides_is_asked_for_first() -> None:
     """A level was, by which neither lobes nor paths that all lean to one side turn the platform."""
     rig, lobes = DeltaRig(errors={"plate_trefoil.bed.cos": 1.5e-4}), "plate_trefoil.bed.cos"
@@ -393,17 +363,6 @@ def test_where_the_plate_was_not_touched_no_zero_is_told(v400: Path, tmp_path: P
     assert "nothing needs to be measured again" not in page
 
 
-def test_seven_heights_are_too_few_for_causes(v400: Path, tmp_path: Path) -> None:
-    common = ("--machine", v400 / "machine.toml", "--out", tmp_path / "out")
-    told = run("close-loop", v400 / "plate.csv", *common)
-    assert "Verdict unexplained" in told
-    assert "7 readings are too few to say more" in told
-    assert "of its tolerance" not in told
-    result = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
-    assert result["before"]["lack_of_fit_p"] < 1e-4
-    assert result["after"] == result["before"]
-
-
 def test_a_tower_is_tried_against_a_square_that_stands(imported: Path) -> None:
     machine = Machine.load(imported / "machine.toml")
     effect = machine.catalogue["axis_tilt"]
@@ -412,13 +371,6 @@ def test_a_tower_is_tried_against_a_square_that_stands(imported: Path) -> None:
     assert "stands along tower c, and move 100 mm up: expect 0.4 mm toward the centre" in told
     x = Machine.nominal().catalogue.parameter("axis_tilt.x.y")
     assert "lies along x, and move 100 mm outward" in confirm_words(effect, x, 1e-3)
-
-
-def test_legs_that_must_twist_go_by_their_own_names(imported: Path) -> None:
-    machine = Machine.load(imported / "machine.toml").with_parameters({"mount_tilt.b.a": 0.2})
-    told = machine.close([0.0, 0.0, 0.0]).warnings
-    assert {text[:16] for text in told} <= {f"leg {leg} must twist" for leg in "abc"}
-    assert told[1].startswith("leg b must twist")
 
 
 def test_what_is_left_of_touches_is_held_against_their_own_noise() -> None:
@@ -443,20 +395,6 @@ def test_a_hinge_turns_the_way_that_a_mechanic_sees() -> None:
     ):
         assert words in cause_words(catalogue, name, {name: 0.01})
         assert words.replace("counter-", "") in cause_words(catalogue, name, {name: -0.01})
-
-
-@pytest.mark.thorough
-def test_causes_of_long_names_fit_a_narrow_terminal(v400: Path, monkeypatch: Any) -> None:
-    monkeypatch.setattr("orthoglide.text._WIDTH", 80)
-    machine = Machine.load(v400 / "machine.toml")
-    lines = str(close_loop(v400 / "mesh-default_25Probe.csv", machine)).splitlines()
-    first = next(k for k, line in enumerate(lines) if line.split() == ["probability", "cause"])
-    last = next(k for k, line in enumerate(lines) if "nominal" in line and k > first)
-    assert max(map(len, lines)) <= 80
-    rows = [line[15:].split() for line in lines[first + 2 : last] if line.strip()]
-    names = [row[0] for row in rows if "_" in row[0]]
-    assert "rail_tilt.tangential.common" in names
-    assert len(rows) < 3.5 * len(names)  # two or three lines of words for each
 
 
 @pytest.mark.thorough
@@ -509,7 +447,7 @@ def test_a_cause_beside_a_place_is_reported_whole(tmp_path: Path) -> None:
     assert verdict.word == "located"
     assert [e.name for e in verdict.effects] == ["axis_tilt.a.tangential"]
     assert [f.name for f in verdict.located] == ["drive.b/travel"]
-    assert "a level on the platform" in verdict.next_measurements[0].reason
+    assert "a level at the tool" in verdict.next_measurements[0].reason
     verdict.report(tmp_path / "out")
     (place,) = json.loads((tmp_path / "out" / "result.json").read_text())["located"]
     assert [place["leg"], *(member["leg"] for member in place["class"])] == ["b"] * (
@@ -582,6 +520,7 @@ def test_frames_of_instruments_stand_about_the_machine_that_is_told() -> None:
     assert np.abs(verdict.after.values["parallelogram_width.a"] + 8.7e-4) < 5e-5
 
 
+@pytest.mark.thorough
 def test_the_bump_of_a_bed_is_no_slip_of_the_probe() -> None:
     """Off by over a millimetre at its top, and by less and less beside it."""
 

@@ -14,7 +14,7 @@ from scipy.stats import ncx2
 
 import orthoglide as og
 from orthoglide.cli.measuring import design as design_command, protocol as protocol_command
-from orthoglide.effects import CATALOGUE, relabelled
+from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
 from orthoglide.explanation.evidence import Scoring
 from orthoglide.explanation.signatures import signatures
@@ -37,6 +37,7 @@ from orthoglide.planning.detectable import noncentrality, separation
 from orthoglide.planning.linear import LinearReadings, Steps
 from orthoglide.planning.pool import DIAL_TRAVEL, sheet
 from tests.factors import problem_of
+from tests.relabelling import legs_renamed, relabelled
 from tests.rig import Rig
 from tests.rig_campaigns import APPROACH, read_csv, simulate, write_csv
 
@@ -115,7 +116,7 @@ def test_the_pool_is_the_same_for_every_leg(machine):
         ]
         return sorted(table)
 
-    assert rows(pool) == rows(pool.relabelled())
+    assert rows(pool) == rows(legs_renamed(pool))
 
 
 # -- one step at a time is exact -----------------------------------------------------------------
@@ -233,7 +234,7 @@ def test_observability_of_a_protocol_does_not_depend_on_the_legs_names(machine):
     sheet_, families = protocol("standard"), ("joint_offset", "leg_length", "axis_tilt")
     found = observability(machine, sheet_, families)
     assert found.singular == pytest.approx(
-        observability(machine, sheet_.relabelled(), families).singular, rel=1e-6, abs=1e-6
+        observability(machine, legs_renamed(sheet_), families).singular, rel=1e-6, abs=1e-6
     )
     assert found.rank < found.unknowns  # six tilts are more than twelve deviations show
 

@@ -1,8 +1,6 @@
 """An effect is one declaration: nobody else knows it by name; a user's own does all it should."""
 
 import ast
-import copy
-import importlib
 import json
 import math
 import pickle
@@ -18,9 +16,9 @@ from click.testing import CliRunner
 import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.closing.actions import confirm
-from orthoglide.effects import CATALOGUE, Effect, Motion, Words, cos, once, sin
-from orthoglide.effects.loading import load_effects
+from orthoglide.effects import CATALOGUE, Effect, Motion, cos, once, sin
 from orthoglide.effects.motions import Constant, sideways
+from orthoglide.effects.own import load_effects
 from orthoglide.effects.places import dial_places
 from orthoglide.effects.wording import cause_short, cause_words, confirm_words, parameter_words
 from orthoglide.errors import InputError
@@ -179,14 +177,6 @@ def test_a_pair_has_a_test_that_confirms_it(machine: og.Machine, effect: Effect,
     assert re.fullmatch(test, confirm(one))
 
 
-def test_effects_travel_between_processes(machine: og.Machine) -> None:
-    again = pickle.loads(pickle.dumps(machine.catalogue["axis_tilt"]))
-    assert again is CATALOGUE["axis_tilt"]
-    assert copy.deepcopy(machine).catalogue["carriage_play"].name == "carriage_play"
-    parameter = machine.catalogue.parameter("axis_tilt.y.z@april")
-    assert pickle.loads(pickle.dumps(parameter)).campaign == "april"
-
-
 def test_mistakes_are_refused() -> None:
     with pytest.raises(InputError, match="two effects"):
         CATALOGUE.with_effects([Effect("backlash", MM, 1.0, "", "", "")])
@@ -255,13 +245,6 @@ OWN_DIAL = Effect(
 SAID = CATALOGUE.with_effects([OWN_SAG, SECOND_HARMONIC, OWN_DIAL])
 
 
-def test_the_documented_example_travels(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(PACKAGE.parent / "examples")
-    own = importlib.import_module("carriage_play").CARRIAGE_PLAY
-    machine = og.Machine.nominal().with_effects([own])
-    assert pickle.loads(pickle.dumps(machine)) == machine
-
-
 @pytest.mark.parametrize("name", list(SAID))
 @pytest.mark.parametrize("sign", [1, -1])
 def test_words_say_sign_size_and_part(name: str, sign: int) -> None:
@@ -276,16 +259,6 @@ def test_words_say_sign_size_and_part(name: str, sign: int) -> None:
         assert confirm_words(effect, parameter, value) != confirm_words(
             effect, parameter, -value
         ) or (effect.paired)
-
-
-def test_words_default_to_words(machine: og.Machine) -> None:
-    assert Words().one is None
-
-
-def test_the_documented_example_is_short() -> None:
-    text = (PACKAGE.parent / "examples" / "carriage_play.py").read_text(encoding="utf-8")
-    lines = text[text.index("def play") :].splitlines()
-    assert len([line for line in lines if line.strip()]) < 15
 
 
 @pytest.mark.thorough

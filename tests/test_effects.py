@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from orthoglide import reduction
-from orthoglide.effects import CATALOGUE, relabelled
+from orthoglide.effects import CATALOGUE
 from orthoglide.effects.effect import Group
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Geometry
@@ -23,6 +23,7 @@ from orthoglide.mechanism.six_bars import LINES, ROTATION, TCP
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings, Setup
 from orthoglide.prediction import Conditions, Model
+from tests.relabelling import legs_renamed, relabelled
 from tests.rig import Array, Pose, Rig, parameter_names
 from tests.tiers import in_turn
 
@@ -46,12 +47,6 @@ DIAL_PARAMETERS = tuple(
 MACHINE = pytest.mark.parametrize("name", CATALOGUE.parameters)
 NAMES = CATALOGUE.parameters + DIAL_PARAMETERS
 EVERY = pytest.mark.parametrize("name", NAMES)
-
-# The rest of the carriages' path and of the bars' lengths: nothing that turns a short link.
-ON_SPHERES = (
-    "joint_offset", "encoder_scale", "screw_error", "backlash", "drive_compliance", "axis_offset",
-    "axis_tilt", "rail_bow", "leg_length", "thermal_growth", "thermal_drift",
-)  # fmt: skip
 
 
 def orbit(name: str) -> frozenset[str]:
@@ -172,11 +167,6 @@ def test_what_is_no_parameter_is_refused(name: str) -> None:
         CATALOGUE.expand([name], [setup.name for setup in SETUPS])
 
 
-def test_a_vector_of_parameters_takes_no_families() -> None:
-    with pytest.raises(InputError, match="joint_offset has joint_offset"):
-        model().vector({"joint_offset": 1.0})
-
-
 # -- zero, derivatives, linearity --------------------------------------------------------------
 
 
@@ -273,26 +263,9 @@ def test_relabelling_the_legs_relabels_the_effect(name: str) -> None:
         assert turned in CATALOGUE.parameters
         assert relabelled(relabelled(turned)) == name
     shown = model().readings({name: value}, seen)
-    assert np.abs(model().readings({turned: value}, seen.relabelled()) - shown).max() < 1e-13
-    p, q = (outputs({n: value}, c)[:, TCP] for n, c in ((name, seen), (turned, seen.relabelled())))
+    assert np.abs(model().readings({turned: value}, legs_renamed(seen)) - shown).max() < 1e-13
+    p, q = (outputs({n: value}, c)[:, TCP] for n, c in ((name, seen), (turned, legs_renamed(seen))))
     assert np.abs(np.roll(p, 1, axis=1) - q).max() < 1e-13
-
-
-@MACHINE
-def test_relabelling_the_legs_relabels_the_motions(name: str) -> None:
-    """Also of what does nothing without a load, which does not turn with the labels."""
-    command = GEOMETRY.L + np.array([0.03, -0.07, 0.011])
-    approach, force = np.array([1.0, -1.0, 1.0]), np.array([3.0, -2.0, 5.0])
-    moves = []
-    for parameter, k in ((name, 0), (relabelled(name), 1)):
-        turned = [np.roll(x, k) for x in (command, approach, force)]
-        seen = np.concatenate([*turned[:2], [100.0, 3.0], turned[2]])
-        theta = model().vector({parameter: tolerance(parameter)})
-        moves.append(
-            model().moving.function(model().moving.size, theta, seen).full().reshape(3, -1)
-        )
-    assert moves[0].any()
-    assert np.abs(np.roll(moves[0], 1, axis=0) - moves[1]).max() < 1e-16
 
 
 # -- other machines ----------------------------------------------------------------------------
@@ -321,41 +294,6 @@ def test_everything_at_once_agrees_with_the_independent_machine(seed: int) -> No
     assert np.abs(found[:, ROTATION].reshape(-1, 3, 3) - pose.R).max() < 1e-8
     assert np.abs(model().readings(values, campaign()) - shown).max() < 1e-8
     assert np.abs(pose.p - reduction.forward(campaign().command)).max() > 1e-3
-
-
-@pytest.mark.parametrize(
-    ("name", "times"),
-    in_turn([n for n in CATALOGUE.parameters if n.partition(".")[0] in ON_SPHERES], [10, -10, 1]),
-)
-def test_moved_carriages_and_changed_bars_agree_with_three_spheres(name: str, times: int) -> None:
-    seen, value = campaign(), times * tolerance(name)
-    family, leg = name.split(".")[0], LEGS.index(name.split(".")[1])
-    toward = LEGS.index(name.split(".")[2]) if name.count(".") == 2 and "screw" not in name else leg
-    told = seen.command[:, leg] - GEOMETRY.L
-    low, high = GEOMETRY.stroke
-    u = (told - (low + high) / 2) / ((high - low) / 2)
-    turn = 2 * np.pi * told / PITCH
-    p = reduction.forward(seen.command)
-    # Force of the load on the drive by virtual work: the row of z in dp/drho.
-    force = -seen.load * reduction.jacobians(p, seen.command).rho[:, 2, leg]
-    along: dict[str, Array | float] = {
-        "joint_offset": 1.0, "encoder_scale": told, "backlash": -seen.approach[:, leg] / 2,
-        "screw_error": np.sin(turn) if name.endswith("sin") else np.cos(turn),
-        "drive_compliance": force, "axis_offset": 1.0, "axis_tilt": told, "rail_bow": u**2 - 1,
-    }  # fmt: skip
-    longer: dict[str, Array | float] = {
-        "leg_length": 1.0, "thermal_growth": GEOMETRY.L * (seen.temperature - seen.temperature[0]),
-        "thermal_drift": GEOMETRY.L * seen.time,
-    }  # fmt: skip
-    centres = seen.command[:, :, None] * np.eye(3)
-    lengths = np.full((len(seen), 3), GEOMETRY.L)
-    centres[:, leg, toward] += value * along.get(family, 0.0)
-    lengths[:, leg] += value * longer.get(family, 0.0)
-    expected = reduction.intersect_spheres(centres, lengths)
-    found = outputs({name: value}, seen)
-    assert np.abs(expected - p).max() > 1e-9
-    assert np.abs(found[:, TCP] - expected).max() < 1e-12
-    assert np.abs(found[:, ROTATION] - np.eye(3).ravel()).max() < 1e-12
 
 
 @pytest.mark.parametrize("leg", LEGS)

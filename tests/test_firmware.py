@@ -72,45 +72,7 @@ def test_an_edited_table_is_no_printer_s() -> None:
 # What is read of a printer's file -----------------------------------------------------------------
 
 
-def test_distances_of_other_microsteps_than_the_heights(tmp_path: Path) -> None:
-    found = import_printer(FIELD / "distances-in-other-microsteps")
-    (calibration,) = found.campaigns
-    assert (calibration.touching.sum(), calibration.paired.sum()) == (7, 12)
-    assert any("positions of heights" in n and "0.5 times the microsteps" in n for n in found.notes)
-    assert not any("positions of distances" in n for n in found.notes)  # of now
-    machine = og.Machine(found.machine)
-    ends = [machine.forward(c[7:]) for c in (calibration.command, calibration.second)]
-    apart = np.linalg.norm(ends[0] - ends[1], axis=1) - calibration.reading[7:]
-    assert np.abs(apart).max() < 2e-4
-    run = call(
-        "import", "klipper", FIELD / "distances-in-other-microsteps", "--out", tmp_path / "in"
-    )
-    assert run.code == 0
-
-
 # Files of other firmware --------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("command", ["klipper", "plates"])
-@pytest.mark.parametrize(
-    ("name", "firmware", "sizes"),
-    [
-        ("rrf.g", "RepRapFirmware's config.g", ("L = 269.5477", "= 135.916")),
-        ("smoothie.txt", "Smoothieware's config", ("L = 215", "= 106")),
-    ],
-)
-def test_a_configuration_of_another_firmware_is_answered(
-    command: str, name: str, firmware: str, sizes: tuple[str, str], tmp_path: Path
-) -> None:
-    machine = ("--machine", WORDS / "machine.toml") if command == "plates" else ()
-    run = call("import", command, WORDS / name, *machine, "--out", tmp_path / "o")
-    text = run.text
-    assert run.code == 2
-    assert not (tmp_path / "o").exists()
-    assert f"is {firmware}" in text
-    assert "Traceback" not in text
-    for part in (*sizes, 'kind "linear-delta"', "docs/linear-deltas.md", "import plates"):
-        assert part in text, part
 
 
 @pytest.mark.parametrize("name", ["heightmap.csv", "g29.txt"])
@@ -184,8 +146,6 @@ def test_a_mesh_is_the_same_from_either_file(tmp_path: Path) -> None:
 PLAIN = [(0, 0, 0.1), (50, 0, -0.25), (0, 50.5, 1.5)]
 TABLES = {
     "commas": "0,0,0.1\n50,0,-0.25\n0,50.5,1.5\n",
-    "blanks": "0 0 0.1\n 50\t0 -0.25\n0 50.5 1.5\n",
-    "tabs": "x\ty\tz\n0\t0\t0.1\n50\t0\t-0.25\n0\t50.5\t1.5\n",
     "semicolons": "X [mm];Y [mm];Z [mm]\n0;0;0,1\n50;0;-0,25\n0;50,5;1,5\n",
     "decimal commas": "0 0 0,1\n50 0 -0,25\n0 50,5 1,5\n",
     "another order": "n,z_um,y_mm,x_mm\n1,100,0,0\n2,-250,0,50\n3,1500,50.5,0\n",
@@ -193,8 +153,6 @@ TABLES = {
     "comments": "# bed of May\n0, 0, 0.1\n\n50, 0, -0.25\n// again\n0, 50.5, 1.5\n",
     "labels": "X:0 Y:0 Z:0.1\nX:50 Y:0 Z:-0.25\nX=0 Y=50.5 Z=1.5\n",
     "names in a comment": "# z x y\n0.1 0 0\n-0.25 50 0\n1.5 0 50.5\n",
-    "words of units": "x in mm,y in mm,z in um\n0,0,100\n50,0,-250\n0,50.5,1500\n",
-    "quotes": '"X","Y","Z"\n"0","0","0.1"\n"50","0","-0.25"\n"0","50.5","1.5"\n',
     "Windows": "0,0,0.1\r\n50,0,-0.25\r\n0,50.5,1.5\r\n",
 }
 
@@ -273,20 +231,6 @@ def test_heights_in_another_unit_are_told(tmp_path: Path) -> None:
         listed(tmp_path, micrometres.replace("\n", "0\n"))
 
 
-@pytest.mark.parametrize(
-    ("text", "firmware"),
-    [
-        ("M665 R105.6 L215.0 B80 H250\nM666 X0.2 Y0.1 Z-0.3\n", "RepRapFirmware's config"),
-        ("M665 L215.00 R105.60 H250.00 S80.00 X0.00 Y0.00 Z0.00\n", "what Marlin's M503 prints"),
-        ("alpha_steps_per_mm 80 # steps\narm_length 215\n", "Smoothieware's config"),
-    ],
-)
-def test_whose_words_they_are(text: str, firmware: str, tmp_path: Path) -> None:
-    (tmp_path / "settings").write_text(text)
-    with pytest.raises(FileError, match=f"is {firmware}.*with L = 215"):
-        import_plates(tmp_path / "settings", MACHINE)
-
-
 def test_what_no_plate_has_is_left_out_by_its_line(tmp_path: Path) -> None:
     text = TABLES["commas"] + "20,20,0.3\n30,30,400\n900,0,0.1\nten,0,0.1\n-40,0,\n"
     found = listed(tmp_path, text)
@@ -303,7 +247,6 @@ def test_what_no_plate_has_is_left_out_by_its_line(tmp_path: Path) -> None:
 
 REFUSED = {
     "nothing": ("# none\n", "has no list of plate points"),
-    "words": ("some words\nand more of them\n", "no row of x, y and z"),
     "two points": ("0,0,0.1\n50,0,0.2\n", "fewer than 3 places"),
     "metres": ("0,0,0.0001\n0.05,0,0.0002\n0,0.05,0.0003\n", "give millimetres"),
     "a map of nothing": ("RepRapFirmware height map file v2\nX\n", "give the whole file"),

@@ -13,21 +13,19 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 import pytest
-from rich.table import Table
 
 import orthoglide as og
 from orthoglide.comparison import slices
 from orthoglide.comparison.tables import slice_figure
 from orthoglide.control import export_files
 from orthoglide.effects import CATALOGUE
-from orthoglide.errors import FileError, InputError
+from orthoglide.errors import FileError
 from orthoglide.figures.style import applied, new_figure, svg_text
 from orthoglide.files import read_bytes
 from orthoglide.machine_file import MachineFile, machine_text, parse_machine_file
 from orthoglide.machine_file.posterior import parse_posterior
 from orthoglide.observations import campaign_text, read_campaign
 from orthoglide.parameters import Parameter
-from orthoglide.report.text import console_text
 from tests.test_cli import EXPERIMENT_2, rows, run
 
 TOML = machine_text(MachineFile())
@@ -180,12 +178,6 @@ def test_formulas_are_text_in_every_table(here: Path) -> None:
         assert not [c for c in cells if c[:1] in ("=", "@") or c.startswith(("+cmd", "-2+3"))]
 
 
-def test_terminal_tables_take_no_markup() -> None:
-    table = Table("name")
-    table.add_row("[/b] :smile: [red]")
-    assert "[/b] :smile: [red]" in console_text([table])
-
-
 def test_figures_take_no_formulas() -> None:
     names = ("$$", "$\\frac{$", "$x$")
     with applied():
@@ -245,19 +237,14 @@ def first_cell(column: str, cell: str) -> str:
 
 CAMPAIGNS: dict[str, tuple[str | bytes, str]] = {
     "a lone byte order mark": (b"\xef\xbb\xbf", "is empty"),
-    "a byte order mark and lines": (b"\xef\xbb\xbf\n\n", "is empty"),
     "commas": (",,,\n,,\n", "has only empty fields"),
-    "semicolons": (";;\n", "has only empty fields"),
-    "a sigma near zero": (with_column("sigma_mm", "1e-320"), "which no instrument has"),
-    "a sigma beyond all": (with_column("sigma_mm", "1e8"), "which no instrument has"),
+    "a sigma beyond all": (with_column("sigma_mm", "1e8"), "give a number from 1e-06 to 1"),
     "a page in a cell": (first_cell("reading_mm", "x" * 100_000), "is 'xxx"),
     "a page for a name": (first_cell("setup", "x" * 5_000), "shorten it to 100"),
-    "a page for a posture": (first_cell("posture", "x" * 5_000), "shorten it to 100"),
     "a name on two lines": (first_cell("setup", "a\nb"), "write it on one"),
     "ten thousand columns": (",".join(f"c{k}" for k in range(10_000)) + "\n1\n", "columns"),
     "a column of a page": (EXPERIMENT_2.replace("gauge_mm", "gauge_mm" * 900), "has no column"),
     "a digit of a hundred thousand": (first_cell("reading_mm", "1" * 100_000), "out of range"),
-    "a power beyond all": (first_cell("reading_mm", "1e9999"), "out of range"),
 }
 
 
@@ -272,8 +259,6 @@ DIGITS = "1" * 5000
 MACHINES = {
     "digits without end": TOML.replace("L = 310.25", f"L = {DIGITS}"),
     "a schema without end": TOML.replace("schema = 1", f"schema = {DIGITS}"),
-    "digits in the provenance": f"{TOML}\n[provenance]\nx = {DIGITS}\n",
-    "hexadecimal digits": f"{TOML}\n[provenance]\nx = 0x{'f' * 5000}\n",
     "hexadecimal digits, deep": f"{TOML}\n[provenance]\nx = [[{{ y = 0x{'f' * 5000} }}]]\n",
     "a repeatability near zero": TOML.replace(
         "[dial_mm]", "[dial_mm]\nrepeatability = 1e-320"
@@ -341,11 +326,3 @@ def test_what_never_ends_is_not_read_to_its_end(
         out = ("--out", "out") if command[0] == "import" else ()
         assert "is larger than 1 MB" in refused(*command, "large.csv", *out)
     assert "is larger than 1 MB" in refused("identify", "large.csv", "--out", "out")
-
-
-def test_a_frame_with_what_cannot_be_shown_is_refused() -> None:
-    rows = list(csv.DictReader(io.StringIO(EXPERIMENT_2)))
-    frame = {name: [row[name] for row in rows] for name in rows[0]}
-    frame["setup"] = ["a\x1bb", *frame["setup"][1:]]
-    with pytest.raises(InputError, match=r"U\+001B"):
-        og.Campaign.from_frame(frame)

@@ -1,6 +1,5 @@
 """The linear delta against three spheres and against an independent machine of six bars."""
 
-import json
 import pickle
 import re
 from dataclasses import replace
@@ -12,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from orthoglide.accuracy import workspace
 from orthoglide.closing import filled
-from orthoglide.effects import catalogue_of, relabelled
+from orthoglide.effects import catalogue_of
 from orthoglide.effects.places import places
 from orthoglide.effects.wording import cause_words, parameter_words
 from orthoglide.errors import FileError, InputError
@@ -26,18 +25,16 @@ from orthoglide.machine_file import (
     machine_text,
     parse_machine_file,
 )
-from orthoglide.mechanism.constraints import Constraints
-from orthoglide.observations import csv_text, read_tcp, tcp_rows, write_campaign
+from orthoglide.observations import csv_text, read_tcp, tcp_rows
 from orthoglide.parameters import Parameter
-from orthoglide.planning.sheets import sheet_of
 from orthoglide.prediction import Conditions
 from orthoglide.reduction.spheres import intersect_spheres
-from orthoglide.simulation import simulate, simulate_tcp
+from orthoglide.simulation import simulate_tcp
 from orthoglide.verdict import Verdict
 from tests.engines import forward, mechanism
+from tests.relabelling import relabelled
 from tests.rig_delta import DeltaRig, parameter_names
 from tests.studied import studied
-from tests.test_cli import run
 
 RIG = DeltaRig()
 DELTA = Geometry(
@@ -134,17 +131,6 @@ def test_the_other_assembly_mode_is_the_mirror_image() -> None:
     assert np.abs(mechanism(DELTA).close(travel[0], mode="other").p - other).max() < 1e-11
 
 
-def test_constraint_jacobian_is_the_derivative_of_the_closures() -> None:
-    q = mechanism(DELTA).close(np.array([0.02, 0.05, 0.01])).q + 1e-3
-    constraints, width = Constraints(mechanism(DELTA).tree), 1e-6
-    jacobian = constraints.jacobian(q)
-    for k in range(len(q)):
-        step = np.zeros(len(q))
-        step[k] = width
-        slope = (constraints.residual(q + step) - constraints.residual(q - step)) / (2 * width)
-        assert np.abs(slope - jacobian[:, k]).max() < 1e-7
-
-
 def test_catalogue_and_rig_know_the_same_parameters() -> None:
     """Dials read on the legs of an Orthoglide only."""
     own = [name for name, effect in CATALOGUE.items() if effect.group not in ("dial", "part")]
@@ -211,8 +197,6 @@ def test_compensated_commands_reach_the_points_on_the_independent_machine(machin
 
 
 def test_every_layout_has_its_names() -> None:
-    assert Orthoglide.names.relabelled("x", "y") == ("y", "z")
-    assert LinearDelta.names.relabelled("c", "radial") == ("a", "radial")
     assert "axis_tilt.tangential.common" in CATALOGUE.structured("axis_tilt")
     assert {"plate_bow", "plate_trefoil"} <= set(catalogue_of(Orthoglide.names))
     for name in CATALOGUE:
@@ -253,13 +237,6 @@ def test_legs_that_cannot_be_called_so_are_refused(name: str) -> None:
         FreeLeg(name, (0.3, 0, 0), (1, 0, 0), (0, 0, 1))
 
 
-def test_legs_that_stand_nowhere_are_refused() -> None:
-    with pytest.raises(InputError, match="finite"):
-        FreeLeg("a", (np.nan, 0, 0), (1, 0, 0), (0, 0, 1))
-    with pytest.raises(InputError, match="finite"):
-        FreeLeg("a", (0.3, 0, 0), (1, np.inf, 0), (0, 0, 1))
-
-
 def freely(geometry: Geometry, names: str = "uvw", turn: np.ndarray | None = None) -> Geometry:
     """The same legs given one by one, the machine turned about the base frame's origin."""
     about, tool = np.eye(3) if turn is None else turn, getattr(geometry.layout, "tool", (0, 0, 0))
@@ -288,22 +265,6 @@ def test_legs_given_freely_are_the_machine(geometry: Geometry) -> None:
     assert np.abs(other.inverse(p) - travel).max() < 1e-11
 
 
-def test_free_legs_may_be_turned_and_relabelled() -> None:
-    turn = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
-    plain, turned = freely(Geometry()), freely(Geometry(), "wuv", turn)
-    values, travel = (
-        {"axis_tilt.{}.c": 1e-3, "joint_offset.{}": 2e-4},
-        np.array([[0.01, 0.02, -0.01]]),
-    )
-    one, other = (
-        Machine(MachineFile(geometry=g)).with_parameters(
-            {name.format(g.leg_names[1]): v for name, v in values.items()}
-        )
-        for g in (plain, turned)
-    )
-    assert np.abs(other.forward(travel) - one.forward(travel) @ turn.T).max() < 1e-12
-
-
 @pytest.mark.thorough(except_for=["2-0.02", "6--0.02", "6-0.0", "6-0.001"])
 @pytest.mark.parametrize("longer", [-0.02, 0.0, 1e-3, 0.02])  # mm
 @pytest.mark.parametrize("digits", [2, 6])
@@ -324,7 +285,6 @@ def test_free_legs_that_touch_need_no_micrometres(
     assert rounded != text
     file.write_text(rounded)
     machine, exact = Machine.load(file), Machine(MachineFile(geometry=geometry))
-    assert bool(machine.spec.warnings) == (longer != 0 or digits == 2)
     travel = np.random.default_rng(1).uniform(-0.04, 0.04, (30, 3))
     off = machine.forward(travel) - exact.forward(travel)
     assert np.abs(off - off.mean(axis=0)).max() < 2e-6
@@ -332,30 +292,6 @@ def test_free_legs_that_touch_need_no_micrometres(
     file.write_text(slack)
     with pytest.raises(FileError, match="do not reach"):
         Machine.load(file)
-
-
-def test_lengths_are_taken_for_off_by_a_share_of_the_bars() -> None:
-    stage = freely(Geometry(0.031, 0.008, 0.0031, (-0.01, 0.006)))
-    assert isinstance(stage.layout, FreeLegs)
-    assert stage.layout.touching(stage.L + 2e-6, stage.r)[0] == ("u", "v", "w")
-    assert stage.layout.touching(stage.L + 1e-5, stage.r) == ((), pytest.approx(5e-6, rel=0.01))
-
-
-@pytest.mark.thorough
-def test_what_is_odd_about_the_machine_file_is_told_with_the_result(tmp_path: Path) -> None:
-    """And once in the terminal."""
-    file, sheet, out = (tmp_path / name for name in ("machine.toml", "sheet.csv", "out"))
-    text = machine_text(MachineFile(name="free", geometry=freely(Geometry())))
-    file.write_text(text.replace("L = 310.25", "L = 310.26"))
-    machine = Machine.load(file)
-    readings = simulate(machine, sheet_of(machine, "tcp"), seed=1)
-    write_campaign(readings, sheet, machine)
-    done = run("identify", sheet, "--machine", file, "--out", out)
-    assert done.exit_code == 0, done.output
-    told = "the joint of leg u on the platform lies on the line"
-    assert re.sub(r"\s+", " ", done.output).count(told) == 1
-    assert told in (out / "report.html").read_text()
-    assert sum(told in w for w in json.loads((out / "result.json").read_text())["warnings"]) == 1
 
 
 def test_machine_files_keep_free_legs() -> None:

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 import orthoglide as og
-from orthoglide.effects import relabelled
 from orthoglide.effects.wording import cause_words
 from orthoglide.verdict import Verdict
+from tests.relabelling import relabelled
 
 RIG = Path(__file__).parent / "data" / "rig"
 CASES = ("rig-2", "rig-4")  # one explained, one ambiguous

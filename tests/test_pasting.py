@@ -13,11 +13,11 @@ import orthoglide as og
 from orthoglide.add_ons import Corrections
 from orthoglide.closing import Closed, filled
 from orthoglide.explanation.residuals import residual_by_setup
-from orthoglide.firmware.klipper import Imported, import_printer
+from orthoglide.firmware.klipper import Imported, Printer, import_printer
 from orthoglide.firmware.klipper.new_numbers import left_of, why_not
 from orthoglide.firmware.klipper.numbers import Numbers
 from orthoglide.firmware.klipper.pasting import Left, paste_of
-from orthoglide.firmware.klipper.printer import AGAIN, RELATIVE, Printer
+from orthoglide.firmware.klipper.printer import AGAIN
 from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text, parse_machine_file
 from orthoglide.planning import repeating
@@ -83,7 +83,7 @@ def test_what_the_firmware_makes_of_the_readings(tmp_path: Path) -> None:
     old, mesh = NUMBERS, found.campaigns[1]
     new = replace(old, delta_radius=old.delta_radius + 2e-4, endstop=(0.3003, 0.3003, 0.3003))
     for relative in (False, True):
-        (left,) = left_of(Printer(old, {RELATIVE: relative}), new, [mesh])
+        (left,) = left_of(old, new, [mesh], relative)
         for firmware, told in ((old, left.old), (new, left.new)):
             h = mesh.command + old.zero - old.at_endstop + firmware.at_endstop
             off = firmware.points(h)[:, 2] - mesh.reading
@@ -92,11 +92,10 @@ def test_what_the_firmware_makes_of_the_readings(tmp_path: Path) -> None:
     stored = import_printer(DATA / "v400-april.cfg")
     printer, (calibration, *_) = stored.machine.printer, stored.campaigns
     assert isinstance(printer, Printer)
-    heights, apart = left_of(printer, printer.numbers, [calibration])
+    heights, apart = left_of(printer.numbers, printer.numbers, [calibration], False)
     assert (heights.kind, heights.count, apart.kind, apart.count) == ("heights", 7, "distances", 12)
-    (_, larger) = left_of(
-        printer, printer.numbers, [replace(calibration, reading=calibration.reading * 1.003)]
-    )
+    wrong = replace(calibration, reading=calibration.reading * 1.003)
+    (_, larger) = left_of(printer.numbers, printer.numbers, [wrong], False)
     assert larger.old > 1.5 * apart.old  # rods that are too short make all distances too short
 
 
@@ -115,10 +114,9 @@ def test_what_the_firmware_makes_of_the_readings(tmp_path: Path) -> None:
 def test_numbers_must_do_better_by_the_firmware_in_every_file(
     left: list[tuple[str, int, float, float]], said: str
 ) -> None:
-    found = why_not(Printer(NUMBERS, {}), [Left("mesh", *one) for one in left])
+    found = why_not([Left("mesh", *one) for one in left])
     assert said in found
     assert bool(found) == bool(said)
-    assert "comes first" in why_not(Printer(NUMBERS, {AGAIN: True}), [])
 
 
 @pytest.mark.parametrize(
@@ -132,7 +130,7 @@ def test_rods_that_were_entered_too_short_are_found_by_distances(name: str) -> N
     assert np.abs(np.array(made.new.arm) - 0.272).max() < 6e-4
     assert re.search(r"they have longer rods, as distances say.*: measure a rod first", made.words)
     mesh = import_printer(FIELD / "rods-entered-4mm-short" / "printer-with-mesh.cfg").campaigns[1]
-    (unused,) = left_of(found.machine.printer, made.new, [mesh])
+    (unused,) = left_of(found.machine.printer.numbers, made.new, [mesh], False)
     assert unused.new < 0.7 * unused.old
 
 

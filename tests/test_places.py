@@ -148,4 +148,4 @@ def test_the_command_says_how_to_fill_a_sheet_in(tmp_path: Path) -> None:
     told = " ".join(done.output.split())
     assert "Send the tool to x_mm, y_mm, z_mm, with its numbers as they are." in told
     assert "a probe on a plate: go down until it touches and write the height" in told
-    assert "reading_mrad is the platform's turn about the direction, right-handed" in told
+    assert "reading_mrad is the tool's turn about the direction, right-handed" in told

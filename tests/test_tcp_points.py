@@ -11,8 +11,6 @@ from click.testing import CliRunner
 
 import orthoglide as og
 from orthoglide.cli import cli
-from orthoglide.fit import assemble
-from orthoglide.fit.least_squares import linearise, nuisances, predict
 from orthoglide.instruments import Frame
 from tests.rig import Rig
 
@@ -57,45 +55,6 @@ def test_a_planted_machine_is_recovered(frame: Frame, missing: bool) -> None:
         method="nlp",
     )
     np.testing.assert_allclose(found.x, again.x, atol=1e-9)
-
-
-@pytest.mark.thorough
-def test_the_instruments_frame_does_not_matter() -> None:
-    points = measured(2)
-    angle, shift = 0.3, np.array([0.01, -0.02, 0.03])
-    turn = np.array(
-        [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
-    )
-    at = points.points()
-    moved = og.Readings.from_points(
-        at.command, at.p @ turn.T + shift, at.sigma, at.approach, at.line
-    )
-    free = ["joint_offset", "leg_length", "axis_tilt.z.x"]
-    here, there = (og.identify(p, MACHINE, free, frame="rigid") for p in (points, moved))
-    np.testing.assert_allclose(here.x, there.x, atol=2e-9)
-
-
-def test_derivatives_are_those_of_the_points() -> None:
-    problem = assemble(measured(), MACHINE, ["joint_offset", "axis_tilt"])
-    rng = np.random.default_rng(3)
-    at = problem.tolerance * rng.standard_normal(9)
-    jacobian = linearise(problem, at).jacobian
-    for k in range(9):
-        step = np.zeros(9)
-        step[k] = 1e-6
-        high, low = (predict(problem, v) for v in (at + step, at - step))
-        np.testing.assert_allclose(
-            (high - low) / 2e-6, jacobian[:, k], atol=1e-6 * np.abs(jacobian).max()
-        )
-
-
-def test_a_small_turn_of_the_frame_is_a_nuisance() -> None:
-    problem = assemble(measured(), MACHINE, ["joint_offset"])
-    at = linearise(problem, problem.start)
-    p = at.value.reshape(-1, 3)
-    turned = p + np.cross([1e-6, -2e-6, 3e-6], p) + [1e-3, 2e-3, -1e-3]
-    nuisance = nuisances(problem, at.seen)
-    assert np.abs(nuisance.project((turned - p).ravel())).max() < 1e-6
 
 
 @pytest.mark.thorough

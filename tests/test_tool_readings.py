@@ -9,7 +9,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import orthoglide as og
-from orthoglide.effects.classes import of_belts
 from orthoglide.errors import FileError, InputError
 from orthoglide.firmware.klipper import import_printer
 from orthoglide.fit import assemble, tempered
@@ -381,7 +380,7 @@ def test_what_needs_dials_says_so() -> None:
 @pytest.mark.thorough
 def test_a_strong_cause_is_no_slip(tmp_path: Path) -> None:
     """Half a millimetre off the base at few places, but on what a leaning rail makes of all."""
-    machine = Machine(replace(SPEC, tolerance=of_belts(MACHINE.catalogue)))
+    machine = Machine(replace(SPEC, tolerance=MACHINE.catalogue.of_belts))
     bent = machine.with_parameters({"rail_tilt.c.tangential": 9e-3})
     (campaign,) = read(tmp_path, text(("tcp",), bent, noise=1e-5))
     assert og.identify([campaign], machine).sigma_scale > 5
@@ -772,7 +771,7 @@ def test_a_bowed_plate_is_no_bar_far_beyond_its_tolerance(bow: float) -> None:
 
 def test_one_plate_probed_twice_hides_its_bowl_as_if_probed_once() -> None:
     """Two setups on one plate show that their shapes agree, and not what they are."""
-    machine = Machine(replace(SPEC, tolerance=of_belts(MACHINE.catalogue)))
+    machine = Machine(replace(SPEC, tolerance=MACHINE.catalogue.of_belts))
     once = sheet_of(machine, "plate")
     for setups in (("bed",), ("bed", "again")):
         read = [replace(og.simulate(machine, once, noise=2e-5, seed=k), name=s,

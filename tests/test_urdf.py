@@ -6,7 +6,6 @@ import tomllib
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -172,16 +171,6 @@ def test_closes_within_the_limits_over_the_whole_stroke(geometry: Geometry) -> N
         assert (1.25 * np.abs(q[revolute]) < limits[1][revolute]).all()
 
 
-def test_limits_of_slides_are_the_stroke() -> None:
-    model = model_of(OTHER)
-    for n in LEGS:
-        at = model.joints[model.getJointId(f"{n}_slide")].idx_q
-        limits = model.lowerPositionLimit[at], model.upperPositionLimit[at]
-        assert limits == OTHER.stroke
-        assert model.velocityLimit[at] > 0
-        assert model.upperEffortLimit[at] > 0
-
-
 def drawn_inertia(link: ET.Element) -> pin.Inertia:
     """Mass, centre and inertia of a link's visuals, summed by Pinocchio."""
     total = pin.Inertia.Zero()
@@ -226,41 +215,6 @@ def test_inertias_are_those_of_the_solids_drawn(geometry: Geometry) -> None:
     assert weighed == 18
 
 
-def solids_that_touch(model: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[str, str]]:
-    """Pairs of links whose drawn solids overlap."""
-    names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, b) for b in model.geom_bodyid]
-    pairs = set()
-    for i in range(model.ngeom):
-        for j in range(i):
-            near = names[i] != names[j] and (
-                np.linalg.norm(data.geom_xpos[i] - data.geom_xpos[j])
-                < model.geom_rbound[i] + model.geom_rbound[j]
-            )
-            if near and mujoco.mj_geomDistance(model, data, i, j, 1e-3, None) < 0:
-                pairs.add((min(names[i], names[j]), max(names[i], names[j])))
-    return pairs
-
-
-def test_drawn_solids_overlap_only_where_links_share_a_pivot() -> None:
-    """Seen by MuJoCo, nothing else runs into anything at the ends of the stroke."""
-    option = '<mujoco><compiler discardvisual="false" fusestatic="false"/></mujoco>'
-    text = urdf.to_urdf(NOMINAL).replace("</robot>", option + "</robot>")
-    model = mujoco.MjModel.from_xml_string(text)
-    data = mujoco.MjData(model)
-    tree = model_of(NOMINAL)
-    shared = {(f"{n}_{one}", f"{n}_fork") for n in LEGS for one in ("bar1", "bar2", "carriage")}
-    shared |= {(f"{n}_{one}", f"{n}_knuckle") for n in LEGS for one in ("bar1", "bar2")}
-    shared |= {(f"{n}_knuckle", f"{n}_platform") for n in LEGS}
-    shared |= {("x_platform", "y_platform"), ("x_platform", "z_platform")}
-    low, high = NOMINAL.stroke
-    for travel in np.stack(np.meshgrid(*[[low, 0.0, high]] * 3), axis=-1).reshape(-1, 3):
-        q = closed_configuration(NOMINAL, travel, tree)
-        for joint in tree.names[1:]:
-            data.joint(joint).qpos = q[tree.joints[tree.getJointId(joint)].idx_q]
-        mujoco.mj_kinematics(model, data)
-        assert solids_that_touch(model, data) == shared
-
-
 TURN = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
 EVERY = {
     "delta": DELTA,
@@ -286,21 +240,6 @@ def constraints_of(robot: urdf.ParallelRobot, model: pin.Model) -> list[pin.Rigi
             )
         )  # fmt: skip
     return found
-
-
-def open_by(
-    model: pin.Model, data: pin.Data, constraints: list[pin.RigidConstraintModel], q: np.ndarray
-) -> np.ndarray:
-    """How far the loops are open: metres, and radians where axes coincide too."""
-    pin.framesForwardKinematics(model, data, q)
-    rows = []
-    for constraint in constraints:
-        one = data.oMi[constraint.joint1_id] * constraint.joint1_placement
-        other = data.oMi[constraint.joint2_id] * constraint.joint2_placement
-        rows.append(one.translation - other.translation)
-        if constraint.type == pin.ContactType.CONTACT_6D:
-            rows.append(pin.log3(one.rotation.T @ other.rotation))
-    return np.concatenate(rows)
 
 
 def exported(geometry: Geometry, folder: Path) -> pin.Model:
@@ -366,14 +305,14 @@ def test_any_machine_loaded_back_closes_where_ours_does(
     passive = np.setdiff1d(np.arange(model.nq), drives)
     constraints, data = constraints_of(robot, model), model.createData()
     if not calibrated:
-        assert np.abs(open_by(model, data, constraints, pin.neutral(model))).max() < 1e-12
+        assert np.abs(residual_by_hand(model, data, constraints, pin.neutral(model))).max() < 1e-12
     for travel in np.random.default_rng(3).uniform(-0.03, 0.05, (3, 3)):
         q = pin.neutral(model)
         q[drives] = travel
 
         def gap(angles: np.ndarray, q: np.ndarray = q) -> np.ndarray:
             q[passive] = angles
-            return open_by(model, data, constraints, q)
+            return residual_by_hand(model, data, constraints, q)
 
         found = least_squares(gap, q[passive], xtol=1e-15, ftol=1e-15, gtol=1e-15)
         assert np.abs(found.fun).max() < 1e-10
@@ -388,9 +327,7 @@ BROKEN = {
     "no such frame": ("'x_tcp'", "'x_tip'", "no two frames"),
     "a kind too few": ("'6d', '6d'", "'6d'", "kinds for 5 loops"),
     "no such kind": ("'6d'", "'5d'", "neither 3d nor 6d"),
-    "no such motor": ("'y_slide'", "'y_motor'", "no joint"),
     "no list": ("name_mot: [", "name_mot: ", "no list in brackets"),
-    "missing": ("closed_loop", "closedloop", "is missing"),
     "replaced joints": ("joint_name: []", "joint_name: ['x_slide']", "kinds for 1 joints"),
 }
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from orthoglide.effects import CATALOGUE
 from orthoglide.machine_file import schema
-from orthoglide.machine_file.keys import Key, Section
+from orthoglide.machine_file.document import Key, Section
 from orthoglide.units import Unit
 
 HEAD = ("key", "unit", "default", "value", "meaning")

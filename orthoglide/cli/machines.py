@@ -347,7 +347,7 @@ def klipper(config: Path, out: Path, turned: opt.Pairs) -> None:
 @opt.machine(required=True)
 @opt.out("Folder for the campaigns; must be new or empty.", required=True)
 def plates(points: Path, machine: opt.MachineOption, out: Path) -> None:
-    """Read a list of a plate's points: a heightmap.csv, lines 'Bed X: Y: Z:', or x, y, z.
+    """Read a plate's points: heightmap.csv, 'Bed X: Y: Z:', 'probe at X,Y is z=Z', or x, y, z.
 
     \b
     Example:

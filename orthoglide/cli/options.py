@@ -115,7 +115,7 @@ class MachineOption:
     @property
     def effects(self) -> tuple[Effect, ...]:
         """The user's own effects."""
-        from orthoglide.effects.loading import load_effects
+        from orthoglide.effects.own import load_effects
 
         return load_effects(self.effects_file)
 

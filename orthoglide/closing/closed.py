@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from orthoglide.accuracy import expected_gain, tool_settings
-from orthoglide.add_ons import AddOn, Corrections, Section, add_on_of
+from orthoglide.add_ons import Corrections, Section
 from orthoglide.closing.actions import actions, next_measurements
 from orthoglide.closing.picture import picture
 from orthoglide.closing.values import explanation_value
@@ -142,14 +142,10 @@ class Closed:
         """New numbers for the firmware of an imported machine; ``None`` for others, and if the
         readings give none.
         """
-        if self._add_on is None:
+        if (printer := self.request.machine.spec.printer) is None:
             return None
         fit = self.after if self.stands else self.before  # which the machine is of
-        return self._add_on.corrections(self._machine, [f.readings for f in fit.problem.tool])
-
-    @property
-    def _add_on(self) -> AddOn | None:
-        return add_on_of(self.request.machine.spec.provenance)
+        return printer.corrections(self._machine, [f.readings for f in fit.problem.tool])
 
     @property
     def _machine(self) -> Machine:
@@ -255,11 +251,11 @@ class Closed:
     @cached_property
     def firmware(self) -> Section | None:
         """Report of the firmware's add-on on an imported machine; ``None`` for others."""
-        if self._add_on is None:
+        given = self.request.machine
+        if (printer := given.spec.printer) is None:
             return None
         causes = [explanation_value(one) for cause in self.effects for one in cause.explanations]
-        given = self.request.machine
-        return self._add_on.section(given, self.machine, self.corrections, causes)
+        return printer.section(given, self.machine, self.corrections, causes)
 
     @property
     def cautions(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
-from orthoglide.add_ons import Paste, add_on_of
+from orthoglide.add_ons import Paste
 from orthoglide.control.checking import ZeroCheck, check_zeros, not_withheld
 from orthoglide.effects import OF_DRIVES
 from orthoglide.effects.wording import effects_in_words
@@ -314,7 +314,7 @@ def controller_numbers(
     best = _ZEROS if zeros_only else "these numbers" if fitted else ""
     identified = _by_kind(machine, machine.values).get("zero", np.zeros(3))
     controller, length = machine.spec.controller, machine.geometry.L
-    firmware = add_on_of(machine.spec.provenance)
+    printer = machine.spec.printer
     none = np.zeros(3)
     drives = [
         DriveNumbers(
@@ -338,7 +338,7 @@ def controller_numbers(
         tuple((np.array(controller.zero) - np.array(controller.sign) * alone).tolist()),
         check_zeros(machine, held.get("zero", none)),
         {name: expected_error(machine, given) for name, given in settings.items()},
-        None if firmware is None else firmware.paste(machine),
+        None if printer is None else printer.paste(),
         bool(machine.spec.parameters),
     )
 

@@ -4,7 +4,6 @@ from orthoglide.effects.catalogue import (
     CATALOGUE as CATALOGUE,
     Catalogue as Catalogue,
     catalogue_of as catalogue_of,
-    relabelled as relabelled,
 )
 from orthoglide.effects.effect import OF_DRIVES as OF_DRIVES, Effect as Effect
 from orthoglide.effects.motions import (

@@ -31,12 +31,13 @@ LEG_LENGTH = Effect(
         ),
         lambda p: f"the bars of leg {p.leg} are not of nominal length",
         "the bars of the legs are not of nominal length",
-        mm,
-        lambda p, v: (
+        confirm=lambda p, v: (
             f"measure the bars of leg {p.leg} between their pivots: expect {mm(v)} "
             f"{more(v)} than nominal on the average of the two"
         ),
-        lambda v: f"the bars of all legs are {mm(v)} {more(v, 'longer', 'shorter')} than nominal",
+        common=lambda v: (
+            f"the bars of all legs are {mm(v)} {more(v, 'longer', 'shorter')} than nominal"
+        ),
     ),
     controller="bar_length",
     urdf=True,
@@ -54,8 +55,7 @@ BAR_MISMATCH = Effect(
         lambda p, v: f"bar 1 of leg {p.leg} is {mm(v)} {more(v, 'longer', 'shorter')} than bar 2",
         lambda p: f"the two bars of leg {p.leg} differ in length",
         "the two bars of each leg differ in length",
-        mm,
-        lambda p, v: (
+        confirm=lambda p, v: (
             f"measure both bars of leg {p.leg} between their pivots: expect bar 1 {mm(v)} "
             f"{more(v, 'longer', 'shorter')} than bar 2"
         ),
@@ -77,8 +77,7 @@ PARALLELOGRAM_WIDTH = Effect(
         ),
         lambda p: f"the two short links of leg {p.leg} differ",
         "the short links at the platform differ from those at the carriages",
-        mm,
-        lambda p, v: (
+        confirm=lambda p, v: (
             f"measure the distance of the bars of leg {p.leg} at both ends: expect it {mm(v)} "
             f"{more(v, 'wider', 'narrower')} at the platform"
         ),

@@ -25,8 +25,7 @@ GAUGE_DIRECTION = Effect(
         ),
         lambda p: f"the dial of {p.setup} is turned about the leg",
         "the dials are turned about their legs",
-        mrad,
-        lambda p, v: (
+        confirm=lambda p, v: (
             f"hold a square to the stem of {p.setup}, looking along the leg: expect the stem "
             f"{mrad(v)} off, {more(v, 'right-handed', 'left-handed')} about the leg's axis"
         ),
@@ -46,8 +45,7 @@ GAUGE_SCALE = Effect(
         lambda p, v: f"the dial of {p.setup} shows {percent(v)} {more(v)} than it is moved",
         lambda p: f"the dial of {p.setup} shows more or less than it is moved",
         "the dials show more or less than they are moved",
-        percent,
-        lambda p, v: (
+        confirm=lambda p, v: (
             f"put gauge blocks 5 mm apart under the dial of {p.setup}: expect {mm(5e-3 * v)} "
             f"{more(v)} than 5 mm"
         ),

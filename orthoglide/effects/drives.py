@@ -34,8 +34,7 @@ JOINT_OFFSET = Effect(
         lambda p, v: f"the zero of drive {p.leg} is {mm(v)} too far {more(v, 'out', 'in')}",
         lambda p: f"the zero of drive {p.leg} is off",
         "the zeros of the drives are off",
-        mm,
-        lambda p, v: (
+        confirm=lambda p, v: (
             f"send drive {p.leg} to its zero and measure its carriage against the zero mark: "
             f"expect it {mm(v)} too far {more(v, 'out', 'in')}"
         ),
@@ -58,8 +57,7 @@ ENCODER_SCALE = Effect(
         lambda p, v: f"drive {p.leg} moves {percent(v)} {more(v)} than it is told",
         lambda p: f"drive {p.leg} moves more or less than it is told",
         "the drives move more or less than they are told",
-        percent,
-        lambda p, v: (
+        confirm=lambda p, v: (
             f"set a dial or a scale on carriage {p.leg} and command a move of 50 mm: expect "
             f"{mm(50e-3 * v)} {more(v)} than 50 mm"
         ),
@@ -80,8 +78,7 @@ SCREW_ERROR = Effect(
         lambda p, v: f"drive {p.leg} runs {mm(v)} ahead and behind once a turn of its screw",
         lambda p: f"drive {p.leg} runs ahead and behind once a turn of its screw",
         "the drives run ahead and behind once a turn of their screws",
-        mm,
-        lambda p, v: (
+        confirm=lambda p, v: (
             f"set a dial on carriage {p.leg} and move one turn of the screw in eight steps: expect "
             f"the errors of the steps to span {mm(2 * v)}"
         ),
@@ -109,8 +106,7 @@ BACKLASH = Effect(
         ),
         lambda p: f"drive {p.leg} has lost motion",
         "the drives have lost motion",
-        mm,
-        lambda p, v: (
+        confirm=lambda p, v: (
             f"set a dial on carriage {p.leg} and come to one place from smaller and from larger "
             f"travel: expect it {mm(v)} {more(v, 'farther out', 'farther in')} when it comes from "
             f"larger travel"

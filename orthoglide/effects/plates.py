@@ -1,16 +1,17 @@
-"""What a plate does wrong whose height a tool measures by touching it.
+"""What is wrong with a plate that the tool touches, and with the size of a part that it printed.
 
-A plate moves no virtual joint: where it is higher, the tool stands lower above it. Its height and
-two slopes are fitted with every setup; here is what is left of its shape.
+Neither moves a virtual joint. Where a plate is higher, the tool stands lower above it; its height
+and two slopes are fitted with every setup, and its effects are the residual shape. Where a part is
+larger, the distances that are read on it are longer.
 """
 
 from __future__ import annotations
 
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.words import Words, mm, more
+from orthoglide.effects.words import Words, mm, more, percent
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
-from orthoglide.units import MM
+from orthoglide.units import MM, ONE
 
 FLAT = 1e-4
 """Standard deviation of a shape that an effect names, a bowl or three lobes, metres."""
@@ -29,8 +30,7 @@ PLATE_BOW = Effect(
         ),
         lambda p: f"{_plate(p)} is a bowl or a dome",
         "the plates are bowls or domes",
-        mm,
-        lambda p, v: (
+        confirm=lambda p, v: (
             f"lay a straight edge across {_plate(p)}: expect a gap of {mm(v)} under its "
             f"{more(v, 'middle', 'ends')}"
         ),
@@ -53,8 +53,7 @@ PLATE_TREFOIL = Effect(
         ),
         lambda p: f"{_plate(p)} has three high and three low sides",
         "the plates have three high and three low sides",
-        mm,
-        lambda p, v: (
+        confirm=lambda p, v: (
             f"turn {_plate(p)} by 60 degrees and measure again: expect its three lobes "
             f"of {mm(v)} to turn with it: low toward {_lobe(p.direction, v)} degrees"
         ),
@@ -64,6 +63,32 @@ PLATE_TREFOIL = Effect(
         ("cos", lambda x, y: x**3 - 3 * x * y**2),
         ("sin", lambda x, y: 3 * x**2 * y - y**3),
     ),
+)
+
+
+_LONG = 0.1  # metres: a length that a calliper and a rule both reach
+
+PART_SIZE = Effect(
+    "part_size",
+    ONE,
+    0.01,
+    because="a scale set in the slicer, or a calliper's jaws, are off by a hundredth",
+    sentence="the printed part, or the calliper, is off in size beyond the plastic's shrinkage",
+    look_at="the calliper against a gauge block or a second calliper, and the slicer's scale",
+    words=Words(
+        lambda p, v: (
+            f"the printed part, or the calliper, makes distances{_in(p)} {percent(v)} "
+            f"{more(v, 'longer', 'shorter')} than the plastic's shrinkage does"
+        ),
+        lambda p: "the printed part, or the calliper, is off in size beyond the shrinkage",
+        "the printed parts, or the calliper, are off in size beyond the shrinkage",
+        confirm=lambda p, v: (
+            f"measure a gauge block, or 100 mm of a good rule, with the calliper: expect "
+            f"{mm(_LONG * v)} {more(v)}, or look for that in the slicer's scale"
+        ),
+    ),
+    group="part",
+    part=lambda length, size: (1 + size) * length,
 )
 
 
@@ -77,7 +102,12 @@ def _lobe(part: str, value: float) -> int:
     return first if value >= 0 else first + 60
 
 
+def _in(p: Parameter) -> str:
+    return f" in {p.setup}" if p.setup else ""
+
+
 EFFECTS = (PLATE_BOW, PLATE_TREFOIL)
+OF_TOWERS = (PART_SIZE,)
 
 
 def own_shapes(place: Array, scale: float = 1.0) -> list[tuple[Array, float]]:

@@ -53,8 +53,7 @@ AXIS_OFFSET = Effect(
         ),
         lambda p: f"the {p.leg} rail stands beside its place in {across(p.direction)}",
         "the rails stand beside their places",
-        mm,
-        lambda p, v: (
+        confirm=lambda p, v: (
             f"measure where the {p.leg} rail stands in {across(p.direction)} against the others: "
             f"expect it {mm(v)} toward {toward(p.direction, v)}"
         ),
@@ -127,8 +126,7 @@ RAIL_BOW = Effect(
         ),
         lambda p: f"the {p.leg} rail is bent in {across(p.direction)}",
         "the rails are bent",
-        mm,
-        lambda p, v: (
+        confirm=lambda p, v: (
             f"lay a straight edge along the {p.leg} rail over its whole stroke: expect its middle "
             f"{mm(v)} toward {toward(p.direction, -v)}"
         ),
@@ -152,8 +150,7 @@ MOUNT_TILT = Effect(
         ),
         lambda p: f"the first hinge of leg {p.leg} is turned about {_about(p)}",
         "the first hinges of the legs are turned on their carriages",
-        mrad,
-        lambda p, v: (
+        confirm=lambda p, v: (
             f"hold a square between carriage {p.leg} and the first hinge of its leg: expect the "
             f"hinge {mrad(v)} off about {_about(p)}, {_way(p, v)}"
         ),

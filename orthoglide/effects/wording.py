@@ -105,10 +105,7 @@ def parameter_words(parameter: Parameter, names: LegNames = CATALOGUE.legs) -> s
         parameter: or a structured member.
         names: of the machine's legs and parts; on a delta a leg is a tower with its rods.
     """
-    words = parameter.effect.replace("_", " ")
-    if names.nouns:  # the length of a leg is that of its bars
-        words = words.replace("leg length", "bar length")
-    return names.spoken(_parameter_words(parameter, words))
+    return names.spoken(_parameter_words(parameter, names.effect_words(parameter.effect)))
 
 
 def _parameter_words(parameter: Parameter, words: str) -> str:

@@ -1,4 +1,4 @@
-"""A level on the platform: its turn about a base axis."""
+"""A level at the tool: its turn, and the platform's, about a base axis."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Inclination(Observation):
     """Turns of the platform, right-handed about an axis."""
 
     kind = "incline"
-    words = "a level on the platform"
-    reads = "the platform's turn about {}"
-    fill = "reading_mrad is the platform's turn about the direction, right-handed: 1 mm a metre"
+    words = "a level at the tool"
+    reads = "the tool's turn about {}"
+    fill = "reading_mrad is the tool's turn about the direction, right-handed: 1 mm a metre"
     how = ", read about x and y around the rim"
     fitted = "datum of each direction"
     repeatability = 2e-5

@@ -5,8 +5,7 @@ point. Nothing else knows whether a machine is an Orthoglide or a linear delta.
 """
 
 from orthoglide.layout.free import FreeLeg as FreeLeg, FreeLegs as FreeLegs
-from orthoglide.layout.layout import Layout as Layout
-from orthoglide.layout.leg import Leg as Leg, LegNames as LegNames
+from orthoglide.layout.leg import Layout as Layout, Leg as Leg, LegNames as LegNames
 from orthoglide.layout.linear_delta import LinearDelta as LinearDelta
 from orthoglide.layout.orthoglide import ORTHOGLIDE as ORTHOGLIDE, Orthoglide as Orthoglide
 

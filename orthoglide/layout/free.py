@@ -19,7 +19,6 @@ _TOUCHING = 1.6e-4
 platform touch to within that, they touch. Of what is missing, or too much, the place beside the
 line of their centres would be the root: with bars of 300 mm a millimetre of 0.02 mm."""
 
-_EXACT = 1e-7  # metres: nearer than that they were meant to touch
 _SQUARE = 1e-6
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,19}")  # parts of joints' and parameters' names
 _ALONG = 1e-9
@@ -125,7 +124,11 @@ class FreeLegs:
 
     def _leg(self, given: FreeLeg, L: float, r: float) -> Leg:
         carriage, middle = np.array(given.origin), -np.array(self.tool)
-        (a, b, c), apart, radius, along = self._circles(given, L, r)
+        # In the leg's own axes from the platform's middle: the carriage, the radius of the
+        # platform's circle, and where along the line to the carriage the bars' circle meets it.
+        a, b, c = (carriage - middle) @ given.axes
+        apart, radius = float(np.hypot(a, b)), float(np.sqrt(max(r**2 - c**2, 0.0)))
+        along = (apart**2 + radius**2 - L**2) / (2 * apart) if apart > 0 else np.inf
         if abs(c) > r or not -radius <= along <= radius + _TOUCHING * L:
             raise InputError(
                 f"leg {given.name}: bars of {L * 1e3:g} mm do not reach from its origin to a joint "
@@ -145,33 +148,6 @@ class FreeLegs:
             )
         platform = middle + given.axes @ np.array([joint[0], joint[1], c])
         return Leg(given.name, carriage, platform, given.axes)
-
-    def _circles(self, given: FreeLeg, L: float, r: float) -> tuple[Array, float, float, float]:
-        """Of a leg in its own plane, metres: its carriage from the platform's middle, how far that
-        is, the radius of the platform's circle, and where along that line the bars' circle meets
-        it.
-        """
-        place = (np.array(given.origin) + np.array(self.tool)) @ given.axes
-        apart = float(np.hypot(*place[:2]))
-        radius = float(np.sqrt(max(r**2 - place[2] ** 2, 0.0)))
-        along = (apart**2 + radius**2 - L**2) / (2 * apart) if apart > 0 else np.inf
-        return place, apart, radius, along
-
-    def touching(self, L: float, r: float) -> tuple[tuple[str, ...], float]:
-        """Names of legs whose circles of bars and platform almost touch, and are taken to; and the
-        metres to within which they are.
-
-        Args:
-            L: length of the bars, metres.
-            r: radius of the platform, metres.
-        """
-        circles = ((given.name, self._circles(given, L, r)) for given in self.free)
-        within = _TOUCHING * L
-        names = tuple(
-            name for name, (_, _, radius, along) in circles
-            if _EXACT < abs(along - radius) < within
-        )  # fmt: skip
-        return names, within
 
     def zero(self, L: float) -> float:
         """Travel counts from mechanical zero."""

@@ -1,9 +1,10 @@
-"""One leg of a machine at mechanical zero, and the names of three."""
+"""One leg of a machine at mechanical zero, the names of three, and what a layout of them owes."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,15 +73,6 @@ class LegNames:
         words = name.replace("_", " ")
         return self.spoken(words.replace("leg length", "bar length")) if self.nouns else words
 
-    def relabelled(self, leg: str, direction: str) -> tuple[str, str]:
-        """Names of a leg and a direction across it after the legs are relabelled one on."""
-        if leg not in self.legs:
-            return leg, direction
-        old, new = self.index(leg), (self.index(leg) + 1) % 3
-        if direction in self.across[old]:
-            direction = self.across[new][self.across[old].index(direction)]
-        return self.legs[new], direction
-
 
 @dataclass(frozen=True, eq=False)
 class Leg:
@@ -103,3 +95,42 @@ class Leg:
         """Angle of its bars at mechanical zero about c, from -a toward -b, radians."""
         a, b, _ = (self.carriage - self.platform) @ self.axes
         return float(np.arctan2(b, a))
+
+
+class Layout(Protocol):
+    """Where three legs stand. Immutable, compared by value."""
+
+    kind: ClassVar[str]  # its name in machine files
+
+    @property
+    def names(self) -> LegNames:
+        """Of legs and directions."""
+
+    @property
+    def hanging(self) -> bool:
+        """Whether the platform hangs below the carriages, the slides being parallel; else it stands
+        between them and the origin.
+        """
+
+    def legs(self, L: float, r: float) -> tuple[Leg, Leg, Leg]:
+        """The three legs for bars of length ``L`` and a platform of radius ``r``, metres.
+
+        Raises:
+            InputError: where the bars cannot reach.
+        """
+
+    def zero(self, L: float) -> float:
+        """Command of every drive at mechanical zero, metres."""
+
+    def stroke_fits(self, L: float, stroke: tuple[float, float]) -> bool:
+        """Whether travel from mechanical zero may run between these limits, metres."""
+
+    def points(self, L: float, r: float, stroke: tuple[float, float], count: int) -> Array | None:
+        """Points ``(n, 3)`` that fill the workspace evenly; ``None``: commands over the stroke do.
+
+        Args:
+            L: length of the bars, metres.
+            r: radius of the platform, metres.
+            stroke: travel from mechanical zero.
+            count: of points along each axis.
+        """

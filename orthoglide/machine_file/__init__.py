@@ -1,8 +1,8 @@
 """The machine file (TOML): what is known of one machine, read strictly and written exactly."""
 
-from orthoglide.machine_file.kinematics import DeltaKinematics as DeltaKinematics
 from orthoglide.machine_file.model import (
     Controller as Controller,
+    DeltaKinematics as DeltaKinematics,
     Dial as Dial,
     Instrument as Instrument,
     MachineFile as MachineFile,

@@ -10,16 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.add_ons import MARK, Kinematics, Printer, printer_of, table_of
+from orthoglide.add_ons import MARK, Kinematics, Printer, add_on, table_of
 from orthoglide.effects import CATALOGUE, Catalogue
-from orthoglide.effects.classes import entered, of_belts
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.layout import ORTHOGLIDE, LinearDelta
-from orthoglide.machine_file.kinematics import DeltaKinematics
 from orthoglide.machine_file.measured import Measured
 from orthoglide.machine_file.posterior import Posterior
 from orthoglide.parameters import Parameter
+from orthoglide.reduction.spheres import intersect_spheres
 
 Triple = tuple[float, float, float]
 
@@ -117,6 +116,39 @@ class ParameterValue:
     value: float
     sigma: float
     unit: str
+
+
+@dataclass(frozen=True)
+class DeltaKinematics:
+    """Kinematics of a delta without errors: the tool is where three spheres meet."""
+
+    # where the tool stood if an arm hung straight down from its carriage at mechanical zero, and
+    # had no length (3, 3), metres, by leg
+    joints: Array
+    arm: Array  # length of each leg's arm (3,), metres
+
+    def travel(self, p: Array) -> Array:
+        """Travel of the carriages from mechanical zero ``(n, 3)`` for places ``(n, 3)``, metres;
+        nan where an arm does not reach.
+        """
+        apart = p[:, None] - self.joints
+        square = self.arm**2 - np.sum(apart[:, :, :2] ** 2, axis=-1)
+        return np.asarray(apart[:, :, 2] + np.sqrt(np.where(square > 0, square, np.nan)))
+
+    def places(self, travel: Array) -> Array:
+        """Places of the tool ``(n, 3)`` at a travel ``(n, 3)``, metres.
+
+        Raises:
+            UnreachableError: where the arms do not meet.
+        """
+        centres = self.joints + travel[:, :, None] * np.array([0.0, 0.0, 1.0])
+        return intersect_spheres(centres, self.arm)
+
+    @classmethod
+    def of(cls, geometry: Geometry) -> DeltaKinematics:
+        """Return the kinematics of the nominal machine."""
+        joints = [leg.carriage - leg.platform for leg in geometry.legs]
+        return cls(np.array(joints), np.full(3, geometry.L))
 
 
 @dataclass(frozen=True)
@@ -218,7 +250,8 @@ class MachineFile:
     @cached_property
     def printer(self) -> Printer | None:
         """The numbers of the firmware that the machine was imported from; ``None`` of others."""
-        return printer_of(self.provenance)
+        name, table = table_of(self.provenance)
+        return add_on(name).stored(table) if name else None
 
     @property
     def kinematics(self) -> Kinematics | None:
@@ -235,7 +268,9 @@ class MachineFile:
         if self.name == MachineFile.name and self.geometry.layout != ORTHOGLIDE:
             object.__setattr__(self, "name", name_of(self.geometry))
         object.__setattr__(self, "catalogue", self.catalogue.of_layout(self.geometry.layout))
-        object.__setattr__(self, "tolerance", {**self._expected, **self.tolerance})
+        known = self.catalogue
+        expected = known.of_belts if self._of_belts else known.default_tolerance
+        object.__setattr__(self, "tolerance", {**expected, **self.tolerance})
 
     @property
     def _of_belts(self) -> bool:
@@ -244,17 +279,11 @@ class MachineFile:
         return self.build == "belts" or (not self.build and hanging)
 
     @property
-    def _expected(self) -> dict[str, float]:
-        """Tolerances by the class of the machine, SI."""
-        belts = of_belts(self.catalogue) if self._of_belts else {}
-        return {**self.catalogue.default_tolerance, **belts}
-
-    @property
     def entered(self) -> dict[str, float]:
         """Standard deviations to expect, by family, of what parts of one set have in common beyond
         their tolerances, because an owner entered it, SI.
         """
-        return entered(self.catalogue) if self._of_belts else {}
+        return self.catalogue.entered if self._of_belts else {}
 
 
 def name_of(geometry: Geometry) -> str:

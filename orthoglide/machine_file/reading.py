@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Protocol, cast
 
 from orthoglide import files
-from orthoglide.add_ons import objection_to
 from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.effects.catalogue import OWN
 from orthoglide.effects.single_places import with_places
@@ -79,17 +78,7 @@ def read_machine_file(
     beside, posterior = posterior_path(path), None
     if beside.exists():
         posterior = parse_posterior(files.read_bytes(beside), digest, shown(beside))
-    layout, geometry = machine.geometry.layout, machine.geometry
-    near, within = (
-        layout.touching(geometry.L, geometry.r) if isinstance(layout, FreeLegs) else ((), 0.0)
-    )
-    warnings = tuple(
-        f"{machine.file}: by L, r and origin_mm the joint of leg {name} on the platform lies on "
-        f"the line from origin_mm to the platform's middle to within {within * 1e3:.1g} mm of "
-        f"these lengths: it is taken to lie on that line"
-        for name in near
-    )
-    warnings += machine.stiffness.warnings(machine.file)
+    warnings = machine.stiffness.warnings(machine.file)
     if (
         posterior is None
         and not machine.is_measured
@@ -100,7 +89,8 @@ def read_machine_file(
             f"its parameters: their sigmas are taken as independent",
         )
     # An explanation that the file does not take may have a place in the covariance all the same.
-    catalogue = with_places(machine.catalogue, posterior.names if posterior else (), geometry)
+    names = posterior.names if posterior else ()
+    catalogue = with_places(machine.catalogue, names, machine.geometry)
     return replace(
         machine, sha256=digest, posterior=posterior, warnings=warnings, catalogue=catalogue
     )
@@ -111,9 +101,6 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
     document = Document(text, file)
     top = schema.TOP.read(document)
     geometry = _geometry(document)
-    provenance = document.plain("provenance")
-    if objection := objection_to(geometry, provenance):
-        document.fail(*objection)
     catalogue, named = catalogue.of_layout(geometry.layout), document.table("parameters")
     catalogue = with_places(catalogue, named, geometry)
     tolerance = schema.tolerances(catalogue).read(document)
@@ -129,10 +116,12 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
         surface_slope=tolerance.pop("surface_slope", None),
         tolerance=tolerance,
         parameters={name: _parameter(document, name, catalogue) for name in named},
-        provenance=provenance,
+        provenance=document.plain("provenance"),
         catalogue=catalogue,
         file=file,
     )
+    if found.printer and (objection := found.printer.objection(geometry)):
+        document.fail(*objection)
     return found.with_measured()
 
 

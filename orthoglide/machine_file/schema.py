@@ -7,12 +7,12 @@ from them.
 from __future__ import annotations
 
 from orthoglide.effects import Catalogue
-from orthoglide.effects.classes import CLASSES
+from orthoglide.effects.catalogue import CLASSES
 from orthoglide.geometry import Geometry
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta, Orthoglide
 from orthoglide.machine_file import model
-from orthoglide.machine_file.keys import Key, Section
+from orthoglide.machine_file.document import Key, Section
 from orthoglide.machine_file.measured import Measured
 from orthoglide.quantities import TEXT, one_of, quantity, several
 from orthoglide.units import MM, NOISE, ONE, RAD, Unit

@@ -15,13 +15,13 @@ from orthoglide.instruments import OBSERVATIONS, Observation, Setup
 from orthoglide.layout import LegNames
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations.approach import Ints
-from orthoglide.observations.cells import NAN
 from orthoglide.observations.checks import check_commands
 from orthoglide.observations.schema import (
     AXES,
     COLUMNS,
     COMMANDS,
     DIRECTION,
+    NAN,
     PLACE,
     RHO,
     TRAVEL,

@@ -358,34 +358,6 @@ class Readings:
             line=order + 2,
         )  # fmt: skip
 
-    def relabelled(self) -> Readings:
-        """Return the readings of the machine with its legs renamed x -> y -> z -> x.
-
-        Raises:
-            InputError: under a load, as gravity does not turn with the labels, and of a plate,
-                which lies across z.
-        """
-        if np.any(self.load):
-            raise InputError("a campaign under load cannot be relabelled: its weight acts along z")
-        if self.touching.any():
-            raise InputError("touches of a plate cannot be relabelled: it lies across z")
-
-        def turned(s: Setup) -> Setup:
-            leg, axis = ((k + 1) % 3 if k >= 0 else k for k in (s.leg, s.axis))
-            x, y, z = s.beside
-            return replace(s, leg=leg, axis=axis, beside=(z, x, y))
-
-        directed = self.which(lambda s: s.observation.axes)
-        return replace(
-            self,
-            setups=tuple(turned(s) for s in self.setups),
-            axis=np.where(directed, (self.axis + 1) % 3, self.axis),
-            command=np.roll(self.command, 1, axis=1),
-            second=np.roll(self.second, 1, axis=1),
-            approach=np.roll(self.approach, 1, axis=1),
-            moves=replace(self.moves, command=np.roll(self.moves.command, 1, axis=1)),
-        )
-
     def same_as(self, other: Readings) -> bool:
         """Return whether names, setups, labels, moves and all arrays but the lines are equal."""
         return (

@@ -19,8 +19,7 @@ from orthoglide.errors import FileError
 from orthoglide.geometry import LEGS, Array
 from orthoglide.notes import Note
 from orthoglide.numerals import MINUS
-from orthoglide.observations.cells import NUMBER
-from orthoglide.observations.schema import Column
+from orthoglide.observations.schema import NUMBER, Column
 from orthoglide.text import brief, cell_text, shown, unseen
 
 _DELIMITERS = ",;\t"

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -80,8 +81,8 @@ def campaign_rows(
     places: bool = False,
     approaches: bool = False,
 ) -> list[Row]:
-    """The rows of a file of readings, moves included; optional columns only where they say
-    something.
+    """The rows of a file of readings, moves included, or a row a point of points of the tool;
+    optional columns only where they say something.
 
     Args:
         campaign: of dials or of the tool; readings that are nan are left empty.
@@ -95,6 +96,8 @@ def campaign_rows(
     Returns:
         From column to text; all rows have the same columns, in the order of the schema.
     """
+    if campaign.by_point:
+        return tcp_rows(campaign, machine_file)
     machine = None if machine_file is None else machine_file_of(machine_file)
     names = _names(campaign.legs, machine)
     plain = machine is None or machine.controller == Controller()
@@ -245,12 +248,6 @@ def _with_moves(
     return [row for _, row in sorted(found, key=lambda at: at[0])]
 
 
-def readings_rows(given: Readings, machine_file: AnyMachine | None = None) -> list[Row]:
-    """The rows of the file of readings of any kind; arguments as for `write_campaign`."""
-    rows = tcp_rows if given.by_point else campaign_rows
-    return rows(given, machine_file)
-
-
 def readings_text(
     given: Sequence[Readings], machine_file: AnyMachine | None = None, *, places: bool = False
 ) -> str:
@@ -286,11 +283,8 @@ def write_campaign(
     several = campaign if isinstance(campaign, Sequence) else (campaign,)
     if not several or not all(isinstance(one, Readings) and len(one) for one in several):
         raise InputError("give a campaign with readings, or a list of such, to write")
-    if len(several) == 1 and several[0].by_point:
-        points = csv_text(tcp_rows(several[0], machine_file))
-        files.write_whole(path, points, overwrite=overwrite)
-        return
-    given = [part for one in several for part in parts(one)]
+    points = len(several) == 1 and several[0].by_point  # a row a point; else a row a coordinate
+    given = [replace(part, by_point=points) for one in several for part in parts(one)]
     if sum(bool(one.on_legs.any()) for one in given) > 1:
         raise InputError("one file has one campaign of dials: write the others to their own files")
     # Dials take all moves of a file for theirs: those behind their readings are nothing to them.
@@ -306,11 +300,7 @@ def readings_frame(campaign: Readings, machine_file: AnyMachine | None = None) -
     Raises:
         InputError: where pandas is not installed.
     """
-    rows = (
-        tcp_rows(campaign, machine_file)
-        if campaign.by_point
-        else campaign_rows(campaign, machine_file, approaches=True)
-    )
+    rows = campaign_rows(campaign, machine_file, approaches=True)
 
     def value(name: str, cell: str) -> Any:
         return cell if name in _TEXTS else float(cell or "nan")

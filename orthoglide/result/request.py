@@ -17,7 +17,7 @@ from orthoglide.instruments import Frame
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, machine_text
 from orthoglide.machine_file.posterior import posterior_bytes
-from orthoglide.observations import Readings, Setup, csv_text, readings_rows
+from orthoglide.observations import Readings, Setup, campaign_rows, csv_text
 from orthoglide.urdf import urdf_digests
 
 Command = Literal["identify", "close-loop", "diagnose", "demo"]
@@ -116,7 +116,7 @@ class Request:
 
     def _input(self, given: Readings, role: str) -> dict[str, Any]:
         machine = self.machine.spec if given.of_tool else None
-        return _input(given, role, readings_rows(given, machine))
+        return _input(given, role, campaign_rows(given, machine))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the keys of ``result.json``: enough to run it again."""

@@ -12,7 +12,6 @@ import numpy as np
 
 from orthoglide.add_ons import MARK
 from orthoglide.effects import catalogue_of
-from orthoglide.effects.classes import of_belts
 from orthoglide.errors import FileError, InputError
 from orthoglide.firmware.imported import Imported, Row, readings_of
 from orthoglide.firmware.klipper.config import Config, read_config
@@ -162,7 +161,7 @@ def _machine(config: Config, numbers: Numbers, rows: Sequence[Row]) -> MachineFi
             PlateTouch.kind: Instrument(repeatability=PROBE),
             Distance.kind: Instrument(repeatability=CALIPER),
         },
-        tolerance=of_belts(catalogue) | dict.fromkeys(drawn, _DRAWN),
+        tolerance=dict.fromkeys(drawn, _DRAWN),
         parameters={
             f"{length}.{name}": ParameterValue(round(own - arm, 9), 0.0, "mm")
             for name, own in zip(TOWERS, numbers.arm, strict=True)

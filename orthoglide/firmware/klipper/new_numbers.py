@@ -15,7 +15,7 @@ import numpy as np
 from orthoglide.add_ons import Corrections
 from orthoglide.firmware.klipper.numbers import Numbers
 from orthoglide.firmware.klipper.pasting import Left, corrections_of
-from orthoglide.firmware.klipper.printer import AGAIN, CALIBRATION, Printer
+from orthoglide.firmware.klipper.printer import CALIBRATION
 from orthoglide.geometry import Array, plane_columns
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings
@@ -37,6 +37,7 @@ high, and what a probe says of the tool's place along the plate is uncertain."""
 
 _MEASURED = 0.5  # weight of a distance against a height: a caliper is two to five times as noisy
 _FITTED, _WITH_ARMS = 6, 9  # how many numbers are fitted, in the order of `Numbers.changed`
+_AGAIN = "DELTA_CALIBRATE comes first, as is said at the top"
 _STEPS, _WIDTH = 30, 1e-6  # of Gauss-Newton, and of finite differences, metres or radians
 
 
@@ -45,14 +46,22 @@ Pose = Callable[[Array], tuple[Array, Array]]
 ``(n, 3)``."""
 
 
-def new_numbers(printer: Printer, machine: Machine, read: Sequence[Readings]) -> Corrections | None:
+def new_numbers(
+    old: Numbers, machine: Machine, read: Sequence[Readings], relative: bool, again: bool
+) -> Corrections | None:
     """Return new numbers for a calibrated machine; ``None`` where its readings do not touch the
     plate, or its middle alone.
 
     The numbers bring the firmware's nozzle nearest to where the machine's is over the plate, z = 0
     being the plate; distances along it are as they were read.
+
+    Args:
+        old: the firmware's present numbers.
+        machine: the calibrated one.
+        read: all readings.
+        relative: whether the firmware takes the height at one place out of every mesh.
+        again: whether its own calibration has to be run again first.
     """
-    old = printer.numbers
     touched = [one.subset(np.flatnonzero(one.touching)) for one in read if one.touching.sum() > 2]
     paired = [one.subset(np.flatnonzero(one.paired)) for one in read if one.paired.any()]
     seen = [plate_of(lambda c: _pose(machine, c), old, one) for one in touched]
@@ -61,7 +70,7 @@ def new_numbers(printer: Printer, machine: Machine, read: Sequence[Readings]) ->
     if most < _SPAN * old.delta_radius:
         return None
     points = _points(most)
-    plane = plane_columns(points) @ _plane_at_zero(printer, touched, seen, reach)
+    plane = plane_columns(points) @ _plane_at_zero(touched, seen, reach, relative)
     commands = machine.inverse(points + np.outer(plane, [0.0, 0.0, 1.0]))
 
     def miss(numbers: Numbers) -> Array:
@@ -73,14 +82,13 @@ def new_numbers(printer: Printer, machine: Machine, read: Sequence[Readings]) ->
     start = replace(old, arm=_arms(old, machine))
     known = machine.spec.measured.rods is not None  # and the machine's arms are as measured
     new = _solved(start, miss, _WITH_ARMS if paired and not known else _FITTED)
-    left = tuple(left_of(printer, new, read))
-    return corrections_of(old, new, left, why_not(printer, left), known)
+    left = tuple(left_of(old, new, read, relative))
+    keep = _AGAIN if again else why_not(left)
+    return corrections_of(old, new, left, keep, known)
 
 
-def why_not(printer: Printer, left: Sequence[Left]) -> str:
+def why_not(left: Sequence[Left]) -> str:
     """Return why new numbers are not to be entered; empty where they are better."""
-    if printer.table.get(AGAIN):
-        return "DELTA_CALIBRATE comes first, as is said at the top"
     heights = [one for one in left if one.kind == "heights"]
     worse = [one for one in left if _larger(one)]
     if any(_smaller(one) for one in heights) and not worse:
@@ -103,16 +111,15 @@ def _smaller(left: Left) -> bool:
     return bool(left.new < (1 - _WORTH) * left.old and gain > _BY_CHANCE)
 
 
-def left_of(printer: Printer, new: Numbers, read: Sequence[Readings]) -> Iterator[Left]:
+def left_of(old: Numbers, new: Numbers, read: Sequence[Readings], relative: bool) -> Iterator[Left]:
     """Return the residuals of each file's touches and distances with the old and new numbers."""
-    old = printer.numbers
     for one in read:
         for kind, rows in (("heights", one.touching), ("distances", one.paired)):
             if rows.any():
                 part = one.subset(np.flatnonzero(rows))
                 off = [
                     _distances(numbers, old, part) if kind == "distances"
-                    else _heights(numbers, printer, part) for numbers in (old, new)
+                    else _heights(numbers, old, part, relative) for numbers in (old, new)
                 ]  # fmt: skip
                 before, after = (float(np.sqrt(np.mean(v**2))) for v in off)
                 yield Left(one.name, kind, len(part), before, after)
@@ -121,11 +128,6 @@ def left_of(printer: Printer, new: Numbers, read: Sequence[Readings]) -> Iterato
 def _believed(numbers: Numbers, old: Numbers, command: Array) -> Array:
     """Return where a firmware has the nozzle ``(n, 3)`` at travel as the old one commanded it."""
     return numbers.points(command + old.zero - old.at_endstop + numbers.at_endstop)
-
-
-def _relative(printer: Printer, touches: Readings) -> bool:
-    """Return whether the height at one place was taken out of touches."""
-    return printer.relative and touches.name != CALIBRATION
 
 
 def plate_of(pose: Pose, old: Numbers, touches: Readings) -> tuple[Array, Array]:
@@ -154,10 +156,10 @@ def _pose(machine: Machine, command: Array) -> tuple[Array, Array]:
 
 
 def _plane_at_zero(
-    printer: Printer,
     touched: Sequence[Readings],
     seen: Sequence[tuple[Array, Array]],
     reach: Sequence[float],
+    relative: bool,
 ) -> Array:
     """Return height and slopes ``(3,)`` of what the firmware takes as z = 0: the heights by which
     it was set, else the mean of all plates that were touched far out; the height by those that have
@@ -169,20 +171,20 @@ def _plane_at_zero(
     planes = np.array(
         [np.linalg.lstsq(plane_columns(seen[k][0]), seen[k][1], rcond=None)[0] for k in rows]
     )
-    known = np.array([not _relative(printer, touched[k]) for k in rows])
+    known = np.array([not relative or touched[k].name == CALIBRATION for k in rows])
     height = planes[known | ~known.any(), 0].mean()
     return np.append(height, planes[:, 1:].mean(axis=0))
 
 
-def _heights(numbers: Numbers, printer: Printer, touches: Readings) -> Array:
+def _heights(numbers: Numbers, old: Numbers, touches: Readings, relative: bool) -> Array:
     """Return the residuals of touches ``(n,)``, metres."""
     upright = np.tile([0.0, 0.0, 1.0], (max(len(touches), 2), 1))
 
     def pose(command: Array) -> tuple[Array, Array]:
-        return _believed(numbers, printer.numbers, command), upright[: len(command)]
+        return _believed(numbers, old, command), upright[: len(command)]
 
-    _, height = plate_of(pose, printer.numbers, touches)
-    return height - height.mean() if _relative(printer, touches) else height
+    _, height = plate_of(pose, old, touches)
+    return height - height.mean() if relative and touches.name != CALIBRATION else height
 
 
 def _distances(numbers: Numbers, old: Numbers, distances: Readings) -> Array:

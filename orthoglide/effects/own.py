@@ -1,16 +1,20 @@
-"""Whether the bases of a user's own effect work on CasADi symbols, told before they are needed."""
+"""Effects of a user's own: loaded from a Python file, and checked before they are needed."""
 
 from __future__ import annotations
 
+import os
+import runpy
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.motions import Basis, DialReading, LegConditions
-from orthoglide.errors import InputError
+from orthoglide.errors import FileError, InputError
+from orthoglide.text import shown
 
 _ARITHMETIC = (
     "write it with + - * / ** and with sin and cos of orthoglide.effects, without math, or if "
@@ -73,3 +77,29 @@ def _check(name: str, basis: Callable[[Any], Any], remedy: str) -> None:
         wrong = f"fails on symbols ({type(error).__name__}: {error})"
     if wrong:
         raise InputError(f"{name}: its basis {wrong.splitlines()[0]}: {remedy}")
+
+
+def load_effects(path: str | os.PathLike[str] | None) -> tuple[Effect, ...]:
+    """Effects that a Python file declares at its top level, in their order; none without a file.
+
+    The file is run: give only files that you trust.
+
+    Raises:
+        FileError: where it is missing, fails, or declares none.
+    """
+    if path is None:
+        return ()
+    if not Path(path).is_file():
+        raise FileError("there is no such file: check the name", file=shown(path))
+    try:
+        names = runpy.run_path(os.fspath(path))
+    except SyntaxError as error:
+        raise FileError(
+            f"is not Python ({error.msg}): correct it", file=shown(path), line=error.lineno
+        ) from None
+    except (Exception, SystemExit) as error:
+        raise FileError(f"fails with {type(error).__name__}: {error}", file=shown(path)) from error
+    found = [value for value in names.values() if isinstance(value, Effect)]
+    if not found:
+        raise FileError("declares no Effect at its top level: add one", file=shown(path))
+    return tuple(dict.fromkeys(found))
