@@ -41,10 +41,10 @@ class Root:
         if columns.shape[1] > len(columns):
             square = columns @ columns.T
             square[np.diag_indices_from(square)] += _ROUNDING * square.diagonal().max()
-            columns = np.linalg.cholesky(square)
+            columns = np.asarray(np.linalg.cholesky(square), dtype=float)
         inner = columns.T @ columns
         inner[np.diag_indices_from(inner)] += 1 + _OF_SUMS * inner.diagonal().max(initial=0.0)
-        return cls(columns, np.linalg.cholesky(inner))
+        return cls(columns, np.asarray(np.linalg.cholesky(inner), dtype=float))
 
     @cached_property
     def white(self) -> Array:
