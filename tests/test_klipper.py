@@ -430,6 +430,40 @@ def test_what_cannot_be_read_is_left_out_alone(kind: str, tmp_path: Path) -> Non
     assert of_kind == {"height": 6, "distance": 11, "": 12}[word]
 
 
+def without(text: str, start: str) -> str:
+    """Return a file without the lines that begin so."""
+    return "".join(line for line in text.splitlines(keepends=True) if not line.startswith(start))
+
+
+SAID = {
+    "heights of another time": (
+        lambda t: re.sub(r"(#\*# height[0-4]_pos = )(\d+)", r"\g<1>1\g<2>", t),
+        "left out: ", 7, 12),
+    "a gap": (lambda t: without(t, "#*# distance2 ="), "distance2 is missing", 1, 18),
+    "half of one": (lambda t: without(t, "#*# height3_pos"), "height3_pos is missing", 1, 18),
+    "another offset of the probe": (
+        lambda t: t.replace("#*# z_offset = 18.024", "#*# z_offset = 17.624"),
+        "were stored with a z_offset of", 1, 19),
+    "steps of older firmware": (
+        lambda t: t.replace("rotation_distance: 40", "step_distance: 0.0125"), "steps", 0, 19),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", SAID)
+def test_what_becomes_of_stored_heights_and_distances(kind: str, tmp_path: Path) -> None:
+    edit, phrase, times, count = SAID[kind]
+    text = edit(V400.read_text())
+    assert text != V400.read_text()
+    (tmp_path / "printer.cfg").write_text(text)
+    found, plain = import_printer(tmp_path / "printer.cfg"), import_printer(V400).campaigns[0]
+    assert sum(phrase in note for note in found.notes) == times
+    kept = found.campaigns[0]
+    assert len(kept) == count
+    before = dict(zip(plain.posture, plain.command, strict=True))
+    off = [c - before[label] for label, c in zip(kept.posture, kept.command, strict=True)]
+    assert np.abs(off).max() < 1e-9
+
+
 KEYS = {
     "probe": ("z_offset", "far"),
     "bed_mesh": ("mesh_radius", "-1"),
@@ -445,29 +479,6 @@ def test_a_key_that_may_be_missing_is_left_out(section: str, tmp_path: Path) -> 
     found = import_printer(tmp_path / "printer.cfg")
     assert len(found.campaigns) == 3
     assert any(f"line 2: [{section}] {key} is" in note for note in found.notes)
-
-
-def test_heights_of_which_most_are_of_another_time_are_all_left_out(tmp_path: Path) -> None:
-    text = re.sub(r"(#\*# height[0-4]_pos = )(\d+)", r"\g<1>1\g<2>", V400.read_text())
-    (tmp_path / "printer.cfg").write_text(text)
-    found = import_printer(tmp_path / "printer.cfg")
-    assert not found.campaigns[0].touching.any()
-    assert sum("left out: " in note for note in found.notes) == 7
-
-
-def test_a_file_without_readings_is_told(tmp_path: Path) -> None:
-    file = tmp_path / "printer.cfg"
-    file.write_text(V400.read_text().partition("#*# [delta_calibrate]")[0])
-    with pytest.raises(FileError, match="has no readings"):
-        import_printer(file)
-
-
-def test_the_step_of_older_firmware_is_understood(tmp_path: Path) -> None:
-    file = tmp_path / "printer.cfg"
-    text = V400.read_text().replace("rotation_distance: 40", "step_distance: 0.0125")
-    file.write_text(text)
-    one, other = (import_printer(p).campaigns[0].command for p in (V400, file))
-    assert np.abs(one - other).max() < 1e-12
 
 
 def _apart(text: str) -> tuple[str, str]:
@@ -561,13 +572,6 @@ def test_files_of_elsewhere_are_not_read(tmp_path: Path) -> None:
         assert told == any("'probe.cfg' is not where" in n for n in import_printer(file).notes)
 
 
-def test_profiles_of_one_plain_name_keep_their_own_files(tmp_path: Path) -> None:
-    text = V400.read_text().replace("default_9Probe", "Bed 1").replace("default_25Probe", "bed/1")
-    (tmp_path / "printer.cfg").write_text(text)
-    names = [c.name for c in import_printer(tmp_path / "printer.cfg").campaigns]
-    assert names == ["calibration", "mesh-Bed-1", "mesh-bed-1-2"]
-
-
 def test_what_the_probe_did_not_touch_is_left_out(tmp_path: Path) -> None:
     region = "faulty_region_1_min: -20, -20\nfaulty_region_1_max: 20, 20\n"
     text = V400.read_text().replace("[bed_mesh]\n", f"[bed_mesh]\n{region}")
@@ -592,20 +596,6 @@ def test_a_fine_scan_is_thinned_and_a_scanty_mesh_told(tmp_path: Path) -> None:
     assert any("one in 3" in note for note in found.notes)
     file.write_text(text.partition("#*# [bed_mesh")[0])
     assert any("7 touches" in note for note in import_printer(file).notes)
-
-
-def test_readings_behind_a_gap_are_read_and_half_ones_told(tmp_path: Path) -> None:
-    file, text = tmp_path / "printer.cfg", V400.read_text()
-    lines = text.splitlines(keepends=True)
-    file.write_text("".join(x for x in lines if not x.startswith("#*# distance2 =")))
-    found = import_printer(file)
-    calibration = found.campaigns[0]
-    distances = [p for p, k in zip(calibration.posture, calibration.kind, strict=True)
-                 if k == "distance"]  # fmt: skip
-    assert distances == [str(k) for k in range(12) if k != 2]
-    assert any("left out" in note and "distance2 is missing" in note for note in found.notes)
-    file.write_text("".join(x for x in lines if not x.startswith("#*# height3_pos")))
-    assert any("height3_pos is missing" in note for note in import_printer(file).notes)
 
 
 @pytest.mark.thorough(except_for=["-0.46"])
@@ -722,15 +712,6 @@ def test_a_probe_beside_the_nozzle_leaves_the_middle_where_it_is(
     plane = np.linalg.solve(np.column_stack([np.ones(3), places[:, :2]]), height)
     assert plane[0] == pytest.approx(lies[0] + lifted, abs=2e-6)
     assert (abs(lies[0] + lifted) > 2e-5) == (rolls != 0)
-
-
-def test_heights_of_another_offset_of_the_probe_are_told(tmp_path: Path) -> None:
-    text = (DATA / "t1-stock.cfg").read_text()
-    told = imported_text(tmp_path, text.replace("z_offset: -0.24", "z_offset: 0.16"))
-    (note,) = (n for n in told if "z_offset" in n)
-    assert "stored with a z_offset of -0.24 mm, and it is 0.16 mm now" in note
-    assert "0.4 mm too high or too low" in note
-    assert not [n for n in imported_text(tmp_path, text) if "z_offset" in n]
 
 
 def test_an_endstop_in_inches_is_told_by_its_line(tmp_path: Path) -> None:

@@ -532,7 +532,7 @@ def zeros_of(layout: str, rng: np.random.Generator) -> dict[str, float]:
     return {f"joint_offset.{leg}": float(5e-4 * rng.standard_normal()) for leg in legs}
 
 
-@pytest.mark.parametrize("free", [1, 2], ids=["offsets", "offsets, lengths"])
+@pytest.mark.parametrize("free", [pytest.param(1, marks=pytest.mark.thorough), 2])
 @pytest.mark.parametrize(("kind", "layout"), ONCE)
 def test_all_methods_find_the_same(kind: str, layout: str, free: int) -> None:
     """The programme, nested closures, and these closed by Pinocchio; offsets and lengths free."""
@@ -592,7 +592,8 @@ def test_methods_agree_on_readings_of_all_kinds_together(layout: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "layout"), [c for c in CASES if has_free(c[0]) and not OBSERVATIONS[c[0]].on_leg]
+    ("kind", "layout"),
+    [c for c in ONCE if has_free(c.values[0]) and not OBSERVATIONS[c.values[0]].on_leg],
 )
 def test_a_setup_of_fewer_readings_than_it_has_numbers_changes_no_other(
     kind: str, layout: str
