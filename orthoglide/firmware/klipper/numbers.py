@@ -24,6 +24,10 @@ from orthoglide.machine_file import DeltaKinematics
 
 TOWERS = LinearDelta.names.legs
 _ANGLES = (210.0, 330.0, 90.0)  # degrees at which the towers stand where nothing is given
+_UNEVEN = 0.05
+"""Of the first arm, by which another one is no other length but a slip: what the firmware fitted on
+owners' printers differs by half a per cent at most."""
+
 Triple = tuple[float, float, float]
 
 
@@ -147,6 +151,12 @@ class Numbers:
                     "position_endstop",
                     f"is {ends[k] * 1e3:g} mm, and that of tower {TOWERS[0]} {ends[0] * 1e3:g}: "
                     f"carriages of one machine stop at about one height; give both in millimetres",
+                )
+            if abs(arms[k] / arms[0] - 1) > _UNEVEN:
+                tower.fail(
+                    "arm_length",
+                    f"is {arms[k] * 1e3:g} mm, and that of tower {TOWERS[0]} {arms[0] * 1e3:g}: "
+                    f"arms of one machine are alike to a few millimetres; correct it",
                 )
             if arms[k] <= 1.02 * radius:
                 tower.fail(
