@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from orthoglide.firmware.klipper import Imported, import_printer
 from tests.rig_delta import DeltaRig
 
 DATA = Path(__file__).parent / "data" / "delta"
@@ -73,3 +74,9 @@ def _touched(rig: DeltaRig, x: float, y: float, plate: float) -> float:
         place, _ = rig.pose(rig.inverse(np.array([x, y, z])), told)
         z += PROBE + plate - place[2]
     return z - PROBE
+
+
+def imported(folder: Path, text: str) -> Imported:
+    """Return what is imported of a printer's file of that text."""
+    (folder / "printer.cfg").write_text(text)
+    return import_printer(folder / "printer.cfg")

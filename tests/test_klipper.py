@@ -25,7 +25,7 @@ from orthoglide.numerals import MINUS
 from orthoglide.observations import campaign_text, read_readings
 from orthoglide.verdict import Verdict, close_loop
 from tests.factors import factor_of
-from tests.klipper_files import DATA, simulated_cfg
+from tests.klipper_files import DATA, imported, simulated_cfg
 from tests.rig_delta import DeltaRig
 from tests.studied import studied
 
@@ -68,11 +68,9 @@ def test_the_machine_without_errors_is_what_the_firmware_believes() -> None:
 @pytest.mark.thorough
 def test_arms_that_were_measured_are_kept_and_not_doubted(tmp_path: Path) -> None:
     """The firmware has the true arms: only the owner can say that they are."""
-    file = tmp_path / "printer.cfg"
     text = simulated_cfg(DeltaRig(errors={"leg_length.c": 1e-3}), noise=0.0)
     head, c, tail = text.partition("[stepper_c]")
-    file.write_text(head + c + tail.replace("arm_length: 345", "arm_length: 346"))
-    found = import_printer(file)
+    found = imported(tmp_path, head + c + tail.replace("arm_length: 345", "arm_length: 346"))
     assert "give the sigma of your measurement under [parameters]" in found.notes[0]
     lengths = {name: replace(entry, sigma=2e-5) for name, entry in found.machine.parameters.items()}
     measured = replace(found.machine, parameters=lengths)
@@ -87,11 +85,10 @@ def test_arms_that_were_measured_are_kept_and_not_doubted(tmp_path: Path) -> Non
 def test_a_mesh_of_other_numbers_or_another_plate_is_told(tmp_path: Path) -> None:
     """Its file has a radius that is half a millimetre too large for it."""
     errors = {f"axis_offset.{leg}.radial": 5e-4 for leg in "abc"}
-    file, now = tmp_path / "printer.cfg", simulated_cfg(DeltaRig())
+    now = simulated_cfg(DeltaRig())
     for wrong, told in (({}, False), (errors, True)):
         other = simulated_cfg(DeltaRig(errors=wrong), seed=1).partition("#*# [bed_mesh default]")[2]
-        file.write_text(f"{now}#*# [bed_mesh 2023]{other}")
-        found = import_printer(file)
+        found = imported(tmp_path, f"{now}#*# [bed_mesh 2023]{other}")
         assert len(found.campaigns) == 2
         notes = [note for note in found.notes if "one plate and one set of numbers" in note]
         assert bool(notes) == told
@@ -169,9 +166,8 @@ def test_corrections_bring_the_independent_machine_to_the_plate(tmp_path: Path) 
     truth = {"joint_offset.a": 4e-4, "joint_offset.b": -3e-4, "joint_offset.c": 1e-4,
              "axis_offset.a.radial": 5e-4, "axis_offset.b.radial": 5e-4,
              "axis_offset.c.radial": 5e-4}  # fmt: skip
-    rig, file = DeltaRig(errors=truth), tmp_path / "printer.cfg"
-    file.write_text(simulated_cfg(rig, noise=0.0))
-    found = import_printer(file)
+    rig = DeltaRig(errors=truth)
+    found = imported(tmp_path, simulated_cfg(rig, noise=0.0))
     machine = Machine(found.machine)
     estimate = og.identify(list(found.campaigns), machine)
     old = Numbers.of(found.machine.provenance["klipper"])
@@ -195,9 +191,7 @@ def test_corrections_bring_the_independent_machine_to_the_plate(tmp_path: Path) 
 @pytest.mark.parametrize("lean", [4e-3, -4e-3])
 def test_the_sign_of_a_lean_comes_through_the_firmware_s_file(lean: float, tmp_path: Path) -> None:
     errors = {f"rail_tilt.{leg}.tangential": lean for leg in "abc"}
-    file = tmp_path / "printer.cfg"
-    file.write_text(simulated_cfg(DeltaRig(errors=errors)))
-    found = import_printer(file)
+    found = imported(tmp_path, simulated_cfg(DeltaRig(errors=errors)))
     verdict = close_loop(list(found.campaigns), Machine(found.machine))
     assert verdict.word == "ambiguous"
     every = {one.name: one for c in verdict.effects for one in c.explanations}
@@ -243,15 +237,14 @@ def test_a_mesh_of_the_turned_plate_decides(tmp_path: Path) -> None:
 @pytest.mark.parametrize("off", [0.4, -0.15])
 def test_a_touch_that_is_none_of_the_plate(off: float, tmp_path: Path) -> None:
     """It had counted as the plate's roughness, and the endstop's error went unseen in that."""
-    file, verdicts = tmp_path / "printer.cfg", []
+    verdicts = []
     lines = simulated_cfg(DeltaRig(errors={"joint_offset.b": 3e-4})).split("\n")
     (first,) = (k for k, line in enumerate(lines) if line.startswith("#*# points"))
     for spoilt in (0.0, off):
         row = [float(z) for z in lines[first + 6].removeprefix("#*# \t").split(",")]
         row[2] += spoilt  # x -60, y 30
         text = [*lines[: first + 6], "#*# \t" + ", ".join(map(str, row)), *lines[first + 7 :]]
-        file.write_text("\n".join(text))
-        found = import_printer(file)
+        found = imported(tmp_path, "\n".join(text))
         verdicts.append(close_loop(list(found.campaigns), found.machine))
     sound, spoilt_one = verdicts
     assert (sound.word, spoilt_one.word) == ("adequate", "adequate")
@@ -281,10 +274,8 @@ def test_no_printer_s_plate_is_as_rough_as_what_no_roughness_explains() -> None:
 @pytest.mark.parametrize(("roll", "word"), [(0.002, "adequate"), (0.04, "unexplained")])
 def test_what_jumps_from_place_to_place_is_no_noise(roll: float, word: str, tmp_path: Path) -> None:
     """A carriage that rolls in short waves had counted as a rough plate: nothing was wrong."""
-    file = tmp_path / "printer.cfg"
     waves = {"b": lambda travel: roll * np.sin(2 * np.pi * travel / 0.035 + 1.0)}
-    file.write_text(simulated_cfg(DeltaRig(turns=waves)))
-    found = import_printer(file)
+    found = imported(tmp_path, simulated_cfg(DeltaRig(turns=waves)))
     verdict = close_loop(list(found.campaigns), Machine(found.machine))
     told = [w for w in verdict.after.warnings if w.kind == "loud"]
     assert (verdict.word, bool(told)) == (word, word == "unexplained")
@@ -294,9 +285,8 @@ def test_what_jumps_from_place_to_place_is_no_noise(roll: float, word: str, tmp_
 @pytest.mark.thorough
 def test_an_endstop_that_is_off_is_told_with_its_sign_and_what_it_costs(tmp_path: Path) -> None:
     """The plate is the firmware's z = 0: what an endstop tilts is an error of height."""
-    file, out = tmp_path / "printer.cfg", tmp_path / "out"
-    file.write_text(simulated_cfg(DeltaRig(errors={"joint_offset.b": 8e-4})))
-    found = import_printer(file)
+    out = tmp_path / "out"
+    found = imported(tmp_path, simulated_cfg(DeltaRig(errors={"joint_offset.b": 8e-4})))
     verdict = close_loop(list(found.campaigns), Machine(found.machine))
     words = " ".join(str(verdict).split())
     told = re.search(r"most of all position_endstop of tower b by \+(0\.8\d\d) mm", words)
@@ -476,8 +466,7 @@ KEYS = {
 def test_a_key_that_may_be_missing_is_left_out(section: str, tmp_path: Path) -> None:
     key, value = KEYS[section]
     lines = re.sub(rf"(?m)^{key}.*\n", "", V400.read_text())
-    (tmp_path / "printer.cfg").write_text(f"[{section}]\n{key}: {value}\n{lines}")
-    found = import_printer(tmp_path / "printer.cfg")
+    found = imported(tmp_path, f"[{section}]\n{key}: {value}\n{lines}")
     assert len(found.campaigns) == 3
     assert any(f"line 2: [{section}] {key} is" in note for note in found.notes)
 
@@ -518,7 +507,7 @@ def test_odd_files_say_what_the_plain_one_says(kind: str, tmp_path: Path) -> Non
 
 def test_what_stands_above_the_saved_block_counts_and_both_lines_are_told(tmp_path: Path) -> None:
     """As in the firmware's configfile.py: its saved block gives way to the file and includes."""
-    file, text = tmp_path / "printer.cfg", V400.read_text()
+    text = V400.read_text()
     plain = Numbers.of(import_printer(V400).machine.provenance["klipper"])
     saved = text.splitlines().index("#*# delta_radius = 162.820595") + 1
     (tmp_path / "own.cfg").write_text("[printer]\ndelta_radius: 162.5\n")
@@ -527,8 +516,7 @@ def test_what_stands_above_the_saved_block_counts_and_both_lines_are_told(tmp_pa
         ("[include own.cfg]\n[nothing]\n", 162.5, "162.5 (line 2 of "),
         ("[printer]\ndelta_radius: 162.8205950\n", 162.820595, ""),
     ):
-        file.write_text(own + text)
-        found = import_printer(file)
+        found = imported(tmp_path, own + text)
         now = Numbers.of(found.machine.provenance["klipper"])
         assert now == replace(plain, delta_radius=pytest.approx(value * 1e-3, abs=1e-12))
         notes = [n for n in found.notes if "above the header of SAVE_CONFIG" in n]
@@ -591,8 +579,7 @@ def test_a_fine_scan_is_thinned_and_a_scanty_mesh_told(tmp_path: Path) -> None:
         f"#*# min_x = -100\n#*# max_x = 100\n#*# min_y = -100\n"
         f"#*# max_y = 100\n"
     )
-    file.write_text(text)
-    found = import_printer(file)
+    found = imported(tmp_path, text)
     assert len(found.campaigns[1]) < 1000
     assert any("one in 3" in note for note in found.notes)
     file.write_text(text.partition("#*# [bed_mesh")[0])
@@ -637,11 +624,10 @@ def test_where_the_owner_set_the_nozzle_stays(tmp_path: Path, moved: float) -> N
 
 
 def test_a_mesh_that_is_none_and_one_saved_twice_are_left_out(tmp_path: Path) -> None:
-    file, text = tmp_path / "printer.cfg", simulated_cfg(DeltaRig())
+    text = simulated_cfg(DeltaRig())
     block = text.partition("#*# [bed_mesh default]")[2]
     zeros = re.sub(r"-?0\.\d{6}", "0.000000", block)
-    file.write_text(f"{text}#*# [bed_mesh 80 bed]{block}#*# [bed_mesh stock]{zeros}")
-    found = import_printer(file)
+    found = imported(tmp_path, f"{text}#*# [bed_mesh 80 bed]{block}#*# [bed_mesh stock]{zeros}")
     assert [c.name for c in found.campaigns] == ["mesh-default"]
     assert any("'80 bed' is 'default' to the last digit" in note for note in found.notes)
     assert any("'stock'" in note and "nothing but zeros" in note for note in found.notes)
@@ -672,9 +658,8 @@ def test_a_file_that_another_path_includes_is_taken_from_beside(tmp_path: Path) 
 
 
 def test_the_middle_of_a_plate_alone_gives_no_numbers(tmp_path: Path) -> None:
-    file, text = tmp_path / "printer.cfg", simulated_cfg(DeltaRig(), count=5)
-    file.write_text(re.sub(r"(min_[xy] = -|max_[xy] = )120.0", r"\g<1>15.0", text))
-    found = import_printer(file)
+    text = simulated_cfg(DeltaRig(), count=5)
+    found = imported(tmp_path, re.sub(r"(min_[xy] = -|max_[xy] = )120.0", r"\g<1>15.0", text))
     verdict = close_loop(list(found.campaigns), Machine(found.machine))
     assert verdict.firmware.corrections is None
     assert any("out to its rim" in action.words for action in verdict.actions)
@@ -724,20 +709,12 @@ def test_an_endstop_in_inches_is_told_by_its_line(tmp_path: Path) -> None:
     )  # fmt: skip
     for text in (one, every):
         with pytest.raises(FileError, match=r"line \d+: \[stepper_[ab]\] position_endstop .*milli"):
-            imported_text(tmp_path, text)
-
-
-def imported_text(folder: Path, text: str) -> list[str]:
-    """What is told on importing a file of that text."""
-    (folder / "printer.cfg").write_text(text)
-    return [str(note) for note in import_printer(folder / "printer.cfg").notes]
+            imported(tmp_path, text)
 
 
 @pytest.mark.thorough
 def test_what_was_assumed_is_said_where_causes_depend_on_it(tmp_path: Path) -> None:
-    file = tmp_path / "printer.cfg"
-    file.write_text(simulated_cfg(DeltaRig(errors={"mount_tilt.a.b": 4e-2})))
-    found = import_printer(file)
+    found = imported(tmp_path, simulated_cfg(DeltaRig(errors={"mount_tilt.a.b": 4e-2})))
     measured = replace(found.machine, geometry=replace(found.machine.geometry, d=0.06))
     as_is = "radius (32 mm), the distance of an arm's two rods (50 mm)"
     corrected = "radius (32 mm), how far the nozzle hangs"

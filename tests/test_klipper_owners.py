@@ -12,20 +12,14 @@ from click.testing import CliRunner
 import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.errors import FileError
-from orthoglide.firmware.klipper import Imported, import_printer
+from orthoglide.firmware.klipper import import_printer
 from orthoglide.machine import Machine
 from orthoglide.verdict import close_loop
-from tests.klipper_files import DATA, simulated_cfg
+from tests.klipper_files import DATA, imported, simulated_cfg
 from tests.rig_delta import DeltaRig
 
 ENDSTOP = re.compile(r"(#\*# position_endstop = )([0-9.]+)")
 V400, T1 = (DATA / name for name in ("v400-april.cfg", "t1-stock.cfg"))
-
-
-def imported(folder: Path, text: str) -> Imported:
-    """A file of that text, imported."""
-    (folder / "printer.cfg").write_text(text)
-    return import_printer(folder / "printer.cfg")
 
 
 def moved(text: str, by: float) -> str:

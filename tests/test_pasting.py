@@ -23,18 +23,13 @@ from orthoglide.machine_file import machine_text, parse_machine_file
 from orthoglide.planning import repeating
 from orthoglide.report import report_files
 from orthoglide.verdict import Verdict, close_loop
-from tests.klipper_files import DATA, simulated_cfg
+from tests.klipper_files import DATA, imported, simulated_cfg
 from tests.rig_delta import DeltaRig
 from tests.studied import studied
 
 FIELD = Path(__file__).parent / "data" / "field"
 NUMBERS = Numbers(0.163, (210.0, 330.0, 90.0), (0.345,) * 3, (0.3,) * 3)
 OFF = {"joint_offset.a": 4e-4, "joint_offset.b": -3e-4}
-
-
-def imported(folder: Path, text: str) -> Imported:
-    (folder / "printer.cfg").write_text(text)
-    return import_printer(folder / "printer.cfg")
 
 
 def made_of(closed: Closed) -> Corrections:
