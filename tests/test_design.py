@@ -31,7 +31,7 @@ from orthoglide.planning import (
     repeats_needed,
     smallest_effects,
 )
-from orthoglide.planning.choosing import Narrowing, RivalSeparation, choose
+from orthoglide.planning.choosing import Narrowing, RivalSeparation
 from orthoglide.planning.designs import Observability
 from orthoglide.planning.detectable import noncentrality, separation
 from orthoglide.planning.linear import LinearReadings, Steps
@@ -239,14 +239,6 @@ def test_observability_of_a_protocol_does_not_depend_on_the_legs_names(machine):
     assert found.rank < found.unknowns  # six tilts are more than twelve deviations show
 
 
-def test_repeating_a_protocol_helps_o3_but_not_o1(machine):
-    once = protocol("standard").subset(protocol("standard").repeat == 1)
-    one = observability(machine, once, CATALOGUE.base)
-    three = observability(machine, protocol("standard"), CATALOGUE.base)
-    assert three.indices["O3"] > 1.3 * one.indices["O3"]
-    assert three.indices["O1"] < 1.05 * one.indices["O1"]
-
-
 # -- designs -------------------------------------------------------------------------------------
 
 
@@ -271,13 +263,6 @@ def test_a_d_optimal_design_beats_random_ones_and_the_protocol(machine):
     assert found.value > max(random) + 3
     standard = observability(machine, protocol("standard"), CATALOGUE.base)
     assert found.indices.indices["O1"] > standard.indices["O1"]
-
-
-def test_exchange_does_not_make_a_design_worse(readings):
-    start = Narrowing(1e-4 * np.eye(3), np.eye(3))
-    _, greedy = choose(readings, start, 8)
-    _, exchanged = choose(readings, start, 8, exchange=True)
-    assert exchanged.value >= greedy.value
 
 
 def test_a_design_is_a_sheet_that_reads_back(machine, tmp_path):
@@ -457,16 +442,6 @@ def test_suggested_readings_separate_what_the_protocol_could_not(machine, ambigu
     assert min(rose.values()) == pytest.approx(found.gain**2, rel=0.25)
 
 
-def test_more_readings_separate_further(machine, ambiguous):
-    _, fits = ambiguous
-    gains = [
-        next_measurements(fits[RIVALS[0]], [*fits.items()], machine, count=n, directions=())[0].gain
-        for n in (2, 4, 8)
-    ]
-    assert gains == sorted(gains)
-    assert gains[-1] > gains[0]
-
-
 def test_a_shift_of_the_whole_machine_is_said_to_be_out_of_sight(machine):
     campaign = measured(machine, Rig(errors={"axis_offset.z.x": 3e-4}), "standard", 1)
     problem = base_problem(machine, [campaign])
@@ -546,30 +521,6 @@ def driven(machine, rig, sheet_file, seed) -> Campaign:
     return og.read_campaign(sheet_file, machine.spec)
 
 
-@pytest.fixture
-def lost_motion(machine):
-    """A machine with lost motion, and the verdict on its sweep: bars or rails of one leg."""
-    rig = Rig(errors={"bar_mismatch.x": 4e-4, "backlash.y": 8e-5})
-    campaign = measured(machine, rig, "sweep", 1)
-    return rig, campaign, og.close_loop([campaign], machine)
-
-
-@pytest.mark.thorough
-def test_next_measurements_filled_in_row_by_row_decide(machine, lost_motion, tmp_path):
-    rig, campaign, verdict = lost_motion
-    assert any(e.rivals for e in verdict.effects)
-    verdict.report(tmp_path / "out")
-    new = driven(machine, rig, tmp_path / "out" / "next_measurements.csv", 2)
-    assert new.warnings == ()
-    assert len(new.moves) > 0
-    after = og.close_loop([campaign, new], machine)
-    found = [{e.name, *e.indistinguishable_from} for e in after.effects]
-    assert {"backlash.y"} in found
-    (other,) = (names for names in found if names != {"backlash.y"})
-    assert {"bar_mismatch.x", "mount_tilt.x.b"} & other  # the same to every dial
-    assert after.word in ("explained", "ambiguous")
-
-
 def test_a_design_filled_in_row_by_row_gives_the_verdict(machine, tmp_path):
     rig = Rig(errors={"backlash.y": 1e-4})
     found = design(machine, ("backlash", "axis_tilt"), 32)
@@ -639,16 +590,6 @@ def test_sheets_of_the_command_line_show_what_the_controller_shows(command, coun
         untimed = np.full(len(found), np.nan)  # no reading, no time
         planned = protocol("standard", counting.geometry)
         assert found.same_as(replace(planned, name="sheet", time=untimed))
-
-
-@pytest.mark.thorough
-def test_the_sheet_of_a_report_shows_what_the_controller_shows(counting, ambiguous, tmp_path):
-    campaign, _ = ambiguous
-    og.close_loop([campaign], counting).report(tmp_path / "out")
-    rows = pd.read_csv(tmp_path / "out" / "next_measurements.csv")
-    assert {"travel_x_mm", "travel_y_mm", "travel_z_mm"} <= set(rows)
-    again = og.read_campaign(tmp_path / "out" / "next_measurements.csv", counting.spec, False)
-    assert counting.geometry.in_stroke(again.command).all()
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5])
