@@ -192,8 +192,8 @@ def following(rounds: int) -> Iterator[Row]:
     base = ("joint_offset", "leg_length")
     fits = [identify(readings, machine, [*base, name]) for name in RIVALS]
     rivals = [(name, fit.problem.values(0, fit.x)) for name, fit in zip(RIVALS, fits, strict=True)]
-    next_measurements(fits[0], rivals, machine)  # compiles what it needs
-    seconds = timed(lambda: next_measurements(fits[0], rivals, machine), rounds)
+    next_measurements(fits[0], rivals)  # compiles what it needs
+    seconds = timed(lambda: next_measurements(fits[0], rivals), rounds)
     yield Row(f"{len(readings)} readings, four rivals", "next_measurements()", seconds)
 
 

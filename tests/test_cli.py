@@ -7,10 +7,8 @@ import io
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.resources import files
@@ -409,24 +407,6 @@ def test_interrupted_the_moment_something_stands(
     assert os.listdir(here) == before
 
 
-@pytest.mark.thorough
-def test_interrupted_from_outside(here: Path) -> None:
-    child = subprocess.Popen(
-        [sys.executable, "-m", "orthoglide", "identify", "experiment2.csv", "--out", "out"],
-        env=NEVER,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    time.sleep(0.9)
-    child.send_signal(signal.SIGINT)
-    _, error = child.communicate(timeout=60)
-    if child.returncode == 0:  # it was done before
-        assert set(tree(here / "out")) == FILES
-        return
-    assert child.returncode in (130, -signal.SIGINT), error
-    assert os.listdir(here) == ["experiment2.csv"]
-
-
 def test_a_disk_that_fails(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
@@ -470,17 +450,6 @@ FILES = {
     "result.json", "calibrated.toml", "calibrated.npz", "residuals.csv", "report.html",
     "figures/readings.svg", "figures/residuals.svg", "figures/parameters.svg",
 }  # fmt: skip
-
-
-@pytest.mark.thorough
-def test_the_same_bytes_wherever_the_files_lie(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done("identify", "experiment2.csv", "--out", "out")
-    (here / "elsewhere").mkdir()
-    monkeypatch.chdir(here / "elsewhere")
-    done("identify", here / "experiment2.csv", "--out", here / "elsewhere" / "other")
-    assert tree(here / "out") == tree(here / "elsewhere" / "other")
-    place = str(here).encode()
-    assert not [name for name, content in tree(here / "out").items() if place in content]
 
 
 def test_json_is_the_file_and_a_calibrated_machine_is_a_machine(here: Path) -> None:
@@ -609,23 +578,6 @@ def test_states_of_two_machines_are_not_compared(here: Path) -> None:
     assert "readings of copy are those of nominal to the last digit" in told
 
 
-@pytest.mark.thorough
-def test_piped_text_is_as_wide_as_columns_says(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    og.Machine.nominal().save("nominal.toml")
-    for name, seed in (("a", "1"), ("b", "2")):
-        done("simulate", "--machine", "nominal.toml", "--seed", seed, "--out", f"{name}.csv")
-    for columns in (60, 100):
-        if columns == 60:
-            monkeypatch.setenv("COLUMNS", "60")
-        else:
-            monkeypatch.delenv("COLUMNS")
-        told = [done("check", "a.csv", "b.csv"),
-                done("identify", "a.csv", "--out", f"out{columns}")]  # fmt: skip
-        for text in told:
-            prose = [line for line in text.splitlines() if line.startswith(("-", "The ", " "))]
-            assert columns - 25 < max(map(len, prose)) <= columns
-
-
 def test_no_number_is_cut_on_a_narrow_terminal(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     told = dict[int, str]()
     for columns in (60, 100):
@@ -651,26 +603,6 @@ def test_an_interrupted_rehearsal_goes_on_from_a_folder_only(
     said = "orthoglide: interrupted: nothing is left half written"
     assert result.stderr.strip().startswith(said + words)
     assert ("goes on" in result.stderr) == bool(out)
-
-
-@pytest.mark.thorough
-def test_a_noisy_machine_is_found_within_its_sigmas(here: Path) -> None:
-    planted_machine(here)
-    common = ("simulate", "--machine", "planted.toml", "--kind", "two-gauges")
-    done(*common, "--seed", "3", "--out", "a.csv", "--tcp", "a.tcp.csv")
-    result = json.loads(done("identify", "a.csv", "--no-priors", "--out", "out", "--json"))
-    for parameter, value in result["parameters"].items():
-        truth = PLANTED.get(parameter, 0.0) * 1e3
-        assert abs(value["value"] - truth) < 4 * value["sigma"], parameter
-        assert 0.001 < value["sigma"] < 0.5
-    assert result["after"]["rms_mm"] == pytest.approx(0.02, rel=0.3)
-    points = og.read_tcp("a.tcp.csv").points()
-    machine = og.Machine.load("planted.toml")
-    assert np.abs(machine.forward(points.command) - points.p).max() < 1e-9
-    done(*common, "--seed", "3", "--out", "b.csv")
-    done(*common, "--seed", "4", "--out", "c.csv")
-    assert (here / "a.csv").read_bytes() == (here / "b.csv").read_bytes()
-    assert (here / "a.csv").read_bytes() != (here / "c.csv").read_bytes()
 
 
 def test_simulate_writes_both_files_or_none(here: Path) -> None:

@@ -31,7 +31,7 @@ from orthoglide.planning import (
     repeats_needed,
     smallest_effects,
 )
-from orthoglide.planning.choosing import Narrowing, RivalSeparation, choose
+from orthoglide.planning.choosing import Narrowing, RivalSeparation
 from orthoglide.planning.designs import Observability
 from orthoglide.planning.detectable import noncentrality, separation
 from orthoglide.planning.linear import LinearReadings, Steps
@@ -239,14 +239,6 @@ def test_observability_of_a_protocol_does_not_depend_on_the_legs_names(machine):
     assert found.rank < found.unknowns  # six tilts are more than twelve deviations show
 
 
-def test_repeating_a_protocol_helps_o3_but_not_o1(machine):
-    once = protocol("standard").subset(protocol("standard").repeat == 1)
-    one = observability(machine, once, CATALOGUE.base)
-    three = observability(machine, protocol("standard"), CATALOGUE.base)
-    assert three.indices["O3"] > 1.3 * one.indices["O3"]
-    assert three.indices["O1"] < 1.05 * one.indices["O1"]
-
-
 # -- designs -------------------------------------------------------------------------------------
 
 
@@ -273,13 +265,6 @@ def test_a_d_optimal_design_beats_random_ones_and_the_protocol(machine):
     assert found.indices.indices["O1"] > standard.indices["O1"]
 
 
-def test_exchange_does_not_make_a_design_worse(readings):
-    start = Narrowing(1e-4 * np.eye(3), np.eye(3))
-    _, greedy = choose(readings, start, 8)
-    _, exchanged = choose(readings, start, 8, exchange=True)
-    assert exchanged.value >= greedy.value
-
-
 def test_a_design_is_a_sheet_that_reads_back(machine, tmp_path):
     campaign = design(machine, CATALOGUE.base, 12).campaign
     og.write_campaign(campaign, tmp_path / "sheet.csv")
@@ -300,8 +285,8 @@ def test_a_sheet_numbers_the_visits_of_a_station(readings):
     ("families", "count", "word"),
     [
         (["gauge_scale"], 12, "mounting"),
-        (["joint_offset"], 1, "two readings"),
-        (["joint_offset"], 2000, "ask for 500 at most"),
+        (["joint_offset"], 1, "ask for 2 readings"),
+        (["joint_offset"], 2000, "to 500, not 2000"),
         (["thermal_growth"], 12, "leave it out"),
     ],
 )
@@ -438,7 +423,7 @@ def test_suggested_readings_separate_what_the_protocol_could_not(machine, ambigu
     campaign, fits = ambiguous
     before = fits[RIVALS[1]].scores.chi2 - fits[RIVALS[0]].scores.chi2
     assert abs(before) < 4
-    (found,) = next_measurements(fits[RIVALS[0]], [*fits.items()], machine, count=16, directions=())
+    (found,) = next_measurements(fits[RIVALS[0]], [*fits.items()], count=16, directions=())
     assert found.aim == "separate"
     assert len([row for row in found.rows if row["kind"] == "leg"]) <= 16
     assert all("reading_mm" not in row for row in found.rows)
@@ -457,23 +442,13 @@ def test_suggested_readings_separate_what_the_protocol_could_not(machine, ambigu
     assert min(rose.values()) == pytest.approx(found.gain**2, rel=0.25)
 
 
-def test_more_readings_separate_further(machine, ambiguous):
-    _, fits = ambiguous
-    gains = [
-        next_measurements(fits[RIVALS[0]], [*fits.items()], machine, count=n, directions=())[0].gain
-        for n in (2, 4, 8)
-    ]
-    assert gains == sorted(gains)
-    assert gains[-1] > gains[0]
-
-
 def test_a_shift_of_the_whole_machine_is_said_to_be_out_of_sight(machine):
     campaign = measured(machine, Rig(errors={"axis_offset.z.x": 3e-4}), "standard", 1)
     problem = base_problem(machine, [campaign])
     fits = {n: refit(problem, [n]) for n in ("axis_offset.z.x", "axis_offset.y.x")}
     values = {n: f.values[n] for n, f in fits.items()}
     assert values["axis_offset.z.x"] == pytest.approx(-values["axis_offset.y.x"], rel=0.02)
-    (found,) = next_measurements(fits["axis_offset.z.x"], [*fits.items()], machine, directions=())
+    (found,) = next_measurements(fits["axis_offset.z.x"], [*fits.items()], directions=())
     assert found.aim == "none"
     assert found.rows == ()
     assert "but for a shift of 0.3" in found.reason
@@ -483,9 +458,7 @@ def test_a_mount_tilt_is_a_bar_mismatch_to_every_dial(machine):
     campaign = measured(machine, Rig(errors={"bar_mismatch.z": 3e-4}), "standard", 1)
     problem = base_problem(machine, [campaign])
     fits = {n: refit(problem, [n]) for n in ("bar_mismatch.z", "mount_tilt.z.b", "rail_bow.z.x")}
-    found = next_measurements(
-        fits["bar_mismatch.z"], [*fits.items()], machine, count=8, directions=()
-    )
+    found = next_measurements(fits["bar_mismatch.z"], [*fits.items()], count=8, directions=())
     assert [s.aim for s in found] == ["separate", "none"]
     assert "the z rail is bent in the direction of x" in found[0].reason
     assert "the two bars of leg z differ in length" in found[1].reason
@@ -496,21 +469,21 @@ def test_rivals_for_one_cause_are_not_told_from_rivals_for_another(machine, ambi
     _, fits = ambiguous
     two = [(f"{name} of {which}", fit) for which in ("one", "two") for name, fit in fits.items()]
     (found,) = next_measurements(
-        fits[RIVALS[0]], two, machine, pairs=[(0, 1), (2, 3)], count=16, directions=()
+        fits[RIVALS[0]], two, pairs=[(0, 1), (2, 3)], count=16, directions=()
     )
     assert found.aim == "separate"
     for which, other in (("one", "two"), ("two", "one")):
         both = f"{RIVALS[0]} of {which} from {RIVALS[1]} of {which}"
         assert both in found.reason
         assert f"of {which} from {RIVALS[1]} of {other}" not in found.reason
-    assert not next_measurements(fits[RIVALS[0]], two, machine, pairs=[], directions=())
+    assert not next_measurements(fits[RIVALS[0]], two, pairs=[], directions=())
 
 
 def test_a_weak_direction_narrows_as_predicted(machine):
     campaign = measured(machine, Rig(), "standard", 3)
     estimate = og.identify(campaign, machine, method="nested")
     weak = estimate.weak[0]
-    (found,) = next_measurements(estimate, (), machine, count=12, directions=[weak])
+    (found,) = next_measurements(estimate, (), count=12, directions=[weak])
     assert found.aim == "narrow"
     assert found.gain > 1.1
     new = measured(machine, Rig(), as_numbers(found.rows), 5, "next")
@@ -526,7 +499,7 @@ def test_a_weak_direction_narrows_as_predicted(machine):
 def test_a_direction_that_no_dial_sees_is_said_to_stay(machine):
     estimate = og.identify(measured(machine, Rig(), "sweep", 3), machine, method="nested")
     weak = estimate.weak[0]
-    (found,) = next_measurements(estimate, (), machine, count=2, directions=[weak])
+    (found,) = next_measurements(estimate, (), count=2, directions=[weak])
     assert found.aim == "none"
     assert "tolerances" in found.reason
     assert found.rows == ()
@@ -544,30 +517,6 @@ def driven(machine, rig, sheet_file, seed) -> Campaign:
         row["reading_mm"] = "" if row.get("kind") == "move" else shown["reading_mm"]
     write_csv(asked, sheet_file)
     return og.read_campaign(sheet_file, machine.spec)
-
-
-@pytest.fixture
-def lost_motion(machine):
-    """A machine with lost motion, and the verdict on its sweep: bars or rails of one leg."""
-    rig = Rig(errors={"bar_mismatch.x": 4e-4, "backlash.y": 8e-5})
-    campaign = measured(machine, rig, "sweep", 1)
-    return rig, campaign, og.close_loop([campaign], machine)
-
-
-@pytest.mark.thorough
-def test_next_measurements_filled_in_row_by_row_decide(machine, lost_motion, tmp_path):
-    rig, campaign, verdict = lost_motion
-    assert any(e.rivals for e in verdict.effects)
-    verdict.report(tmp_path / "out")
-    new = driven(machine, rig, tmp_path / "out" / "next_measurements.csv", 2)
-    assert new.warnings == ()
-    assert len(new.moves) > 0
-    after = og.close_loop([campaign, new], machine)
-    found = [{e.name, *e.indistinguishable_from} for e in after.effects]
-    assert {"backlash.y"} in found
-    (other,) = (names for names in found if names != {"backlash.y"})
-    assert {"bar_mismatch.x", "mount_tilt.x.b"} & other  # the same to every dial
-    assert after.word in ("explained", "ambiguous")
 
 
 def test_a_design_filled_in_row_by_row_gives_the_verdict(machine, tmp_path):
@@ -604,7 +553,7 @@ def test_the_command_writes_a_sheet_and_compares(tmp_path, machine):
     done = CliRunner().invoke(design_command, [*arguments, "--want", "TCP=0.003"])
     assert done.exit_code == 0, done.output
     assert len(og.read_campaign(out, machine.spec, require_readings=False)) == 12
-    for word in ("standard", "\ndesign ", "O1 to O5", "TCP: sigma 0.003 mm takes"):
+    for word in ("standard", " design", "O1, all unknowns", "TCP: sigma 0.003 mm takes"):
         assert word in done.output
     again = CliRunner().invoke(design_command, arguments)
     assert isinstance(again.exception, InputError)
@@ -639,16 +588,6 @@ def test_sheets_of_the_command_line_show_what_the_controller_shows(command, coun
         untimed = np.full(len(found), np.nan)  # no reading, no time
         planned = protocol("standard", counting.geometry)
         assert found.same_as(replace(planned, name="sheet", time=untimed))
-
-
-@pytest.mark.thorough
-def test_the_sheet_of_a_report_shows_what_the_controller_shows(counting, ambiguous, tmp_path):
-    campaign, _ = ambiguous
-    og.close_loop([campaign], counting).report(tmp_path / "out")
-    rows = pd.read_csv(tmp_path / "out" / "next_measurements.csv")
-    assert {"travel_x_mm", "travel_y_mm", "travel_z_mm"} <= set(rows)
-    again = og.read_campaign(tmp_path / "out" / "next_measurements.csv", counting.spec, False)
-    assert counting.geometry.in_stroke(again.command).all()
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5])

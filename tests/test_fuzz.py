@@ -6,16 +6,13 @@ import json
 import os
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
-from random import Random
 from typing import Any
 
 import pytest
 
 import orthoglide as og
 from benchmarks import fuzz, fuzz_verdicts
-from benchmarks.fuzz_mutations import spoil_json
 from orthoglide.fit import assemble, solve, sorted_out
 from orthoglide.simulation import simulate
 
@@ -51,21 +48,6 @@ def test_spoilt_files_of_printers_give_a_sentence_or_a_right_import(tmp_path: Pa
         if found:
             wrong[number] = found
     assert not wrong
-
-
-def test_a_case_is_its_number() -> None:
-    assert fuzz.draw_case(7) == fuzz.draw_case(7)
-    assert fuzz.draw_case(7).files != fuzz.draw_case(8).files
-    drawn = [fuzz.draw_case(k) for k in range(120)]
-    assert {case.arguments[0] for case in drawn} == {name.split()[0] for name in fuzz.COMMANDS}
-
-
-def test_changes_of_one_result_are_not_those_of_the_next() -> None:
-    """Lists put in are changed in their turn: each case has its own."""
-    first = [spoil_json(Random(k), '{"inputs": {"a": 1}, "machine": 2}') for k in range(400)]
-    assert first == [
-        spoil_json(Random(k), '{"inputs": {"a": 1}, "machine": 2}') for k in range(400)
-    ]
 
 
 def test_a_sound_input_is_found_sound(tmp_path: Path) -> None:
@@ -203,25 +185,6 @@ def test_a_reading_too_near_to_be_set_aside_is_spoken_of() -> None:
     assert line == campaign.line[31]
     assert f"line {line}: up to " in note
     assert note.endswith("read it again")
-
-
-def test_false_verdicts_are_counted() -> None:
-    of = fuzz_verdicts.Judged
-    silent = of(0, "one", "adequate", told=False, moved=20.0, off=5.1, beyond=0.04)
-    several = [
-        silent,
-        replace(silent, told=True),
-        replace(silent, off=4.9),
-        replace(silent, word="unexplained"),
-        replace(silent, word="refused", kind="stuck"),
-    ]
-    assert [j.false for j in several] == [True, False, False, False, False]
-    told = fuzz_verdicts.report(several)
-    assert [line.split() for line in told.splitlines() if line.startswith(("one", "stuck"))] == [
-        ["one", "4", "3", "1", "0", "1"],
-        ["stuck", "1", "0", "0", "1", "0"],
-    ]
-    assert "beyond its 95 % radius at 4.0 % of the places of 5 adequate machines" in told
 
 
 @pytest.mark.thorough

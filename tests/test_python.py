@@ -22,7 +22,6 @@ import orthoglide as og
 from orthoglide.closing import Closed, filled
 from orthoglide.control import commands_text
 from orthoglide.layout import LinearDelta
-from orthoglide.mechanism import Mechanism
 from orthoglide.observations import campaign_text
 from tests.studied import studied
 from tests.test_cli import done
@@ -94,15 +93,6 @@ def test_rooms_say_what_is_public(room: str) -> None:
             assert str(node.module).startswith(own), node.module
             # A plain import is private to type checkers.
             assert all(alias.asname == alias.name for alias in node.names), node.module
-
-
-@pytest.mark.parametrize(
-    "task",
-    ["close_loop", "compare_machine", "compensate", "design", "export_files", "identify",
-     "next_measurements", "protocol", "simulate"],
-)  # fmt: skip
-def test_the_whole_tool_is_at_hand(task: str) -> None:
-    assert callable(getattr(og, task))
 
 
 @pytest.mark.parametrize("exact", [False, True])
@@ -230,13 +220,6 @@ def test_a_used_machine_travels(travel: Travel) -> None:
 
 
 @copied
-def test_a_used_mechanism_travels(travel: Travel) -> None:
-    mechanism = Mechanism()
-    before = mechanism.close(RHO[0])
-    assert np.array_equal(travel(mechanism).close(RHO[0]).q, before.q)
-
-
-@copied
 def test_machines_that_share_a_model_still_share_it(travel: Travel) -> None:
     one = og.Machine.nominal()
     one.forward(RHO)
@@ -244,11 +227,6 @@ def test_machines_that_share_a_model_still_share_it(travel: Travel) -> None:
     assert two.model is one.model
     first, second = travel((one, two))
     assert second.model is first.model
-
-
-@copied
-def test_a_campaign_travels(travel: Travel, campaign: og.Campaign) -> None:
-    assert travel(campaign).same_as(campaign)
 
 
 @copied

@@ -240,7 +240,7 @@ def design(
         several = dict(_compared(known, sheets))
         rows = [(name, planning.observability(known, one, found.names, noise))
                 for name, one in several.items()]  # fmt: skip
-        lines = planning.index_rows([*rows, ("design", found.indices)], text_width())
+        lines = [planning.index_table([*rows, ("design", found.indices)])]
         several["design"] = found.campaign
         for name, one in several.items():
             lines += [f"{name}: {warning}" for warning in planning.aliasing(known, one)]
@@ -312,13 +312,6 @@ def _design_for(
     deliver(line if quiet else wrapped("\n".join(lines)), files)
 
 
-def _some(_: click.Context, __: click.Parameter, jobs: int) -> int:
-    """Refuse no process at all."""
-    if jobs == 0:
-        raise InputError("--jobs must be a number of processes, or -1 for all processors, not 0")
-    return jobs
-
-
 @cli.command()
 @opt.machine()
 @opt.file("--sheet", "Measuring sheet; the protocol sweep if absent, or a probe on a plate where "
@@ -327,7 +320,7 @@ def _some(_: click.Context, __: click.Parameter, jobs: int) -> int:
 @click.option("--campaigns", type=click.IntRange(1), default=90, show_default=True,
               help="How many to simulate.")  # fmt: skip
 @opt.seed
-@click.option("--jobs", type=int, default=-1, metavar="N", callback=_some,
+@click.option("--jobs", type=int, default=-1, metavar="N",
               help="Processes side by side.  [default: one for every processor]")  # fmt: skip
 @opt.file("--out", "Folder for finished campaigns and the table; a run that was stopped goes on "
           "from there.", "DIR")  # fmt: skip

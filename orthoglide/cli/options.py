@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from click.core import ParameterSource
 
 from orthoglide.cli.app import warn
 from orthoglide.errors import InputError
+from orthoglide.files import check_new
 from orthoglide.units import NOISE
 
 if TYPE_CHECKING:
@@ -29,43 +30,8 @@ DIAL_PROTOCOLS = ("standard", "sweep", "two-gauges")
 PROTOCOLS = (*DIAL_PROTOCOLS, "parallelism")
 
 
-class Names(click.ParamType):
-    """Names parted by commas."""
-
-    name = "NAME,..."
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        """Return a tuple of names."""
-        if isinstance(value, tuple):
-            return value
-        return tuple(part.strip() for part in str(value).split(",") if part.strip())
-
-
 Pairs = tuple[tuple[str, float], ...]
 """Names with their numbers, as they were given."""
-
-
-class _Pairs(click.ParamType):
-    """``NAME=NUMBER`` parted by commas."""
-
-    name = "NAME=NUMBER,..."
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Pairs:
-        """Return the pairs; numbers are finite."""
-        if isinstance(value, tuple):
-            return value
-        found = list[tuple[str, float]]()
-        for item in str(value).split(","):
-            name, _, number = (part.strip() for part in item.rpartition("="))
-            try:
-                found.append((name, float(number)))
-            except ValueError:
-                found.append((name, math.nan))
-            if not name or not math.isfinite(found[-1][1]):
-                option = max(param.opts, key=len)
-                form = param.metavar.rstrip(",.")
-                raise InputError(f"{option} takes {form}, a finite number, not {item!r}")
-        return tuple(found)
 
 
 def together(*options: Decorator) -> Decorator:
@@ -79,20 +45,36 @@ def together(*options: Decorator) -> Decorator:
     return decorate
 
 
+def _parts(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
 def names(option: str, help: str, metavar: str = "NAME,...") -> Decorator:
-    """Return an option that takes names parted by commas."""
-    return click.option(option, type=Names(), default=(), metavar=metavar, help=help)
+    """Return an option that takes names parted by commas, a tuple in Python."""
+
+    def every(_: Any, __: Any, given: str) -> tuple[str, ...]:
+        return tuple(_parts(given))
+
+    return click.option(option, default="", callback=every, metavar=metavar, help=help)
 
 
 def pairs(option: str, help: str, metavar: str) -> Decorator:
     """Return an option that takes numbers by name, as `Pairs`; it may be given several times."""
 
-    def every(_: Any, __: Any, given: tuple[Pairs, ...]) -> Pairs:
-        return tuple(chain.from_iterable(given))
+    def every(_: Any, __: Any, given: tuple[str, ...]) -> Pairs:
+        found = list[tuple[str, float]]()
+        for item in (item for text in given for item in _parts(text)):
+            name, _, number = (part.strip() for part in item.rpartition("="))
+            value = math.nan
+            with suppress(ValueError):
+                value = float(number)
+            if not name or not math.isfinite(value):
+                form = metavar.rstrip(",.")
+                raise InputError(f"{option} takes {form}, a finite number, not {item!r}")
+            found.append((name, value))
+        return tuple(found)
 
-    return click.option(
-        option, type=_Pairs(), multiple=True, callback=every, metavar=metavar, help=help
-    )
+    return click.option(option, multiple=True, callback=every, metavar=metavar, help=help)
 
 
 def flag(option: str, help: str) -> Decorator:
@@ -160,30 +142,31 @@ def machine(required: bool = False) -> Decorator:
     )  # fmt: skip
 
 
-def _free(context: click.Context, _: Any, folder: Path | None) -> Path | None:
+def _checked(check: Callable[[Path], None]) -> Callable[..., Path | None]:
+    """Return the callback of an option that looks at a path before any work is done."""
+
+    def callback(context: click.Context, _: Any, path: Path | None) -> Path | None:
+        if path is not None and not context.resilient_parsing:
+            check(path)
+        return path
+
+    return callback
+
+
+def _check_folder(path: Path) -> None:
     from orthoglide.report.folder import check_folder
 
-    if folder is not None and not context.resilient_parsing:
-        check_folder(folder)
-    return folder
-
-
-def _new(context: click.Context, _: Any, path: Path | None) -> Path | None:
-    from orthoglide.files import check_new
-
-    if path is not None and not context.resilient_parsing:
-        check_new(path)
-    return path
+    check_folder(path)
 
 
 def out(help: str = "Folder for the results; must be new or empty.", **more: Any) -> Decorator:
-    """Return ``--out DIR`` of a new folder, which is refused before any work is done."""
-    return file("--out", help, "DIR", callback=_free, **more)
+    """Return ``--out DIR`` of a new folder."""
+    return file("--out", help, "DIR", callback=_checked(_check_folder), **more)
 
 
 def out_file(help: str, metavar: str, **more: Any) -> Decorator:
-    """Return ``--out FILE`` of a new file, which is refused before any work is done."""
-    return file("--out", help, metavar, callback=_new, **more)
+    """Return ``--out FILE`` of a new file."""
+    return file("--out", help, metavar, callback=_checked(check_new), **more)
 
 
 seed = click.option(

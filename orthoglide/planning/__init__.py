@@ -7,7 +7,7 @@ from orthoglide.planning.designs import (
     Design as Design,
     Repeats as Repeats,
     design as design,
-    index_rows as index_rows,
+    index_table as index_table,
     observability as observability,
     repeats_needed as repeats_needed,
 )

@@ -187,17 +187,13 @@ def choose(
         Rows of the pool, with repetitions, and the criterion with them.
 
     Raises:
-        InputError: for a number of readings that is not whole, fewer than two, or more than anybody
+        InputError: for a number of readings that is not whole, below two, or more than anybody
             reads.
     """
-    if count != int(count):
-        raise InputError(f"readings are counted: ask for {int(count)}, not {count}")
-    if count < 2:
+    if count != int(count) or not 2 <= count <= _MOST:
         raise InputError(
-            f"a setup needs two readings, as its datum is free: ask for 2, not {count}"
+            f"ask for 2 readings, as the datum of a setup is free, to {_MOST}, not {count}"
         )
-    if count > _MOST:
-        raise InputError(f"nobody reads a sheet of {count}: ask for {_MOST} at most")
     rows, best = _grow(readings, start, [], count, mounting)
     for _ in range(_PASSES if exchange else 0):
         before = best.value

@@ -18,7 +18,7 @@ from orthoglide.planning.choosing import Narrowing, choose
 from orthoglide.planning.linear import LinearReadings, in_tolerances
 from orthoglide.planning.pool import reading_pool, sheet
 from orthoglide.prediction import Conditions
-from orthoglide.text import brief
+from orthoglide.report.text import console_text, table
 from orthoglide.threads import on_one_thread
 from orthoglide.units import MM, Unit
 
@@ -100,25 +100,22 @@ def observability(
     return Observability.of_jacobian(readings.whitened(), len(campaign))
 
 
-def index_rows(compared: Sequence[tuple[str, Observability]], width: int) -> list[str]:
-    """Return a table of observability indices, campaigns or protocols by name, as rows of text.
+_INDICES = {
+    "O1": "all unknowns", "O2": "evenness", "O3": "worst seen", "O4": "O2 times O3",
+    "O5": "mean seen",
+}  # fmt: skip
 
-    Args:
-        compared: names with their indices.
-        width: in characters; longer names are cut, numbers never.
-    """
-    names = min(max(len(name) for name, _ in compared), max(10, width - 54))
-    head = f"{'':<{names}}{'read':>5}{'seen':>7}" + "".join(f"{f'O{k}':>8}" for k in range(1, 6))
-    return [
-        head,
-        *(
-            f"{brief(name, names):<{names}}{o.readings:>5}{f'{o.rank}/{o.unknowns}':>7}"
-            + "".join(f"{v:>8.2g}" for v in o.indices.values())
-            for name, o in compared
-        ),
-        "O1 to O5, the larger the better: all unknowns, evenness, worst seen, O2 times O3, mean "
-        "seen.",
+
+def index_table(compared: Sequence[tuple[str, Observability]]) -> str:
+    """Return a table of observability indices, a column a campaign or protocol."""
+    names, several = zip(*compared, strict=True)
+    rows = [
+        ("readings", *(str(one.readings) for one in several)),
+        ("unknowns seen", *(f"{one.rank} of {one.unknowns}" for one in several)),
     ]
+    for index, words in _INDICES.items():
+        rows.append((f"{index}, {words}", *(f"{one.indices[index]:.2g}" for one in several)))
+    return console_text(table(("the larger the better", *names), rows))
 
 
 # -- readings to take ------------------------------------------------------------------------------
@@ -162,7 +159,6 @@ def design(
     count: int = 24,
     *,
     noise: float | None = None,
-    pool: Readings | None = None,
 ) -> Design:
     """Choose readings before any is taken: those of the largest determinant of the information,
     greedily, then by exchange of whole mountings.
@@ -172,14 +168,13 @@ def design(
         free: effects, parameters or structured members to identify; zeros and lengths if None.
         count: readings.
         noise: standard deviation of one reading, metres.
-        pool: to choose from; all of ``reading_pool`` where absent.
 
     Raises:
         InputError: for dial effects, or too few readings.
     """
     check_list("free", free)
     machine = Machine.of(machine)
-    pool = pool or reading_pool(machine.geometry)
+    pool = reading_pool(machine.geometry)
     names = shown_names(machine, pool, machine.catalogue.base if free is None else free)
     readings = LinearReadings.of(machine, pool, names, noise)
     start = Narrowing(np.eye(len(names)) / _LOOSE**2, np.eye(len(names)))

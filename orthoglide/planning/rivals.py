@@ -106,12 +106,10 @@ def _value(parts: Values, values: Values) -> float:
 def next_measurements(
     fit: Estimate,
     rivals: Sequence[tuple[str, Values | Estimate]] = (),
-    machine: Machine | None = None,
     *,
     pairs: Sequence[Pair] | None = None,
     count: int = 12,
     directions: Sequence[WeakDirection] | None = None,
-    pool: Readings | None = None,
 ) -> tuple[Suggestion, ...]:
     """Return the few readings that would tell most, out of those that the machine can reach.
 
@@ -123,22 +121,20 @@ def next_measurements(
         fit: of the readings at hand.
         rivals: explanations between which these cannot decide: names with their fits, or with all
             parameters of the machine as it is now, SI, in the unknowns of ``fit``.
-        machine: where the readings will be taken; the fit's where absent.
         pairs: of rivals that are to be told apart, by place; all where absent.
         count: readings to propose, at most, for each purpose.
         directions: to pin down; the fit's weakest two where absent, none where empty.
-        pool: readings to choose from; all within reach where absent.
 
     Raises:
         InputError: for fewer than two readings.
     """
-    machine = machine or fit.problem.machine
+    machine = fit.problem.machine
     weak = fit.weak[:_MOST_DIRECTIONS] if directions is None else directions
     scale = max(fit.sigma_scale, 1.0)
     several = [Rival.of(name, found, fit, scale) for name, found in rivals]
     own = Rival.of("", fit, fit, scale)
     names = tuple(dict.fromkeys(p for e in (own, *several) for p in e.parts))
-    choice = pool or reading_pool(machine.geometry, load=_usual_load(fit))
+    choice = reading_pool(machine.geometry, load=_usual_load(fit))
     at = machine.model.linearised(own.values, choice, names)
     total = fit.problem.noise.typical * scale
     readings = LinearReadings.around(

@@ -160,7 +160,9 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Tab
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for k, title in enumerate(columns):
         left = k == 0 or title in ("cause", "if one alone", "if it were so", "considered")
-        made.add_column(title, justify="left" if left else "right", width=widths[k])
+        made.add_column(
+            title, justify="left" if left else "right", width=widths[k], overflow="fold"
+        )
     for row in lines[1:]:
         made.add_row(*row)
     yield made
