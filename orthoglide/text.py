@@ -70,6 +70,8 @@ def nearest(word: str, names: Iterable[str]) -> str:
 # What a spreadsheet computes instead of showing it; signed numbers and directions are harmless.
 _FORMULA = re.compile(r"'*(?:[=@]|[+-](?![\w.]*$))")
 
+_BEGINS = "'=@+-"  # what a formula begins with, which is quicker to ask for
+
 
 def csv_text(names: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
     """CSV text of a header and rows; a cell that a spreadsheet would compute has an apostrophe
@@ -79,7 +81,7 @@ def csv_text(names: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
     writer = csv.writer(stream, lineterminator="\n")
     for row in (names, *rows):
         cells = map(str, row)
-        writer.writerow([f"'{cell}" if _FORMULA.match(cell) else cell for cell in cells])
+        writer.writerow([f"'{c}" if c[:1] in _BEGINS and _FORMULA.match(c) else c for c in cells])
     return stream.getvalue()
 
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from orthoglide.fit import assemble, solve
-from orthoglide.fit.least_squares import fitted_basis, linearise, nuisances
-from orthoglide.fit.scores import rms_by_unit
+from orthoglide.fit.least_squares import linearise, nuisances
+from orthoglide.fit.scores import FittedRows, rms_by_unit
 from orthoglide.geometry import Array, moved_onto
 from orthoglide.machine import Machine
 from orthoglide.numerals import ByUnit, compact, told_apart
@@ -50,17 +50,14 @@ def _left_out(
     kept = machine.catalogue.of_machine(values)
     problem = assemble(held, machine.with_only(kept), own or machine.catalogue.base)
     if own:
-        estimate = solve(problem, method="nested")
-        at, nuisance = estimate.at, estimate.nuisance
+        rows = solve(problem, method="nested").rows
     else:
         problem = replace(problem, unknowns=(), held=(kept,) * len(problem.factors))
         at = linearise(problem, np.zeros(0))
-        nuisance = nuisances(problem, at.seen)
-    rest = problem.measured - at.value
-    residual = rest - nuisance.fitted(rest)
-    share = np.sum(fitted_basis(problem, nuisance, at)[: len(rest)] ** 2, axis=1)
-    scored = np.where(share < 1 - 1e-6, 1 - share, np.nan)
-    return rms_by_unit(residual / scored, problem.turned)
+        rows = FittedRows.of(problem, nuisances(problem, at.seen), at)
+    left = 1 - rows.leverage
+    scored = np.where(left > 1e-6, left, np.nan)
+    return rms_by_unit(rows.residual / scored, problem.turned)
 
 
 def fits_neither(errors: TcpErrors, stated: Array, points: Points) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,10 +104,10 @@ class Everything:
         linear = self.value + self.rows[:, : self.known] @ mean[: self.known]
         columns, dials = curves_of_dials(self.problem, predicted, self.problem.measured - predicted)
         own = spans(self.places, self.known)
-        for name, part in spans(dials).items():
-            if name in own:
-                at = own[name]
-                predicted = predicted + (columns[:, part] - self.rows[:, at]) @ mean[at]
+        for place, block in zip(dials, columns, strict=True):
+            if place.name in own:
+                at = own[place.name]
+                predicted = predicted + (block - self.rows[:, at]) @ mean[at]
         off = self.nuisance.project(predicted - linear)
         return float(np.sqrt(np.mean(off[: len(linear)] ** 2)))
 
@@ -178,10 +179,14 @@ def _of_machine(problem: Problem, wide: Problem, here: Linearised, moved: Array)
     free_rows, found = curves(wide, x, off - nuisance.fitted(off))
     of_dials, dials = curves_of_dials(wide, here.value, off)
     of_plates, sizes = plates(wide)
-    rows = np.hstack([here.jacobian * sd, free_rows, of_dials, of_plates])
+    blocks = chain([here.jacobian * sd], free_rows, of_dials, [of_plates])
     found = (*found, *dials)
-    value = here.value - here.jacobian @ x
     scale = np.concatenate([sd, *(np.full(p.kernel.count, p.unit) for p in found), sizes])
+    rows = np.empty((len(off), len(scale)))
+    first = 0
+    for block in blocks:
+        rows[:, first : (first := first + block.shape[1])] = block
+    value = here.value - here.jacobian @ x
     fixed, known = _fixed(problem, len(scale))
     unnamed = np.arange(len(scale)) >= len(scale) - len(sizes)
     fixed[unnamed] = 1.0

@@ -96,8 +96,8 @@ def stations(problem: Problem) -> list[list[float]]:
     return found
 
 
-def curves(problem: Problem, x: Array, rest: Array) -> tuple[Array, tuple[Place, ...]]:
-    """Rows by the coefficients of all places ``(n, F)`` in their units, places kept.
+def curves(problem: Problem, x: Array, rest: Array) -> tuple[Iterator[Array], tuple[Place, ...]]:
+    """Rows by the coefficients of each place ``(n, K)`` in its unit, and the places kept.
 
     Args:
         problem: the readings.
@@ -106,17 +106,18 @@ def curves(problem: Problem, x: Array, rest: Array) -> tuple[Array, tuple[Place,
     """
     kept = places_of(problem)
     if not kept:
-        return np.zeros((len(problem.measured), 0)), ()
+        return iter(()), ()
     kept += tuple(_jumps(problem, x, rest, [p for p in kept if may_jump(p)]))
-    return np.hstack(_rows(problem, x, kept)), kept
+    return _rows(problem, x, kept), kept
 
 
-def _rows(problem: Problem, x: Array, several: Sequence[Place]) -> list[Array]:
-    """Rows of all readings by the coefficients of each place ``(n, K)`` in their units."""
+def _rows(problem: Problem, x: Array, several: Sequence[Place]) -> Iterator[Array]:
+    """Yield rows of all readings by the coefficients of each place ``(n, K)`` in its unit."""
     model = problem.machine.model
     each = [by_places(factor, model, problem.values(k, x), several)
             for k, factor in enumerate(problem.factors)]  # fmt: skip
-    return [np.vstack(rows) for rows in zip(*each, strict=True)]
+    for rows in zip(*each, strict=True):
+        yield np.vstack(rows)
 
 
 def _jumps(problem: Problem, x: Array, rest: Array, several: Sequence[Place]) -> Iterator[Place]:
@@ -150,9 +151,9 @@ def _jumps(problem: Problem, x: Array, rest: Array, several: Sequence[Place]) ->
 
 def by_places(
     factor: Factor, model: Model, values: Mapping[str, float], several: Sequence[Place]
-) -> list[Array]:
-    """Rows of one factor by the coefficients of each place ``(n, K)`` in their units, linear about
-    parameters of some values, SI.
+) -> Iterator[Array]:
+    """Yield rows of one factor by the coefficients of each place ``(n, K)`` in its unit, linear
+    about parameters of some values, SI.
     """
     by_joints = factor.by_joints(model, values)
     legs = model.leg_conditions(values, factor.conditions())
@@ -160,14 +161,12 @@ def by_places(
         half = np.ptp(model.geometry.stroke) / 2
         after = factor.readings.built_up([half * length for length in BUILD_UP.lengths])
         legs = tuple(replace(c, built_up=tuple(after[:, :, k])) for k, c in enumerate(legs))
-    found = []
     for place in several:
         functions = place.unit * np.stack(place.functions(legs[place.leg]), axis=1)
         rows = by_joints(_joints(place), functions)
         if place.moves_lines and factor.on_legs:
             rows += _touching(place, factor.readings)[:, None] * functions
-        found.append(rows)
-    return found
+        yield rows
 
 
 def plates(problem: Problem) -> tuple[Array, Array]:
@@ -201,15 +200,17 @@ def _touching(place: Place, campaign: Readings) -> Array:
     return np.take(np.asarray(sees, dtype=float), campaign.setup)
 
 
-def curves_of_dials(problem: Problem, value: Array, rest: Array) -> tuple[Array, tuple[Place, ...]]:
-    """Rows ``(n, F)`` by the coefficients of the dials' places in their units.
+def curves_of_dials(
+    problem: Problem, value: Array, rest: Array
+) -> tuple[list[Array], tuple[Place, ...]]:
+    """Rows ``(n, K)`` by the coefficients of each of the dials' places in its unit, and the places.
 
     Args:
         problem: its campaigns.
         value: predicted readings ``(n,)``, metres.
         rest: residuals of the readings that their bumps are to explain ``(n,)``, metres.
     """
-    columns, found = [np.zeros((len(value), 0))], list[Place]()
+    columns, found = list[Array](), list[Place]()
     ways, turning = np.zeros(len(value)), 0
     scale = problem.machine.geometry.scale
     for campaign, part in zip(problem.campaigns, problem.rows, strict=True):
@@ -244,7 +245,7 @@ def curves_of_dials(problem: Problem, value: Array, rest: Array) -> tuple[Array,
         read = value[ways != 0]
         found.append(all_dials((float(read.min()), float(read.max())), scale))
         columns.append((ways * found[-1].unit)[:, None])
-    return np.hstack(columns), tuple(found)
+    return columns, tuple(found)
 
 
 def _dents(place: Place, shown: Array, off: Array) -> Iterator[Place]:

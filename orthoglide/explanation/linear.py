@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from orthoglide.geometry import Array
 
@@ -182,7 +183,7 @@ class Basis:
     Attributes:
         free_share: scale of the inactive free functions.
         noise: sd of an independent error of each station, in sigmas of a reading.
-        columns: whitened columns by coefficient ``(m, C)``.
+        whiten: from rows of the linear model to whitened ones ``(m, m)``.
         residual: whitened residual ``(m,)``.
         by_group: whitened columns of all groups, see :attr:`Linear.by_group`.
         grows: variance that a background of one tolerance adds to each direction ``(m,)``.
@@ -196,12 +197,17 @@ class Basis:
         cov[np.diag_indices_from(cov)] += 1.0
         root = np.linalg.cholesky(cov)
         self.log_det = 2 * float(np.log(np.diag(root)).sum())
-        whiten = np.linalg.inv(root)
+        whiten = solve_triangular(root, np.eye(len(root)), lower=True)
         grows, turn = np.linalg.eigh(whiten @ background @ whiten.T)
         self.grows = np.maximum(grows, 0.0)
-        whiten = turn.T @ whiten
-        self.columns, self.residual = whiten @ linear.columns, whiten @ linear.residual
-        self.by_group = whiten @ linear.by_group
+        self.whiten = turn.T @ whiten
+        self.residual = self.whiten @ linear.residual
+        self.by_group = self.whiten @ linear.by_group
+
+    @cached_property
+    def columns(self) -> Array:
+        """Whitened columns by coefficient ``(m, C)``."""
+        return np.asarray(self.whiten @ self.linear.columns)
 
 
 class Scale:
@@ -234,7 +240,7 @@ class Scale:
 
     def along(self, rows: Array) -> Array:
         """Return inner products of rows ``(..., m)`` with all columns ``(..., C)``."""
-        return np.asarray((rows * self.weight) @ self.basis.columns)
+        return np.asarray(((rows * self.weight) @ self.basis.whiten) @ self.basis.linear.columns)
 
     @property
     def residual(self) -> Array:

@@ -41,10 +41,10 @@ class Root:
         if columns.shape[1] > len(columns):
             square = columns @ columns.T
             square[np.diag_indices_from(square)] += _ROUNDING * square.diagonal().max()
-            columns = np.asarray(np.linalg.cholesky(square), dtype=float)
+            columns = np.asarray(np.linalg.cholesky(square), dtype=np.float64)
         inner = columns.T @ columns
         inner[np.diag_indices_from(inner)] += 1 + _OF_SUMS * inner.diagonal().max(initial=0.0)
-        return cls(columns, np.asarray(np.linalg.cholesky(inner), dtype=float))
+        return cls(columns, np.asarray(np.linalg.cholesky(inner), dtype=np.float64))
 
     @cached_property
     def white(self) -> Array:

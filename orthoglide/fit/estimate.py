@@ -12,7 +12,7 @@ from orthoglide.errors import check_word
 from orthoglide.fit.crosscheck import CrossCheck
 from orthoglide.fit.least_squares import Linearised, Nuisances, about_machine, linearise, nuisances
 from orthoglide.fit.problem import Problem
-from orthoglide.fit.scores import Scores, score
+from orthoglide.fit.scores import FittedRows, Scores, score
 from orthoglide.fit.weakness import WeakDirection
 from orthoglide.frames import Framed
 from orthoglide.geometry import Array
@@ -45,6 +45,7 @@ class Estimate(Framed):
         warnings: what a user should know, in sentences.
         at: linearisation at the fit.
         nuisance: datums and placements of the fit.
+        rows: its readings as predicted, and how much each decides of that.
         changes: what is not what an earlier calibration found.
         verification: by Pinocchio, of a finished result.
     """
@@ -62,6 +63,7 @@ class Estimate(Framed):
     warnings: tuple[Note, ...]
     at: Linearised = field(repr=False)
     nuisance: Nuisances = field(repr=False)
+    rows: FittedRows = field(repr=False)
     changes: tuple[Any, ...] = ()
     verification: Verification | None = None
     _index = "parameter"
@@ -116,41 +118,38 @@ class Estimate(Framed):
         near = self.problem.on_bound(self.x)
         return tuple(name for name, hit in zip(self.names, near, strict=True) if hit)
 
-    @cached_property
+    @property
     def predicted(self) -> Array:
         """Fitted readings ``(n,)`` of all campaigns, datums and placements included, metres."""
-        rest = self.problem.measured - self.at.value
-        return self.at.value + self.nuisance.fitted(rest)
+        return self.rows.predicted
 
     @property
     def residuals(self) -> Array:
         """Readings less fitted ``(n,)``, metres."""
-        return self.problem.measured - self.predicted
+        return self.rows.residual
 
     @cached_property
-    def _before(self) -> tuple[Problem, Linearised, Nuisances]:
+    def _before(self) -> tuple[Linearised, FittedRows]:
         """The readings as the machine as it was explains them, about whose tool a ball or a frame
         stands elsewhere than about the calibrated one's.
         """
-        fixed = replace(self.problem, unknowns=(), earlier=None)
+        fixed, nuisance = replace(self.problem, unknowns=(), earlier=None), self.nuisance
         at = linearise(fixed, np.zeros(0))
-        near = about_machine(fixed, at)
-        if near is fixed:
-            return fixed, at, self.nuisance
-        at = linearise(near, np.zeros(0))
-        return near, at, nuisances(near, at.seen)
+        if (near := about_machine(fixed, at)) is not fixed:
+            fixed, at = near, linearise(near, np.zeros(0))
+            nuisance = nuisances(fixed, at.seen)
+        return at, FittedRows.of(fixed, nuisance, at)
 
     @cached_property
     def nominal(self) -> Scores:
         """Scores of the machine as it was before (the unknowns at zero)."""
-        fixed, at, nuisance = self._before
-        return score(fixed, nuisance, at)
+        at, rows = self._before
+        return score(rows, at)
 
-    @cached_property
+    @property
     def predicted_before(self) -> Array:
         """Readings ``(n,)`` that the machine as it was predicts, datums fitted, metres."""
-        _, at, nuisance = self._before
-        return at.value + nuisance.fitted(self.problem.measured - at.value)
+        return self._before[1].predicted
 
     @property
     def machine(self) -> Machine:

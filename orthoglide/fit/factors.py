@@ -24,6 +24,7 @@ from orthoglide.instruments import Beliefs, Frame, Stand, Taken
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings, source
 from orthoglide.observations.approach import Ints
+from orthoglide.observations.arrays import numbered
 from orthoglide.prediction import Conditions, LinearRows, Model, Observed, Seen
 from orthoglide.prediction.observed import ByJoints
 
@@ -124,6 +125,16 @@ class Factor:
         if not self.readings.by_point:
             return np.arange(len(self.readings))
         return np.unique(self.readings.order, return_inverse=True)[1].reshape(-1)
+
+    @cached_property
+    def station(self) -> Ints:
+        """Number of the station of each row ``(n,)``: visits that differ in nothing share one."""
+        return numbered(self.readings.stations)
+
+    @cached_property
+    def place_number(self) -> Ints:
+        """Number of the place of each row ``(n,)``: setup and command, whatever the approach."""
+        return numbered(self.readings.places)
 
     def setups_of(self, effect: Effect) -> tuple[str, ...]:
         """Return the setups of which an instrument's effect has parameters."""
@@ -255,8 +266,7 @@ class Factor:
             most = np.minimum(rough, LOUD * self.noise.expected[rows])
             rougher = ~np.isfinite(r.sigma[rows]) & (most > sigma[rows])
             sigma[rows], shown[rows] = np.where(rougher, most, sigma[rows]), shown[rows] | rougher
-            stations = r.stations[rows]
-            if len(np.unique(stations, axis=0)) == len(stations):
+            if np.bincount(self.station[rows]).max(initial=0) <= 1:
                 off_surface[rows] = off
         noise = replace(self.noise, sigma=sigma, from_repeats=shown)
         return replace(self, noise=noise, outlier_height=off_surface)

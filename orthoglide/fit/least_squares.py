@@ -90,16 +90,8 @@ class Nuisances:
 
     @cached_property
     def basis(self) -> Array:
-        """Orthonormal columns that span those of ``augmented`` ``(n + k, rank)``.
-
-        A setup may have fewer readings than numbers. A column that follows from those before it
-        adds nothing, and left in, its rounding would become a direction of other readings.
-        """
-        scale = np.linalg.norm(self.augmented, axis=0)
-        columns = self.augmented / np.where(scale > 0, scale, 1.0)
-        basis, triangle = np.linalg.qr(columns)
-        new = np.abs(np.diag(triangle)) > _SPANNED
-        return basis if new.all() else np.linalg.qr(columns[:, new])[0]
+        """Orthonormal columns that span those of ``augmented`` ``(n + k, rank)``."""
+        return orthonormal(self.augmented)
 
     @property
     def count(self) -> int:
@@ -115,14 +107,10 @@ class Nuisances:
         """Return rows ``(n, ...)``, whitened and projected past the nuisances ``(n + k, ...)``."""
         return whitened(self.weighing, self.basis, rows)
 
-    def solve(self, rest: Array) -> Array:
-        """The nuisances ``(k,)`` that fit best what the model leaves ``(n,)``, metres."""
-        target = np.concatenate([self.weighing.whiten(rest), np.zeros(self.count)])
-        return np.asarray(np.linalg.lstsq(self.augmented, target, rcond=1e-12)[0])
-
     def fitted(self, rest: Array) -> Array:
-        """Return the part of residuals ``(n,)`` that the nuisances explain ``(n,)``, metres."""
-        return np.asarray(self.columns @ self.solve(rest))
+        """Return the part of residuals ``(n, ...)`` that the nuisances explain, metres."""
+        basis = self.basis[: len(rest)]
+        return self.weighing.metres(basis @ (basis.T @ self.weighing.whiten(rest)))
 
 
 def nuisances(problem: Problem, seen: tuple[Seen, ...]) -> Nuisances:
@@ -208,9 +196,20 @@ def fitted_basis(problem: Problem, nuisance: Nuisances, at: Linearised) -> Array
     """
     rows = nuisance.weighing.whiten(np.hstack([at.jacobian, nuisance.columns]))
     full = np.vstack([rows, known_rows(problem, nuisance)])
-    scale = np.linalg.norm(full, axis=0)
-    left, singular, _ = np.linalg.svd(full / np.where(scale > 0, scale, 1), full_matrices=False)
-    return np.asarray(left[:, singular > 1e-10 * singular.max(initial=0.0)])
+    return orthonormal(full)
+
+
+def orthonormal(columns: Array) -> Array:
+    """Return orthonormal columns ``(m, rank)`` that span some columns ``(m, k)``.
+
+    A setup may have fewer readings than numbers. A column that follows from those before it adds
+    nothing, and left in, its rounding would become a direction of other readings.
+    """
+    scale = np.linalg.norm(columns, axis=0)
+    columns = columns / np.where(scale > 0, scale, 1.0)
+    basis, triangle = np.linalg.qr(columns)
+    new = np.abs(np.diag(triangle)) > _SPANNED
+    return basis if new.all() else np.linalg.qr(columns[:, new])[0]
 
 
 def covariance(jacobian: Array, prior: Array) -> tuple[Array, Array]:

@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.least_squares import fitted_basis
-from orthoglide.geometry import Array
 from orthoglide.observations import Readings, Setup
 
 
@@ -42,7 +40,7 @@ def noise_scales(estimate: Estimate) -> tuple[NoiseScale, ...]:
     """Return the noise of every setup, in the order of the files; TCP points count as one."""
     problem = estimate.problem
     square = problem.weighing.whiten(estimate.residuals) ** 2
-    free = 1 - _leverage(estimate)
+    free = 1 - estimate.rows.leverage
     found = []
     for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
         readings = factor.readings
@@ -64,9 +62,3 @@ def together(several: Iterable[NoiseScale]) -> NoiseScale:
     sigma = np.sqrt(np.average([one.sigma**2 for one in each], weights=size))
     chi2, dof = sum(one.chi2 for one in each), sum(one.dof for one in each)
     return NoiseScale(each[0].readings, each[0].setup, rows, float(sigma), chi2, dof)
-
-
-def _leverage(estimate: Estimate) -> Array:
-    """Share of each reading in its own prediction ``(n,)``."""
-    basis = fitted_basis(estimate.problem, estimate.nuisance, estimate.at)
-    return np.asarray(np.sum(basis[: len(estimate.problem.measured)] ** 2, axis=1))

@@ -20,7 +20,6 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.numerals import ByUnit
 from orthoglide.observations import Readings, Setup
-from orthoglide.observations.arrays import numbered
 from orthoglide.parameters import Parameter
 
 FAR = 3.0
@@ -309,12 +308,12 @@ class Problem:
     @cached_property
     def station(self) -> NDArray[np.int64]:
         """Station of each row ``(n,)``: visits that differ in nothing share one."""
-        return _numbered([f.readings.stations for f in self.factors])
+        return _behind([f.station for f in self.factors])
 
     @cached_property
     def place(self) -> NDArray[np.int64]:
         """Place of each row ``(n,)``: one for each setup and command, whatever the approach."""
-        return _numbered([f.readings.places for f in self.factors])
+        return _behind([f.place_number for f in self.factors])
 
     @property
     def elastic(self) -> bool:
@@ -346,11 +345,7 @@ class Problem:
         return self.with_factors([f.with_readings(readings[rows]) for f, rows in each])
 
 
-def _numbered(tables: Sequence[Array]) -> NDArray[np.int64]:
-    """Numbers of equal rows of several tables; rows of different tables are never equal."""
-    found, first = [], 0
-    for table in tables:
-        number = numbered(table)
-        found.append(number + first)
-        first += int(number.max(initial=-1)) + 1
-    return np.concatenate(found)
+def _behind(numbers: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """Return numbers of several tables, each behind those of the one before."""
+    ends = np.cumsum([0, *(int(number.max(initial=-1)) + 1 for number in numbers)])
+    return np.concatenate([n + first for n, first in zip(numbers, ends, strict=False)])

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,18 +18,62 @@ LACK_OF_FIT = 0.01
 """Probability of calling what is left of a complete model a lack of fit."""
 
 
-def score(problem: Problem, nuisance: Nuisances, at: Linearised) -> Scores:
+@dataclass(frozen=True, eq=False, repr=False)
+class FittedRows:
+    """The rows of a fit: what it predicts, and how much each reading decides of that."""
+
+    problem: Problem
+    nuisance: Nuisances
+    predicted: Array  # nuisances included (n,), metres or radians
+    leverage: Array  # share of each reading in its own prediction (n,)
+    residual_left_out: Array  # of readings whose station is left out (n,); nan where none predicts
+    station_shares: Array  # eigenvalues of the hat matrix of the station means (r,)
+
+    @classmethod
+    def of(cls, problem: Problem, nuisance: Nuisances, at: Linearised) -> FittedRows:
+        """Return the rows of a fit, by the linearisation there."""
+        predicted = at.value + nuisance.fitted(problem.measured - at.value)
+        fitted = fitted_basis(problem, nuisance, at)[: len(predicted)]
+        # What was fitted may move readings of one station apart: its share in the means counts.
+        means = nuisance.weighing.along(fitted)
+        return cls(
+            problem, nuisance, predicted, np.einsum("nr,nr->n", fitted, fitted),
+            _left_out(problem, nuisance, fitted, problem.measured - predicted),
+            np.asarray(np.linalg.eigvalsh(means.T @ means), dtype=np.float64),
+        )  # fmt: skip
+
+    @cached_property
+    def residual(self) -> Array:
+        """Readings less predicted ``(n,)``, metres or radians."""
+        return self.problem.measured - self.predicted
+
+    def lack_of_fit(self, here: Normal) -> float:
+        """Probability of a chi2 this large were the model complete; nan without degrees of freedom.
+
+        The smaller of two tests, allowed for being two: of all readings, and of the station means,
+        which see better what repeats at every visit. Of the means alone, against Student's noise,
+        where the noise is the repeats' own scatter; and where that is a matter of single steps of a
+        dial, of no normal law.
+        """
+        problem, weighing = self.problem, self.nuisance.weighing
+        known, rows, stations = problem.noise_dof, len(problem.measured), len(weighing.first)
+        rest = weighing.along(weighing.whiten(self.residual))
+        means = tail(float(rest @ rest), stations, self.station_shares, known)
+        if rows == stations or np.isfinite(known) or problem.common.any():
+            return means
+        return smaller(means, tail(here.chi2, rows - self.nuisance.free, here.shares))
+
+
+def score(rows: FittedRows, at: Linearised) -> Scores:
     """Score a fit, by the linearisation there."""
-    here = normal(problem, at, nuisance)
-    rest = problem.measured - at.value
-    residual = rest - nuisance.fitted(rest)
+    problem, residual = rows.problem, rows.residual
+    here = normal(problem, at, rows.nuisance)
     # The trace of the hat matrix is how many unknowns the data determine.
-    dof = max(len(rest) - nuisance.free - float(np.sum(here.shares)), 0.0)
+    dof = max(len(residual) - rows.nuisance.free - float(np.sum(here.shares)), 0.0)
     dof = round(dof, 6)  # what is left behind is rounding
     turned, largest = problem.turned, np.abs(residual)
     left = rms_by_unit(residual, turned)
-    fitted = fitted_basis(problem, nuisance, at)[: len(rest)]
-    left_out = rms_by_unit(_left_out(problem, nuisance, fitted, residual), turned)
+    left_out = rms_by_unit(rows.residual_left_out, turned)
     return Scores(
         rms=left.length,
         deviation_rms=deviation_rms(problem, residual),
@@ -34,7 +81,7 @@ def score(problem: Problem, nuisance: Nuisances, at: Linearised) -> Scores:
         chi2=here.chi2,
         prior_chi2=here.prior_chi2(at.x),
         dof=dof,
-        lack_of_fit_p=_lack_of_fit(problem, nuisance, here, fitted, residual),
+        lack_of_fit_p=rows.lack_of_fit(here),
         cv_rms=left_out.length,
         turn_rms=left.turn,
         turn_max=float(largest[turned].max()) if turned.any() else float("nan"),
@@ -42,24 +89,14 @@ def score(problem: Problem, nuisance: Nuisances, at: Linearised) -> Scores:
     )
 
 
-def improvement(
-    before: tuple[Problem, Nuisances, Linearised], after: tuple[Problem, Nuisances, Linearised]
-) -> tuple[float, float]:
+def improvement(before: FittedRows, after: FittedRows) -> tuple[float, float]:
     """Return by how much the squared residuals of stations that are left out fall from one fit to
-    another, in variances of a reading: the mean over the stations, and its standard error.
-
-    Args:
-        before: a problem, its nuisances and where it is linearised.
-        after: another of the same readings.
+    another of the same readings, in variances of a reading: the mean over the stations, and its
+    standard error.
     """
-    problem = before[0]
-    squares = []
-    for one, nuisance, at in (before, after):
-        rest = one.measured - at.value
-        fitted = fitted_basis(one, nuisance, at)[: len(rest)]
-        left = _left_out(one, nuisance, fitted, rest - nuisance.fitted(rest))
-        squares.append((left / problem.sigma) ** 2)
-    fall = squares[0] - squares[1]
+    problem = before.problem
+    one, other = ((f.residual_left_out / problem.sigma) ** 2 for f in (before, after))
+    fall = one - other
     known = np.isfinite(fall)
     if not known.any():
         return float("nan"), float("nan")
@@ -79,27 +116,6 @@ def rms_by_unit(rows: Array, turned: NDArray[np.bool_]) -> ByUnit:
     known = np.isfinite(rows)
     parts = (rows[known & ~turned], rows[known & turned])
     return ByUnit(*(float(np.sqrt(np.mean(p**2))) if len(p) else float("nan") for p in parts))
-
-
-def _lack_of_fit(
-    problem: Problem, nuisance: Nuisances, here: Normal, fitted: Array, residual: Array
-) -> float:
-    """Probability of a chi2 this large were the model complete; nan without degrees of freedom.
-
-    The smaller of two tests, allowed for being two: of all readings, and of the station means,
-    which see better what repeats at every visit. Of the means alone, against Student's noise, where
-    the noise is the repeats' own scatter; and where that is a matter of single steps of a dial, of
-    no normal law.
-    """
-    known, rows, stations = problem.noise_dof, len(problem.measured), len(problem.weighing.first)
-    weighing = nuisance.weighing
-    rest, own = weighing.along(weighing.whiten(residual)), weighing.along(fitted)
-    # What was fitted may move readings of one station apart: its share in the means is what counts.
-    shares = np.asarray(np.linalg.eigvalsh(own.T @ own), dtype=np.float64)
-    means = tail(float(rest @ rest), stations, shares, known)
-    if rows == stations or np.isfinite(known) or problem.common.any():
-        return means
-    return smaller(means, tail(here.chi2, rows - nuisance.free, here.shares))
 
 
 def smaller(one: float, other: float) -> float:
@@ -170,8 +186,16 @@ def _left_out(problem: Problem, nuisance: Nuisances, fitted: Array, residual: Ar
     for visits in np.unique(size):  # stations alike in size are solved together
         rows = order[first[size == visits][:, None] + np.arange(visits)]
         near = fitted[rows]
-        block = np.eye(visits) - near @ near.swapaxes(1, 2)
+        white = whitened[rows, None]
+        few = visits <= near.shape[-1]
+        square = near @ near.swapaxes(1, 2) if few else near.swapaxes(1, 2) @ near
+        block = np.eye(square.shape[-1]) - square
         # A setup's datum is gone with its last other station: nothing predicts such a block.
         kept = np.linalg.eigvalsh(block)[:, 0] > 1e-6
-        left_out[rows[kept]] = np.linalg.solve(block[kept], whitened[rows[kept], None])[..., 0]
+        near, white, block = near[kept], white[kept], block[kept]
+        if few:
+            found = np.linalg.solve(block, white)
+        else:  # by Woodbury's identity
+            found = white + near @ np.linalg.solve(block, near.swapaxes(1, 2) @ white)
+        left_out[rows[kept]] = found[..., 0]
     return nuisance.weighing.metres(left_out)

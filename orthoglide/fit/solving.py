@@ -24,7 +24,7 @@ from orthoglide.fit.least_squares import (
 from orthoglide.fit.nested import solve_nested
 from orthoglide.fit.notes import notes
 from orthoglide.fit.problem import Problem
-from orthoglide.fit.scores import LACK_OF_FIT, score
+from orthoglide.fit.scores import LACK_OF_FIT, FittedRows, score
 from orthoglide.fit.weakness import weak_directions
 from orthoglide.geometry import Array
 from orthoglide.ordering import canonical_basis
@@ -285,7 +285,8 @@ def assessed(
 ) -> Estimate:
     """An estimate from where a method ended: scores, covariance, warnings."""
     here = normal(problem, at, nuisance)
-    scores = score(problem, nuisance, at)
+    rows = FittedRows.of(problem, nuisance, at)
+    scores = score(rows, at)
     scale = 1.0
     if scores.dof > 0 and scores.lack_of_fit_p < LACK_OF_FIT:
         scale = max(float(np.sqrt(scores.chi2 / scores.dof)), 1.0)
@@ -294,6 +295,6 @@ def assessed(
     weak = weak_directions(problem, here.jacobian, spread, scale=scale)
     estimate = Estimate(
         problem, at.x, spread, scale, scores, weak, check, method, iterations, optimality, (), at,
-        nuisance,
+        nuisance, rows,
     )  # fmt: skip
     return replace(estimate, warnings=notes(estimate))

@@ -50,7 +50,12 @@ OF_READINGS: Mapping[str, Kind] = {
 
 def numbered(table: Array | Ints) -> Ints:
     """Numbers from 0 of equal rows of a table, or of equal entries ``(n,)``."""
-    return np.unique(table, axis=0, return_inverse=True)[1].reshape(-1)
+    found = np.zeros(len(table), dtype=np.int64)
+    for column in np.atleast_2d(np.transpose(table)):
+        if (column != column[:1]).any():  # else it tells none apart; columns sort quicker than rows
+            values, place = np.unique(column, return_inverse=True)
+            found = np.unique(found * len(values) + place, return_inverse=True)[1]
+    return found
 
 
 def hold(owner: Any, what: str, kinds: Mapping[str, Kind], counted: str) -> None:

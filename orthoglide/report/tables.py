@@ -131,7 +131,12 @@ def _line(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
 
+_CONTAINERS = frozenset({dict, list})
+
+
 def _is_flat(value: Any) -> bool:
     """Whether a value contains no list or object with anything in it."""
     parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    if _CONTAINERS.isdisjoint(map(type, parts)):  # which is quicker, of many numbers
+        return True
     return not any(isinstance(part, dict | list) and part for part in parts)

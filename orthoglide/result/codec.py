@@ -59,12 +59,19 @@ class Key:
         """Return a number in the unit and with the digits of the file; ``None`` for nan or
         infinity.
         """
-        if not math.isfinite(value):
-            return None
-        value = float(value) / self.si
+        return self.numbers(np.array(float(value)))[0]
+
+    def numbers(self, values: Array) -> list[float | None]:
+        """Return the numbers of an array, of which there may be many, one behind the other."""
+        given: list[float] = (values.ravel() / self.si).tolist()
         if self.places is not None:
-            return round(value, self.places) + 0.0
-        return float(f"{value:.{self.digits}g}")
+            found = [round(v, self.places) + 0.0 if math.isfinite(v) else v for v in given]
+        else:
+            to = f".{self.digits}g"
+            found = [float(format(v, to)) for v in given]
+        if np.isfinite(values).all():
+            return [*found]
+        return [v if math.isfinite(v) else None for v in found]
 
 
 _MM = 1e-3  # and a milliradian
@@ -125,7 +132,7 @@ def encoded(value: Any, key: Key = Key()) -> Any:  # frozen
         case np.ndarray():
             if value.dtype.kind != "f":
                 return value.tolist()
-            return _numbers(value.tolist(), key)
+            return _nested(key.numbers(value), value.shape)
         case Mapping():
             return {str(name): encoded(one, key) for name, one in value.items()}
         case _ if is_dataclass(value):
@@ -135,8 +142,13 @@ def encoded(value: Any, key: Key = Key()) -> Any:  # frozen
     raise TypeError(f"no JSON of {type(value).__name__}")
 
 
-def _numbers(value: Any, key: Key) -> Any:
-    return [_numbers(v, key) for v in value] if isinstance(value, list) else key.number(value)
+def _nested(flat: list[Any], shape: tuple[int, ...]) -> Any:
+    """Return the elements of an array as nested lists."""
+    if not shape:
+        return flat[0]
+    for width in shape[:0:-1]:
+        flat = [flat[k : k + width] for k in range(0, len(flat), width)] if width else []
+    return flat or np.empty(shape).tolist()
 
 
 def _encoded_fields(value: Any) -> Any:
