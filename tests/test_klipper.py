@@ -648,15 +648,6 @@ def test_meshes_that_are_relative_are_not_told_apart_by_their_height(tmp_path: P
         assert any("one plate" in text for text in verdict.cautions) == apart
 
 
-def test_a_file_that_another_path_includes_is_taken_from_beside(tmp_path: Path) -> None:
-    head, _, rest = V400.read_text().partition("[stepper_a]")
-    (tmp_path / "towers.cfg").write_text(f"[stepper_a]{rest}".partition("#*#")[0])
-    saved = V400.read_text()[V400.read_text().index("#*#") :]
-    file = tmp_path / "printer.cfg"
-    file.write_text(f"[include /home/pi/config/towers.cfg]\n{head}\n{saved}")
-    assert len(import_printer(file).campaigns) == len(import_printer(V400).campaigns)
-
-
 def test_the_middle_of_a_plate_alone_gives_no_numbers(tmp_path: Path) -> None:
     text = simulated_cfg(DeltaRig(), count=5)
     found = imported(tmp_path, re.sub(r"(min_[xy] = -|max_[xy] = )120.0", r"\g<1>15.0", text))
