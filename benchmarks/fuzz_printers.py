@@ -89,7 +89,8 @@ def _stored(text: str) -> dict[str, dict[str, str]]:
         if line[:1].isspace() or not (line := re.split(r"\s*[#;]", line)[0].strip()):
             continue
         if line.startswith("["):
-            section = found.setdefault(line.strip("[]").strip(), {})
+            name = re.match(r"\[([^\]]+)\]", line)  # one that is none takes its keys with it
+            section = found.setdefault(name[1].strip() if name else "", {})
         elif match := re.fullmatch(r"([^:=]+?)\s*[:=]\s*(.*)", line):
             section[match[1].lower()] = match[2]
     return found

@@ -373,6 +373,7 @@ BROKEN = {
     "a word for a number": ("angle = 210.211440", "angle = north", "which is no number"),
     "no section": ("[", "> [", "none of the sections of a printer.cfg"),
     "a unit": ("delta_radius = 162.820595", "delta_radius = 162.820595 mm", "and no unit"),
+    "a broken header": ("[stepper_b]", "[stepper_b", "has no section [stepper_b]"),
     "another arm": ("arm_length = 345.924580", "arm_length = 394.5", "arms of one machine"),
     "arm too short": ("arm_length = 345.283908", "arm_length = 45.2", "exchanged"),
 }  # fmt: skip
