@@ -18,7 +18,6 @@ from orthoglide.effects import CATALOGUE
 from orthoglide.effects.effect import Group
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Geometry
-from orthoglide.instruments.leg_dial import PLACE
 from orthoglide.mechanism.six_bars import LINES, ROTATION, TCP
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings, Setup
@@ -226,18 +225,6 @@ def test_derivatives_equal_central_differences(name: str, about: str) -> None:
             scale = np.abs(numeric[:, part]).max()
             error = np.abs(by_name[:, part, 0] - numeric[:, part]).max()
             assert error <= 1e-6 * scale + floor
-
-
-def test_derivative_by_the_gauges_place() -> None:
-    seen = campaign()
-
-    def at(h: float) -> Array:
-        moved = [Setup(s.name, s.leg, s.axis, s.sign, s.gauge + h, s.bar) for s in seen.setups]
-        return model().readings(background(), replace(seen, setups=tuple(moved)))
-
-    own = model().linearised(background(), seen, []).seen.by_nuisance[:, PLACE]
-    assert np.abs(own - four_point(at, 1e-3)).max() < 1e-10
-    assert np.abs(own).max() > 0.1
 
 
 def test_all_derivatives_at_once_are_those_one_by_one() -> None:

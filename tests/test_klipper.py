@@ -373,6 +373,7 @@ BROKEN = {
     "a word for a number": ("angle = 210.211440", "angle = north", "which is no number"),
     "no section": ("[", "> [", "none of the sections of a printer.cfg"),
     "a unit": ("delta_radius = 162.820595", "delta_radius = 162.820595 mm", "and no unit"),
+    "a broken header": ("[stepper_b]", "[stepper_b", "has no section [stepper_b]"),
     "another arm": ("arm_length = 345.924580", "arm_length = 394.5", "arms of one machine"),
     "arm too short": ("arm_length = 345.283908", "arm_length = 45.2", "exchanged"),
 }  # fmt: skip
@@ -646,15 +647,6 @@ def test_meshes_that_are_relative_are_not_told_apart_by_their_height(tmp_path: P
         assert bool(found.apart) == apart
         verdict = close_loop(list(found.campaigns), Machine(found.machine))
         assert any("one plate" in text for text in verdict.cautions) == apart
-
-
-def test_a_file_that_another_path_includes_is_taken_from_beside(tmp_path: Path) -> None:
-    head, _, rest = V400.read_text().partition("[stepper_a]")
-    (tmp_path / "towers.cfg").write_text(f"[stepper_a]{rest}".partition("#*#")[0])
-    saved = V400.read_text()[V400.read_text().index("#*#") :]
-    file = tmp_path / "printer.cfg"
-    file.write_text(f"[include /home/pi/config/towers.cfg]\n{head}\n{saved}")
-    assert len(import_printer(file).campaigns) == len(import_printer(V400).campaigns)
 
 
 def test_the_middle_of_a_plate_alone_gives_no_numbers(tmp_path: Path) -> None:

@@ -27,7 +27,6 @@ from orthoglide.machine_file import (
 )
 from orthoglide.observations import csv_text, read_tcp, tcp_rows
 from orthoglide.parameters import Parameter
-from orthoglide.prediction import Conditions
 from orthoglide.reduction.spheres import intersect_spheres
 from orthoglide.simulation import simulate_tcp
 from orthoglide.verdict import Verdict
@@ -170,18 +169,6 @@ def test_relabelled_towers_are_the_same_machine_turned(machine: Machine, name: P
     other = machine.with_parameters({turned: value}).forward(moved, **seen)[0]
     about = Rotation.from_euler("z", 120, degrees=True)
     assert np.abs(about.apply(one) - other).max() < 1e-12
-
-
-def test_sensitivities_are_finite_differences(machine: Machine) -> None:
-    at = Conditions.at(np.array([[0.02, 0.05, -0.03]]), **conditions(1))
-    _, slopes = machine.model.sensitivities({}, at, NAMES)
-    for k, name in enumerate(NAMES):
-        # A growth is multiplied by an hour, or by some kelvin.
-        width = 1e-6 * min(1.0, SIZE[CATALOGUE.effect_of(name).unit.name] / 1e-3)
-        ends = [machine.model.outputs({name: s * width}, at).p for s in (1, -1)]
-        slope = slopes[:, :3, k]
-        off = np.abs((ends[0] - ends[1]) / (2 * width) - slope).max()
-        assert off < 1e-6 * max(1.0, np.abs(slope).max())
 
 
 def test_compensated_commands_reach_the_points_on_the_independent_machine(machine: Machine) -> None:

@@ -179,15 +179,6 @@ def test_no_text_brings_more_than_a_file_error(at: int, gone: int, new: str) -> 
         parse_machine_file(GOOD[:at] + new + GOOD[at + gone :], "m.toml")
 
 
-def test_a_section_that_is_a_value_is_refused(tmp_path: Path) -> None:
-    file = write(
-        tmp_path / "bad.toml",
-        GOOD.replace("[drive]\nscrew_pitch_mm = 20\n", "").replace("\n\n", "\ndrive = 20\n", 1),
-    )
-    with pytest.raises(FileError, match=r"line 3: drive must be a table"):
-        read_machine_file(file)
-
-
 @pytest.mark.parametrize(
     ("content", "phrase"),
     [(b"", "is empty"), (b"schema\0", "not text"), (b"name = '\xfc'", "not UTF-8")],

@@ -22,7 +22,6 @@ from orthoglide.machine_file import MachineFile
 from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.constraints import Constraints
 from orthoglide.mechanism.tree import load, nominal_tree
-from orthoglide.urdf import solids
 from tests.test_layout import DELTA, UNEVEN, freely
 
 ROOT = Path(__file__).parents[1]
@@ -169,50 +168,6 @@ def test_closes_within_the_limits_over_the_whole_stroke(geometry: Geometry) -> N
         assert (q <= limits[1]).all()
         # a margin on the pivots: they never stop what the drives can command
         assert (1.25 * np.abs(q[revolute]) < limits[1][revolute]).all()
-
-
-def drawn_inertia(link: ET.Element) -> pin.Inertia:
-    """Mass, centre and inertia of a link's visuals, summed by Pinocchio."""
-    total = pin.Inertia.Zero()
-    for visual in link.findall("visual"):
-        origin = visual.find("origin").attrib  # type: ignore[union-attr]
-        material = visual.find("material").attrib["name"]  # type: ignore[union-attr]
-        density = solids.MATERIALS[material][1]
-        shape = visual.find("geometry")[0]  # type: ignore[index]
-        if shape.tag == "box":
-            size = [float(text) for text in shape.attrib["size"].split()]
-            solid = pin.Inertia.FromBox(density * float(np.prod(size)), *size)
-        else:
-            radius, length = float(shape.attrib["radius"]), float(shape.attrib["length"])
-            solid = pin.Inertia.FromCylinder(density * np.pi * radius**2 * length, radius, length)
-        rotation = pin.rpy.rpyToMatrix(*(float(text) for text in origin["rpy"].split()))
-        centre = np.array([float(text) for text in origin["xyz"].split()])
-        total = total + solid.se3Action(pin.SE3(rotation, centre))
-    return total
-
-
-@GEOMETRIES
-def test_inertias_are_those_of_the_solids_drawn(geometry: Geometry) -> None:
-    weighed = 0
-    for link in ET.fromstring(urdf.to_urdf(geometry)).findall("link"):
-        name, inertial = str(link.get("name")), link.find("inertial")
-        if name == "base" or name[2:] in FRAMES:
-            assert inertial is None
-            continue
-        assert inertial is not None
-        weighed += 1
-        entries = inertial.find("inertia").attrib  # type: ignore[union-attr]
-        tensor = np.array([[float(entries["i" + min(j + k, k + j)]) for k in LEGS] for j in LEGS])
-        moments = np.linalg.eigvalsh(tensor)
-        assert moments[0] > 0
-        assert moments[2] < moments[0] + moments[1]
-        drawn = drawn_inertia(link)
-        mass = float(inertial.find("mass").attrib["value"])  # type: ignore[union-attr]
-        assert mass == pytest.approx(drawn.mass, rel=1e-5)
-        centre = [float(x) for x in inertial.find("origin").attrib["xyz"].split()]  # type: ignore[union-attr]
-        np.testing.assert_allclose(centre, drawn.lever, rtol=0, atol=1e-6)
-        np.testing.assert_allclose(tensor, drawn.inertia, rtol=0, atol=1e-5 * moments[2])
-    assert weighed == 18
 
 
 TURN = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,8 @@ from orthoglide.observations import Readings, readings_from_rows
 from orthoglide.observations.schema import APPROACH, COMMANDS, TEMPERATURE, TRAVEL
 
 _DIGITS = 9  # of millimetres that are kept
+_LONGEST = 60  # characters of a name
+_FEW = 30  # touches: endstops, towers, arms and a plane, 15 numbers, leave half of them
 _COLD, _HOT = -40.0, 100.0  # degrees Celsius, of a frame or a bed on which a plate is touched
 
 
@@ -78,6 +81,21 @@ class Row:
             TEMPERATURE.name: recorded(self.temperature),
             MATERIAL: self.material,
         }
+
+
+def plain_name(text: str, default: str) -> str:
+    """Return a name as files and parameters may carry it."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-")[:_LONGEST] or default
+
+
+def remark_few(most: int) -> Iterator[Note]:
+    """Yield that the longest list of touches is too short to tell of causes, where it is."""
+    if most < _FEW:
+        yield Note(
+            f"{most} touches of the plate leave hardly anything to look for a cause with: probe a "
+            f"grid of 9 by 9 or more over a round bed's full radius",
+            "mesh",
+        )
 
 
 def recorded(temperature: float) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 from orthoglide import files
 from orthoglide.add_ons import Kinematics
 from orthoglide.errors import FileError
-from orthoglide.firmware.imported import Imported, readings_of, recorded
+from orthoglide.firmware.imported import Imported, plain_name, readings_of, recorded, remark_few
 from orthoglide.firmware.touches import FEWEST, Read, Touch, read_touches
 from orthoglide.foreign import refuse_foreign
 from orthoglide.geometry import plane_columns
@@ -31,9 +31,7 @@ from orthoglide.text import shown
 _FAR = 20.0  # millimetres from the median of all: heights that no plate has
 _MOST = 0.75  # of a list's heights that have to be nearer: else they are in another unit
 _ROUGH = 3.0  # millimetres from a plane: a plate, and a delta before its calibration, are nearer
-_FEW = 30  # touches that tell of causes
 _NAMED, _SHOWN = 5, 40  # lines that a note names, and characters of one
-_LONGEST = 60  # characters of a name
 
 
 def import_plates(path: str | os.PathLike[str], machine_file: AnyMachine) -> Imported:
@@ -70,7 +68,7 @@ def import_plates(path: str | os.PathLike[str], machine_file: AnyMachine) -> Imp
             f"'Bed X: Y: Z:', or a table whose first line names x, y and z, in millimetres",
             file=shown(path),
         )
-    stem = re.sub(r"[^A-Za-z0-9_-]+", "-", Path(path).stem).strip("-")[:_LONGEST] or "points"
+    stem = plain_name(Path(path).stem, "points")
     names = [stem] if len(lists) == 1 else [f"{stem}-{k}" for k in range(1, len(lists) + 1)]
     campaigns = tuple(
         readings_of(name, list(_rows(name, touches, machine)), machine,
@@ -164,12 +162,7 @@ def _notes(lists: Sequence[Sequence[Touch]], read: Read, file: str) -> Iterator[
             f"heights lie up to {rough:.1f} mm off a plane: look whether they are in millimetres, "
             f"and probed with the sizes of the machine file", "mesh",
         )  # fmt: skip
-    most = max(len(touches) for touches in lists)
-    if most < _FEW:
-        yield Note(
-            f"{most} touches of the plate leave hardly anything to look for a cause with: probe a "
-            f"grid of 9 by 9 or more over a round bed's full radius", "mesh",
-        )  # fmt: skip
+    yield from remark_few(max(map(len, lists)))
     yield Note(
         "the places are taken as the nozzle's, computed by the firmware with the sizes of the "
         "machine file (L, radius_mm less r, angles_deg): correct them there if it had others; of a "

@@ -34,7 +34,11 @@ _MIRRORED = np.linalg.det(_FRAMES) < 0
 
 
 def wrong_frame(p: Array, axis: Ints, value: Array, turn_sd: float) -> str:
-    """Return what coordinates seem to be that fit only in another frame or unit; else nothing.
+    """Return what coordinates seem to be that fit only in another frame or unit, as a clause; empty
+    where they fit as they are.
+
+    Where it is not known how the instrument's frame is turned, a turn is taken out later, and is no
+    fault.
 
     Args:
         p: where the machine has the tool ``(m, 3)``, metres.
@@ -42,7 +46,37 @@ def wrong_frame(p: Array, axis: Ints, value: Array, turn_sd: float) -> str:
         value: read ``(m,)``, metres.
         turn_sd: how well the frame is known to be the base's, radians.
     """
-    return _frame(p, axis, value, turn_sd) if len(value) >= _FEWEST else ""
+    if len(value) < _FEWEST:
+        return ""
+    plain = _left(np.eye(3), p, axis, value)
+    if plain[0] < _FAR:
+        return ""
+    if np.isinf(turn_sd):
+        found = frame_of(p, axis, value, np.full(len(p), _FAR), turn_sd)
+        if _left(found, p, axis, value)[0] < max(_FAR, _MENDED * plain[0]):
+            return ""
+    left = np.stack([_left(turn, p, axis, value) for turn in _FRAMES])
+    # Of points in one plane a mirrored frame is as good as one that is turned.
+    left[_MIRRORED] /= _MENDED
+    best, unit = np.unravel_index(_least(left), left.shape)
+    left[_MIRRORED] *= _MENDED
+    if left[best, unit] > _FAR and (turn := _nearest_frame(p, axis, value)) is not None:
+        shown, far = "", _left(turn, p, axis, value)[0]
+    else:
+        turn, far = _FRAMES[best], left[best, unit]
+        shown = f", its x, y, z being {', '.join(map(_axis, turn))} of the machine"
+    factor = float(_FACTORS[unit])
+    mirrored, as_is = np.linalg.det(turn) < 0, np.allclose(turn, np.eye(3))
+    if far > _MENDED * plain[0]:
+        return ""
+    if as_is:
+        return _unit(plain)
+    also = "" if factor == 1 else f", and they are {MISTAKEN[factor]}"
+    return (
+        f"the coordinates are {compact(plain[0] * 1e3, 2)} mm rms off where this machine can be: "
+        f"the frame of the instrument is {'left-handed' if mirrored else 'turned'}{shown}{also}; "
+        f"give the coordinates along the machine's axes"
+    )
 
 
 def wrong_unit(value: Array, length: Array) -> str:
@@ -70,43 +104,6 @@ def _unit(left: Array) -> str:
         f"the readings are {compact(left[0] * 1e3, 2)} mm rms off what this machine can give, and "
         f"fit once they are multiplied by {factor:.4g}, so they seem to be {MISTAKEN[factor]}: "
         f"give millimetres"
-    )
-
-
-def _frame(p: Array, axis: Ints, value: Array, turn_sd: float = 0.0) -> str:
-    """What coordinates ``(m,)`` of a tool at ``(m, 3)`` seem to be, as a clause; else empty.
-
-    Where it is not known how the instrument's frame is turned, a turn is taken out later, and is no
-    fault.
-    """
-    plain = _left(np.eye(3), p, axis, value)
-    if len(value) < _FEWEST or plain[0] < _FAR:
-        return ""
-    if np.isinf(turn_sd):
-        found = frame_of(p, axis, value, np.full(len(p), _FAR), turn_sd)
-        if _left(found, p, axis, value)[0] < max(_FAR, _MENDED * plain[0]):
-            return ""
-    left = np.stack([_left(turn, p, axis, value) for turn in _FRAMES])
-    # Of points in one plane a mirrored frame is as good as one that is turned.
-    left[_MIRRORED] /= _MENDED
-    best, unit = np.unravel_index(_least(left), left.shape)
-    left[_MIRRORED] *= _MENDED
-    if left[best, unit] > _FAR and (turn := _nearest_frame(p, axis, value)) is not None:
-        shown, far = "", _left(turn, p, axis, value)[0]
-    else:
-        turn, far = _FRAMES[best], left[best, unit]
-        shown = f", its x, y, z being {', '.join(map(_axis, turn))} of the machine"
-    factor = float(_FACTORS[unit])
-    mirrored, as_is = np.linalg.det(turn) < 0, np.allclose(turn, np.eye(3))
-    if far > _MENDED * plain[0]:
-        return ""
-    if as_is:
-        return _unit(plain)
-    also = "" if factor == 1 else f", and they are {MISTAKEN[factor]}"
-    return (
-        f"the coordinates are {compact(plain[0] * 1e3, 2)} mm rms off where this machine can be: "
-        f"the frame of the instrument is {'left-handed' if mirrored else 'turned'}{shown}{also}; "
-        f"give the coordinates along the machine's axes"
     )
 
 

@@ -294,8 +294,11 @@ def _parse(config: Config, lines: Lines, path: Path, within: tuple[Path, ...]) -
         elif (found := _ENTRY.match(text)) and section is not None:
             key = found[1].strip().lower()
             section.entries[key] = Entry(found[2].strip(), number, shown(path))
-        elif (section is not None and section.name.partition(" ")[0] in _READ) or found:
+        elif text.startswith("[") or (section and section.name.split(" ")[0] in _READ) or found:
             why = "it is no 'key: value'" if section else "no section stands above it"
+            if text.startswith("["):  # what follows belongs to nothing, least of all to the former
+                why, key = "it is no '[section]'; so is all that follows up to the next one", ""
+                section = Section("", Entry("", number, shown(path)))
             at = f"{shown(path)}, line {number}"
             config.note("line", f"{at}: {text[:40]!r} is left out, as {why}")
 

@@ -13,7 +13,7 @@ import numpy as np
 from orthoglide.add_ons import MARK
 from orthoglide.effects import catalogue_of
 from orthoglide.errors import FileError, InputError
-from orthoglide.firmware.imported import Imported, Row, readings_of
+from orthoglide.firmware.imported import Imported, Row, readings_of, remark_few
 from orthoglide.firmware.klipper.config import Config, read_config
 from orthoglide.firmware.klipper.heights import CALIBRATE, CALIPER, probe_section, stored_readings
 from orthoglide.firmware.klipper.meshes import stored_meshes
@@ -41,9 +41,6 @@ nozzle below the platform's joints. Typical ones; effects that turn the platform
 
 PROBE = 1.8e-5
 """Repeatability of a touch, metres."""
-
-FEW = 30
-"""Touches: three endstops, six coordinates of towers, three arms and a plane leave half of them."""
 
 _OF_ONE_PLACE = ("zero_reference_position", "relative_reference_index")
 _DRAWN = 3e-3  # metres: standard deviation of a radius that no calibration has fitted
@@ -183,15 +180,9 @@ def _around(config: Config, numbers: Numbers) -> Array:
 def _remark(config: Config, numbers: Numbers, stored: Sequence[Readings], relative: bool) -> None:
     """Note what an owner should know of the numbers and readings that are there."""
     meshes = any(c.name != CALIBRATION for c in stored)
-    most = max(int(c.touching.sum()) for c in stored)
     if words := rods_words(numbers):
         config.note("rods", words)
-    if most < FEW:
-        config.note(
-            "mesh",
-            f"{most} touches of the plate leave hardly anything to look for a cause with: probe a "
-            f"mesh of 9 by 9 or more over a round bed's full radius",
-        )
+    config.notes += remark_few(max(int(c.touching.sum()) for c in stored))
     if not meshes:
         return
     if config.missing and probe_section(config) is None:

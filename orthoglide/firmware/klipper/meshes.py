@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.errors import FileError, InputError
-from orthoglide.firmware.imported import Row
+from orthoglide.firmware.imported import Row, plain_name
 from orthoglide.firmware.klipper.config import Config, Section
 from orthoglide.firmware.klipper.heights import plane_of, probe_offset
 from orthoglide.firmware.klipper.numbers import Numbers
@@ -19,7 +18,6 @@ from orthoglide.instruments import PlateTouch
 from orthoglide.numerals import signed
 
 _MOST_TOUCHES = 1000  # of a mesh: a bed's shape is smooth, and a scan's neighbours read alike
-_LONGEST = 60  # of a campaign's name
 
 
 def stored_meshes(
@@ -78,8 +76,8 @@ def _name(profile: str, taken: Mapping[str, object]) -> str:
     """Return a profile's name as files and parameters may carry it, in capitals or not unlike
     those that are taken.
     """
-    plain = re.sub(r"[^A-Za-z0-9_-]+", "-", profile).strip("-")[:_LONGEST] or "mesh"
-    name, number, names = plain, 1, {one.lower() for one in taken}
+    name = plain = plain_name(profile, "mesh")
+    number, names = 1, {one.lower() for one in taken}
     while f"mesh-{name}".lower() in names:
         number += 1
         name = f"{plain}-{number}"

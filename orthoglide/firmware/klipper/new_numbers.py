@@ -38,7 +38,7 @@ high, and what a probe says of the tool's place along the plate is uncertain."""
 _MEASURED = 0.5  # weight of a distance against a height: a caliper is two to five times as noisy
 _FITTED, _WITH_ARMS = 6, 9  # how many numbers are fitted, in the order of `Numbers.changed`
 _AGAIN = "DELTA_CALIBRATE comes first, as is said at the top"
-_STEPS, _WIDTH = 30, 1e-6  # of Gauss-Newton, and of finite differences, metres or radians
+_SETTLED = 1e-13  # relative changes at which a fit ends, close to rounding
 
 
 Pose = Callable[[Array], tuple[Array, Array]]
@@ -207,20 +207,15 @@ def _arms(old: Numbers, machine: Machine) -> tuple[float, float, float]:
 
 
 def _solved(start: Numbers, miss: Callable[[Numbers], Array], count: int) -> Numbers:
-    """Return numbers of which the first so many were changed for least squares of what they miss,
-    by Gauss-Newton.
-    """
+    """Return numbers of which the first so many were changed to miss least."""
+    from scipy.optimize import least_squares  # which is slow to load
+
     steps = np.eye(max(count, _FITTED))[:count]
-    for _ in range(_STEPS):
-        columns = [
-            (miss(start.changed(_WIDTH * e)) - miss(start.changed(-_WIDTH * e))) / (2 * _WIDTH)
-            for e in steps
-        ]
-        step = np.linalg.lstsq(np.stack(columns, axis=-1), -miss(start), rcond=None)[0]
-        start = start.changed(step @ steps)
-        if np.abs(step).max() < 1e-11:
-            break
-    return start
+    found = least_squares(
+        lambda by: miss(start.changed(by @ steps)), np.zeros(count), "3-point", method="lm",
+        xtol=_SETTLED, ftol=_SETTLED, gtol=_SETTLED,
+    )  # fmt: skip
+    return start.changed(found.x @ steps)
 
 
 def _past_moves(points: Array, along: Array) -> Array:
