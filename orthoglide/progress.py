@@ -44,12 +44,6 @@ class Step:
         """Where the stage stands in a closed loop, per cent of the whole."""
         return _STAGES[self.stage][1]
 
-    @property
-    def ends(self) -> int:
-        """Where the next stage begins, per cent of the whole."""
-        later = (at for _, at in _STAGES.values() if at > self.begins)
-        return min(later, default=100)
-
 
 Progress = Callable[[Step], None]
 """Called with each step as it begins; any callable will do, `print` too."""

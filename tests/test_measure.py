@@ -34,27 +34,19 @@ TILTED = {"axis_tilt.y.z": 4e-3, "joint_offset.x": 0.6e-3, "joint_offset.z": -0.
 # --- What is typed ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("typed", "meant"),
-    [
-        ("4.12", "4.12"), ("4,12\n", "4.12"), (" -0.305 mm", "-0.305"), ("−1", "-1"),
-        ("340um", "0.340"), ("340 µm", "0.340"), ("+.5", "0.5"), ("12.50", "12.50"),
-    ],
-)  # fmt: skip
-def test_numbers_are_understood_exactly(typed: str, meant: str) -> None:
-    assert understood(typed) == Decimal(meant)
-
-
-def test_words_are_understood() -> None:
-    assert [understood(w) for w in ("skip", "BACK", "u", "q", "?")] == [
-        "skip", "undo", "undo", "quit", "help",
-    ]  # fmt: skip
-
-
-@pytest.mark.parametrize("typed", ["", "4.1.2", "1,234.5", "four", "4 in", "nan", "1e3", "5000"])
-def test_what_is_no_reading_is_refused(typed: str) -> None:
-    with pytest.raises(InputError):
-        understood(typed)
+def test_numbers_and_words_are_understood_exactly() -> None:
+    numbers = {
+        "4.12": "4.12", "4,12\n": "4.12", " -0.305 mm": "-0.305", "−1": "-1", "340um": "0.340",
+        "340 µm": "0.340", "+.5": "0.5", "12.50": "12.50",
+    }  # fmt: skip
+    words = {"skip": "skip", "BACK": "undo", "u": "undo", "q": "quit", "?": "help"}
+    for typed, meant in numbers.items():
+        assert understood(typed) == Decimal(meant), typed
+    for typed, meant in words.items():
+        assert understood(typed) == meant, typed
+    for typed in ("", "4.1.2", "1,234.5", "four", "4 in", "nan", "1e3", "5000"):
+        with pytest.raises(InputError):
+            understood(typed)
 
 
 # --- What can be ------------------------------------------------------------------------------

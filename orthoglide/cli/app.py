@@ -14,6 +14,7 @@ import click
 
 from orthoglide import __version__
 from orthoglide.errors import InputError, OrthoglideError
+from orthoglide.files import write_files
 from orthoglide.progress import Progress, Step
 from orthoglide.text import brief
 
@@ -185,13 +186,18 @@ def warn(sentences: Iterator[str] | tuple[object, ...]) -> None:
         click.echo(f"warning: {sentence}", err=True)
 
 
-def deliver(text: str, files: Mapping[Path, str | bytes] | None = None) -> None:
-    """Write new files, all of them or none, and print an answer.
+def deliver(
+    text: str, files: Mapping[Any, str | bytes] | None = None, folder: Path | None = None
+) -> None:
+    """Write new files, all of them or none, and print an answer; into a new folder if one is given.
 
     Raises:
         FileError: if a file exists already or cannot be written.
     """
-    from orthoglide.files import write_files
+    if folder is None:
+        write_files(files or {})
+    else:
+        from orthoglide.report import write_folder
 
-    write_files(files or {})
+        write_folder(folder, files or {})
     click.echo(text)

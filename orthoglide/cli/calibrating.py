@@ -68,7 +68,7 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
     Example:
       orthoglide demo --out demo
     """
-    from orthoglide.report import report_files, write_folder
+    from orthoglide.report import report_files
     from orthoglide.report.rows import if_it_were_so
     from orthoglide.text import sentence
     from orthoglide.verdict import run
@@ -87,11 +87,8 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
         lines += [f"What to do: {sentence(one.words)}" for one in result.actions[:1]]
         lines += [_report(folder / name), ""]
         answers.append(f"{name}: {result.word}" if quiet else "\n".join(lines))
-    write_folder(folder, files)
-    if as_json:
-        click.echo(json.dumps(results, indent=1, ensure_ascii=False))
-    else:
-        deliver((", " if quiet else "\n").join(answers).rstrip("\n"))
+    answer = (", " if quiet else "\n").join(answers).rstrip("\n")
+    deliver(json.dumps(results, indent=1, ensure_ascii=False) if as_json else answer, files, folder)
 
 
 def _next_free(path: Path) -> Path:
@@ -207,7 +204,7 @@ def _run(
     with progress(quiet or as_json) as step:
         step(Step("reading"))
         from orthoglide.observations import read_tcp
-        from orthoglide.report import report_files, result_text, write_folder
+        from orthoglide.report import report_files, result_text
         from orthoglide.text import shown
         from orthoglide.verdict import requested, run
 
@@ -218,13 +215,9 @@ def _run(
         result = run(replace(request, command=command, effects_file=name, **asked or {}), step)
         files = {} if out is None else report_files(result, step)
         answer = _answer(result, out, quiet)
-        text = (files.get("result.json") or result_text(result)) if as_json else ""
-    if out is not None:
-        write_folder(out, files)
-    if as_json:
-        click.echo(text if isinstance(text, bytes) else text.encode(), nl=False)
-    else:
-        deliver(answer)
+        if as_json:
+            answer = result_text(result).rstrip("\n")
+    deliver(answer, files, out)
 
 
 def _answer(result: Verdict, out: Path | None, quiet: bool) -> str:
@@ -272,7 +265,6 @@ def check(
         from orthoglide.checking import check as compare, states_of
         from orthoglide.checking.told import changes_text, check_files
         from orthoglide.observations.repetition import copied_files
-        from orthoglide.report import write_folder
 
         given = None if machine.path is None else machine.load()
         read = states_of(states[0], states[1], given, machine.effects)
@@ -285,10 +277,9 @@ def check(
         warn((f"OLD and NEW are the same file, {name}: nothing can have changed",))
     else:
         warn(copied_files((*read.old, *read.new)))
-    if out is not None:
-        write_folder(out, files)
-        answer += "" if quiet else f"\n\n{_report(out, 'check.html')}"
-    deliver(answer)
+    if out is not None and not quiet:
+        answer += f"\n\n{_report(out, 'check.html')}"
+    deliver(answer, files, out)
 
 
 @cli.command()
@@ -310,7 +301,7 @@ def rerun(result: Path, effects_file: Path | None, out: Path | None, quiet: bool
     with progress(quiet) as step:
         step(Step("reading"))
         from orthoglide.files import inside
-        from orthoglide.report import report_files, result_text, write_folder
+        from orthoglide.report import report_files, result_text
         from orthoglide.result import read_result, request_of
         from orthoglide.result.reading import EDITED, as_edited
         from orthoglide.verdict import run
@@ -335,10 +326,9 @@ def rerun(result: Path, effects_file: Path | None, out: Path | None, quiet: bool
     if within := _within(old, again):
         answer += f" to {within:g} sigma, as an earlier state of the program wrote the result"
     answer += "."
-    if out is not None:
-        write_folder(out, files)
-        answer += "" if quiet else f"\n{_report(out)}"
-    deliver(answer)
+    if out is not None and not quiet:
+        answer += f"\n{_report(out)}"
+    deliver(answer, files, out)
 
 
 def _within(old: Mapping[str, Any], new: Mapping[str, Any]) -> float:

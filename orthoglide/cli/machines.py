@@ -88,7 +88,6 @@ def export(machine: opt.MachineOption, zeros_only: bool, force: bool, out: Path 
       orthoglide export --machine april/calibrated.toml --out controller
     """
     from orthoglide.control import export_files
-    from orthoglide.report import write_folder
 
     known = machine.load()
     if zeros_only and known.spec.printer is not None:
@@ -98,9 +97,8 @@ def export(machine: opt.MachineOption, zeros_only: bool, force: bool, out: Path 
     files = export_files(known, zeros_only=zeros_only, force=force)
     if out is None:
         deliver(files["controller.txt"].rstrip("\n"))
-        return
-    write_folder(out, files)
-    deliver(f"written: {click.format_filename(out)}")
+    else:
+        deliver(f"written: {click.format_filename(out)}", files, out)
 
 
 @cli.command()
@@ -125,7 +123,6 @@ def compare(
     """
     from orthoglide.comparison import compare_effects, compare_machine, worst_by_effect
     from orthoglide.comparison.tables import comparison_files
-    from orthoglide.report import write_folder
 
     known = machine.load()
     with progress(quiet) as step:
@@ -133,13 +130,12 @@ def compare(
         rows = compare_effects(known, effects or None)
         whole = compare_machine(known) if any(known.values.values()) else ()
         worst = (*whole[:1], *worst_by_effect(rows))
-        if out is not None:
-            figures = () if no_figures else worst
-            write_folder(out, comparison_files(known, whole, rows, figures, step))
+        figures = () if no_figures else worst
+        files = {} if out is None else comparison_files(known, whole, rows, figures, step)
     good = sum(row.good_enough for row in worst)
     written = "" if out is None else f"\nwritten: {click.format_filename(out)}"
     line = f"The simplified model is good enough for {good} of {len(worst)}."
-    deliver(line if quiet else "\n".join(map(str, worst)) + written)
+    deliver(line if quiet else "\n".join(map(str, worst)) + written, files, out)
 
 
 class _Coordinate(click.ParamType):
@@ -364,7 +360,6 @@ def _write(found: Imported, out: Path, files: dict[str, str | bytes], machine: P
     together; with each alone where that is not known.
     """
     from orthoglide.observations import campaign_text
-    from orthoglide.report import write_folder
 
     def command(*names: str) -> str:
         campaigns = " ".join(f"{click.format_filename(out)}/{name}.csv" for name in names)
@@ -385,6 +380,5 @@ def _write(found: Imported, out: Path, files: dict[str, str | bytes], machine: P
     else:
         lines.append("\nThese files must not go together. Next, probe again, or take one alone:")
         lines += [command(campaign.name) for campaign in found.campaigns]
-    write_folder(out, files)
+    deliver("\n".join(lines), files, out)
     warn(found.notes)
-    deliver("\n".join(lines))

@@ -86,7 +86,7 @@ class _Part:
 
     @property
     def end(self) -> int:
-        """Rows up to its last one."""
+        """Number of rows up to the end of this sheet."""
         return self.start + len(self.rows)
 
 
@@ -148,7 +148,7 @@ class Session:
 
     @property
     def _answers(self) -> list[Row]:
-        """Rows of the file that answer those of the sheets, one after the other."""
+        """Rows of the file, without those that lead back, in the order of the sheets."""
         return [row for row in self.record.rows if row["posture"] != AGAIN]
 
     @property

@@ -28,18 +28,18 @@ _NOTHING = 1e-9  # gain below which a step is not worth a reading
 
 @dataclass(frozen=True)
 class Criterion(ABC):
-    """A criterion with what is known so far."""
+    """A figure of merit of the information gained so far."""
 
     information: Array  # on all columns of the readings (P, P), priors in it
 
     @property
     @abstractmethod
     def value(self) -> float:
-        """The larger the better."""
+        """Figure of merit, the larger the better."""
 
     @property
     def reached(self) -> bool:
-        """Whether no more is wanted: never, as a rule; the readings asked for are the limit."""
+        """True if no further reading is wanted; the number of readings is the limit otherwise."""
         return False
 
     @abstractmethod
@@ -126,7 +126,7 @@ class RivalSeparation(Criterion):
 
     @cached_property
     def chi2(self) -> Array:
-        """Expected of the wrong rival of each pair so far, then the other way round ``(2 q,)``."""
+        """Expected chi2 of the second rival where the first is true, then exchanged ``(2 q,)``."""
         size, W = self.spread.shape[1], self.information
         left = W[size:, size:] - W[size:, :size] @ self._refitted @ W[:size, size:]
         a, b = self._ordered.T
@@ -134,18 +134,18 @@ class RivalSeparation(Criterion):
 
     @property
     def sigmas(self) -> dict[tuple[int, int], float]:
-        """Root of the chi2 of each pair, the smaller of the two ways round."""
+        """Separation of each pair, the root of the smaller of its two chi2."""
         least = np.sqrt(self.chi2.reshape(2, -1).min(axis=0))
         return {(a, b): s for (a, b), s in zip(self.pairs.tolist(), least.tolist(), strict=True)}
 
     @property
     def value(self) -> float:
-        """Minus the logarithm of the mean relative likelihood of the wrong one."""
+        """Minus the logarithm of the mean relative likelihood of the wrong rivals."""
         return -float(_log_mean_exp(-self.chi2 / 2))
 
     @property
     def reached(self) -> bool:
-        """Whether the least separated pair is far enough apart."""
+        """True if the least separated pair is far enough apart."""
         return bool(self.chi2.min() >= self.enough)
 
     def gains(self, steps: Steps) -> Array:

@@ -65,17 +65,17 @@ class Observability:
 
     @property
     def unknowns(self) -> int:
-        """How many."""
+        """Number of unknowns."""
         return len(self.singular)
 
     @property
     def rank(self) -> int:
-        """Unknowns that the readings see at all, in combinations."""
+        """Number of combinations of the unknowns that the readings determine."""
         return int(np.count_nonzero(self.singular))
 
     @property
     def indices(self) -> dict[str, float]:
-        """All five by name; 0 where a combination of unknowns is not seen."""
+        """The five indices by name; 0 if a combination of the unknowns is not determined."""
         s = np.array(self.singular)
         if self.rank < self.unknowns:
             return dict.fromkeys(("O1", "O2", "O3", "O4", "O5"), 0.0)
@@ -220,7 +220,7 @@ def shown_names(machine: Machine, pool: Readings, free: Sequence[str]) -> tuple[
 
 @dataclass(frozen=True)
 class Repeats:
-    """An answer to "how often"."""
+    """How often every station must be visited for a wanted accuracy."""
 
     # parameter, or `"TCP"`: root mean square over the workspace and its three axes, best
     # translation removed

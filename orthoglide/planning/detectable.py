@@ -39,7 +39,7 @@ _ALIKE = 2.0  # parameters of one effect found from sizes within this factor sha
 
 @dataclass(frozen=True)
 class SmallestEffect:
-    """What a protocol makes of one candidate."""
+    """Smallest sizes of one candidate that a protocol detects and names."""
 
     name: Parameter  # of the candidate
     effect: str  # name of its effect
@@ -98,7 +98,7 @@ class Detectability(Framed):
 
     @property
     def columns(self) -> dict[str, list[Any]]:
-        """By group of :attr:`alike`, in the unit of files, what finds and names each of it."""
+        """A row for each group of :attr:`alike`, in the units of files."""
         every = self.alike
         hardest = [best_of(members, lambda s: s.nameable) for members in every]
         found = [max(s.detectable for s in members) for members in every]

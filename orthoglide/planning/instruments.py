@@ -77,7 +77,7 @@ class Decision:
 
     @property
     def probability(self) -> float:
-        """That of two machines, each with a rival as probable as it is, it tells which is which."""
+        """Probability that it separates two explanations, each drawn by its probability."""
         return sum(_weight(pair) for pair, sigmas in self.apart.items() if sigmas >= _TELLS)
 
 
@@ -156,7 +156,7 @@ def _by_need(several: Sequence[Decision]) -> list[Decision]:
 
 
 def _instruments(problem: Problem) -> Iterator[Proposal]:
-    """Those that need least first."""
+    """Yield the readings that could be taken, those that need least first."""
     plates = [
         (int(np.sum(f.setup == s)), k, s, f)
         for k, f, s, setup in problem.mounted
@@ -188,7 +188,7 @@ def _instruments(problem: Problem) -> Iterator[Proposal]:
 
 
 def _turned(problem: Problem, k: int, setup: int, factor: Factor) -> Problem:
-    """One setup's touches of a plate again, with the plate turned on its seat."""
+    """Return one setup's touches of a plate again, with the plate turned on its seat."""
     rows, own = factor.setup == setup, factor.readings.setups[setup]
     lies = replace(own, turned=own.turned + _TURNED)
     points = replace(factor.readings.subset(rows), setups=(lies,), setup=np.zeros(rows.sum(), int))
@@ -201,7 +201,7 @@ def _turned(problem: Problem, k: int, setup: int, factor: Factor) -> Problem:
 
 
 def _alone(problem: Problem, k: int, factor: Factor, curves: Block | None = None) -> Problem:
-    """Other readings alone, of the machine as it is to a factor of the problem."""
+    """Return a problem of other readings alone, of the machine as factor ``k`` was read on."""
     return replace(
         problem,
         factors=(factor,),
@@ -281,7 +281,7 @@ def _suggested(
 
 
 def _of_set(one: Decision, own: Sequence[Quoted], several: Sequence[Decision]) -> Iterator[str]:
-    """What of a set it separates, and the likeliest that it does not, with what would."""
+    """Yield the pairs of a set that it separates, and the likeliest that it does not."""
     separated, left = one.of(own, separated=True), one.of(own, separated=False)
     if separated:
         first = separated[0][0]

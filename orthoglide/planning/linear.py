@@ -50,11 +50,11 @@ class Steps:
 
     @property
     def opening(self) -> NDArray[np.bool_]:
-        """Whether a dial has to be mounted first ``(k,)``."""
+        """True for steps that mount a dial ``(k,)``."""
         return np.asarray(self.rows[:, 0] >= 0)
 
     def taken(self, k: int) -> list[int]:
-        """Rows of the campaign that step ``k`` reads."""
+        """Return the rows of the campaign that step ``k`` reads."""
         return [int(r) for r in self.rows[k] if r >= 0]
 
 
@@ -73,7 +73,7 @@ class LinearReadings:
     def of(
         cls, machine: Machine, campaign: Readings, names: Sequence[str], noise: float | None = None
     ) -> LinearReadings:
-        """Readings by parameters, each in its tolerance.
+        """Return the readings linearised in parameters, each in its tolerance.
 
         Args:
             machine: as it is believed to be.
@@ -103,7 +103,7 @@ class LinearReadings:
     def around(
         cls, machine: Machine, campaign: Readings, columns: Array, slope: Array, total: ArrayLike
     ) -> LinearReadings:
-        """Readings whose derivatives are known.
+        """Return readings whose derivatives are known.
 
         Args:
             machine: its dial.
@@ -125,15 +125,15 @@ class LinearReadings:
         return numbered(self.campaign.stations)
 
     def covariance(self, one: ArrayLike, other: ArrayLike) -> Array:
-        """Covariance ``(a, b)`` of visits to rows of one mounting, parameters and datum given."""
+        """Return the covariance ``(a, b)`` of visits in a mounting, parameters and datum given."""
         i, j = np.asarray(one, dtype=np.int64), np.asarray(other, dtype=np.int64)
         slopes = np.multiply.outer(self.slope[i], self.slope[j])
         shared = np.equal.outer(self.station[i], self.station[j]) * self.common**2
         return np.asarray(self.placement**2 * slopes + shared)
 
     def scatter(self) -> Array:
-        """Covariance of one visit to each row ``(n, n)``, parameters given, datums as loose as a
-        dial's travel.
+        """Return the covariance of one visit to each row ``(n, n)``, parameters given, datums
+        within a dial's travel.
         """
         rows = np.arange(len(self.campaign))
         together = np.equal.outer(self.campaign.setup, self.campaign.setup)
@@ -169,7 +169,7 @@ class LinearReadings:
         )
 
     def continued(self, setup: int, chosen: Sequence[int]) -> Steps:
-        """One more reading, of any station, in a mounting that stands."""
+        """Return the steps of one more reading, at any station, in a mounting that stands."""
         rows, done = self.of_setup[setup], np.asarray(chosen)
         among = self.covariance(done, done) + _DATUM**2 + np.diag(self.sigma[done] ** 2)
         across = self.covariance(rows, done) + _DATUM**2
@@ -182,7 +182,7 @@ class LinearReadings:
         )
 
     def steps(self, chosen: Sequence[int], room: int) -> Steps:
-        """All steps that ``room`` further readings allow, after those chosen."""
+        """Return all steps that ``room`` further readings allow, after those chosen."""
         standing = dict.fromkeys(int(self.campaign.setup[k]) for k in chosen)
         parts = []
         if room >= 2:
@@ -200,7 +200,7 @@ class LinearReadings:
         )
 
     def whitened(self, chosen: Sequence[int] | None = None) -> Array:
-        """Chosen rows, or all, by the unknowns ``(m, P)``: unit variance, datums projected out."""
+        """Return rows ``(m, P)`` by the unknowns with unit variance, datums projected out."""
         every = np.arange(len(self.campaign))
         rows = every if chosen is None else every[list(chosen)]
         blocks = [np.empty((0, self.columns.shape[1]))]
@@ -213,7 +213,7 @@ class LinearReadings:
         return np.concatenate(blocks)
 
     def information(self, chosen: Sequence[int] | None = None) -> Array:
-        """What chosen rows, or all, say of the unknowns ``(P, P)``."""
+        """Return the information of chosen rows, or of all, on the unknowns ``(P, P)``."""
         rows = self.whitened(chosen)
         return np.asarray(rows.T @ rows)
 
@@ -221,8 +221,8 @@ class LinearReadings:
 def in_tolerances(
     machine: Machine, names: Sequence[str], setups: tuple[str, ...] = ()
 ) -> tuple[tuple[str, ...], Array]:
-    """Elementary parameters that names stand for, and the matrix ``(E, P)`` from one tolerance of
-    each name to them, SI.
+    """Return the elementary parameters that names stand for, and the matrix ``(E, P)`` from one
+    tolerance of each name to them, SI.
     """
     stands_for = [machine.catalogue.elementary(name, setups) for name in names]
     parts = tuple(dict.fromkeys(p for weights in stands_for for p in weights))
@@ -231,7 +231,7 @@ def in_tolerances(
 
 
 def _careful(spec: MachineFile) -> MachineFile:
-    """A machine file with the dial's repeatability, as published where it says none."""
+    """Return a machine file with the dial's repeatability, as published where it states none."""
     dial = spec.dial
     return replace(
         spec, dial=replace(dial, repeatability=dial.repeatability or PUBLISHED_REPEATABILITY)
@@ -241,9 +241,7 @@ def _careful(spec: MachineFile) -> MachineFile:
 def foreseen(
     machine: Machine, sheet: Readings | Sequence[Readings], noise: float | None = None
 ) -> Problem:
-    """Zeros and lengths to be identified from the readings predicted for a sheet, or for several
-    of several instruments.
-    """
+    """Return the problem of zeros and lengths on the readings predicted for sheets."""
     careful = replace(machine, spec=_careful(machine.spec))
     # Exact, with their noise declared: repeats that agree are no witnesses of it.
     sheets = [sheet] if isinstance(sheet, Readings) else sheet

@@ -40,7 +40,7 @@ class Station(NamedTuple):
 
 
 def stations(leg: int, geometry: Geometry) -> list[Station]:
-    """Stations for a leg's dials, all within the stroke, approaches included.
+    """Return stations for a leg's dials, all within the stroke, approaches included.
 
     On the leg's own axis: steps of the stroke, reached with all axes moving in + and in -. Off it:
     a few millimetres to either side at three of them, reached in +.
@@ -79,12 +79,12 @@ def _reached(label: str, p: Array, sides: Sequence[int], geometry: Geometry) -> 
 
 
 def dial_scale(geometry: Geometry) -> float:
-    """Size of a dial with its stand: a large machine's is the same as that of others."""
+    """Return the relative size of a dial with its stand, at most that in a workshop."""
     return min(geometry.scale, 1.0)
 
 
 def visible(station: Station, setup: Setup, geometry: Geometry) -> bool:
-    """Whether a dial keeps on its leg and within its travel at a station, nominally."""
+    """Return whether a dial stays on its leg and within its travel at a station, nominally."""
     own, p, small = station.command[setup.leg], station.p, dial_scale(geometry)
     clearance = _CLEARANCE * small
     if not p[setup.leg] + clearance <= setup.gauge <= own - clearance:
@@ -95,7 +95,7 @@ def visible(station: Station, setup: Setup, geometry: Geometry) -> bool:
 
 
 def reading_pool(geometry: Geometry, *, load: float = 0.0) -> Readings:
-    """Every reading there is to choose from, as a campaign without readings.
+    """Return every reading that can be chosen, as a campaign without readings.
 
     Args:
         geometry: whose stroke and lengths count.
@@ -128,7 +128,7 @@ def reading_pool(geometry: Geometry, *, load: float = 0.0) -> Readings:
 
 
 def sheet(pool: Readings, chosen: Sequence[int], name: str = "next") -> Readings:
-    """Chosen rows of a pool, mounting by mounting, visits numbered, with the moves they take.
+    """Return chosen rows of a pool, mounting by mounting, visits numbered, with their moves.
 
     Args:
         pool: as from :func:`reading_pool`.

@@ -135,8 +135,8 @@ def tool_sheet(machine: Machine, instrument: Observation, longer: float = 0.0) -
 def _places(
     machine: Machine, instrument: Observation, up: Array
 ) -> tuple[Array, Array | None, Array]:
-    """Points ``(n, 3)``, the others of distances, and the centre of a ball; ``up`` of each the
-    machine's own tool has to be within reach.
+    """Return points ``(n, 3)``, the other ends of distances, and the centre of a ball; the tool of
+    the machine must reach ``up`` above each.
     """
     t, high = np.arange(_AROUND) * 2 * np.pi / _AROUND, np.zeros(3)
     ring = np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)
@@ -151,9 +151,9 @@ def _places(
 
 
 def _sent(machine: Machine, p: Array) -> Array:
-    """Commands ``(n, 3)`` by which the controller sends the tool to places ``(n, 3)``.
+    """Return commands ``(n, 3)`` by which the controller sends the tool to places ``(n, 3)``.
 
-    Of places that circles share, to what files hold: else a second visit would be no repeat.
+    They are rounded as in files, so that a second visit to a place is a repeat.
     """
     kinematics = machine.spec.kinematics
     found = machine.with_only({}).inverse(p) if kinematics is None else kinematics.travel(p)
@@ -161,7 +161,7 @@ def _sent(machine: Machine, p: Array) -> Array:
 
 
 def _widest(machine: Machine, points: Callable[[float], Array]) -> float:
-    """Nine tenths of the largest size at which all points lie within the stroke, metres."""
+    """Return nine tenths of the largest size at which all points are within reach, metres."""
     low, high = 0.0, machine.geometry.L
     for _ in range(_HALVINGS):
         size, fits = (low + high) / 2, False

@@ -52,12 +52,12 @@ class Suggestion(Framed):
 
     @property
     def campaign(self) -> Readings | None:
-        """The readings without their values; ``None`` where nothing helps."""
+        """The readings without their values; ``None`` if no reading helps."""
         return sheet(self.pool, self.chosen) if self.chosen and self.pool is not None else None
 
     @property
     def hopeless(self) -> bool:
-        """Whether it says that nothing helps."""
+        """True if no reading helps."""
         return self.aim == "none" and self.gain < DECIDES
 
     def __repr__(self) -> str:
@@ -65,13 +65,13 @@ class Suggestion(Framed):
 
     @property
     def columns(self) -> dict[str, list[Any]]:
-        """The rows as campaign files have them, by column; empty where nothing helps."""
+        """The rows of a campaign file by column; empty if no reading helps."""
         rows = self.rows
         return {name: [row[name] for row in rows] for name in (rows[0] if rows else ())}
 
     @property
     def rows(self) -> tuple[dict[str, str], ...]:
-        """The rows as campaign files have them, moves included, the reading left out."""
+        """The rows of a campaign file, moves included, without the reading."""
         if self.campaign is None:
             return ()
         table = campaign_rows(self.campaign)

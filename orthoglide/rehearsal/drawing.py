@@ -22,7 +22,7 @@ class Kind:
 
     name: str  # for tables
     share: float = 0.0  # of their tolerances by which all effects are off
-    # what stands out besides: an effect, something outside the catalogue, or nothing
+    # a significant error besides: "effect", "outside" the catalogue, or none
     extra: str = ""
 
 
@@ -44,7 +44,7 @@ STRAYS = (0.5, 2.0)
 
 @dataclass(frozen=True, eq=False)
 class Scope:
-    """What may be wrong with a machine as far as a sheet is concerned."""
+    """Everything that may be wrong with a machine and that a sheet may show."""
 
     machine: Machine  # dimensions, tolerances and instruments; without errors
     sheets: tuple[Readings, ...]  # rows to be read, of dials and of instruments at the tool
@@ -55,8 +55,8 @@ class Scope:
 
     @classmethod
     def of(cls, machine: Machine, *sheets: Readings) -> Scope:
-        """What the posterior would weigh: of the machine its dimensions and tolerances count, of
-        sheets no readings.
+        """Return the scope of sheets, whose readings do not count, on a machine of the same
+        dimensions and tolerances.
         """
         bare = machine.with_only({})
         wide = with_everything(foreseen(bare, sheets))
@@ -82,13 +82,13 @@ class Drawn:
 
 
 def kind_of(scope: Scope, number: int) -> Kind:
-    """What is wrong in a campaign; an effect where the sheets show no place."""
+    """Return what is wrong in a campaign; an effect if the sheets show no free-form error."""
     kind = TURNS[number % len(TURNS)]
     return EFFECT if kind == OUTSIDE and not scope.places else kind
 
 
 def draw(scope: Scope, kind: Kind, rng: np.random.Generator) -> Drawn:
-    """A machine: zeros and lengths at their tolerances, and what its kind says."""
+    """Return a machine with zeros and lengths off by their tolerances, and what its kind adds."""
     bare = scope.machine
     values = {
         str(n): bare.tolerance(n) * float(rng.standard_normal())
@@ -107,7 +107,7 @@ def draw(scope: Scope, kind: Kind, rng: np.random.Generator) -> Drawn:
 
 
 def _standing_out(scope: Scope, rng: np.random.Generator) -> tuple[str, float, dict[str, float]]:
-    """One effect, all as likely, at one of its parameters: name, size, and sizes by parameter."""
+    """Return the name of an effect, its size, and sizes by parameter, all effects as likely."""
     effects = list(dict.fromkeys(n.effect for n in scope.parameters))
     effect = scope.machine.catalogue[effects[int(rng.integers(len(effects)))]]
     mine = [n for n in scope.parameters if n.effect == effect.name]
@@ -123,7 +123,7 @@ def _standing_out(scope: Scope, rng: np.random.Generator) -> tuple[str, float, d
 def _with_place(
     scope: Scope, kind: Kind, values: dict[str, float], rng: np.random.Generator
 ) -> Drawn:
-    """A free function of one place, without what the catalogue's own shapes would take of it."""
+    """Return a machine with a free-form error that no shape of the catalogue describes."""
     place = scope.places[int(rng.integers(len(scope.places)))]
     u = np.linspace(-1, 1, 201)
     functions = np.stack(place.kernel.functions(u), axis=1)

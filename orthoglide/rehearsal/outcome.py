@@ -34,9 +34,9 @@ class Outcome:
     size: float = 0.0  # of that, in tolerances or in the deviation to expect of such a place
     words: str = ""  # what it was, as a clause
     word: str = ""  # the verdict
-    named: tuple[str, ...] = ()  # causes that it named and that were there
+    named: tuple[str, ...] = ()  # causes that were named and were there
     located: tuple[str, ...] = ()  # places that it located and that were there
-    false: tuple[str, ...] = ()  # what it claimed besides
+    false: tuple[str, ...] = ()  # claims that were wrong
     nominal_mm: float = float("nan")  # mean error of the tool of the machine as drawn
     before_mm: float = float("nan")  # the same after zeros and lengths are put right
     after_mm: float = float("nan")  # the same after everything found is compensated
@@ -48,16 +48,16 @@ class Outcome:
 
     @property
     def missed(self) -> bool:
-        """Whether something stood out and was neither named nor located."""
+        """True if a significant error was neither named nor located."""
         return bool(self.cause) and not (self.named or self.located or self.failed)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON; what is not a number is left out."""
+        """Return the fields for JSON, without those that are not a number."""
         return {k: v for k, v in asdict(self).items() if v == v}
 
     @classmethod
     def from_dict(cls, kept: Mapping[str, Any]) -> Outcome:
-        """The same back again.
+        """Return the outcome that such fields describe.
 
         Raises:
             TypeError: where something else was kept.
@@ -70,8 +70,8 @@ class Outcome:
 
 @on_one_thread
 def outcome_of(scope: Scope, number: int, seed: int) -> Outcome:
-    """One campaign, of which its number and the seed determine every draw; a failure is a result
-    like others.
+    """Return the outcome of one campaign; its number and the seed determine every draw, and a
+    failure is an outcome as well.
     """
     kind, began = kind_of(scope, number), time.perf_counter()
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
@@ -106,7 +106,7 @@ def _closed(scope: Scope, drawn: Drawn, rng: np.random.Generator) -> dict[str, A
 
 
 def claims(verdict: Closed | Result, drawn: Drawn) -> tuple[list[str], list[str], list[str]]:
-    """Names of what a verdict claims: causes that are there, places that are, and what is not.
+    """Return what a verdict claims: causes and places that are there, and what is not there.
 
     On a machine of which everything is off, a cause is there if it is off by twice its share.
     """
@@ -123,7 +123,7 @@ def claims(verdict: Closed | Result, drawn: Drawn) -> tuple[list[str], list[str]
 
 
 def _is_there(name: str, parameters: Sequence[str], drawn: Drawn) -> bool:
-    """Whether a named cause is the true one: itself, or a block of its family that contains it."""
+    """Return whether a named cause is the true one, or a block of its family that contains it."""
     # A machine is drawn whole: what a file has for itself goes by its plain name.
     name, *parameters = (plain_and_campaign(n)[0] for n in (name, *parameters))
     if drawn.kind.extra == "effect":

@@ -47,7 +47,7 @@ class Rehearsal(Framed):
 
     @property
     def columns(self) -> dict[str, list[Any]]:
-        """The table, a row for what was wrong.
+        """The truth table, a row for each kind of machine.
 
         ``named`` counts campaigns that named a cause that was there, ``located`` those that found
         the place of it, ``false`` those that claimed anything that was not there. The tool's mean
@@ -75,7 +75,7 @@ class Rehearsal(Framed):
 
     @property
     def line(self) -> str:
-        """How often what was said, in one line."""
+        """Counts over all campaigns, in one line."""
         counts = [f"{n} {sum(bool(getattr(t, n)) for t in self.campaigns)}" for n in _SAID]
         return ", ".join([f"campaigns {len(self.campaigns)}", *counts])
 
