@@ -31,7 +31,8 @@ _STEPS = 2  # of Gauss-Newton, on a problem that is nearly linear
 
 
 def workspace(geometry: Geometry, count: int = GRID, pitch: float | None = None) -> Array:
-    """Commands ``(n, 3)`` that fill the workspace evenly, metres: on the Orthoglide the stroke.
+    """Return commands ``(n, 3)`` that fill the workspace evenly, metres: on the Orthoglide the
+    stroke.
 
     Args:
         geometry: of the machine.
@@ -51,19 +52,21 @@ def workspace(geometry: Geometry, count: int = GRID, pitch: float | None = None)
 
 
 def throughout(machine: Machine) -> Array:
-    """Commands over the workspace ``(n, 3)`` that miss nothing of a machine, metres."""
+    """Return commands over the workspace ``(n, 3)`` at every phase of the screws, metres."""
     return workspace(machine.geometry, pitch=machine.spec.screw_pitch)
 
 
 def tcp_slopes(machine: Machine, names: Sequence[str], at: Conditions | None = None) -> Array:
-    """TCP by parameter ``(g, 3, P)``, SI, in the conditions given or over the workspace."""
+    """Return derivatives of the TCP by parameter ``(g, 3, P)``, SI, in given conditions or over the
+    workspace.
+    """
     where = Conditions.at(throughout(machine)) if at is None else at
     _, slopes = machine.model.sensitivities(machine.values, where, tuple(names))
     return slopes[:, :3]
 
 
 def without_place(field: Array) -> Array:
-    """A field over the workspace ``(g, 3, ...)`` after its best translation."""
+    """Return a field over the workspace ``(g, 3, ...)`` after its best translation."""
     return field - field.mean(axis=0)
 
 
@@ -88,7 +91,7 @@ class Map:
 
 
 def tcp_map(machine: Machine, commands: Array | None = None) -> Map:
-    """Predict the TCP of a calibrated machine over the workspace, by what is known of it.
+    """Return the predicted TCP of a calibrated machine over the workspace, with its uncertainty.
 
     Args:
         machine: calibrated.
@@ -127,7 +130,7 @@ class ExpectedError:
 
 
 def expected_error(machine: Machine, settings: Mapping[str, float]) -> ExpectedError:
-    """What a controller that knows of some parameters leaves, by what is known of the machine.
+    """Return the tool's expected error if the controller corrects some parameters.
 
     Args:
         machine: calibrated.
@@ -155,8 +158,8 @@ def expected_gain(
 
 
 def _drawn(machine: Machine, settings: Mapping[str, float]) -> tuple[Array, Array]:
-    """Mean shape error and translation over the workspace ``(draws,)`` of machines drawn from the
-    posterior, the same ones for all settings.
+    """Return mean shape error and translation over the workspace ``(draws,)`` of machines drawn
+    from the posterior, the same for all settings.
     """
     posterior, wanted = machine.posterior, wanted_points(machine)
     commands = machine.with_only(settings).inverse(wanted)
@@ -170,17 +173,17 @@ def _drawn(machine: Machine, settings: Mapping[str, float]) -> tuple[Array, Arra
 
 
 def wanted_points(machine: Machine) -> Array:
-    """Where a machine without errors puts the tool over its workspace ``(g, 3)``, metres."""
+    """Return where a machine without errors puts the tool over its workspace ``(g, 3)``, metres."""
     return machine.with_only({}).forward(throughout(machine))
 
 
 def _weighed(field: Array, place: Array) -> Array:
-    """A field ``(g, 3, ...)`` with these shares ``(3,)`` of its translation."""
+    """Return a field ``(g, 3, ...)`` with these shares ``(3,)`` of its translation."""
     return field - np.einsum("x,x...->x...", 1 - place, field.mean(axis=0))
 
 
 def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
-    """Settings of a controller that takes little: the zeros that leave the least shape error.
+    """Return the zeros that leave the least shape error, with what else the controller takes.
 
     Where several leave the same, they are those that leave the least place. On parallel slides
     they leave the tool where it is above its plate: no reading there tells the machine's own
@@ -213,7 +216,7 @@ def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
 
 
 def tool_settings(machine: Machine) -> dict[str, dict[str, float]]:
-    """Parameters that the commands allow for, SI, by what the controller is given.
+    """Return the parameters that the commands allow for, SI, by what the controller is given.
 
     Returns:
         ``now``: nothing; ``zeros``: the best zeros alone; ``zeros_and_lengths``: bar lengths

@@ -35,7 +35,7 @@ _PARTS: Mapping[str, tuple[Part, int]] = {
 
 
 def dials(posture: Posed, campaigns: Iterable[Readings]) -> tuple[Dial, ...]:
-    """Where the dials of campaigns stand on a machine, each name once."""
+    """Return the dials of campaigns on a machine, each name once."""
     found: dict[tuple[str, int], Dial] = {}
     for setup in (s for campaign in campaigns for s in campaign.setups):
         ends = np.einsum("b,bex->ex", np.array(SHARES[setup.bar]), posture.lines[setup.leg])
@@ -49,7 +49,7 @@ def dials(posture: Posed, campaigns: Iterable[Readings]) -> tuple[Dial, ...]:
 
 
 def option(machine: Machine, words: str, values: Mapping[str, float]) -> Option:
-    """What some parameters, SI, move: structured members by the single ones they stand for.
+    """Return the marks of the parts that some parameters, SI, move.
 
     What hangs on approach, time, warmth or load is shown as it is after a move outward, an hour
     later, 10 K warmer, under 10 N.
@@ -74,7 +74,7 @@ def option(machine: Machine, words: str, values: Mapping[str, float]) -> Option:
 
 
 def _marks(machine: Machine, values: dict[Parameter, float]) -> list[Mark]:
-    """Marks of one leg; a part that several joints move is marked once."""
+    """Return the marks of one leg; a part that several joints move is marked once."""
     first = next(iter(values))
     effect, (leg, _) = machine.catalogue.effect_of(first), machine.catalogue.motions[first]
     size = size_words(effect, math.hypot(*values.values())).partition(" (")[0]
@@ -96,7 +96,7 @@ def _marks(machine: Machine, values: dict[Parameter, float]) -> list[Mark]:
 
 
 def _along(machine: Machine, leg: int, values: Mapping[str, float]) -> tuple[Array, Array]:
-    """Displacements of all virtual joints as one leg goes through its stroke.
+    """Return travels and displacements of all virtual joints as one leg goes through its stroke.
 
     Where the platform hangs the others go with it, which could not follow one that goes alone.
     """
@@ -119,7 +119,7 @@ def joint_mark(
     both: bool = False,
     both_bars: bool = False,
 ) -> Mark:
-    """The mark of one virtual joint.
+    """Return the mark of one virtual joint.
 
     Args:
         machine: whose leg it is.

@@ -171,7 +171,7 @@ def _visualizer() -> Any:
 
 
 def _animate(viewer: Any, machine: Magnified, rho: Array, posture: Posture) -> None:
-    """Give the viewer a way of the tool along each axis, which its controls play."""
+    """Animate the viewer along each axis, which its controls play."""
     import pinocchio as pin
     from meshcat.animation import Animation
 

@@ -182,7 +182,7 @@ def test_from_results_and_files_to_words_and_a_page(visited: Path) -> None:
     assert "<svg" in page
     assert re.search(r"changed by 1\.\d+ mm inward", page)
     assert "changed by as much as the readings before ask for" in page
-    assert "Confirm what was put right" in page
+    assert "Confirm the repair" in page
     assert "changed by as much as the readings before ask for" in " ".join(kept.stdout.split())
     assert "was moved the wrong way" in page
     assert "The report of new<" in page

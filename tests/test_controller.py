@@ -295,7 +295,7 @@ def test_the_text_of_the_numbers_is_readable() -> None:
     text = controller_numbers(found).text()
     assert max(map(len, text.splitlines())) <= 100
     assert not re.search(r"-0\.0+\b", "".join(re.findall(r"(?m)^  [xyz] .*$", text)))
-    told = "identified (axis tilt and rail bow); commands from"
+    told = "identified (rail bow and axis tilt); commands from"
     assert told in " ".join(text.split())
     assert "backlash" not in text  # rounds to nothing
 

@@ -215,9 +215,9 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
     assert "Measure more: to tell the causes apart" in told
     assert "it tells" not in told  # that stands on the page
     assert "it tells" in text
-    assert "Readings of a probe on a plate cannot detect the following" in told
-    bars = "that the two rods of each tower differ in length"
-    for unshown in (bars, "that the towers are bent"):
+    assert "Readings of a probe on a plate cannot detect, at three times the tolerance" in told
+    bars = "two rods of each tower differ in length"
+    for unshown in (bars, "towers are bent"):
         assert unshown in told
         assert unshown in text
     for false in ("outward", "dial’s", "the dial", "two-gauges", "leg reading"):
@@ -229,7 +229,7 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
         in text
     )
     assert "Where no reading helps" not in text
-    assert "First the joint offsets, axis offsets and rod lengths were identified" in text
+    assert "First the carriage offsets, tower offsets and rod lengths were identified" in text
 
 
 @pytest.mark.thorough
@@ -379,7 +379,7 @@ def test_what_is_left_of_touches_is_held_against_their_own_noise() -> None:
     assert verdict.word in ("partial", "located", "unexplained")
     told = headline(verdict)
     assert "The plate's own shape would explain it, finer than a bowl or three lobes" in told
-    assert "mm rms, and their noise is 0.019 mm" in told
+    assert "mm rms, and the noise of a reading is 0.019 mm" in told
     assert "dial" not in told
 
 

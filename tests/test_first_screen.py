@@ -233,8 +233,8 @@ def test_a_reader_finds_what_changed_in_words_on_the_drawing_and_in_what_to_do(
         assert size or name.effect in ("drive_compliance", "thermal_drift", "thermal_growth")
         assert f"changed by {size[1]}" in verdict.picture.svg() if size else option.marks
         _, _, do = text.partition("What to do")
-        assert ("put back, or correct for it" if state == "Now" else "what was put right") in do
-        assert "made before second hold no longer" in do
+        assert ("put it back, or correct for it" if state == "Now" else "Confirm the repair") in do
+        assert "made before second are no longer valid" in do
         _, _, option_text = do.partition(f"{state}: ")
         part, way, told = read(option_text, name.effect)
         assert part == name.leg
@@ -252,7 +252,7 @@ def test_how_sure_it_is_counts_all_names_of_a_cause() -> None:
     twin = explained("rail_tilt.y.z", 2.4e-3, CATALOGUE, 0.49)
     text = screen(made_up("explained", Cause(one, (), (twin,))))
     assert "98 % sure, its size to ± 0.24 mrad" in text
-    assert "the same to these readings and to the tool" in text
+    assert "readings and tool are the same either way" in text
     assert "cannot tell" not in text
     assert [sure_words(p) for p in (0.999, 0.93, 0.512)] == [
         "more than 99 % sure", "93 % sure", "51 % likely",
@@ -361,7 +361,7 @@ def test_a_cause_that_is_a_whole_family_gains_its_own_not_what_the_rest_of_it_ga
     assert action.gain == found.gain
     assert not action.whichever
     first, second = (words for _, words in budget(verdict)["rows"])
-    assert second == f"{first}: the rest of them"
+    assert second == f"{first}: the others of its kind"
 
 
 def test_the_gain_of_one_of_several_causes_is_said_to_be_that() -> None:

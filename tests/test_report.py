@@ -343,7 +343,7 @@ def test_weak_directions_in_words() -> None:
         "apart: together they may change by 0.4 mm (one sigma), and hardly a reading changes."
     )
     assert "it may change by any amount, and no reading changes" in second
-    assert "The tolerances narrow this to 0.02 mm" in second
+    assert "The tolerances, not the readings, narrow this to 0.02 mm" in second
 
 
 @pytest.mark.parametrize(

@@ -216,8 +216,8 @@ def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
     assert text.startswith("The path of the y carriage is out of square toward z by 2.4 mrad")
     said = "Or the y rail leans toward z by 2.4 mrad (0.24 mm over 100 mm) and its carriage with"
     assert said in text
-    assert "0.043 to 0.003 mm rms. Single readings are left with 0.00" in text
-    assert "no more than the noise of the dial (0.0058 mm)" in text
+    assert "0.043 to 0.003 mm rms. Single readings have a residual of 0.0060 mm rms" in text
+    assert "consistent with the noise of the dial (0.0058 mm)" in text
     assert "No single cause explains the difference" in headline(verdict_of("unexplained"))
     partial = headline(verdict_of("partial"))
     assert "Something else is wrong as well" in partial
@@ -238,7 +238,7 @@ def test_the_list_counts_the_readings_of_the_sheet() -> None:
     assert len([s for s in result["next_measurements"] if s["readings"]]) == 2
     taken = [row for row in csv.DictReader(io.StringIO(files["next_measurements.csv"]))
              if row["kind"] != "move"]  # fmt: skip
-    assert f"a report proposes {len(taken)} readings" in result["actions"][-1]["words"]
+    assert f"the report proposes {len(taken)}" in result["actions"][-1]["words"]
 
 
 def test_numbers_are_withheld_where_the_verdict_says_not_to_act() -> None:
@@ -481,17 +481,17 @@ def test_new_zeros_and_compensated_commands_are_never_both_told() -> None:
     """Together they correct the zeros twice: whichever comes later says so, on every list."""
     verdict = verdict_of("explained")
     commands = next(a.words for a in verdict.actions if a.kind == "compensate")
-    said = "Or, as long as nothing is repaired, send compensated commands, in place of new zeros"
+    said = "Or, until something is repaired, send compensated commands instead of new zeros, never"
     assert commands.startswith(said)
     assert commands in " ".join(to_do(verdict))
     assert commands in " ".join(screen(verdict).split())
     assert commands in [a["words"] for a in json.loads(result_text(verdict))["actions"]]
     zeros, both = Action("zeros", "Enter new zeros"), Action("compensate", "Send them")
     assert [a.words for a in _one_of_two([both, zeros])] == ["Send them", "Or enter new zeros"]
-    mend = Action("mend", "Look, confirm and put right, then measure again")
+    mend = Action("mend", "Confirm the cause by its test, repair it, and measure again")
     told = [a.words for a in _one_of_two([zeros, mend, both])]
-    until = "as long as nothing is repaired, "
-    assert told == [f"A{until[1:]}enter new zeros", mend.words, f"Or, {until}send them"]
+    until = "until something is repaired, "
+    assert told == [f"U{until[1:]}enter new zeros", mend.words, f"Or, {until}send them"]
     assert _one_of_two([both]) == [both]
 
 

@@ -68,7 +68,6 @@ CASES = {
     "rig-2 and rig-3": lambda: rig(2, 3),  # causes under two names, equally likely
     "exact": exact,
 }
-THOROUGH = [pytest.param(name, marks=pytest.mark.thorough) for name in CASES if name != "delta"]
 
 
 def numbers(name: str, bits: int = 0) -> dict[str, Any]:
@@ -107,11 +106,19 @@ def same(one: dict[str, Any], other: dict[str, Any]) -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("name", ["delta", *THOROUGH])
-def test_numbers_do_not_depend_on_compiled_code(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    compiled = usual(name)
-    monkeypatch.setenv("ORTHOGLIDE_COMPILE", "0")
-    same(compiled, numbers(name))
+@pytest.mark.parametrize("otherwise", ["interpreted", "last bit", "cold cache", "threads"])
+@pytest.mark.parametrize("name", CASES)
+def test_numbers_do_not_depend_on(
+    name: str, otherwise: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A cold cache changes from interpreted to compiled code in the middle of a run."""
+    first, bits = usual(name), int(otherwise == "last bit")
+    if otherwise == "interpreted":
+        monkeypatch.setenv("ORTHOGLIDE_COMPILE", "0")
+    elif otherwise == "cold cache":
+        monkeypatch.setenv("ORTHOGLIDE_CACHE", str(tmp_path))
+    with threadpoolctl.threadpool_limits(2 if otherwise == "threads" else 1, user_api="blas"):
+        same(first, numbers(name, bits))
 
 
 @pytest.mark.thorough
@@ -122,31 +129,6 @@ def test_pages_do_not_depend_on_compiled_code(name: str, monkeypatch: pytest.Mon
     monkeypatch.setenv("ORTHOGLIDE_COMPILE", "0")
     assert page(name).split() == compiled.split()
     assert len(compiled.split()) > 500
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", ["delta", *THOROUGH])
-def test_numbers_do_not_depend_on_the_last_bit(name: str) -> None:
-    same(usual(name), numbers(name, bits=1))
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", CASES)
-def test_numbers_do_not_depend_on_the_cache(
-    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """A cold cache changes from interpreted to compiled code in the middle of a run."""
-    warm = usual(name)
-    monkeypatch.setenv("ORTHOGLIDE_CACHE", str(tmp_path))
-    same(warm, numbers(name))
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", CASES)
-def test_numbers_do_not_depend_on_threads(name: str) -> None:
-    one = usual(name)
-    with threadpoolctl.threadpool_limits(2, user_api="blas"):
-        same(one, numbers(name))
 
 
 @pytest.mark.parametrize("method", ["nlp", "nested"])

@@ -20,16 +20,15 @@ if TYPE_CHECKING:
     from orthoglide.closing.closed import Closed
     from orthoglide.planning import Suggestion
 
-_AGAIN = "numbers and commands made before {} hold no longer: take those of this result"
-_LOST = "the stated errors of the tool leave lost motion out: "
+_AGAIN = "numbers and commands made before {} are no longer valid: use those of this result"
+_LOST = "the stated errors of the tool do not include lost motion: "
 _COMPENSATED = "orthoglide compensate makes up for it"
 _DIAL_TURNS = (
     "come to one gauge block from a shorter and from a longer one: expect {} between the two "
     "readings"
 )
-_PLAIN = "for which nothing is changed on the machine"
-_INSTEAD = "in place of new zeros, never with them, for a further gain"
-_MEND = "Look, confirm and put right, then measure again"
+_INSTEAD = "instead of new zeros, never both, which gains more"
+_MEND = "Confirm the cause by its test, repair it, and measure again"
 _SCATTERS = (
     "Before more is measured, look for what is loose, or correct the noise that was declared"
 )
@@ -70,9 +69,9 @@ def _one_of_two(done: list[Action]) -> list[Action]:
         words = action.words
         if action.kind in ("zeros", "compensate"):
             if both and action.kind == "compensate":
-                words = words.replace(_PLAIN, _INSTEAD, 1)
+                words = words.replace("commands:", f"commands {_INSTEAD}:", 1)
             later = not {"zeros", "compensate", "mend"}.isdisjoint(kinds[:k])
-            if lead := ", ".join(["or"] * later + ["as long as nothing is repaired"] * mended):
+            if lead := ", ".join(["or"] * later + ["until something is repaired"] * mended):
                 lead = f"{lead[:1].upper()}{lead[1:]}{',' * mended}"
                 words = f"{lead} {words[:1].lower()}{words[1:]}"
         told.append(replace(action, words=words))
@@ -128,14 +127,14 @@ def _found(
         if kind == "confirm" or change.vague:
             yield Action("confirm", what["confirm"], options=suspects(change))
         elif abs(change.after) < abs(change.before):
-            rest = " (new zeros correct what is left of it)" * of_zero
-            words = f"Confirm what was put right{rest}; {again}"
+            rest = " (new zeros correct the remainder)" * of_zero
+            words = f"Confirm the repair{rest}; {again}"
             yield Action("confirm", words, options=suspects(change))
         else:
             gain = (math.nan, math.nan)
             gain = gain if loses(change) else gains.get(change.parameter, gain)
             by = " by the new zeros, never both" if of_zero else ""
-            words = f"Look, confirm and put back, or correct for it{by}; {again}"
+            words = f"Confirm the change, put it back, or correct for it{by}; {again}"
             yield Action(kind, words, *gain, options=suspects(change))
 
 
@@ -240,8 +239,8 @@ def _compensate(closed: Closed) -> Iterator[Action]:
     gain, sigma = closed.compensation_gain
     if worth_compensating(closed) and gain > _SURELY * sigma:
         words = (
-            f"Send compensated commands, {_PLAIN}: orthoglide compensate path.csv --machine "
-            f"calibrated.toml{closed.request.effects_option} --out commands.csv"
+            f"Send compensated commands: orthoglide compensate path.csv --machine calibrated.toml"
+            f"{closed.request.effects_option} --out commands.csv"
         )
         yield Action("compensate", words, gain, sigma)
 
@@ -272,12 +271,14 @@ def not_advised(closed: Closed) -> tuple[Withheld, ...]:
 def _measure(closed: Closed) -> tuple[bool, list[Action]]:
     """Return whether the verdict depends on further readings, and the readings that decide most."""
     if not closed.request.searches:
-        text = "Look for the cause of what is left: orthoglide close-loop takes the same files"
+        text = "Look for the cause of the residual: orthoglide close-loop takes the same files"
         return False, [Action("measure", text)] if closed.after.sigma_scale > 1 else []
     sheet = closed.next_sheet
     for one in closed.next_measurements:
         if one.aim == "narrow" and sheet is not None:
-            text = f"Measure more only to know more: a report proposes {len(sheet)} readings"
+            text = f"More readings are optional: the report proposes {len(sheet)}"
+            if closed.word == "ambiguous" and any(s.hopeless for s in closed.next_measurements):
+                text = "No more readings of this kind decide between the causes: do their tests"
             return False, [Action("measure", text)]
         if not one.hopeless:
             return True, [Action("measure", f"Measure more: {one.what or one.reason}")]

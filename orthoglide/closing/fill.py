@@ -150,8 +150,8 @@ def _floored(check: CrossCheck) -> CrossCheck:
 
 
 def _workspace(before: Estimate, known: Machine, calibrated: Machine) -> Workspace:
-    """The TCP over the workspace by the base model and by the calibrated machine; ``known`` is the
-    posterior's machine.
+    """Return the TCP over the workspace by the base model and by the calibrated machine; ``known``
+    is the posterior's machine.
     """
     base = tcp_map(known.with_posterior(before.machine.values, known.posterior))
     found, geometry = tcp_map(calibrated), known.geometry

@@ -61,8 +61,8 @@ def _left_out(
 
 
 def fits_neither(errors: TcpErrors, stated: Array, points: Points) -> str:
-    """What measured points say against a machine with and without what was found, a clause; empty
-    where they fit one of both, or where it is not known how well they are known.
+    """Return that measured points contradict the machine with and without the finding, a clause;
+    empty if they do not, or if their accuracy is unknown.
 
     Args:
         errors: best translation removed.

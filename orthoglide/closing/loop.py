@@ -47,7 +47,7 @@ _NAMED = ("adequate", "diffuse", "explained", "ambiguous")  # nothing is left bu
 
 @on_one_thread
 def close(request: Request, progress: Progress = silent) -> Closed:
-    """Do what was asked: once, or again from the request that a result keeps.
+    """Run a request: identify, search for causes, test the residual, and judge.
 
     Raises:
         InputError: where the campaigns cannot be used.
@@ -103,7 +103,7 @@ def close(request: Request, progress: Progress = silent) -> Closed:
 
 
 def _vague(read: Estimate) -> Iterator[Note]:
-    """What an earlier calibration leaves open of what was before, where it does."""
+    """Yield a note if an earlier calibration left open which parameter was wrong."""
     held = vague(read.problem.machine.spec)
     if held and read.problem.calibrated:
         yield Note(
@@ -121,8 +121,8 @@ def _searched(
     look: FullPosterior | None = None,
     unsure: Collection[Key] = (),
 ) -> tuple[FullPosterior, Outstanding, Left, Word]:
-    """Everything weighed with faulty rows set aside and what changed let change: what stands out,
-    what is left, and the verdict.
+    """Search with faulty rows excluded and changed parameters free; return the posterior, what is
+    active, the lack of fit, and the verdict.
     """
     progress(Step("testing"))
     problem = without(read.problem, blunders) if blunders else read.problem
@@ -151,19 +151,21 @@ def _searched(
 
 
 def _explains_most(known: FullPosterior) -> bool:
-    """Whether what was found leaves little of what the base model leaves beyond the noise."""
+    """Return whether the finding leaves little of the lack of fit of the base model."""
     before, after = known.before.scores, known.after.scores
     return after.chi2 - after.dof < _LITTLE * (before.chi2 - before.dof)
 
 
 def _is_far(change: Change, machine: Machine) -> bool:
-    """Whether it is by more than any change is expected to be, of what cannot just be moved."""
+    """Return whether a structural parameter changed by more than the widest change expected, which
+    no readjustment explains.
+    """
     by, most = abs(change.after - change.before), WIDTHS[-1] * machine.tolerance(change.parameter)
     return change.parameter.effect not in machine.catalogue.base and by > most
 
 
 def _identified(request: Request, progress: Progress) -> Closed:
-    """A closed loop in which no effect may be added."""
+    """Return a closed loop to which no effect may be added."""
     count = sum(map(len, request.campaigns)) + sum(map(len, request.points))
     progress(Step("identifying", f"from {count} readings"))
     estimate = identify(
@@ -209,7 +211,7 @@ def _warned(closed: Closed, note: Note) -> Closed:
 
 
 def _missing(left: Left) -> bool:
-    """Whether the list of explanations lacks one.
+    """Return whether the list of explanations lacks one.
 
     The residual is significant, or was not tested; or only a machine beyond all its tolerances, or
     more noise than the repeats show, explains it, which would explain anything.
@@ -218,7 +220,7 @@ def _missing(left: Left) -> bool:
 
 
 def _word(found: Outstanding, left: Left) -> Word:
-    """The verdict: what was found, and whether anything significant is left."""
+    """Return the verdict from what was found and whether the residual is significant."""
     significant = _missing(left)
     if not found.causes and not found.located:
         if left.base >= SIGNIFICANT:

@@ -61,7 +61,8 @@ class Circumstances:
 
 
 def cube(geometry: Geometry) -> tuple[float, float]:
-    """Ends, along every axis, of the largest cube of TCP points that the strokes reach, metres.
+    """Return the ends, along every axis, of the largest cube of TCP points that the strokes reach,
+    metres.
 
     By eq. (3) the carriage goes farthest out at ``p = (high, 0, 0)`` and farthest in at the corner
     ``low + sqrt(L^2 - 2 max(low^2, high^2)) = L + stroke_low``.

@@ -81,8 +81,6 @@ def worst_by_effect(rows: Sequence[Row]) -> tuple[Row, ...]:
     """Return for every effect the row with the largest difference, in the order of the rows.
 
     Of equal rows it is the first, as for the legs of most effects.
-
-    The first of those that are the same, as the legs of one effect mostly are.
     """
     found: dict[str, Row] = {}
     for row in rows:

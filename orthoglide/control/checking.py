@@ -22,7 +22,7 @@ _WHY = {
 
 
 def withheld(machine: Machine) -> str:
-    """Why the numbers of a machine should not be put to use, as a clause; empty where they may."""
+    """Return why the numbers of a machine should not be used, as a clause; empty if they may."""
     kept = machine.spec.provenance
     verdict = str(kept.get("verdict", ""))
     if verdict in _WHY and kept.get("command") != "identify":  # which looks for no cause
@@ -32,7 +32,7 @@ def withheld(machine: Machine) -> str:
 
 
 def not_withheld(given: MachineSource, force: bool) -> Machine:
-    """The machine, refused where the verdict says not to act on its numbers, unless forced.
+    """Return the machine, if its verdict supports its numbers or ``force`` is set.
 
     Raises:
         InputError: saying why.
@@ -66,7 +66,7 @@ class ZeroCheck:
     way: str = ""  # how drives arrive at both, where lost motion makes a difference
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON, millimetres."""
+        """Return the check for JSON, millimetres."""
         return {
             "setup": self.setup,
             "leg": self.touched,
@@ -106,7 +106,7 @@ def _signed(change: float) -> str:
 
 
 def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
-    """What a dial should read once new zeros, and nothing else, are entered.
+    """Return what a dial should read once only the new zeros are entered.
 
     Of the dials and postures of the standard protocol the one that tells a wrong sign best.
 
@@ -153,7 +153,7 @@ def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
 
 
 def _pairs(sheet: Readings, setup: int) -> list[tuple[int, int]]:
-    """First rows of a setup at Zero and at each of its other postures."""
+    """Return the first rows of a setup at Zero and at each of its other postures."""
     rows = np.flatnonzero(sheet.setup == setup)
     first = {sheet.posture[row]: int(row) for row in rows[::-1]}
     zero = first.pop("zero")
@@ -161,7 +161,7 @@ def _pairs(sheet: Readings, setup: int) -> list[tuple[int, int]]:
 
 
 def _readings(machine: Machine, sheet: Readings, by: Array) -> Array:
-    """All come to with every drive moving away from the origin."""
+    """Return the readings with every drive arriving away from the origin."""
     command = sheet.command + by
     return machine.readings(replace(sheet, command=command, approach=np.ones_like(command)))
 

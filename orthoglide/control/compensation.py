@@ -186,7 +186,7 @@ def compensate(
     resolution: float = RESOLUTION,
     force: bool = False,
 ) -> Compensation:
-    """Commands that bring the TCP to the wanted points, given all the machine's effects.
+    """Return commands that bring the TCP to the wanted points, with all errors of the machine.
 
     Points are taken in their order: lost motion depends on the direction of a drive's last move.
 
@@ -236,7 +236,7 @@ def compensate(
 
 
 def _path(points: ArrayLike) -> Array:
-    """TCP points ``(n, 3)``, metres."""
+    """Return TCP points ``(n, 3)``, metres."""
     goal = numbers("a path", points)
     if goal.ndim != 2 or goal.shape[1] != 3 or not len(goal):
         raise InputError(f"a path has the shape (n, 3), n at least 1, not {goal.shape}")
@@ -247,8 +247,8 @@ def _path(points: ArrayLike) -> Array:
 
 
 def _shape_and_place(machine: Machine, at: Conditions) -> tuple[Array, Array]:
-    """Sigmas after the best translation over the workspace ``(n, 3)``, and of that ``(3,)``; nan
-    where nothing is known of the parameters.
+    """Return sigmas after the best translation over the workspace ``(n, 3)``, and of that
+    translation ``(3,)``; nan if no parameter is known.
     """
     names, covariance = machine.posterior.names, machine.posterior.covariance
     if not names:
@@ -263,7 +263,7 @@ def _spread(slopes: Array, covariance: Array) -> Array:
 
 
 def _before(machine: Machine, start: ArrayLike | None) -> Array | None:
-    """Nominal command ``(1, 3)`` of the place before the first point, if that is known."""
+    """Return the nominal command ``(1, 3)`` of the place before the first point, if known."""
     if start is None:
         return None
     return _nominal_commands(machine, np.array([triple("start", start)]))
@@ -322,8 +322,8 @@ def _check_stroke(machine: Machine, rho: Array, slack: float = STROKE_SLACK) -> 
 
 
 def _approach(rho: Array, before: Array | None, moved: float) -> Array:
-    """How drives arrive; a lost motion made up for turns them at the first step back, however
-    short that is.
+    """Return the directions in which drives arrive; compensated lost motion turns them at the first
+    step back, however short.
     """
     whole = rho if before is None else np.concatenate([before, rho])
     found = derive_approach(whole, np.arange(len(whole)), moved=moved)
@@ -338,7 +338,7 @@ def _settled(
     conditions: dict[str, Array],
     resolution: float,
 ) -> Array:
-    """Commands, each for the side that its drive comes from as the path turns, given the nominal.
+    """Return commands, each for the side from which its drive arrives along the path.
 
     In the middle of the lost motion drives turn where the path has them turn; what is lost besides
     takes them farther the same way. One whose lost motion is negative, as a controller leaves it

@@ -35,7 +35,7 @@ class PathPoints:
 
 
 def read_path(path: str | os.PathLike[str]) -> PathPoints:
-    """A path of TCP points: columns ``p_x_mm``, ``p_y_mm``, ``p_z_mm``, rows in their order.
+    """Return a path of TCP points: columns ``p_x_mm``, ``p_y_mm``, ``p_z_mm``, rows in their order.
 
     Args:
         path: the CSV file.
@@ -53,7 +53,9 @@ def read_path(path: str | os.PathLike[str]) -> PathPoints:
 
 
 def commands_text(found: Compensation) -> str:
-    """Commands as CSV: the points, the commands, and what to expect; empty where not known."""
+    """Return commands as CSV: the points, the commands, and the expected errors; empty where
+    unknown.
+    """
     shown = []
     for name, values in found.columns.items():
         form = "+.0f" if name.startswith("approach") else "z.6f"
@@ -64,7 +66,7 @@ def commands_text(found: Compensation) -> str:
 def export_files(
     machine: MachineSource, *, zeros_only: bool = False, force: bool = False
 ) -> dict[str, str]:
-    """What other programs take of a machine, by file name.
+    """Return the files for other programs by name.
 
     Numbers for the controller, as text and as JSON, the calibrated URDF and its loop closures, our
     way and as ``robot.urdf`` with ``robot.yaml``, and the same as MJCF for MuJoCo. With

@@ -129,7 +129,7 @@ class ControllerNumbers(Framed):
         name: of the machine.
         names: of its legs.
         drives: of the three legs.
-        left_over: parameters of the machine that no such number can hold.
+        left_over: parameters of the machine that no such number can hold, largest first.
         zeros_only: zeros for a controller that takes nothing else, metres.
         checks: readings that prove the sign of each new zero.
         expected: errors of the TCP, by what is corrected.
@@ -290,7 +290,7 @@ class ControllerNumbers(Framed):
 def controller_numbers(
     machine: MachineSource, *, zeros_only: bool = False, force: bool = False
 ) -> ControllerNumbers:
-    """The corrections that a controller takes of a calibrated machine.
+    """Return the corrections that a controller takes of a calibrated machine.
 
     Scales, lost motion and lengths are as identified; where the machine has more errors than that,
     the zeros are those that leave the least shape error over the workspace beside them.
@@ -309,7 +309,8 @@ def controller_numbers(
     alone = _by_kind(machine, settings["zeros"])["zero"]
     held = _by_kind(machine, settings["zeros" if zeros_only else "numbers"])
     of = machine.catalogue.effect_of
-    left_over = [n for n, v in machine.values.items() if v and of(n).controller not in held]
+    others = [n for n, v in machine.values.items() if v and of(n).controller not in held]
+    left_over = ranked(others, lambda n: abs(machine.values[n]) / machine.tolerance(n))
     fitted = left_over or machine.geometry.layout.hanging  # which leaves the tool at its height
     best = _ZEROS if zeros_only else "these numbers" if fitted else ""
     identified = _by_kind(machine, machine.values).get("zero", np.zeros(3))
@@ -344,7 +345,9 @@ def controller_numbers(
 
 
 def _by_kind(machine: Machine, values: dict[str, float]) -> dict[str, np.ndarray]:
-    """What a controller takes of these parameters: by kind of number, for x, y, z ``(3,)``, SI."""
+    """Return the numbers that a controller takes of these parameters: by kind, for each leg
+    ``(3,)``, SI.
+    """
     found: dict[str, np.ndarray] = {}
     for name, value in values.items():
         kind = machine.catalogue.effect_of(name).controller
@@ -359,7 +362,7 @@ def _mm(metres: float) -> float:
 
 
 def _shown(metres: float) -> str:
-    """Millimetres to a micrometre; nothing is below zero that rounds to it."""
+    """Return millimetres to a micrometre as text; what rounds to zero has no sign."""
     return f"{round(metres * 1e3, 3) + 0.0:.3f}"
 
 

@@ -20,7 +20,7 @@ _LATERAL = ("lateral_b", "lateral_c")
 
 
 def calibrated_urdf(machine: MachineSource) -> str:
-    """URDF text of a calibrated machine; joints and links are those of the nominal one.
+    """Return the URDF of a calibrated machine; joints and links are those of the nominal one.
 
     Slide q is the commanded travel from mechanical zero. Offsets move the slides' origins, tilts
     their axes, bar lengths the places of the knuckles and of bar 2's tip. A prismatic axis is a
@@ -67,7 +67,7 @@ def calibrated_urdf(machine: MachineSource) -> str:
 
 
 def calibrated_mjcf(machine: MachineSource) -> str:
-    """MJCF text of a calibrated machine, for MuJoCo, its loops closed by equality constraints.
+    """Return the MJCF of a calibrated machine, its loops closed by equality constraints.
 
     Joints, sites and constraints are those of ``orthoglide.urdf.to_mjcf``: ``x_slide`` ... are
     the drives, whose position is the commanded travel, and actuators of these names hold them
@@ -87,7 +87,7 @@ def calibrated_mjcf(machine: MachineSource) -> str:
 
 
 def held_by_urdf(machine: Machine) -> dict[str, float]:
-    """Parameters of a machine that are constant geometry, SI: places and directions of joints."""
+    """Return the parameters that are constant geometry, SI: places and directions of joints."""
     of = machine.catalogue.effect_of
     return {n: v for n, v in machine.values.items() if _is_constant(of(n), machine)}
 
@@ -114,7 +114,8 @@ def _is_constant(effect: Effect, machine: Machine) -> bool:
 
 
 def _moves(machine: Machine) -> list[tuple[dict[str, float], Array]]:
-    """Of each leg: displacements of its virtual joints at mechanical zero, slopes of its path.
+    """Return for each leg displacements of its virtual joints at mechanical zero, and slopes of its
+    path.
 
     Taken from the effects themselves, so that there is one definition of each.
     """

@@ -54,8 +54,8 @@ AXIS_OFFSET = Effect(
         lambda p: f"the {p.leg} rail stands beside its place in {across(p.direction)}",
         "the rails stand beside their places",
         confirm=lambda p, v: (
-            f"measure where the {p.leg} rail stands in {across(p.direction)} against the others: "
-            f"expect it {mm(v)} toward {toward(p.direction, v)}"
+            f"measure where the {p.leg} rail stands relative to the others in "
+            f"{across(p.direction)}: expect {mm(v)} toward {toward(p.direction, v)}"
         ),
     ),
     controller="place",  # of a tower; an Orthoglide's controller knows of none

@@ -53,7 +53,7 @@ class Pattern:
 
 
 def drawn(cause: Cause) -> tuple[Explanation, ...]:
-    """Explanations of a credible set that are drawn: those whose part of the readings is known."""
+    """Return the explanations of a credible set whose predicted readings are known, to be drawn."""
     return tuple(one for one in cause.explanations if len(one.shown))
 
 
@@ -79,12 +79,12 @@ def _patterns(cause: Cause, read: ReadingsShown) -> list[Pattern]:
 
 
 def _mean(values: Array, station: NDArray[np.intp]) -> Array:
-    """By station, millimetres or milliradians."""
+    """Return means by station, millimetres or milliradians."""
     return np.asarray(np.bincount(station, values) / np.bincount(station) * 1e3)
 
 
 def _shown(patterns: list[Pattern]) -> list[Pattern]:
-    """The setups in which a cause shows most, in the order of the file."""
+    """Return the setups in which a cause shows most, in the order of the file."""
     size = np.array([np.sqrt(np.mean(p.curves[0] ** 2)) for p in patterns])
     most = set(descending(size)[:_MOST_PANELS])
     return [
@@ -93,7 +93,7 @@ def _shown(patterns: list[Pattern]) -> list[Pattern]:
 
 
 def draw_signatures(cause: Cause, read: ReadingsShown, place: int) -> Drawing:
-    """What a cause and its rivals make of the readings; its ``place`` counts from 1."""
+    """Return the figure of what a cause and its rivals predict; its ``place`` counts from 1."""
     patterns = _shown(_patterns(cause, read))
     width, height = style.PANEL[0], 2.1
     figure, corners = style.sheet(len(patterns), height, strip=0.3)
@@ -115,7 +115,7 @@ def draw_signatures(cause: Cause, read: ReadingsShown, place: int) -> Drawing:
 
 
 def _draw_pattern(axes: Axes, pattern: Pattern) -> list[Line2D]:
-    """One panel; returns a handle for each cause."""
+    """Draw one panel, and return a handle for each cause."""
     sides = pattern.sides
     handles = []
     for curve, (colour, dash, width, alpha) in zip(pattern.curves, _CURVES, strict=False):
@@ -142,7 +142,7 @@ def _draw_pattern(axes: Axes, pattern: Pattern) -> list[Line2D]:
 
 
 def draw_located(found: Located, place: int) -> Drawing:
-    """The curves of a class of places, each with its 95 % band; its ``place`` counts from 1."""
+    """Return the figure of free-form errors with their 95 % bands; its ``place`` counts from 1."""
     width, height = style.PANEL[0], 2.1
     shown = found.members[:_MOST_PANELS]
     figure, corners = style.sheet(len(shown), height)

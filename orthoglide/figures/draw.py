@@ -95,7 +95,7 @@ def _drawn(figures: _Figures, what: str) -> Drawing:
 
 
 def draw_workspace(space: Workspace, effects: bool) -> Drawing:
-    """What is wrong and what is not known on three levels of z; darker for larger.
+    """Return the figure of the TCP's error and its uncertainty at three heights; darker is larger.
 
     Args:
         space: of the result.
@@ -126,7 +126,7 @@ def draw_workspace(space: Workspace, effects: bool) -> Drawing:
 
 
 def _levels(space: Workspace) -> tuple[Array, Array]:
-    """Places ``(g, 3)`` and the lowest, middle and highest of their levels, millimetres."""
+    """Return places ``(g, 3)`` and the lowest, middle and highest of their levels, millimetres."""
     at = np.round(space.at * 1e3, 6) + 0.0
     levels = np.unique(at[:, 2])
     return at, np.unique(levels[[0, len(levels) // 2, -1]])
@@ -156,7 +156,7 @@ Cell = tuple[int, int, tuple[float, ...], str]
 def _draw_cells(
     axes: Axes, cells: Sequence[Cell], across: Sequence[str], up: Sequence[str]
 ) -> None:
-    """Coloured squares with texts, and a label for each column and row."""
+    """Draw coloured squares with texts, and a label for each column and row."""
     from matplotlib.collections import PolyCollection
 
     corners = np.array([[0.03, 0.03], [0.97, 0.03], [0.97, 0.97], [0.03, 0.97]])
@@ -178,7 +178,7 @@ def _draw_cells(
 
 
 def draw_parameters(columns: Mapping[str, Sequence[Any]], catalogue: Catalogue) -> Drawing:
-    """Values with their 95 % intervals against the tolerances, a strip an effect.
+    """Return the figure of values with 95 % intervals against tolerances, a strip for each effect.
 
     Args:
         columns: name, value, limits of the interval and tolerance of each, as a fit has them.

@@ -39,8 +39,8 @@ MOST_DRAWN = 400
 
 
 def _drawn(x: Array, left: Array) -> NDArray[np.intp]:
-    """Rows to draw ``(k,)``: all, or of many the two with the most different residuals in each part
-    of the scale.
+    """Return the rows to draw ``(k,)``: all, or of many the two extreme residuals in each part of
+    the scale.
 
     Args:
         x: where each reading is drawn ``(m,)``.
@@ -73,7 +73,7 @@ def _panels(read: ReadingsShown, before: Array) -> list[_Panel]:
 
 
 def draw_readings(read: ReadingsShown, before: Array) -> Drawing:
-    """Readings and fit by setup, with what the fit leaves of them.
+    """Return the figure of readings, fit and residuals by setup.
 
     Args:
         read: the readings.
@@ -111,7 +111,7 @@ def _by_unit(setups: Sequence[_Panel]) -> dict[str, list[_Panel]]:
 
 
 def _reach(setups: Sequence[_Panel]) -> tuple[float, float]:
-    """How far up panels go that are to be compared: readings, and what is left of them."""
+    """Return the common limits of readings and of residuals."""
     most = max(float(np.abs(np.concatenate([s.measured, s.fit, s.before])).max()) for s in setups)
     left_over = 1.2 * max(float(np.abs(s.measured - s.fit).max()) for s in setups)
     return 1.12 * most, max(left_over, 2.4 * float(max(s.sigma.max() for s in setups)))
@@ -142,7 +142,7 @@ def _draw_setup(axes: Axes, setup: _Panel) -> list[Any]:
 
 
 def _draw_left(axes: Axes, setup: _Panel) -> None:
-    """What the fit leaves of each reading, on a scale of its own."""
+    """Draw the residuals of each reading, on a scale of their own."""
     order = np.argsort(setup.x, kind="stable")
     noise = 2 * setup.sigma[order]
     axes.fill_between(setup.x[order], -noise, noise, color=style.BAND, alpha=0.35, linewidth=0)
@@ -155,7 +155,7 @@ def _draw_left(axes: Axes, setup: _Panel) -> None:
 
 
 def draw_residuals(read: ReadingsShown, before: Array, noise: ByUnit) -> Drawing:
-    """Residuals by setup, before and after.
+    """Return the figure of residuals by setup, before and after.
 
     Args:
         read: the readings.
@@ -194,7 +194,7 @@ def draw_residuals(read: ReadingsShown, before: Array, noise: ByUnit) -> Drawing
 
 
 def _draw_noise(axes: Axes, setups: Sequence[_Panel], noise: Mapping[str, float]) -> None:
-    """Two sigmas of a reading behind all setups, those of a level by themselves."""
+    """Draw two sigmas of a reading behind all setups, with those of a level on their own."""
     look: Any = {"color": style.BAND, "alpha": 0.35, "linewidth": 0}
     label = "noise, ± 2 sigma"
     if len(noise) == 1:

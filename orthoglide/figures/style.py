@@ -75,7 +75,7 @@ class Drawing:
 
 @contextmanager
 def applied() -> Iterator[None]:
-    """The look of all figures, for a while."""
+    """Apply the style of all figures within a ``with`` block."""
     import matplotlib
 
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its font cache is nobody's concern
@@ -120,27 +120,27 @@ def applied() -> Iterator[None]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure, inches."""
+    """Return an empty figure, inches."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height))
 
 
 def place_axes(figure: Figure, left: float, top: float, width: float, height: float) -> Axes:
-    """Axes at a place in inches from the top left corner."""
+    """Return axes at a place in inches from the top left corner."""
     w, h = figure.get_size_inches()
     return figure.add_axes((left / w, 1 - (top + height) / h, width / w, height / h))
 
 
 def svg_text(figure: Figure) -> str:
-    """The text of a figure's file: the same bytes for the same figure."""
+    """Return the text of a figure's file: the same bytes for the same figure."""
     stream = io.StringIO()
     figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()) + "\n"
 
 
 def few_ticks(axes: Axes, across: int = 4, up: int = 4) -> None:
-    """Round numbers, and few of them."""
+    """Set few ticks, at round numbers."""
     from matplotlib.ticker import MaxNLocator
 
     axes.xaxis.set_major_locator(MaxNLocator(across, steps=[1, 2, 2.5, 5, 10]))
@@ -166,6 +166,6 @@ def multiples(
     name: str, title: str, figure: Figure, corners: Sequence[tuple[float, float]], height: float,
     axes: int = 1,
 ) -> Drawing:  # fmt: skip
-    """A drawing whose panels a page may arrange; arguments as for :func:`sheet`."""
+    """Return a drawing whose panels a page may arrange; arguments as for :func:`sheet`."""
     places = tuple((x * POINTS, y * POINTS, PANEL[0] * POINTS, height * POINTS) for x, y in corners)
     return Drawing(name, title, svg_text(figure), places, axes)

@@ -14,6 +14,9 @@ _ACROSS = ("radial", "tangential")
 _WAYS = (("down", "downward"), ("up", "upward"))
 _HELD = ("zero", "bar_length", "place")
 _NOUNS = (
+    (r"\bjoint offset", "carriage offset"),
+    (r"\baxis offset", "tower offset"),
+    (r"\baxis tilt", "path tilt"),
     (r"\bthe (\w) rail\b", r"tower \1"),
     (r"\brail(s?)\b", r"tower\1"),
     (r"\bbar(s?)\b", r"rod\1"),

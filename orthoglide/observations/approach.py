@@ -16,7 +16,7 @@ Ints = NDArray[np.int64]
 MOVED = 1e-6
 """An axis counts as moved beyond this, in metres: sheets are rounded, encoders count microns."""
 
-SIDES_UNTOLD = "the side that places are come to from is not told (approach_* is empty)"
+SIDES_UNTOLD = "the side of approach is not recorded (approach_* is empty)"
 TELL_SIDES = "fill it in, or leave these columns out of a file that was gone through row by row"
 """What is lacking where nobody knows how a place was come to, and what to do, as clauses."""
 

@@ -13,7 +13,7 @@ from orthoglide.result import Result
 
 
 def report_files(result: Result, progress: Progress = silent) -> dict[str, str | bytes]:
-    """All files of a result's folder, by name, in the order to write them.
+    """Return all files of a result's folder by name, in the order to write them.
 
     Nothing in them depends on when or where they are made.
     """

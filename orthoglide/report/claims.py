@@ -42,7 +42,7 @@ class Claim:
 
 
 def claims(result: Result) -> list[Claim]:
-    """Causes, places and changes, each with what else it could be."""
+    """Return causes, free-form errors and changes, each with its alternatives."""
     option = itertools.count()
     found = [_of_cause(cause, option) for cause in result.effects]
     found += [_of_located(one, option) for one in result.located]
@@ -55,13 +55,15 @@ def claims(result: Result) -> list[Claim]:
 
 
 def spoken(several: Iterable[Claim]) -> str:
-    """Claims as sentences: each with the likeliest of what else it could be, and how many more."""
+    """Return claims as sentences, each with its most probable alternatives and the number of
+    others.
+    """
     told: list[str] = []
     for k, claim in enumerate(several):
         first = claim.first.brief or claim.first.words
         told.append(f"Besides, {lowered(first)}" if k else first)
         told += (
-            f"Or {lowered(one.words)[:-1]}, the same to these readings and to the tool."
+            f"Or {lowered(one.words)[:-1]}: readings and tool are the same either way."
             for one in claim.same
         )
         told += (f"Or {lowered(one.brief or one.words)}" for one in claim.rivals[:_MOST_RIVALS])
@@ -76,14 +78,14 @@ def spoken(several: Iterable[Claim]) -> str:
 
 
 def sure_words(p: float) -> str:
-    """A probability as a mechanic says it: ``97 % sure``, ``51 % likely``."""
+    """Return a probability in words: ``97 % sure``, ``51 % likely``."""
     if p >= _CERTAIN:
         return "more than 99 % sure"
     return f"{100 * p:.0f} % {'sure' if p >= _SURE else 'likely'}"
 
 
 def lowered(text: str) -> str:
-    """A sentence as it goes on after another word."""
+    """Return a sentence with a small first letter, to follow another word."""
     return text[:1].lower() + text[1:]
 
 
@@ -98,7 +100,7 @@ def _of_cause(cause: Cause, option: Iterator[int]) -> Claim:
 
 
 def _of_located(found: Located, option: Iterator[int]) -> Claim:
-    """A place, or the fault of the data that is likelier than it."""
+    """Return the claim of a free-form error, or of a data fault that is more probable."""
     every = (*_of_places(found.members, option), *_of_data(found.data))
     first, *others = ranked(every, lambda one: one.probability)
     note = ""
@@ -108,7 +110,7 @@ def _of_located(found: Located, option: Iterator[int]) -> Claim:
 
 
 def _of_places(curves: Iterable[Curve], option: Iterator[int]) -> tuple[Statement, ...]:
-    """Each place once, however many functions describe it: with the probability of them all."""
+    """Return each place once, with the summed probability of the functions that describe it."""
     once: dict[str, tuple[Curve, float, int]] = {}
     for curve in curves:
         number = next(option)
@@ -121,7 +123,7 @@ def _of_places(curves: Iterable[Curve], option: Iterator[int]) -> tuple[Statemen
 
 
 def _of_data(several: Iterable[DataRival]) -> Iterator[Statement]:
-    """Faults of the data, of which the drawing shows none."""
+    """Yield data faults, which the drawing does not show."""
     for d in several:
         yield Statement(
             sentence(d.words),

@@ -13,7 +13,7 @@ _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 
 
 def whole(drawing: Drawing) -> str:
-    """A drawing as one inline ``<svg>``."""
+    """Return a drawing as one inline ``<svg>``."""
     root = _prepared(drawing)
     _, _, width, height = (float(v) for v in root.get("viewBox", "").split())
     body = [child for child in root if _tag(child) in ("g", "defs")]
@@ -21,7 +21,7 @@ def whole(drawing: Drawing) -> str:
 
 
 def panels(drawing: Drawing) -> list[str]:
-    """Each panel of a drawing as an inline ``<svg>`` of its own, so that a page can arrange them.
+    """Return each panel of a drawing as an inline ``<svg>``, so that a page can arrange them.
 
     Marks that several panels share are defined in the first, to which the others refer.
     """
@@ -37,7 +37,7 @@ def panels(drawing: Drawing) -> list[str]:
 
 
 def _prepared(drawing: Drawing) -> ET.Element:
-    """The parsed file without what a page has itself; only ids that are referred to remain."""
+    """Return the parsed file without what a page has itself; only ids that are used remain."""
     root = ET.fromstring(re.sub(r"<!DOCTYPE[^>]*>", "", drawing.svg))
     for child in list(root):
         if _tag(child) == "metadata" or child.find(f"{{{_SVG}}}style") is not None:
@@ -88,7 +88,7 @@ def _inline(body: list[ET.Element], box: tuple[float, float, float, float], titl
 
 
 def _without_namespace(element: ET.Element) -> ET.Element:
-    """Inside HTML the parser knows SVG's elements by their place: no addresses are needed."""
+    """Return a copy without namespaces: inside HTML the parser knows the elements of SVG."""
     copy = ET.Element(_tag(element), dict(element.attrib))
     copy.text = (element.text or "").strip() or None
     copy.extend(_without_namespace(child) for child in element)

@@ -90,7 +90,7 @@ def write_folder(
 
 
 def _put(made: Path, target: Path, overwrite: bool) -> None:
-    """Rename a folder to one that may stand already, which is gone only once that is done.
+    """Rename a folder to a name that may exist; the earlier folder is removed only afterwards.
 
     What another process put there a moment ago is not replaced: the system refuses to.
     """

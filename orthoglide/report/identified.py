@@ -25,7 +25,7 @@ def identified_words(result: Result) -> str:
 
 
 def _found(result: Result) -> str:
-    """The values, as the subject of the sentence."""
+    """Return the identified values as the subject of the sentence."""
     catalogue = result.catalogue
     names = [catalogue.parameter(name) for name in result.identified]
     parts = [text for effect in catalogue.base for text in _by_leg(result, names, effect)]
@@ -40,7 +40,7 @@ def _found(result: Result) -> str:
 
 
 def _gain(result: Result) -> str:
-    """What the fit does to the deviations."""
+    """Return what the fit does to the deviations, a predicate."""
     parts, last = [], ""
     before, after = result.nominal.reported.shown, result.after.scores.reported.shown
     for unit, now in after.items():
@@ -52,26 +52,24 @@ def _gain(result: Result) -> str:
 
 
 def _rest(result: Result) -> str:
-    """What remains, against the noise."""
+    """Return the residual compared with the noise, in sentences."""
     noise, fit = result.noise.single_reading.said(), result.after
     if fit.scores.dof <= 0:
         return "No reading is left over to judge the fit by."
     if fit.sigma_scale > 1:
         return (
-            f"What is left is {fit.sigma_scale:.2g} times the noise of a reading ({noise}). The "
+            f"The residual is {fit.sigma_scale:.2g} times the noise of a reading ({noise}). The "
             f"machine, or the measurement, has an error that {effects_named(result)} cannot "
             f"explain."
         )
     return (
-        f"What is left is no more than the noise of a reading ({noise}): these readings show no "
+        f"The residual is no more than the noise of a reading ({noise}): these readings show no "
         f"further error."
     )
 
 
 def effects_named(result: Result) -> str:
-    """The effects that were free at first, in the plural; all of them where they were calibrated
-    before.
-    """
+    """Return the effects of the base model in the plural, or that they were calibrated before."""
     if result.calibrated_before:
         return "errors calibrated before"
     of = result.catalogue.effect_of
@@ -81,7 +79,7 @@ def effects_named(result: Result) -> str:
 
 
 def _by_leg(result: Result, every: Sequence[Parameter], effect: str) -> list[str]:
-    """One phrase an effect and campaign: ``joint offsets x -0.51, y +0.56 mm``."""
+    """Return a phrase for each campaign: ``joint offsets x -0.51, y +0.56 mm``."""
     groups: dict[str, list[Parameter]] = {}
     for name in every:
         if name.effect == effect:
@@ -100,7 +98,7 @@ def _by_leg(result: Result, every: Sequence[Parameter], effect: str) -> list[str
 
 
 def _near_nominal(result: Result, names: Sequence[Parameter]) -> str:
-    """What is said of lengths that are off by no more than the noise of a reading; else empty.
+    """Return a phrase for lengths that differ from nominal by no more than the noise; else empty.
 
     They are nominal to that noise only where the readings know them as well as that.
     """
@@ -124,7 +122,7 @@ def _value(result: Result, name: Parameter, with_unit: bool = True) -> str:
 
 
 def weak_sentences(weak: Iterable[WeakDirection], catalogue: Catalogue = CATALOGUE) -> list[str]:
-    """Weak directions for somebody who never saw an eigenvector; similar ones in one sentence."""
+    """Return weak directions in sentences; similar ones share a sentence."""
     every = list(weak)
     legs = [_offset_and_length(w, catalogue) for w in every]
     similar = [w for w, leg in zip(every, legs, strict=True) if leg]
@@ -135,7 +133,7 @@ def weak_sentences(weak: Iterable[WeakDirection], catalogue: Catalogue = CATALOG
 
 
 def _offset_and_length(weak: WeakDirection, catalogue: Catalogue) -> str:
-    """The leg (and campaign) whose offset and length change together; empty for anything else."""
+    """Return the leg (and campaign) whose offset and length change together; empty for others."""
     names = [catalogue.parameter(name) for name in weak.parameters]
     same = len({(n.leg, n.campaign) for n in names}) == 1 and bool(names[0].leg)
     both = {n.effect for n in names} == set(catalogue.base) and len(names) == 2
@@ -172,7 +170,5 @@ def _general(weak: WeakDirection, catalogue: Catalogue) -> str:
 def _narrowed(weak: WeakDirection) -> str:
     if not weak.sigma_with_priors < 0.5 * weak.sigma:
         return ""
-    return (
-        f" The tolerances narrow this to {compact(weak.sigma_with_priors, 2)} {weak.unit}: that is "
-        f"knowledge of how the machine was built, not of what was measured."
-    )
+    size = f"{compact(weak.sigma_with_priors, 2)} {weak.unit}"
+    return f" The tolerances, not the readings, narrow this to {size}."

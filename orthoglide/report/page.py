@@ -50,8 +50,8 @@ class Section:
 
 
 def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
-    """The report as HTML; ``sheet`` is the text of ``next_measurements.csv``, empty where nothing
-    is proposed.
+    """Return the report as HTML; ``sheet`` is the text of ``next_measurements.csv``, empty if
+    nothing is proposed.
     """
     searches = result.searches
     return rendered(
@@ -84,7 +84,7 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
         yield Section("located", "Where it is", sections.located(result, figures))
     if result.effects:
         apart = sections.apart(result, figures)
-        yield Section("apart", "What each cause makes of the readings", apart)
+        yield Section("apart", "What each cause predicts", apart)
     if searches:
         yield Section("next", "What to measure next", sections.following(result, sheet))
     if result.budget:
@@ -143,7 +143,7 @@ class Tile:
 
 
 def finding(result: Result) -> Data:
-    """The verdict, how sure it is, the tool's error, what to do, and what speaks against it."""
+    """Return the data of the first screen: verdict, claims, tool errors, actions, and cautions."""
     after, searches = result.after, result.searches
     lacking = not searches and after.sigma_scale > 1
     return {
@@ -172,8 +172,8 @@ def finding(result: Result) -> Data:
 
 
 def tiles(result: Result) -> list[Tile]:
-    """The tool's mean error over the workspace, now and after each correction that changes it; of a
-    printer its height over the plate, which is all that its numbers are for.
+    """Return the tool's mean error now and after each correction; of a printer the residual of its
+    firmware's equations.
     """
     if result.firmware is not None and (found := result.firmware.corrections) is not None:
         told = [
@@ -214,7 +214,7 @@ def rendered(template: str, **data: Any) -> str:
 
 @cache
 def _environment() -> Environment:
-    """Where templates are found, each compiled once."""
+    """Return the environment of the templates, each compiled once."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(

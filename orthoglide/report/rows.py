@@ -29,7 +29,7 @@ class ParameterRow:
 
 
 def parameter_rows(result: Result) -> list[ParameterRow]:
-    """One row an unknown."""
+    """Return a row for each identified parameter."""
     rows = []
     for name, one in result.identified.items():
         places = decimals_for(one.sigma, most=9)
@@ -65,13 +65,13 @@ _ALIGNMENTS = {
 }
 
 
-POSSIBLE = ("probability", "if it were so", "fit, rms", "stations left out, rms")
+POSSIBLE = ("probability", "possible cause", "residual, rms", "stations left out, rms")
 """Titles of the rows by :func:`possible_rows`."""
 
 
 def possible_rows(result: Result) -> list[tuple[str, str, str, str]]:
-    """The most probable causes of what nothing explains, with the error before and after in the fit
-    and in stations left out.
+    """Return the most probable causes where nothing was found, with the errors of fit and of
+    stations left out before and after.
     """
     before, rows = result.before.scores, []
     deviations = math.isfinite(before.deviation_rms)
@@ -88,7 +88,7 @@ def possible_rows(result: Result) -> list[tuple[str, str, str, str]]:
 
 
 def if_it_were_so(result: Result) -> list[str]:
-    """The most probable causes of what nothing explains, a sentence each with both errors."""
+    """Return the most probable causes where nothing was found, a sentence each."""
     what = "averaged readings" if math.isfinite(result.before.scores.deviation_rms) else "residuals"
     return [
         f"{words} (probability {chance}): {what} {fit}, stations left out {left_out} rms."
@@ -97,12 +97,12 @@ def if_it_were_so(result: Result) -> list[str]:
 
 
 def weighed(result: Result) -> list[CandidateScore]:
-    """Causes and places that came near to being found; two decimals show nothing of the others."""
+    """Return candidates whose probability two decimals show."""
     return [one for one in result.candidates if one.probability >= _SHOWN]
 
 
 def score_rows(result: Result) -> list[ScoreRow]:
-    """Figures of the nominal machine, the base model and the final one."""
+    """Return figures of the nominal machine, the base model and the final model."""
     stages = (result.nominal, result.before.scores, result.after.scores)
     rows = [
         ScoreRow(f"{what}, {unit}", *millimetres([getattr(s, name) for s in stages]))
@@ -134,7 +134,7 @@ def score_rows(result: Result) -> list[ScoreRow]:
         ScoreRow("chi²", *(f"{s.chi2:.1f}" for s in stages)),
         ScoreRow("degrees of freedom", *(compact(s.dof, 4) for s in stages)),
         ScoreRow(
-            "probability of what is left by noise alone",
+            "probability that noise alone leaves as much",
             *(probability(s.lack_of_fit_p) if s.dof >= _LEFT_OVER else "–" for s in stages),
         ),
     ]
@@ -142,8 +142,8 @@ def score_rows(result: Result) -> list[ScoreRow]:
 
 
 def millimetres(metres: Sequence[float]) -> list[str]:
-    """Lengths in millimetres, or turns in milliradians, with as many decimals as the smallest is
-    worth; a dash where there is none.
+    """Return lengths in millimetres (or angles in milliradians) as text, with the decimals that the
+    smallest is worth; a dash for nan.
     """
     known = [v for v in metres if math.isfinite(v)]
     places = max(decimals_for(min(known, default=0.0) * 1e3, 4), 3)

@@ -39,7 +39,7 @@ Data = dict[str, Any]
 Figures = Mapping[str, Drawing]
 
 _MOST_ITEMS = 12
-_LEAST = 1e-6  # metres: an item of the budget that makes less of the tool's error is not shown
+_LEAST = 0.01  # of the tool's error: an item of the budget that gains less is not shown
 _MOST_SHAPES = 5  # known causes named as ruled out
 
 _FAULTS = {
@@ -60,12 +60,12 @@ _FAULTS = {
 
 
 def faults(result: Result) -> Data:
-    """Faults of the data, each with and without."""
+    """Return the data faults with residuals with and without each."""
     return {"rows": [(_FAULTS[b.kind], b) for b in result.blunders]}
 
 
 def left(result: Result) -> Data:
-    """Residuals of every mounting."""
+    """Return residuals of every mounting, and the most probable causes if nothing was found."""
     return {
         "rows": [(rest, _most(rest)) for rest in result.left.mountings],
         "titles": POSSIBLE,
@@ -81,7 +81,7 @@ def _most(rest: SetupResidual) -> str:
 
 
 def judged(result: Result, figures: Figures) -> Data:
-    """Figures of merit of the nominal machine, before and after."""
+    """Return figures of merit of the nominal machine, before and after."""
     inside = result.tcp["translation"].inside if result.tcp else math.nan
     return {
         "rows": score_rows(result),
@@ -93,7 +93,7 @@ def judged(result: Result, figures: Figures) -> Data:
 
 
 def causes(result: Result) -> Data:
-    """Causes and places that were weighed, and how sure they are."""
+    """Return the candidates and how probable they are."""
     near = weighed(result)
     return {
         "added": {c.name for c in result.effects} | {f.name for f in result.located},
@@ -103,7 +103,7 @@ def causes(result: Result) -> Data:
 
 
 def located(result: Result, figures: Figures) -> Data:
-    """Places without a name: the curve found, what else it could be, what it resembles."""
+    """Return free-form errors with their curves and the causes that they resemble."""
     places = [
         (one.words, one, panels(figures[f"located-{k}"]))
         for k, one in enumerate(result.located, start=1)
@@ -112,13 +112,13 @@ def located(result: Result, figures: Figures) -> Data:
 
 
 def budget(result: Result) -> Data:
-    """What is wrong by what mending it gains."""
+    """Return the error budget, the largest gain by a repair first."""
     several = {c.name for c in result.effects if len(c.explanations) > 1}
     classes = [one for one in result.located if len(one.members) > 1]
     several |= {one.in_budget for one in classes}
     named = {item.cause for item in result.budget if not item.rest}
-    sizes = ((item, max(item.tcp_mean, abs(item.gain))) for item in result.budget)
-    shown = [item for item, size in sizes if size >= _LEAST or not item.rest][:_MOST_ITEMS]
+    shown = [item for item in result.budget if item.share >= _LEAST or not item.rest]
+    shown = shown[:_MOST_ITEMS]
     return {
         "rows": [(item, item.words + _counted(item, named, several)) for item in shown],
         "others": len(result.budget) - len(shown),
@@ -126,23 +126,21 @@ def budget(result: Result) -> Data:
 
 
 def _counted(item: BudgetItem, named: Collection[str], several: Collection[str]) -> str:
-    """What else a row counts than its name says, behind it; of the causes and places that are
-    ``named`` the readings cannot tell which of ``several`` it is.
-    """
+    """Return what a row of the budget contains besides its name, behind the name."""
     if item.rest:
-        return ": the rest of them" if item.cause in named else ""
-    return ", or what these readings cannot tell from it" if item.cause in several else ""
+        return ": the others of its kind" if item.cause in named else ""
+    return ", or a cause that these readings cannot tell from it" if item.cause in several else ""
 
 
 def apart(result: Result, figures: Figures) -> Data:
-    """What each cause makes of the readings, rivals overlaid."""
+    """Return what each cause and its rivals predict of the readings."""
     every = enumerate(result.effects, start=1)
     causes = [(c.name, drawn(c), c.others, panels(figures[f"signatures-{k}"])) for k, c in every]
     return {"causes": causes}
 
 
 def readings(result: Result, figures: Figures) -> Data:
-    """Readings and fit, setup by setup."""
+    """Return readings and fit, setup by setup."""
     most = max(len(one.rows) for one in result.readings.mountings)
     thinned = MOST_DRAWN if most > MOST_DRAWN else 0
     return {"panels": panels(figures["readings"]), "thinned": thinned}
@@ -152,7 +150,7 @@ _WHY = "What speaks against acting on them is said at the top."
 
 
 def controller(result: Result) -> Data:
-    """Numbers for the controller; withheld where the verdict says not to act on them."""
+    """Return numbers for the controller; withheld where the verdict does not support them."""
     spec, numbers, why = result.machine.spec, result.numbers, withheld(result.machine)
     effects = result.catalogue
     zeros = any(effects.effect_of(name).controller == "zero" for name in spec.parameters)
@@ -169,15 +167,14 @@ def controller(result: Result) -> Data:
 
 
 def too_early(result: Result) -> tuple[str, str]:
-    """What to do in place of entering numbers, and why, each a clause; empty where they may be."""
+    """Return what to do instead of entering numbers, and why, a clause each; empty if they may be
+    entered.
+    """
     early = "Do not enter these numbers yet"
     if not result.stands:
-        return early, (
-            "the verdict says that something is left that nothing explains, and they would be bent "
-            "by it"
-        )
+        return early, "a residual remains that nothing explains, and it would distort them"
     if result.cautions:
-        return early, "the verdict warns of what would bend them"
+        return early, "the verdict warns of what would distort them"
     found = result.firmware.corrections if result.firmware else None
     if found is None or not found.keep:
         return "", ""
@@ -186,24 +183,27 @@ def too_early(result: Result) -> tuple[str, str]:
 
 
 def firmware(result: Result) -> Data:
-    """Numbers for a firmware, old and new, and what it cannot hold."""
+    """Return numbers for a firmware, old and new, and what its model cannot hold."""
     return {"early": too_early(result)}
 
 
 _AIMS = {
-    "separate": "To tell apart what these readings cannot",
-    "narrow": "To narrow what is hardly seen",
-    "trace": "To follow what nothing explains",
+    "separate": "To decide between causes",
+    "narrow": "To determine weakly seen values better",
+    "trace": "To trace the residual",
 }
 _MINUS = re.compile(r"(?<=\s)-(?=\d)")
 
 
 def following(result: Result, sheet: str) -> Data:
-    """What to measure next, with the sheet as a link."""
-    suggested = result.next_measurements
+    """Return what to measure next, with the sheet as a link."""
+    suggested, by_aim = result.next_measurements, dict[str, list[str]]()
+    for one in suggested:
+        if one.readings:
+            by_aim.setdefault(_AIMS[one.aim], []).append(_reason(one.reason))
     data = base64.b64encode(sheet.encode()).decode()
     return {
-        "suggestions": [(_AIMS[s.aim], _reason(s.reason)) for s in suggested if s.readings],
+        "suggestions": by_aim,
         "others": [_reason(s.reason) for s in suggested if s.other_instrument and not s.hopeless],
         "hopeless": [_reason(s.reason) for s in suggested if s.hopeless],
         "link": f"data:text/csv;charset=utf-8;base64,{data}" if sheet else "",
@@ -215,13 +215,13 @@ def _reason(text: str) -> str:
 
 
 def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
-    """How far the TCP is off over the workspace, and how well that is known."""
+    """Return the TCP's error over the workspace and its uncertainty."""
     every = panels(figures["workspace"])
     rows = [
-        ("predicted error of a controller that knows of no error", space.nominal),
-        ("predicted error with offsets and lengths set right", space.before),
-        ("95 % radius about that, everything else allowed", space.sure_before),
-        ("95 % radius with all that was found put in, everything else allowed", space.sure),
+        ("predicted error without corrections", space.nominal),
+        ("predicted error with offsets and lengths corrected", space.before),
+        ("95 % radius of that", space.sure_before),
+        ("95 % radius with everything found corrected", space.sure),
     ]
     if not result.improved:  # then the base model is all that was found
         del rows[1:3]
@@ -232,7 +232,7 @@ def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
 
 
 def values(result: Result, figures: Figures) -> Data:
-    """What was identified, with both kinds of sigma."""
+    """Return the identified values with their sigmas."""
     fit, of = result.after, result.catalogue.effect_of
     freed = {of(n).name for n in result.shown}
     held = (of(n).name for n, value in result.machine.values.items() if value)
@@ -248,7 +248,7 @@ def values(result: Result, figures: Figures) -> Data:
 
 
 def unseen(result: Result) -> Data:
-    """What the readings cannot tell apart, and what they would not show."""
+    """Return what the readings cannot distinguish, and what they cannot detect."""
     return {
         "sentences": weak_sentences(result.weak, result.catalogue),
         "effects": unshown_effects(result),
@@ -282,7 +282,7 @@ _SOURCES = {
 
 
 def method(result: Result) -> Data:
-    """How it was computed, from which files, and how to do it again."""
+    """Return how the result was computed, from which files, and how to repeat it."""
     setups = result.request.setups
     return {
         "base": effects_named(result),
@@ -297,7 +297,7 @@ def method(result: Result) -> Data:
 
 
 def _of_setups(setups: Sequence[Setup], spec: MachineFile) -> Iterator[str]:
-    """What was fitted with every setup, in sentences."""
+    """Yield what was fitted with every setup, a sentence each."""
     if any(s.observation.from_datum for s in setups):
         placement = compact(spec.dial.placement * 1e3, 2)
         yield (

@@ -17,8 +17,8 @@ from orthoglide.scene import drawing
 
 
 def sheet_page(sheet: Readings, machine: Machine, file: str) -> str:
-    """A measuring sheet, whose moves are planned, as HTML, to be printed and filled in with a
-    pencil; ``file`` is the name of the CSV with the same rows.
+    """Return a measuring sheet as HTML, to be printed and filled in; ``file`` is the name of the
+    CSV with the same rows.
     """
     return rendered(
         "sheet.html.j2",
@@ -33,7 +33,7 @@ def sheet_page(sheet: Readings, machine: Machine, file: str) -> str:
 
 
 def counted(machine: Machine) -> str:
-    """What the commands of a sheet count, a sentence."""
+    """Return how the commands of a sheet are counted, a sentence."""
     if machine.spec.controller != Controller():
         return "Positions are millimetres as the controller shows them."
     zero = f"{machine.geometry.L * 1e3:g}"
@@ -44,7 +44,7 @@ def counted(machine: Machine) -> str:
 
 
 def dial_words(setup: Setup, machine: Machine, otherwise: str) -> tuple[str, ...]:
-    """Where a dial stands, what it touches and which way it counts, and what to do otherwise; a
+    """Return where a dial stands, what it touches, which way it counts, and what to do otherwise, a
     sentence each.
     """
     names, L = machine.geometry.leg_names, machine.geometry.L
@@ -76,7 +76,7 @@ def dial_words(setup: Setup, machine: Machine, otherwise: str) -> tuple[str, ...
 
 
 def _pages(sheet: Readings, machine: Machine) -> Iterator[dict[str, Any]]:
-    """One mounting each: the dials that are read together, where they stand, and where to go."""
+    """Yield the data of one page for each mounting."""
     rows = campaign_rows(sheet, machine.spec)
     commands = command_columns(rows[0])
     together = mounted_together(rows)
@@ -99,7 +99,7 @@ def _pages(sheet: Readings, machine: Machine) -> Iterator[dict[str, Any]]:
 
 
 def mounted_together(rows: list[Row]) -> dict[str, tuple[str, ...]]:
-    """Setups that are read at one visit, by each of them, in the order they are read."""
+    """Return by setup the names of the setups that are read at one visit, in their order."""
     commands = command_columns(rows[0])
     found: dict[str, tuple[str, ...]] = {}
     for visit in _visits(rows, commands):
@@ -110,7 +110,7 @@ def mounted_together(rows: list[Row]) -> dict[str, tuple[str, ...]]:
 
 
 def _visits(rows: list[Row], commands: list[str]) -> Iterator[list[Row]]:
-    """Consecutive rows of one command, no setup twice."""
+    """Yield consecutive rows of one command, each setup at most once."""
     visit: list[Row] = []
     for row in rows:
         same = visit and [row[c] for c in commands] == [visit[0][c] for c in commands]
@@ -129,7 +129,7 @@ def _is_move(row: Row) -> bool:
 def _steps(
     lines: list[tuple[int, Row]], names: tuple[str, ...], commands: list[str]
 ) -> Iterator[dict[str, Any]]:
-    """Places to go to, with the lines of the CSV and for each dial whether it is read there."""
+    """Yield the commands with the lines of the CSV, and which dials are read there."""
     numbers = iter(number for number, _ in lines)
     for visit in _visits([row for _, row in lines], commands):
         first = visit[0]

@@ -27,7 +27,7 @@ _IN_MM, _IN_MRAD = (tuple(name.format(unit) for name in _FIGURES) for unit in ("
 
 
 def calibrated_machine(result: Result) -> MachineFile:
-    """The machine file to go on with, with where its numbers come from."""
+    """Return the calibrated machine file with the provenance of its numbers."""
     request, spec = result.request, result.machine.spec
     given, read = request.machine.spec, [i for i in request.inputs if "role" not in i]
     machine = {"file": Path(given.file).name, "sha256": given.sha256}
@@ -44,7 +44,7 @@ def calibrated_machine(result: Result) -> MachineFile:
 
 
 def residual_table(result: Result) -> str:
-    """The text of ``residuals.csv``: nominal, before and after; faulty rows last, set aside.
+    """Return the text of ``residuals.csv``: nominal, before and after; excluded rows last.
 
     Figures of inclinations have columns of their own, where any were read.
     """
@@ -102,7 +102,9 @@ def _cells(read: Readings, row: int, name: str, direction: str, both: bool) -> l
 
 
 def _mm(metres: float) -> str:
-    """Millimetres to a nanometre, milliradians to a nanoradian: further digits are rounding."""
+    """Return millimetres to a nanometre, or milliradians to a nanoradian; further digits are
+    rounding.
+    """
     return f"{metres * 1e3:z.6f}"
 
 

@@ -32,8 +32,8 @@ _MOST = 3  # of what may be looked at
 
 
 def summary(result: Result, ranked: bool = False, said: str = "") -> str:
-    """What a person wants to see at the end of a run, ``ranked`` with all causes tried; without
-    warnings of a kind that was ``said`` before.
+    """Return the result for the terminal; with all candidates if ``ranked``, and without warnings
+    of a kind that was ``said``.
     """
     from rich.text import Text
 
@@ -52,7 +52,7 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
     parts += _zeros(result)
     if result.firmware is not None and result.firmware.corrections is not None:
         found = result.firmware.corrections
-        of, last = "left by the firmware's equations, rms, mm", "tried" if found.keep else "new"
+        of, last = "residual of the firmware's equations, rms, mm", "tried" if found.keep else "new"
         if not found.keep:
             parts += table((found.file, "old", last), found.rows)
         parts += table((of, "old", last), found.left)
@@ -64,13 +64,14 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
 
 
 def _zeros(result: Result) -> Iterator[Text | Table]:
-    """New zeros with one of them worked and one checked, where they are to be entered."""
+    """Yield the new zeros with one worked example and one check, if they are to be entered."""
     from rich.text import Text
 
     if result.firmware is not None or all(one.kind != "zeros" for one in result.actions):
         return
     numbers = result.numbers
-    yield from table((f"zeros, mm: {numbers.zeros.titles[0]}", "old", "new"), numbers.zeros.rows)
+    axis, *old_and_new = numbers.zeros.titles
+    yield from table((axis, *(f"{title}, mm" for title in old_and_new)), numbers.zeros.rows)
     how, readings = numbers.check
     yield from map(Text, filter(None, (numbers.worked, how)))
     yield from (
@@ -80,7 +81,7 @@ def _zeros(result: Result) -> Iterator[Text | Table]:
 
 
 def to_do(result: Result) -> Iterator[str]:
-    """What to do, a line each, with what to look at below."""
+    """Yield the actions, a line each, with the parts to look at below."""
     for k, action in enumerate(result.actions, start=1):
         yield f"{k}. {sentence(action.words)[:-1]}{_gain(action)}."
         told = [(f"{one.words}: look at {one.look_at}", one.confirm) for one in action.options]
@@ -89,7 +90,7 @@ def to_do(result: Result) -> Iterator[str]:
 
 
 def _first(lines: Sequence[str], rest: str) -> Iterator[str]:
-    """As many as people read here, and in words how many others there are."""
+    """Yield the first lines, and the number of the others in words."""
     count = len(lines) if len(lines) <= _MOST + 1 else _MOST
     yield from (f"   - {line}" for line in lines[:count])
     if lines[count:]:
@@ -97,7 +98,7 @@ def _first(lines: Sequence[str], rest: str) -> Iterator[str]:
 
 
 def _gain(action: Action) -> str:
-    """What it gains, in brackets; empty where nothing."""
+    """Return the gain of an action in brackets; empty if there is none."""
     if not action.gain > 0:
         return ""
     gain, mean = gain_words(action)
@@ -105,7 +106,7 @@ def _gain(action: Action) -> str:
 
 
 def console_text(parts: Iterable[RenderableType]) -> str:
-    """Parts one below the other, as wide as the terminal."""
+    """Return the parts one below the other, as wide as the terminal."""
     from rich.console import Console
 
     stream = io.StringIO()
@@ -123,7 +124,7 @@ def _width() -> int:
 
 
 def _tables(result: Result, ranked: bool) -> Iterator[Table]:
-    """What was found, and what was weighed; an empty table is none."""
+    """Yield the tables of causes, candidates, parameters and scores that are not empty."""
     yield from table(("probability", "cause"), _found(result))
     alone = ((hundredths(one.probability), one.words) for one in result.alone)
     yield from table(("probability", "if one alone"), alone)
@@ -159,7 +160,7 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Tab
         widths[slack.index(max(slack))] -= 1
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for k, title in enumerate(columns):
-        left = k == 0 or title in ("cause", "if one alone", "if it were so", "considered")
+        left = k == 0 or title in ("cause", "if one alone", "possible cause", "considered")
         made.add_column(
             title, justify="left" if left else "right", width=widths[k], overflow="fold"
         )
@@ -169,7 +170,7 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Tab
 
 
 def _found(result: Result) -> Iterator[tuple[str, str]]:
-    """Causes and places found, each with what else it could be, most probable first."""
+    """Yield the causes and free-form errors with their alternatives, most probable first."""
     for claim in claims(result)[: len(result.effects) + len(result.located)]:
         same = "".join(f"\nor {lowered(one.words)}" for one in claim.same)
         yield hundredths(claim.first.probability), f"{claim.first.words}{same}"

@@ -9,7 +9,7 @@ from orthoglide.effects.wording import cause_short
 from orthoglide.effects.words import toward
 from orthoglide.geometry import LEGS
 from orthoglide.notes import Note
-from orthoglide.numerals import compact, probability, told_apart, with_sigma
+from orthoglide.numerals import ByUnit, compact, probability, told_apart, with_sigma
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 from orthoglide.report.claims import BESIDES, claims, spoken
 from orthoglide.report.identified import effects_named, identified_words
@@ -49,7 +49,9 @@ WHICHEVER, PLATE = "on average, whichever of these it is", "on average, nothing 
 
 
 def headline(result: Result) -> str:
-    """The result in a few sentences: what must be known first, what is wrong, and by what."""
+    """Return the result in a few sentences: what must be known first, the finding, and its
+    evidence.
+    """
     if not result.searches:
         return claim(result)
     first = "" if result.firmware is None else result.firmware.first
@@ -58,13 +60,13 @@ def headline(result: Result) -> str:
 
 
 def claim(result: Result) -> str:
-    """What is wrong, for somebody with a spanner in hand."""
+    """Return what is wrong with the machine, in sentences."""
     changed, more = _changed(result.moved), standing(result)
     return " ".join(text for text in ((more, changed) if result.found else (changed, more)) if text)
 
 
 def standing(result: Result) -> str:
-    """What is wrong but for what changed."""
+    """Return what is wrong apart from changes between files, in sentences."""
     if not result.searches:
         return identified_words(result)
     if result.found:
@@ -95,7 +97,7 @@ def standing(result: Result) -> str:
 
 
 def _to_enter(result: Result) -> str:
-    """What the numbers of a controller or a firmware are off by, where that is what is wrong."""
+    """Return the sentence that zeros or firmware numbers are off, if that is the finding."""
     of_base = [a for a in result.actions if a.kind == "zeros"]
     if result.nominal.rms < _MATTERS * result.before.scores.rms or not of_base:
         return ""
@@ -105,13 +107,13 @@ def _to_enter(result: Result) -> str:
 
 
 def evidence(result: Result) -> str:
-    """What speaks for the claim of a closed loop, and what had to be dealt with first."""
+    """Return the evidence for the claim of a closed loop, and the data faults, in sentences."""
     changed = _changed([c for c in result.changed if c not in result.moved])
     return " ".join(text for text in (_weighed(result), dealt_with(result), changed) if text)
 
 
 def _changed(changes: Iterable[Change]) -> str:
-    """A sentence for each pair of files."""
+    """Return a sentence for each pair of files between which parameters changed."""
     between: dict[str, list[str]] = {}
     for change in changes:
         between.setdefault(change.when, []).append(change.what)
@@ -152,21 +154,29 @@ def _weighed(result: Result) -> str:
 def _against_noise(result: Result) -> str:
     """Whether what is left is the noise: the end of a sentence."""
     of, left = "the readings" if result.request.points else "the dial", ""
-    if math.isfinite(result.after.scores.deviation_rms):  # which is no figure of single readings
-        left = f". Single readings are left with {result.after.scores.left.said()} rms"
-    what = f"the noise of {of} ({result.noise.single_reading.said()})"
+    noise, after = result.noise.single_reading, result.after.scores
+    if math.isfinite(after.deviation_rms):  # which is no figure of single readings
+        left = f". Single readings have a residual of {_beside(after.left, noise)[0]} rms"
+    what = f"the noise of {of} ({_beside(after.left, noise)[1]})"
     if any(w.kind == "side" for w in result.warnings):
         what = "the scatter of repeats, which is noise of the readings or lost motion"
     if result.after.sigma_scale > 1:
         return (
-            f"{left}, more than {what}. Each likely explanation fits them; their mean, which the "
-            f"calibrated machine has, does not quite"
+            f"{left}, more than {what}. Each likely explanation fits the readings; their mean, "
+            f"which is the calibrated machine, does not quite"
         )
-    return f"{left}, no more than {what}"
+    return f"{left}, consistent with {what}"
+
+
+def _beside(residual: ByUnit, noise: ByUnit) -> tuple[str, str]:
+    """Return a residual and the noise that it is compared with, with the same decimals."""
+    pairs = [(unit, told_apart(value, noise.shown[unit])) for unit, value in residual.shown.items()]
+    left, right = (" and ".join(f"{two[k]} {unit}" for unit, two in pairs) for k in (0, 1))
+    return left, right
 
 
 def where_left(result: Result) -> str:
-    """Where what nothing explains lives: which leg, which direction, at which station most."""
+    """Return where the residual is largest: which leg, which direction, at which station."""
     if result.left.shaped > _CHANCE > result.left.p_value:
         return (
             " The plate's own shape would explain it, finer than a bowl or three lobes: touch it "
@@ -193,15 +203,15 @@ def where_left(result: Result) -> str:
 
 
 def _largest_part(result: Result, share: float, where: str, size: str) -> str:
-    """Where the residual is largest, and whether that stands out at all."""
+    """Return where the residual is largest, and whether all setups show some."""
     dials, tool = len(result.left.by_dial), len(result.left.by_instrument)
     alike = dials + tool > 1 and share < 2 / (dials + tool)
-    spread = f", though all {'readings' if tool else 'dials'} show some" if alike else ""
+    spread = f"; all {'setups' if tool else 'dials'} show some" if alike else ""
     return f" The residual is largest {where} ({100 * share:.0f} % of it{spread}). There {size}."
 
 
 def _alone(result: Result) -> str:
-    """Causes of which one would be behind it if the rest were sound, with their sizes."""
+    """Return the causes of which each could explain the residual alone, with their sizes."""
     if not result.alone:
         return ""
     several = [one.words for one in result.alone[:_MOST_ALONE]]
@@ -217,11 +227,11 @@ def _too_few(result: Result) -> bool:
 
 
 def _nothing_explains(result: Result) -> str:
-    """That the model does not fit, by how much, and whether more could be said."""
+    """Return that the model does not fit, by how much, and whether more could be said."""
     left = result.after.scores.left
     text = (
-        f"The model does not fit: single readings are left with {left.said()} rms, and their noise "
-        f"is {noise_words(result)}. No single cause explains the difference."
+        f"The model does not fit: its residual is {left.said()} rms, and the noise of a reading is "
+        f"{noise_words(result)}. No single cause explains the difference."
     )
     if _too_few(result):
         return f"{text} {len(result.readings)} readings are too few to say more."
@@ -232,18 +242,18 @@ def _nothing_explains(result: Result) -> str:
 
 
 def _why_significant(result: Result) -> str:
-    """What is left against the noise: its size, or its pattern where it is no larger."""
+    """Return why the residual is significant: by its size, or else by its pattern."""
     noise, left = result.noise.single_reading, result.after.scores.left
     whose = "the noise of one" if result.request.points else "the dial's noise"
     if any(left.shown[unit] > of_one for unit, of_one in noise.shown.items()):
         of_one = noise_words(result)
-        return f"Single readings are left with {left.said()} rms, where {whose} is {of_one}."
+        return f"The residual of single readings is {left.said()} rms, where {whose} is {of_one}."
     if math.isnan(result.left.p_value):
-        return "What was found predicts other readings than it was found by: nothing is claimed."
+        return "What was found does not predict the readings that it was found by."
     return (
-        f"What is left of single readings ({left.said()} rms) is no larger than {whose} of "
+        f"The residual of single readings ({left.said()} rms) is no larger than {whose} of "
         f"{noise_words(result)}. It is significant by its pattern over setups and postures, which "
-        f"noise alone would show with probability {probability(result.left.p_value)}."
+        f"noise alone shows with probability {probability(result.left.p_value)}."
     )
 
 
@@ -258,7 +268,7 @@ def _between(before: Scores, after: Scores) -> str:
 
 
 def _falls(before: Scores, after: Scores) -> str:
-    """``falls from 0.3 to 0.01 mm rms``, and so on for inclinations where there are any."""
+    """Return ``falls from 0.3 to 0.01 mm rms``, for lengths and for inclinations."""
     parts, last = [], ""
     for unit, now in after.reported.shown.items():
         was = before.reported.shown[unit]
@@ -272,14 +282,14 @@ def _falls(before: Scores, after: Scores) -> str:
 
 
 def noise_words(result: Result) -> str:
-    """The noise of a reading, and that rounding was added to what was declared of it."""
+    """Return the noise of a reading, and whether rounding was added to the declared noise."""
     noise, declared = result.noise.single_reading, result.noise.declared
     rounded = result.noise.source != "repeats" and noise.length > _ROUNDED * declared
     return f"{noise.said()}{' with the rounding of the readings' if rounded else ''}"
 
 
 def warnings_besides(result: Result) -> list[Note]:
-    """Warnings but those that what is wrong begins with."""
+    """Return the warnings that the claim does not already contain."""
     told = result.scattering if result.word == "unexplained" else ()
     return [w for w in result.warnings if w not in told]
 
@@ -288,7 +298,9 @@ def warnings_besides(result: Result) -> list[Note]:
 
 
 def gain_words(action: Action) -> tuple[str, str]:
-    """What it gains with its uncertainty, and whether that is a mean; empty where not known."""
+    """Return the gain of an action with its uncertainty, and whether it is a mean over causes;
+    empty if unknown.
+    """
     if not math.isfinite(action.gain):
         return "", ""
     gain, sigma = max(action.gain, 0.0) * 1e3, action.gain_sigma * 1e3
@@ -299,17 +311,15 @@ def gain_words(action: Action) -> tuple[str, str]:
 
 
 def unshown_words(result: Result) -> str:
-    """What these readings would not show, by effect, as a clause; empty where there is nothing."""
-    parts = [f"that {words}" for words in unshown_effects(result)]
+    """Return the effects that these readings would not show, in sentences; empty for none."""
+    told = []
+    if hidden := unshown_effects(result):
+        taken = listed(result.instruments.values())
+        several = "; ".join(f"that {words}" for words in hidden)
+        told.append(f"Readings of {taken} cannot detect, at three times the tolerance, {several}.")
     if still := unvaried_effects(result):
-        parts.append(f"that {', that '.join(still)}, as nothing here varies what would show it")
-    if not parts:
-        return ""
-    taken = listed(result.instruments.values())
-    return (
-        f"readings of {taken} cannot detect the following, even at three times the tolerance: "
-        f"{'; '.join(parts)}"
-    )
+        told.append(f"Nothing was varied that would show that {', or that '.join(still)}.")
+    return " ".join(told).removesuffix(".")
 
 
 def unshown_effects(result: Result) -> list[str]:
@@ -325,37 +335,37 @@ def _which(members: tuple[str, ...]) -> str:
 
 
 def unvaried_effects(result: Result) -> list[str]:
-    """Effects of the machine that the readings cannot show as they vary no condition, clauses."""
+    """Return effects that the readings cannot show because a condition was not varied, a clause
+    each.
+    """
     unseen, of = result.unseen, result.catalogue
     names = (n for n in unseen.unexcited if not of[n].of_dial and n not in _one_sided(result))
     return [cause_short(of, name) for name in names]
 
 
 def _one_sided(result: Result) -> list[str]:
-    """Names of the effects that are not detected as every place was approached from one side."""
+    """Return the names of effects that are hidden because all approaches were from one side."""
     needs = result.unseen.unvaried.items() if result.unseen.one_sided else ()
     return [name for name, conditions in needs if "approach" in conditions]
 
 
 _SIDES = {
-    "fixed": "a probe comes from above alone, and of distances the sides are not known",
-    "same": "every place was come to from the same side: come to some from the other as well",
+    "fixed": "a probe always comes from above, and sides of distances are not known",
+    "same": "every place was approached from the same side, so approach some from the other too",
     "unknown": f"{SIDES_UNTOLD}: {TELL_SIDES}",
 }
 
 
 def unvaried_words(result: Result) -> str:
-    """That lost motion would not show, and why, as a clause; empty where it would."""
+    """Return why lost motion cannot be detected, a clause; empty if it can."""
     if not (why := result.unseen.one_sided):
         return ""
     named = "; ".join(f"that {cause_short(result.catalogue, n)}" for n in _one_sided(result))
-    return f"these readings cannot detect either: {named}, as {_SIDES[why]}"
+    return f"nor can they detect {named}: {_SIDES[why]}"
 
 
 def dealt_with(result: Result) -> str:
-    """How many faults of the data there were, and how many readings do not count for them: what
-    these alone would show is in no verdict, and a reader of the first lines must know.
-    """
+    """Return the number of data faults, and how many readings were excluded for them."""
     if not (count := len(result.blunders)):
         return ""
     faults = f"{count} fault{'s' if count > 1 else ''} in the data had to be dealt with first"
@@ -380,7 +390,7 @@ def none_left_over(result: Result) -> bool:
 
 
 def meaning(result: Result) -> str:
-    """What its verdict's word means; nothing is judged where too few readings are left over."""
+    """Return the meaning of the verdict, a clause; nothing is judged if too few readings remain."""
     if result.word == "adequate" and none_left_over(result):
         return "no single cause was added, and too few readings are left over to judge what is left"
     return MEANINGS[result.word]

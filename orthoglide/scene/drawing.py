@@ -41,7 +41,9 @@ class Projection:
 
 
 def projection(posed: Posed, points: Array) -> Projection:
-    """Looks at a machine so that no leg hides another, and fits points ``(n, 3)`` on the paper."""
+    """Return the view in which no leg hides another, scaled so that points ``(n, 3)`` fit the
+    paper.
+    """
     if posed.geometry.layout.hanging:  # from where no direction of a tower points at the eye
         towers = [math.atan2(*leg.axes[1::-1, 1]) for leg in posed.geometry.legs]
         azimuth, elevation = min(towers) + math.radians(45), math.radians(14)
@@ -69,7 +71,7 @@ def drawing(
     shown: Sequence[int] = (0,),
     alone: bool = False,
 ) -> str:
-    """The machine as one inline ``<svg>``.
+    """Return the machine as one inline ``<svg>``.
 
     Each option is a group of class ``option`` and ``option-k``; those in ``shown`` are of class
     ``first`` too, and the only ones that show where no style sheet says otherwise.
@@ -118,7 +120,7 @@ def _told(posed: Posed, dials: Sequence[Dial], options: str) -> str:
 
 
 def _bodies(posed: Posed, project: Projection) -> list[tuple[float, str]]:
-    """Everything solid with its depth, larger nearer."""
+    """Return all solids with their depths, larger nearer."""
     d, found = posed.geometry.d, []
     for leg in range(3):
         axes = posed.geometry.legs[leg].axes
@@ -146,7 +148,7 @@ def _bodies(posed: Posed, project: Projection) -> list[tuple[float, str]]:
 def _box(
     centre: Array, axes: Array, half: tuple[float, ...], colour: str, project: Projection
 ) -> list[tuple[float, str]]:
-    """The three faces of a box that the eye sees, as one body."""
+    """Return the three visible faces of a box, as one body."""
     faces = []
     for k in range(3):
         side = 1.0 if axes[:, k] @ project.near > 0 else -1.0
@@ -159,7 +161,7 @@ def _box(
 
 
 def polygon(corners: Array, project: Projection, colour: str, opacity: float = 1.0) -> str:
-    """A filled polygon on paper that is lighter where it faces aside."""
+    """Return a filled polygon, lighter where it faces aside."""
     at = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(project, corners))
     return (
         f'<polygon points="{at}" fill="var(--m-paper)"/><polygon points="{at}" '
@@ -169,7 +171,7 @@ def polygon(corners: Array, project: Projection, colour: str, opacity: float = 1
 
 
 def line(a: Array, b: Array, project: Projection, colour: str, width: float) -> str:
-    """A thick line from a to b ``(3,)``."""
+    """Return a thick line from a to b ``(3,)``."""
     (x1, y1), (x2, y2) = project(a), project(b)
     return (
         f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" '
@@ -178,7 +180,9 @@ def line(a: Array, b: Array, project: Projection, colour: str, width: float) -> 
 
 
 def _dial(dial: Dial, paper: Paper) -> str:
-    """A dial: its stem to the touched point, and an arrow in the way that it counts."""
+    """Return a dial: its stem to the touched point, and an arrow in the direction in which it
+    counts.
+    """
     face = dial.face(paper.unit)
     x, y = paper.project(face)
     return (
@@ -190,7 +194,7 @@ def _dial(dial: Dial, paper: Paper) -> str:
 
 
 def _named(posed: Posed, project: Projection) -> list[tuple[str, tuple[float, float]]]:
-    """Names of the legs, each with the middle of its base line: beyond the end of its rail."""
+    """Return names of the legs, each with the middle of its base line beyond its rail."""
     found = []
     for leg, name in enumerate(posed.geometry.leg_names):
         start, end = posed.rail(leg)
@@ -200,7 +204,7 @@ def _named(posed: Posed, project: Projection) -> list[tuple[str, tuple[float, fl
 
 
 def _occupied(posed: Posed, dials: Sequence[Dial], project: Projection) -> Paper:
-    """The paper with names, dials, rails and bars on it."""
+    """Return the paper with names, dials, rails and bars on it."""
     paper = Paper(project, 1 / project.scale)
     paper.taken += [box_of(*at, name) for name, at in _named(posed, project)]
     for dial in dials:

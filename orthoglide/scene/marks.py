@@ -17,7 +17,7 @@ _BOW = 34.0  # to which the largest error of a path is drawn
 
 
 def marked(mark: Mark, posed: Posed, dials: Sequence[Dial], paper: Paper) -> str:
-    """One mark as SVG."""
+    """Return one mark as SVG."""
     draw = {
         "drive": _drive, "rail": _rail, "carriage": _turn, "bar": _bar, "link": _link,
         "platform": _end, "plate": _plate,
@@ -28,7 +28,7 @@ def marked(mark: Mark, posed: Posed, dials: Sequence[Dial], paper: Paper) -> str
 
 
 def arrow(a: Array, b: Array, paper: Paper, colour: str, width: float = 2.6) -> str:
-    """An arrow from a to b ``(3,)``."""
+    """Return an arrow from a to b ``(3,)``."""
     (x1, y1), (x2, y2) = paper.project(a), paper.project(b)
     length = math.hypot(x2 - x1, y2 - y1)
     if length < 1e-6:
@@ -47,7 +47,7 @@ def arrow(a: Array, b: Array, paper: Paper, colour: str, width: float = 2.6) -> 
 
 
 def _pointing(at: Array, way: Array, mark: Mark, paper: Paper) -> str:
-    """Arrows from a point along a way, and against it where the mark has both."""
+    """Return an arrow from a point along a direction, and against it if the mark has both."""
     one = arrow(at, at + way, paper, "mark")
     return one + (arrow(at, at - way, paper, "mark") if mark.both else "")
 
@@ -92,7 +92,7 @@ def _rail(mark: Mark, posed: Posed, paper: Paper) -> str:
 
 
 def _turn(mark: Mark, posed: Posed, paper: Paper) -> str:
-    """Part of a circle about the way, right-handed, around the carriage."""
+    """Return part of a circle about the direction, right-handed, around the carriage."""
     at, d = posed.carriage(mark.leg), posed.geometry.d
     other = np.eye(3)[largest(-np.abs(mark.way))]
     u = np.cross(mark.way, other)
@@ -125,7 +125,7 @@ def _bar(mark: Mark, posed: Posed, paper: Paper) -> str:
 
 
 def _link(mark: Mark, posed: Posed, paper: Paper) -> str:
-    """The short link at the platform, wider or narrower along the way."""
+    """Return the short link at the platform, wider or narrower along the direction."""
     ends = posed.lines[mark.leg, :, 1]
     out = _LENGTH * paper.unit * (ends[0] - ends[1]) / np.linalg.norm(ends[0] - ends[1])
     grows, found = float(mark.way @ out) > 0, [_stroke(list(ends), paper, 5.0)]
@@ -137,7 +137,7 @@ def _link(mark: Mark, posed: Posed, paper: Paper) -> str:
 
 
 def _end(mark: Mark, posed: Posed, paper: Paper) -> str:
-    """The leg's end at the platform."""
+    """Return the leg's end at the platform."""
     at = posed.platform(mark.leg)
     way = _LENGTH * paper.unit * mark.way
     return (
@@ -148,7 +148,7 @@ def _end(mark: Mark, posed: Posed, paper: Paper) -> str:
 
 
 def _plate(mark: Mark, posed: Posed, paper: Paper) -> str:
-    """A ring under the tool."""
+    """Return a ring under the tool."""
     radius = 0.35 * posed.geometry.L
     turn = np.linspace(0, 2 * np.pi, 49)
     ring = [radius * np.array([math.cos(t), math.sin(t), 0.0]) for t in turn]

@@ -30,18 +30,18 @@ Box = tuple[float, float, float, float]
 
 
 def box_of(x: float, y: float, text: str) -> Box:
-    """Room that a line of bold letters takes, middle and base given."""
+    """Return the room of a line of bold letters with the given middle and base."""
     half = LETTER * len(text) / 2
     return x - half, y - _ABOVE, x + half, y + _BELOW
 
 
 def around(x: float, y: float, radius: float) -> Box:
-    """Room of a circle."""
+    """Return the room of a circle."""
     return x - radius, y - radius, x + radius, y + radius
 
 
 def lettering(x: float, y: float, text: str, colour: str, halo: float) -> str:
-    """A text over the middle of its base line, on a halo of paper."""
+    """Return a text centred on its base line, on a halo of paper."""
     return (
         f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" font-weight="600" '
         f'fill="var(--m-{colour})" stroke="var(--m-paper)" stroke-width="{halo:g}" '
@@ -60,18 +60,18 @@ class Paper:
     lines: list[Point] = field(default_factory=list)
 
     def another(self) -> Paper:
-        """The same, to be written on without changing this one."""
+        """Return a copy that can be written on without changing this one."""
         return Paper(self.project, self.unit, list(self.taken), list(self.lines))
 
     def line(self, points: Iterable[Array]) -> None:
-        """Notes a line through points ``(3,)``."""
+        """Note a line through points ``(3,)``."""
         for (x1, y1), (x2, y2) in itertools.pairwise(map(self.project, points)):
             count = max(int(math.hypot(x2 - x1, y2 - y1) / _STEP), 1)
             shares = [k / count for k in range(count + 1)]
             self.lines += [(x1 + s * (x2 - x1), y1 + s * (y2 - y1)) for s in shares]
 
     def words(self, at: Array, text: str, tail: Array | None = None) -> str:
-        """Words beside a point as SVG; beyond it where an arrow from a tail ends there."""
+        """Return words beside a point as SVG; beyond it if an arrow from a tail ends there."""
         if not text:
             return ""
         x, y = self.project(at)
@@ -82,7 +82,7 @@ class Paper:
         return lettering(x, y, text, "mark", 3.5)
 
     def _places(self, x: float, y: float, text: str) -> Sequence[Point]:
-        """Middles of base lines around a point, all within the paper."""
+        """Return middles of base lines around a point, all within the paper."""
         half, found = LETTER * len(text) / 2, []
         for gap, turn in itertools.product(_GAPS, np.arange(_WAYS) * 2 * math.pi / _WAYS):
             px = x + (half + gap) * math.cos(turn)
