@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,6 +34,27 @@ def test_a_mistyped_distance_is_a_slip() -> None:
     (slip,) = verdict.blunders
     assert (slip.kind, slip.setups) == ("outlier", ("rim",))
     assert "63.9 mm is -1.1" in slip.message
+
+
+@pytest.mark.parametrize(
+    ("distance", "typed", "off"),
+    [("11", "63.9", -1.0), ("3", "73.0", 8.0), ("8", "63.8", -1.0)],
+)
+def test_a_mistyped_distance_is_a_slip_without_a_mesh(
+    distance: str, typed: str, off: float, tmp_path: Path
+) -> None:
+    text = (FIELD / "distance-mistyped" / "printer.cfg").read_text(encoding="utf-8")
+    text = re.sub(r"#\*# \[bed_mesh default\].*?(?=#\*# \[delta_calibrate\])", "", text, flags=re.S)
+    text = text.replace("distance11 = 63.9", "distance11 = 65.0")
+    text = re.sub(rf"distance{distance} = [0-9.]+", f"distance{distance} = {typed}", text)
+    (tmp_path / "printer.cfg").write_text(text, encoding="utf-8")
+    found = og.import_printer(tmp_path / "printer.cfg")
+    (slip,) = og.close_loop(found.campaigns, og.Machine(found.machine)).blunders
+    assert slip.kind == "outlier"
+    (readings,) = found.campaigns
+    assert readings.posture[readings.line.tolist().index(slip.rows[0])] == distance
+    (size,) = re.findall(r"mm is ([-+0-9.]+) mm off", slip.message)
+    assert float(size) == pytest.approx(off, abs=0.3)
 
 
 def test_drives_of_three_per_cent_are_told_of_the_drives() -> None:

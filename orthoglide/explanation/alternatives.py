@@ -34,7 +34,12 @@ class Alternatives:
         table, nothing = mixture.table(rest), mixture.total(rest)
         top = max(float(table.max()), nothing)
         by_group = np.exp(table - top).sum(axis=(0, 2))
-        found = np.append(by_group, np.exp(nothing - top))
+        # The weight that a group has from its prior alone, as the readings do not support it, is
+        # no explanation and counts as that of nothing.
+        slabs = len(mixture.linear.slabs)
+        prior = np.exp(nothing - top - mixture.cost) * slabs
+        found = np.append(np.maximum(by_group - prior, 0.0), 0.0)
+        found[-1] = np.exp(nothing - top) + by_group.sum() - found.sum()
         found /= found.sum()
         others = np.zeros(len(found))
         alone = set(np.flatnonzero(found[:-1] > _ALONE))

@@ -202,9 +202,11 @@ def _of_machine(problem: Problem, wide: Problem, here: Linearised, moved: Array)
     stands = {o.plain.at(n.campaign): (n, 1 / f) for n, others in same.items() for o, f in others}
     groups, causes, asked = groups_of(wide, free, readings.columns, found, stands)
     is_free = np.arange(len(scale)) >= len(sd)
+    repeats = problem.repeats >= _SHOWN
     linear = Linear(
         readings.columns, readings.residual, fixed, is_free, unnamed, groups, readings.stations,
-        noise_weight=RARE if problem.repeats >= _SHOWN else 0.0, beyond=readings.beyond,
+        noise_weight=RARE if repeats else 0.0, noise_decay=0.0 if repeats else 1.0,
+        beyond=readings.beyond,
     )  # fmt: skip
     tolerance = wide.machine.tolerance
     by_name: dict[str, tuple[tuple[str, float], ...]] = {
@@ -322,7 +324,7 @@ def _with_plates(linear: Linear, problem: Problem) -> Linear:
         rare = 2 * RARE if only_plates(problem) else RARE
         linear = replace(linear, slabs=likely, wide=(_QUIET, rare))
     if any(f.is_noise_capped for f in problem.tool):
-        linear = replace(linear, noise_weight=-RARE)  # these have been seen
+        linear = replace(linear, noise_weight=-RARE, noise_decay=0.0)  # these have been seen
     return linear
 
 

@@ -107,6 +107,9 @@ class Linear:
     # share beyond which a background is unlikely, and log of its weight
     wide: tuple[float, float] = (max(SHARES), 0.0)
     noise_weight: float = RARE  # log of the prior weight of noise larger than declared
+    # power of its ratio to the declared noise with which that weight falls: without repeats noise
+    # is the less likely the larger it is
+    noise_decay: float = 0.0
     # residual of station means orthogonal to all columns: its square, its degrees of freedom, and
     # visits per station; zero if no direction was dropped
     beyond: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -226,6 +229,7 @@ class Scale:
         self.log_z = (
             RARE * (share > 1)
             + basis.linear.noise_weight * (basis.noise > 0)
+            - basis.linear.noise_decay * float(np.log1p(basis.noise**2)) / 2
             + weight * (share > beyond)
             - 0.5 * (square / alike + count * float(np.log(alike)))
             - 0.5 * float(self.residual @ self.residual)

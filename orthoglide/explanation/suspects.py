@@ -27,8 +27,8 @@ millimetre to some millimetres, the range in which fingers and stands slip."""
 _COMMAND = 1e-3  # metres: a wrong digit of a command is rarely one behind the point
 _STEP = 1e-5  # metres, of a difference quotient
 
-_EXPECTED = 0.5 / 6
-"""Faults of each kind that are expected in some campaign: half a fault of the six kinds."""
+_EXPECTED = 0.5
+"""Faults that are expected in some campaign, shared by the kinds that its readings may have."""
 
 _BESIDE = 2  # readings on either side of a knock: fewer are slips
 _ZEROS = 12  # times that a dial is set to zero anew
@@ -97,7 +97,9 @@ def suspects(problem: Problem, here: Linearised, corrected: Sequence[Fault] = ()
         list(_slips(problem)), list(_knocks(problem)), list(_zeroed(problem)),
         list(_moved(problem, here.seen)), list(_commands(problem, by_command, corrected)),
     )  # fmt: skip
-    return [replace(s, expected=_EXPECTED / len(kind)) for kind in kinds for s in kind]
+    # Readings of dials may mean something else, too, which is a kind besides.
+    each = _EXPECTED / max(sum(map(bool, kinds)) + bool(problem.campaigns), 1)
+    return [replace(s, expected=each / len(kind)) for kind in kinds for s in kind]
 
 
 def _slips(problem: Problem) -> Iterator[Suspect]:

@@ -281,9 +281,16 @@ class MachineFile:
     @property
     def entered(self) -> dict[str, float]:
         """Standard deviations to expect, by family, of what parts of one set have in common beyond
-        their tolerances, because an owner entered it, SI.
+        their tolerances, because an owner entered it, SI; at least as much as the entered values of
+        parts that are alike differ by.
         """
-        return self.catalogue.entered if self._of_belts else {}
+        found = dict(self.catalogue.entered) if self._of_belts else {}
+        for name, sd in found.items():
+            own = (
+                v for k, v in self.parameters.items() if self.catalogue.effect_of(k).name == name
+            )
+            found[name] = max(sd, float(np.ptp([0.0, *(v.value for v in own if not v.sigma)])))
+        return found
 
 
 def name_of(geometry: Geometry) -> str:

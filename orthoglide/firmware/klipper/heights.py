@@ -39,7 +39,7 @@ _LISTS = {  # what [delta_calibrate] stores: its positions, the limits of a valu
 }
 _FULL_STEPS = 200
 _FAR = 3e-3  # metres by which a stored value may miss the one that the stored numbers give
-_LONG = 0.1  # of a distance, for the same
+_LONG = 0.2  # of a distance, for the same: one wrong digit of its tens is a slip of a reading
 _HANGS = 1e-3  # metres: a probe's offset that is no setting of the nozzle
 _SAME = 2e-5  # metres: a height that is stored with another offset of the probe differs by more
 _TIMES = (1.0, *(2.0**k for k in (1, -1, 2, -2, 3, -3, 4, -4)))  # that a step was longer then

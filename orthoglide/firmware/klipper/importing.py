@@ -149,8 +149,13 @@ def _machine(config: Config, numbers: Numbers, rows: Sequence[Row]) -> MachineFi
         )
     catalogue = catalogue_of(LinearDelta.names)
     length = next(e.name for e in catalogue.effects if e.controller == "bar_length")
-    # Nobody has fitted what was taken from a drawing: the radius.
-    drawn = catalogue.held_as("place") if numbers.are_nominal else ()
+    # Nobody has fitted what was taken from a drawing: the radius. Rods of one set are alike: where
+    # a fit tells them apart, its other numbers are as far off.
+    belts, spread = catalogue.of_belts, float(np.ptp(numbers.arm))
+    drawn = {
+        name: _DRAWN if numbers.are_nominal else max(belts[name], spread)
+        for name in catalogue.held_as("place")
+    }
     return MachineFile(
         name=Path(config.file).stem,
         geometry=geometry,
@@ -158,7 +163,7 @@ def _machine(config: Config, numbers: Numbers, rows: Sequence[Row]) -> MachineFi
             PlateTouch.kind: Instrument(repeatability=PROBE),
             Distance.kind: Instrument(repeatability=CALIPER),
         },
-        tolerance=dict.fromkeys(drawn, _DRAWN),
+        tolerance=drawn,
         parameters={
             f"{length}.{name}": ParameterValue(round(own - arm, 9), 0.0, "mm")
             for name, own in zip(TOWERS, numbers.arm, strict=True)
