@@ -10,8 +10,7 @@ from hypothesis import given, settings, strategies as st
 from scipy.stats import special_ortho_group
 
 import orthoglide as og
-from orthoglide.fit.least_squares import normal
-from orthoglide.fit.weakness import weak_directions
+from orthoglide.fit.least_squares import normal, weak_directions
 from orthoglide.ordering import EQUAL_ODDS, best_of, canonical_basis, descending, largest, ranked
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -17,7 +17,7 @@ from orthoglide.fit import Estimate
 from orthoglide.fit.least_squares import normal
 from orthoglide.fit.repeats import repeat_variance
 from orthoglide.fit.scores import deviation_rms, tail
-from orthoglide.fit.unknowns import build_unknowns
+from orthoglide.fit.unknown import build_unknowns
 from orthoglide.machine_file import Dial
 from orthoglide.observations import protocol
 from orthoglide.planning import smallest_effects

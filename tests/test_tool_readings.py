@@ -177,14 +177,6 @@ def test_a_longer_tool_swings_as_the_platform_turns(tmp_path: Path) -> None:
     assert min(short[kind] for kind in ("tcp", "distance", "ballbar")) > 2e-5
 
 
-def test_a_level_stands_nowhere_beside_the_tool() -> None:
-    frame = {"kind": ["incline"] * 2, "setup": ["p"] * 2, "reading_mrad": [0.0, 0.0],
-             "direction": ["x", "y"], "beside_z_mm": [-40.0, -40.0]}  # fmt: skip
-    frame |= {f"travel_{n}_mm": [0.0, 1.0] for n in "abc"}
-    with pytest.raises(InputError, match="a level shows the same wherever it stands"):
-        Readings.from_frame(frame, machine_file=SPEC)
-
-
 def turned_meshes(rig: DeltaRig, turns: tuple[float, ...], noise: float = 0.0) -> dict:
     """Columns of one plate touched at the same places, turned on its seat, a setup for each turn.
 
@@ -266,21 +258,26 @@ def test_lobes_of_both_are_told_apart_with_their_sizes() -> None:
     assert "the plate has three lobes 0.2 mm high" in str(verdict).lower().replace("\n", " ")
 
 
-def test_only_a_plate_is_turned_and_by_one_angle() -> None:
-    frame = turned_meshes(DeltaRig(), (0.0, 60.0))
-    both = frame | {"setup": ["p"] * len(frame["kind"])}
-    with pytest.raises(InputError, match="has another turned_deg here than on line"):
-        Readings.from_frame(both, machine_file=SPEC)
-    level = frame | {"kind": ["tcp"] * len(frame["kind"]), "direction": ["z"] * len(frame["kind"])}
-    with pytest.raises(InputError, match="only a plate is turned on its seat"):
-        Readings.from_frame(level, machine_file=SPEC)
+REFUSED = {
+    "has another turned_deg here than on line": {"turned_deg": [0.0, 60.0]},
+    "has another beside_": {"beside_x_mm": [0.0, 4.0]},
+    "only a plate is turned on its seat": {
+        "kind": ["tcp"] * 2, "direction": ["z"] * 2, "turned_deg": [60.0] * 2,
+    },
+    "a level shows the same wherever it stands": {
+        "kind": ["incline"] * 2, "direction": ["x", "y"], "reading_mrad": [0.0] * 2,
+        "beside_z_mm": [-40.0] * 2,
+    },
+}  # fmt: skip
 
 
-def test_each_setup_has_one_probe() -> None:
-    frame = {"kind": ["plate"] * 2, "setup": ["p"] * 2, "reading_mm": [0.0, 0.0],
-             "beside_x_mm": [0.0, 4.0]}  # fmt: skip
+@pytest.mark.parametrize("said", REFUSED)
+def test_what_no_instrument_does_is_refused(said: str) -> None:
+    frame = {"kind": ["plate"] * 2, "setup": ["p"] * 2, "reading_mm": [0.0] * 2} | REFUSED[said]
+    if "reading_mrad" in frame:
+        del frame["reading_mm"]
     frame |= {f"travel_{n}_mm": [0.0, 1.0] for n in "abc"}
-    with pytest.raises(InputError, match="has another beside_"):
+    with pytest.raises(InputError, match=said):
         Readings.from_frame(frame, machine_file=SPEC)
 
 
@@ -366,12 +363,9 @@ def test_dials_and_tool_readings_of_an_orthoglide_go_together(tmp_path: Path) ->
     assert programme.x == pytest.approx(both.x, abs=1e-9)
 
 
-def test_a_delta_s_file_without_its_machine_is_told_what_it_lacks(tmp_path: Path) -> None:
+def test_what_a_delta_or_its_file_lacks_is_said(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="--machine"):
         read(tmp_path, text(("plate",)), Machine.nominal().spec)
-
-
-def test_what_needs_dials_says_so() -> None:
     for ask in (lambda: og.protocol("standard", SPEC.geometry), lambda: og.simulate(MACHINE)):
         with pytest.raises(InputError, match="readings of its tool"):
             ask()
@@ -629,7 +623,7 @@ def tracked() -> tuple[Machine, Readings]:
     return machine, sheet
 
 
-@pytest.mark.thorough(except_for=["0.01", "2.5"])
+@pytest.mark.thorough(except_for=["2.5"])
 @pytest.mark.parametrize("turn", [0.0, 0.01, 2.5])
 def test_a_trackers_frame_is_turned_to_the_machine_found(
     tracked: tuple[Machine, Readings], turn: float
@@ -723,7 +717,7 @@ def from_both_sides(sheet: Readings, *, twice: bool) -> Readings:
     return replace(both, approach=sides, order=np.arange(1, 2 * n + 1))
 
 
-@pytest.mark.thorough(except_for=["plate-4e-05-True", "tcp-0.0002-False"])
+@pytest.mark.thorough(except_for=["plate-4e-05-True"])
 @pytest.mark.parametrize("twice", [True, False])
 @pytest.mark.parametrize("size", [4e-5, 2e-4])
 @pytest.mark.parametrize("kind", ["plate", "tcp"])
@@ -749,7 +743,7 @@ def test_repeats_of_an_instrument_are_visits_from_one_side(tmp_path: Path) -> No
     assert factor_of(visits, MACHINE).sigma == pytest.approx(2e-6, rel=1.5)
 
 
-@pytest.mark.thorough(except_for=["2e-05", "0.0003"])
+@pytest.mark.thorough(except_for=["0.0003"])
 @pytest.mark.parametrize("bow", [2e-5, 1e-4, 3e-4])
 def test_a_bowed_plate_is_no_bar_far_beyond_its_tolerance(bow: float) -> None:
     """To a plate alone both look the same, and a base of wide priors would take either."""
@@ -796,13 +790,13 @@ def exacting(**errors: float) -> Machine:
 ZEROS = {"joint_offset.x": 5e-4, "joint_offset.y": -3e-4}
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_the_frame_of_a_simulated_tracker_is_turned_and_not_sheared(seed: int) -> None:
+def test_the_frame_of_a_simulated_tracker_is_turned_and_not_sheared() -> None:
     machine = exacting(**ZEROS)
-    made = og.simulate(machine, sheet_of(machine, "tcp"), noise=0.0, seed=seed)
-    p, seen = machine.forward(made.command)[::3], made.reading.reshape(-1, 3)
-    assert np.abs(seen - p).max() > 1e-4
-    assert np.abs(moved_onto(seen, seen, p) - p).max() < 1e-9
+    for seed in range(4):
+        made = og.simulate(machine, sheet_of(machine, "tcp"), noise=0.0, seed=seed)
+        p, seen = machine.forward(made.command)[::3], made.reading.reshape(-1, 3)
+        assert np.abs(seen - p).max() > 1e-4
+        assert np.abs(moved_onto(seen, seen, p) - p).max() < 1e-9
 
 
 @pytest.mark.thorough
@@ -832,37 +826,36 @@ def test_a_ball_bar_pulls_at_nothing_that_it_does_not_see() -> None:
         assert np.mean([found[name] for name in errors]) == pytest.approx(0.0, abs=5e-6)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_ball_bar_on_a_circle_in_one_plane(seed: int) -> None:
-    """The usual test: across the plane the readings do not say where the ball is."""
+def on_a_circle(radius: float, length: np.ndarray | float = 0.05, **errors: float) -> tuple:
+    """A worn Orthoglide, and a sheet of a ball bar on a circle about its centre."""
     machine = og.Machine.nominal()
-    t = np.arange(36) * np.pi / 18
-    places = np.stack([0.05 * np.cos(t), 0.05 * np.sin(t), 0 * t], axis=1)
-    rho = machine.inverse(places)
-    frame = {"kind": ["ballbar"] * 36, "setup": ["ring"] * 36, "reading_mm": [50.0] * 36}
+    t = np.arange(48) * np.pi / 12
+    rho = machine.inverse(np.stack([radius * np.cos(t), radius * np.sin(t), 0 * t], axis=1))
+    frame = {"kind": ["ballbar"] * 48, "setup": ["ring"] * 48,
+             "reading_mm": np.broadcast_to(length, 48) * 1e3}  # fmt: skip
     frame |= {f"rho_{leg}_mm": rho[:, k] * 1e3 for k, leg in enumerate("xyz")}
-    wrong = machine.with_parameters({"joint_offset.x": 6e-4, "joint_offset.y": -4e-4})
-    read = og.simulate(wrong, Readings.from_frame(frame), noise=2e-6, seed=seed)
-    found = og.identify(read, machine, method="nested")
-    assert found.scores.chi2 < 3 * found.scores.dof
-    errors = [(found.values[n] - v) / found.sigmas[n] for n, v in wrong.values.items()]
-    assert np.abs(errors).max() < 4
+    return machine.with_parameters(errors), Readings.from_frame(frame)
+
+
+def test_a_ball_bar_on_a_circle_in_one_plane() -> None:
+    """The usual test: across the plane the readings do not say where the ball is."""
+    wrong, sheet = on_a_circle(0.05, **{"joint_offset.x": 6e-4, "joint_offset.y": -4e-4})
+    for seed in (0, 1, 2):
+        read = og.simulate(wrong, sheet, noise=2e-6, seed=seed)
+        found = og.identify(read, og.Machine.nominal(), method="nested")
+        assert found.scores.chi2 < 3 * found.scores.dof
+        errors = [(found.values[n] - v) / found.sigmas[n] for n, v in wrong.values.items()]
+        assert np.abs(errors).max() < 4
 
 
 @pytest.mark.parametrize("ball", [(0.01, -0.005, -0.2), (0.15, 0.05, -0.1)])
 def test_a_ball_below_the_plane_of_a_circle(ball: tuple[float, float, float]) -> None:
     """Lengths say how far below: there its readings say what the tool does across the plane."""
-    machine = og.Machine.nominal()
-    t = np.arange(48) * np.pi / 12
-    places = np.stack([0.04 * np.cos(t), 0.04 * np.sin(t), 0 * t], axis=1)
-    rho = machine.inverse(places)
-    wrong = machine.with_parameters({"joint_offset.x": 2e-3, "joint_offset.z": 4e-4})
-    length = np.linalg.norm(wrong.forward(rho) - ball, axis=1)
-    length += 5e-6 * np.random.default_rng(0).standard_normal(len(length))
-    frame = {"kind": ["ballbar"] * 48, "setup": ["ring"] * 48, "reading_mm": length * 1e3}
-    frame |= {f"rho_{leg}_mm": rho[:, k] * 1e3 for k, leg in enumerate("xyz")}
-    read = Readings.from_frame(frame)
-    found = og.identify(read, machine)
+    errors = {"joint_offset.x": 2e-3, "joint_offset.z": 4e-4}
+    wrong, sheet = on_a_circle(0.04, **errors)
+    length = np.linalg.norm(wrong.forward(sheet.command) - ball, axis=1)
+    read = sheet.with_readings(length + 5e-6 * np.random.default_rng(0).standard_normal(48))
+    found = og.identify(read, og.Machine.nominal())
     errors = [(found.values[n] - v) / found.sigmas[n] for n, v in wrong.values.items()]
     assert np.abs(errors).max() < 3
     (said,) = (w for w in found.warnings if w.kind == "mirrored")

@@ -17,7 +17,7 @@ import orthoglide as og
 from orthoglide.errors import ClosureError, CrossCheckError, SolverError
 from orthoglide.explanation.identifying import identify
 from orthoglide.fit import Estimate, solving
-from orthoglide.fit.verification import MOST_POSTURES, verify
+from orthoglide.fit.crosscheck import MOST_POSTURES, verify
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, Stiffness
 from orthoglide.mechanism.engine import Outputs, SixBars

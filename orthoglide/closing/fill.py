@@ -22,10 +22,10 @@ from orthoglide.effects.wording import cause_short
 from orthoglide.errors import NumericsError
 from orthoglide.explanation.free import one_surface
 from orthoglide.fit import CrossCheck, Estimate, solve
+from orthoglide.fit.assembling import with_free
 from orthoglide.fit.excited import excited_effects, unmet
-from orthoglide.fit.noise_scales import noise_scales
+from orthoglide.fit.noise_notes import noise_scales
 from orthoglide.fit.shown import readings_shown, rows_in
-from orthoglide.fit.unknowns import with_free
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine import Machine
 from orthoglide.notes import Note

@@ -26,9 +26,8 @@ from orthoglide.explanation.repeats import with_noise_of_repeats
 from orthoglide.explanation.significance import SIGNIFICANT, Left, left_over
 from orthoglide.explanation.suspects import Key
 from orthoglide.fit import Estimate, assemble, solve, tempered
-from orthoglide.fit.exchanged_columns import check_columns
-from orthoglide.fit.plausible import check_plausible
-from orthoglide.fit.verification import verify
+from orthoglide.fit.crosscheck import verify
+from orthoglide.fit.plausible import check_columns, check_plausible
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.observations.repetition import shared_fraction

@@ -18,8 +18,7 @@ from orthoglide.explanation.change import Change
 from orthoglide.explanation.change_model import Candidate, Moved, may_change, what_changed
 from orthoglide.fit import Estimate, Problem, with_free, with_others
 from orthoglide.fit.excited import excited_effects
-from orthoglide.fit.unknown import Unknown
-from orthoglide.fit.unknowns import one_plate
+from orthoglide.fit.unknown import Unknown, one_plate
 from orthoglide.parameters import Parameter, plain_and_campaign
 
 _OPEN = 3.0

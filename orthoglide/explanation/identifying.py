@@ -13,10 +13,9 @@ from orthoglide.explanation.data_faults import slips_of_tool
 from orthoglide.explanation.recalibration import account_for_changes
 from orthoglide.fit import Estimate, Problem, assemble, solve
 from orthoglide.fit.assembling import read_given
-from orthoglide.fit.exchanged_columns import check_columns
-from orthoglide.fit.plausible import check_plausible
+from orthoglide.fit.crosscheck import verify
+from orthoglide.fit.plausible import check_columns, check_plausible
 from orthoglide.fit.solving import Method
-from orthoglide.fit.verification import verify
 from orthoglide.instruments import Frame
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Given

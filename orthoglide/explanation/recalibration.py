@@ -16,11 +16,12 @@ import numpy as np
 
 from orthoglide.explanation.change import Change, summed_of
 from orthoglide.explanation.change_model import WIDTHS, Candidate, Moved, may_change, what_changed
+from orthoglide.fit.assembling import with_free
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import Method, solve
-from orthoglide.fit.unknowns import one_plate, with_free
+from orthoglide.fit.unknown import one_plate
 from orthoglide.machine_file import MachineFile, Posterior
 from orthoglide.parameters import Parameter
 

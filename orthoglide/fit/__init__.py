@@ -1,10 +1,29 @@
-"""Identification: from readings to parameters, with their uncertainty and cross-check."""
+"""Identification: from readings to parameters, with their uncertainty and cross-check.
+
+In the order of the data:
+
+- ``plausible``: readings that no such machine gives are refused.
+- ``repeats``, ``roughness``: what readings show of an instrument's noise, and ``noise``: the
+  standard deviation that each counts with.
+- ``factors``: a table of readings with its noise and its instruments in place.
+- ``unknown``: what is identified; ``problem``: the unknowns and factors of one identification, and
+  ``assembling``: how it is put together; ``excited``: which effects its readings could show.
+- ``weighing``: rows in units of their noise; ``least_squares``: the linear problem around a point.
+- ``solving``: which method is taken, and what is asked of its answer; ``nested``: Gauss-Newton;
+  ``nlp``: a programme with the closures as constraints.
+- ``crosscheck``: the same by the reduction, and every posture closed once more by Pinocchio.
+- ``scores``: how well a fit does; ``estimate``: its values with all that belongs to them.
+- ``notes``, ``noise_notes``: what a user should know of it; ``shown``: its readings for figures.
+"""
 
 from orthoglide.fit.assembling import (
     assemble as assemble,
+    build_problem as build_problem,
     points_of as points_of,
     readings_of as readings_of,
     sorted_out as sorted_out,
+    with_free as with_free,
+    with_others as with_others,
 )
 from orthoglide.fit.crosscheck import CrossCheck as CrossCheck
 from orthoglide.fit.estimate import Estimate as Estimate
@@ -22,9 +41,4 @@ from orthoglide.fit.repeats import common_rounding as common_rounding
 from orthoglide.fit.scores import Scores as Scores
 from orthoglide.fit.solving import solve as solve, tempered as tempered
 from orthoglide.fit.unknown import weight_matrix as weight_matrix
-from orthoglide.fit.unknowns import (
-    build_problem as build_problem,
-    with_free as with_free,
-    with_others as with_others,
-)
-from orthoglide.fit.weakness import WeakDirection as WeakDirection
+from orthoglide.result.fits import WeakDirection as WeakDirection

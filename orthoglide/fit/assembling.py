@@ -11,12 +11,14 @@ import numpy as np
 
 from orthoglide.errors import InputError, check_list, check_word
 from orthoglide.fit.factors import Factor, beliefs_of
-from orthoglide.fit.noise import noise_of, overall
+from orthoglide.fit.noise import Noise, noise_of, overall
 from orthoglide.fit.problem import Problem
-from orthoglide.fit.unknowns import build_problem
+from orthoglide.fit.unknown import NOTHING, Unknown, bounded, build_unknowns, expanded
 from orthoglide.instruments import Frame
 from orthoglide.machine import Machine
+from orthoglide.machine_file import Posterior
 from orthoglide.observations import Given, Readings, check_given, parts, read_readings, read_tcp
+from orthoglide.parameters import Parameter, plain_and_campaign
 
 _FEWEST_POINTS = 3  # of the tool: a point's three coordinates decide about its place at most
 
@@ -60,6 +62,91 @@ def assemble(
         machine, factors, free, level, own=own, priors=priors, bounds=bounds,
         earlier=known if priors and np.diag(known.covariance).any() else None,
     )  # fmt: skip
+
+
+def build_problem(
+    machine: Machine,
+    factors: Sequence[Factor],
+    free: Sequence[str],
+    noise: Noise,
+    *,
+    own: Sequence[str] = (),
+    priors: bool = True,
+    bounds: Mapping[str, float] | None = None,
+    earlier: Posterior | None = None,
+) -> Problem:
+    """Put an identification together; arguments as of :func:`identify`, but readings with their
+    noise, those of legs first, that noise in one figure, and what an earlier calibration says. What
+    is own to each campaign need not be free.
+
+    Raises:
+        InputError: where these do not fit together.
+    """
+    if not factors:
+        raise InputError("there is no campaign: give at least one file of readings")
+    nothing = Problem(machine, tuple(factors), (), noise, priors, (), tuple(own), earlier)
+    stems = [s.name for s in nothing.factors]
+    for name in own:
+        plain, stem = plain_and_campaign(name)
+        if stem and stem not in stems:
+            raise InputError(f"{name}: there is no campaign {stem!r}, only {', '.join(stems)}")
+        expanded(machine.catalogue, [plain], nothing.factors)
+    unknowns = build_unknowns(machine, nothing.factors, free, own)
+    if not unknowns:  # all of instruments that none of these readings are of
+        raise InputError(NOTHING)
+    if bounds:
+        unknowns = bounded(unknowns, bounds)
+    every = tuple(machine.values for _ in nothing.factors)
+    return replace(nothing, unknowns=unknowns, held=_without(every, unknowns))
+
+
+def _without(
+    held: Sequence[Mapping[str, float]], unknowns: Sequence[Unknown]
+) -> tuple[dict[str, float], ...]:
+    """Return the values of each factor that no unknown sets, which stay held."""
+    free = [{n for u in unknowns for n in u.parts[k]} for k in range(len(held))]
+    return tuple(
+        {n: v for n, v in values.items() if n not in set_here}
+        for values, set_here in zip(held, free, strict=True)
+    )
+
+
+def with_free(problem: Problem, names: Sequence[str], *, release: bool = True) -> Problem:
+    """The same problem with more freed; what is free already is not freed twice.
+
+    Args:
+        problem: to be extended.
+        names: effects, parameters or structured members; with ``@`` only that campaign's.
+        release: whether values that were held are let go; else the unknowns are changes of them.
+
+    Returns:
+        The problem with the new unknowns behind those that it has.
+    """
+    present = set(problem.names)
+    added: list[Unknown] = []
+    for name in names:
+        plain, stem = plain_and_campaign(name)
+        for unknown in build_unknowns(problem.machine, problem.factors, [plain], problem.own):
+            wanted = not stem or unknown.name.campaign in ("", stem)
+            if wanted and unknown.name not in present:
+                present.add(unknown.name)
+                added.append(unknown)
+    # With more freed, whether a value is beyond its tolerance is asked anew.
+    unknowns = (*problem.at_tolerance().unknowns, *added)
+    held = _without(problem.held, unknowns) if release else problem.held
+    return replace(problem, unknowns=unknowns, held=held)
+
+
+def with_others(problem: Problem, effects: Sequence[str]) -> Problem:
+    """The same problem with all single parameters of effects that no unknown sets yet: changes of
+    what is held.
+    """
+    taken = {p for u in problem.unknowns for parts in u.parts for p in parts}
+    found: dict[Parameter, None] = {}
+    for unknown in build_unknowns(problem.machine, problem.factors, list(effects)):
+        if not any(p in taken for parts in unknown.parts for p in parts):
+            found[unknown.name.plain] = None
+    return with_free(problem, tuple(found), release=False)
 
 
 def sorted_out(

@@ -9,22 +9,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from orthoglide.errors import check_word
-from orthoglide.fit.crosscheck import CrossCheck
 from orthoglide.fit.least_squares import Linearised, Nuisances, about_machine, linearise, nuisances
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.scores import FittedRows, Scores, score
-from orthoglide.fit.weakness import WeakDirection
 from orthoglide.frames import Framed
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.notes import Note
 from orthoglide.numerals import ByUnit
+from orthoglide.result.fits import CrossCheck, Verification, WeakDirection
 from orthoglide.units import Unit
 
 if TYPE_CHECKING:
     from orthoglide.figures.style import Drawing
-    from orthoglide.fit.verification import Verification
 
 
 @dataclass(frozen=True)

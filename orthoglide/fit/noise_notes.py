@@ -1,4 +1,4 @@
-"""Notes on noise that is larger or smaller than declared.
+"""The noise that a fit shows of each setup, and notes where it is larger or smaller than assumed.
 
 With too small a declared noise, a sound machine appears faulty: the lack of fit is blamed on it.
 Repeats show the noise whatever the machine does, so the declared noise is tested against them.
@@ -8,21 +8,21 @@ and a faulty machine appears sound: the residuals are tested against the assumed
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.noise_scales import NoiseScale, noise_scales, together
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.repeats import total_variance
 from orthoglide.geometry import Array
 from orthoglide.machine_file import Instrument
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
-from orthoglide.observations import Readings, source
+from orthoglide.observations import Readings, Setup, source
 from orthoglide.observations.repetition import repeat_steps
 
 _CHANCE = 1e-3  # probability of a note on readings whose noise is what a test takes it to be
@@ -43,6 +43,58 @@ _HALF = 2.0  # factor by which the declared noise may be too large without a not
 _MOST = 1e3  # ratio above which its value is not reported
 _DECLARED, _FROM_REPEATS = "as declared", "from their repeats"
 _FROM_FILE, _IN_FILE = "as the machine file has it", " in the machine file, "
+
+
+@dataclass(frozen=True)
+class NoiseScale:
+    """Noise of the readings of one setup, or of several together."""
+
+    readings: Readings  # the table that they belong to
+    setup: Setup  # of several the first
+    rows: NDArray[np.intp]  # of all readings (m,)
+    sigma: float  # standard deviation of one reading as assumed, root mean square, SI
+    chi2: float  # of the residuals
+    dof: float  # what that is expected to be: the readings less what was fitted to them
+
+    @property
+    def scale(self) -> float:
+        """Ratio of the noise that the residuals show to the noise assumed; nan without degrees of
+        freedom.
+        """
+        return float(np.sqrt(self.chi2 / self.dof)) if self.dof > 0 else float("nan")
+
+    @property
+    def scale_sigma(self) -> float:
+        """Standard deviation of :attr:`scale`: that of a root of a chi2."""
+        return self.scale / float(np.sqrt(2 * self.dof)) if self.dof > 0 else float("nan")
+
+
+def noise_scales(estimate: Estimate) -> tuple[NoiseScale, ...]:
+    """Return the noise of every setup, in the order of the files; TCP points count as one."""
+    problem = estimate.problem
+    square = problem.weighing.whiten(estimate.residuals) ** 2
+    free = 1 - estimate.rows.leverage
+    found = []
+    for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
+        readings = factor.readings
+        for number in np.unique(readings.setup):
+            own = (readings.setup == number) & factor.noise.weighted
+            if own.any():
+                rows = part.start + np.flatnonzero(own)
+                sigma = float(np.sqrt(np.mean(factor.noise.total[own] ** 2)))
+                chi2, dof = float(square[rows].sum()), max(float(free[rows].sum()), 0.0)
+                found.append(NoiseScale(readings, readings.setups[number], rows, sigma, chi2, dof))
+    return tuple(found)
+
+
+def together(several: Iterable[NoiseScale]) -> NoiseScale:
+    """Return the noise of several setups of one table as one."""
+    each = list(several)
+    rows = np.concatenate([one.rows for one in each])
+    size = np.array([len(one.rows) for one in each])
+    sigma = np.sqrt(np.average([one.sigma**2 for one in each], weights=size))
+    chi2, dof = sum(one.chi2 for one in each), sum(one.dof for one in each)
+    return NoiseScale(each[0].readings, each[0].setup, rows, float(sigma), chi2, dof)
 
 
 # Noise larger than declared -------------------------------------------------------------------

@@ -20,12 +20,12 @@ from orthoglide.fit.least_squares import (
     linearise,
     normal,
     nuisances,
+    weak_directions,
 )
 from orthoglide.fit.nested import solve_nested
 from orthoglide.fit.notes import notes
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.scores import LACK_OF_FIT, FittedRows, score
-from orthoglide.fit.weakness import weak_directions
 from orthoglide.geometry import Array
 from orthoglide.ordering import canonical_basis
 

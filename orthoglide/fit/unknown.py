@@ -1,21 +1,32 @@
-"""One number to identify, and what is known of several before the readings."""
+"""What is identified: the unknowns that names stand for, and what is known of them before."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.effects import Catalogue
+from orthoglide.errors import InputError, check_word
+from orthoglide.fit.factors import Factor
 from orthoglide.geometry import Array
+from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
-from orthoglide.parameters import Parameter
+from orthoglide.parameters import Parameter, plain_and_campaign
 
 _UNNOTICED = 0.02
 """Share of its tolerance by which a parameter drifts between visits without being a change: as much
 as the background of other effects that a machine with nothing wrong is allowed."""
+
+# Beyond these a machine would not be an Orthoglide: they keep a solver from running away, and a
+# parameter that ends on one is reported.
+_BOUND_SD = 50.0
+NOTHING = "nothing is free: name at least one parameter or family to identify"
+_LEAST_BOUND = {"mm": 0.05, "rad": 0.1}
 
 
 @dataclass(frozen=True)
@@ -69,3 +80,109 @@ def rows_about(
     root = (vectors / np.sqrt(np.maximum(values, 1e-10 * values.max(initial=1.0)))).T / sd
     matrix[:, spoken] = root
     return matrix, root @ known.mean[chosen], spoken
+
+
+def build_unknowns(
+    machine: Machine, sources: Sequence[Factor], free: Sequence[str], own: Sequence[str] = ()
+) -> tuple[Unknown, ...]:
+    """Unknowns for effects, parameters or structured members.
+
+    Args:
+        machine: tolerances, and where to start.
+        sources: what is own to a campaign is repeated for each.
+        free: what to identify.
+        own: effects or parameters that each campaign has for itself; ``axis_tilt.y.z@new`` has
+            one value before the campaign ``new`` and another from it on.
+
+    Raises:
+        InputError: for names that are none, or campaigns of one name.
+    """
+    stems = [s.name for s in sources]
+    if len(set(stems)) != len(stems):
+        remedy = (
+            "rename one file, or leave one out where it is the same"
+            if all(s.readings.file for s in sources)
+            else "give one a name of its own, dataclasses.replace(campaign, name='second'), as "
+            "from_frame(..., name='second') does"
+        )
+        raise InputError(f"two campaigns are called alike ({', '.join(stems)}): {remedy}")
+    catalogue, unknowns = machine.catalogue, list[Unknown]()
+    for name in expanded(catalogue, free, sources):
+        starts = [0] + [k for k in range(1, len(stems)) if _begins(catalogue, name, stems[k], own)]
+        for first, end in pairwise([*starts, len(stems)]):
+            parts = tuple(
+                _parts(catalogue, name, s) if first <= k < end else {}
+                for k, s in enumerate(sources)
+            )
+            if any(parts):
+                shown = name.at(stems[first]) if len(starts) > 1 else name
+                tolerance, unit = machine.tolerance(shown), catalogue.effect_of(shown).unit.name
+                bound = max(_BOUND_SD * tolerance, _LEAST_BOUND.get(unit, 0.0))
+                start = machine.values.get(name, 0.0)
+                unknowns.append(Unknown(shown, parts, tolerance, start, bound))
+    return tuple(unknowns)
+
+
+def _begins(catalogue: Catalogue, name: Parameter, stem: str, own: Sequence[str]) -> bool:
+    """Whether a parameter has another value from a campaign on than before it."""
+    if catalogue[name.effect].of_dial:
+        one_body = catalogue[name.effect].of_body and name.member  # measured again
+        return not one_body
+    for chosen in own:
+        plain, at = plain_and_campaign(chosen)
+        if at in ("", stem) and plain in (name, name.effect):
+            return True
+    return False
+
+
+def expanded(
+    catalogue: Catalogue, free: Sequence[str], sources: Sequence[Factor]
+) -> tuple[Parameter, ...]:
+    """Return the parameters and structured members that names stand for.
+
+    Raises:
+        InputError: where these are none.
+    """
+    setups = tuple(dict.fromkeys(s for source in sources for s in source.setup_names))
+    found = tuple(p.plain for p in catalogue.expand(free, setups))
+    if not found:
+        raise InputError(NOTHING)
+    return tuple(dict.fromkeys(found))
+
+
+def _parts(catalogue: Catalogue, name: Parameter, source: Factor) -> Mapping[str, float]:
+    effect = catalogue[name.effect]
+    if not effect.of_dial:
+        return catalogue.elementary(name)
+    setups = source.setups_of(effect)
+    if not setups or (name.setup and name.setup not in setups):  # another campaign's setup
+        return {}
+    return catalogue.elementary(name, setups)
+
+
+def one_plate(
+    unknowns: Sequence[Unknown], catalogue: Catalogue, apart: Collection[str] = ()
+) -> tuple[Unknown, ...]:
+    """The same with one shape for each plate, whichever campaign it was probed in, unless it is
+    named among those that changed.
+    """
+    joined: dict[Parameter, Unknown] = {}
+    for unknown in unknowns:
+        plate = catalogue.effect_of(unknown.name).of_body and unknown.name.plain not in apart
+        name = unknown.name.plain if plate else unknown.name
+        one = joined.setdefault(name, replace(unknown, name=name))
+        parts = tuple(a or b for a, b in zip(one.parts, unknown.parts, strict=True))
+        joined[name] = replace(one, parts=parts)
+    return tuple(joined.values())
+
+
+def bounded(unknowns: Sequence[Unknown], bounds: Mapping[str, float]) -> tuple[Unknown, ...]:
+    """Unknowns with bounds of their own, each by the nearest of its names that has one."""
+    names = [(u.name, u.name.plain, u.name.effect) for u in unknowns]
+    for key, bound in bounds.items():
+        check_word("free parameter", key, dict.fromkeys(n for own in names for n in own))
+        if not bound > 0:
+            raise InputError(f"the bound of {key} must be a positive number")
+    nearest = [[float(bounds[n]) for n in own if n in bounds] for own in names]
+    each = zip(unknowns, nearest, strict=True)
+    return tuple(replace(u, bound=own[0]) if own else u for u, own in each)

@@ -55,12 +55,8 @@ class Conditions:
         """Newtons along base -z at the TCP ``(n,)``."""
         return self.table[:, 8]
 
-    def part(self, rows: slice) -> Conditions:
-        """Return some of the postures."""
-        return Conditions(self.table[rows])
-
-    def some(self, rows: NDArray[np.intp]) -> Conditions:
-        """Return some of the postures, by their numbers ``(k,)``."""
+    def some(self, rows: NDArray[np.intp] | slice) -> Conditions:
+        """Return some of the postures, by their numbers ``(k,)`` or as a slice."""
         return Conditions(self.table[rows])
 
     @classmethod
@@ -102,22 +98,13 @@ class Conditions:
         return cls(table)
 
     @classmethod
-    def of_parts(
-        cls, command: Array, approach: Array, time: Array, warming: Array, load: Array
-    ) -> Conditions:
-        """Return conditions of their parts, each with ``n`` rows."""
-        return cls(np.column_stack([command, approach, time, warming, load]))
-
-    @classmethod
     def of(cls, readings: Readings) -> Conditions:
         """Return conditions of every reading; what was not recorded counts as 0."""
-        return cls.of_parts(
-            readings.command,
-            readings.approach,
-            np.nan_to_num(readings.time),
-            readings.temperature_rise,
-            readings.load,
-        )
+        parts = (
+            readings.command, readings.approach, np.nan_to_num(readings.time),
+            readings.temperature_rise, readings.load,
+        )  # fmt: skip
+        return cls(np.column_stack(parts))
 
     def merged(self, needs: Collection[str]) -> tuple[Conditions, NDArray[np.intp]]:
         """Distinct conditions and, for each row, which of them it has.

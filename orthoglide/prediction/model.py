@@ -226,7 +226,7 @@ class Model:
         places = [self.moving.place[names[k]] for k in machine]
         outputs, by_name = np.empty((n, OUTPUTS)), np.zeros((n, OUTPUTS, len(names)))
         for part in blocks(n):  # small enough for the cache
-            some = conditions.part(part)
+            some = conditions.some(part)
             shown, by_given = self.tangent(values, some)
             by_theta = self.moving.by_parameters(theta, self.seen(some))
             outputs[part] = shown.values

@@ -1,7 +1,6 @@
 """The analytic reduction: three drives, three bars, one point (Pashkevich et al. 2006, 2008).
 
-``leg_points`` is eq. (1), ``forward`` and ``inverse`` are the quadratic and eq. (3),
-``jacobians`` eq. (5); ``system11``,
+``forward`` and ``inverse`` are the quadratic and eq. (3), ``jacobians`` eq. (5); ``system11``,
 ``covariance`` and ``solve`` the papers' linear calibration; ``observe`` and ``fit_readings`` the
 same without linearising; ``intersect_spheres`` the general form, with carriages anywhere. A
 derivation of its own: nothing here knows the general mechanism.
@@ -16,7 +15,6 @@ from orthoglide.reduction.kinematics import (
     inverse as inverse,
     jacobians as jacobians,
 )
-from orthoglide.reduction.legs import leg_angles as leg_angles, leg_points as leg_points
 from orthoglide.reduction.linear import (
     COLUMNS as COLUMNS,
     G as G,
