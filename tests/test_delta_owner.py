@@ -333,7 +333,7 @@ PARTS = (
 )  # fmt: skip
 
 
-@pytest.mark.thorough(except_for=["probe"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("instrument", INSTRUMENTS)
 def test_what_an_instrument_does_not_show_is_said_to_be_invisible(instrument: str) -> None:
     """Against what the independent delta shows of each cause, past the base."""

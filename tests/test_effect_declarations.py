@@ -147,7 +147,7 @@ def test_words_are_made_where_none_are_given(machine: og.Machine) -> None:
     assert "0.1 mm" in test
 
 
-@pytest.mark.thorough(except_for=["carriage_play"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("effect", [CARRIAGE_PLAY, SECOND_HARMONIC], ids=lambda e: e.name)
 def test_ones_own_effect_is_found_and_named(machine: og.Machine, effect: Effect) -> None:
     plain = og.Machine(machine.spec).with_only({})

@@ -325,7 +325,7 @@ SPREAD = Geometry(layout=FreeLegs(tuple(
 )))  # fmt: skip
 
 
-@pytest.mark.thorough(except_for=["delta"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("geometry", [TALL, SPREAD], ids=["delta", "free"])
 def test_points_of_any_layout_are_simulated_judged_and_drawn(geometry: Geometry) -> None:
     sound = Machine(MachineFile(geometry=geometry))

@@ -618,7 +618,7 @@ def test_a_setup_of_fewer_readings_than_it_has_numbers_changes_no_other(
         assert both.scores.dof == pytest.approx(alone.scores.dof, abs=0.05)
 
 
-@every
+@pytest.mark.parametrize(("kind", "layout"), ONCE)
 def test_the_truth_is_found_within_its_sigmas(kind: str, layout: str) -> None:
     machine, true = MACHINES[layout], zeros_of(layout, np.random.default_rng(100))
     readings = og.simulate(machine.with_parameters(true), sheet_of(kind, layout), seed=0)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide import files, text
+from orthoglide import files, text as texts
 from orthoglide.errors import InputError
 from orthoglide.frames import data_frame
 from orthoglide.geometry import LEGS, Array
@@ -66,7 +66,7 @@ def campaign_text(campaign: Readings, machine_file: AnyMachine | None = None) ->
 
 def csv_text(rows: Sequence[Mapping[str, str]]) -> str:
     """CSV text of rows that all have the columns of the first."""
-    return text.csv_text(list(rows[0]) if rows else [], (row.values() for row in rows))
+    return texts.csv_text(list(rows[0]) if rows else [], (row.values() for row in rows))
 
 
 def command_columns(row: Row) -> list[str]:
@@ -251,9 +251,12 @@ def _with_moves(
 def readings_text(
     given: Sequence[Readings], machine_file: AnyMachine | None = None, *, places: bool = False
 ) -> str:
-    """The CSV text of one file of readings of several kinds; arguments as for `campaign_rows`."""
+    """The CSV text of one file of readings of several kinds, with a row for each reading; arguments
+    as for `campaign_rows`.
+    """
     said = {"places": places, "approaches": len(given) > 1}  # empty is unknown, if one gives them
-    rows = [row for one in given for row in campaign_rows(one, machine_file, **said)]
+    every = (replace(one, by_point=False) for one in given)
+    rows = [row for one in every for row in campaign_rows(one, machine_file, **said)]
     names = dict.fromkeys(name for row in rows for name in row)
     return csv_text([{name: row.get(name, "") for name in names} for row in rows])
 
@@ -283,14 +286,17 @@ def write_campaign(
     several = campaign if isinstance(campaign, Sequence) else (campaign,)
     if not several or not all(isinstance(one, Readings) and len(one) for one in several):
         raise InputError("give a campaign with readings, or a list of such, to write")
-    points = len(several) == 1 and several[0].by_point  # a row a point; else a row a coordinate
-    given = [replace(part, by_point=points) for one in several for part in parts(one)]
+    given = [part for one in several for part in parts(one)]
     if sum(bool(one.on_legs.any()) for one in given) > 1:
         raise InputError("one file has one campaign of dials: write the others to their own files")
     # Dials take all moves of a file for theirs: those behind their readings are nothing to them.
     ordered = sorted(given, key=lambda one: not one.on_legs.any())
     concatenated(ordered)  # refuses what cannot be one file
-    files.write_whole(path, readings_text(in_sequence(ordered), machine_file), overwrite=overwrite)
+    if len(several) == 1 and several[0].by_point:
+        text = campaign_text(several[0], machine_file)
+    else:
+        text = readings_text(in_sequence(ordered), machine_file)
+    files.write_whole(path, text, overwrite=overwrite)
 
 
 def readings_frame(campaign: Readings, machine_file: AnyMachine | None = None) -> pd.DataFrame:
