@@ -395,12 +395,10 @@ def test_effects_with_one_signature_are_never_named(machine):
     bow = told["rail_bow.x.y"]
     assert bow.detectable <= bow.nameable < np.inf
     seen = smallest_effects(machine, protocol("standard"))
-    wide, narrow = ("\n".join(detectable_rows(seen, width)) for width in (140, 60))
-    assert max(map(len, narrow.split("\n")[:-1])) <= 60
-    assert re.findall(r"\d[\d.e-]+", wide) == re.findall(r"\d[\d.e-]+", narrow)
-    assert "never" in narrow
-    assert "bar mismatch of leg x looks like " in wide
-    assert "mount tilt (x.a, y.a, z.a)" in wide.split("\n")[-1]
+    rows = detectable_rows(seen)
+    assert "never" in "\n".join(rows)
+    assert any("bar mismatch of leg x looks like " in row for row in rows)
+    assert "mount tilt (x.a, y.a, z.a)" in rows[-1]
 
 
 # -- what to measure next ------------------------------------------------------------------------

@@ -13,7 +13,7 @@ import orthoglide.cli.options as opt
 from orthoglide.cli.app import cli, deliver, progress, warn
 from orthoglide.errors import FileError, InputError
 from orthoglide.progress import Step
-from orthoglide.text import shown, text_width, wrapped
+from orthoglide.text import shown, wrapped
 
 if TYPE_CHECKING:
     from orthoglide.machine import Machine
@@ -252,7 +252,7 @@ def design(
         for name, one in several.items() if detect else ():
             step(Step("computing", f"smallest effects: {name}"))
             smallest = planning.smallest_effects(known, one, noise=noise, seed=seed)
-            lines += ["", f"{name}:", *planning.detectable_rows(smallest, text_width())]
+            lines += ["", f"{name}:", *planning.detectable_rows(smallest)]
         files, written = ({}, ()) if out is None else _sheet_files(out, found.campaign, known)
     seen = f"{found.indices.rank} of {found.indices.unknowns} unknowns"
     line = f"{len(found.campaign)} readings show {seen}."
@@ -292,7 +292,7 @@ def _design_for(
         owned = sheets_of(machine, owns, count)
         found = smallest_effects(machine, list(owned.values()), seed=seed)
     listed = ", ".join(f"{TAKEN_BY[k]} ({len(s)})" for k, s in owned.items())
-    lines = [f"with {listed}:", *detectable_rows(found, text_width())]
+    lines = [f"with {listed}:", *detectable_rows(found)]
     files = dict[Path, str]()
     if out is not None:
         sheets, placed = to_fill_in(owned.values()), machine.spec.kinematics is not None

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
-from orthoglide.geometry import LEGS, Array
+from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings
 
@@ -30,26 +28,21 @@ def aliasing(machine: MachineSource, sheet: Readings) -> tuple[str, ...]:
         machine: stroke and lead of the screws.
         sheet: readings of dials on legs; their values do not count.
     """
-    machine = Machine.of(machine)
-    return tuple(_warnings(machine, sheet))
-
-
-def _warnings(machine: Machine, sheet: Readings) -> Iterator[str]:
-    on_legs = sheet.on_legs
-    for leg, name in zip(range(len(LEGS)), machine.geometry.layout.names.legs, strict=True):
-        rows = on_legs & (sheet.leg == leg)
-        travel = np.unique(np.round(sheet.command[rows, leg], 6))
+    machine, found = Machine.of(machine), list[str]()
+    shortest = machine.spec.screw_pitch or _SHORTEST
+    for leg, name in enumerate(machine.geometry.leg_names):
+        travel = np.unique(np.round(sheet.command[sheet.on_legs & (sheet.leg == leg), leg], 6))
         if len(travel) < _FEWEST:
             continue
-        shortest = machine.spec.screw_pitch or _SHORTEST
         period, seen = hidden_wave(travel, shortest)
         if seen < _SEEN:
-            yield (
+            found.append(
                 f"at the {len(travel)} stations of drive {name} a wave of {period * 1e3:.3g} mm "
                 f"looks like a smooth curve, so that a compensation from this sheet may make the "
                 f"tool worse between the stations: choose other, unequal distances, or "
                 f"stations less than {shortest * 1e3 / 2:.2g} mm apart"
             )
+    return tuple(found)
 
 
 _ROUNDING = 1e-6  # of a period: stations are rounded to a micrometre

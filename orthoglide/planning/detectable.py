@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
@@ -122,14 +121,13 @@ class Detectability(Framed):
         return ", ".join(s.name.behind for s in self.by_effect[effect] if s in members)
 
 
-def detectable_rows(found: Detectability, width: int, beyond: float = 0.0) -> list[str]:
+def detectable_rows(found: Detectability, beyond: float = 0.0) -> list[str]:
     """Return rows of text, one for the parameters of an effect that are found from about the same
     size: the largest sizes that one of them takes to be found, and to be named; below it what the
     hardest of them looks like.
 
     Args:
         found: of a sheet.
-        width: in characters, 60 at least; sentences go on below each other.
         beyond: tolerances; effects that are found and named from less have no row.
     """
     lines = [f"{'effect':<22}{'tolerance':>10}{'found from':>11}{'named from':>11}  unit"]
@@ -141,10 +139,10 @@ def detectable_rows(found: Detectability, width: int, beyond: float = 0.0) -> li
         shown = f"{named:.2g}" if np.isfinite(named) else "never"
         lines.append(f"{words:<22}{tolerance:>10.2g}{size:>11.2g}{shown:>11}  {unit}")
         if parameters:
-            lines += _indented(f"of {parameters}", width)
+            lines.append(f"    of {parameters}")
         if nearest:
             one, other = (parameter_words(n, found.legs) for n in (hardest, nearest))
-            lines += _indented(f"{one} looks like {other}", width)
+            lines.append(f"    {one} looks like {other}")
     groups: dict[str, list[str]] = {}
     for name in found.invisible:
         groups.setdefault(name.effect.replace("_", " "), []).append(name.behind)
@@ -152,10 +150,6 @@ def detectable_rows(found: Detectability, width: int, beyond: float = 0.0) -> li
         every = (f"{effect} ({', '.join(members)})" for effect, members in groups.items())
         lines.append(f"not detectable: {', '.join(every)}")
     return lines
-
-
-def _indented(text: str, width: int) -> list[str]:
-    return textwrap.wrap(text, width, initial_indent="    ", subsequent_indent="    ")
 
 
 def smallest_effects(

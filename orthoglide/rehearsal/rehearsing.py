@@ -21,7 +21,6 @@ from orthoglide.rehearsal.journal import Journal, request_digests
 from orthoglide.rehearsal.outcome import Outcome, outcome_of
 from orthoglide.rehearsal.table import Rehearsal
 from orthoglide.simulation import lacks
-from orthoglide.text import text_width
 
 CAMPAIGNS = 90
 """Ten of each turn of :data:`orthoglide.rehearsal.drawing.TURNS`."""
@@ -116,7 +115,7 @@ def weak_spots(scope: Scope, seed: int = 0) -> tuple[str, ...]:
         if effect.name not in judged and not of_others:
             missing.setdefault(lacks(effect.needs), []).append(effect.name)
     return (
-        *detectable_rows(seen, text_width(), HARDLY),
+        *detectable_rows(seen, HARDLY),
         *(f"not shown, as {reason}: {', '.join(effects)}" for reason, effects in missing.items()),
         *(warning for sheet in scope.sheets for warning in aliasing(machine, sheet)),
     )
