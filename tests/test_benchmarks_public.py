@@ -8,7 +8,7 @@ import pytest
 
 import orthoglide as og
 from benchmarks import blunders, compare_frozen, independent, public
-from benchmarks.attribution_cases import SHARES, SHORT, Case, cases
+from benchmarks.attribution_cases import Case
 from benchmarks.attribution_run import draw, run
 from benchmarks.independent import Sheet
 from tests import rig_campaigns as rc
@@ -105,19 +105,6 @@ def test_a_cause_is_as_large_as_was_asked_and_the_oracle_finds_it() -> None:
     told = drawn.points.points()
     error = independent.tcp_error(found, told.command, told.p)
     assert error[0] < 0.01
-
-
-@pytest.mark.parametrize("kind", SHORT)
-def test_short_errors_are_cases_of_their_own(kind: str) -> None:
-    full = sum(SHARES.values())
-    plain, more = cases(full), cases(full, short=6)
-    assert [c for c in more if c.kind not in SHORT] == plain
-    own = [c for c in more if c.kind == kind]
-    assert len(own) == 6
-    drawn = draw(own[0], 1)
-    ((cause, size),) = drawn.causes
-    assert abs(size) == pytest.approx(own[0].rms * 1e-3)
-    assert len(cause.places) == 2
 
 
 @pytest.mark.thorough
