@@ -115,6 +115,7 @@ def test_a_bump_at_a_station_is_recorded_with_the_rows_that_it_moves() -> None:
     assert record["truth"][0]["places"][0].startswith("rail.")
 
 
+@pytest.mark.thorough
 def test_data_faults_are_judged_by_the_closed_loop() -> None:
     world = blunders.World(seed=1)
     record = blunders.judge(case_of("outlier", 0.5), world)

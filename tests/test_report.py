@@ -343,6 +343,9 @@ def test_weak_directions_in_words() -> None:
         "apart: together they may change by 0.4 mm (one sigma), and hardly a reading changes."
     )
     assert "it may change by any amount, and no reading changes" in second
+    (many,) = weak_sentences([pair, blind, pair])
+    assert "3 combinations of axis tilts, axis offsets and backlashes" in many
+    assert "may change by any amount" in many
     assert "The tolerances, not the readings, narrow this to 0.02 mm" in second
 
 
