@@ -8,7 +8,7 @@ import pytest
 
 import orthoglide as og
 from benchmarks import blunders, compare_frozen, independent, public
-from benchmarks.attribution_cases import SHARES, SHORT, Case, cases
+from benchmarks.attribution_cases import Case
 from benchmarks.attribution_run import draw, run
 from benchmarks.independent import Sheet
 from tests import rig_campaigns as rc
@@ -107,19 +107,6 @@ def test_a_cause_is_as_large_as_was_asked_and_the_oracle_finds_it() -> None:
     assert error[0] < 0.01
 
 
-@pytest.mark.parametrize("kind", SHORT)
-def test_short_errors_are_cases_of_their_own(kind: str) -> None:
-    full = sum(SHARES.values())
-    plain, more = cases(full), cases(full, short=6)
-    assert [c for c in more if c.kind not in SHORT] == plain
-    own = [c for c in more if c.kind == kind]
-    assert len(own) == 6
-    drawn = draw(own[0], 1)
-    ((cause, size),) = drawn.causes
-    assert abs(size) == pytest.approx(own[0].rms * 1e-3)
-    assert len(cause.places) == 2
-
-
 @pytest.mark.thorough
 def test_a_bump_at_a_station_is_recorded_with_the_rows_that_it_moves() -> None:
     record = run(Case("bump", "rail.b", "sweep", 0.2, 0), 1)
@@ -128,6 +115,7 @@ def test_a_bump_at_a_station_is_recorded_with_the_rows_that_it_moves() -> None:
     assert record["truth"][0]["places"][0].startswith("rail.")
 
 
+@pytest.mark.thorough
 def test_data_faults_are_judged_by_the_closed_loop() -> None:
     world = blunders.World(seed=1)
     record = blunders.judge(case_of("outlier", 0.5), world)

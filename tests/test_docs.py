@@ -12,7 +12,6 @@ from orthoglide.cli import cli
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.catalogue import catalogue_of
 from orthoglide.effects.page import GROUPS, effects_page
-from orthoglide.errors import OrthoglideError
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file import parse_machine_file
 from orthoglide.result import Word
@@ -152,17 +151,6 @@ def test_links_lead_somewhere(page: Path) -> None:
     assert not missing, f"{page.name} leads nowhere"
 
 
-def test_there_are_links() -> None:
-    assert len(links(ROOT / "README.md")) > 10
-
-
 def test_every_page_is_one_step_from_the_readme() -> None:
     linked = {(ROOT / link).resolve() for link in links(ROOT / "README.md")}
     assert {page for page in PAGES if page.name != "README.md"} <= linked
-
-
-def test_every_error_is_one_of_ours() -> None:
-    """The README's exit codes rest on one root."""
-    errors = [getattr(og, name) for name in og.__all__ if name.endswith("Error")]
-    assert errors
-    assert all(issubclass(error, OrthoglideError) for error in errors)

@@ -133,6 +133,7 @@ def test_the_drawing_says_what_it_shows_and_keeps_on_its_paper(kind: str) -> Non
     assert root.get("role") == "img"
     assert root.findtext("title") == "A & B"
     said = root.findtext("desc") or ""
+    assert ("two rods to the effector" in said) == (kind == "delta")
     assert all(f"cause {k} <&" in said for k in range(len(several)))
     assert "Dials: left" in said
     hidden = [g.get("style") for g in root.iter("g") if "option" in (g.get("class") or "")]

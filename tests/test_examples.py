@@ -139,12 +139,6 @@ def test_your_own_csv(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert again.values == pytest.approx(estimate.values, abs=1e-6)
 
 
-def test_your_own_csv_with_a_fault_is_one_sentence(tmp_path: Path) -> None:
-    done = run("identify_your_csv.py", tmp_path, "absent.csv")
-    assert done.returncode == 1
-    assert done.stderr.strip() == "absent.csv: there is no such file: check the name"
-
-
 @pytest.mark.thorough
 def test_the_page_of_the_published_experiments_is_not_stale() -> None:
     import re

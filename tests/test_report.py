@@ -193,7 +193,7 @@ def test_the_key_numbers_are_on_the_page() -> None:
     assert f"{estimate.scores.cv_rms * 1e3:.3f}" in text
     assert "cannot tell the joint offset from the leg length of leg x, y and z" in text
     assert "less than 10⁻⁹ mm" in text
-    assert "orthoglide identify experiment2.csv --out DIR" in text
+    assert "orthoglide rerun result.json --out DIR" in text
     assert text.count("The residuals are") == 0  # said once, at the top, in plain words
 
 
@@ -343,6 +343,9 @@ def test_weak_directions_in_words() -> None:
         "apart: together they may change by 0.4 mm (one sigma), and hardly a reading changes."
     )
     assert "it may change by any amount, and no reading changes" in second
+    (many,) = weak_sentences([pair, blind, pair])
+    assert "3 combinations of axis tilts, axis offsets and backlashes" in many
+    assert "may change by any amount" in many
     assert "The tolerances, not the readings, narrow this to 0.02 mm" in second
 
 

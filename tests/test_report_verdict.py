@@ -295,23 +295,6 @@ def test_result_has_the_keys_of_the_contract(which: str) -> None:
         assert all("reading_mm" not in row for row in suggestion["readings"])
 
 
-def test_judges_are_reported() -> None:
-    held = json.loads(files_of("partial")["result.json"])
-    verdict = verdict_of("partial")
-    assert verdict.hold_out is not None
-    assert held["holdout"]["after_rms_mm"] == pytest.approx(verdict.hold_out.after.length * 1e3)
-    assert held["tcp"] is None
-    assert [i.get("role", "campaign") for i in held["inputs"]] == ["campaign", "holdout"]
-    judged = json.loads(files_of("explained")["result.json"])
-    errors = verdict_of("explained").tcp
-    assert errors is not None
-    assert judged["holdout"] is None
-    assert set(judged["tcp"]) == {"none", "translation", "rigid"}
-    told = judged["tcp"]["translation"]
-    assert told["after_mean_mm"] == pytest.approx(errors["translation"].after[0] * 1e3)
-    assert told["nominal_max_mm"] == pytest.approx(errors["translation"].nominal[1] * 1e3)
-
-
 @pytest.mark.thorough
 @pytest.mark.parametrize("worse", [False, True])
 def test_what_speaks_against_acting_is_told_everywhere(worse: bool) -> None:

@@ -92,14 +92,6 @@ def test_what_is_not_told_explains_nothing() -> None:
 
 
 @pytest.mark.thorough
-def test_a_sound_machine_leaves_nothing_although_nothing_is_told() -> None:
-    campaign, machine = campaign_of(Rig()), og.Machine.nominal()
-    known = full_posterior(solve(assemble([campaign], machine, machine.catalogue.base)))
-    assert outstanding(known).names == frozenset()
-    assert remains(known, NOTHING).p_value > SIGNIFICANT
-
-
-@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [28, 54])
 def test_zeros_far_off_beside_noise_of_one_chance_in_a_hundred(seed: int) -> None:
     """What was left by chance kept the tolerances, ten of which no explanation could be weighed

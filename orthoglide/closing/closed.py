@@ -41,44 +41,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Closed:
-    """A closed loop as the search left it.
+    """A closed loop as the search left it."""
 
-    Attributes:
-        request: what was asked.
-        word: adequate, diffuse, explained, ambiguous, located, partial or unexplained.
-        before: fit of the base model: joint offsets and leg lengths, or what ``identify`` frees.
-        after: the readings as the posterior's mean has them; ``before`` of ``identify``.
-        effects: causes with a name that stand out of the background.
-        located: places without a name that do.
-        candidates: what was weighed, most probable first.
-        left: whether the last fit leaves anything.
-        posterior: what the readings say of everything; ``None`` of ``identify``.
-        blunders: faults of the data, found before any physics.
-        changed: parameters that are not the same in all campaigns, found before any physics.
-        faulty: the base fit with the faulty readings in, where there are any.
-        hold_out: scores on readings held out, or ``None``.
-        tcp: errors at measured TCP points by alignment, or ``None``.
-        possible: where something is left and nothing stands out: the most probable causes, each as
-            if it were there.
-        alone: where nothing stands out: causes of which one would be behind it on a machine that
-            is sound otherwise.
-    """
-
-    request: Request
-    word: Word
-    before: Estimate
-    after: Estimate
-    effects: tuple[Cause, ...]
-    located: tuple[Located, ...]
-    candidates: tuple[CandidateScore, ...]
-    left: Left
-    posterior: FullPosterior | None = None
-    blunders: tuple[Blunder, ...] = ()
-    changed: tuple[Change, ...] = ()
-    faulty: Estimate | None = None
-    hold_out: HoldOut | None = None
-    tcp: dict[str, TcpErrors] | None = None
+    request: Request  # what was asked
+    word: Word  # the verdict
+    before: Estimate  # base model: joint offsets and leg lengths, or what `identify` frees
+    after: Estimate  # fit at the posterior mean; `before` after `identify`
+    effects: tuple[Cause, ...]  # active causes
+    located: tuple[Located, ...]  # active free-form errors
+    candidates: tuple[CandidateScore, ...]  # what was considered, most probable first
+    left: Left  # lack of fit of the last fit
+    posterior: FullPosterior | None = None  # of everything; none after `identify`
+    blunders: tuple[Blunder, ...] = ()  # data faults
+    changed: tuple[Change, ...] = ()  # parameters that differ between campaigns
+    faulty: Estimate | None = None  # base fit with the faulty readings, if there are any
+    hold_out: HoldOut | None = None  # scores on readings held out
+    tcp: dict[str, TcpErrors] | None = None  # errors at measured TCP points by alignment
+    # if nothing is active: causes that could each explain the residual alone
     alone: tuple[Explanation, ...] = ()
+    # if the model does not fit and nothing is active: the most probable causes
     possible: tuple[Explanation, ...] = ()
 
     @property

@@ -113,7 +113,6 @@ def _result(closed: Closed) -> Result:
         shapes_of_plate=known is not None and bool(known.mixture.linear.unnamed.any()),
         picture=closed.picture,
         readings=readings_shown(after, base, request.given),
-        command_line=request.command_line,
         withheld=not_advised(closed),
         contradicted=closed.contradicted,
         possible=tuple(_possible(closed)),

@@ -1,17 +1,15 @@
-"""A comparison as files: tables, figures and a page."""
+"""A comparison as files: tables and figures."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from html import escape
 
 import numpy as np
 
 from orthoglide.comparison.comparing import Slice, slices
 from orthoglide.comparison.rows import READING_LIMIT, TCP_LIMIT, Difference, Row
 from orthoglide.figures import style
-from orthoglide.frames import html_table
 from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 from orthoglide.observations import csv_text
@@ -43,15 +41,6 @@ _OF_TOOL = (
     f"being enough, by proportion."
 )
 """The same where no dials stand on legs."""
-
-_STYLE = (
-    "body{font:15px/1.5 system-ui,sans-serif;max-width:75rem;margin:2rem auto;padding:0 1rem;"
-    "color:#1f2a33}div{overflow-x:auto}table{border-collapse:collapse;font-size:13px}"
-    "td,th{border-bottom:1px solid #dfe4e8;padding:.25rem .5rem;text-align:right;"
-    "white-space:nowrap}th{white-space:normal}td:first-child,th:first-child{text-align:left}"
-    "caption{font-size:17px;font-weight:bold;text-align:left}"
-    "figure{margin:1.5rem 0}svg{max-width:100%;height:auto}"
-)
 
 
 def micrometres(*values: float) -> str:
@@ -176,22 +165,6 @@ def slice_figure(title: str, planes: Sequence[Slice]) -> str:
         return style.svg_text(figure)
 
 
-def comparison_page(
-    title: str, sections: Sequence[tuple[str, Sequence[Row]]], figures: Sequence[str]
-) -> str:
-    """Return one self-contained HTML page: tables by heading, then figures (SVG texts)."""
-    tables = (html_table(heading, _table(rows), len(rows)) for heading, rows in sections)
-    drawings = (f"<figure>{svg[svg.index('<svg') :]}</figure>" for svg in figures)
-    told = f"<p>{escape(legend([row for _, rows in sections for row in rows]))}</p>"
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width">'
-        f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>"
-        f"<h1>{escape(title)}</h1>{told}"
-        f"<div>{'</div><div>'.join(tables)}</div>{''.join(drawings)}</body></html>\n"
-    )
-
-
 def comparison_files(
     machine: Machine,
     whole: Sequence[Row],
@@ -213,14 +186,13 @@ def comparison_files(
         ("Every effect at its tolerance", rows),
     ]
     sections = [(name, some) for name, some in every if some]
-    figures = dict(_figures(machine, drawn, progress))
+    figures = _figures(machine, drawn, progress)
     tables = "".join(f"\n## {name}\n\n{markdown_table(some)}" for name, some in sections)
     both = [row for _, some in sections for row in some]
     return {
         "table.csv": csv_table(both),
         "table.md": f"# {_TITLE}\n\n{legend(both)}\n{tables}",
-        **{f"figures/{name}.svg": svg for name, svg in figures.items()},
-        "compare.html": comparison_page(_TITLE, sections, list(figures.values())),
+        **{f"figures/{name}.svg": svg for name, svg in figures},
     }
 
 

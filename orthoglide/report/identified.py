@@ -15,7 +15,7 @@ from orthoglide.text import listed
 
 _HARDLY = 0.95  # ratio of deviations above which they "hardly change"
 _UNSEEN = 0.9  # ratio of a sigma to the tolerance above which the readings add nothing
-_MOST_NAMED = 2  # parameters beyond the base model that a sentence names
+_MOST_NAMED = 2  # parameters beyond the base model, or weak directions, that are named one by one
 _MOST_NAMED_WEAK = 4  # parameters that a sentence names which the readings confuse
 
 
@@ -72,10 +72,14 @@ def effects_named(result: Result) -> str:
     """Return the effects of the base model in the plural, or that they were calibrated before."""
     if result.calibrated_before:
         return "errors calibrated before"
-    of = result.catalogue.effect_of
-    called = result.catalogue.legs.effect_words
-    names = dict.fromkeys(called(of(name).name) for name in result.before.names)
-    return listed(f"{n}es" if n.endswith(("sh", "ch", "ss", "x")) else f"{n}s" for n in names)
+    return _effects(result.before.names, result.catalogue)
+
+
+def _effects(names: Iterable[str], catalogue: Catalogue) -> str:
+    """Return the effects of parameters in the plural, each once."""
+    called = catalogue.legs.effect_words
+    words = dict.fromkeys(called(catalogue.effect_of(name).name) for name in names)
+    return listed(f"{n}es" if n.endswith(("sh", "ch", "ss", "x")) else f"{n}s" for n in words)
 
 
 def _by_leg(result: Result, every: Sequence[Parameter], effect: str) -> list[str]:
@@ -126,10 +130,11 @@ def weak_sentences(weak: Iterable[WeakDirection], catalogue: Catalogue = CATALOG
     every = list(weak)
     legs = [_offset_and_length(w, catalogue) for w in every]
     similar = [w for w, leg in zip(every, legs, strict=True) if leg]
-    said = [_general(w, catalogue) for w, leg in zip(every, legs, strict=True) if not leg]
-    if similar:
-        said.insert(0, _together(similar, sorted(leg for leg in legs if leg)))
-    return said
+    others = [w for w, leg in zip(every, legs, strict=True) if not leg]
+    said = [_together(similar, sorted(leg for leg in legs if leg))] if similar else []
+    if len(others) > _MOST_NAMED:
+        return [*said, _several(others, catalogue)]
+    return [*said, *(_general(w, catalogue) for w in others)]
 
 
 def _offset_and_length(weak: WeakDirection, catalogue: Catalogue) -> str:
@@ -150,6 +155,17 @@ def _together(weak: list[WeakDirection], legs: list[str]) -> str:
         f"{widest.unit} (one sigma), hardly a reading changes. Their difference is what is seen."
     )
     return text + _narrowed(widest)
+
+
+def _several(weak: list[WeakDirection], catalogue: Catalogue) -> str:
+    widest = best_of(weak, lambda w: w.sigma)
+    effects = _effects((name for one in weak for name in one.parameters), catalogue)
+    size = f"{compact(widest.sigma, 2)} {widest.unit} (one sigma)"
+    return (
+        f"The readings hardly see {len(weak)} combinations of {effects}: along one of them the "
+        f"values may change by {'any amount' if math.isinf(widest.sigma) else size}, and hardly a "
+        f"reading changes.{_narrowed(widest)}"
+    )
 
 
 def _general(weak: WeakDirection, catalogue: Catalogue) -> str:

@@ -234,7 +234,7 @@ def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
 def values(result: Result, figures: Figures) -> Data:
     """Return the identified values with their sigmas."""
     fit, of = result.after, result.catalogue.effect_of
-    freed = {of(n).name for n in result.shown}
+    freed = {of(n).name for n in result.identified}
     held = (of(n).name for n, value in result.machine.values.items() if value)
     called = result.catalogue.legs.effect_words
     others = dict.fromkeys(called(name) for name in held if name not in freed)
@@ -242,7 +242,7 @@ def values(result: Result, figures: Figures) -> Data:
         "rows": parameter_rows(result),
         "figure": whole(figures["parameters"]) if "parameters" in figures else "",
         "others": listed(others),
-        "dials": any(of(n).of_dial for n in result.shown),
+        "dials": any(of(n).of_dial for n in result.identified),
         "scale": f"{fit.sigma_scale:.2g}" if fit.sigma_scale > 1 else "",
     }
 

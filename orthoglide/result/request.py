@@ -24,8 +24,6 @@ Command = Literal["identify", "close-loop", "diagnose", "demo"]
 COMMANDS: tuple[Command, ...] = get_args(Command)
 """Whose results can be run again."""
 
-_AGAIN = "orthoglide rerun result.json --out DIR"
-
 
 @dataclass(frozen=True)
 class Request:
@@ -107,16 +105,13 @@ class Request:
         return list(self._inputs())
 
     def _inputs(self) -> Iterator[dict[str, Any]]:
+        machine = self.machine.spec
         for given in self.given:
-            yield self._input(given, "fit_tcp" if given.by_point else "campaign")
+            yield _input(given, "fit_tcp" if given.by_point else "campaign", machine)
         for given in self.holdout:
-            yield self._input(given, "holdout")
+            yield _input(given, "holdout", machine)
         if self.tcp is not None:
-            yield self._input(self.tcp, "tcp")
-
-    def _input(self, given: Readings, role: str) -> dict[str, Any]:
-        machine = self.machine.spec if given.of_tool else None
-        return _input(given, role, campaign_rows(given, machine))
+            yield _input(self.tcp, "tcp", machine)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the keys of ``result.json``: enough to run it again."""
@@ -133,34 +128,6 @@ class Request:
                 **({"urdf": urdf_digests(spec.urdf)} if spec.urdf else {}),
             },
         }
-
-    @property
-    def command_line(self) -> str:
-        """Command that runs it again beside the files, or from the result if there are none."""
-        if self.command == "demo":
-            return "orthoglide demo --out DIR" + (f" --seed {self.seed}" if self.seed else "")
-        judges = [*self.holdout, *(() if self.tcp is None else (self.tcp,))]
-        if not all(given.file for given in (*self.campaigns, *self.points, *judges)):
-            return _AGAIN
-        given = self.arguments
-        free = () if self.free == tuple(CATALOGUE.base) else self.free
-        words = ["orthoglide", self.command, *given["campaigns"], "--out", "DIR"]
-        options = {
-            "--free": ",".join(free),
-            "--holdout": given.get("holdout") or "",
-            "--tcp": given.get("tcp") or "",
-            "--own": ",".join(self.own),
-            "--machine": given["machine"] or "",
-            "--effects-file": self.effects_file,
-            "--noise": "" if self.noise is None else f"{given['noise_mm']:g}",
-            "--seed": str(self.seed) if self.seed and self.searches else "",
-        }
-        for option, value in options.items():
-            words += [option, value] if value else []
-        for points in self._fitted:
-            words += ["--fit-tcp", name_of(points), "--frame", self.frame]
-        flags = {"--no-priors": not self.priors, "--reduced": self.reduced}
-        return shlex.join([*words, *(flag for flag, given in flags.items() if given)])
 
 
 def machine_kept(spec: MachineFile) -> dict[str, str | None]:
@@ -181,7 +148,9 @@ def name_of(given: Readings) -> str:
     return f"{plain or 'readings'}.csv"
 
 
-def _input(given: Readings, role: str, rows: list[dict[str, str]]) -> dict[str, Any]:
+def _input(given: Readings, role: str, machine: MachineFile) -> dict[str, Any]:
+    """Return a file of readings as ``result.json`` keeps it."""
+    rows = campaign_rows(given, machine if given.of_tool else None)
     found: dict[str, Any] = {
         "file": name_of(given),
         "sha256": given.sha256 or sha256(csv_text(rows).encode()),

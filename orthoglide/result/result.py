@@ -123,7 +123,6 @@ class Result(Framed):
         shapes_of_plate: whether a probed plate may have a shape that no effect describes.
         picture: drawing of the machine with the causes marked.
         readings: measured and predicted readings.
-        command_line: command that runs it again.
         noise_by_setup: noise that the residuals show, by setup; empty in results of earlier
             versions.
         withheld: what is not advised, with the reason.
@@ -170,7 +169,6 @@ class Result(Framed):
     shapes_of_plate: bool
     picture: Picture
     readings: ReadingsShown
-    command_line: str
     noise_by_setup: Annotated[tuple[SetupNoise, ...], Key("noise")] = ()
     withheld: tuple[Withheld, ...] = ()
     contradicted: str = ""
@@ -320,11 +318,6 @@ class Result(Framed):
     def scattering(self) -> tuple[str, ...]:
         """Warnings that repeats scatter by more than the declared noise."""
         return tuple(w for w in self.after.warnings if w.kind == "scatter")
-
-    @property
-    def shown(self) -> tuple[str, ...]:
-        """Names of the identified parameters."""
-        return tuple(self.identified)
 
     @property
     def columns(self) -> dict[str, list[Any]]:

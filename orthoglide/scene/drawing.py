@@ -116,7 +116,7 @@ def _told(posed: Posed, dials: Sequence[Dial], options: str) -> str:
     where = f" Dials: {', '.join(dict.fromkeys(dial.name for dial in dials))}." if dials else ""
     said = f" Marked: {options}." if options else ""
     legs = f"Three legs {names}, each a carriage on its rail and two bars to the platform."
-    return f"{legs}{where}{said}"
+    return f"{posed.geometry.layout.names.spoken(legs)}{where}{said}"
 
 
 def _bodies(posed: Posed, project: Projection) -> list[tuple[float, str]]:
