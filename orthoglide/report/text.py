@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 
 _MOST = 3  # of what may be looked at
+_IN_WORDS = ("cause", "if it is the only cause", "possible cause", "considered")  # columns
 
 
 def summary(result: Result, ranked: bool = False, said: str = "") -> str:
@@ -127,7 +128,7 @@ def _tables(result: Result, ranked: bool) -> Iterator[Table]:
     """Yield the tables of causes, candidates, parameters and scores that are not empty."""
     yield from table(("probability", "cause"), _found(result))
     alone = ((hundredths(one.probability), one.words) for one in result.alone)
-    yield from table(("probability", "if one alone"), alone)
+    yield from table(("probability", "if it is the only cause"), alone)
     yield from table(POSSIBLE, possible_rows(result))
     tried = ((hundredths(t.probability), t.words or t.name) for t in weighed(result) if ranked)
     yield from table(("probability", "considered"), tried)
@@ -160,7 +161,7 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Tab
         widths[slack.index(max(slack))] -= 1
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for k, title in enumerate(columns):
-        left = k == 0 or title in ("cause", "if one alone", "possible cause", "considered")
+        left = k == 0 or title in _IN_WORDS
         made.add_column(
             title, justify="left" if left else "right", width=widths[k], overflow="fold"
         )

@@ -29,8 +29,8 @@ _KNOWN = 0.1  # relative uncertainty of a gain from which it is stated
 _SHOWN = 5e-5  # millimetres: a smaller uncertainty is none that four decimals show
 
 NOTHING_SHOWN = (
-    "These readings show no error at all: either they were made up of a machine that has none, or "
-    "the instruments read nothing."
+    "These readings show no error at all: either they were computed from a machine without errors, "
+    "or the instruments read nothing."
 )
 
 MEANINGS: Mapping[str, str] = {
@@ -80,8 +80,8 @@ def standing(result: Result) -> str:
         return f"{noisy} {against}" if noisy else text
     if none_left_over(result):
         return (
-            f"These readings are too few to look for causes with: the "
-            f"{effects_named(result)} take up nearly all that they say."
+            f"These readings are too few to search for causes: the {effects_named(result)} take up "
+            f"nearly all of their information."
         )
     first = _to_enter(result)
     if a_little(result):
@@ -218,7 +218,7 @@ def _alone(result: Result) -> str:
     more = len(result.alone) - len(several)
     told = [sentence(several[0]), *(f"Or {words}." for words in several[1:])]
     told += [f"Or {more} more named below."] if more > 0 else []
-    return f" If one cause alone is behind most of it, it is one of these. {' '.join(told)}"
+    return f" If a single cause explains most of it, it is one of these. {' '.join(told)}"
 
 
 def _too_few(result: Result) -> bool:
