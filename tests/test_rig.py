@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import re
 from dataclasses import replace
@@ -58,16 +57,6 @@ def free_datum(rows: list[Row], residual: Array) -> Array:
 
 
 # -- the definition ------------------------------------------------------------------------------
-
-
-def test_imports_nothing_of_the_package() -> None:
-    for name in ("rig.py", "rig_campaigns.py", "rig_delta.py"):
-        names = []
-        for node in ast.walk(ast.parse((Path(__file__).parent / name).read_text())):
-            names += [a.name for a in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-        assert "numpy" in names
-        assert not any(n.startswith("orthoglide") for n in names)
 
 
 def test_nominal_machine_satisfies_the_sphere_equations() -> None:

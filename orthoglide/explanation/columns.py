@@ -179,11 +179,12 @@ def _of_machine(problem: Problem, wide: Problem, here: Linearised, moved: Array)
     free_rows, found = curves(wide, x, off - nuisance.fitted(off))
     of_dials, dials = curves_of_dials(wide, here.value, off)
     of_plates, sizes = plates(wide)
-    blocks = chain([here.jacobian * sd], free_rows, of_dials, [of_plates])
+    blocks = chain(free_rows, of_dials, [of_plates])
     found = (*found, *dials)
     scale = np.concatenate([sd, *(np.full(p.kernel.count, p.unit) for p in found), sizes])
     rows = np.empty((len(off), len(scale)))
-    first = 0
+    np.multiply(here.jacobian, sd, out=rows[:, : len(sd)])
+    first = len(sd)
     for block in blocks:
         rows[:, first : (first := first + block.shape[1])] = block
     value = here.value - here.jacobian @ x

@@ -93,7 +93,7 @@ class Nuisances:
     @cached_property
     def basis(self) -> Array:
         """Orthonormal columns that span those of ``augmented`` ``(n + k, rank)``."""
-        return orthonormal(self.augmented)
+        return orthonormal(self.augmented.copy())
 
     @property
     def count(self) -> int:
@@ -196,19 +196,19 @@ def fitted_basis(problem: Problem, nuisance: Nuisances, at: Linearised) -> Array
 
     The first ``n`` rows are those of the readings: their squares sum to the leverage.
     """
-    rows = nuisance.weighing.whiten(np.hstack([at.jacobian, nuisance.columns]))
-    full = np.vstack([rows, known_rows(problem, nuisance)])
-    return orthonormal(full)
+    every = np.hstack([at.jacobian, nuisance.columns])
+    return orthonormal(np.vstack([nuisance.weighing.whiten(every), known_rows(problem, nuisance)]))
 
 
 def orthonormal(columns: Array) -> Array:
-    """Return orthonormal columns ``(m, rank)`` that span some columns ``(m, k)``.
+    """Return orthonormal columns ``(m, rank)`` that span some columns ``(m, k)``, which are scaled
+    in place: of many readings a copy would be large.
 
     A setup may have fewer readings than numbers. A column that follows from those before it adds
     nothing, and left in, its rounding would become a direction of other readings.
     """
     scale = np.linalg.norm(columns, axis=0)
-    columns = columns / np.where(scale > 0, scale, 1.0)
+    columns /= np.where(scale > 0, scale, 1.0)
     basis, triangle = np.linalg.qr(columns)
     new = np.abs(np.diag(triangle)) > _SPANNED
     return basis if new.all() else np.linalg.qr(columns[:, new])[0]

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from orthoglide.errors import InputError, check_word
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
+from orthoglide.observations.arrays import numbered
 
 _PARTS: dict[str, int | slice] = {
     "command": slice(0, 3), "approach": slice(3, 6), "time": 6, "warming": 7, "load": 8,
@@ -115,5 +116,5 @@ class Conditions:
         """
         names = ("approach", "approach", "approach", "time", "temperature", "load")
         table = self.table * [1.0, 1.0, 1.0, *(name in needs for name in names)]
-        distinct, place = np.unique(table, axis=0, return_inverse=True)
-        return Conditions(distinct), place.reshape(-1)
+        place = numbered(table)
+        return Conditions(table[np.unique(place, return_index=True)[1]]), place
