@@ -16,8 +16,7 @@ import orthoglide as og
 from orthoglide.cli.measuring import design as design_command, protocol as protocol_command
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
-from orthoglide.explanation.evidence import Scoring
-from orthoglide.explanation.signatures import signatures
+from orthoglide.explanation.signatures import Scoring, signatures
 from orthoglide.fit import Estimate, Problem, solve, with_free
 from orthoglide.machine_file import Controller
 from orthoglide.observations import Campaign, Moves, derive_approach, protocol

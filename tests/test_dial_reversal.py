@@ -97,7 +97,8 @@ def test_which_way_a_plunger_came() -> None:
         row["order"] = k
     estimate: Estimate = identify(campaign_of(rows), og.Machine.nominal())
     value = estimate.at.value
-    columns, places = curves_of_dials(estimate.problem, value, estimate.residuals)
+    parts, places = curves_of_dials(estimate.problem, value, estimate.residuals)
+    columns = np.hstack(parts)
     at = [p.name for p in places].index("dial.yz-0.5/approach")
     own = np.array([row["setup"] == "yz-0.5" for row in rows])
     start = sum(p.kernel.count for p in places[:at])

@@ -11,8 +11,7 @@ from scipy import stats
 import orthoglide as og
 from orthoglide.accuracy import Map, without_place
 from orthoglide.explanation import significance
-from orthoglide.explanation.evidence import Scoring
-from orthoglide.explanation.signatures import signatures
+from orthoglide.explanation.signatures import Scoring, signatures
 from orthoglide.fit import Estimate
 from orthoglide.fit.least_squares import normal
 from orthoglide.fit.repeats import repeat_variance

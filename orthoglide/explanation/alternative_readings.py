@@ -299,7 +299,8 @@ def with_noise_of_the_rest(problem: Problem, but: NDArray[np.bool_] | None = Non
         total = [f.noise.total[own] for f, own in zip(factors, kept, strict=True)]
         again = replace(noise, typical=overall([f.readings.subset(o) for f, o in each], total))
     one = again if not of_legs or noise.source == "repeats" else noise
-    return replace(problem, factors=tuple(factors), noise=replace(one, levels=levels))
+    kept_noise = replace(one, levels=levels, refuted=noise.refuted)
+    return replace(problem, factors=tuple(factors), noise=kept_noise)
 
 
 def _as_most(factor: Factor, rows: NDArray[np.bool_], others: NDArray[np.bool_]) -> Factor:

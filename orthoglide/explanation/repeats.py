@@ -147,7 +147,7 @@ def with_noise_of_repeats(problem: Problem) -> Problem:
     than the others of its kind. Differences of successive repeat differences are taken, which
     neither a drift, a knocked stand nor a dial set to zero anew enlarges; slips are left out.
     """
-    factors, scales = [], list[float]()
+    factors, scales, refuted = [], list[float](), set[str]()
     for factor in problem.factors:
         scale = np.ones(len(factor.readings))
         for kind in dict.fromkeys(factor.readings.kind):
@@ -161,10 +161,12 @@ def with_noise_of_repeats(problem: Problem) -> Problem:
         more = replace(noise, sigma=np.where(loud, sigma, noise.sigma), common=common)
         factors.append(replace(factor, noise=more))
         scales += scale[noise.weighted].tolist()
+        refuted |= set(np.array(factor.readings.kind)[loud].tolist())
     if not scales or max(scales) <= 1:
         return problem
     typical = problem.noise.typical * float(np.median(scales))
-    return replace(problem, factors=tuple(factors), noise=replace(problem.noise, typical=typical))
+    larger = replace(problem.noise, typical=typical, refuted=frozenset(refuted))
+    return replace(problem, factors=tuple(factors), noise=larger)
 
 
 def _scales_of(factor: Factor, rows: Rows) -> Array:

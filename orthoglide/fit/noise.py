@@ -125,6 +125,8 @@ class Noise:
     dof: float = float("inf")  # degrees of freedom behind the level of the first kind
     declared: float = float("nan")  # declared standard deviation before rounding; nan if none
     levels: Mapping[str, Level] = field(default_factory=dict)  # by kind of reading
+    # kinds of reading whose assumed noise is replaced by the larger one that their repeats show
+    refuted: frozenset[str] = frozenset()
 
 
 def instrument_of(spec: MachineFile, observation: Observation) -> Instrument:

@@ -168,7 +168,10 @@ class Problem:
             sources = [source for k, _, source in rated if k == kind]
             often = max(dict.fromkeys(sources), key=sources.count)
             found[kind] = (float(np.sqrt(np.mean(sigma**2))), "declared" if told else often)
-        return found
+        return {
+            kind: (sigma, "repeats" if kind in self.noise.refuted else source)
+            for kind, (sigma, source) in found.items()
+        }
 
     @property
     def noise_source(self) -> NoiseSource:

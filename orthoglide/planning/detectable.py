@@ -14,8 +14,7 @@ from orthoglide.effects.wording import parameter_words
 from orthoglide.errors import InputError, check_list, check_whole
 from orthoglide.explanation.candidates import Candidate
 from orthoglide.explanation.change_model import CLASS_WIDTH
-from orthoglide.explanation.evidence import Scoring
-from orthoglide.explanation.signatures import Signatures, signatures
+from orthoglide.explanation.signatures import Scoring, Signatures, signatures
 from orthoglide.explanation.significance import DRAWS, noise_residuals
 from orthoglide.fit import solve
 from orthoglide.frames import Framed
