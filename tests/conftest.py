@@ -40,8 +40,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 LONGEST = (
     "test_observation_laws.py", "test_blunders.py", "test_identification.py", "test_golden.py",
     "test_cli_closing.py", "test_first_screen.py", "test_delta_owner.py", "test_klipper.py",
-    "test_noise.py", "test_cli.py", "test_closing.py", "test_metamorphic.py", "test_doubts.py",
-    "test_report.py", "test_report_verdict.py", "test_field.py", "test_python.py",
+    "test_noise.py", "test_cli.py", "test_closing.py", "test_metamorphic.py",
+    "test_readings_not_as_they_seem.py", "test_report.py", "test_report_verdict.py",
+    "test_field.py", "test_python.py",
     "test_controller.py", "test_rehearsal.py", "test_pasting.py", "test_one_station.py",
     "test_pinocchio_model.py",
 )  # fmt: skip

@@ -61,7 +61,6 @@ def changes_page(found: Check) -> str:
         title="What changed on this machine",
         subtitle=f"from {', '.join(found.old)} to {', '.join(found.new)}",
         sections=[Section("changes", "", _data(found) | drawn)],
-        view_style="",
         version=__version__,
         command="check",
     )
