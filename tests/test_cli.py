@@ -245,7 +245,7 @@ def test_malformed_machine_files(kind: str, here: Path) -> None:
         (("--reduced", "--free", "axis_tilt"), "free nothing else"),
         (("--no-priors", "--free", "joint_offset,leg_length,axis_tilt,axis_offset"),
          "do not determine"),
-        (("experiment2.csv",), "two campaigns are called alike"),
+        (("experiment2.csv",), "two campaigns have the same name"),
         (("none.csv",), "none.csv: there is no such file"),
         ((".",), "cannot be read"),
     ],

@@ -343,7 +343,7 @@ def test_a_campaign_twice_is_twice_the_knowledge() -> None:
     ("campaigns", "options", "message"),
     [
         ([], {}, "no campaign"),
-        (["a", "a"], {}, "called alike"),
+        (["a", "a"], {}, "have the same name"),
         (["a"], {"own": ["axis_tilt"]}, "not free"),
         (["a"], {"free": []}, "nothing is free"),
         (["a"], {"free": ["axis_twist"]}, "axis_twist"),

@@ -167,7 +167,7 @@ def test_an_odd_reading_is_kept_when_it_is_given_twice(machine: og.Machine, tmp_
     path = tmp_path / "c.csv"
     _, said, run = conversation(path, machine, scripted("0", "0", "8.5", "8.5", "=", "quit"))
     assert run() is None
-    assert sum("8.5 mm is odd" in line for line in said) == 1
+    assert sum("8.5 mm is implausible" in line for line in said) == 1
     assert [row["reading_mm"] for row in read_csv(path) if row["kind"] == "leg"][2] == 8.5
 
 

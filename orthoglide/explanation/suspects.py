@@ -21,10 +21,10 @@ from orthoglide.observations.arrays import numbered
 from orthoglide.prediction import Seen
 
 _SIZE = 5e-4
-"""Metres, or radians: what a slip is in. With the scales of what stands out, from a tenth of a
-millimetre to some millimetres, the range in which fingers and stands slip."""
+"""Unit of the coefficient of a slip, metres or radians. With the scales of the slab it covers a
+tenth of a millimetre to some millimetres, the range in which fingers and stands slip."""
 
-_COMMAND = 1e-3  # metres: a wrong digit of a command is rarely one behind the point
+_COMMAND = 1e-3  # metres: mistyped commands are seldom off by less than a millimetre
 _STEP = 1e-5  # metres, of a difference quotient
 
 _EXPECTED = 0.5
@@ -32,7 +32,7 @@ _EXPECTED = 0.5
 
 _BESIDE = 2  # readings on either side of a knock: fewer are slips
 _ZEROS = 12  # times that a dial is set to zero anew
-_KNOCKS = 64  # moments of a setup at which it may have been knocked
+_KNOCKS = 64  # moments of a setup at which a knock is tried: of more, every second, third ... one
 
 
 Key = tuple[str, tuple[int, ...], tuple[tuple[int, int], ...]]
@@ -50,7 +50,7 @@ class Suspect:
 
     @property
     def name(self) -> str:
-        """Unlike that of any cause or place."""
+        """Identifier; the leading ``!`` keeps it apart from names of parameters."""
         fault = self.fault
         drive = "".join(LEGS[k] for k, _ in fault.commands)
         return f"!{fault.kind}.{'+'.join(map(str, fault.setups))}.{fault.rows[0]}{drive}"
@@ -157,7 +157,7 @@ def _anew(problem: Problem, setup: int) -> Suspect | None:
         return None
     stations = len(np.unique(problem.station[rows]))
     if 2 * len(starts) > len(rows) - stations or len(starts) > _ZEROS:
-        return None  # too short for a datum of their own, or too many to be anybody's
+        return None  # too short for a datum of their own, or more resets than anybody makes
     later = rows[starts[0] :]
     shown = (numbered(repeat[starts[0] :])[:, None] == np.arange(len(starts))) * _SIZE
     return Suspect(Fault("zeroed", later, (setup,)), shown, _SIZE)
@@ -199,7 +199,7 @@ def postures(problem: Problem) -> Rows:
 
 
 def slopes(problem: Problem, x: Array, value: Array) -> Array:
-    """Derivative of every reading of a dial by its own command ``(n, 3)``.
+    """Return the derivative of every reading of a dial by the commands of its posture ``(n, 3)``.
 
     Args:
         problem: with dials.
@@ -217,7 +217,9 @@ def slopes(problem: Problem, x: Array, value: Array) -> Array:
 
 
 def _commands(problem: Problem, by_command: Array, corrected: Sequence[Fault]) -> Iterator[Suspect]:
-    """The command of every posture on every drive; a posture read once has an outlier at most."""
+    """Every posture's command on every drive; with one reading in a posture, a wrong command is the
+    same as a slip.
+    """
     posture = postures(problem)
     weighted = np.concatenate([f.noise.weighted for f in problem.factors])
     posture[~weighted] = -1

@@ -1,9 +1,8 @@
-"""Readings on a machine that may be off by anything: how likely they are, with others in their
-place too.
+"""The likelihood of readings, and of other data in their place, under the full model.
 
-With ``S = 1 + A D A^T`` the covariance of whitened readings on a machine that is off by so many of
-its tolerances everywhere, other data r' have ``-r'^T S^-1 r' / 2``: one factorisation for all of
-them.
+Every parameter may deviate by a multiple of its tolerance, which gives whitened readings the
+covariance ``S = 1 + A D A^T``. Other data r' have the log likelihood ``-r'^T S^-1 r' / 2`` up to a
+constant: one factorisation serves all of them.
 """
 
 from __future__ import annotations
@@ -20,16 +19,19 @@ from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 
 DATUM = 1e-2
-"""Metres: where a dial's zero may be."""
+"""Widest standard deviation of a nuisance of an instrument, metres or radians: where a dial's zero
+may be."""
 
-_OF_SUMS = 1e-15  # of the largest square: what sums of that size leave of the ones beside them
-_ROUNDING = 1e-12  # of the largest variance: far below the noise, far above what sums leave of it
+# Added to the diagonal of 1 + A^T A, relative to its largest entry, so that rounding of the largest
+# sums keeps it positive definite.
+_OF_SUMS = 1e-15
+_ROUNDING = 1e-12  # the same of A A^T, relative to the largest variance: far below the noise
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Root:
-    """The inverse of a covariance ``S = 1 + A A^T``, by the Cholesky factor of ``1 + A^T A``: as
-    large as what is unknown, however much was read.
+    """The inverse of a covariance ``S = 1 + A A^T`` by the Cholesky factor of ``1 + A^T A``, whose
+    size is the number of columns and not that of the readings.
     """
 
     columns: Array  # A (n, q), no more columns than rows
@@ -37,7 +39,9 @@ class Root:
 
     @classmethod
     def of(cls, columns: Array) -> Root:
-        """Return it for columns ``A`` ``(n, k)``; as many as there are rows show all of more."""
+        """Return it for columns ``A`` ``(n, k)``; more than ``n`` are replaced by a factor of
+        ``A A^T`` with ``n`` columns.
+        """
         if columns.shape[1] > len(columns):
             square = columns @ columns.T
             square[np.diag_indices_from(square)] += _ROUNDING * square.diagonal().max()
@@ -78,7 +82,7 @@ class Foretold:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Wide:
-    """The readings on a machine that may be off by anything, in units of their noise."""
+    """The readings under the full model, in units of their noise."""
 
     weighing: Weighing
     columns: Array  # of the machine, in standard deviations (n, C)
@@ -87,7 +91,13 @@ class Wide:
 
     @classmethod
     def of(cls, about: Everything, share: float, free: float) -> Wide:
-        """Of everything, with a background of some scales."""
+        """Linearise the readings about the posterior.
+
+        Args:
+            about: the full linear model.
+            share: background scale of the parameters, in tolerances.
+            free: background scale of the free-form errors.
+        """
         nuisance = about.nuisance
         known = np.maximum(nuisance.precision, DATUM**-2.0)
         columns, expected = in_deviations(about, about.rows, share, free)
@@ -103,8 +113,8 @@ class Wide:
 
     def _block(self, rows: Rows) -> Array:
         """Cholesky factor of the part of ``S^-1`` of some rows ``(k, k)``."""
-        own = self._root.white[rows]
-        part = (1 + _ROUNDING) * np.eye(len(rows)) - own @ own.T
+        white = self._root.white[rows]
+        part = (1 + _ROUNDING) * np.eye(len(rows)) - white @ white.T
         return np.asarray(np.linalg.cholesky(part), dtype=np.float64)
 
     def score(self, change: Array) -> Array:
@@ -131,10 +141,10 @@ class Wide:
         return self._by_rows[key]
 
     def without(self, rows: Rows, change: Array | None = None) -> float:
-        """What the likelihood grows by once some rows say nothing, in units of their noise.
+        """Return the gain of log likelihood once some rows have no weight.
 
         Args:
-            rows: that say nothing.
+            rows: without weight.
             change: of the readings ``(n,)``, metres; none where absent.
         """
         if change is None:
@@ -146,33 +156,33 @@ class Wide:
         return (float(white @ white) - _log_det(root)) / 2
 
     def odd(self, rows: Rows) -> float:
-        """By how much less likely some readings are than in the mean, all others given: what other
-        labels of theirs could gain at most.
+        """Return the log likelihood that other labels of some rows could gain at most: by how much
+        the rows are less likely, given all others, than in the mean.
         """
         return (self.foretold(rows).square - len(rows)) / 2
 
     def relabelled(self, rows: Rows, columns: Array, instruments: Array, residual: Array) -> float:
-        """Log likelihood where whole setups have other columns ``(k, C)``, nuisances of their own,
-        and residuals ``(k,)``.
+        """Return the log likelihood if whole setups have other columns ``(k, C)``, nuisances and
+        residuals ``(k,)``.
         """
         count = self.columns.shape[1]
         both = np.zeros((len(self.residual), count + self.instruments.shape[1]))
         both[:, :count], both[:, count:] = self.columns, self.instruments
         both[rows, :count], both[rows, count:] = columns, 0.0
-        own = np.zeros((len(both), instruments.shape[1]))
-        own[rows] = instruments
+        nuisances = np.zeros((len(both), instruments.shape[1]))
+        nuisances[rows] = instruments
         left = self.residual.copy()
         left[rows] = residual
-        return float(Root.of(np.hstack([both, own])).log_likelihood(left[:, None])[0])
+        return float(Root.of(np.hstack([both, nuisances])).log_likelihood(left[:, None])[0])
 
     def noise(self, change: Array) -> Array:
-        """What the machine does not explain of changed readings ``(n,)``, metres."""
+        """Return the expected noise of changed readings ``(n,)``, metres: what the model leaves."""
         return self.weighing.metres(self._root.past(self.residual + self.weighing.whiten(change)))
 
 
 def in_deviations(about: Everything, rows: Array, share: float, free: float) -> tuple[Array, Array]:
-    """Rows ``(n, C)`` by a standard deviation of each coefficient, and what is expected of them
-    ``(n,)``: of what an earlier calibration speaks, as it says.
+    """Return rows ``(n, C)`` by a standard deviation of each coefficient, and their expected value
+    ``(n,)``. Parameters of an earlier calibration have its mean and covariance.
     """
     sd = np.sqrt(about.linear.spike(share, free))
     columns = rows * sd

@@ -21,7 +21,7 @@ from orthoglide.prediction import Seen
 from orthoglide.result.fits import WeakDirection
 
 _SPANNED = 1e-10
-"""Length of a column's part beside all others, of its own, below which it is rounding."""
+"""Share of a column that is orthogonal to all others, below which it is rounding."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -26,14 +26,14 @@ as the background of other effects that a machine with nothing wrong is allowed.
 # parameter that ends on one is reported.
 _BOUND_SD = 50.0
 NOTHING = "nothing is free: name at least one parameter or family to identify"
-_LEAST_BOUND = {"mm": 0.05, "rad": 0.1}
+_LEAST_BOUND = {"mm": 0.05, "rad": 0.1}  # SI, by the unit in files: 50 mm and 0.1 rad
 
 
 @dataclass(frozen=True)
 class Unknown:
     """One number to identify."""
 
-    name: Parameter  # as reported; what campaigns have for themselves carries the first one's name
+    name: Parameter  # as reported; one per campaign is named after the first that it holds for
     # for each factor, the weights of the elementary parameters that it sets
     parts: tuple[Mapping[str, float], ...]
     tolerance: float  # standard deviation to expect, SI
@@ -65,13 +65,13 @@ def rows_about(
     spoken = np.array([u.name in place for u in unknowns], dtype=bool)
     chosen = [place[u.name] for u, s in zip(unknowns, spoken, strict=True) if s]
     matrix = np.zeros((len(chosen), len(unknowns)))
-    # What is not free stays at its mean: what is known of the rest is known given that.
-    rest = [k for k in place.values() if k not in set(chosen)]
+    # Parameters that are not free stay at their mean: the covariance is conditioned on them.
+    fixed = [k for k in place.values() if k not in set(chosen)]
     block = known.covariance[np.ix_(chosen, chosen)]
-    if rest:
-        scale = np.sqrt(np.diag(known.covariance)[rest])
-        among = known.covariance[np.ix_(rest, rest)] / scale / scale[:, None]
-        across = known.covariance[np.ix_(chosen, rest)] / scale
+    if fixed:
+        scale = np.sqrt(np.diag(known.covariance)[fixed])
+        among = known.covariance[np.ix_(fixed, fixed)] / scale / scale[:, None]
+        across = known.covariance[np.ix_(chosen, fixed)] / scale
         block = block - across @ np.linalg.pinv(among, rcond=1e-9, hermitian=True) @ across.T
     tolerance = np.array([u.tolerance for u, s in zip(unknowns, spoken, strict=True) if s])
     block = block + np.diag((_UNNOTICED * tolerance) ** 2)
@@ -100,12 +100,12 @@ def build_unknowns(
     stems = [s.name for s in sources]
     if len(set(stems)) != len(stems):
         remedy = (
-            "rename one file, or leave one out where it is the same"
+            "rename one file, or leave one out if they are identical"
             if all(s.readings.file for s in sources)
             else "give one a name of its own, dataclasses.replace(campaign, name='second'), as "
             "from_frame(..., name='second') does"
         )
-        raise InputError(f"two campaigns are called alike ({', '.join(stems)}): {remedy}")
+        raise InputError(f"two campaigns have the same name ({', '.join(stems)}): {remedy}")
     catalogue, unknowns = machine.catalogue, list[Unknown]()
     for name in expanded(catalogue, free, sources):
         starts = [0] + [k for k in range(1, len(stems)) if _begins(catalogue, name, stems[k], own)]
@@ -163,8 +163,8 @@ def _parts(catalogue: Catalogue, name: Parameter, source: Factor) -> Mapping[str
 def one_plate(
     unknowns: Sequence[Unknown], catalogue: Catalogue, apart: Collection[str] = ()
 ) -> tuple[Unknown, ...]:
-    """The same with one shape for each plate, whichever campaign it was probed in, unless it is
-    named among those that changed.
+    """Return the unknowns with one shape per plate, which all campaigns share; plates named in
+    ``apart`` keep one for each campaign.
     """
     joined: dict[Parameter, Unknown] = {}
     for unknown in unknowns:

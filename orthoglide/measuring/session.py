@@ -67,12 +67,12 @@ def understood(answer: str) -> Decimal | Word:
 
 @dataclass(frozen=True)
 class End:
-    """What measuring came to."""
+    """Outcome of a measuring session."""
 
     verdict: Verdict  # of all readings
-    settled: bool  # whether it is
+    settled: bool  # whether the verdict is settled
     reason: str  # why no more is asked for, a clause
-    readings: int  # that were taken
+    readings: int  # number of readings taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,13 +81,13 @@ class _Part:
 
     sheet: Readings
     rows: list[Row]  # as the file has them, moves included
-    start: int  # rows of all sheets before it
+    first_row: int  # number of rows of all sheets before it
     expected: Expected  # readings of the sheet
 
     @property
     def end(self) -> int:
         """Number of rows up to the end of this sheet."""
-        return self.start + len(self.rows)
+        return self.first_row + len(self.rows)
 
 
 @dataclass(eq=False)
@@ -104,7 +104,7 @@ class Session:
     clock: Callable[[], float] = time.time  # seconds; only differences count
     _began: float = field(default=0.0, init=False)
     _parts: list[_Part] = field(default_factory=list, init=False)  # up to the row that is next
-    # whether the machine came to the last row of the file by what was said
+    # True if this session moved the machine to the last row of the file
     _live: bool = field(default=False, init=False)
     _mounted: str = field(default="", init=False)  # dials that were told last
     _place: str = field(default="", init=False)  # position that was told last
@@ -128,11 +128,11 @@ class Session:
         self._began = self.clock() - last - self.record.idle
         self._begin(first)
         while True:
-            while self._done < self._parts[-1].start:  # a reading was taken back
+            while self._done < self._parts[-1].first_row:  # a reading was taken back
                 self._parts.pop()
             part = self._parts[-1]
             if self._done < part.end:
-                if not self._take(part):
+                if not self._read_next(part):
                     return None
                 continue
             rows = self.record.rows[: int(self._answers[part.end - 1]["order"]) + 1]
@@ -172,22 +172,22 @@ class Session:
                 )
         self._parts.append(_Part(sheet, rows, start, Expected.of(sheet, self.machine)))
 
-    def _take(self, part: _Part) -> bool:
+    def _read_next(self, part: _Part) -> bool:
         """Go to the next place of a sheet and read it; return False if somebody asks to stop."""
-        before = part.rows[: self._done - part.start]
+        before = part.rows[: self._done - part.first_row]
         planned, reading = part.rows[len(before)], sum(row["kind"] != "move" for row in before)
         self._mount(part, planned["setup"])
         if planned["kind"] == "move":
-            self._pass(planned)
+            self._move_without_reading(planned)
             return True
         if not self._live and self.record.rows:
             self._lead_back(part.sheet, reading)
-        self._go(planned, "go to", f"posture {planned['posture']}")
+        self._tell_position(planned, "go to", f"posture {planned['posture']}")
         return self._question(part, planned, reading)
 
     def _question(self, part: _Part, planned: Row, reading: int) -> bool:
         """Ask for one reading until it is given, skipped, or the one before is taken back."""
-        answers = zip(part.rows, self._answers[part.start :], strict=False)
+        answers = zip(part.rows, self._answers[part.first_row :], strict=False)
         taken = [row["reading_mm"] for asked, row in answers if asked["kind"] != "move"]
         known = {k: float(value) * 1e-3 for k, value in enumerate(taken) if value}
         doubted = None
@@ -204,7 +204,7 @@ class Session:
             if answer == "help":
                 self.tell(f"{HELP}\n{SETTLED}")
             elif answer == "skip":
-                self._keep(planned | {"kind": "move", "posture": SKIPPED, "repeat": ""})
+                self._append_row(planned | {"kind": "move", "posture": SKIPPED, "repeat": ""})
                 return True
             elif answer == "undo":
                 if self.record.take_back():
@@ -215,14 +215,14 @@ class Session:
                 wrong, possible = part.expected.objection(reading, float(answer) * 1e-3, known)
                 if not wrong or (possible and answer == doubted):
                     now = f"{max(self.clock() - self._began, 0.0):.0f}"
-                    self._keep(planned | {"reading_mm": f"{answer:f}", "time_s": now})
+                    self._append_row(planned | {"reading_mm": f"{answer:f}", "time_s": now})
                     return True
-                doubted, judged = answer, "is odd" if possible else "cannot be"
+                doubted, judged = answer, "is implausible" if possible else "cannot be"
                 remedy = "Type the same again to keep it, or the right number."
                 remedy = remedy if possible else "Type the number again."
                 self.tell(f"  {answer:f} mm {judged}: {wrong}. {remedy}")
 
-    def _keep(self, row: Row) -> None:
+    def _append_row(self, row: Row) -> None:
         self.record.append(row)
         self._live = True
 
@@ -240,18 +240,20 @@ class Session:
                 self.tell(f"  {one.name}\n    {words}")
         self.tell(f"  {counted(self.machine)}")
 
-    def _pass(self, row: Row) -> None:
+    def _move_without_reading(self, row: Row) -> None:
         """Send the machine to a place where nothing is read."""
-        self._go(row, "go past", "and read nothing")
-        self._keep(row)
+        self._tell_position(row, "go past", "and read nothing")
+        self._append_row(row)
 
     def _lead_back(self, sheet: Readings, reading: int) -> None:
-        """Lead the machine back, so that it comes to the next place from the side it should."""
+        """Lead the machine back, so that it comes to the next place from the prescribed side."""
         back = sheet.command[reading] - sheet.moves.beyond * sheet.approach[reading]
         alone = replace(sheet.subset([reading]), command=back[None], moves=Moves())
-        self._pass(self.record.plan(alone)[0] | {"kind": "move", "posture": AGAIN, "repeat": ""})
+        self._move_without_reading(
+            self.record.plan(alone)[0] | {"kind": "move", "posture": AGAIN, "repeat": ""}
+        )
 
-    def _go(self, planned: Row, what: str, why: str) -> None:
+    def _tell_position(self, planned: Row, what: str, why: str) -> None:
         cells = {name.split("_")[1]: planned[name] for name in command_columns(planned)}
         place = "  ".join(f"{axis} {float(cell):.3f}" for axis, cell in cells.items())
         if self._place != place:

@@ -39,13 +39,14 @@ _LISTS = {  # what [delta_calibrate] stores: its positions, the limits of a valu
 }
 _FULL_STEPS = 200
 _FAR = 3e-3  # metres by which a stored value may miss the one that the stored numbers give
-_LONG = 0.2  # of a distance, for the same: one wrong digit of its tens is a slip of a reading
-_HANGS = 1e-3  # metres: a probe's offset that is no setting of the nozzle
+_LONG = 0.2  # relative tolerance of distances: one wrong digit is left to the search for slips
+_HANGS = 1e-3  # metres: smallest offset of a probe; less is a correction of the nozzle's height
 _SAME = 2e-5  # metres: a height that is stored with another offset of the probe differs by more
-_TIMES = (1.0, *(2.0**k for k in (1, -1, 2, -2, 3, -3, 4, -4)))  # that a step was longer then
+# candidate ratios of the stored length of a step to that of now
+_TIMES = (1.0, *(2.0**k for k in (1, -1, 2, -2, 3, -3, 4, -4)))
 _PLANE = 3  # heights that tell of a mean and a slope
-_SET = 3e-5  # metres: heights lie less off where nothing was set since
-_LEANS = 2e-5, 0.1  # metres, or of a mean that was set: most that they lean besides
+_SET = 3e-5  # metres: mean of the heights' residuals above which the endstops were moved
+_LEANS = 2e-5, 0.1  # largest slope beside that mean: metres at the rim, or share of the mean
 
 
 def plane_of(p: Array, height: Array) -> tuple[float, float, float]:
@@ -81,19 +82,19 @@ class _List:
     steps: Array  # at one or two places (n, k, 3)
 
     @property
-    def apart(self) -> bool:
+    def is_distance(self) -> bool:
         """Whether these are distances between two places."""
         return self.steps.shape[1] > 1
 
     def miss(self, p: Array) -> Array:
         """Return by how much places ``(n, k, 3)`` give more than was read ``(n,)``, metres."""
-        given = np.linalg.norm(p[:, 1] - p[:, 0], axis=1) if self.apart else p[:, 0, 2]
+        given = np.linalg.norm(p[:, 1] - p[:, 0], axis=1) if self.is_distance else p[:, 0, 2]
         return np.asarray(given - self.value)
 
     @property
     def allowed(self) -> Array:
         """By how much a value may be missed ``(n,)``, metres."""
-        return np.maximum(_FAR, _LONG * self.value * self.apart)
+        return np.maximum(_FAR, _LONG * self.value * self.is_distance)
 
 
 def stored_readings(config: Config, numbers: Numbers) -> tuple[list[Row], bool]:
@@ -117,7 +118,7 @@ def stored_readings(config: Config, numbers: Numbers) -> tuple[list[Row], bool]:
         good = _plausible(config, numbers, read, p)
         read = replace(read, keys=[k for k, fits in zip(read.keys, good, strict=True) if fits],
                        value=read.value[good])  # fmt: skip
-        if read.apart:
+        if read.is_distance:
             found += _distances(read, travel[good])
         elif good.any():
             since = _set_since(config, word, p[good, 0], read.value)
@@ -150,8 +151,8 @@ def _placed(config: Config, numbers: Numbers, read: _List, step: Array) -> tuple
     """Return the travel of readings from mechanical zero and where the firmware believes the nozzle
     ``(n, k, 3)`` each, metres, nan beyond its arms.
 
-    Microsteps may have been changed since they were stored: a step is as long as most of the
-    readings fit, and as one of now where they never do.
+    Microsteps may have been changed since they were stored: the ratio at which most
+    readings fit is taken, else 1.
     """
 
     def at(times: float) -> tuple[Array, Array]:
@@ -181,7 +182,7 @@ def _plausible(config: Config, numbers: Numbers, read: _List, p: Array) -> NDArr
     """
     section, miss = config.section("delta_calibrate"), read.miss(p)
     off, good = miss, np.isfinite(miss)
-    if not read.apart:
+    if not read.is_distance:
         off = miss - (np.nanmedian(miss) if good.any() else 0.0)
         good &= np.hypot(*p[:, 0, :2].T) <= numbers.delta_radius
     good &= np.abs(off) <= read.allowed
@@ -202,8 +203,8 @@ def _set_since(config: Config, word: str, p: Array, height: Array) -> float:
     """Return by how much all endstops were moved together since, metres.
 
     The firmware's own fit leaves neither a mean nor a slope of its heights. A mean without a slope
-    is what its owner set the nozzle higher or lower by (Z_OFFSET_APPLY_ENDSTOP): z = 0 stays where
-    the owner has it, and the heights give all else as before.
+    is a later change of the endstops (Z_OFFSET_APPLY_ENDSTOP): z = 0 stays where the owner has it,
+    and the heights give all else as before.
     """
     if len(height) < _PLANE:
         return 0.0
@@ -220,8 +221,8 @@ def _set_since(config: Config, word: str, p: Array, height: Array) -> float:
     )
     config.note(
         CALIBRATE if far else "heights",
-        f"the {word}s of [delta_calibrate] lie {signed(since * 1e3, 2)} mm off"
-        f"{', all alike,' * level} by the endstops that are stored now, which were moved since "
+        f"the {word}s of [delta_calibrate] are {'all ' * level}{signed(since * 1e3, 2)} mm away "
+        f"from the endstops that are stored now, which were moved after the touches "
         f"(Z_OFFSET_APPLY_ENDSTOP); z = 0 is left where they put it{doubt * far}",
     )
     return since
