@@ -601,8 +601,8 @@ def test_where_the_owner_set_the_nozzle_stays(tmp_path: Path, moved: float) -> N
         return import_printer(file)
 
     before, after = set_by(0.0), set_by(moved)
-    assert not any("all alike" in note for note in before.notes)
-    (note,) = (note for note in after.notes if "all alike" in note)
+    assert not any("moved after the touches" in note for note in before.notes)
+    (note,) = (note for note in after.notes if "moved after the touches" in note)
     assert f"{'+' if moved > 0 else MINUS}{abs(moved):.2f} mm away" in note
     assert ("another machine" in note) == (abs(moved) > 3)
     height = []
