@@ -26,7 +26,7 @@ from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import parameter_words
 from orthoglide.figures.draw import draw
 from orthoglide.figures.style import PALETTE
-from orthoglide.fit import Estimate, WeakDirection
+from orthoglide.fit import Estimate
 from orthoglide.machine_file import Controller
 from orthoglide.numerals import compact, decimals_for, plain, probability, signed
 from orthoglide.observations import protocol
@@ -36,6 +36,7 @@ from orthoglide.report.identified import weak_sentences
 from orthoglide.report.page import finding, rendered
 from orthoglide.report.words import claim, headline
 from orthoglide.result import Request
+from orthoglide.result.fits import WeakDirection
 from orthoglide.text import listed
 from orthoglide.verdict import Verdict, run
 

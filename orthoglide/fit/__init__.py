@@ -41,4 +41,3 @@ from orthoglide.fit.repeats import common_rounding as common_rounding
 from orthoglide.fit.scores import Scores as Scores
 from orthoglide.fit.solving import solve as solve, tempered as tempered
 from orthoglide.fit.unknown import weight_matrix as weight_matrix
-from orthoglide.result.fits import WeakDirection as WeakDirection

@@ -14,7 +14,7 @@ from orthoglide.effects.wording import cause_short, parameter_words
 from orthoglide.errors import InputError
 from orthoglide.explanation import FullPosterior, Located
 from orthoglide.explanation.members import Members
-from orthoglide.fit import Estimate, WeakDirection, linearise, normal
+from orthoglide.fit import Estimate, linearise, normal
 from orthoglide.fit.factors import Factor
 from orthoglide.geometry import Array
 from orthoglide.instruments.leg_dial import PLACE
@@ -27,6 +27,7 @@ from orthoglide.planning.linear import LinearReadings
 from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.suggestions import DECIDES, Suggestion
 from orthoglide.prediction import Conditions
+from orthoglide.result.fits import WeakDirection
 from orthoglide.text import listed
 
 Values = Mapping[str, float]
