@@ -40,6 +40,7 @@ from orthoglide.explanation.repeats import check_scatter, far_repeats, quieter, 
 from orthoglide.explanation.suspects import Key, put_right
 from orthoglide.fit import Estimate, Factor, Problem, solve
 from orthoglide.fit.least_squares import known_rows
+from orthoglide.fit.noise_notes import noise_scales
 from orthoglide.fit.scores import rms_by_unit
 from orthoglide.geometry import Array
 from orthoglide.notes import Note
@@ -126,7 +127,7 @@ def find_faults(read: Estimate) -> Findings:
             fit = _fitted(_set_right(read.problem, found))
             continue
         if look.chi2_per_dof < _QUIET:  # else a wrong unit could pass for the noise
-            look = first_look(_fitted(quieter(look.before.problem, look.chi2_per_dof)))
+            look = first_look(_fitted(quieter(look.before.problem, _squares(look))))
         meant = _meant(look, found)
         faults = certain_data_faults(look) if meant is None else [meant]
         if not faults:
@@ -140,6 +141,20 @@ def find_faults(read: Estimate) -> Findings:
     maybe = unsure(look)
     reusable = look if whole and not maybe else None
     return Findings(_reported(read, found), measured, reusable, maybe)
+
+
+def _squares(look: FullPosterior) -> dict[str, float]:
+    """Return the square of the noise that the best explanation leaves, over that assumed, by kind
+    of reading: one instrument may be quiet beside another.
+    """
+    kinds = {kind for factor in look.before.problem.factors for kind in factor.readings.kind}
+    if len(kinds) == 1:
+        return dict.fromkeys(kinds, look.chi2_per_dof)
+    chi2, dof = dict.fromkeys(kinds, 0.0), dict.fromkeys(kinds, 0.0)
+    for one in noise_scales(look.after):
+        chi2[one.setup.kind] += one.chi2
+        dof[one.setup.kind] += one.dof
+    return {kind: min(chi2[kind] / dof[kind], 1.0) if dof[kind] > 0 else 1.0 for kind in kinds}
 
 
 def _narrow(read: Estimate) -> Estimate:

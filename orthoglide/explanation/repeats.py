@@ -4,6 +4,7 @@ that are no measure of the noise, and noise that was declared too large or too s
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -206,13 +207,18 @@ def _refuted(apart: Array, scale: float, chance: float) -> float:
     return size
 
 
-def quieter(problem: Problem, square: float) -> Problem:
-    """The problem with less noise, by its squares, but what instruments round; of readings that
-    were computed, which have none, with a little.
+def quieter(problem: Problem, squares: Mapping[str, float]) -> Problem:
+    """Return the problem with less noise, but what instruments round; of readings that were
+    computed, which have none, with a little.
+
+    Args:
+        problem: the readings.
+        squares: by kind of reading, ratio of the square of its noise to that assumed.
     """
-    factors, square = [], max(square, _LITTLE)
+    factors = []
     for factor in problem.factors:
         noise, least = factor.noise, factor.noise.step / np.sqrt(12)
+        square = np.array([max(squares[kind], _LITTLE) for kind in factor.readings.kind])
         total = np.maximum(noise.total * np.sqrt(square), least)
         scale = np.where(noise.weighted, total / noise.total, 1.0)
         less = replace(noise, sigma=noise.sigma * scale, common=noise.common * scale)
