@@ -324,7 +324,7 @@ def _with_plates(linear: Linear, problem: Problem) -> Linear:
         likely = tuple(s for s in SLABS if s <= _LIKELY)
         rare = 2 * RARE if only_plates(problem) else RARE
         linear = replace(linear, slabs=likely, wide=(_QUIET, rare))
-    if any(f.is_noise_capped for f in problem.tool):
+    if any(f.noise_capped.any() for f in problem.tool):
         linear = replace(linear, noise_weight=-RARE, noise_decay=0.0)  # these have been seen
     return linear
 

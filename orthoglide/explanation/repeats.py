@@ -182,7 +182,9 @@ def _scales_of(factor: Factor, rows: Rows) -> Array:
     apart = dict[int, Array]()
     for number in np.unique(setup[rows]).tolist():
         own = rows[setup[rows] == number]
-        if factor.noise.from_repeats[own].any() or not factor.approach_known(number):
+        # The largest roughness that is assumed of a plate is refuted by repeats like other noise.
+        shown = factor.noise.from_repeats[own] & ~factor.noise_capped[own]
+        if shown.any() or not factor.approach_known(number):
             continue
         sigma = float(np.sqrt(np.mean(factor.noise.total[own] ** 2)))
         apart[number] = np.diff(_in_time(factor.readings.subset(own))) / (2 * sigma)

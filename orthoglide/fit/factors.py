@@ -322,9 +322,11 @@ class Factor:
         return tuple((n, dof) for (_, n), (_, dof) in found if dof >= FEWEST_REPEATS)
 
     @property
-    def is_noise_capped(self) -> bool:
-        """Whether heights of a plate jump from place to place by more than plates are rough."""
-        return bool((self.readings.touching & (self.sigma == LOUD * self.noise.expected)).any())
+    def noise_capped(self) -> NDArray[np.bool_]:
+        """Touches ``(n,)`` of a plate whose heights jump from place to place by more than plates
+        are rough.
+        """
+        return np.asarray(self.readings.touching & (self.sigma == LOUD * self.noise.expected))
 
     def approach_known(self, setup: int) -> bool:
         """Return whether it is known from which side a setup's places were come to, on every axis;
