@@ -129,7 +129,9 @@ def test_every_command_works_or_says_why_not(imported: Path, tmp_path: Path) -> 
     alone = ("export", "--machine", calibrated, "--zeros-only", "--out", tmp_path / "alone")
     assert "all its numbers or none" in run(*alone, code=2)
     text = (tmp_path / "exported" / "controller.txt").read_text()
-    assert "Keep the old ones: of the heights of" in text  # those tried fit no better
+    assert (
+        "Do not enter new numbers: with them the residual of the heights of" in text
+    )  # those tried fit no better
     assert "To paste" not in text
     assert "zero" not in text.replace("z = 0", "")
     assert "origin" not in text

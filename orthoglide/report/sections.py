@@ -178,7 +178,7 @@ def too_early(result: Result) -> tuple[str, str]:
     found = result.firmware.corrections if result.firmware else None
     if found is None or not found.keep:
         return "", ""
-    instead = early if result.firmware and result.firmware.again else "Keep the stored numbers"
+    instead = early if result.firmware and result.firmware.again else "Do not enter new numbers"
     return instead, found.keep
 
 

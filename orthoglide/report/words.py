@@ -297,17 +297,19 @@ def warnings_besides(result: Result) -> list[Note]:
 # --- Common to page and terminal ----------------------------------------------------------
 
 
-def gain_words(action: Action) -> tuple[str, str]:
-    """Return the gain of an action with its uncertainty, and whether it is a mean over causes;
-    empty if unknown.
+def gain_words(action: Action, printer: bool) -> tuple[str, str]:
+    """Return what an action gains, of a printer or another machine, with its uncertainty, and
+    whether that is a mean over causes; empty if unknown.
     """
     if not math.isfinite(action.gain):
         return "", ""
     gain, sigma = max(action.gain, 0.0) * 1e3, action.gain_sigma * 1e3
     uncertain = sigma > max(_KNOWN * gain, _SHOWN)  # not if it is unknown
     size = with_sigma(gain, sigma) if uncertain else compact(gain, 2)
+    if printer and action.kind == "zeros":
+        return f"the residual of the heights falls by {size} mm", ""
     mean = PLATE if action.plate else WHICHEVER
-    return f"{size} mm", f" {mean}" if action.whichever else ""
+    return f"gains {size} mm at the tool", f" {mean}" if action.whichever else ""
 
 
 def unshown_words(result: Result) -> str:
