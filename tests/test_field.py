@@ -34,6 +34,8 @@ def test_a_mistyped_distance_is_a_slip() -> None:
     (slip,) = verdict.blunders
     assert (slip.kind, slip.setups) == ("outlier", ("rim",))
     assert "63.9 mm is -1.1" in slip.message
+    assert re.search(r"calibration, line \d+, setup 'rim', distance 11: ", slip.message)
+    assert "command" not in slip.message
 
 
 @pytest.mark.parametrize(

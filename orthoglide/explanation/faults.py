@@ -124,7 +124,19 @@ def message(problem: Problem, fault: Fault) -> str:
     setups = " and ".join(repr(problem.setups[s].name) for s in fault.setups)
     plural = "s" * (len(fault.setups) > 1)
     where = "" if given.by_point else f", setup{plural} {setups}"
-    return f"{source(given)}, {lines}{where}: {_clause(problem, fault)}"
+    return f"{source(given)}, {lines}{where}{_label(problem, at)}: {_clause(problem, fault)}"
+
+
+def _label(problem: Problem, at: tuple[tuple[int, int], ...]) -> str:
+    """Return the label by which people know what was read, behind its place in the file; empty
+    where the rows have none, or several.
+    """
+    labels = {problem.factors[k].readings.posture[row] for k, row in at}
+    if len(labels) > 1 or not (label := labels.pop()):
+        return ""
+    k, row = at[0]
+    given = problem.factors[k].readings
+    return f", {'distance' if given.paired[row] else 'posture'} {label}"
 
 
 def _slipped(problem: Problem, fault: Fault) -> str:
@@ -137,7 +149,7 @@ def _slipped(problem: Problem, fault: Fault) -> str:
         what = f"the point is {abs(fault.size) * 1e3:.3g} {unit}"
     visits = np.sum(problem.station[fault.rows[0]] == problem.station)
     rest = "the other readings of this place" if visits > 1 else "what all others say"
-    looked = "it" if visits > 1 else "it and its command"
+    looked = "it" if visits > 1 or given.paired[row] else "it and its command"
     lost = ""
     if visits > 1 and not given.approach[row].all() and not given.paired[row]:
         lost = f"; or it is lost motion, as {SIDES_UNTOLD}: {TELL_SIDES}"
