@@ -210,7 +210,7 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     page = (tmp_path / "out" / "report.html").read_text()
     text = " ".join(re.sub(r"<(style|script|svg).*?</\1>|<[^>]+>", " ", page, flags=re.S).split())
-    assert re.search(r"- The same for [1-9]\d* others that are named above\.", told)
+    assert re.search(r"- Test the [1-9]\d* other causes above in the same way\.", told)
     rivals = [rival["words"] for effect in result["effects"] for rival in effect["rivals"]]
     assert len(rivals) > 4
     assert all(text.count(words[1:]) > 1 for words in rivals)  # among causes, and to be looked at

@@ -93,7 +93,7 @@ def test_rods_that_were_entered_short_stand_first_in_the_class(file: str) -> Non
     assert 2.0 < cause.chosen.value < 6.0
     assert "longer than nominal" in cause.chosen.words
     (size,) = (str(note) for note in verdict.warnings if "% longer than the tool went" in str(note))
-    assert "+1.01 ± 0.2 %" in size
+    assert "distances are 1.01 ± 0.22 % longer" in size
     assert "measure a rod" in size
 
 
