@@ -33,7 +33,7 @@ def test_a_mistyped_distance_is_a_slip() -> None:
     verdict = closed("distance-mistyped", "printer.cfg")
     (slip,) = verdict.blunders
     assert (slip.kind, slip.setups) == ("outlier", ("rim",))
-    assert "63.9 mm is -1.1" in slip.message
+    assert "63.9 mm is −1.1" in slip.message
     assert re.search(r"calibration, line \d+, setup 'rim', distance 11: ", slip.message)
     assert "command" not in slip.message
 
@@ -55,8 +55,8 @@ def test_a_mistyped_distance_is_a_slip_without_a_mesh(
     assert slip.kind == "outlier"
     (readings,) = found.campaigns
     assert readings.posture[readings.line.tolist().index(slip.rows[0])] == distance
-    (size,) = re.findall(r"mm is ([-+0-9.]+) mm off", slip.message)
-    assert float(size) == pytest.approx(off, abs=0.3)
+    (size,) = re.findall(r"mm is ([−+0-9.]+) mm off", slip.message)
+    assert float(size.replace("−", "-")) == pytest.approx(off, abs=0.3)
 
 
 def test_drives_of_three_per_cent_are_told_of_the_drives() -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from orthoglide.fit import Problem
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import Controller
+from orthoglide.numerals import compact
 from orthoglide.observations import source
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 from orthoglide.observations.arrays import numbered
@@ -144,7 +145,8 @@ def _slipped(problem: Problem, fault: Fault) -> str:
     k, row = places(problem, fault.rows)[0]
     given = problem.factors[k].readings
     unit = given.setups[given.setup[row]].observation.unit
-    what = f"the reading {given.reading[row] * 1e3:.6g} {unit} is {fault.size * 1e3:+.3g} {unit}"
+    off = f"{'+' * (fault.size > 0)}{compact(fault.size * 1e3)}"
+    what = f"the reading {compact(given.reading[row] * 1e3, 6)} {unit} is {off} {unit}"
     if given.by_point:
         what = f"the point is {abs(fault.size) * 1e3:.3g} {unit}"
     visits = np.sum(problem.station[fault.rows[0]] == problem.station)
