@@ -53,13 +53,13 @@ def compact(value: float, digits: int = 3) -> str:
 _FINEST = 4  # decimals of millimetres that any machine is worth
 
 
-def with_sigma(value: float, sigma: float) -> str:
-    """A number with its standard deviation, both with the decimals that the latter is worth:
-    ``0.261 ± 0.003``. One that no decimal shows is left out.
+def with_sigma(value: float, sigma: float, digits: int = 1) -> str:
+    """A number with its standard deviation, both with the decimals that the latter is worth to so
+    many significant digits: ``0.261 ± 0.003``. One that no decimal shows is left out.
     """
     if not sigma >= 0.5 * 10.0**-_FINEST:
         return plain(value, 3)
-    places = min(max(-math.floor(math.log10(sigma)), 0), _FINEST)
+    places = min(max(digits - 1 - math.floor(math.log10(sigma)), 0), _FINEST)
     return f"{plain(value, places)} ± {sigma:.{places}f}"
 
 

@@ -619,7 +619,7 @@ def test_the_message_names_file_line_setup_and_remedy(tmp_path, machine):
     campaign = read_campaign(path, machine.spec)
     estimate = identify(campaign, machine, method="nested")
     (blunder,) = find_faults(estimate).blunders
-    assert blunder.message.startswith("monday.csv, line 22, setup 'yx-0.5': ")
+    assert blunder.message.startswith("monday.csv, line 22, setup 'yx-0.5', posture max: ")
     assert "measure this place again" in blunder.message
     assert blunder.lines([campaign]) == {str(path): (22,)}
 

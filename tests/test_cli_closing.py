@@ -101,9 +101,11 @@ def test_diagnose_writes_nothing_and_ranks_the_causes(rig: Path) -> None:
     assert tree(rig) == before
     assert "The path of the y carriage is out of square toward z" in shown
     assert "Verdict explained" in shown
-    table = shown[shown.index("probability cause") : shown.index("probability considered")]
+    table = shown[
+        shown.index("share of this finding cause") : shown.index("being active considered")
+    ]
     assert re.search(r"1\.00 The path of the y carriage .*\. or the y rail leans", table)
-    ranked = shown[shown.index("probability considered") :]
+    ranked = shown[shown.index("being active considered") :]
     assert "the path of the y carriage is out of square" in ranked
     assert not re.search(r"axis_tilt|rail_tilt|/travel", shown)  # names are for programs
     assert "Report:" not in shown

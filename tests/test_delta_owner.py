@@ -129,7 +129,9 @@ def test_every_command_works_or_says_why_not(imported: Path, tmp_path: Path) -> 
     alone = ("export", "--machine", calibrated, "--zeros-only", "--out", tmp_path / "alone")
     assert "all its numbers or none" in run(*alone, code=2)
     text = (tmp_path / "exported" / "controller.txt").read_text()
-    assert "Keep the old ones: of the heights of" in text  # those tried fit no better
+    assert (
+        "Do not enter new numbers: with them the residual of the heights of" in text
+    )  # those tried fit no better
     assert "To paste" not in text
     assert "zero" not in text.replace("z = 0", "")
     assert "origin" not in text
@@ -208,7 +210,7 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     page = (tmp_path / "out" / "report.html").read_text()
     text = " ".join(re.sub(r"<(style|script|svg).*?</\1>|<[^>]+>", " ", page, flags=re.S).split())
-    assert re.search(r"- The same for [1-9]\d* others that are named above\.", told)
+    assert re.search(r"- Test the [1-9]\d* other causes above in the same way\.", told)
     rivals = [rival["words"] for effect in result["effects"] for rival in effect["rivals"]]
     assert len(rivals) > 4
     assert all(text.count(words[1:]) > 1 for words in rivals)  # among causes, and to be looked at

@@ -33,7 +33,9 @@ def test_a_mistyped_distance_is_a_slip() -> None:
     verdict = closed("distance-mistyped", "printer.cfg")
     (slip,) = verdict.blunders
     assert (slip.kind, slip.setups) == ("outlier", ("rim",))
-    assert "63.9 mm is -1.1" in slip.message
+    assert "63.9 mm is −1.1" in slip.message
+    assert re.search(r"calibration, line \d+, setup 'rim', distance 11: ", slip.message)
+    assert "command" not in slip.message
 
 
 @pytest.mark.parametrize(
@@ -53,8 +55,8 @@ def test_a_mistyped_distance_is_a_slip_without_a_mesh(
     assert slip.kind == "outlier"
     (readings,) = found.campaigns
     assert readings.posture[readings.line.tolist().index(slip.rows[0])] == distance
-    (size,) = re.findall(r"mm is ([-+0-9.]+) mm off", slip.message)
-    assert float(size) == pytest.approx(off, abs=0.3)
+    (size,) = re.findall(r"mm is ([−+0-9.]+) mm off", slip.message)
+    assert float(size.replace("−", "-")) == pytest.approx(off, abs=0.3)
 
 
 def test_drives_of_three_per_cent_are_told_of_the_drives() -> None:
@@ -91,7 +93,7 @@ def test_rods_that_were_entered_short_stand_first_in_the_class(file: str) -> Non
     assert 2.0 < cause.chosen.value < 6.0
     assert "longer than nominal" in cause.chosen.words
     (size,) = (str(note) for note in verdict.warnings if "% longer than the tool went" in str(note))
-    assert "+1.01 ± 0.2 %" in size
+    assert "distances are 1.01 ± 0.22 % longer" in size
     assert "measure a rod" in size
 
 

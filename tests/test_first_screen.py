@@ -371,7 +371,7 @@ def test_the_gain_of_one_of_several_causes_is_said_to_be_that() -> None:
     verdict = made_up("ambiguous", Cause(chosen, (rival,), ()), budget=(item(chosen.name),))
     said = "gains 0.1 mm at the tool on average, whichever of these it is"
     assert any(said in line for line in to_do(verdict))
-    assert "gains 0.1 mm on average, whichever of these it is" in screen(verdict)
+    assert "gains 0.1 mm at the tool on average, whichever of these it is" in screen(verdict)
 
 
 @pytest.mark.parametrize(

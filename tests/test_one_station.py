@@ -37,7 +37,7 @@ def test_a_bump_and_a_wrong_command_stand_in_one_set(bumpy: og.Verdict) -> None:
 def test_the_sentence_names_both(bumpy: og.Verdict) -> None:
     text = " ".join(str(bumpy).split())
     assert "toward z at travel −50 mm and nowhere else, by 0.1 mm" in text
-    assert text.startswith("Another command than the one written in line 19. Or the path of the x")
+    assert text.startswith("Another command than the one written in c4.csv, line 19. Or the")
     assert "These readings cannot tell which." in text
 
 

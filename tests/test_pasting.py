@@ -98,10 +98,13 @@ def test_what_the_firmware_makes_of_the_readings(tmp_path: Path) -> None:
     ("left", "said"),
     [
         ([("heights", 25, 9e-5, 4e-5)], ""),
-        ([("heights", 25, 9e-5, 9.5e-5)], "leave 0.095 mm rms with the new ones, and 0.090 mm wit"),
-        ([("heights", 400, 9e-5, 8.8e-5)], "leave 0.088 mm rms with the new ones"),
-        ([("heights", 13, 1.6e-5, 1.1e-5)], "leave 0.011 mm rms"),  # less by chance
-        ([("heights", 25, 9e-5, 4e-5), ("heights", 7, 9e-5, 1e-4)], "leave 0.100 mm rms with"),
+        ([("heights", 25, 9e-5, 9.5e-5)], "heights of mesh rises from 0.090 to 0.095 mm rms"),
+        ([("heights", 400, 9e-5, 8.8e-5)], "too little, from 0.090 to 0.088 mm rms"),
+        ([("heights", 13, 1.6e-5, 1.1e-5)], "too little, from 0.016 to 0.011 mm"),  # less by chance
+        (
+            [("heights", 25, 9e-5, 4e-5), ("heights", 7, 9e-5, 1e-4)],
+            "rises from 0.090 to 0.100 mm rms",
+        ),
         ([("heights", 25, 9e-5, 4e-5), ("heights", 7, 9e-5, 9e-5)], ""),
         ([("heights", 25, 9e-5, 4e-5), ("distances", 12, 9e-5, 1e-4)], "of the distances of mesh"),
     ],
@@ -123,6 +126,8 @@ def test_rods_that_were_entered_too_short_are_found_by_distances(name: str) -> N
     made = made_of(studied(list(found.campaigns), Machine(found.machine)))
     assert not made.keep
     assert np.abs(np.array(made.new.arm) - 0.272).max() < 6e-4
+    (size,) = re.findall(r"most of all arm_length of tower b by \+(\d\.\d{3}) mm", made.words)
+    assert float(size) == pytest.approx((made.new.arm[1] - made.old.arm[1]) * 1e3, abs=1e-3)
     assert re.search(r"they have longer rods, as distances say.*: measure a rod first", made.words)
     mesh = import_printer(FIELD / "rods-entered-4mm-short" / "printer-with-mesh.cfg").campaigns[1]
     (unused,) = left_of(found.machine.printer.numbers, made.new, [mesh], False)
@@ -150,7 +155,9 @@ def test_heights_that_the_numbers_were_fitted_to_give_no_new_ones(name: str) -> 
     assert verdict.corrections.keep
     assert not [action for action in verdict.actions if action.kind == "zeros"]
     if verdict.stands:
-        assert "Keep the stored numbers: " in " ".join(str(verdict).split())
+        assert "Do not enter new numbers: with them the residual of" in " ".join(
+            str(verdict).split()
+        )
 
 
 @pytest.mark.thorough

@@ -155,8 +155,8 @@ def test_the_key_numbers_are_on_the_page(which: str) -> None:
     assert f"{verdict.word} " in text
     for effect in verdict.effects:
         assert effect.chosen.words[1:] in text
-        for rival in effect.indistinguishable_from:
-            assert rival in text
+        for rival in (*effect.same, *effect.rivals):
+            assert rival.words[1:] in text
         assert CATALOGUE.effect_of(effect.name).look_at[1:] in text
     for value in (verdict.map.error.mean(), verdict.map.uncertainty.max()):
         assert any(f"{value * 1e3:.{places}f}" in text for places in (2, 3, 4))

@@ -51,6 +51,7 @@ def changes_page(found: Check) -> str:
         "judged": ", ".join(c.name for c in found.verdict.request.readings),
         "drawing": found.told.picture.svg(),
         "actions": found.told.actions,
+        "printer": found.told.firmware is not None,
         "most": MOST,
         "sheet": False,
         "columns": COLUMNS,

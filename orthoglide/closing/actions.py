@@ -225,14 +225,16 @@ def confirm(one: Explanation) -> str:
     It is empty for several parameters that are not those of one leg and one cause.
     """
     effect = one.catalogue.effect_of(one.name)
-    named = ((one.catalogue.parameter(n).plain, one.values[n]) for n in one.parameters)
-    values = dict(named)  # of what campaigns have for themselves: the last one's
+    named = [one.catalogue.parameter(n) for n in one.parameters]
+    # Of what campaigns have for themselves: the last one's.
+    values = {p.plain: one.values[n] for p, n in zip(named, one.parameters, strict=True)}
     first, *more = values
     pair = effect.paired and len({p.leg for p in values}) == 1
     if first.member or (more and not pair):
         return ""
     value = math.hypot(*values.values()) if more else values[first]
-    return confirm_words(effect, first, value)
+    several = len({p.campaign for p in named}) > 1
+    return confirm_words(effect, first, value) + f" (as in {named[-1].campaign})" * several
 
 
 def _compensate(closed: Closed) -> Iterator[Action]:

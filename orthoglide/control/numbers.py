@@ -381,7 +381,7 @@ _CHECKS = (
     "send all axes to their new zeros and set the dial to 0; move them as the controller counts, "
     "and read the dial."
 )
-_NONE = "Check of the signs: no zero moves by what a dial on a leg shows."
+_NONE = "Dials on the legs cannot check the signs of these zeros."
 _UNDIALLED = (
     "Check of the signs: enter the zeros with the tool well clear, then read the tool again as for "
     "the calibration. A zero with the wrong sign doubles what was off."

@@ -39,11 +39,18 @@ class Explanation:
 
     @property
     def words(self) -> str:
-        """What is wrong, with size and sign, as a clause."""
-        values, (_, campaign) = dict(self.values), plain_and_campaign(self.name)
-        if not campaign:  # of what campaigns have for themselves: the last one's
-            values = {self.catalogue.parameter(n).plain: v for n, v in values.items()}
-        return cause_words(self.catalogue, self.name, values)
+        """What is wrong, with size and sign, as a clause; of each campaign if these differ."""
+        if plain_and_campaign(self.name)[1]:
+            return cause_words(self.catalogue, self.name, dict(self.values))
+        each = dict[str, dict[str, float]]()
+        for name, value in self.values.items():
+            parameter = self.catalogue.parameter(name)
+            each.setdefault(parameter.campaign, {})[parameter.plain] = value
+        told = [
+            cause_words(self.catalogue, self.name, values) + f" ({campaign})" * (len(each) > 1)
+            for campaign, values in each.items()
+        ]
+        return ", and ".join(told)
 
     @property
     def is_there(self) -> bool:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from orthoglide.fit import Problem
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import Controller
+from orthoglide.numerals import compact
 from orthoglide.observations import source
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 from orthoglide.observations.arrays import numbered
@@ -124,7 +125,19 @@ def message(problem: Problem, fault: Fault) -> str:
     setups = " and ".join(repr(problem.setups[s].name) for s in fault.setups)
     plural = "s" * (len(fault.setups) > 1)
     where = "" if given.by_point else f", setup{plural} {setups}"
-    return f"{source(given)}, {lines}{where}: {_clause(problem, fault)}"
+    return f"{source(given)}, {lines}{where}{_label(problem, at)}: {_clause(problem, fault)}"
+
+
+def _label(problem: Problem, at: tuple[tuple[int, int], ...]) -> str:
+    """Return the label by which people know what was read, behind its place in the file; empty
+    where the rows have none, or several.
+    """
+    labels = {problem.factors[k].readings.posture[row] for k, row in at}
+    if len(labels) > 1 or not (label := labels.pop()):
+        return ""
+    k, row = at[0]
+    given = problem.factors[k].readings
+    return f", {'distance' if given.paired[row] else 'posture'} {label}"
 
 
 def _slipped(problem: Problem, fault: Fault) -> str:
@@ -132,12 +145,13 @@ def _slipped(problem: Problem, fault: Fault) -> str:
     k, row = places(problem, fault.rows)[0]
     given = problem.factors[k].readings
     unit = given.setups[given.setup[row]].observation.unit
-    what = f"the reading {given.reading[row] * 1e3:.6g} {unit} is {fault.size * 1e3:+.3g} {unit}"
+    off = f"{'+' * (fault.size > 0)}{compact(fault.size * 1e3)}"
+    what = f"the reading {compact(given.reading[row] * 1e3, 6)} {unit} is {off} {unit}"
     if given.by_point:
         what = f"the point is {abs(fault.size) * 1e3:.3g} {unit}"
     visits = np.sum(problem.station[fault.rows[0]] == problem.station)
     rest = "the other readings of this place" if visits > 1 else "what all others say"
-    looked = "it" if visits > 1 else "it and its command"
+    looked = "it" if visits > 1 or given.paired[row] else "it and its command"
     lost = ""
     if visits > 1 and not given.approach[row].all() and not given.paired[row]:
         lost = f"; or it is lost motion, as {SIDES_UNTOLD}: {TELL_SIDES}"

@@ -14,6 +14,7 @@ from orthoglide.ordering import descending, ranked
 from orthoglide.result import SetupResidual
 
 _PLACES = 3  # at which most is left
+_CLEARLY = 1.05  # ratio of the largest residual to the next from which its posture is named
 _ROUNDING = 1e-6  # of the noise of a reading, root mean square
 
 
@@ -41,6 +42,9 @@ def residual_by_setup(estimate: Estimate) -> tuple[SetupResidual, ...]:
             where = own[at[most]]
             _, fresh = np.unique(given.command[where], axis=0, return_index=True)
             worst = where[np.sort(fresh)[:_PLACES]]
+            # Of two stations with a free datum, both residuals are equal.
+            first, *others = np.abs(mean[most]).tolist()
+            named = first > _CLEARLY * max(others[:1], default=0.0)
             leg = setup.leg
             one = SetupResidual(
                 setup=setup.name,
@@ -50,7 +54,7 @@ def residual_by_setup(estimate: Estimate) -> tuple[SetupResidual, ...]:
                 share=float(squares[among].sum()),
                 rms=float(np.sqrt(np.mean(left**2))),
                 most=float(mean[most[0]]),
-                posture=given.posture[worst[0]],
+                posture=given.posture[worst[0]] if named else "",
                 command=given.command[worst[0]],
                 where=_where(problem.machine, given, worst) if given.of_tool else (),
             )

@@ -15,7 +15,7 @@ from orthoglide.fit.repeats import OFF_GRID, off_grid
 from orthoglide.fit.roughness import LOUD
 from orthoglide.instruments import PRINTED, SIZES
 from orthoglide.notes import Note
-from orthoglide.numerals import compact, signed
+from orthoglide.numerals import compact, with_sigma
 from orthoglide.observations import Readings, source
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 from orthoglide.observations.repetition import (
@@ -232,7 +232,7 @@ _LOOK = (
     "the calliper: measure a rod between its holes, 100 mm of a carriage's travel, and a gauge "
     "block with the calliper, and give the first two under [measured] of the machine file"
 )
-_MEAN = "printed parts are {} ± {} % smaller than they were commanded"
+_MEAN = "printed parts are {} % smaller than they were commanded"
 
 
 def part_sizes(problem: Problem) -> Iterator[Note]:
@@ -262,8 +262,8 @@ def _size(problem: Problem, factor: Factor) -> Note:
     size = (1 - mean) * (1 + scale) - 1
     text = (
         f"{source(factor.readings)}: by the nominal numbers of the machine file, distances are "
-        f"{signed(size * 1e2, 2)} ± {compact(sigma * 1e2, 1)} % longer than the tool went; "
-        f"{_MEAN.format(compact(mean * 1e2, 1), compact(sd * 1e2, 1))}"
+        f"{with_sigma(abs(size) * 1e2, sigma * 1e2, 2)} % {'longer' if size > 0 else 'shorter'} "
+        f"than the tool went; {_MEAN.format(with_sigma(mean * 1e2, sd * 1e2))}"
     )
     beyond = abs(scale) > _BEYOND * float(np.hypot(sigma, sd)) and not machine.spec.measured.rods
     return Note(f"{text}: {_LOOK}" if beyond else text, "size")

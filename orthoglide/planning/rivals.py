@@ -20,7 +20,7 @@ from orthoglide.geometry import Array
 from orthoglide.instruments.leg_dial import PLACE
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings
-from orthoglide.ordering import EQUAL_ODDS, best_of, ranked
+from orthoglide.ordering import EQUAL_ODDS, ranked
 from orthoglide.planning.choosing import Narrowing, RivalSeparation, choose
 from orthoglide.planning.instruments import parting_instruments
 from orthoglide.planning.linear import LinearReadings
@@ -320,25 +320,23 @@ def _to_narrow(
     """
     shares, catalogue = direction.parameters, estimate.problem.machine.catalogue
     d = np.array([shares.get(n, 0.0) for n in estimate.problem.names])
-    unit = estimate.unit(best_of(shares, lambda n: abs(shares[n])))
     tolerance = estimate.problem.tolerance
     here = replace(readings, columns=readings.columns @ (own.weights_of(names) * tolerance))
     information = np.linalg.inv(own.covariance / tolerance / tolerance[:, None])
     start = Narrowing(np.asarray(information), (d * tolerance)[:, None])
     rows, end = choose(here, start, count, mounting=_MOUNTING)
-    before, after = (float(np.sqrt(o.spread[0, 0])) / unit.si for o in (start, end))
+    before, after = (float(np.sqrt(o.spread[0, 0])) for o in (start, end))
     words = listed(f"the {parameter_words(catalogue.parameter(n), catalogue.legs)}" for n in shares)
     together = "their weakest combination" if len(shares) > 1 else "it"
     if not rows or after > _WORTH * before:
         reason = (
-            f"no {count} readings of a dial on a leg determine {words} noticeably better: the "
-            f"standard deviation of {together} stays at {before:.2g}{unit.behind}, as the "
-            f"tolerances have it"
+            f"no {count} readings of a dial on a leg determine {words} noticeably better: of "
+            f"{together} they add hardly anything to what the tolerances say"
         )
         return Suggestion(reason, "none", before / after, here.campaign)
     reason = (
         f"{_size(here.campaign, rows)} expected to determine {words} better: the standard "
-        f"deviation of {together} falls from {before:.2g} to {after:.2g}{unit.behind}"
+        f"deviation of {together} falls to {100 * after / before:.0f} % of what it is"
     )
     return Suggestion(reason, "narrow", before / after, here.campaign, rows)
 

@@ -120,7 +120,7 @@ def tracing(rest: SetupResidual, geometry: Geometry) -> Suggestion:
     rows = np.flatnonzero(np.isin(pool.setup, dials) & along)
     axis = LEGS[rest.axis]
     reason = (
-        f"the residual is largest on {rest.reads}: take {len(rows) * _TWICE} readings of both "
+        f"the residual is largest on {rest.reads}, so take {len(rows) * _TWICE} readings of both "
         f"bars of the leg along {axis}, over its whole travel and from both sides, which "
         f"distinguish a bent part, a turned part, lost motion and a wrong bar"
     )
@@ -134,10 +134,10 @@ def repeating(rest: SetupResidual) -> Suggestion:
     own = OBSERVATIONS[rest.kind]
     sides = "" if own.touches or own.paired else " and coming from either side"
     return _trace(
-        f"the residual is largest in {rest.reads} ({rest.setup}): read it again with the tool at "
-        f"{'; '.join(rest.where)} mm, three times each{sides}. If the error repeats, the machine "
-        f"or what the instrument stands on causes it; if not, look for a loose part, lost motion "
-        f"or a faulty instrument"
+        f"the residual is largest in {rest.reads} ({rest.setup}), so read it again with the tool "
+        f"at {'; '.join(rest.where)} mm, three times each{sides}. If the error repeats, the "
+        f"machine or what the instrument stands on causes it; if not, look for a loose part, lost "
+        f"motion or a faulty instrument"
     )
 
 

@@ -74,7 +74,7 @@ def left(result: Result) -> Data:
 
 
 def _most(rest: SetupResidual) -> str:
-    if rest.leg < 0:
+    if rest.leg < 0 or not rest.posture:
         return f"{compact(rest.most * 1e3, 2)} {rest.unit}"
     way = toward(LEGS[rest.axis], rest.most)
     return f"{compact(abs(rest.most) * 1e3, 2)} mm toward {way}"
@@ -135,7 +135,9 @@ def _counted(item: BudgetItem, named: Collection[str], several: Collection[str])
 def apart(result: Result, figures: Figures) -> Data:
     """Return what each cause and its rivals predict of the readings."""
     every = enumerate(result.effects, start=1)
-    causes = [(c.name, drawn(c), c.others, panels(figures[f"signatures-{k}"])) for k, c in every]
+    causes = [
+        (c.chosen.words, drawn(c), c.others, panels(figures[f"signatures-{k}"])) for k, c in every
+    ]
     return {"causes": causes}
 
 
@@ -146,9 +148,6 @@ def readings(result: Result, figures: Figures) -> Data:
     return {"panels": panels(figures["readings"]), "thinned": thinned}
 
 
-_WHY = "What speaks against acting on them is said at the top."
-
-
 def controller(result: Result) -> Data:
     """Return numbers for the controller; withheld where the verdict does not support them."""
     spec, numbers, why = result.machine.spec, result.numbers, withheld(result.machine)
@@ -157,7 +156,7 @@ def controller(result: Result) -> Data:
     places = [found.members[0] for found in result.located]
     return {
         "drives": numbers.drives if zeros else (),
-        "withheld": _WHY if result.cautions else sentence(why) if why else "",
+        "withheld": " ".join(result.cautions) or (sentence(why) if why else ""),
         "rule": RULE,
         "counts": numbers.names.ways[1][1],
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
@@ -178,7 +177,7 @@ def too_early(result: Result) -> tuple[str, str]:
     found = result.firmware.corrections if result.firmware else None
     if found is None or not found.keep:
         return "", ""
-    instead = early if result.firmware and result.firmware.again else "Keep the stored numbers"
+    instead = early if result.firmware and result.firmware.again else "Do not enter new numbers"
     return instead, found.keep
 
 
@@ -254,7 +253,9 @@ def unseen(result: Result) -> Data:
         "effects": unshown_effects(result),
         "unexcited": unvaried_effects(result),
         "sides": sentence(one) if (one := unvaried_words(result)) else "",
-        "second_place": _has_one_place(result),
+        # Not where it is said above that no more readings of a dial on a leg help.
+        "second_place": _has_one_place(result)
+        and not any(one.hopeless for one in result.next_measurements),
         "owned": ",".join(result.instruments),
         "machine": f"{Path(result.request.machine.spec.file).name or 'FILE'}"
         f"{result.request.effects_option}",

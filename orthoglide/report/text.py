@@ -84,10 +84,10 @@ def _zeros(result: Result) -> Iterator[Text | Table]:
 def to_do(result: Result) -> Iterator[str]:
     """Yield the actions, a line each, with the parts to look at below."""
     for k, action in enumerate(result.actions, start=1):
-        yield f"{k}. {sentence(action.words)[:-1]}{_gain(action)}."
+        yield f"{k}. {sentence(action.words)[:-1]}{_gain(result, action)}."
         told = [(f"{one.words}: look at {one.look_at}", one.confirm) for one in action.options]
         lines = [" ".join(sentence(text) for text in one if text) for one in told]
-        yield from _first(lines, "The same for {} others that are named above.")
+        yield from _first(lines, "Test the {} other causes above in the same way.")
 
 
 def _first(lines: Sequence[str], rest: str) -> Iterator[str]:
@@ -98,12 +98,11 @@ def _first(lines: Sequence[str], rest: str) -> Iterator[str]:
         yield f"   - {rest.format(len(lines) - count)}"
 
 
-def _gain(action: Action) -> str:
+def _gain(result: Result, action: Action) -> str:
     """Return the gain of an action in brackets; empty if there is none."""
     if not action.gain > 0:
         return ""
-    gain, mean = gain_words(action)
-    return f" (gains {gain} at the tool{mean})"
+    return f" ({''.join(gain_words(action, result.firmware is not None))})"
 
 
 def console_text(parts: Iterable[RenderableType]) -> str:
@@ -126,12 +125,12 @@ def _width() -> int:
 
 def _tables(result: Result, ranked: bool) -> Iterator[Table]:
     """Yield the tables of causes, candidates, parameters and scores that are not empty."""
-    yield from table(("probability", "cause"), _found(result))
+    yield from table(("share of this finding", "cause"), _found(result))
     alone = ((hundredths(one.probability), one.words) for one in result.alone)
     yield from table(("probability", "if it is the only cause"), alone)
     yield from table(POSSIBLE, possible_rows(result))
     tried = ((hundredths(t.probability), t.words or t.name) for t in weighed(result) if ranked)
-    yield from table(("probability", "considered"), tried)
+    yield from table(("probability of being active", "considered"), tried)
     identified = (
         (f"{one.name}, {one.unit}", one.value, one.sigma, f"{one.low} to {one.high}", one.tolerance)
         for one in parameter_rows(result)

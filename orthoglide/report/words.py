@@ -86,8 +86,8 @@ def standing(result: Result) -> str:
     first = _to_enter(result)
     if a_little(result):
         return (
-            f"{first}No single cause stands out{' beyond that' if first else ''}: everything is "
-            f"off by a little, about {compact(result.left.background, 1)} of its tolerance."
+            f"{first}No single cause stands out{' beyond that' if first else ''}: every part is "
+            f"off by about {compact(result.left.background, 1)} of its tolerance."
         )
     if result.nominal.rms < _NONE:
         return NOTHING_SHOWN
@@ -188,9 +188,9 @@ def where_left(result: Result) -> str:
     if result.left.dials_hold_most:
         one = result.left.by_dial[0]
         where = f"on leg {LEGS[one.leg]} read along {LEGS[one.axis]}"
-        size = f"the dial is off by up to {compact(abs(one.most) * 1e3, 2)} mm, toward "
-        size += toward(LEGS[one.axis], one.most)
-        size += f" at posture {one.posture}" if one.posture else ""
+        size = f"the dial is off by up to {compact(abs(one.most) * 1e3, 2)} mm"
+        if one.posture:  # else it is off both ways
+            size += f", toward {toward(LEGS[one.axis], one.most)} at posture {one.posture}"
         return _largest_part(result, one.share, where, size)
     return "".join(
         _largest_part(
@@ -297,17 +297,19 @@ def warnings_besides(result: Result) -> list[Note]:
 # --- Common to page and terminal ----------------------------------------------------------
 
 
-def gain_words(action: Action) -> tuple[str, str]:
-    """Return the gain of an action with its uncertainty, and whether it is a mean over causes;
-    empty if unknown.
+def gain_words(action: Action, printer: bool) -> tuple[str, str]:
+    """Return what an action gains, of a printer or another machine, with its uncertainty, and
+    whether that is a mean over causes; empty if unknown.
     """
     if not math.isfinite(action.gain):
         return "", ""
     gain, sigma = max(action.gain, 0.0) * 1e3, action.gain_sigma * 1e3
     uncertain = sigma > max(_KNOWN * gain, _SHOWN)  # not if it is unknown
     size = with_sigma(gain, sigma) if uncertain else compact(gain, 2)
+    if printer and action.kind == "zeros":
+        return f"the residual of the heights falls by {size} mm", ""
     mean = PLATE if action.plate else WHICHEVER
-    return f"{size} mm", f" {mean}" if action.whichever else ""
+    return f"gains {size} mm at the tool", f" {mean}" if action.whichever else ""
 
 
 def unshown_words(result: Result) -> str:
@@ -369,6 +371,8 @@ def dealt_with(result: Result) -> str:
     if not (count := len(result.blunders)):
         return ""
     faults = f"{count} fault{'s' if count > 1 else ''} in the data had to be dealt with first"
+    if stray := sum(w.kind == "stray" for w in result.warnings):
+        faults += f", and {stray} touch{' does' if stray == 1 else 'es do'} not count"
     aside = {row for one in result.blunders if one.excluded for row in one.rows_in_request}
     every = len(result.readings) + len(aside)
     if len(aside) < _MANY * every:

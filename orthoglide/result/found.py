@@ -125,8 +125,12 @@ class DataRival:
 
     @property
     def brief(self) -> str:
-        """The fault and its first line, a clause."""
-        return f"{_BRIEF.get(self.data, 'a fault of the data')} in line {min(self.rows)}"
+        """The fault with its file and its first line, a clause."""
+        what, (file, _, _) = (
+            _BRIEF.get(self.data, "a fault of the data"),
+            self.words.partition(", "),
+        )
+        return f"{what} in {file}, line {min(self.rows)}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -26,7 +26,8 @@ class SetupResidual:
     rms: Annotated[float, Key(digits=SHORT)]  # root mean square, metres or radians
     # largest mean over one station along +axis, with its sign
     most: Annotated[float, Key(digits=SHORT)]
-    posture: str  # label of that station; may be empty
+    # label of that station; empty if it has none, or another station's residual is as large
+    posture: str
     command: Array  # at that station (3,), metres
     # positions of the tool with the largest residuals, largest first, in the controller's
     # coordinates and millimetres; empty for a dial

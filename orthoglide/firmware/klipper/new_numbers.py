@@ -94,9 +94,10 @@ def why_not(left: Sequence[Left]) -> str:
     if any(_smaller(one) for one in heights) and not worse:
         return ""
     one = (worse or heights)[0]
+    verb = "rises" if worse else "changes too little,"
     return (
-        f"of the {one.kind} of {one.file} the firmware's own equations leave {one.new * 1e3:.3f} "
-        f"mm rms with the new ones, and {one.old * 1e3:.3f} mm with those"
+        f"with them the residual of the {one.kind} of {one.file} {verb} from {one.old * 1e3:.3f} "
+        f"to {one.new * 1e3:.3f} mm rms"
     )
 
 

@@ -26,7 +26,8 @@ WHERE = (
 
 _NEAREST = (
     "These bring the tool nearest to where the firmware believes it is over the plate, the plate "
-    "being its z = 0. Enter all of them or none, and keep the old ones: they undo it."
+    "being its z = 0. Enter all of them or none. Save the old numbers; entering them again undoes "
+    "the change."
 )
 
 _LACKING = (
@@ -61,10 +62,6 @@ def corrections_of(
     # Every file counts alike, as heights of two days lie apart by more than touches scatter.
     each = [(one.old, one.new) for one in left if one.kind == "heights"] or [(0.0, 0.0)]
     before, after = np.sqrt(np.mean(np.square(each), axis=0)).tolist()
-    changed = {"delta_radius": new.delta_radius - old.delta_radius}
-    for name, one, other in zip(TOWERS, old.endstop, new.endstop, strict=True):
-        changed[f"position_endstop of tower {name}"] = other - one
-    most = best_of(changed, lambda name: abs(changed[name]))
     longer, rods = float(np.mean(new.arm) - np.mean(old.arm)), ""
     if abs(longer) > SPREAD:  # the size is told with the causes
         way = "longer" if longer > 0 else "shorter"
@@ -82,9 +79,8 @@ def corrections_of(
         height=(before, after),
         keep=keep,
         words=(
-            f"most of all {most} by {signed(changed[most] * 1e3, 3)} mm; of heights over the plate "
-            f"its equations leave {after * 1e3:.3f} mm rms, and {before * 1e3:.3f} mm with the old "
-            f"ones{rods}"
+            f"most of all {_changed_most(old, new)}; of heights over the plate its equations "
+            f"leave {after * 1e3:.3f} mm rms, and {before * 1e3:.3f} mm with the old ones{rods}"
         ),
         where=WHERE,
         kept={
@@ -107,6 +103,23 @@ def corrections_of(
     )  # fmt: skip
 
 
+def _changed_most(old: Numbers, new: Numbers) -> str:
+    """Return the number that changes most, with its change; an angle counts by how far its tower
+    moves.
+    """
+    change = new.delta_radius - old.delta_radius
+    moves = {f"delta_radius by {signed(change * 1e3, 3)} mm": change}
+    for k, tower in enumerate(TOWERS):
+        for name, change in (
+            ("position_endstop", new.endstop[k] - old.endstop[k]),
+            ("arm_length", new.arm[k] - old.arm[k]),
+        ):
+            moves[f"{name} of tower {tower} by {signed(change * 1e3, 3)} mm"] = change
+        turn = new.angle[k] - old.angle[k]
+        moves[f"angle of tower {tower} by {signed(turn, 3)}°"] = np.deg2rad(turn) * old.delta_radius
+    return best_of(moves, lambda words: abs(moves[words]))
+
+
 def paste_of(old: Numbers, table: object) -> Paste:
     """Return the numbers that a machine file keeps in place of old ones, to paste."""
     facts: dict[str, object] = {"old": old.as_dict()}
@@ -123,7 +136,7 @@ def paste_of(old: Numbers, table: object) -> Paste:
         *(() if found.keep else (_NEAREST,)),
         "\n".join((f"{found.file:30}{'old':>14}{'new':>14}", *named)),
         "\n".join(("Left of the readings by its equations, rms, mm, old and new:", *left)),
-        *((f"Keep the old ones: {found.keep}.",) if found.keep else ()),
+        *((f"Do not enter new numbers: {found.keep}.",) if found.keep else ()),
         *(() if found.keep else (
             found.where,
             "\n".join(("To paste:", *found.paste)),
