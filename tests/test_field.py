@@ -59,6 +59,12 @@ def test_a_mistyped_distance_is_a_slip_without_a_mesh(
     assert float(size.replace("−", "-")) == pytest.approx(off, abs=0.3)
 
 
+def test_a_quiet_mesh_makes_no_slips_of_sound_distances() -> None:
+    verdict = closed("quiet-mesh", "printer.cfg")
+    assert verdict.word == "adequate"
+    assert not verdict.blunders
+
+
 def test_drives_of_three_per_cent_are_told_of_the_drives() -> None:
     folder = FIELD / "drives-3-percent-called-dome"
     machine = og.Machine.load(folder / "machine.toml")

@@ -11,6 +11,7 @@ import numpy as np
 from orthoglide.errors import InputError, check_word
 from orthoglide.explanation.data_faults import slips_of_tool
 from orthoglide.explanation.recalibration import account_for_changes
+from orthoglide.explanation.repeats import with_noise_of_repeats
 from orthoglide.fit import Estimate, Problem, assemble, solve
 from orthoglide.fit.assembling import read_given
 from orthoglide.fit.crosscheck import verify
@@ -80,6 +81,7 @@ def identify(
         own=own, priors=priors, noise=noise, bounds=bounds, frame=frame,
     )  # fmt: skip
     _check_own(problem)
+    problem = with_noise_of_repeats(problem)
     if weighting == "deviations":
         problem = _anchored(problem)
     found = account_for_changes(solve(problem, method=method), method)
