@@ -234,7 +234,9 @@ def confirm(one: Explanation) -> str:
         return ""
     value = math.hypot(*values.values()) if more else values[first]
     several = len({p.campaign for p in named}) > 1
-    return confirm_words(effect, first, value) + f" (as in {named[-1].campaign})" * several
+    return confirm_words(effect, first, value) + f" (as in {named[-1].campaign})" * bool(
+        several and named[-1].campaign
+    )
 
 
 def _compensate(closed: Closed) -> Iterator[Action]:

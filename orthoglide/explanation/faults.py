@@ -137,7 +137,7 @@ def _label(problem: Problem, at: tuple[tuple[int, int], ...]) -> str:
         return ""
     k, row = at[0]
     given = problem.factors[k].readings
-    return f", {'distance' if given.paired[row] else 'posture'} {label}"
+    return f", {given.kind[row] if given.paired[row] else 'posture'} {label}"
 
 
 def _slipped(problem: Problem, fault: Fault) -> str:
