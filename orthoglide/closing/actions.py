@@ -233,10 +233,8 @@ def confirm(one: Explanation) -> str:
     if first.member or (more and not pair):
         return ""
     value = math.hypot(*values.values()) if more else values[first]
-    several = len({p.campaign for p in named}) > 1
-    return confirm_words(effect, first, value) + f" (as in {named[-1].campaign})" * bool(
-        several and named[-1].campaign
-    )
+    campaign = named[-1].campaign if len({p.campaign for p in named}) > 1 else ""
+    return confirm_words(effect, first, value) + f" (as in {campaign})" * bool(campaign)
 
 
 def _compensate(closed: Closed) -> Iterator[Action]:

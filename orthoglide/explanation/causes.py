@@ -47,7 +47,8 @@ class Explanation:
             parameter = self.catalogue.parameter(name)
             each.setdefault(parameter.campaign, {})[parameter.plain] = value
         told = [
-            cause_words(self.catalogue, self.name, values) + f" ({campaign})" * (len(each) > 1)
+            cause_words(self.catalogue, self.name, values)
+            + f" ({campaign})" * bool(campaign and len(each) > 1)
             for campaign, values in each.items()
         ]
         return ", and ".join(told)

@@ -148,8 +148,6 @@ def _squares(look: FullPosterior) -> dict[str, float]:
     of reading: one instrument may be quiet beside another.
     """
     kinds = {kind for factor in look.before.problem.factors for kind in factor.readings.kind}
-    if len(kinds) == 1:
-        return dict.fromkeys(kinds, look.chi2_per_dof)
     chi2, dof = dict.fromkeys(kinds, 0.0), dict.fromkeys(kinds, 0.0)
     for one in noise_scales(look.after):
         chi2[one.setup.kind] += one.chi2

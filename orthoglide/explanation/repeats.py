@@ -61,13 +61,13 @@ def scattered(problem: Problem) -> list[Fault]:
             continue
         step = float(factor.noise.step[own].max())
         most = _BEYOND * max(_usual(factor, own), step)
-        apart = np.diff(_in_time(factor.readings.subset(own)))
-        fault = Fault("scatter", rows, (number,), _most_scatter(apart, step) / 2)
+        apart = _successive(factor.readings.subset(own))
+        fault = Fault("scatter", rows, (number,), _most_scatter(apart, step))
         every.append((fault, len(apart) >= _FEWEST and fault.size > most))
         pooled.append(apart / most)
     found = [fault for fault, alone in every if alone]
     together = np.concatenate(pooled)
-    alike = len(together) >= _FEWEST and _most_scatter(together, 0.0) > 2.0  # of two differences
+    alike = len(together) >= _FEWEST and _most_scatter(together, 0.0) > 1.0
     if alike or 2 * len(found) > len(every):
         able = [f for f, _ in every if np.isfinite(f.size)]
         worst = best_of(able, lambda fault: fault.size)
@@ -99,12 +99,17 @@ def _usual(factor: Factor, rows: Rows) -> float:
     return float(np.sqrt(np.mean(factor.noise.expected[rows] ** 2)))
 
 
-def _in_time(readings: Readings) -> Array:
-    """Each reading that repeats one, less the one at the visit before, in the order they were taken
-    ``(k,)``.
+def _successive(readings: Readings) -> Array:
+    """Return the differences of successive steps between repeats ``(k,)``, scaled to the standard
+    deviation of one reading: neither a drift nor a moved datum enlarges them.
+
+    Two steps of one station share a reading, ``a - 2 b + c``: their difference has six times the
+    variance of a reading, that of other steps four times.
     """
-    order = np.argsort(readings.order[repeated(readings)[0]], kind="stable")
-    return np.asarray(repeat_steps(readings)[order])
+    later, before = repeated(readings)
+    order = np.argsort(readings.order[later], kind="stable")
+    shares = later[order][:-1] == before[order][1:]
+    return np.asarray(np.diff(repeat_steps(readings)[order]) / np.sqrt(np.where(shares, 6.0, 4.0)))
 
 
 def far_repeats(problem: Problem) -> NDArray[np.bool_]:
@@ -187,7 +192,7 @@ def _scales_of(factor: Factor, rows: Rows) -> Array:
         if shown.any() or not factor.approach_known(number):
             continue
         sigma = float(np.sqrt(np.mean(factor.noise.total[own] ** 2)))
-        apart[number] = np.diff(_in_time(factor.readings.subset(own))) / (2 * sigma)
+        apart[number] = _successive(factor.readings.subset(own)) / sigma
     if not apart:
         return found
     every = np.concatenate(list(apart.values()))

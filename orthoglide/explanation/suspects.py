@@ -32,7 +32,7 @@ _EXPECTED = 0.5
 
 _BESIDE = 2  # readings on either side of a knock: fewer are slips
 _ZEROS = 12  # times that a dial is set to zero anew
-_KNOCKS = 64  # moments of a setup at which a knock is tried: of more, every second, third ... one
+_KNOCKS = 64  # moments at which a knock is tried; setups n times as long: at every n-th reading
 
 
 Key = tuple[str, tuple[int, ...], tuple[tuple[int, int], ...]]

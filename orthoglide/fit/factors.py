@@ -323,8 +323,8 @@ class Factor:
 
     @property
     def noise_capped(self) -> NDArray[np.bool_]:
-        """Touches ``(n,)`` of a plate whose heights jump from place to place by more than plates
-        are rough.
+        """Readings ``(n,)`` whose noise is the largest roughness that is assumed of a plate, as
+        their heights scatter by more.
         """
         return np.asarray(self.readings.touching & (self.sigma == LOUD * self.noise.expected))
 
