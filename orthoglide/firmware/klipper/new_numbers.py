@@ -208,7 +208,9 @@ def _arms(old: Numbers, machine: Machine) -> tuple[float, float, float]:
 
 
 def _solved(start: Numbers, miss: Callable[[Numbers], Array], count: int) -> Numbers:
-    """Return numbers of which the first so many were changed to miss least."""
+    """Return numbers of which the first so many were changed to miss least; those to start from
+    where no solution is found, which the residuals then show to gain nothing.
+    """
     from scipy.optimize import least_squares  # which is slow to load
 
     steps = np.eye(max(count, _FITTED))[:count]
@@ -216,7 +218,7 @@ def _solved(start: Numbers, miss: Callable[[Numbers], Array], count: int) -> Num
         lambda by: miss(start.changed(by @ steps)), np.zeros(count), "3-point", method="lm",
         xtol=_SETTLED, ftol=_SETTLED, gtol=_SETTLED,
     )  # fmt: skip
-    return start.changed(found.x @ steps)
+    return start.changed(found.x @ steps) if found.success else start
 
 
 def _past_moves(points: Array, along: Array) -> Array:

@@ -25,8 +25,8 @@ from orthoglide.machine_file import DeltaKinematics
 TOWERS = LinearDelta.names.legs
 _ANGLES = (210.0, 330.0, 90.0)  # degrees at which the towers stand where nothing is given
 _UNEVEN = 0.05
-"""Of the first arm, by which another one is no other length but a slip: what the firmware fitted on
-owners' printers differs by half a per cent at most."""
+"""Share of the first arm by which another one is too far off to be a length of a rod: the arms that
+firmware found on owners' printers differ by half a per cent, by more after a wrong distance."""
 
 Triple = tuple[float, float, float]
 
@@ -156,7 +156,8 @@ class Numbers:
                 tower.fail(
                     "arm_length",
                     f"is {arms[k] * 1e3:g} mm, and that of tower {TOWERS[0]} {arms[0] * 1e3:g}: "
-                    f"arms of one machine are alike to a few millimetres; correct it",
+                    f"arms of one machine are alike to a few millimetres; correct it, and where "
+                    f"DELTA_ANALYZE found it, look for a mistyped distance and run that again",
                 )
             if arms[k] <= 1.02 * radius:
                 tower.fail(
