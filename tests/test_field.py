@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from orthoglide.firmware.klipper import Imported
 from orthoglide.machine_file import Controller, machine_text, parse_machine_file
+from orthoglide.report.claims import claims
+from orthoglide.report.words import headline
+from tests.klipper_files import imported
 
 FIELD = Path(__file__).parent / "data" / "field"
 
@@ -38,6 +42,15 @@ def test_a_mistyped_distance_is_a_slip() -> None:
     assert "command" not in slip.message
 
 
+def mistyped(folder: Path, distance: str, typed: str) -> Imported:
+    """A printer's file without its mesh, one of its distances written as another number."""
+    text = (FIELD / "distance-mistyped" / "printer.cfg").read_text(encoding="utf-8")
+    text = re.sub(r"#\*# \[bed_mesh default\].*?(?=#\*# \[delta_calibrate\])", "", text, flags=re.S)
+    text = text.replace("distance11 = 63.9", "distance11 = 65.0")
+    text = re.sub(rf"distance{distance} = [0-9.]+", f"distance{distance} = {typed}", text)
+    return imported(folder, text)
+
+
 @pytest.mark.parametrize(
     ("distance", "typed", "off"),
     [("11", "63.9", -1.0), ("3", "73.0", 8.0), ("8", "63.8", -1.0)],
@@ -45,18 +58,38 @@ def test_a_mistyped_distance_is_a_slip() -> None:
 def test_a_mistyped_distance_is_a_slip_without_a_mesh(
     distance: str, typed: str, off: float, tmp_path: Path
 ) -> None:
-    text = (FIELD / "distance-mistyped" / "printer.cfg").read_text(encoding="utf-8")
-    text = re.sub(r"#\*# \[bed_mesh default\].*?(?=#\*# \[delta_calibrate\])", "", text, flags=re.S)
-    text = text.replace("distance11 = 63.9", "distance11 = 65.0")
-    text = re.sub(rf"distance{distance} = [0-9.]+", f"distance{distance} = {typed}", text)
-    (tmp_path / "printer.cfg").write_text(text, encoding="utf-8")
-    found = og.import_printer(tmp_path / "printer.cfg")
+    found = mistyped(tmp_path, distance, typed)
     (slip,) = og.close_loop(found.campaigns, og.Machine(found.machine)).blunders
     assert slip.kind == "outlier"
     (readings,) = found.campaigns
     assert readings.posture[readings.line.tolist().index(slip.rows[0])] == distance
     (size,) = re.findall(r"mm is ([−+0-9.]+) mm off", slip.message)
     assert float(size.replace("−", "-")) == pytest.approx(off, abs=0.3)
+
+
+def test_a_slip_that_is_likelier_than_a_cause_is_told_before_it(tmp_path: Path) -> None:
+    """The first sentence was of a cause of 5 %, and nothing was to be read again."""
+    found = mistyped(tmp_path, "11", "64.65")
+    verdict = og.close_loop(found.campaigns, og.Machine(found.machine))
+    (cause,) = verdict.effects
+    assert verdict.word == "ambiguous"
+    assert cause.data[0].probability > cause.together
+    assert not verdict.blunders
+    line = cause.data[0].rows[0]
+    (claim,) = claims(verdict)
+    assert claim.first.brief == f"A slip of the reading in calibration, line {line}."
+    assert headline(verdict).startswith(claim.first.brief)
+    assert f"line {line} of calibration once more" in verdict.actions[0].words
+
+
+def test_a_slip_that_is_only_likely_is_kept_and_told(tmp_path: Path) -> None:
+    found = mistyped(tmp_path, "8", "64.3")
+    verdict = og.close_loop(found.campaigns, og.Machine(found.machine))
+    assert not verdict.blunders
+    (told,) = (w for w in verdict.warnings if w.kind == "slip")
+    assert re.match(
+        r"perhaps \([5-8]\d % likely; it is kept\): .*distance 8: the reading 64.3 mm", told
+    )
 
 
 def test_a_quiet_mesh_makes_no_slips_of_sound_distances() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from orthoglide.explanation.data_faults import Blunder, without
 from orthoglide.instruments.placing import centre_of
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument
@@ -70,6 +71,21 @@ def test_what_moved_and_is_given_as_another_setup_is_nothing_wrong() -> None:
     verdict = og.close_loop([apart], MACHINE)
     assert verdict.word == "adequate"
     assert verdict.values["joint_offset.x"] == pytest.approx(0.7e-3, abs=5e-5)
+
+
+def test_what_moved_twice_leaves_no_setup_without_readings() -> None:
+    """Whichever is found first: a setup without readings ended the run in a traceback."""
+    problem = og.identify([read("tcp")], MACHINE).problem
+    late, later = (
+        Blunder(
+            "moved", tuple((0, k) for k in range(first, len(problem.measured))), (), "", 0, 0, 0
+        )
+        for first in (6, 30)
+    )
+    for order in ([late, later], [later, late]):
+        (factor,) = without(problem, order).factors
+        assert np.bincount(factor.setup).min() > 0
+        assert len(factor.readings.setups) == 3
 
 
 def test_a_visit_that_disagrees_with_the_other_is_told() -> None:

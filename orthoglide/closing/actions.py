@@ -297,8 +297,7 @@ def next_measurements(closed: Closed) -> tuple[Suggestion, ...]:
     known = closed.posterior
     sets = [one.data for one in closed.effects] + [one.data for one in closed.located]
     data = [each[0] for each in sets if each]
-    visits = [planning.deciding_visits(known, d) for d in data] if known else []
-    again = (*again, *(one for one in visits if one is not None))
+    again = (*again, *(planning.deciding_visits(known, d) for d in data if known))
     parts = [s for one in closed.located if known for s in planning.parting(known, one)]
     if not geometry.dialled:
         apart = () if known is None else planning.deciding_instruments(known, closed.effects)

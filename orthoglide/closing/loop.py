@@ -94,7 +94,7 @@ def close(request: Request, progress: Progress = silent) -> Closed:
     since = [c.now(closed.after) for c in read.changes]
     changed = (*(c for c in since if c.is_told), *(c.measured(closed.after) for c in changes))
     notes = (Note(found_now, "earlier") for c in since if (found_now := c.found_only_now))
-    told = (*closed.after.warnings, *notes, *_vague(read))
+    told = (*closed.after.warnings, *notes, *faults.notes, *_vague(read))
     progress(Step("verifying"))
     after = replace(closed.after, warnings=told, verification=verify(closed.after))
     progress(Step("judging"))

@@ -13,7 +13,9 @@ from orthoglide.explanation.faults import Fault, places
 from orthoglide.explanation.outstanding import NAMED, SURE
 from orthoglide.explanation.suspects import Key
 from orthoglide.fit import Problem
-from orthoglide.ordering import descending
+from orthoglide.ordering import descending, largest
+
+EVEN = 0.5  # probability from which something is likelier than not
 
 _NEIGHBOURS = 1.6  # times the distance of the nearest touch: the next across a square's diagonal
 
@@ -51,6 +53,22 @@ def certain_data_faults(posterior: FullPosterior) -> list[Fault]:
                 fault = replace(fault, commands=(*fault.commands, *more.commands))
         found.append(fault)
     return [f for f in found if not _beside(posterior.before.problem, f, found)]
+
+
+def suspected(posterior: FullPosterior) -> list[tuple[Fault, float]]:
+    """Return the data faults that are likelier than not, but less than certain enough for a claim
+    (0.9), each with its probability.
+    """
+    mixture, groups = posterior.mixture, posterior.mixture.linear.groups
+    instead, data = Alternatives(mixture), np.array([g.of_data for g in groups], dtype=bool)
+    by_name, found = {s.name: s for s in posterior.about.suspects}, []
+    for member in mixture.strongest:
+        odds = instead.of(member)[:-1]
+        best = largest(odds)
+        if odds.sum() < NAMED and odds[best] > EVEN and data[best]:
+            mean, _ = instead.moments(member, best, at := groups[best].places)
+            found.append((by_name[groups[best].name].sized(mean[at]), float(odds[best])))
+    return found
 
 
 def unsure(posterior: FullPosterior) -> frozenset[Key]:

@@ -22,7 +22,7 @@ from orthoglide.explanation.alternative_readings import (
 )
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.changes import likeliest_changes, separated
-from orthoglide.explanation.credible_faults import certain_data_faults, unsure
+from orthoglide.explanation.credible_faults import EVEN, certain_data_faults, suspected, unsure
 from orthoglide.explanation.everything import FullPosterior, first_look, glance
 from orthoglide.explanation.faults import (
     DATUMS,
@@ -56,8 +56,6 @@ _MARGIN = 3.0
 
 _QUIET = 0.25
 """Chi2 a degree of freedom from which noise was declared twice too large, or more."""
-
-_EVEN = 0.5  # probability from which something is likelier than not
 
 
 @dataclass(frozen=True)
@@ -106,6 +104,8 @@ class Findings:
     look: FullPosterior | None
     # faults that the data may have, where a cause of the machine would explain the readings as well
     unsure: frozenset[Key] = frozenset()
+    # about faults that are likelier than not, but not enough so to be corrected
+    notes: tuple[Note, ...] = ()
 
 
 def find_faults(read: Estimate) -> Findings:
@@ -140,7 +140,15 @@ def find_faults(read: Estimate) -> Findings:
     whole = as_read and not (found or changed or look.about.suspects)
     maybe = unsure(look)
     reusable = look if whole and not maybe else None
-    return Findings(_reported(read, found), measured, reusable, maybe)
+    notes = tuple(_perhaps(look))
+    return Findings(_reported(read, found), measured, reusable, maybe, notes)
+
+
+def _perhaps(look: FullPosterior) -> Iterator[Note]:
+    """Yield what to look up in the notes where a fault is likelier than not, but no more."""
+    for fault, probability in suspected(look):
+        text = message(look.before.problem, fault)
+        yield Note(f"perhaps ({100 * probability:.0f} % likely; it is kept): {text}", "slip")
 
 
 def _squares(look: FullPosterior) -> dict[str, float]:
@@ -190,7 +198,7 @@ def _meant(look: FullPosterior, found: Sequence[Fault], otherwise: float = -np.i
             other = glance(_fitted(restored(problem, one.fault)))
         except NumericsError:
             continue
-        if other.mixture.rare < _EVEN:  # more noise explains anything
+        if other.mixture.rare < EVEN:  # more noise explains anything
             tried.append((other.evidence + one.odds, one.fault))
     if not tried:
         return None
@@ -348,8 +356,11 @@ def _corrected(table: Readings, fault: Fault | Blunder, rows: Rows) -> Readings:
 
 
 def _split(campaign: Readings, rows: Rows) -> Readings:
-    """Rows of one setup as a setup of their own."""
-    old = campaign.setups[int(campaign.setup[rows[0]])]
+    """Rows of one setup as a setup of their own; all that it has are one already."""
+    number = int(campaign.setup[rows[0]])
+    if len(rows) == np.sum(campaign.setup == number):
+        return campaign
+    old = campaign.setups[number]
     taken = {s.name for s in campaign.setups}
     name = f"{old.name}-from-line-{int(campaign.line[rows].min())}"
     while name in taken:

@@ -13,7 +13,7 @@ from orthoglide.explanation import FullPosterior
 from orthoglide.frames import Framed
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.instruments import OBSERVATIONS
-from orthoglide.observations import Readings, campaign_rows
+from orthoglide.observations import Readings, campaign_rows, source
 from orthoglide.observations.protocols import unread
 from orthoglide.planning.pool import reading_pool, sheet
 from orthoglide.result import DataRival, SetupResidual
@@ -141,18 +141,22 @@ def repeating(rest: SetupResidual) -> Suggestion:
     )
 
 
-def deciding_visits(posterior: FullPosterior, fault: DataRival) -> Suggestion | None:
-    """Return the advice to visit a posture and its neighbours again, where its readings show either
-    a defect of the machine at one place or a fault of the data; ``None`` where no dial was read.
+def deciding_visits(posterior: FullPosterior, fault: DataRival) -> Suggestion:
+    """Return the advice to read again what shows either a defect of the machine or a fault of the
+    data: a posture of dials with its neighbours, else the reading itself.
 
     A defect comes again and is smaller beside the place; a wrong command or a slip does not come
     again.
     """
     problem = posterior.about.problem
-    table = next(f.readings for f in problem.factors if fault.rows[0] in f.readings.line)
+    tables = (f.readings for f in problem.factors if source(f.readings) == fault.file)
+    table = next(t for t in tables if fault.rows[0] in t.line)
     own = np.flatnonzero(np.isin(table.line, fault.rows) & table.on_legs)
     if not len(own):
-        return None
+        return _trace(
+            f"line {fault.rows[0]} of {fault.file} once more: a defect of the machine appears "
+            f"again, a slip does not"
+        )
     rows = np.flatnonzero(np.isin(table.setup, table.setup[own]))
     apart = np.linalg.norm(table.command[rows] - table.command[own[0]], axis=1).round(6)
     near = rows[np.isin(apart, np.unique(apart)[:_NEIGHBOURS])]

@@ -90,13 +90,17 @@ def lowered(text: str) -> str:
 
 
 def _of_cause(cause: Cause, option: Iterator[int]) -> Claim:
+    """Return the claim of a cause, or of a data fault that is more probable."""
     first = _statement(cause.chosen, cause.together, next(option))
     same, rivals = (
         tuple(_statement(e, e.probability, next(option)) for e in part)
         for part in (cause.same, cause.rivals)
     )
     others = (*rivals, *_of_places(cause.places, option), *_of_data(cause.data))
-    return Claim(first, same, tuple(ranked(others, lambda one: one.probability)))
+    likeliest, *rest = ranked((first, *others), lambda one: one.probability)
+    if likeliest is first:
+        return Claim(first, same, tuple(rest))
+    return Claim(likeliest, (), tuple(ranked((*rest, *same), lambda one: one.probability)))
 
 
 def _of_located(found: Located, option: Iterator[int]) -> Claim:

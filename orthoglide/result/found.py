@@ -124,13 +124,15 @@ class DataRival:
     words: str  # file, lines, the likely reason, and the remedy
 
     @property
+    def file(self) -> str:
+        """The file, without its folder, that its lines are of."""
+        return self.words.partition(", ")[0]
+
+    @property
     def brief(self) -> str:
         """The fault with its file and its first line, a clause."""
-        what, (file, _, _) = (
-            _BRIEF.get(self.data, "a fault of the data"),
-            self.words.partition(", "),
-        )
-        return f"{what} in {file}, line {min(self.rows)}"
+        what = _BRIEF.get(self.data, "a fault of the data")
+        return f"{what} in {self.file}, line {min(self.rows)}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
