@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.fit.least_squares import Linearised, Normal, Nuisances, fitted_basis, normal
+from orthoglide.fit.least_squares import Linearised, Normal, Nuisances, fitted_basis, normal, past
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
 from orthoglide.numerals import ByUnit
@@ -33,12 +33,13 @@ class FittedRows:
     def of(cls, problem: Problem, nuisance: Nuisances, at: Linearised) -> FittedRows:
         """Return the rows of a fit, by the linearisation there."""
         predicted = at.value + nuisance.fitted(problem.measured - at.value)
-        fitted = fitted_basis(problem, nuisance, at)[: len(predicted)]
+        basis = fitted_basis(problem, nuisance, at)
+        fitted = basis[: len(predicted)]
         # What was fitted may move readings of one station apart: its share in the means counts.
         means = nuisance.weighing.along(fitted)
         return cls(
             problem, nuisance, predicted, np.einsum("nr,nr->n", fitted, fitted),
-            _left_out(problem, nuisance, fitted, problem.measured - predicted),
+            _left_out(problem, nuisance, fitted, _at_optimum(problem, nuisance, at, basis)),
             np.asarray(np.linalg.eigvalsh(means.T @ means), dtype=np.float64),
         )  # fmt: skip
 
@@ -165,7 +166,21 @@ def deviation_rms(problem: Problem, residual: Array) -> float:
     return float(np.sqrt(np.mean(apart**2))) if len(apart) else float("nan")
 
 
-def _left_out(problem: Problem, nuisance: Nuisances, fitted: Array, residual: Array) -> Array:
+def _at_optimum(problem: Problem, nuisance: Nuisances, at: Linearised, basis: Array) -> Array:
+    """Return the whitened residuals ``(n,)`` at the optimum of the linear problem.
+
+    A posterior averaged over several priors is not at the optimum of their average. Its own
+    residual, divided by 1 - H where H is nearly 1, would be far beyond all of them.
+    """
+    matrix, target = problem.prior_rows
+    rest = np.zeros(len(basis))
+    count = len(problem.measured)
+    rest[:count] = nuisance.weighing.whiten(problem.measured - at.value)
+    rest[count:][: len(target)] = target - matrix @ at.x
+    return past(basis, rest)[:count]
+
+
+def _left_out(problem: Problem, nuisance: Nuisances, fitted: Array, whitened: Array) -> Array:
     """Residuals ``(n,)`` of readings predicted with every visit to their station left out; nan
     where nothing predicts them.
 
@@ -176,11 +191,10 @@ def _left_out(problem: Problem, nuisance: Nuisances, fitted: Array, residual: Ar
         problem: gives the stations.
         nuisance: of the fit.
         fitted: orthonormal columns of everything fitted, the rows of the readings ``(n, r)``.
-        residual: ``(n,)``, metres.
+        whitened: residuals at the optimum ``(n,)``, in sigmas.
     """
     station = problem.place
-    whitened = nuisance.weighing.whiten(residual)
-    left_out = np.full(len(residual), np.nan)
+    left_out = np.full(len(whitened), np.nan)
     order, size = np.argsort(station, kind="stable"), np.bincount(station)
     first = np.cumsum(size) - size
     for visits in np.unique(size):  # stations alike in size are solved together
