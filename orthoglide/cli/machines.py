@@ -362,9 +362,8 @@ def _write(found: Imported, out: Path, files: dict[str, str | bytes], machine: P
     from orthoglide.observations import campaign_text
 
     def command(*names: str) -> str:
-        campaigns = " ".join(f"{click.format_filename(out)}/{name}.csv" for name in names)
-        file = click.format_filename(machine)
-        return f"orthoglide close-loop {campaigns} --machine {file} --out OUT"
+        campaigns = " ".join(f"{opt.typed(out)}/{name}.csv" for name in names)
+        return f"orthoglide close-loop {campaigns} --machine {opt.typed(machine)} --out OUT"
 
     lines = list[str]()
     for campaign in found.campaigns:

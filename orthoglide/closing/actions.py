@@ -15,6 +15,7 @@ from orthoglide.explanation.change import Change
 from orthoglide.numerals import compact, plain
 from orthoglide.ordering import ranked
 from orthoglide.result import Action, Suspect, Withheld
+from orthoglide.text import MACHINE
 
 if TYPE_CHECKING:
     from orthoglide.closing.closed import Closed
@@ -289,6 +290,19 @@ def _measure(closed: Closed) -> tuple[bool, list[Action]]:
 
 def next_measurements(closed: Closed) -> tuple[Suggestion, ...]:
     """Return readings to take next; those at unexplained residuals come first."""
+    option = closed.request.machine_option
+    return tuple(
+        replace(
+            one,
+            reason=one.reason.replace(MACHINE, option),
+            what=one.what.replace(MACHINE, option),
+        )
+        for one in _suggested(closed)
+    )
+
+
+def _suggested(closed: Closed) -> tuple[Suggestion, ...]:
+    """Return readings to take next, whose sheets are for any machine."""
     from orthoglide import planning
 
     geometry, follow = closed.request.machine.geometry, not closed.stands
