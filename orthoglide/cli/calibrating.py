@@ -307,7 +307,7 @@ def rerun(result: Path, effects_file: Path | None, out: Path | None, quiet: bool
         from orthoglide.files import inside
         from orthoglide.report import report_files, result_text
         from orthoglide.result import read_result, request_of
-        from orthoglide.result.reading import EDITED, as_edited
+        from orthoglide.result.reading import EDITED, as_edited, writer_of
         from orthoglide.verdict import run
 
         file = inside(result, "result.json")
@@ -323,12 +323,19 @@ def rerun(result: Path, effects_file: Path | None, out: Path | None, quiet: bool
         files = {} if out is None or different else report_files(new, step)
     warn(tuple(f"{name} has changed since the run" for name in changed))
     if different:
-        name = click.format_filename(file)
-        raise NumericsError(f"{name} is not reproduced: {'; '.join(different)}")
+        name, how = click.format_filename(file), "is not reproduced"
+        if _within(old, again):
+            given = ", ".join(dict.fromkeys(one["file"] for one in old["inputs"]))
+            how += (
+                f" by this state of the program; {writer_of(old)} wrote it: keep it as a record, "
+                f"and give {given} to orthoglide {old['command']} for the numbers of today"
+            )
+        raise NumericsError(f"{name} {how}: {'; '.join(different)}")
     count = len(again["parameters"])
     answer = f"The same numbers again, from the rows kept in the result: all {count} agree"
     if within := _within(old, again):
-        answer += f" to {within:g} sigma, as an earlier state of the program wrote the result"
+        answer += f" to {within:g} sigma, as an earlier state of the program, {writer_of(old)}, "
+        answer += "wrote the result"
     answer += "."
     if out is not None and not quiet:
         answer += f"\n{_report(out)}"
