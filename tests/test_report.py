@@ -28,7 +28,7 @@ from orthoglide.figures.draw import draw
 from orthoglide.figures.style import PALETTE
 from orthoglide.fit import Estimate
 from orthoglide.machine_file import Controller
-from orthoglide.numerals import compact, decimals_for, plain, probability, signed
+from orthoglide.numerals import compact, decimals_for, plain, probability, signed, with_sigma
 from orthoglide.observations import protocol
 from orthoglide.report import report_files, sections
 from orthoglide.report.embed import panels, whole
@@ -315,6 +315,8 @@ def test_numbers_for_people() -> None:
     assert signed(-0.5056, 2) == "−0.51"
     assert signed(-0.001, 2) == "0.00"
     assert (plain(0.25, 2), plain(-0.25, 2)) == ("0.25", "−0.25")
+    pairs = [with_sigma(*one) for one in ((0.2617, 0.0031), (-0.7, 0.41), (109.2, 34.0), (3, 0))]
+    assert pairs == ["0.2617 ± 0.0031", "−0.70 ± 0.41", "109 ± 34", "3.000"]
     assert [decimals_for(s) for s in (35.0, 3.5, 0.35, 0.02, 1e-9, 0.0)] == [0, 1, 2, 3, 6, 3]
     assert compact(1e-10, 1) == "10⁻¹⁰"
     assert compact(-2.5e-7, 2) == "−2.5·10⁻⁷"
