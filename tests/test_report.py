@@ -27,6 +27,7 @@ from orthoglide.effects.wording import parameter_words
 from orthoglide.figures.draw import draw
 from orthoglide.figures.style import PALETTE
 from orthoglide.fit import Estimate
+from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import Controller
 from orthoglide.numerals import compact, decimals_for, plain, probability, signed, with_sigma
 from orthoglide.observations import protocol
@@ -333,6 +334,8 @@ def test_words() -> None:
     assert said("joint_offset.x@day-2") == "joint offset of leg x (day-2)"
     assert said("mount_tilt.x.a") == "mount tilt of leg x about its axis"
     assert said("gauge_scale.left") == "gauge scale of setup left"
+    tilt = parameter_words(CATALOGUE.parameter("axis_tilt.y.z"), LinearDelta.names)
+    assert tilt == "carriage path tilt of tower y toward z"  # as its cause: "the path of the ..."
     assert said("axis_tilt.xy.symmetric") == "axis tilt, xy symmetric"
     assert (listed(["a"]), listed("ab"), listed("abc")) == ("a", "a and b", "a, b and c")
 

@@ -123,7 +123,7 @@ def short_table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, .
         (
             row.name,
             micrometres(row.fitted.max),
-            *[micrometres(row.reading_rms)] * read,
+            *([micrometres(row.reading_rms)] if read else []),
             "yes" if row.good_enough else "no",
         )
         for row in rows
