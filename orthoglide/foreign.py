@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Collection
 from pathlib import Path
 
 from orthoglide.errors import FileError
-from orthoglide.text import shown
+from orthoglide.text import MACHINE, shown
 
-_LIST = ", which is a list of plate points: read it with orthoglide import plates {} --machine FILE"
+_LIST = (
+    ", which is a list of plate points: read it with orthoglide import plates {}"
+    f"{MACHINE} --out DIR"
+)
 _NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
 _FILES = {  # files that describe no machine: what stands in no others, and what to do with them
     "archive": (
@@ -23,7 +27,7 @@ _FILES = {  # files that describe no machine: what stands in no others, and what
     ),
     "klipper": (
         r"^\[(?:printer|stepper_\w+|include [^\]]+)\]",
-        "is Klipper's printer.cfg: read it with orthoglide import klipper {}",
+        "is Klipper's printer.cfg: read it with orthoglide import klipper {} --out DIR",
     ),
     "height map": (
         r"(?i)^RepRapFirmware height map file", f"is RepRapFirmware's height map{_LIST}",
@@ -79,7 +83,7 @@ def refuse_foreign(path: Path, content: bytes, own: Collection[str]) -> None:
         if re.search(pattern, text, re.MULTILINE):
             if kind in own:
                 return
-            raise FileError(message.format(Path(path).name), file=shown(path))
+            raise FileError(message.format(shlex.quote(shown(path))), file=shown(path))
     for name, (pattern, touch, arm, radius) in _MACHINES.items():
         if re.search(pattern, text, re.MULTILINE):
             sizes = [f"L = {value:.7g}" for value in _values(arm, text)]

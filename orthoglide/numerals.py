@@ -9,6 +9,8 @@ _MOST_DECIMALS = 6
 _ROUNDING = 1e-12  # in the units of files: no figure that means anything is smaller
 _PLAIN = 1e6  # below, a number is no power of ten
 MINUS = "−"
+SIDES = 1.96
+"""Half width of a 95 % interval in standard deviations."""
 
 
 def decimals_for(sigma: float, most: int = _MOST_DECIMALS) -> int:
@@ -53,13 +55,14 @@ def compact(value: float, digits: int = 3) -> str:
 _FINEST = 4  # decimals of millimetres that any machine is worth
 
 
-def with_sigma(value: float, sigma: float, digits: int = 1) -> str:
-    """A number with its standard deviation, both with the decimals that the latter is worth to so
-    many significant digits: ``0.261 ± 0.003``. One that no decimal shows is left out.
+def with_sigma(value: float, sigma: float, most: int = _FINEST) -> str:
+    """Return a number with its standard deviation, both with the decimals that show two significant
+    digits of the latter, ``most`` of them: ``0.2610 ± 0.0031``. A standard deviation that these do
+    not show is left out.
     """
-    if not sigma >= 0.5 * 10.0**-_FINEST:
+    if not sigma >= 0.5 * 10.0**-most:
         return plain(value, 3)
-    places = min(max(digits - 1 - math.floor(math.log10(sigma)), 0), _FINEST)
+    places = decimals_for(sigma, most)
     return f"{plain(value, places)} ± {sigma:.{places}f}"
 
 

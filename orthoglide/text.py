@@ -13,6 +13,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 
+MACHINE = " --machine FILE"
+"""In an advised command the machine that whoever prints it knows."""
+
 _WIDTH = 100  # of text that goes to a file
 _ECHOED = 40  # characters of a file's text that a message repeats
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 
 class Unit(NamedTuple):
-    """A unit of files: its name and what it is worth in SI (a power of ten)."""
+    """A unit: its name and what it is worth in SI, of files a power of ten."""
 
     name: str
     si: float
@@ -26,7 +26,24 @@ class Unit(NamedTuple):
     @property
     def spoken(self) -> Unit:
         """The unit in which people say it: milliradians, percent."""
-        return {"rad": Unit("mrad", 1e-3), "1": Unit("%", 1e-2)}.get(self.name, self)
+        factor, name = spoken(self.name)
+        return Unit(name, self.si / factor)
+
+
+_SPOKEN = {
+    "rad": (1e3, "mrad"),
+    "1": (1e2, "%"),
+    "mm/N": (1e3, "µm/N"),
+    "1/K": (1e6, "µm/(m K)"),
+    "1/s": (3600e6, "µm/(m h)"),
+}
+
+
+def spoken(unit: str) -> tuple[float, str]:
+    """Return what a number in a unit of files is multiplied by to be said, and the unit it then
+    has.
+    """
+    return _SPOKEN.get(unit, (1.0, unit))
 
 
 NOISE = (1e-9, 1e-3)

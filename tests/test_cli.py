@@ -626,6 +626,15 @@ def test_what_a_design_sees_fits_the_terminal(
     assert max(map(len, done("design", *options).splitlines())) <= 60
 
 
+def test_a_comparison_fits_the_terminal(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    told = done("compare", "--effects", "parallelogram_width,screw_error").splitlines()
+    assert max(map(len, told)) <= 60
+    (row,) = (line.split() for line in told if "screw_error" in line)
+    assert row[-1] == "no"
+    assert "good enough for 1 of 2." in told[-1]
+
+
 def test_a_quiet_design_is_one_line(here: Path) -> None:
     few = ("design", "--count", "6", "--quiet")
     assert done(*few) == "6 readings show 4 of 6 unknowns.\n"

@@ -114,10 +114,13 @@ def test_every_command_works_or_says_why_not(imported: Path, tmp_path: Path) -> 
     for command in (
         ("protocol", "--out", tmp_path / "s.csv"),
         ("simulate", "--out", tmp_path / "c.csv"),
+        ("measure", "--out", tmp_path / "m.csv"),
+        ("design",),
     ):
         told = run(*command, "--machine", machine, code=2)
         assert "linear-delta" in told
-        assert "design --owns plate --out SHEET.csv writes a sheet" in told
+        advised = f"orthoglide design --owns plate --machine {machine} --out SHEET.csv writes"
+        assert advised in told
     kinds = ("--effects", "leg_length,rail_tilt", "--no-figures")
     run("compare", "--machine", machine, *kinds, "--out", tmp_path / "cmp")
     assert "Readings are not compared" in (tmp_path / "cmp" / "table.md").read_text()
@@ -215,6 +218,9 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
     assert len(rivals) > 4
     assert all(text.count(words[1:]) > 1 for words in rivals)  # among causes, and to be looked at
     assert "Measure more: to tell the causes apart" in told
+    sheet = "orthoglide design --owns distance --machine {} --out distance.csv"
+    assert sheet.format(machine) in told  # where the file is, seen from here
+    assert sheet.format("machine.toml") in text  # whose folder nobody knows later
     assert "it tells" not in told  # that stands on the page
     assert "it tells" in text
     assert "Readings of a probe on a plate cannot detect, at three times the tolerance" in told

@@ -5,6 +5,7 @@ import runpy
 from pathlib import Path
 from typing import get_args
 
+import click
 import pytest
 
 import orthoglide as og
@@ -68,6 +69,13 @@ def test_the_readme_has_every_command() -> None:
     table = read("README.md").partition("## On the command line")[2].partition("\n## ")[0]
     named = set(re.findall(r"`(?:orthoglide )?([a-z-]+)`", table))
     assert set(cli.commands) <= named
+
+
+def test_the_readme_has_every_exit_code() -> None:
+    listed = read("README.md").partition("Exit codes: ")[2].partition("\n\n")[0]
+    shown = cli.get_help(click.Context(cli)).partition("Exit codes: ")[2].partition("\n\n")[0]
+    codes = r"\b\d+(?=\s+[a-z])"
+    assert re.findall(codes, listed) == re.findall(codes, shown) == ["0", "2", "3", "130"]
 
 
 def test_the_campaign_of_the_page_of_files_reads(tmp_path: Path) -> None:

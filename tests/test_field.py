@@ -191,7 +191,7 @@ OTHER = FIELD / "other-firmware-words"
 def test_lists_of_touches_are_readings_of_the_plate(file: str, count: int) -> None:
     (readings,) = og.import_plates(OTHER / file, OTHER / "machine.toml").campaigns
     assert int(readings.touching.sum()) == len(readings) == count
-    with pytest.raises(og.FileError, match=rf"orthoglide import plates {file}"):
+    with pytest.raises(og.FileError, match=f"import plates {OTHER / file} --machine FILE"):
         og.read_readings(OTHER / file, OTHER / "machine.toml")
 
 

@@ -251,7 +251,7 @@ def test_how_sure_it_is_counts_all_names_of_a_cause() -> None:
     one = explained("axis_tilt.y.z", 2.4e-3, CATALOGUE, 0.49)
     twin = explained("rail_tilt.y.z", 2.4e-3, CATALOGUE, 0.49)
     text = screen(made_up("explained", Cause(one, (), (twin,))))
-    assert "98 % sure, its size to ± 0.24 mrad" in text
+    assert "98 % sure, its size 2.40 ± 0.24 mrad (95 %)" in text
     assert "readings and tool are the same either way" in text
     assert "cannot tell" not in text
     assert [sure_words(p) for p in (0.999, 0.93, 0.512)] == [

@@ -172,13 +172,24 @@ def test_a_result_of_an_earlier_version_is_run_again(name: str, tmp_path: Path) 
     """Its numbers are no longer those of today to the last digit, which is no failure."""
     out = tmp_path / "again"
     found = run("rerun", FORMER / name / "result.json", "--out", out)
-    assert "to 0.2 sigma, as an earlier state of the program wrote" in found.text
+    assert "version 0.1.0 (schema " in found.text
     if name == "schema-1/dials":  # two causes of one rail, of which one is now told apart
         assert found.code == 3
+        assert "version 0.1.0 (schema 1) wrote it: keep it as a record" in found.text
+        assert "give rig-2.csv to orthoglide close-loop" in found.text
         assert "the verdict was 'ambiguous' and is 'explained'" in found.text
     else:
         assert found.code == 0, found.text
+        assert "to 0.2 sigma, as an earlier state of the program" in found.text
         assert (out / "report.html").exists()
+
+
+@pytest.mark.parametrize("name", ["schema-1/identify", "early-schema-2/dials"])
+def test_a_result_of_an_earlier_version_is_refused_by_name(name: str) -> None:
+    schema = result_in(FORMER / name)["schema"]
+    told = rf"version 0\.1\.0 \(schema {schema}\), wrote it.*orthoglide rerun \S+ --out DIR"
+    with pytest.raises(og.FileError, match=told):
+        og.Verdict.load(FORMER / name)
 
 
 def test_a_result_that_kept_no_rows_is_refused_in_a_sentence() -> None:

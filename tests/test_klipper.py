@@ -395,6 +395,23 @@ def test_a_broken_file_is_told_with_its_line(kind: str, tmp_path: Path) -> None:
     assert not (tmp_path / "o").exists()
 
 
+@pytest.mark.parametrize("broken", ["[{}", "{}]", "{}", "({})"])
+def test_a_stored_header_without_its_brackets_is_named(broken: str, tmp_path: Path) -> None:
+    """With its line and what to write, whether the import then fails or lacks what stands below."""
+    file, text = tmp_path / "printer.cfg", V400.read_text()
+    for name in ("printer", "delta_calibrate"):
+        before, header, after = text.partition(f"#*# [{name}]")
+        assert header
+        file.write_text(f"{before}#*# {broken.format(name)}{after}")
+        try:
+            said = "\n".join(import_printer(file).notes)
+        except FileError as error:
+            said = str(error)
+        at = f"printer.cfg, line {before.count(chr(10)) + 1}: '{broken.format(name)}'"
+        assert at in said, said
+        assert f"write [{name}]" in said
+
+
 LEFT_OUT = {
     "steps of another time": ("31752.000,42168.000,31693.000", "31752.000,32168.000,31693.000",
                               "height", "different times"),

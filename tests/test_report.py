@@ -27,8 +27,9 @@ from orthoglide.effects.wording import parameter_words
 from orthoglide.figures.draw import draw
 from orthoglide.figures.style import PALETTE
 from orthoglide.fit import Estimate
+from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import Controller
-from orthoglide.numerals import compact, decimals_for, plain, probability, signed
+from orthoglide.numerals import compact, decimals_for, plain, probability, signed, with_sigma
 from orthoglide.observations import protocol
 from orthoglide.report import report_files, sections
 from orthoglide.report.embed import panels, whole
@@ -315,6 +316,8 @@ def test_numbers_for_people() -> None:
     assert signed(-0.5056, 2) == "−0.51"
     assert signed(-0.001, 2) == "0.00"
     assert (plain(0.25, 2), plain(-0.25, 2)) == ("0.25", "−0.25")
+    pairs = [with_sigma(*one) for one in ((0.2617, 0.0031), (-0.7, 0.41), (109.2, 34.0), (3, 0))]
+    assert pairs == ["0.2617 ± 0.0031", "−0.70 ± 0.41", "109 ± 34", "3.000"]
     assert [decimals_for(s) for s in (35.0, 3.5, 0.35, 0.02, 1e-9, 0.0)] == [0, 1, 2, 3, 6, 3]
     assert compact(1e-10, 1) == "10⁻¹⁰"
     assert compact(-2.5e-7, 2) == "−2.5·10⁻⁷"
@@ -331,6 +334,8 @@ def test_words() -> None:
     assert said("joint_offset.x@day-2") == "joint offset of leg x (day-2)"
     assert said("mount_tilt.x.a") == "mount tilt of leg x about its axis"
     assert said("gauge_scale.left") == "gauge scale of setup left"
+    tilt = parameter_words(CATALOGUE.parameter("axis_tilt.y.z"), LinearDelta.names)
+    assert tilt == "carriage path tilt of tower y toward z"  # as its cause: "the path of the ..."
     assert said("axis_tilt.xy.symmetric") == "axis tilt, xy symmetric"
     assert (listed(["a"]), listed("ab"), listed("abc")) == ("a", "a and b", "a, b and c")
 

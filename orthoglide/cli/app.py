@@ -16,7 +16,7 @@ from orthoglide import __version__
 from orthoglide.errors import InputError, OrthoglideError
 from orthoglide.files import write_files
 from orthoglide.progress import Progress, Step
-from orthoglide.text import brief
+from orthoglide.text import MACHINE, brief
 
 BAD_INPUT, NUMERICS_FAILED, INTERRUPTED = 2, 3, 130  # 130: 128 + SIGINT, as shells have it
 _LONGEST = 1000  # characters of an error: file, line and remedy fit, a pasted file does not
@@ -78,6 +78,9 @@ class Command(click.Command):
         """Run the command; an interrupt ends it with one sentence."""
         try:
             return super().invoke(ctx)
+        except InputError as error:
+            given = getattr(ctx.params.get("machine"), "words", "") or MACHINE
+            raise Refusal(str(error).replace(MACHINE, given), BAD_INPUT) from error
         except KeyboardInterrupt:
             said = "interrupted: nothing is left half written"
             if ctx.info_name in _RESUMED and ctx.params["out"] is not None:

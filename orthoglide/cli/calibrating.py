@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -84,7 +83,11 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
         verdict = f"Verdict {result.word}: {results[name]['summary']}"
         lines = [intro, verdict]
         lines += [f"If it were so: {text}" for text in if_it_were_so(result)]
-        lines += [f"What to do: {sentence(one.words)}" for one in result.actions[:1]]
+        placed = opt.MachineOption(None, None).placed
+        lines += [
+            f"What to do: {placed(sentence(one.words), folder / name)}"
+            for one in result.actions[:1]
+        ]
         lines += [_report(folder / name), ""]
         answers.append(f"{name}: {result.word}" if quiet else "\n".join(lines))
     answer = (", " if quiet else "\n").join(answers).rstrip("\n")
@@ -214,24 +217,25 @@ def _run(
         name = shown(machine.effects_file.name) if machine.effects_file else ""
         result = run(replace(request, command=command, effects_file=name, **asked or {}), step)
         files = {} if out is None else report_files(result, step)
-        answer = _answer(result, out, quiet)
+        answer = _answer(result, machine, out, quiet)
         if as_json:
             answer = result_text(result).rstrip("\n")
     deliver(answer, files, out)
 
 
-def _answer(result: Verdict, out: Path | None, quiet: bool) -> str:
+def _answer(result: Verdict, machine: opt.MachineOption, out: Path | None, quiet: bool) -> str:
     """Return what was found, for the terminal, with where its files are."""
     from orthoglide.report import summary
     from orthoglide.report.words import meaning
 
     if quiet:
         return f"Verdict {result.word}: {meaning(result)}."
-    text, file = summary(result, result.request.command == "diagnose", "machine"), "calibrated.toml"
-    if out is not None:  # commands are typed where this is read, not in the folder
-        here = shlex.quote(click.format_filename(out / file))
-        return f"{text.replace(f'--machine {file}', f'--machine {here}')}\n\n{_report(out)}"
-    return text + (f"\n({file} is written with --out DIR.)" if file in text else "")
+    folder, ranked = out or Path("DIR"), result.request.command == "diagnose"
+    text = summary(result, ranked, "machine", lambda line: machine.placed(line, folder))
+    if out is not None:
+        return f"{text}\n\n{_report(out)}"
+    file = f"{folder / opt.CALIBRATED}"
+    return text + (f"\n({file} is written with --out {folder}.)" if file in text else "")
 
 
 @cli.command()
@@ -303,7 +307,7 @@ def rerun(result: Path, effects_file: Path | None, out: Path | None, quiet: bool
         from orthoglide.files import inside
         from orthoglide.report import report_files, result_text
         from orthoglide.result import read_result, request_of
-        from orthoglide.result.reading import EDITED, as_edited
+        from orthoglide.result.reading import EDITED, as_edited, writer_of
         from orthoglide.verdict import run
 
         file = inside(result, "result.json")
@@ -319,12 +323,19 @@ def rerun(result: Path, effects_file: Path | None, out: Path | None, quiet: bool
         files = {} if out is None or different else report_files(new, step)
     warn(tuple(f"{name} has changed since the run" for name in changed))
     if different:
-        name = click.format_filename(file)
-        raise NumericsError(f"{name} is not reproduced: {'; '.join(different)}")
+        name, how = click.format_filename(file), "is not reproduced"
+        if _within(old, again):
+            given = ", ".join(dict.fromkeys(one["file"] for one in old["inputs"]))
+            how += (
+                f" by this state of the program; {writer_of(old)} wrote it: keep it as a record, "
+                f"and give {given} to orthoglide {old['command']} for the numbers of today"
+            )
+        raise NumericsError(f"{name} {how}: {'; '.join(different)}")
     count = len(again["parameters"])
     answer = f"The same numbers again, from the rows kept in the result: all {count} agree"
     if within := _within(old, again):
-        answer += f" to {within:g} sigma, as an earlier state of the program wrote the result"
+        answer += f" to {within:g} sigma, as an earlier state of the program, {writer_of(old)}, "
+        answer += "wrote the result"
     answer += "."
     if out is not None and not quiet:
         answer += f"\n{_report(out)}"

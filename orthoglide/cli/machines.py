@@ -122,7 +122,8 @@ def compare(
       orthoglide compare --machine april/calibrated.toml --out comparison
     """
     from orthoglide.comparison import compare_effects, compare_machine, worst_by_effect
-    from orthoglide.comparison.tables import comparison_files
+    from orthoglide.comparison.tables import comparison_files, short_table
+    from orthoglide.report.text import console_text, table
 
     known = machine.load()
     with progress(quiet) as step:
@@ -132,10 +133,11 @@ def compare(
         worst = (*whole[:1], *worst_by_effect(rows))
         figures = () if no_figures else worst
         files = {} if out is None else comparison_files(known, whole, rows, figures, step)
+    told = console_text(table(*short_table(worst)))
     good = sum(row.good_enough for row in worst)
-    written = "" if out is None else f"\nwritten: {click.format_filename(out)}"
+    written = "" if out is None else f"\n\nwritten: {click.format_filename(out)}"
     line = f"The simplified model is good enough for {good} of {len(worst)}."
-    deliver(line if quiet else "\n".join(map(str, worst)) + written, files, out)
+    deliver(line if quiet else f"{told}\n\n{line}{written}", files, out)
 
 
 class _Coordinate(click.ParamType):
@@ -362,9 +364,8 @@ def _write(found: Imported, out: Path, files: dict[str, str | bytes], machine: P
     from orthoglide.observations import campaign_text
 
     def command(*names: str) -> str:
-        campaigns = " ".join(f"{click.format_filename(out)}/{name}.csv" for name in names)
-        file = click.format_filename(machine)
-        return f"orthoglide close-loop {campaigns} --machine {file} --out OUT"
+        campaigns = " ".join(f"{opt.typed(out)}/{name}.csv" for name in names)
+        return f"orthoglide close-loop {campaigns} --machine {opt.typed(machine)} --out OUT"
 
     lines = list[str]()
     for campaign in found.campaigns:

@@ -173,10 +173,12 @@ def measure(out: Path, machine: opt.MachineOption, sheet: Path | None, most: int
         count = f"{record.readings} reading" + "s" * (record.readings != 1)
         deliver(f"Stopped with {count} in {name}: the same command goes on from there.")
         return
+    folder = Path(out.stem)
+    found = summary(end.verdict, said="machine", placed=lambda text: machine.placed(text, folder))
     deliver(
         f"{'Settled' if end.settled else 'Not settled'} after {end.readings} readings: "
-        f"{end.reason}.\n\n{summary(end.verdict, said='machine')}\n\nThe report: orthoglide "
-        f"close-loop {name}{machine.words} --out {click.format_filename(out.stem)}"
+        f"{end.reason}.\n\n{found}\n\nThe report: orthoglide close-loop {opt.typed(out)}"
+        f"{machine.words} --out {opt.typed(folder)}"
     )
 
 
@@ -297,7 +299,7 @@ def _design_for(
     if out is not None:
         sheets, placed = to_fill_in(owned.values()), machine.spec.kinematics is not None
         if not sheets:
-            raise InputError("dials alone have sheets of their own: orthoglide protocol")
+            raise InputError("orthoglide protocol writes the sheets of dials alone")
         files[out] = readings_text(sheets, machine.spec, places=True)
         moves = sum(len(sheet.moves) for sheet in sheets)
         between = f"; rows of kind move ({moves}): go there, read nothing" if moves else ""

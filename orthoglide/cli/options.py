@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -32,6 +33,15 @@ PROTOCOLS = (*DIAL_PROTOCOLS, "parallelism")
 
 Pairs = tuple[tuple[str, float], ...]
 """Names with their numbers, as they were given."""
+
+
+CALIBRATED = "calibrated.toml"
+"""The calibrated machine in the folder of a result."""
+
+
+def typed(path: Path) -> str:
+    """Return a path as it is typed on a command line."""
+    return shlex.quote(click.format_filename(path))
 
 
 def together(*options: Decorator) -> Decorator:
@@ -105,7 +115,22 @@ class MachineOption:
     def words(self) -> str:
         """The options of the command line that give this machine."""
         given = {"--machine": self.path, "--effects-file": self.effects_file}
-        return "".join(f" {o} {click.format_filename(p)}" for o, p in given.items() if p)
+        return "".join(f" {o} {typed(p)}" for o, p in given.items() if p)
+
+    def placed(self, text: str, out: Path) -> str:
+        """Return a text of a result with files in advised commands as they are typed here: results
+        name them without folders.
+
+        Args:
+            text: of the result.
+            out: folder with its calibrated machine.
+        """
+        machines = [("--machine", path) for path in (out / CALIBRATED, self.path)]
+        for option, path in (*machines, ("--effects-file", self.effects_file)):
+            if path is not None:
+                file = shlex.quote(path.name)
+                text = text.replace(f"{option} {file}", f"{option} {typed(path)}")
+        return text
 
     def load(self) -> Machine:
         """Return the machine, and print what is doubtful about its file.

@@ -12,9 +12,10 @@ from orthoglide.control import withheld
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.explanation import Cause, Curve, Explanation, Located
 from orthoglide.explanation.change import Change
-from orthoglide.numerals import compact, plain
+from orthoglide.numerals import plain, with_sigma
 from orthoglide.ordering import ranked
 from orthoglide.result import Action, Suspect, Withheld
+from orthoglide.text import MACHINE
 
 if TYPE_CHECKING:
     from orthoglide.closing.closed import Closed
@@ -263,11 +264,10 @@ def not_advised(closed: Closed) -> tuple[Withheld, ...]:
     gain, sigma = closed.compensation_gain if worth_compensating(closed) else (0.0, 0.0)
     if gain <= 0 or gain > _SURELY * sigma:
         return ()
-    size, spread = (compact(v * 1e3, 2) for v in (gain, sigma))
+    size = with_sigma(gain * 1e3, sigma * 1e3)
     return (
-        Withheld("compensate", f"it is expected to gain {size} mm, which is not certain: its "
-                               f"standard deviation is {spread} mm"),
-    )  # fmt: skip
+        Withheld("compensate", f"its expected gain, {size} mm, is below two standard deviations"),
+    )
 
 
 def _measure(closed: Closed) -> tuple[bool, list[Action]]:
@@ -289,6 +289,19 @@ def _measure(closed: Closed) -> tuple[bool, list[Action]]:
 
 def next_measurements(closed: Closed) -> tuple[Suggestion, ...]:
     """Return readings to take next; those at unexplained residuals come first."""
+    option = closed.request.machine_option
+    return tuple(
+        replace(
+            one,
+            reason=one.reason.replace(MACHINE, option),
+            what=one.what.replace(MACHINE, option),
+        )
+        for one in _suggested(closed)
+    )
+
+
+def _suggested(closed: Closed) -> tuple[Suggestion, ...]:
+    """Return readings to take next, whose sheets are for any machine."""
     from orthoglide import planning
 
     geometry, follow = closed.request.machine.geometry, not closed.stands

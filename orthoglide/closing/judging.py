@@ -12,13 +12,12 @@ from orthoglide.fit.least_squares import linearise, nuisances
 from orthoglide.fit.scores import FittedRows, rms_by_unit
 from orthoglide.geometry import Array, moved_onto
 from orthoglide.machine import Machine
-from orthoglide.numerals import ByUnit, compact, told_apart
+from orthoglide.numerals import SIDES, ByUnit, compact, told_apart
 from orthoglide.observations import Readings
 from orthoglide.observations.readings import Points
 from orthoglide.prediction import Conditions
 from orthoglide.result import HoldOut, TcpErrors
 
-_SIDES = 1.96  # half width of a 95 % interval in standard deviations
 _FAR = 3.0  # ratio of errors to what is expected of them from which points fit no machine
 
 
@@ -125,7 +124,7 @@ def tcp_errors(
         if sigma is not None and fit == "translation":  # of `after`, the last
             known = np.isfinite(apart)
             both = np.hypot(sigma, _known(points))
-            inside = float(np.mean(np.abs(apart[known]) <= _SIDES * both[known]))
+            inside = float(np.mean(np.abs(apart[known]) <= SIDES * both[known]))
         found[fit] = TcpErrors(**figures, inside=inside)
     return found
 

@@ -13,13 +13,12 @@ from orthoglide.explanation import Cause, Curve, Explanation, Located
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.data_faults import Blunder
 from orthoglide.fit import Estimate
+from orthoglide.numerals import SIDES
 from orthoglide.observations import Readings
 from orthoglide.result import fits, found, residuals
 
 DRAWN = 4
 """Causes of a credible set that one figure shows; more lines cannot be distinguished."""
-
-_SIDES = 1.96  # half width of a 95 % interval in standard deviations
 
 Row = Callable[[int, int], int]
 """From the number of the readings and a row of the fit to the row within the request's readings."""
@@ -30,7 +29,7 @@ def explanation_value(one: Explanation, drawn: bool = False) -> found.Explanatio
     value, sigma = one.in_unit or (float("nan"), float("nan"))
     effect, width = one.catalogue.effect_of(one.name), ""
     if one.in_unit is not None:
-        width = size_words(effect, sigma * effect.unit.si * _SIDES)
+        width = size_words(effect, sigma * effect.unit.si * SIDES)
     return found.Explanation(
         one.name, tuple(map(str, one.parameters)), float(value), float(sigma), one.unit,
         float(one.probability), one.words, one.look_at, confirm(one), width,

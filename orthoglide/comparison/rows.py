@@ -71,11 +71,6 @@ class Row:
             excess = max(excess, self.reading_rms / READING_LIMIT)
         return float(abs(self.value) / excess) if excess > 1e-6 else float("inf")
 
-    def __str__(self) -> str:
-        answer = "will do" if self.good_enough else "will not do"
-        read = f", readings {self.reading_rms * 1e6:8.2f} µm rms" if self.read else ""
-        return f"{self.name:<24} TCP {self.fitted.max * 1e6:8.2f} µm{read}: the reduction {answer}"
-
 
 def worst_by_effect(rows: Sequence[Row]) -> tuple[Row, ...]:
     """Return for every effect the row with the largest difference, in the order of the rows.

@@ -113,6 +113,24 @@ def markdown_table(rows: Sequence[Row], columns: Sequence[str] | None = None) ->
     return "\n".join(lines) + "\n"
 
 
+def short_table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return heads and rows of a table for the terminal: what is left at the TCP and in the
+    readings, and whether the reduction will do.
+    """
+    read = any(row.read for row in rows)
+    columns = ("effect", "TCP, max, µm", *["readings, rms, µm"] * read, "reduction will do")
+    cells = [
+        (
+            row.name,
+            micrometres(row.fitted.max),
+            *([micrometres(row.reading_rms)] if read else []),
+            "yes" if row.good_enough else "no",
+        )
+        for row in rows
+    ]
+    return columns, cells
+
+
 def csv_table(rows: Sequence[Row]) -> str:
     """Return all numbers of the rows as CSV, names with their unit."""
     return csv_text([_record(row) for row in rows])

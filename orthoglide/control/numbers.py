@@ -277,8 +277,8 @@ class ControllerNumbers(Framed):
             *(f"{n} more" for n in [len(self.beyond) - _NAMED] if n > 0),
         ]
         alone = (
-            " A controller that takes zeros alone needs other zeros: `orthoglide export "
-            "--zeros-only`." * (not self.zeros_alone)
+            " A controller that takes zeros alone needs other zeros, which the option --zeros-only "
+            "of `orthoglide export` gives." * (not self.zeros_alone)
         )
         return (
             f"These numbers correct no other error that was identified ({listed(named)}); commands "

@@ -100,7 +100,7 @@ class Change:
             size = f"by {signed((self.after - self.before) / unit.si, decimals)}"
         return (
             f"the {self._words(self.parameter)}{others} changed {size} {unit.name} "
-            f"(± {compact(self.sigma / unit.si, 2)})"
+            f"(± {self.sigma / unit.si:.{decimals}f})"
         )
 
     @property

@@ -262,7 +262,7 @@ def _size(problem: Problem, factor: Factor) -> Note:
     size = (1 - mean) * (1 + scale) - 1
     text = (
         f"{source(factor.readings)}: by the nominal numbers of the machine file, distances are "
-        f"{with_sigma(abs(size) * 1e2, sigma * 1e2, 2)} % {'longer' if size > 0 else 'shorter'} "
+        f"{with_sigma(abs(size) * 1e2, sigma * 1e2)} % {'longer' if size > 0 else 'shorter'} "
         f"than the tool went; {_MEAN.format(with_sigma(mean * 1e2, sd * 1e2))}"
     )
     beyond = abs(scale) > _BEYOND * float(np.hypot(sigma, sd)) and not machine.spec.measured.rods

@@ -16,7 +16,7 @@ _HELD = ("zero", "bar_length", "place")
 _NOUNS = (
     (r"\bjoint offset", "carriage offset"),
     (r"\baxis offset", "tower offset"),
-    (r"\baxis tilt", "path tilt"),
+    (r"\baxis tilt", "carriage path tilt"),
     (r"\bthe (\w) rail\b", r"tower \1"),
     (r"\brail(s?)\b", r"tower\1"),
     (r"\bbar(s?)\b", r"rod\1"),

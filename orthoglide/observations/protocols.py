@@ -17,6 +17,7 @@ from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.instruments import Parallelism, Setup
 from orthoglide.observations.approach import Moves, derive_approach, overshoot
 from orthoglide.observations.readings import Readings
+from orthoglide.text import MACHINE
 
 Kind = Literal["standard", "sweep", "two-gauges", "parallelism"]
 
@@ -64,8 +65,8 @@ def check_dials(geometry: Geometry) -> None:
         raise InputError(
             f"dials are set against an Orthoglide's legs, and this machine's layout is "
             f"{geometry.layout.kind}: give readings of its tool (kind plate, distance, incline, "
-            f"tcp or ballbar), for which orthoglide design --owns plate --out SHEET.csv writes a "
-            f"sheet, and orthoglide.tool_sheets(machine, ['plate']) gives it in Python"
+            f"tcp or ballbar), for which orthoglide design --owns plate{MACHINE} --out SHEET.csv "
+            f"writes a sheet, and orthoglide.tool_sheets(machine, ['plate']) gives it in Python"
         )
 
 

@@ -134,7 +134,7 @@ def detectable_rows(found: Detectability, beyond: float = 0.0) -> list[str]:
         effect, unit, tolerance, size, named, hardest, nearest, parameters = row
         if max(size, named) <= beyond * tolerance:
             continue
-        words = brief(effect.replace("_", " "), 21)
+        words = brief(found.legs.effect_words(effect), 21)
         shown = f"{named:.2g}" if np.isfinite(named) else "never"
         lines.append(f"{words:<22}{tolerance:>10.2g}{size:>11.2g}{shown:>11}  {unit}")
         if parameters:
@@ -144,7 +144,7 @@ def detectable_rows(found: Detectability, beyond: float = 0.0) -> list[str]:
             lines.append(f"    {one} looks like {other}")
     groups: dict[str, list[str]] = {}
     for name in found.invisible:
-        groups.setdefault(name.effect.replace("_", " "), []).append(name.behind)
+        groups.setdefault(found.legs.effect_words(name.effect), []).append(name.behind)
     if groups:
         every = (f"{effect} ({', '.join(members)})" for effect, members in groups.items())
         lines.append(f"not detectable: {', '.join(every)}")

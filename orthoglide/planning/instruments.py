@@ -26,7 +26,7 @@ from orthoglide.parameters import plain_and_campaign
 from orthoglide.planning.choosing import RivalSeparation
 from orthoglide.planning.sheets import tool_sheet
 from orthoglide.planning.suggestions import Suggestion
-from orthoglide.text import listed
+from orthoglide.text import MACHINE, listed
 
 _TELLS = 3.0
 """Sigmas: the wrong one of two becomes less likely by a factor of 90, more than the odds between
@@ -36,7 +36,7 @@ _NAMED = 2  # explanations in a sentence; of others their number
 _KNOWN_TO = 0.1  # to which probabilities that decide are known
 _TURNED = 60.0  # degrees, of a plate on its seat: the lobes of a shape of three come to its hollows
 _LONGER = 0.04  # metres: as much again as a nozzle hangs below the joints of a platform
-_SHEET = "; a sheet for it: orthoglide design --owns {0} --machine machine.toml --out {0}.csv"
+_SHEET = "; a sheet for it: orthoglide design --owns {0}{1} --out {0}.csv"
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +171,7 @@ def _instruments(problem: Problem) -> Iterator[Proposal]:
             _turned(problem, *max(plates)[1:]),
         )
     long = f"{_LONGER * 1e3:.0f}"
-    several = [(i, 0.0, i.words, i.how, _SHEET.format(i.kind)) for i in AT_TOOL.values()
+    several = [(i, 0.0, i.words, i.how, _SHEET.format(i.kind, MACHINE)) for i in AT_TOOL.values()
                if not i.touches]  # fmt: skip
     several += [
         (i, _LONGER, f"{i.reads} by a tool {long} mm longer", f", a pen or a rod, around the rim "

@@ -7,9 +7,11 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
+from orthoglide.numerals import SIDES, with_sigma
 from orthoglide.ordering import ranked
 from orthoglide.result import Cause, Change, Curve, DataRival, Explanation, Located, Result
 from orthoglide.text import sentence
+from orthoglide.units import spoken as spoken_unit
 
 BESIDES = "Something else is wrong as well."
 """Behind what was found, where it does not explain all."""
@@ -141,7 +143,9 @@ def _of_data(several: Iterable[DataRival]) -> Iterator[Statement]:
 def _statement(one: Explanation, probability: float, option: int) -> Statement:
     sure = sure_words(probability)
     if one.half_width:
-        sure += f", its size to ± {one.half_width} (95 %)"
+        factor, unit = spoken_unit(one.unit)
+        size = with_sigma(abs(one.value) * factor, SIDES * one.sigma * factor, most=9)
+        sure += f", its size {size} {unit} (95 %)"
     return Statement(sentence(one.words), sure, option, probability)
 
 

@@ -257,8 +257,7 @@ def unseen(result: Result) -> Data:
         "second_place": _has_one_place(result)
         and not any(one.hopeless for one in result.next_measurements),
         "owned": ",".join(result.instruments),
-        "machine": f"{Path(result.request.machine.spec.file).name or 'FILE'}"
-        f"{result.request.effects_option}",
+        "machine": result.request.machine_option,
     }
 
 

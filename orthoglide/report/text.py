@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from orthoglide.numerals import hundredths
@@ -32,9 +32,19 @@ _MOST = 3  # of what may be looked at
 _IN_WORDS = ("cause", "if it is the only cause", "possible cause", "considered")  # columns
 
 
-def summary(result: Result, ranked: bool = False, said: str = "") -> str:
-    """Return the result for the terminal; with all candidates if ``ranked``, and without warnings
-    of a kind that was ``said``.
+def summary(
+    result: Result,
+    ranked: bool = False,
+    said: str = "",
+    placed: Callable[[str], str] = str,
+) -> str:
+    """Return the result for the terminal.
+
+    Args:
+        result: to be shown.
+        ranked: whether all candidates are shown.
+        said: kind of warnings that are left out.
+        placed: returns an advised command with the files where they are.
     """
     from rich.text import Text
 
@@ -49,7 +59,7 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
     told = (*hidden, *(w for w in warnings_besides(result) if w.kind != said))
     remarks += [sentence(w) for w in told if w]
     parts += [Text(f"- {line}") for line in remarks]
-    parts += [Text(line) for line in to_do(result)]
+    parts += [Text(placed(line)) for line in to_do(result)]
     parts += _zeros(result)
     if result.firmware is not None and result.firmware.corrections is not None:
         found = result.firmware.corrections

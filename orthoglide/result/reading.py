@@ -81,6 +81,11 @@ def read_result(path: Path) -> dict[str, Any]:
     return found
 
 
+def writer_of(found: Mapping[str, Any]) -> str:
+    """Return which version of the program wrote a result, from the keys of ``result.json``."""
+    return f"version {brief(str(found['version']))} (schema {brief(str(found['schema']))})"
+
+
 @dataclass(frozen=True)
 class _Arguments:
     """The arguments of a run, as far as they are needed to run it again."""

@@ -18,6 +18,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, machine_text
 from orthoglide.machine_file.posterior import posterior_bytes
 from orthoglide.observations import Readings, Setup, campaign_rows, csv_text
+from orthoglide.text import MACHINE
 from orthoglide.urdf import urdf_digests
 
 Command = Literal["identify", "close-loop", "diagnose", "demo"]
@@ -59,6 +60,15 @@ class Request:
     def effects_option(self) -> str:
         """Option with the user's own effects, to be added to a command; empty without any."""
         return f" --effects-file {shlex.quote(self.effects_file)}" if self.effects_file else ""
+
+    @property
+    def machine_option(self) -> str:
+        """Options that give the machine with the user's own effects, to be added to a command; the
+        file stands without its folder.
+        """
+        spec = self.machine.spec
+        file = f" --machine {shlex.quote(Path(spec.file).name)}" if spec.file else MACHINE
+        return ("" if spec == MachineFile() else file) + self.effects_option
 
     @property
     def arguments(self) -> dict[str, Any]:

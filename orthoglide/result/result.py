@@ -45,7 +45,14 @@ from orthoglide.result.found import (
     Withheld,
     advised,
 )
-from orthoglide.result.reading import EDITED, as_edited, machine_of, read_result, request_of
+from orthoglide.result.reading import (
+    EDITED,
+    as_edited,
+    machine_of,
+    read_result,
+    request_of,
+    writer_of,
+)
 from orthoglide.result.request import Request, machine_kept
 from orthoglide.result.residuals import Change, DataFault, LackOfFit, Noise, SetupNoise
 from orthoglide.result.shown import Picture, ReadingsShown, Workspace
@@ -191,9 +198,9 @@ class Result(Framed):
         request = request_of(found, str(file), own)
         if lacking := (required_keys(cls) | {"calibrated_machine"}) - found.keys():
             raise FileError(
-                f"lacks {', '.join(sorted(lacking)[:_NAMED])}: an earlier state of the package "
-                f"wrote it, or it was edited; run it again with orthoglide rerun "
-                f"{shlex.quote(str(file))} --out DIR",
+                f"lacks {', '.join(sorted(lacking)[:_NAMED])}: an earlier state of the package, "
+                f"{writer_of(found)}, wrote it, or it was edited; run it again with orthoglide "
+                f"rerun {shlex.quote(str(file))} --out DIR",
                 file=str(file),
             )
         try:

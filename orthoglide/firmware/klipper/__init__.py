@@ -153,7 +153,7 @@ class Printer:
             yield Note(
                 f"assumed, as no firmware stores it: {sizes}; sizes of causes that turn the "
                 f"platform go with that, and their uncertainty does not count it: measure it and "
-                f"correct it in machine.toml",
+                f"correct it in the machine file",
                 "assumed",
             )
 

@@ -30,6 +30,9 @@ _SECTIONS = (*_READ, "include", "bltouch", "smart_effector", "beacon", "cartogra
 _PASTED = {0x200B: None, 0xFEFF: None, 0x2212: "-"}  # what web pages put into pasted text
 _MOST = 1e6  # of anything that a printer's file counts
 
+BROKEN = "broken header"
+"""Kind of a note on a section that is lost, as its header cannot be read."""
+
 Lines = Sequence[tuple[int, str]]
 """Lines of text with their numbers."""
 
@@ -294,13 +297,26 @@ def _parse(config: Config, lines: Lines, path: Path, within: tuple[Path, ...]) -
         elif (found := _ENTRY.match(text)) and section is not None:
             key = found[1].strip().lower()
             section.entries[key] = Entry(found[2].strip(), number, shown(path))
-        elif text.startswith("[") or (section and section.name.split(" ")[0] in _READ) or found:
+        elif meant := _broken_header(text):  # what follows belongs to nothing
+            section, key = Section("", Entry("", number, shown(path))), ""
+            at = f"{shown(path)}, line {number}: {text[:40]!r}"
+            config.note(BROKEN, f"{at} is no '[section]' and is left out with all that follows up "
+                        f"to the next one: write [{meant[:40]}]")  # fmt: skip
+        elif (section and section.name.split(" ")[0] in _READ) or found:
             why = "it is no 'key: value'" if section else "no section stands above it"
-            if text.startswith("["):  # what follows belongs to nothing, least of all to the former
-                why, key = "it is no '[section]'; so is all that follows up to the next one", ""
-                section = Section("", Entry("", number, shown(path)))
             at = f"{shown(path)}, line {number}"
             config.note("line", f"{at}: {text[:40]!r} is left out, as {why}")
+
+
+def _broken_header(text: str) -> str:
+    """Return the section that a line without complete brackets names; empty where it names none.
+
+    A line is a broken header if it has one of the brackets, or only the name of a section that is
+    read. Lines of 'key: value' are recognised before.
+    """
+    inner = _name(text.strip("[](){}<> "))
+    bracketed = text.startswith("[") or text.endswith("]")
+    return inner if bracketed or inner.split(" ")[0] in _SECTIONS else ""
 
 
 def _name(text: str) -> str:

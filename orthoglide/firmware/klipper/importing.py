@@ -14,7 +14,7 @@ from orthoglide.add_ons import MARK
 from orthoglide.effects import catalogue_of
 from orthoglide.errors import FileError, InputError
 from orthoglide.firmware.imported import Imported, Row, readings_of, remark_few
-from orthoglide.firmware.klipper.config import Config, read_config
+from orthoglide.firmware.klipper.config import BROKEN, Config, read_config
 from orthoglide.firmware.klipper.heights import CALIBRATE, CALIPER, probe_section, stored_readings
 from orthoglide.firmware.klipper.meshes import stored_meshes
 from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
@@ -44,7 +44,7 @@ PROBE = 1.8e-5
 
 _OF_ONE_PLACE = ("zero_reference_position", "relative_reference_index")
 _DRAWN = 3e-3  # metres: standard deviation of a radius that no calibration has fitted
-_NOT_KEPT = ("line", "mesh", "readings", "rods")  # kinds of notes that a result says itself
+_LEFT_OUT = ("line", "mesh", "readings", "rods")  # kinds of notes that a result says itself
 
 
 def import_printer(
@@ -65,10 +65,10 @@ def import_printer(
     try:
         return _imported(config, turned or {})
     except FileError as error:
-        twice = [note for note in config.notes if note.kind == "twice"]
-        if not twice:
+        reasons = [note for note in config.notes if note.kind in ("twice", BROKEN)]
+        if not reasons:
             raise
-        message = f"{error.reason}; {twice[0]}"
+        message = f"{error.reason}; {'; '.join(reasons)}"
         raise FileError(message, file=error.file, line=error.line) from None
 
 
@@ -88,7 +88,7 @@ def _imported(config: Config, turned: Mapping[str, float]) -> Imported:
     _remark(config, numbers, campaigns, relative)
     notes = [*config.notes, *(note for _, _, note in apart)]
     ordered = sorted(dict.fromkeys(notes), key=lambda note: note.kind not in ("twice", "rods"))
-    words = [shown(note) for note in ordered if note.kind not in _NOT_KEPT]
+    words = [shown(note) for note in ordered if note.kind not in (*_LEFT_OUT, BROKEN)]
     table: dict[str, Any] = {
         "file": Path(config.file).name,
         "sha256": config.sha256,
@@ -107,7 +107,7 @@ def _imported(config: Config, turned: Mapping[str, float]) -> Imported:
 
 def _nothing(config: Config) -> FileError:
     """Return the refusal of a file of which no readings remain, with what was left out."""
-    out = [str(note) for note in config.notes if note.kind in _NOT_KEPT]
+    out = [str(note) for note in config.notes if note.kind in _LEFT_OUT]
     why = f" ({'; '.join(out[:2])}{', and more' * (len(out) > 2)})" if out else ""
     return FileError(
         f"has no readings that can be used: run DELTA_CALIBRATE or BED_MESH_CALIBRATE and "

@@ -100,5 +100,5 @@ def rods_words(numbers: Numbers) -> str:
     return (
         f"The arms that the firmware stores ({arms} mm) differ by {spread * 1e3:.2f} mm"
         f"{doubt * (spread > SPREAD)}. They are taken as alike to {_EVEN * 1e3:g} mm: if you did "
-        f"measure them, give the sigma of your measurement under [parameters] of machine.toml."
+        f"measure them, give the sigma of your measurement under [parameters] of the machine file."
     )
