@@ -217,7 +217,8 @@ MORE_FAULTS = {
 }  # fmt: skip
 
 
-# Not found today: a posture a turn off is taken for a wrong command, a decimal point for a gauge.
+# Not told today: a posture a turn off is taken for a wrong command, and of a factor of ten nothing
+# is said.
 MISSED = {"posture a turn off", "decimal point"}
 MORE = [
     pytest.param(

@@ -92,8 +92,11 @@ def test_inches_throughout_are_refused(ask, factor: float) -> None:
     spoilt = rig().with_readings(np.round(rig().reading * factor, 9))
     with pytest.raises(InputError, match=f"rig-2.csv.*multiplied by {1 / factor:.4g}"):
         ask(spoilt, MACHINE)
+
+
+def test_millimetres_of_a_fine_dial_are_no_inches() -> None:
     finer = replace(MACHINE.spec, dial=replace(MACHINE.spec.dial, resolution=1e-9))
-    og.identify(rig(), og.Machine(finer))  # and what is in millimetres is not
+    og.identify(rig(), og.Machine(finer))
 
 
 @pytest.mark.parametrize("kind", ["standard", pytest.param("sweep", marks=pytest.mark.thorough)])
@@ -123,7 +126,7 @@ def test_bars_of_one_wrong_length_are_one_cause() -> None:
 
 def tcp_points(slip: float, **more: float):
     truth = {"joint_offset.x": 1e-3, "leg_length.x": 1e-4, "axis_tilt.y.z": 1e-3, **more}
-    points = simulate_tcp(MACHINE.with_parameters(truth), seed=1)
+    points = simulate_tcp(MACHINE.with_parameters(truth), 40, seed=1)
     reading = points.reading + np.random.default_rng(0).normal(0, 1e-5, len(points))
     reading[3 * 7 + 1] += slip
     return replace(points, reading=reading, file="somewhere/points.csv")

@@ -12,6 +12,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,21 +52,17 @@ def rig_machine() -> og.Machine:
     return og.Machine.load(RIG / "machine.toml")
 
 
-def swept(extra: float | np.ndarray = 0.0, seed: int = 0) -> Campaign:
-    """A sweep of a machine with offsets alone, and something besides in the readings."""
-    sheet, machine = protocol("sweep"), rig_machine()
+def swept(extra: float | np.ndarray = 0.0, seed: int = 0, kind: Any = "sweep") -> Campaign:
+    """Readings of a machine with offsets alone, and something besides in them."""
+    sheet, machine = protocol(kind), rig_machine()
     real = machine.with_parameters({"joint_offset.x": 4e-4, "joint_offset.z": -7e-4})
     noise = np.random.default_rng(seed).normal(scale=5e-6, size=len(sheet))
     return replace(sheet.with_readings(real.readings(sheet) + noise + extra), name="sweep")
 
 
-def travel(sheet: Campaign) -> np.ndarray:
-    return sheet.command[np.arange(len(sheet)), sheet.leg] - rig_machine().geometry.L
-
-
-def odd() -> np.ndarray:
+def odd(kind: Any = "sweep") -> np.ndarray:
     """Another error at every station: nothing smooth does that."""
-    sheet = protocol("sweep")
+    sheet = protocol(kind)
     stations = np.column_stack([sheet.setup, sheet.command, sheet.approach])
     _, station = np.unique(stations, axis=0, return_inverse=True)
     return np.random.default_rng(3).normal(scale=4e-5, size=station.max() + 1)[station.reshape(-1)]
@@ -94,7 +91,8 @@ def closed_of(which: str) -> Closed:
     if which == "explained":
         points = og.read_tcp(RIG / "rig-2.tcp.csv", machine.spec)
         return studied(og.read_campaign(RIG / "rig-2.csv", machine.spec), machine, tcp=points)
-    return studied(swept(odd()) if which == "unexplained" else faulty(), machine)
+    few = swept(odd("standard"), kind="standard")
+    return studied(few if which == "unexplained" else faulty(), machine)
 
 
 @cache
@@ -252,7 +250,7 @@ def test_numbers_are_withheld_where_the_verdict_says_not_to_act() -> None:
 
 
 def test_a_machine_with_nothing_wrong() -> None:
-    verdict = close_loop(swept(), rig_machine())
+    verdict = close_loop(swept(kind="standard"), rig_machine())
     assert verdict.word == "adequate"
     assert "othing else is wrong that these readings could show" in headline(verdict)
     page = report_files(verdict)["report.html"]

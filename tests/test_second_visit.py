@@ -31,44 +31,6 @@ def campaign_of(rig: Rig, seed: int, name: str, noise: float = 5e-6) -> og.Campa
     return og.Campaign.from_frame({k: [r[k] for r in rows] for k in rows[0]}, name=name)
 
 
-@pytest.fixture(scope="module")
-def calibrated(tmp_path_factory: pytest.TempPathFactory) -> og.Machine:
-    first = og.close_loop(measured({**ERRORS, TILT: 1.5e-3}, 1, "first"), SHEET)
-    folder = tmp_path_factory.mktemp("first")
-    first.report(str(folder / "out"))
-    return og.Machine.load(folder / "out" / "calibrated.toml")
-
-
-def tilt_of(values: dict[str, float]) -> float:
-    """What axis and rail tilt do alike to the carriage's path."""
-    return sum(v for n, v in values.items() if n.endswith("_tilt.y.z"))
-
-
-def test_nothing_has_changed(calibrated: og.Machine) -> None:
-    again = og.close_loop(measured({**ERRORS, TILT: 1.5e-3}, 2, "second"), calibrated)
-    assert again.word == "adequate"
-    assert not again.changed
-    assert tilt_of(again.values) == pytest.approx(1.5e-3, abs=5e-5)
-
-
-@pytest.mark.thorough
-def test_the_sentences_of_a_second_visit_name_what_changed(tmp_path: Path) -> None:
-    from orthoglide.report.words import headline
-
-    first = og.close_loop(measured({**ERRORS, TILT: 1.5e-3}, 1, "first"), SHEET)
-    first.machine.save(tmp_path / "calibrated.toml")
-    known = og.Machine.load(tmp_path / "calibrated.toml")
-    text = headline(og.close_loop(measured({**ERRORS, TILT: 0.3e-3}, 2, "second"), known))
-    assert "Nothing else is wrong that these readings could show beyond the errors cal" in text
-    assert "the axis tilt of leg y toward z" in text or "the rail tilt of leg y toward z" in text
-    said = re.search(r"changed from ([−\d.]+) to ([−\d.]+) mrad \(± ([\d.]+)\)", text)
-    assert said is not None, text
-    before, after, sigma = (float(v.replace("−", "-")) for v in said.groups())
-    assert before == pytest.approx(1.5, abs=0.15)
-    assert after == pytest.approx(0.3, abs=3 * sigma)
-    assert "backlash" not in text
-
-
 @pytest.mark.thorough
 def test_what_changed_is_said_first(tmp_path: Path) -> None:
     from orthoglide.report.words import claim
