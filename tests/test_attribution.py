@@ -19,7 +19,7 @@ def ended(case: Case) -> Record:
     return record
 
 
-@pytest.mark.thorough(except_for=["standard", "sweep"])
+@pytest.mark.thorough(except_for=["standard"])
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_nothing_is_found_where_only_small_errors_are(protocol: str) -> None:
     record = ended(Case("nothing", "", protocol, 0.0, 0))
