@@ -149,14 +149,6 @@ def test_a_truncated_result_is_none(share: float, tmp_path: Path) -> None:
     assert fuzz.run_case(case, tmp_path) == ("", 2)
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("noise", ["0.3", "1"])
-def test_noise_through_which_nothing_is_seen(noise: str, tmp_path: Path) -> None:
-    content = (Path(__file__).parent / "data" / "rig" / "rig-1.csv").read_bytes()
-    arguments = ("close-loop", "a.csv", "--noise", noise, "--out", "out")
-    assert fuzz.run_case(fuzz.Case(0, {"a.csv": content}, arguments), tmp_path) == ("", 0)
-
-
 # --- Verdicts on readings that were moved -------------------------------------------------------
 
 

@@ -48,24 +48,6 @@ def test_what_changed_is_said_first(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("name", "size"),
-    [("backlash.z", 1.2e-4), ("rail_bow.y.x", -2e-4), ("axis_tilt.x.y", -8e-3)],
-)
-def test_a_fault_put_right_leaves_nothing(tmp_path: Path, name: str, size: float) -> None:
-    """Six tolerances taken back: the old value was held on to, and a place found that undid it."""
-    first = og.close_loop(measured({**ERRORS, name: size}, 5, "first"), SHEET)
-    first.machine.save(tmp_path / "calibrated.toml")
-    known = og.Machine.load(tmp_path / "calibrated.toml")
-    again = studied(measured(ERRORS, 6, "second"), known)
-    assert again.word == "adequate"
-    (change,) = again.changed
-    assert name in change.members
-    assert change.before == pytest.approx(size, rel=0.1)
-    assert abs(change.after) < 3 * change.sigma
-
-
-@pytest.mark.thorough
 def test_two_strong_faults_are_named_and_the_one_put_right_is_told(tmp_path: Path) -> None:
     """Either alone is no better than a wide background: both were called adequate, the tilt was
     shared out among all that resembles it, and its repair was told with the wrong sign.
@@ -130,17 +112,6 @@ def test_a_plate_that_bent_since_the_calibration_is_in_the_class(
     legs = [again.values[f"axis_offset.{leg}.radial"] for leg in "abc"]
     moved = [legs[k] - known.values[f"axis_offset.{'abc'[k]}.radial"] for k in range(3)]
     assert np.ptp(moved) < 5e-5  # together, or none of them
-
-
-@pytest.mark.thorough
-def test_one_plate_that_bent_under_two_setups_is_one_change() -> None:
-    known = og.close_loop([probed("probe", 1)], delta()).machine
-    one, other = probed("probe", 2, **BENT), probed("probe", 3, **BENT)
-    setups = tuple(replace(s, name="fine") for s in other.setups)
-    again = studied([one, replace(other, name="other", setups=setups)], known)
-    (change,) = again.changed
-    assert change.moved["plate_bow.common"] == pytest.approx(1.5e-4, rel=0.25)
-    assert "axis_offset.radial.common" in change.members
 
 
 @pytest.mark.thorough
