@@ -40,8 +40,14 @@ PLANTED = {
     "leg_length.x": 5e-5, "leg_length.y": -8e-5, "leg_length.z": 3e-5,
 }  # fmt: skip
 MACHINE = Machine(MachineFile(dial=Dial(repeatability=NOISE)))
-MACHINE.model.engine  # noqa: B018  (built once for all tests)
+
+
 EXACT = MachineFile(dial=Dial(resolution=0.0, repeatability=NOISE, placement=0))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _engine_built_once_for_all_tests() -> None:
+    MACHINE.model.engine  # noqa: B018
 
 
 def as_campaign(rows: Sequence[Row], name: str = "rig") -> Campaign:
