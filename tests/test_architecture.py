@@ -60,6 +60,12 @@ def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
+@cache
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    """All nodes of a file's syntax tree."""
+    return tuple(ast.walk(parsed(path)))
+
+
 def part_of(path: Path) -> str:
     """Module or folder directly in the package."""
     return path.relative_to(PACKAGE).with_suffix("").parts[0]
@@ -238,7 +244,7 @@ def test_files_and_functions_stay_readable() -> None:
         text, name = path.read_text(encoding="utf-8"), str(path.relative_to(PACKAGE))
         if (lines := len(text.splitlines())) > LONGEST:
             long[name] = lines
-        for node in ast.walk(parsed(path)):
+        for node in nodes(path):
             if isinstance(node, ast.FunctionDef) and node.end_lineno is not None:
                 lines = node.end_lineno - node.lineno + 1
                 if lines > LONGEST_FUNCTION:
@@ -273,7 +279,7 @@ def test_assert_is_for_tests() -> None:
     found = [
         f"{path.relative_to(PACKAGE)}:{node.lineno}"
         for path in modules()
-        for node in ast.walk(parsed(path))
+        for node in nodes(path)
         if isinstance(node, ast.Assert)
     ]
     assert not found
@@ -308,7 +314,48 @@ def test_no_other_module_tests_the_kind_of_a_reading() -> None:
         f"{path.relative_to(ROOT)}:{node.lineno}: {ast.unparse(node)}"
         for path in modules()
         if part_of(path) not in KNOW_KINDS
-        for node in ast.walk(parsed(path))
+        for node in nodes(path)
         if tests_a_kind(node)
     ]
+    assert not found
+
+
+# Where files of the command line, parts of a drawing or groups of effects have the same word.
+OTHER_MEANINGS = {
+    "effects/effect.py", "effects/page.py", "effects/plates.py", "pictures.py",
+    "report/page.py", "result/reading.py", "result/request.py", "scene/marks.py",
+    "scene/parts.py",
+    "firmware/klipper/heights.py",
+}  # fmt: skip
+
+
+def test_nobody_else_knows_an_instrument_by_name() -> None:
+    from orthoglide.instruments import AT_TOOL
+
+    found = {
+        str(path.relative_to(PACKAGE))
+        for path in modules()
+        if path.parent != PACKAGE / "instruments"
+        for node in nodes(path)
+        if isinstance(node, ast.Constant) and node.value in AT_TOOL
+    }
+    assert found == OTHER_MEANINGS
+
+
+def test_no_effect_is_known_by_name_outside_its_declaration() -> None:
+    from orthoglide.effects import CATALOGUE
+
+    found = []
+    for path in modules():
+        if path.parent.name == "effects":
+            continue
+        # A bare string is a docstring.
+        bare = {id(node.value) for node in nodes(path) if isinstance(node, ast.Expr)}
+        for node in nodes(path):
+            text = isinstance(node, ast.Constant) and isinstance(node.value, str)
+            if text and id(node) not in bare:
+                words = set(re.findall(r"\w+", node.value)) & set(CATALOGUE)
+                found += [f"{path.relative_to(PACKAGE)}:{node.lineno}: {word}" for word in words]
+    # "backlash" is also a number that a controller holds, as "zero" and "scale" are.
+    found = [f for f in found if not (f.startswith("control/") and f.endswith(": backlash"))]
     assert not found

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from benchmarks import blunders, compare_frozen, independent, public
+from benchmarks import compare_frozen, independent, public
 from benchmarks.attribution_cases import Case
-from benchmarks.attribution_run import draw, run
+from benchmarks.attribution_run import draw
 from benchmarks.independent import Sheet
 from tests import rig_campaigns as rc
 from tests.rig import Rig
@@ -105,28 +105,6 @@ def test_a_cause_is_as_large_as_was_asked_and_the_oracle_finds_it() -> None:
     told = drawn.points.points()
     error = independent.tcp_error(found, told.command, told.p)
     assert error[0] < 0.01
-
-
-@pytest.mark.thorough
-def test_a_bump_at_a_station_is_recorded_with_the_rows_that_it_moves() -> None:
-    record = run(Case("bump", "rail.b", "sweep", 0.2, 0), 1)
-    assert record["word"] not in ("error", "crash"), record["message"]
-    assert record["moved"]
-    assert record["truth"][0]["places"][0].startswith("rail.")
-
-
-@pytest.mark.thorough
-def test_data_faults_are_judged_by_the_closed_loop() -> None:
-    world = blunders.World(seed=1)
-    record = blunders.judge(case_of("outlier", 0.5), world)
-    assert record["visible"]
-    assert record["found"]
-    assert not record["false"]
-    assert "outlier 0.5 mm" in blunders.report([record])
-
-
-def case_of(name: str, size: float) -> blunders.Case:
-    return blunders.Case("fault", name, size, 0)
 
 
 @pytest.mark.parametrize("name", compare_frozen.PRINTED)

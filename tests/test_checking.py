@@ -124,16 +124,6 @@ def test_a_bump_that_came_is_told_though_it_may_be_a_wrong_command(machine: og.M
     assert told.endswith("(or a fault of the readings)")
 
 
-@pytest.mark.thorough
-def test_a_mended_rail_is_all_that_changed(machine: og.Machine) -> None:
-    bent, shimmed = {"rail_bow.x.z": 2e-4}, {"rail_bow.x.z": 1e-5}
-    old, new = rows(1, "sweep", **bent), rows(2, "sweep", **shimmed)
-    found = compared(machine, old, new)
-    assert [str(d.parameter) for d in found.differences if d.changed] == ["rail_bow.x.z"]
-    said = "rail bow of leg x with its ends toward z changed from 0.2"
-    assert found.sentences[0].startswith(said)
-
-
 def test_both_sides_have_readings(machine: og.Machine) -> None:
     with pytest.raises(InputError, match="at least one file of readings"):
         check([], [campaign(machine, "c", rows(1))], machine)
@@ -146,28 +136,6 @@ def visited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     rc.write_csv(rows(1), "old.csv")
     rc.write_csv(rows(2, **{"joint_offset.x": 0.0}), "new.csv")
     return tmp_path
-
-
-@pytest.mark.thorough
-def test_from_files_and_results_to_the_same_words(visited: Path) -> None:
-    options = ("--machine", RIG / "machine.toml")
-    plain = run("check", "old.csv", "new.csv", *options)
-    assert plain.exit_code == 0, plain.output
-    assert "- Joint offset of leg x changed from" in plain.stdout
-    assert "What is left now:" in plain.stdout
-    whole = " ".join(plain.stdout.split())
-    told = re.search(r"The tool is (\S+) mm off .*; (\S+) mm once the zeros are right", whole)
-    assert told
-    assert float(told[1]) > float(told[2]) > 0
-    assert "prove their signs" in plain.stdout
-    short = run("check", "old.csv", "new.csv", *options, "--quiet")
-    assert re.fullmatch(r"Changed: joint offset of leg x\. Verdict \w+\.\n", short.stdout)
-    assert sorted(p.name for p in visited.iterdir()) == ["new.csv", "old.csv"]
-    assert run("identify", "old.csv", *options, "--out", "before", "--quiet").exit_code == 0
-    kept = run("check", "before/result.json", "new.csv")
-    assert kept.stdout.splitlines()[:3] == plain.stdout.splitlines()[:3]
-    silent = run("check", "old.csv", "new.csv", *options, "--quiet", "--out", "silent")
-    assert (silent.exit_code, silent.stdout) == (0, short.stdout)
 
 
 @pytest.mark.thorough
@@ -278,23 +246,6 @@ def test_a_frame_squared_between_two_meshes_ends_in_a_class() -> None:
     rise = move.rise * np.array([np.cos(along), np.sin(along)])
     assert rise == pytest.approx(0.12 * (other - one), abs=1.5e-5)
     assert same.sentences[1].startswith("nothing else changed")
-
-
-@pytest.mark.thorough
-def test_towers_displaced_together_are_told_once_each_by_its_own_size() -> None:
-    """A plate's bow that had changed was found anew in every round, five times in all, and towers
-    were displaced by the height of its rim.
-    """
-    out = {f"axis_offset.{leg}.radial": 5e-4 for leg in "abc"} | {"axis_offset.b.radial": 8e-4}
-    old, new = probed("probe", 1), probed("probe", 2, **out)
-    found = check([replace(old, name="old")], [replace(new, name="new")], delta())
-    (change,) = found.changes
-    assert {"axis_offset.radial.common", "plate_bow.bed"} <= set(change.members)
-    assert change.summed == (change.parameter,)
-    told = [o.words for a in found.told.actions for o in a.options if "axis offset, rad" in o.words]
-    (size,) = (re.search(r"common by \+([\d.]+) mm", words) for words in told)
-    assert size is not None
-    assert float(size[1]) == pytest.approx(0.5, abs=0.1)
 
 
 def plate_moved(higher: float, along: tuple[float, float], **errors: float) -> Check:

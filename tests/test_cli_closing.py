@@ -81,16 +81,6 @@ def test_demo_as_a_process_from_another_folder(tmp_path: Path) -> None:
     assert 0.05 < result["possible"][0]["probability"] < 0.5
 
 
-@pytest.mark.thorough
-def test_demo_says_how_to_get_it_again(here: Path) -> None:
-    done("demo", "--out", "out", "--seed", "3", "--quiet")
-    page = (here / "out" / "published" / "report.html").read_text()
-    assert "orthoglide demo --out DIR --seed 3" in page
-    shown = done("rerun", "out/published/result.json", "--out", "published")
-    assert "The same numbers again" in shown
-    assert tree(here / "out" / "published") == tree(here / "published")
-
-
 # --- close-loop and diagnose ----------------------------------------------------------------
 
 

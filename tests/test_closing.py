@@ -14,9 +14,7 @@ from orthoglide.closing.judging import tcp_errors
 from orthoglide.effects import CATALOGUE
 from orthoglide.explanation.identifying import identify
 from orthoglide.observations import Campaign
-from orthoglide.parameters import Parameter
 from orthoglide.verdict import Verdict, close_loop
-from tests.relabelling import legs_renamed, relabelled
 from tests.rig import Rig
 from tests.rig_campaigns import protocol_rows, simulate
 from tests.studied import studied
@@ -103,22 +101,6 @@ def test_the_judges_change_nothing(machine: og.Machine, verdicts: dict[str, Verd
     assert [e.name for e in held.effects] == [e.name for e in judged.effects]
     assert held.values == judged.values
     assert held.after.values == judged.after.values
-
-
-@pytest.mark.thorough
-def test_relabelling_the_axes_relabels_the_verdict(machine: og.Machine) -> None:
-
-    campaign = og.read_campaign(RIG / "rig-7.csv", machine.spec)
-    one, two = close_loop(campaign, machine), close_loop(legs_renamed(campaign), machine)
-
-    def turned_name(name: str) -> Parameter:
-        return relabelled(machine.catalogue.parameter(name))
-
-    assert [turned_name(e.name) for e in one.effects] == [e.name for e in two.effects]
-    turned = {turned_name(n): v for n, v in one.values.items()}
-    assert turned.keys() == two.values.keys()
-    for name, value in turned.items():
-        assert two.values[name] == pytest.approx(value, abs=1e-9)
 
 
 def test_what_the_readings_cannot_show_is_called_invisible(verdicts: dict[str, Verdict]) -> None:

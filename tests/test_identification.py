@@ -40,8 +40,14 @@ PLANTED = {
     "leg_length.x": 5e-5, "leg_length.y": -8e-5, "leg_length.z": 3e-5,
 }  # fmt: skip
 MACHINE = Machine(MachineFile(dial=Dial(repeatability=NOISE)))
-MACHINE.model.engine  # noqa: B018  (built once for all tests)
+
+
 EXACT = MachineFile(dial=Dial(resolution=0.0, repeatability=NOISE, placement=0))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _engine_built_once_for_all_tests() -> None:
+    MACHINE.model.engine  # noqa: B018
 
 
 def as_campaign(rows: Sequence[Row], name: str = "rig") -> Campaign:
@@ -66,6 +72,16 @@ def measured(
 @cache
 def published(number: int = 2) -> Campaign:
     return read_campaign(str(files("orthoglide") / "data" / f"experiment{number}.csv"))
+
+
+@cache
+def fit_of_published(priors: bool = True) -> Estimate:
+    return identify(published(), priors=priors)
+
+
+@cache
+def fit_of_few() -> Estimate:
+    return identify(measured("standard once"), MACHINE, method="nested")
 
 
 def predicted(
@@ -100,11 +116,7 @@ FREE_SETS = [
 @pytest.mark.thorough(
     except_for=[
         "joint_offset-True",
-        "leg_length-False",
-        "joint_offset leg_length-True",
-        "joint_offset.x-True",
         "leg_length.z-False",
-        "joint_offset leg_length.y-True",
         "joint_offset.y joint_offset.z leg_length.x leg_length.z-False",
         "joint_offset leg_length.common-False",
     ]
@@ -126,7 +138,7 @@ def test_programme_is_the_reductions_fit_on_every_free_set(
 
 @pytest.mark.parametrize(
     ("kind", "count"),
-    [("standard ends", 12), ("standard once", 18), ("standard", 54), ("sweep", 252)],
+    [("standard ends", 12), ("standard", 54), ("sweep", 252)],
 )
 def test_programme_is_the_reductions_fit_on_campaigns_of_all_sizes(kind: str, count: int) -> None:
     campaign = measured(kind)
@@ -137,7 +149,7 @@ def test_programme_is_the_reductions_fit_on_campaigns_of_all_sizes(kind: str, co
         assert abs(found.values[name] - truth) < 5 * found.sigmas[name]
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(seed=st.integers(0, 10**6), scale=st.sampled_from([0.3, 1.0, 3.0]))
 def test_programme_is_the_reductions_fit_of_any_machine(seed: int, scale: float) -> None:
     rng = np.random.default_rng(seed)
@@ -382,10 +394,7 @@ def test_a_dial_that_counts_backwards_says_the_same(flips: list[bool]) -> None:
     signs = np.where(flips, -1, 1)
     setups = tuple(replace(s, sign=int(k)) for s, k in zip(campaign.setups, signs, strict=True))
     turned = replace(campaign, setups=setups, reading=campaign.reading * signs[campaign.setup])
-    agree(
-        identify(turned, MACHINE, method="nested"), identify(campaign, MACHINE, method="nested"),
-        1e-12,
-    )  # fmt: skip
+    agree(identify(turned, MACHINE, method="nested"), fit_of_few(), 1e-12)
 
 
 @settings(max_examples=5, deadline=None)
@@ -394,10 +403,7 @@ def test_neither_datum_nor_order_of_rows_matters(datum: list[float], seed: int) 
     campaign = measured("standard once")
     moved = campaign.with_readings(campaign.reading + np.array(datum)[campaign.setup])
     shuffled = moved.subset(np.random.default_rng(seed).permutation(len(moved)))
-    agree(
-        identify(shuffled, MACHINE, method="nested"), identify(campaign, MACHINE, method="nested"),
-        1e-11,
-    )  # fmt: skip
+    agree(identify(shuffled, MACHINE, method="nested"), fit_of_few(), 1e-11)
 
 
 # -- what the readings cannot determine ----------------------------------------------------------
@@ -436,7 +442,7 @@ def test_fewer_readings_than_unknowns() -> None:
 
 
 def test_weak_directions_in_words() -> None:
-    found = identify(published(), priors=False)
+    found = fit_of_published(priors=False)
     assert len(found.weak) == 3
     for weak in found.weak:
         (offset, one), (length, other) = weak.parameters.items()
@@ -452,7 +458,7 @@ def test_weak_directions_in_words() -> None:
         assert weak.sigma <= by_hand * (1 + 1e-9)
         assert weak.sigma_with_priors == pytest.approx(by_hand, rel=0.02)
         assert weak.unit == "mm"
-    for weak in identify(published()).weak:
+    for weak in fit_of_published().weak:
         assert weak.sigma_with_priors < weak.sigma / 10
         assert "with the tolerances as priors" in str(weak)
     assert identify(published(), free=["joint_offset"]).weak == ()
@@ -491,7 +497,7 @@ def test_bounds_hold_beside_effects(method: Any) -> None:
 
 
 def test_sigmas_are_scaled_where_lack_of_fit_remains() -> None:
-    found = identify(published())
+    found = fit_of_published()
     expected = np.sqrt(found.scores.chi2 / found.scores.dof)
     assert found.scores.lack_of_fit_p < 0.01
     assert found.sigma_scale == pytest.approx(expected)
@@ -532,15 +538,15 @@ def test_declared_noise_scales_sigmas_and_leaves_values() -> None:
 
 def test_declared_noise_is_before_rounding_as_simulated() -> None:
     """A sound machine whose readings scatter as declared leaves what noise leaves."""
-    worst = []
-    for seed in range(12):
+    left = []
+    for seed in range(6):
         campaign = simulated(MACHINE, "sweep", noise=5e-6, seed=300 + seed)
         by_rows = replace(campaign, sigma=np.full(len(campaign), 5e-6))
-        for rows, told in ((campaign, 5e-6), (by_rows, None)):
-            found = identify(rows, MACHINE, noise=told, method="nested")
-            assert found.problem.noise.typical == pytest.approx(np.hypot(5e-6, 1e-5 / np.sqrt(12)))
-            worst.append(found.scores.chi2 / found.scores.dof)
-    assert np.mean(worst) == pytest.approx(1.0, abs=0.06)
+        rows, told = (by_rows, None) if seed % 2 else (campaign, 5e-6)
+        found = identify(rows, MACHINE, noise=told, method="nested")
+        assert found.problem.noise.typical == pytest.approx(np.hypot(5e-6, 1e-5 / np.sqrt(12)))
+        left.append(found.scores.chi2 / found.scores.dof)
+    assert np.mean(left) == pytest.approx(1.0, abs=0.08)  # two deviations of six sweeps
 
 
 def test_covariance_is_the_scatter_of_repeated_campaigns() -> None:
@@ -568,7 +574,7 @@ def pss_step(one: Estimate) -> np.ndarray:
 
 def test_what_is_written_as_zero_is_none_of_the_reductions_business() -> None:
     """A parameter of 0 in a machine file is no error that the reduction could not represent."""
-    plain = identify(published())
+    plain = fit_of_published()
     written = identify(published(), Machine.nominal().with_parameters({"rail_bow.x.z": 0.0}))
     assert plain.check is not None
     assert written.check is not None
@@ -685,8 +691,9 @@ def test_optimality_is_the_gradient_that_is_left() -> None:
 # -- scores --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("priors", [True, False])
-@pytest.mark.parametrize("free", [("joint_offset",), SIX], ids=["offsets", "six"])
+@pytest.mark.parametrize(
+    ("free", "priors"), [(("joint_offset",), False), (SIX, True)], ids=["offsets", "six"]
+)
 def test_cv_is_leaving_every_station_out(free: tuple[str, ...], priors: bool) -> None:
     """Against solving the linear problem anew without each station."""
     found = identify(measured("standard"), MACHINE, free, priors=priors)
@@ -715,7 +722,7 @@ def test_scores_by_hand() -> None:
     deviations = by_setup[:, 1:] - by_setup[:, :1]
     assert scores.deviation_rms == pytest.approx(np.sqrt(np.mean(deviations**2)))
     # With tolerances as priors the twelve deviations determine offset minus length of each leg.
-    assert identify(published()).scores.dof == pytest.approx(18 - 6 - 3, abs=0.01)
+    assert fit_of_published().scores.dof == pytest.approx(18 - 6 - 3, abs=0.01)
     assert found.nominal.rms > scores.rms
     assert np.allclose(found.predicted + residual, found.problem.measured)
 

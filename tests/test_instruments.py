@@ -6,7 +6,6 @@ A new file under `orthoglide/instruments` is taken up by itself.
 
 from __future__ import annotations
 
-import ast
 from pathlib import Path
 
 import numpy as np
@@ -22,14 +21,6 @@ from orthoglide.prediction.observed import Formula, Formulas
 
 PACKAGE = Path(__file__).parents[1] / "orthoglide"
 COUNT = 12
-
-# Where files of the command line, parts of a drawing or groups of effects have the same word.
-OTHER_MEANINGS = {
-    "effects/effect.py", "effects/page.py", "effects/plates.py", "pictures.py",
-    "report/page.py", "result/reading.py", "result/request.py", "scene/marks.py",
-    "scene/parts.py",
-    "firmware/klipper/heights.py",
-}  # fmt: skip
 
 every = pytest.mark.parametrize("one", OBSERVATIONS.values(), ids=lambda one: one.kind)
 at_tool = pytest.mark.parametrize("one", AT_TOOL.values(), ids=lambda one: one.kind)
@@ -173,15 +164,3 @@ def test_an_instrument_is_declared_whole(one: Observation) -> None:
     shown = one.reads.format("AXIS", "LEG")
     assert ("AXIS" in shown, "LEG" in shown) == (bool(one.axes), one.on_leg)
     assert one.repeatability > 0
-
-
-def test_nobody_else_knows_an_instrument_by_name() -> None:
-    found = {
-        str(path.relative_to(PACKAGE))
-        for path in sorted(PACKAGE.rglob("*.py"))
-        if path.parent != PACKAGE / "instruments"
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Constant) and node.value in AT_TOOL
-    }
-    assert not found - OTHER_MEANINGS
-    assert not OTHER_MEANINGS - found

@@ -172,7 +172,7 @@ def test_malformed_machine_files_are_refused(kind: str, tmp_path: Path) -> None:
     assert "\n" not in str(error)
 
 
-@settings(deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(st.integers(0, len(GOOD) - 1), st.integers(0, 5), st.text(max_size=4))
 def test_no_text_brings_more_than_a_file_error(at: int, gone: int, new: str) -> None:
     with contextlib.suppress(FileError):

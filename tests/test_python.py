@@ -37,7 +37,7 @@ Travel = Callable[[Any], Any]
 
 @pytest.fixture(scope="module")
 def campaign(machine: og.Machine) -> og.Campaign:
-    return og.read_campaign(RIG / "rig-3.csv", machine.spec)
+    return og.read_campaign(RIG / "rig-2.csv", machine.spec)
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +144,7 @@ def test_what_is_shown_of_a_machine() -> None:
 
 def test_what_is_shown_of_an_estimate(estimate: og.Estimate) -> None:
     rms = f"{estimate.scores.rms * 1e3:.4f} mm"
-    assert repr(estimate) == f"<Estimate of 6 parameters from 252 readings: residual rms {rms}>"
+    assert repr(estimate) == f"<Estimate of 6 parameters from 54 readings: residual rms {rms}>"
     page = estimate._repr_html_()
     assert page.startswith("<table><caption>Estimate of 6 parameters")
     assert all(f"<td>{name}</td>" in page for name in estimate.names)
@@ -164,21 +164,23 @@ def test_the_frame_of_an_estimate(estimate: og.Estimate) -> None:
 
 
 def test_what_is_shown_of_a_campaign(campaign: og.Campaign) -> None:
-    assert repr(campaign) == "<Readings 'rig-3': 252 readings in 6 setups>"
+    assert repr(campaign) == "<Readings 'rig-2': 54 readings in 6 setups>"
     assert repr(og.protocol("standard")).endswith(
         "54 readings in 6 setups, 54 of them to be taken>"
     )
     page = campaign._repr_html_()
     assert page.count("<tr>") == 22
     assert "<td>...</td>" in page
-    points = og.read_tcp(RIG / "rig-3.tcp.csv")
-    assert repr(points) == "<Readings 'rig-3.tcp': 180 readings in 1 setup (tcp)>"
+    points = og.read_tcp(RIG / "rig-2.tcp.csv")
+    assert repr(points) == "<Readings 'rig-2.tcp': 180 readings in 1 setup (tcp)>"
 
 
 def test_what_a_verdict_holds_is_shown_in_a_few_lines(verdict: og.Verdict, closed: Closed) -> None:
     """Its causes alone were 70 000 characters, with the catalogue and every array in them."""
-    assert repr(verdict.effects[0]).startswith("<Cause backlash.x: drive x has 0.0")
-    assert repr(verdict.effects[0].chosen).startswith("<backlash.x, probability 0.")
+    assert repr(verdict.effects[0]).startswith(
+        "<Cause axis_tilt.y.z: the path of the y carriage is out of square toward z by 2.4 mrad"
+    )
+    assert repr(verdict.effects[0].chosen).startswith("<axis_tilt.y.z, probability 0.")
     catalogue = verdict.machine.catalogue
     assert repr(catalogue["backlash"]).startswith("<Effect backlash: ")
     for held in (
@@ -283,7 +285,7 @@ def test_campaigns_are_read_where_paths_are_given(
     estimate: og.Estimate,
     verdict: og.Verdict,
 ) -> None:
-    path = kind(RIG / "rig-3.csv")
+    path = kind(RIG / "rig-2.csv")
     assert og.identify(path, machine).values == estimate.values
     assert og.identify([path], machine).values == estimate.values
     assert og.close_loop(path, machine).values == verdict.values
@@ -293,14 +295,14 @@ def test_campaigns_are_read_where_paths_are_given(
 def test_a_machine_is_read_where_a_path_is_given(estimate: og.Estimate) -> None:
     file = RIG / "machine.toml"
     for given in (file, str(file), og.Machine.load(file).spec):
-        assert og.identify(RIG / "rig-3.csv", given).values == estimate.values
-    found = og.check(RIG / "rig-3.csv", RIG / "rig-3.csv", str(file))
+        assert og.identify(RIG / "rig-2.csv", given).values == estimate.values
+    found = og.check(RIG / "rig-2.csv", RIG / "rig-2.csv", str(file))
     assert not any(d.changed for d in found.differences)
     assert og.Machine.of(None) == og.Machine.nominal()
     with pytest.raises(og.FileError, match=r"none\.toml"):
-        og.close_loop(RIG / "rig-3.csv", "none.toml")
+        og.close_loop(RIG / "rig-2.csv", "none.toml")
     with pytest.raises(og.InputError, match="a dict is no machine"):
-        og.identify(RIG / "rig-3.csv", {})  # type: ignore[arg-type]
+        og.identify(RIG / "rig-2.csv", {})  # type: ignore[arg-type]
 
 
 def test_no_campaign_is_refused(tmp_path: Path) -> None:
@@ -352,7 +354,7 @@ def test_what_is_shown_of_commands_and_numbers(campaign: og.Campaign) -> None:
     assert drives.loc["x", "new_zero_mm"] == pytest.approx(numbers.drives[0].new_zero * 1e3)
     assert str(numbers) == numbers.text()
     assert repr(numbers) == f"<{numbers.text().splitlines()[0]}>"
-    points = og.read_tcp(RIG / "rig-3.tcp.csv")
+    points = og.read_tcp(RIG / "rig-2.tcp.csv")
     assert points.to_frame()["p_y_mm"].to_numpy() == pytest.approx(points.points().p[:, 1] * 1e3)
     shown = [frame_of._repr_html_() for frame_of in (found, numbers, points)]
     assert all(page.startswith("<table><caption>") for page in shown)

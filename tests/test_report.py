@@ -63,7 +63,7 @@ def identified(*files: Path, **options: Any) -> Verdict:
 def closed_of(which: str = "published") -> Closed:
     one, two = (DATA / f"experiment{k}.csv" for k in (2, 3))
     if which == "rig":
-        return close(asked(RIG / "rig-6.csv", machine=og.Machine.load(RIG / "machine.toml")))
+        return close(asked(RIG / "rig-2.csv", machine=og.Machine.load(RIG / "machine.toml")))
     if which == "two":
         free, own = ("joint_offset", "axis_tilt"), ("joint_offset",)
         return close(asked(one, two, free=free, own=own))

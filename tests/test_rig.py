@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -380,22 +379,6 @@ def test_simulated_readings_are_prediction_and_noise() -> None:
     assert again == rows
 
 
-def test_background_and_placement_show_beyond_the_noise() -> None:
-    quiet = {"noise": 0.0, "resolution": 0.0}
-    rig = Rig(
-        errors={f"joint_offset.{i}": 1e-3 * k for i, k in zip(LEGS, (1, -1, 0.5), strict=True)}
-    )
-    truth = campaigns.predict(rig, campaigns.protocol_rows("sweep"))
-    for more in ({"placement": 1e-3}, {"placement": 0.0, "background": 0.1}):
-        rows = campaigns.simulate(rig, "sweep", np.random.default_rng(2), **quiet, **more)  # type: ignore[arg-type]
-        left = free_datum(rows, np.array([r["reading_mm"] for r in rows]) * 1e-3 - truth)
-        assert 1e-7 < np.abs(left).max() < 1e-4, more
-    known = rig.with_background(np.random.default_rng(3), 0.1, ["xy-0.5"])
-    assert known.errors["joint_offset.x"] == 1e-3
-    assert 0 < abs(known.errors["gauge_drift.xy-0.5"]) < 1e-8
-    assert "drive_compliance.x" not in known.errors
-
-
 def test_temperature_and_load_columns() -> None:
     rig = Rig(errors={"thermal_growth.x": 1e-5, "drive_compliance.z": 1e-6}, bar_stiffness=1e7)
     rows = campaigns.simulate(
@@ -422,15 +405,6 @@ def test_approach_columns_and_order() -> None:
     np.testing.assert_array_equal(
         campaigns.predict(rig, [rows[k] for k in mixed]), campaigns.predict(rig, rows)[mixed]
     )
-
-
-def test_tcp_points() -> None:
-    rows = campaigns.tcp_points(Rig(errors={"backlash.x": 1e-3}), 40, np.random.default_rng(6))
-    p = np.array([[row[f"p_{i}_mm"] for i in LEGS] for row in rows])
-    rho = np.array([[row[c] for c in RHO] for row in rows])
-    np.testing.assert_allclose(p, Rig().pose(rho * 1e-3).p * 1e3, rtol=0, atol=1e-6)
-    assert ((rho >= 210.25) & (rho <= 370.25)).all()
-    assert np.ptp(p, axis=0).min() > 100
 
 
 EXTRAS: dict[str, Extra] = {
@@ -460,97 +434,3 @@ def test_extras_have_the_size_they_say(name: str) -> None:
     assert np.count_nonzero(np.abs(change).max(axis=(0, 2)) > 1e-12) == 1
     readings = campaigns.predict(Rig(extra=(EXTRAS[name],)), rows) - campaigns.predict(Rig(), rows)
     assert np.abs(free_datum(rows, readings)).max() > 5e-6
-
-
-def test_hysteresis_depends_on_the_amplitude() -> None:
-    def width(travel: float) -> float:
-        """Gap at the middle of a cycle of that amplitude, once it repeats."""
-        s = np.tile([0, 1, 0, -1], 20) * travel
-        near = np.tile([1.0, 1, -1, -1], 20)
-        lag = campaigns.hysteresis(0, 1e-4)(s[:, None], near[:, None], s)[:, 0, 0]
-        return float(lag[-2] - lag[-4])
-
-    assert 0 < width(0.005) < 0.5 * width(0.02) < 0.5 * width(0.1) < 0.5e-4 * 1.01
-
-
-def test_platform_play() -> None:
-    rho = commands(6, 10)
-    play = Rig(extra_platform=(campaigns.platform_play(0, 1, 1e-4),))
-    up, down = play.pose(rho, 1.0), play.pose(rho, -1.0)
-    np.testing.assert_allclose(up.lines[:, 0, :, 0], down.lines[:, 0, :, 0], rtol=0, atol=1e-15)
-    assert np.abs(up.p - down.p).max() > 1e-5
-    np.testing.assert_allclose(play.pose(rho).p, Rig().pose(rho).p, rtol=0, atol=1e-15)
-
-
-def test_a_turning_carriage_moves_the_ends_of_its_bars_apart() -> None:
-    rho = np.array([[0.31, 0.31, 0.31], [0.34, 0.31, 0.31]])
-    turn = campaigns.turning_carriage(0, 2, 4e-5)
-    plain, turned = Rig().pose(rho), Rig(extra_turn=(turn,)).pose(rho)
-    travel = rho[:, 0] - Rig().L
-    angle = 1e-3 * np.sin(2 * np.pi * travel / 0.12)
-    ends = (turned.lines - plain.lines)[:, 0, :, 0]
-    # Their common place stays, and their connection turns about the z axis.
-    np.testing.assert_allclose(ends.sum(axis=1), 0, rtol=0, atol=1e-12)
-    link = turned.lines[:, 0, 0, 0] - turned.lines[:, 0, 1, 0]
-    straight = plain.lines[:, 0, 0, 0] - plain.lines[:, 0, 1, 0]
-    np.testing.assert_allclose(
-        link - straight, np.cross([0, 0, 1], straight) * angle[:, None], rtol=0, atol=1e-7
-    )
-
-
-def test_a_loosening_bar_is_longer_afterwards() -> None:
-    loose = Rig(extra_length=(campaigns.loosening_bar(1, 0, 5e-5, 100.0, 200.0),))
-    pose = loose.pose(np.full((3, 3), 0.31), 0.0, np.array([50.0, 150.0, 300.0]))
-    run = np.linalg.norm(pose.lines[:, 1, :, 1] - pose.lines[:, 1, :, 0], axis=-1)
-    np.testing.assert_allclose(run[:, 0] - Rig().L, [0, 1.25e-5, 5e-5], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(run[:, 1], Rig().L, rtol=0, atol=1e-12)
-
-
-def test_a_dial_curve_is_by_the_reading_since_the_first() -> None:
-    rows = campaigns.protocol_rows("standard")
-    curved = Rig(extra_dial={rows[0]["setup"]: campaigns.dial_curve(2e-5)})
-    plain = campaigns.predict(Rig(errors={"joint_offset.y": 1e-3}), rows)
-    shown = campaigns.predict(replace(curved, errors={"joint_offset.y": 1e-3}), rows)
-    of = np.array([row["setup"] == rows[0]["setup"] for row in rows])
-    np.testing.assert_array_equal(shown[~of], plain[~of])
-    wave = 2e-5 * np.sin(2 * np.pi * (plain[of] - plain[of][0]) / 1e-3)
-    np.testing.assert_allclose(shown[of] - plain[of], wave, rtol=0, atol=1e-12)
-    assert np.ptp(wave) > 1e-5
-
-
-def test_faults_touch_what_they_say() -> None:
-    rig = Rig(errors={"joint_offset.x": 1e-3, "joint_offset.y": -1e-3})
-    rows = campaigns.simulate(rig, "sweep", np.random.default_rng(7))
-    old = np.array([r["reading_mm"] for r in rows])
-    of = np.array([r["setup"] for r in rows])
-
-    def new(fault: campaigns.Fault) -> Array:
-        return np.array([r["reading_mm"] for r in fault.rows])
-
-    fault = campaigns.outlier(rows, 17, 0.5)
-    np.testing.assert_allclose(new(fault) - old, 0.5 * (np.arange(252) == 17), atol=1e-9)
-    fault = campaigns.knocked_stand(rows, "yx-0.5", -0.1)
-    assert len(fault.touched) == 21
-    assert (of[fault.touched] == "yx-0.5").all()
-    np.testing.assert_allclose((new(fault) - old)[fault.touched], -0.1, atol=1e-9)
-    fault = campaigns.swapped_sign(rows, "zx-0.5")
-    np.testing.assert_array_equal(new(fault), np.where(of == "zx-0.5", -old, old))
-    fault = campaigns.wrong_unit(rows, "xy-0.5")
-    np.testing.assert_allclose(new(fault), np.where(of == "xy-0.5", old / 1000, old))
-    fault = campaigns.stuck_dial(rows, "xz-0.5", 2 / 3)
-    assert len(fault.touched) == 14
-    assert len(set(new(fault)[fault.touched])) == 1
-    fault = campaigns.swapped_labels(rows, "xy-0.5", "xz-0.5")
-    assert len(fault.touched) == 84
-    assert [fault.rows[0][k] for k in ("setup", "direction")] == ["xz-0.5", "z"]
-    np.testing.assert_array_equal(new(fault), old)
-    untouched = [k for k in range(252) if k not in fault.touched]
-    assert [fault.rows[k] for k in untouched] == [rows[k] for k in untouched]
-    np.testing.assert_array_equal([r["reading_mm"] for r in rows], old)
-
-
-def test_a_rig_can_be_changed_without_changing_it() -> None:
-    rig = Rig(errors={"backlash.x": 1e-5})
-    assert rig.with_errors({"backlash.y": 2e-5}).errors == {"backlash.x": 1e-5, "backlash.y": 2e-5}
-    assert replace(rig, L=0.3).error("backlash.x") == 1e-5
-    assert rig.errors == {"backlash.x": 1e-5}

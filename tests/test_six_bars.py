@@ -160,7 +160,7 @@ def test_no_machine_with_errors_of_three_tolerances_fails(geometry: Geometry, n:
     assert np.abs(out.values[chosen] - expected).max() < 1e-13
 
 
-@pytest.mark.parametrize("stroke", [1e-3, 3e-3, 0.03, 0.3, 1.0], ids="{:g} m".format)
+@pytest.mark.parametrize("stroke", [1e-3, 1.0], ids="{:g} m".format)
 @pytest.mark.parametrize("like", [NOMINAL, WIDE], ids=["Orthoglide", "wide delta"])
 def test_machines_of_any_size_close_alike(like: Geometry, stroke: float) -> None:
     """A machine so many times as large, its errors too, stands so many times as far."""

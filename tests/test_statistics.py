@@ -119,9 +119,7 @@ def test_the_tail_of_squares_that_priors_hold_back() -> None:
     assert np.isnan(tail(1.0, 3, np.ones(3)))
 
 
-@pytest.mark.thorough(except_for=["0.0-0", "0.0-1", "2e-05-2", "2e-05-3"])
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("size", [0.0, 2e-5])
+@pytest.mark.parametrize(("size", "seed"), [(0.0, 0), (2e-5, 2)])
 def test_lack_of_fit_is_the_smaller_of_two_tests(seed: int, size: float) -> None:
     """Of all readings and of the station means, each from a covariance written out."""
     made = machine()
