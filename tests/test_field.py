@@ -86,7 +86,7 @@ def test_a_slip_that_is_likelier_than_a_cause_is_told_before_it(tmp_path: Path) 
     line = cause.data[0].rows[0]
     (claim,) = claims(verdict)
     assert claim.first.brief == f"A slip of the reading in calibration, line {line}."
-    assert headline(verdict).startswith(claim.first.brief)
+    assert claim.first.brief in headline(verdict)
     assert f"line {line} of calibration once more" in verdict.actions[0].words
 
 

@@ -308,13 +308,15 @@ def _suggested(closed: Closed) -> tuple[Suggestion, ...]:
     left = closed.lack_of_fit
     again = tuple(map(planning.repeating, left.by_instrument[:follow]))
     known = closed.posterior
-    sets = [one.data for one in closed.effects] + [one.data for one in closed.located]
-    data = [each[0] for each in sets if each]
-    again = (*again, *(planning.deciding_visits(known, d) for d in data if known))
+    sets = [(one.chosen.probability, one.data) for one in closed.effects]
+    sets += [(one.members[0].probability, one.data) for one in closed.located]
+    rivals_in_data = [(data[0], p) for p, data in sets if data and known]
+    likely = [planning.deciding_visits(known, d) for d, p in rivals_in_data if d.probability > p]
+    others = [planning.deciding_visits(known, d) for d, p in rivals_in_data if d.probability <= p]
     parts = [s for one in closed.located if known for s in planning.parting(known, one)]
     if not geometry.dialled:
         apart = () if known is None else planning.deciding_instruments(known, closed.effects)
-        return (*apart, *parts, *again)
+        return (*likely, *apart, *parts, *again, *others)
     several = [(c.chosen, *c.rivals) for c in closed.effects if c.rivals]
     several = several or [tuple(closed.alone[:_MOST_RIVALS])]
     rivals, pairs = list[tuple[str, Mapping[str, float]]](), list[tuple[int, int]]()
@@ -325,4 +327,4 @@ def _suggested(closed: Closed) -> tuple[Suggestion, ...]:
     more = planning.next_measurements(closed.before)
     if follow and left.dials_hold_most:
         again = tuple(planning.tracing(rest, geometry) for rest in left.by_dial[:1])
-    return (*again, *apart, *parts, *more)
+    return (*likely, *again, *others, *apart, *parts, *more)

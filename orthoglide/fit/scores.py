@@ -17,6 +17,8 @@ from orthoglide.result.fits import Scores
 LACK_OF_FIT = 0.01
 """Probability of calling what is left of a complete model a lack of fit."""
 
+_SPREAD = 2.0  # degrees of freedom: with fewer there is nothing that scatters
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FittedRows:
@@ -93,7 +95,7 @@ def score(rows: FittedRows, at: Linearised) -> Scores:
 def improvement(before: FittedRows, after: FittedRows) -> tuple[float, float]:
     """Return by how much the squared residuals of stations that are left out fall from one fit to
     another of the same readings, in variances of a reading: the mean over the stations, and its
-    standard error.
+    standard error, infinite where the first fit leaves less than two degrees of freedom.
     """
     problem = before.problem
     one, other = ((f.residual_left_out / problem.sigma) ** 2 for f in (before, after))
@@ -103,7 +105,9 @@ def improvement(before: FittedRows, after: FittedRows) -> tuple[float, float]:
         return float("nan"), float("nan")
     _, station = np.unique(problem.place[known], return_inverse=True)
     mean = np.bincount(station, fall[known]) / np.bincount(station)
-    error = float(np.std(mean, ddof=1)) if len(mean) > 1 else float("inf")
+    # With one degree of freedom the residuals of all stations are one number.
+    independent = len(before.nuisance.weighing.first) - float(np.sum(before.station_shares))
+    error = float(np.std(mean, ddof=1)) if independent >= _SPREAD else float("inf")
     return float(mean.mean()), error / np.sqrt(len(mean))
 
 
