@@ -322,6 +322,7 @@ def test_numbers_for_people() -> None:
     assert compact(1e-10, 1) == "10⁻¹⁰"
     assert compact(-2.5e-7, 2) == "−2.5·10⁻⁷"
     assert [compact(v, 2) for v in (-364.0, 3.64e7)] == ["−360", "3.6·10⁷"]
+    assert [compact(v, plus=True) for v in (0.5, -0.5, 0.0)] == ["+0.5", "−0.5", "0"]
     assert compact(float("nan")) == "–"
     assert [probability(p) for p in (0.0, 0.012, 0.4)] == ["below 10⁻⁶", "0.012", "0.40"]
 

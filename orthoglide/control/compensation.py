@@ -18,6 +18,7 @@ from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.layout.leg import triple
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.perfect_legs import UNITS
+from orthoglide.numerals import compact, plain
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
 from orthoglide.observations.columns import of_commands
@@ -313,8 +314,9 @@ def _check_stroke(machine: Machine, rho: Array, slack: float = STROKE_SLACK) -> 
     excess = float(max(low - travel, travel - high))
     raise UnreachableError(
         f"row {row + 1} of the path needs carriage {machine.geometry.leg_names[axis]} at "
-        f"{travel * 1e3:.3f} mm from mechanical zero, {excess * 1e3:.3f} mm beyond its stroke of "
-        f"{low * 1e3:g} to {high * 1e3:g} mm: move the point towards the middle",
+        f"{plain(travel * 1e3, 3)} mm from mechanical zero, {excess * 1e3:.3f} mm beyond its "
+        f"stroke of {compact(low * 1e3, 6)} to {compact(high * 1e3, 6)} mm: move the point "
+        "towards the middle",
         leg=machine.geometry.leg_names[axis],
         excess=excess,
         index=(row,),
