@@ -731,3 +731,5 @@ def test_what_compensation_gains_is_told_after_the_same_translation() -> None:
     assert (found.shape_before > found.shape - 1e-9).all()
     rms = 1e3 * np.sqrt(np.mean(found.shape_before**2))
     assert f"without compensation expect the TCP to be off by {rms:.4f} mm rms" in str(found)
+    assert "a report states the mean over the workspace in place of the rms" in str(found)
+    assert f"{1e3 * np.sqrt(np.mean(found.shape**2)):.3f} mm rms off to expect" in repr(found)

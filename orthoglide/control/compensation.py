@@ -83,8 +83,8 @@ class Compensation(Framed):
         return len(self.wanted)
 
     def __repr__(self) -> str:
-        before, after = (float(np.mean(e)) * 1e3 for e in (self.shape_before, self.shape))
-        told = f": {after:.3f} mm off to expect on average, {before:.3f} mm by the nominal commands"
+        before, after = (_rms(e) * 1e3 for e in (self.shape_before, self.shape))
+        told = f": {after:.3f} mm rms off to expect, {before:.3f} mm by the nominal commands"
         return f"<Compensation of {len(self)} points{told if self.is_known else ''}>"
 
     @property
@@ -158,7 +158,8 @@ class Compensation(Framed):
             f"{len(self)} points: without compensation expect the TCP to be off by "
             f"{_rms(before):.4f} mm rms, {before.max():.4f} mm at the worst point",
             f"with it, expect {_rms(shape):.4f} mm rms, {shape.max():.4f} mm at the worst point: "
-            f"both after one translation of everything (one standard deviation, {how})",
+            f"both after one translation of everything (one standard deviation, {how}); a report "
+            f"states the mean over the workspace in place of the rms over these points",
             f"where the machine as a whole sits is known to {self.place * 1e3:.2f} mm: a datum on "
             f"the workpiece removes that",
             *_ALWAYS,
