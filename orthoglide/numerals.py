@@ -33,11 +33,14 @@ def plain(value: float, decimals: int) -> str:
     return signed(value, decimals).lstrip("+")
 
 
-def compact(value: float, digits: int = 3) -> str:
+def compact(value: float, digits: int = 3, plus: bool = False) -> str:
     """Few significant digits, powers of ten where they are shorter; a dash for none.
 
-    Less than a billionth of a micrometre, in millimetres, is rounding and zero.
+    Less than a billionth of a micrometre, in millimetres, is rounding and zero. ``plus``: with a
+    sign where it is positive, too.
     """
+    if plus and value >= _ROUNDING:
+        return f"+{compact(value, digits)}"
     if not math.isfinite(value):
         return "–"
     value = value if abs(value) >= _ROUNDING else 0.0

@@ -15,6 +15,7 @@ from orthoglide.geometry import Array
 from orthoglide.instruments import Setup, Stand
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.perfect_legs import Spheres, commands as commands_of
+from orthoglide.numerals import compact
 from orthoglide.observations import Readings, from_points, parts, protocol
 from orthoglide.observations.protocols import Kind
 from orthoglide.prediction import Observed, Seen
@@ -211,7 +212,8 @@ def _closing(machine: Machine) -> Iterator[None]:
             raise
         unit, value = machine.catalogue.effect_of(worst).unit, machine.values[worst]
         raise InputError(
-            f"{worst} = {value / unit.si:g}{unit.behind} is {off[worst]:.0f} times its tolerance "
+            f"{worst} = {compact(value / unit.si, 6)}{unit.behind} is {off[worst]:.0f} times its "
+            "tolerance "
             f"of {machine.tolerance(worst) / unit.si:g}{unit.behind}, and the machine does not "
             f"close with it: is it meant in another unit?"
         ) from None

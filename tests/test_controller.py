@@ -300,11 +300,16 @@ def test_the_text_of_the_numbers_is_readable() -> None:
     assert "backlash" not in text  # rounds to nothing
 
 
+def number(printed: str) -> float:
+    """A number of a sentence, which has a true minus sign."""
+    return float(printed.replace("−", "-"))
+
+
 def test_the_sign_rule_is_worked_out_in_words() -> None:
     text = controller_numbers(machine(DRIVES, controller=COUNTING)).text()
     said = " ".join(text.split())
-    (worked,) = re.findall(r"new zero = (\S+) - \((\S+)\) x \((\S+)\) = (\S+) mm", said)
-    zero, sign, offset, result = map(float, worked)
+    (worked,) = re.findall(r"new zero = (\S+) − \((\S+)\) × \((\S+)\) = (\S+) mm", said)
+    zero, sign, offset, result = map(number, worked)
     assert (zero, sign, offset) == (500.0, -1.0, 1.2)
     assert result == zero - sign * offset == 501.2
     assert "too far out" in said
@@ -380,12 +385,12 @@ def test_the_check_tells_a_zero_entered_the_wrong_way(sign: tuple[int, int, int]
         assert zero == pytest.approx(new * 1e3, abs=1e-6)
         moves = re.search(r"move x, y, z by (\S+), (\S+), (\S+) mm", said)
         assert moves
-        assert [*map(float, moves.groups())] == pytest.approx(then - zero, abs=6e-4)
+        assert [*map(number, moves.groups())] == pytest.approx(then - zero, abs=6e-4)
         read = re.search(r"Expect (\S+) mm; (\S+) mm says that the zero", said)
         assert read
         expected = [check["expected_mm"], check["expected_if_wrong_mm"]]
-        assert [*map(float, read.groups())] == pytest.approx(expected, abs=6e-4)
-    assert exported["rule"].startswith("new zero = old zero - sign x offset: what the controller")
+        assert [*map(number, read.groups())] == pytest.approx(expected, abs=6e-4)
+    assert exported["rule"].startswith("new zero = old zero − sign × offset: what the controller")
     assert "come to both" not in numbers.text()
     lost = controller_numbers(machine({**errors, "backlash.z": 1e-4}, controller=counting))
     arriving = "come to both with all axes moving away from the origin. Expect"
@@ -726,3 +731,5 @@ def test_what_compensation_gains_is_told_after_the_same_translation() -> None:
     assert (found.shape_before > found.shape - 1e-9).all()
     rms = 1e3 * np.sqrt(np.mean(found.shape_before**2))
     assert f"without compensation expect the TCP to be off by {rms:.4f} mm rms" in str(found)
+    assert "a report states the mean over the workspace in place of the rms" in str(found)
+    assert f"{1e3 * np.sqrt(np.mean(found.shape**2)):.3f} mm rms off to expect" in repr(found)

@@ -548,7 +548,12 @@ def test_the_command_writes_a_sheet_and_compares(tmp_path, machine):
     done = CliRunner().invoke(design_command, [*arguments, "--want", "TCP=0.003"])
     assert done.exit_code == 0, done.output
     assert len(og.read_campaign(out, machine.spec, require_readings=False)) == 12
-    for word in ("standard", " design", "O1, all unknowns", "TCP: sigma 0.003 mm takes"):
+    for word in (
+        "standard",
+        " design",
+        "O1, all unknowns",
+        "TCP, tolerances as priors: sigma 0.003 mm takes",
+    ):
         assert word in done.output
     again = CliRunner().invoke(design_command, arguments)
     assert isinstance(again.exception, InputError)

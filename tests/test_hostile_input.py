@@ -238,7 +238,7 @@ def first_cell(column: str, cell: str) -> str:
 CAMPAIGNS: dict[str, tuple[str | bytes, str]] = {
     "a lone byte order mark": (b"\xef\xbb\xbf", "is empty"),
     "commas": (",,,\n,,\n", "has only empty fields"),
-    "a sigma beyond all": (with_column("sigma_mm", "1e8"), "give a number from 1e-06 to 1"),
+    "a sigma beyond all": (with_column("sigma_mm", "1e8"), "give a number from 10⁻⁶ to 1"),
     "a page in a cell": (first_cell("reading_mm", "x" * 100_000), "is 'xxx"),
     "a page for a name": (first_cell("setup", "x" * 5_000), "shorten it to 100"),
     "a name on two lines": (first_cell("setup", "a\nb"), "write it on one"),

@@ -167,7 +167,7 @@ MALFORMED: dict[str, tuple[Fault, str, int]] = {
     "direction along the leg": (cell("direction", "x", 2), "the leg's own axis", 2),
     "gauge off the leg": (cell("gauge_mm", "-20"), "off the leg", 2),
     "gauge behind the carriage": (
-        cell("gauge_mm", "250"), "off the leg, which runs from -100.0 to 210.2 mm", 6),
+        cell("gauge_mm", "250"), "off the leg, which runs from −100.0 to 210.2 mm", 6),
     "no such leg": (cell("leg", "w", 3), "none of x, y, z", 3),
     "no such bar": (chained(added("bar", ""), cell("bar", "3", 3)), "not 1, 2 or empty", 3),
     "setup without a name": (cell("setup", "", 3), "setup is empty: fill it in", 3),
@@ -192,8 +192,8 @@ MALFORMED: dict[str, tuple[Fault, str, int]] = {
     "decimal comma in quotes": (cell("reading_mm", "3,1", 7), "write it like 12.34", 7),
     "number out of all range": (cell("reading_mm", "1e400", 7), "out of range", 7),
     "a slip of the pen": (cell("reading_mm", "815", 7), "correct a slip", 7),
-    "negative sigma": (added("sigma_mm", "-0.01"), "from 1e-06 to 1", 2),
-    "kelvin": (added("temperature_C", "293"), "from -40 to 100", 2),
+    "negative sigma": (added("sigma_mm", "-0.01"), "from 10⁻⁶ to 1", 2),
+    "kelvin": (added("temperature_C", "293"), "from −40 to 100", 2),
     # columns and rows
     "missing column": (without("reading_mm"), "has no column reading_mm", 1),
     "misspelt column": (renamed(reading_mm="readings_mm"), "did you mean 'reading_mm'", 1),

@@ -322,6 +322,7 @@ def test_numbers_for_people() -> None:
     assert compact(1e-10, 1) == "10⁻¹⁰"
     assert compact(-2.5e-7, 2) == "−2.5·10⁻⁷"
     assert [compact(v, 2) for v in (-364.0, 3.64e7)] == ["−360", "3.6·10⁷"]
+    assert [compact(v, plus=True) for v in (0.5, -0.5, 0.0)] == ["+0.5", "−0.5", "0"]
     assert compact(float("nan")) == "–"
     assert [probability(p) for p in (0.0, 0.012, 0.4)] == ["below 10⁻⁶", "0.012", "0.40"]
 
@@ -346,7 +347,8 @@ def test_weak_directions_in_words() -> None:
     first, second = weak_sentences([pair, blind])
     assert first == (
         "The readings cannot tell axis tilt of leg x toward y and axis offset of leg x toward y "
-        "apart: together they may change by 0.4 mm (one sigma), and hardly a reading changes."
+        "apart: together they may change by 0.4 mm (one sigma of the readings alone, "
+        "without priors), and hardly a reading changes."
     )
     assert "it may change by any amount, and no reading changes" in second
     (many,) = weak_sentences([pair, blind, pair])

@@ -13,6 +13,7 @@ import click
 import orthoglide.cli.options as opt
 from orthoglide.cli.app import cli, deliver, progress, warn
 from orthoglide.errors import InputError, NumericsError
+from orthoglide.numerals import compact
 from orthoglide.progress import Step
 from orthoglide.text import wrapped
 
@@ -360,7 +361,8 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]
         one, other = before[name], after[name]
         limit = max(within * one["sigma"], _TINY * max(1.0, abs(one["value"])))
         if not abs(one["value"] - other["value"]) <= limit:
-            yield f"{name} was {one['value']:g} and is {other['value']:g} {one['unit']}"
+            was, now = (compact(each["value"], 6) for each in (one, other))
+            yield f"{name} was {was} and is {now} {one['unit']}"
 
 
 def _changed_files(result: Mapping[str, Any], folder: Path) -> Iterator[str]:

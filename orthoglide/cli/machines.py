@@ -15,6 +15,7 @@ import click
 import orthoglide.cli.options as opt
 from orthoglide.cli.app import Group, cli, deliver, progress, warn
 from orthoglide.errors import FileError, InputError, UnreachableError
+from orthoglide.numerals import compact, plain
 from orthoglide.progress import Step
 from orthoglide.text import csv_text
 
@@ -262,7 +263,8 @@ def _solved(
         low, high = ((geometry.zero[axis] + limit) * 1e3 for limit in geometry.stroke)
         fail(
             f"the point needs carriage {geometry.leg_names[axis]} at "
-            f"{rho[row, axis] * 1e3:.6f} mm, outside its stroke of {low:g} to {high:g} mm: "
+            f"{plain(rho[row, axis] * 1e3, 6)} mm, outside its stroke of {compact(low, 6)} to "
+            f"{compact(high, 6)} mm: "
             "give a point nearer to the middle",
             int(row),
         )
@@ -304,7 +306,7 @@ def view(machine: opt.MachineOption, magnify: float, out: Path | None, no_open: 
     with redirect_stdout(StringIO()):  # meshcat prints the address of its server
         viewer = show(drawn, zero, open_browser=out is None and not no_open)
     off = known.forward(zero, **SHOWN) - known.with_only({}).forward(zero)
-    size = ", ".join(f"{1e3 * v + 0.0:.3f}" for v in off)
+    size = ", ".join(plain(1e3 * v, 3) for v in off)
     scale = "true to scale" if magnify == 1 else f"errors {magnify:g} times as large"
     said = f"{scale}; its errors put the tool {size} mm off in x, y and z"
     said = said if known.values else "without errors"

@@ -12,6 +12,7 @@ from orthoglide.comparison.rows import READING_LIMIT, TCP_LIMIT, Difference, Row
 from orthoglide.figures import style
 from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
+from orthoglide.numerals import plain
 from orthoglide.observations import csv_text
 from orthoglide.progress import Progress, Step, silent
 
@@ -65,7 +66,7 @@ def _size(row: Row, value: float, machine: str) -> str:
 def _place(difference: Difference) -> str:
     if difference.max * _UM < 1e-3:
         return "–"
-    return "({})".format(", ".join(f"{x * 1e3:.0f}".replace("-0", "0") for x in difference.where))
+    return "({})".format(", ".join(plain(x * 1e3, 0) for x in difference.where))
 
 
 _OF_READINGS = ("readings: change", "six fitted: rms, max", "calibrated TCP: max")

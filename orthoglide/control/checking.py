@@ -10,6 +10,7 @@ import numpy as np
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine, MachineSource
+from orthoglide.numerals import signed
 from orthoglide.observations import Readings, protocol
 from orthoglide.ordering import best_of
 
@@ -101,8 +102,7 @@ def _triple(shown: Shown) -> str:
 
 
 def _signed(change: float) -> str:
-    size = f"{change * 1e3:+z.3f}"
-    return size if float(size) else size[1:]
+    return signed(change * 1e3, 3)
 
 
 def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:

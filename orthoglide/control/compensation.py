@@ -18,6 +18,7 @@ from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.layout.leg import triple
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.perfect_legs import UNITS
+from orthoglide.numerals import compact, plain
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
 from orthoglide.observations.columns import of_commands
@@ -82,8 +83,8 @@ class Compensation(Framed):
         return len(self.wanted)
 
     def __repr__(self) -> str:
-        before, after = (float(np.mean(e)) * 1e3 for e in (self.shape_before, self.shape))
-        told = f": {after:.3f} mm off to expect on average, {before:.3f} mm by the nominal commands"
+        before, after = (_rms(e) * 1e3 for e in (self.shape_before, self.shape))
+        told = f": {after:.3f} mm rms off to expect, {before:.3f} mm by the nominal commands"
         return f"<Compensation of {len(self)} points{told if self.is_known else ''}>"
 
     @property
@@ -157,7 +158,8 @@ class Compensation(Framed):
             f"{len(self)} points: without compensation expect the TCP to be off by "
             f"{_rms(before):.4f} mm rms, {before.max():.4f} mm at the worst point",
             f"with it, expect {_rms(shape):.4f} mm rms, {shape.max():.4f} mm at the worst point: "
-            f"both after one translation of everything (one standard deviation, {how})",
+            f"both after one translation of everything (one standard deviation, {how}); a report "
+            f"states the mean over the workspace in place of the rms over these points",
             f"where the machine as a whole sits is known to {self.place * 1e3:.2f} mm: a datum on "
             f"the workpiece removes that",
             *_ALWAYS,
@@ -313,8 +315,9 @@ def _check_stroke(machine: Machine, rho: Array, slack: float = STROKE_SLACK) -> 
     excess = float(max(low - travel, travel - high))
     raise UnreachableError(
         f"row {row + 1} of the path needs carriage {machine.geometry.leg_names[axis]} at "
-        f"{travel * 1e3:.3f} mm from mechanical zero, {excess * 1e3:.3f} mm beyond its stroke of "
-        f"{low * 1e3:g} to {high * 1e3:g} mm: move the point towards the middle",
+        f"{plain(travel * 1e3, 3)} mm from mechanical zero, {excess * 1e3:.3f} mm beyond its "
+        f"stroke of {compact(low * 1e3, 6)} to {compact(high * 1e3, 6)} mm: move the point "
+        "towards the middle",
         leg=machine.geometry.leg_names[axis],
         excess=excess,
         index=(row,),

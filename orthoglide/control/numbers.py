@@ -16,17 +16,19 @@ from orthoglide.effects.wording import effects_in_words
 from orthoglide.frames import Framed
 from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.machine import Machine, MachineSource
+from orthoglide.numerals import MINUS, plain, signed
 from orthoglide.ordering import best_of, ranked
 from orthoglide.text import listed, sentence
 
 _fill = TextWrapper(100, break_on_hyphens=False, break_long_words=False).fill
 RULE = (
-    "Enter each new zero once, in place of the old one, or add new zero - old zero to every "
+    "Enter each new zero once, in place of the old one, or add new zero − old zero to every "
     "command of that drive; never both."
 )
 """What to do with new zeros, wherever they are given."""
 _FORMULA = (
-    "new zero = old zero - sign x offset: what the controller shows, counted as now, when the "
+    f"new zero = old zero {MINUS} sign × offset: what the controller shows, counted as now, when "
+    "the "
     "carriage is at mechanical zero."
 )
 _ZEROS = "zeros alone"
@@ -113,11 +115,12 @@ class DriveNumbers:
         """The sign rule for this drive, number by number, in a layout's words."""
         way, side = names.ways[self.sign > 0][1], names.ways[_mm(self.offset) >= 0][0]
         stands = "stands on average" if self.best else "stands"
+        old, sign = plain(_mm(self.zero), 3), signed(self.sign, 0)
         return (
-            f"at the old zero {_mm(self.zero):.3f} carriage {self.leg} {stands} "
+            f"at the old zero {old} carriage {self.leg} {stands} "
             f"{abs(_mm(self.offset)):.3f} mm too far {side}, and the controller counts {way} "
-            f"(sign {self.sign:+d}): new zero = {_mm(self.zero):.3f} - ({self.sign:+d}) x "
-            f"({_mm(self.offset):+.3f}) = {_mm(self.new_zero):.3f} mm."
+            f"(sign {sign}): new zero = {old} {MINUS} ({sign}) × "
+            f"({signed(_mm(self.offset), 3)}) = {plain(_mm(self.new_zero), 3)} mm."
         )
 
 

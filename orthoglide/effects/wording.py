@@ -1,4 +1,4 @@
-"""Causes in a mechanic's words, from their names and fitted values."""
+"""Clauses that describe a cause to a mechanic, from its name and its fitted values."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _ABOUT = {"a": " about the legs' own axes", "b": " about their pivots"}
 
 
 def cause_words(catalogue: Catalogue, name: str, values: Mapping[str, float]) -> str:
-    """What is wrong, as a clause with sign, size and unit.
+    """Return the clause that says what is wrong, with sign, size and unit.
 
     Args:
-        catalogue: that has the effect.
-        name: of a candidate: a parameter, a structured member, an effect whole, or the paired
+        catalogue: catalogue that contains the effect.
+        name: name of the cause: a parameter, a structured member, an effect, or the paired
             parameters of one leg (``screw_error.x``).
-        values: of what was identified with it, SI.
+        values: identified values by parameter, SI.
     """
     effect, parameter = _resolved(catalogue, name)
     where = _campaign(parameter, name)
@@ -65,14 +65,14 @@ def cause_short(catalogue: Catalogue, name: str) -> str:
 
 
 def one_words(effect: Effect, parameter: Parameter, value: float) -> str:
-    """Clause for one parameter and its value, SI."""
+    """Return the clause of one parameter with its value, SI."""
     if effect.words.one is not None:
         return effect.words.one(parameter, value)
     return f"{_short(effect, parameter)}, by {_told_size(effect, value)}"
 
 
 def confirm_words(effect: Effect, parameter: Parameter, value: float) -> str:
-    """A test on the machine that confirms a cause, with the reading to expect."""
+    """Return a test on the machine that confirms a cause, with the reading to expect."""
     if effect.words.confirm is not None:
         return effect.words.confirm(parameter, value)
     size = _told_size(effect, value)
@@ -80,7 +80,7 @@ def confirm_words(effect: Effect, parameter: Parameter, value: float) -> str:
 
 
 def size_words(effect: Effect, value: float) -> str:
-    """A size in the effect's own unit."""
+    """Return the absolute value of a size, SI, as text in the unit of the effect."""
     if effect.words.size is not None:
         return effect.words.size(value)
     if effect.unit.name in _SIZES:
@@ -89,21 +89,22 @@ def size_words(effect: Effect, value: float) -> str:
 
 
 def signed_size(effect: Effect, value: float) -> str:
-    """A size with its sign."""
+    """Return a size, SI, as text with its sign."""
     return f"{'+' if value >= 0 else MINUS}{size_words(effect, value)}"
 
 
 def _told_size(effect: Effect, value: float) -> str:
-    """A size with its sign; an amplitude, of what is paired, has none."""
+    """Return a size, SI, as text with its sign; paired parameters give an amplitude without one."""
     return size_words(effect, value) if effect.paired else signed_size(effect, value)
 
 
 def parameter_words(parameter: Parameter, names: LegNames = CATALOGUE.legs) -> str:
-    """Return ``axis_tilt.y.z`` as ``axis tilt of leg y toward z``, for tables.
+    """Return the name of a parameter as words for tables: ``axis tilt of leg y toward z`` for
+    ``axis_tilt.y.z``.
 
     Args:
-        parameter: or a structured member.
-        names: of the machine's legs and parts; on a delta a leg is a tower with its rods.
+        parameter: a parameter or a structured member.
+        names: names of the machine's legs and parts; on a delta a leg is a tower with its rods.
     """
     return names.spoken(_parameter_words(parameter, names.effect_words(parameter.effect)))
 
@@ -130,12 +131,12 @@ def _parameter_words(parameter: Parameter, words: str) -> str:
 
 
 def effects_in_words(names: Iterable[str]) -> tuple[str, ...]:
-    """Effects of parameters, each once: ``axis tilt``."""
+    """Return the effects of parameters as words, each once: ``axis tilt``."""
     return tuple(dict.fromkeys(name.partition(".")[0].replace("_", " ") for name in names))
 
 
 def by_effect(names: Iterable[str]) -> tuple[str, ...]:
-    """Parameters in short: several of one effect by its name and how many they are."""
+    """Return parameters in short: an effect with several of them stands once, with their number."""
     groups: dict[str, list[str]] = {}
     for name in names:
         groups.setdefault(name.partition(".")[0], []).append(name)
@@ -146,7 +147,9 @@ def by_effect(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def _resolved(catalogue: Catalogue, name: str) -> tuple[Effect, Parameter | None]:
-    """The effect, and the parameter or member; ``None`` for an effect whole or a leg's pair."""
+    """Return the effect of a name, and its parameter or structured member; ``None`` in place of the
+    latter for a whole effect and for the pair of one leg.
+    """
     effect = catalogue.effect_of(name)
     plain = name.plain if isinstance(name, Parameter) else name.split("@")[0]
     legs = {p.leg for p in effect.motions}
@@ -177,7 +180,7 @@ def _short(effect: Effect, parameter: Parameter) -> str:
 
 
 def _sided(effect: Effect | None, direction: str) -> bool:
-    """Whether a direction lies across a leg, and is none of its axes that something turns about."""
+    """Return whether a direction lies across a leg; false for an axis of rotation."""
     return direction in DIRECTIONS or (direction in ("b", "c") and bool(effect and effect.sided))
 
 

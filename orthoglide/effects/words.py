@@ -1,4 +1,4 @@
-"""How an effect is said: sizes, directions, and sentences made of a fitted value."""
+"""Texts for sizes and directions, and the sentences by which an effect describes its value."""
 
 from __future__ import annotations
 
@@ -8,26 +8,28 @@ from dataclasses import dataclass
 from orthoglide.numerals import MINUS, compact
 from orthoglide.parameters import Parameter
 
-_ROUNDING = 1e-13  # SI: less is zero, whose sign is chance
+_ROUNDING = 1e-13  # SI: a smaller value counts as zero and has no sign
 
 
 def mm(value: float) -> str:
-    """A length, SI, as ``0.123 mm``."""
+    """Return the absolute value of a length in metres as text: ``0.12 mm``."""
     return f"{compact(abs(value) * 1e3, 2)} mm"
 
 
 def mrad(value: float) -> str:
-    """An angle, SI, as ``2.5 mrad``."""
+    """Return the absolute value of an angle in radians as text: ``2.5 mrad``."""
     return f"{compact(abs(value) * 1e3, 2)} mrad"
 
 
 def slope(value: float) -> str:
-    """A slope, SI, as a mechanic measures it: ``2.5 mrad (0.25 mm over 100 mm)``."""
+    """Return the absolute value of a slope in radians as text, also as the deviation over 100 mm
+    that a mechanic measures: ``2.5 mrad (0.25 mm over 100 mm)``.
+    """
     return f"{mrad(value)} ({compact(abs(value) * 100, 2)} mm over 100 mm)"
 
 
 def percent(value: float) -> str:
-    """A ratio as ``0.3 %``."""
+    """Return the absolute value of a ratio as text: ``0.3 %``."""
     return f"{compact(abs(value) * 100, 2)} %"
 
 
@@ -35,20 +37,26 @@ _SIDES = {
     "radial": ("the outside", "the centre"),
     "tangential": ("the counter-clockwise side", "the clockwise side"),
 }
-"""What lies in a direction and against it, of legs that stand around a centre, seen from above."""
+"""By direction of a leg of a tower the sides that lie along it and against it, seen from above."""
 
 
 def toward(axis: str, value: float) -> str:
-    """An axis with the sign of a value: ``z``, ``−z``; or the side, ``the centre``."""
+    """Return the direction in which a value points: ``z`` or ``−z`` for a base axis, ``the
+    outside`` or ``the centre`` for the radial direction of a tower.
+    """
     if axis in _SIDES:
         return _SIDES[axis][bool(value < 0)]
     return axis if value >= 0 else f"{MINUS}{axis}"
 
 
 def turned(about: str, value: float, tower: bool) -> str:
-    """Which way something is turned about its leg's own axis (``a``) or its pivots' (``b``).
+    """Return the sense of a rotation.
 
-    Legs of a tower stand up and turn their pivots outward: there it is said as it is seen.
+    Args:
+        about: axis of the rotation: ``a``, the leg's own axis, or ``b``, the axis of its pivots.
+        value: angle; its sign is the sense.
+        tower: whether the leg is a tower. The sense is then stated as seen from above or from
+            outside the tower, else as right-handed or left-handed.
     """
     if not tower:
         return more(value, "right-handed", "left-handed")
@@ -57,41 +65,55 @@ def turned(about: str, value: float, tower: bool) -> str:
 
 
 def along(leg: str, axis: str) -> str:
-    """Where a square lies along a leg with such a direction across it, and which way is on."""
+    """Return where to set a square against a leg, and how to move along it, a clause.
+
+    Args:
+        leg: name of the leg.
+        axis: direction across the leg; its name shows whether the leg is a tower.
+    """
     if axis in _SIDES:
         return f"stands along tower {leg}, and move 100 mm up"
     return f"lies along {leg}, and move 100 mm outward"
 
 
 def across(axis: str) -> str:
-    """A direction without its sign, behind "in"."""
+    """Return a direction without its sign, to follow the word "in"."""
     return f"{axis} direction" if axis in _SIDES else f"the direction of {axis}"
 
 
 def more(value: float, positive: str = "more", negative: str = "less") -> str:
-    """The word for a value's sign; zero is positive, up to rounding."""
+    """Return the word for the sign of a value; zero up to rounding counts as positive."""
     return positive if value >= -_ROUNDING else negative
 
 
 def micrometres(value: float, per: str, scale: float = 1e6) -> str:
-    """A small ratio, SI, as ``12 µm a metre and kelvin``; ``per`` follows the micrometres."""
+    """Return the absolute value of a small ratio as text: ``12 µm a metre and kelvin``.
+
+    Args:
+        value: ratio, SI.
+        per: words that follow the micrometres.
+        scale: micrometres for a ratio of one.
+    """
     return f"{compact(abs(value) * scale, 2)} µm {per}"
 
 
 Said = Callable[[Parameter, float], str]
+"""Returns a clause for a parameter and its value, SI."""
 
 
 @dataclass(frozen=True)
 class Words:
-    """How to speak of an effect. What is not given is made of the effect's own sentence.
+    """The texts that describe an effect. Those that are absent are made of ``Effect.sentence``.
 
     Attributes:
-        one: clause for one parameter and its fitted value, SI: sign, size and unit in it.
-        short: the same cause without its size.
-        many: clause for all legs together, without its size.
-        size: how a size is said.
-        confirm: a test on the machine that confirms it, with the reading to expect.
-        common: clause for a value that all legs have together, SI: sign, size and unit in it.
+        one: returns the clause for one parameter and its value, SI, with sign, size and unit.
+        short: returns the clause for one parameter without a size.
+        many: clause for the effect on all legs, without a size.
+        size: returns the text of a size, SI, with its unit.
+        confirm: returns a test that confirms one parameter of some value, SI, on the machine, with
+            the reading to expect.
+        common: returns the clause for a value, SI, that all legs have in common, with sign, size
+            and unit.
     """
 
     one: Said | None = None

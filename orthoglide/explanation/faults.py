@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from orthoglide.fit import Problem
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import Controller
-from orthoglide.numerals import compact
+from orthoglide.numerals import compact, plain, signed
 from orthoglide.observations import source
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 from orthoglide.observations.arrays import numbered
@@ -145,7 +145,7 @@ def _slipped(problem: Problem, fault: Fault) -> str:
     k, row = places(problem, fault.rows)[0]
     given = problem.factors[k].readings
     unit = given.setups[given.setup[row]].observation.unit
-    off = f"{'+' * (fault.size > 0)}{compact(fault.size * 1e3)}"
+    off = compact(fault.size * 1e3, plus=True)
     what = f"the reading {compact(given.reading[row] * 1e3, 6)} {unit} is {off} {unit}"
     if given.by_point:
         what = f"the point is {abs(fault.size) * 1e3:.3g} {unit}"
@@ -166,7 +166,7 @@ def _slipped(problem: Problem, fault: Fault) -> str:
 
 def _clause(problem: Problem, fault: Fault) -> str:
     """What a fault looks like, and what to do about it."""
-    first = f"{problem.measured[fault.rows[0]] * 1e3:.6g} mm"
+    first = f"{compact(problem.measured[fault.rows[0]] * 1e3, 6)} mm"
     up = f"{abs(fault.size) * 1e3:.3g} mm {'higher' if fault.size > 0 else 'lower'}"
     match fault.kind:
         case "outlier":
@@ -205,8 +205,9 @@ def _clause(problem: Problem, fault: Fault) -> str:
             given = problem.factors[k].readings
             unit = given.setups[given.setup[row]].observation.unit
             return (
-                f"from here on the same places read about {fault.size * 1e3:.2g} {unit} otherwise "
-                f"than before, as if the instrument, or what it stands on, had been moved, or "
+                f"from here on the same places read about {compact(fault.size * 1e3, 2)} {unit} "
+                "otherwise than before, as if the instrument, or what it stands on, had been "
+                "moved, or "
                 f"drifted: give the rows from there on a setup name of their own, as is done here, "
                 f"or measure the setup again{_or_lost(problem, k, int(given.setup[row]))}"
             )
@@ -272,7 +273,7 @@ def _mislabelled(problem: Problem, fault: Fault) -> str:
 def _turned(fault: Fault) -> str:
     """By how much readings are off, and which hand tells."""
     ends = sorted({min(fault.sizes), max(fault.sizes)})
-    by = " to ".join(f"{size * 1e3:+.3g}" for size in ends)
+    by = " to ".join(compact(size * 1e3, plus=True) for size in ends)
     count = len(fault.rows)
     return (
         f"{f'these {count} readings are' if count > 1 else 'this reading is'} {by} mm off the "
@@ -287,7 +288,7 @@ def _zeroed(problem: Problem, fault: Fault) -> str:
     said: dict[str, list[str]] = {}
     for rows, size in zip(datums(problem, fault), fault.sizes, strict=True):
         by = said.setdefault(problem.setups[problem.setup_of_row[rows[0]]].name, [])
-        by.append(f"{size * 1e3:+.3f} mm at repeat {repeat[rows[0]]}")
+        by.append(f"{signed(size * 1e3, 3)} mm at repeat {repeat[rows[0]]}")
     several = len(said) > 1
     each = "; ".join(f"{name}: " * several + ", ".join(by) for name, by in said.items())
     return (
@@ -304,10 +305,13 @@ def _commanded(problem: Problem, fault: Fault) -> str:
     spec, said = problem.machine.spec, []
     for drive, size in fault.commands:
         meant = written + size * np.eye(3)[drive]
-        text = f"rho_{LEGS[drive]} = {meant[drive] * 1e3:.2f} mm where {written[drive] * 1e3:.8g}"
+        text = f"rho_{LEGS[drive]} = {plain(meant[drive] * 1e3, 2)} mm where "
+        text += compact(written[drive] * 1e3, 8)
         if spec.controller != Controller():
             both = spec.controller.from_rho(np.stack([meant, written]), spec.geometry)[:, drive]
-            text += f" (the controller's {both[0] * 1e3:.2f} where {both[1] * 1e3:.8g})"
+            text += (
+                f" (the controller's {plain(both[0] * 1e3, 2)} where {compact(both[1] * 1e3, 8)})"
+            )
         said.append(f"{text} is written")
     text = (
         f"the readings of this posture fit with {', or with '.join(said)}: look up the command, "

@@ -17,7 +17,7 @@ from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.notes import Note
-from orthoglide.numerals import ByUnit
+from orthoglide.numerals import ByUnit, with_sigma
 from orthoglide.result.fits import CrossCheck, Verification, WeakDirection
 from orthoglide.units import Unit
 
@@ -166,7 +166,8 @@ class Estimate(Framed):
         lines = []
         for name, value in self.values.items():
             unit, sigma = self.unit(name), self.sigmas[name]
-            text = f"{name:<24} {value / unit.si:+.4g} +- {sigma / unit.si:.2g} {unit.name}"
+            size = with_sigma(value / unit.si, sigma / unit.si, most=9)
+            text = f"{name:<24} {size} {unit.name}"
             lines.append(text + ("   (on its bound)" if name in self.on_bound else ""))
         s = self.scores
         known = np.isfinite(s.deviation_rms)

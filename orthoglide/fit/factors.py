@@ -22,6 +22,7 @@ from orthoglide.fit.roughness import LOUD, roughness
 from orthoglide.geometry import Array
 from orthoglide.instruments import Beliefs, Frame, Stand, Taken
 from orthoglide.machine import Machine
+from orthoglide.numerals import plain
 from orthoglide.observations import Readings, source
 from orthoglide.observations.approach import Ints
 from orthoglide.observations.arrays import numbered
@@ -284,7 +285,8 @@ class Factor:
             name = r.setups[r.setup[k]].name
             said.append(
                 f"{source(r)}, line {r.line[k]}, setup {name!r}: the touch at x "
-                f"{p[k, 0] * 1e3:.0f}, y {p[k, 1] * 1e3:.0f} mm is {abs(off):.2f} mm {where} the "
+                f"{plain(p[k, 0] * 1e3, 0)}, y {plain(p[k, 1] * 1e3, 0)} mm is {abs(off):.2f} mm "
+                f"{where} the "
                 f"surface of all others, as a speck on the plate or a bad touch is, and does not "
                 f"count: clean the plate and probe again"
             )

@@ -27,6 +27,7 @@ from orthoglide.instruments.observation import (
     vector,
 )
 from orthoglide.instruments.placing import frame_of
+from orthoglide.numerals import plain
 
 HELD_SD = 0.02
 """How well a dial that is held at the tool points along its direction, radians: a degree."""
@@ -103,7 +104,8 @@ class Coordinate(Observation):
         if angle > _ASKEW * HELD_SD:
             yield (
                 f"by its readings it points {np.rad2deg(angle):.1f} degrees beside "
-                f"{LEGS[axis[0]]} (along {', '.join(f'{v:.3f}' for v in along)}), and is taken so: "
+                f"{LEGS[axis[0]]} (along {', '.join(plain(v, 3) for v in along)}), and is taken "
+                "so: "
                 f"look how it is held, and whether the direction in the file is right",
                 "askew",
             )

@@ -9,6 +9,7 @@ import numpy as np
 from orthoglide.effects import Catalogue
 from orthoglide.errors import FileError, InputError, check_by_name
 from orthoglide.machine_file.model import MachineFile, ParameterValue
+from orthoglide.numerals import compact
 
 _ABSURD = 500.0  # tolerances: so large is a value in another unit, a thousandth of SI
 _LONG = 0.1  # of a bar: no length is off by so much
@@ -31,7 +32,8 @@ def check_sizes(spec: MachineFile, values: Mapping[str, float]) -> None:
         length = _LONG * spec.geometry.L if unit.name == "mm" else np.inf
         if abs(value) > min(_ABSURD * tolerance, length):
             raise InputError(
-                f"{name} = {value / unit.si:g}{unit.behind} is {abs(value) / tolerance:.0f} times "
+                f"{name} = {compact(value / unit.si, 6)}{unit.behind} is "
+                f"{abs(value) / tolerance:.0f} times "
                 f"its tolerance of {tolerance / unit.si:g}{unit.behind}: is it meant in another "
                 f"unit? Python takes SI, files what the parameter's unit says"
             )

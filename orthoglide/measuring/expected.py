@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
+from orthoglide.numerals import plain
 from orthoglide.observations import Readings
 from orthoglide.observations.checks import DIAL_RANGE
 from orthoglide.planning.designs import shown_names
@@ -73,7 +74,7 @@ class Expected:
         if abs(reading - mean) <= _BEYOND * sd:
             return "", True
         if before := [value for k, value in same.items() if self.station[k] == self.station[row]]:
-            listed = ", ".join(f"{value * 1e3:.3f}" for value in before)
+            listed = ", ".join(plain(value * 1e3, 3) for value in before)
             return (
                 f"it is out of step with its repeats: this dial showed {listed} here before",
                 True,
@@ -81,5 +82,5 @@ class Expected:
         low, high = ((mean + side * _BEYOND * sd) * 1e3 for side in (-1, 1))
         return (
             f"after the readings before it, and with the tolerances of this machine, it should lie "
-            f"between {low:.2f} and {high:.2f}"
+            f"between {plain(low, 2)} and {plain(high, 2)}"
         ), True

@@ -17,6 +17,7 @@ from orthoglide.geometry import Array
 from orthoglide.instruments import AT_TOOL, BESIDE, OBSERVATIONS, TURNED
 from orthoglide.machine_file import MachineFile
 from orthoglide.notes import Note
+from orthoglide.numerals import compact, plain
 from orthoglide.observations.approach import MOVED, Ints
 from orthoglide.observations.notices import HARDLY, NO_READING, NOTICES, hardly
 from orthoglide.observations.readings import Readings
@@ -70,7 +71,7 @@ def check_commands(values: Array, travelled: bool, machine: MachineFile, fail: F
         fail(
             f"the command's values are {whose}: name the columns {other}_{names[0]}_mm to "
             f"{other}_{names[2]}_mm, or give {'travel' if travelled else 'rho'} "
-            f"{', '.join(f'{value * 1e3:.9g}' for value in meant)} mm",
+            f"{', '.join(compact(value * 1e3, 9) for value in meant)} mm",
             row,
         )
     axis = int(np.argmin(geometry.in_stroke(rho_of(given, travelled), STROKE_SLACK)))
@@ -79,8 +80,10 @@ def check_commands(values: Array, travelled: bool, machine: MachineFile, fail: F
         limits = controller.from_rho(limits, geometry)
     low, high = sorted(limits[:, axis] * 1e3)
     fail(
-        f"the command {given[axis] * 1e3:.9g} mm of axis {names[axis]} is outside its stroke of "
-        f"{low:g} to {high:g} mm: correct it, or the stroke in the machine file",
+        f"the command {compact(given[axis] * 1e3, 9)} mm of axis {names[axis]} is outside its "
+        "stroke "
+        f"of {compact(low, 6)} to {compact(high, 6)} mm: correct it, or the stroke in the machine "
+        "file",
         row,
     )
 
@@ -255,8 +258,8 @@ def _gauges(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
             row = int(off[0])
             low, high = (tip[row] - machine.geometry.L) * 1e3, tip[row] * 1e3
             fail(
-                f"the gauge at {gauge[row] * 1e3:g} mm is off the leg, which runs from {low:.1f} "
-                f"to {high:.1f} mm: correct {column} or the command",
+                f"the gauge at {compact(gauge[row] * 1e3, 6)} mm is off the leg, which runs from "
+                f"{plain(low, 1)} to {plain(high, 1)} mm: correct {column} or the command",
                 row,
             )
 
@@ -325,7 +328,8 @@ def _dial(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
         if np.ptp(every) > limit:
             row = rows[np.argmax(np.abs(reading - np.median(every)))]
             fail(
-                f"reading_mm is {campaign.reading[row] * 1e3:g} in setup {setup.name!r}, whose "
+                f"reading_mm is {compact(campaign.reading[row] * 1e3, 6)} in setup "
+                f"{setup.name!r}, whose "
                 f"readings span {np.ptp(every) * 1e3:.4g} mm{' from 0' if datum else ''}, more "
                 "than its leg can move: correct a slip, or give millimetres",
                 int(row),

@@ -9,6 +9,7 @@ import numpy as np
 from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile
 from orthoglide.notes import Note
+from orthoglide.numerals import compact
 from orthoglide.observations.approach import impossible_approach
 from orthoglide.observations.readings import Readings
 from orthoglide.observations.schema import APPROACH, SIGMAS, TEMPERATURE, TIME
@@ -71,7 +72,7 @@ def _gauges_with_r(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
     gauge = np.array([place for s in campaign.setups for place in s.gauges])
     beyond = gauge[:, None] - np.multiply(_USUAL, length)
     if r > _RULED and (np.abs(beyond - r) <= _RULED).any(axis=1).all():
-        places = " and ".join(f"{place * 1e3:g}" for place in np.unique(gauge))
+        places = " and ".join(compact(place * 1e3, 6) for place in np.unique(gauge))
         yield Note(
             f"gauge_mm is {places} mm, which is half or a quarter of L with r = {r * 1e3:g} mm "
             "added: it is counted with r removed, as commands are; take r away unless the dials "

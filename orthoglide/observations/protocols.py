@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from orthoglide.errors import InputError, check_word
 from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.instruments import Parallelism, Setup
+from orthoglide.numerals import compact
 from orthoglide.observations.approach import Moves, derive_approach, overshoot
 from orthoglide.observations.readings import Readings
 from orthoglide.text import MACHINE
@@ -217,7 +218,8 @@ def _check_on_leg(
     place = geometry.L * np.array([share for shares in gauges for share in shares])
     if place.min() <= max(travel) or place.max() >= geometry.L + min(travel):
         raise InputError(
-            f"between travel {min(travel) * 1e3:g} and {max(travel) * 1e3:g} mm a leg of "
+            f"between travel {compact(min(travel) * 1e3, 6)} and {compact(max(travel) * 1e3, 6)} "
+            "mm a leg of "
             f"{geometry.L * 1e3:g} mm moves past a dial set between "
             f"{place.min() * 1e3:.1f} and {place.max() * 1e3:.1f} mm along it: give "
             f"a shorter stroke in the machine file"

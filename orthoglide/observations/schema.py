@@ -22,6 +22,7 @@ from orthoglide.instruments import (
     LegDial,
     Observation,
 )
+from orthoglide.numerals import compact
 from orthoglide.quantities import Kind
 from orthoglide.units import MM, NOISE, ONE, RAD, Unit
 
@@ -51,7 +52,9 @@ def number(unit: Unit = ONE, low: float = -_LARGEST, high: float = _LARGEST) -> 
                 raise ValueError("not a finite number: measure again, or remove the row")
             raise ValueError("not a number: write it like 12.34, without its unit")
         if not low <= float(cell) <= high:
-            raise ValueError(f"which is out of range: give a number from {low:g} to {high:g}")
+            raise ValueError(
+                f"which is out of range: give a number from {compact(low, 6)} to {compact(high, 6)}"
+            )
         return units.to_si(cell, unit.si)
 
     def write(value: float) -> str:
@@ -59,7 +62,10 @@ def number(unit: Unit = ONE, low: float = -_LARGEST, high: float = _LARGEST) -> 
 
     unlimited = (low, high) == (-_LARGEST, _LARGEST)
     return Kind(
-        "a number" if unlimited else f"{low:g} to {high:g}", read, write, unit.behind.strip()
+        "a number" if unlimited else f"{compact(low, 6)} to {compact(high, 6)}",
+        read,
+        write,
+        unit.behind.strip(),
     )
 
 

@@ -234,7 +234,7 @@ class Repeats:
 
     def __str__(self) -> str:
         wanted, sigma, floor = (v / self.unit.si for v in (self.wanted, self.sigma, self.floor))
-        asked = f"{self.what}: sigma {wanted:.3g}{self.unit.behind}"
+        asked = f"{self.what}, tolerances as priors: sigma {wanted:.3g}{self.unit.behind}"
         if self.repeats is None:
             return (
                 f"{asked} is out of reach of repeats: {sigma:.3g} with one visit, {floor:.3g} with "

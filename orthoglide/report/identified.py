@@ -13,6 +13,7 @@ from orthoglide.parameters import Parameter
 from orthoglide.result import Result, WeakDirection
 from orthoglide.text import listed
 
+_ALONE = "one sigma of the readings alone, without priors"
 _HARDLY = 0.95  # ratio of deviations above which they "hardly change"
 _UNSEEN = 0.9  # ratio of a sigma to the tolerance above which the readings add nothing
 _MOST_NAMED = 2  # parameters beyond the base model, or weak directions, that are named one by one
@@ -152,7 +153,7 @@ def _together(weak: list[WeakDirection], legs: list[str]) -> str:
     text = (
         f"The readings cannot tell the joint offset from the leg length of leg {listed(legs)}: "
         f"where both grow by the same amount, by as much as {compact(widest.sigma, 2)} "
-        f"{widest.unit} (one sigma), hardly a reading changes. Their difference is what is seen."
+        f"{widest.unit} ({_ALONE}), hardly a reading changes. Their difference is what is seen."
     )
     return text + _narrowed(widest)
 
@@ -160,7 +161,7 @@ def _together(weak: list[WeakDirection], legs: list[str]) -> str:
 def _several(weak: list[WeakDirection], catalogue: Catalogue) -> str:
     widest = best_of(weak, lambda w: w.sigma)
     effects = _effects((name for one in weak for name in one.parameters), catalogue)
-    size = f"{compact(widest.sigma, 2)} {widest.unit} (one sigma)"
+    size = f"{compact(widest.sigma, 2)} {widest.unit} ({_ALONE})"
     return (
         f"The readings hardly see {len(weak)} combinations of {effects}: along one of them the "
         f"values may change by {'any amount' if math.isinf(widest.sigma) else size}, and hardly a "
@@ -178,8 +179,8 @@ def _general(weak: WeakDirection, catalogue: Catalogue) -> str:
     if math.isinf(weak.sigma):
         return f"{text} may change by any amount, and no reading changes.{_narrowed(weak)}"
     return (
-        f"{text} may change by {compact(weak.sigma, 2)} {weak.unit} (one sigma), and hardly a "
-        f"reading changes.{_narrowed(weak)}"
+        f"{text} may change by {compact(weak.sigma, 2)} {weak.unit} ({_ALONE}), and "
+        f"hardly a reading changes.{_narrowed(weak)}"
     )
 
 

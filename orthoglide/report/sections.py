@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import base64
 import math
-import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -191,7 +190,6 @@ _AIMS = {
     "narrow": "To determine weakly seen values better",
     "trace": "To trace the residual",
 }
-_MINUS = re.compile(r"(?<=\s)-(?=\d)")
 
 
 def following(result: Result, sheet: str) -> Data:
@@ -199,18 +197,14 @@ def following(result: Result, sheet: str) -> Data:
     suggested, by_aim = result.next_measurements, dict[str, list[str]]()
     for one in suggested:
         if one.readings:
-            by_aim.setdefault(_AIMS[one.aim], []).append(_reason(one.reason))
+            by_aim.setdefault(_AIMS[one.aim], []).append(sentence(one.reason))
     data = base64.b64encode(sheet.encode()).decode()
     return {
         "suggestions": by_aim,
-        "others": [_reason(s.reason) for s in suggested if s.other_instrument and not s.hopeless],
-        "hopeless": [_reason(s.reason) for s in suggested if s.hopeless],
+        "others": [sentence(s.reason) for s in suggested if s.other_instrument and not s.hopeless],
+        "hopeless": [sentence(s.reason) for s in suggested if s.hopeless],
         "link": f"data:text/csv;charset=utf-8;base64,{data}" if sheet else "",
     }
-
-
-def _reason(text: str) -> str:
-    return sentence(_MINUS.sub("−", text))
 
 
 def workspace(result: Result, space: Workspace, figures: Figures) -> Data:

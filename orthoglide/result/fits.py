@@ -11,7 +11,7 @@ import numpy as np
 
 from orthoglide.geometry import Array
 from orthoglide.notes import Note
-from orthoglide.numerals import ByUnit
+from orthoglide.numerals import ByUnit, signed
 from orthoglide.result.codec import SHORT, Key, Metres, encoded
 
 _FEW = 3  # digits of figures that are rounding themselves
@@ -151,7 +151,7 @@ class WeakDirection:
     unit: str  # of both
 
     def __str__(self) -> str:
-        along = " ".join(f"{share:+.2f} {name}" for name, share in self.parameters.items())
+        along = " ".join(f"{signed(share, 2)} {name}" for name, share in self.parameters.items())
         seen = math.isfinite(self.sigma)
         size = f"sigma {self.sigma:.2g} {self.unit}" if seen else "nothing is seen"
         prior = f", with the tolerances as priors {self.sigma_with_priors:.2g} {self.unit}"

@@ -15,6 +15,7 @@ from orthoglide import files
 from orthoglide.errors import FileError
 from orthoglide.foreign import refuse_foreign
 from orthoglide.notes import Note
+from orthoglide.numerals import compact
 from orthoglide.text import shown
 
 _SAVED = "#*#"
@@ -122,7 +123,11 @@ class Section:
                 f"unit",
             )
         if not (math.isfinite(value) and low < value < high):
-            self.fail(key, f"is {text[:40]}, out of the range from {low:g} to {high:g}: correct it")
+            self.fail(
+                key,
+                f"is {text[:40]}, out of the range from {compact(low, 6)} to {compact(high, 6)}: "
+                "correct it",
+            )
         return value
 
 

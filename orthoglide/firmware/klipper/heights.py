@@ -19,7 +19,7 @@ from orthoglide.firmware.klipper.config import Config, Section
 from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
 from orthoglide.geometry import Array, plane_columns
 from orthoglide.instruments import PRINTED, Distance, PlateTouch
-from orthoglide.numerals import signed
+from orthoglide.numerals import compact, plain, signed
 
 CALIPER, RIM = 5e-5, 1e-4
 """Repeatability of a caliper's distance, metres; around the rim only one of two pillars' widths is
@@ -192,8 +192,9 @@ def _plausible(config: Config, numbers: Numbers, read: _List, p: Array) -> NDArr
         config.note(
             "readings",
             f"left out: {at.file}, line {at.line}: [delta_calibrate] {read.keys[k]} is "
-            f"{value * 1e3:g} mm, where the stored numbers give {(value + miss[k]) * 1e3:.1f} mm "
-            f"at its stored position: they are of different times, or it is mistyped or in another "
+            f"{compact(value * 1e3, 6)} mm, where the stored numbers give "
+            f"{plain((value + miss[k]) * 1e3, 1)} mm at its stored position: they are of "
+            "different times, or it is mistyped or in another "
             f"place of DELTA_ANALYZE's list",
         )
     return np.asarray(good)
@@ -245,7 +246,8 @@ def _heights(config: Config, read: _List, travel: Array, since: float) -> Iterat
             config.note(
                 "heights",
                 f"the heights of [delta_calibrate] were stored with a z_offset of "
-                f"{stored * 1e3:g} mm, and it is {offset * 1e3:g} mm now: the nozzle may end "
+                f"{compact(stored * 1e3, 6)} mm, and it is {compact(offset * 1e3, 6)} mm now: the "
+                "nozzle may end "
                 f"{abs(stored - offset) * 1e3:.2g} mm too high or too low; run DELTA_CALIBRATE "
                 f"again",
             )
