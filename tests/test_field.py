@@ -31,6 +31,7 @@ def test_seven_touches_far_beyond_their_noise_are_unexplained(file: str) -> None
     assert "read it again" in verdict.actions[0].words
 
 
+@pytest.mark.thorough
 def test_a_mistyped_distance_is_a_slip() -> None:
     verdict = closed("distance-mistyped", "printer.cfg")
     (slip,) = verdict.blunders

@@ -315,7 +315,7 @@ def test_nothing_is_said_of_repeats_as_declared_or_that_declare_themselves() -> 
     assert "where 0.005 was declared: correct what was declared" in note
 
 
-@pytest.mark.thorough(except_for=["1.2e-05"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [1.2e-5, 3e-5])
 def test_noise_declared_too_small_is_said_and_the_machine_is_not_blamed(size: float) -> None:
     """Six times the declared noise was told as dials and bars that change with time."""

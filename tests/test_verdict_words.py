@@ -26,6 +26,7 @@ def campaign_of(rig: Rig, seed: int = 3) -> og.Campaign:
     return og.Campaign.from_frame({key: [row[key] for row in rows] for key in rows[0]}, name="c")
 
 
+@pytest.mark.thorough
 def test_a_verdict_and_its_table_agree() -> None:
     """Two places far apart fit, the base of each elsewhere: their mean had fitted as neither does.
 
