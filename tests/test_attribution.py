@@ -1,6 +1,7 @@
 """The truth table in short: effects that nobody declared are found in readings of the rig."""
 
 import math
+from functools import cache
 
 import pytest
 
@@ -13,6 +14,7 @@ from benchmarks.attribution_table import tables
 SEED = 0
 
 
+@cache
 def ended(case: Case) -> Record:
     record = run(case, SEED)
     assert record["word"] not in ("error", "crash"), record["message"]

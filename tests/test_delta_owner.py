@@ -3,12 +3,14 @@
 import json
 import re
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import orthoglide as og
 from benchmarks.delta_readings import INSTRUMENTS, measured
 from benchmarks.delta_truth import machine as nominal
 from benchmarks.deltas import forty_one_points
@@ -202,16 +204,22 @@ def v400(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
-    mesh, machine = v400 / "mesh-default_25Probe.csv", v400 / "machine.toml"
-    told = run("close-loop", mesh, "--machine", machine, "--out", tmp_path / "out")
+@pytest.fixture(scope="module")
+def mesh_closed(v400: Path) -> tuple[str, Path]:
+    """What closing the loop on a mesh prints, and the folder of its result."""
+    mesh, out = v400 / "mesh-default_25Probe.csv", v400.parent / "closed"
+    return run("close-loop", mesh, "--machine", v400 / "machine.toml", "--out", out), out
+
+
+def test_a_mesh_is_told_in_the_owners_words(mesh_closed: tuple[str, Path]) -> None:
+    told, out = mesh_closed
     left = re.search(r"residuals, rms, mm ([\d.]+) ([\d.]+) ([\d.]+)", told)
     assert left is not None
     assert float(left[2]) > 0.05 > 0.032 > float(left[3])
     assert "the towers lean and their carriages with them, all by" in told
     assert "three lobes 0.12 mm high, one of them toward 60 degrees" in told
-    result = json.loads((tmp_path / "out" / "result.json").read_text())
-    page = (tmp_path / "out" / "report.html").read_text()
+    result = json.loads((out / "result.json").read_text())
+    page = (out / "report.html").read_text()
     text = " ".join(re.sub(r"<(style|script|svg).*?</\1>|<[^>]+>", " ", page, flags=re.S).split())
     assert re.search(r"- Test the [1-9]\d* other causes above in the same way\.", told)
     rivals = [rival["words"] for effect in result["effects"] for rival in effect["rivals"]]
@@ -238,6 +246,52 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
     )
     assert "Where no reading helps" not in text
     assert "First the carriage offsets, tower offsets and rod lengths were identified" in text
+
+
+def test_a_mesh_ends_in_a_class_and_in_numbers_for_the_firmware(
+    mesh_closed: tuple[str, Path],
+) -> None:
+    """FLSUN V400: six numbers leave 0.05 mm; tilted towers and the bed share what is left."""
+    _, done = mesh_closed
+    told = json.loads((done / "result.json").read_text())
+    assert told["before"]["rms_mm"] == pytest.approx(0.052, abs=0.002)
+    assert told["after"]["rms_mm"] < 0.032
+    assert told["verdict"] == "ambiguous"
+    names = {n for e in told["effects"] for n in (e["name"], *e["indistinguishable_from"])}
+    assert {"plate_trefoil.default_25Probe.cos", "rail_tilt.tangential.common",
+            "axis_tilt.tangential.common"} <= names  # fmt: skip
+    firmware = told["firmware"]
+    assert "Measure the rods" in firmware["first"]
+    assert firmware["old"]["delta_radius_mm"] == 162.820595
+    assert firmware["height_rms_mm"][1] < firmware["height_rms_mm"][0]
+    reasons = " ".join(s["reason"] for s in told["next_measurements"])
+    assert "turned by 60 degrees" in reasons
+    assert "level at the tool" in reasons
+    first, tells = told["next_measurements"][0]["reason"], '"the plate of default_25Probe has'
+    assert "measure distances" in first  # a level turns neither of the two likeliest
+    assert f'{tells} three high and three low sides" from "the paths of the carriages' in first
+    sheet = "orthoglide design --owns distance --machine machine.toml --out distance.csv"
+    assert sheet in next(a["words"] for a in told["actions"] if a["action"] == "measure")
+    page = (done / "report.html").read_text()
+    assert sheet in unescape(page)
+    assert "To undo" in page
+    assert "Numbers for the firmware" in page
+    before_verdict, _, rest = page.partition("<main>")[2].partition('<p class="word')
+    assert "The arms that the firmware stores" in before_verdict
+    assert rest
+    assert "The arms that the firmware stores" not in rest.partition("<section")[0]
+    calibrated = Machine.load(done / "calibrated.toml")
+    assert calibrated.spec.provenance["klipper"]["delta_radius_mm"] == 162.820595
+    exported = og.controller_numbers(calibrated)
+    kept = {"old", "new", "height_rms_mm", "keep_old_because", "left_of_readings"} & set(firmware)
+    assert exported.as_dict()["firmware"] == {key: firmware[key] for key in kept}
+    assert exported.to_frame().loc["[stepper_a] position_endstop", "new"] == pytest.approx(
+        firmware["new"]["position_endstop_mm"][0], abs=1e-6
+    )
+    for told_there in (exported.text(), page):
+        assert f"delta_radius: {firmware['new']['delta_radius_mm']:.6f}" in told_there
+        assert "below the header of SAVE_CONFIG (#*#)" in unescape(told_there)
+        assert "zeros" not in told_there.split("Numbers for the firmware")[1].split("To undo")[0]
 
 
 @pytest.mark.thorough

@@ -35,6 +35,7 @@ def test_seven_touches_far_beyond_their_noise_are_unexplained(file: str) -> None
     assert "read it again" in verdict.actions[0].words
 
 
+@pytest.mark.thorough
 def test_a_mistyped_distance_is_a_slip() -> None:
     verdict = closed("distance-mistyped", "printer.cfg")
     (slip,) = verdict.blunders
@@ -158,7 +159,7 @@ def test_rods_that_were_measured_are_no_cause_any_more() -> None:
         parse_machine_file(file.replace("[272.0, 0.1]", "[2720.0, 0.1]"))
 
 
-@pytest.mark.parametrize("rods", [268.0, 272.0])
+@pytest.mark.parametrize("rods", [pytest.param(268.0, marks=pytest.mark.thorough), 272.0])
 def test_new_numbers_keep_to_rods_that_were_measured(rods: float) -> None:
     found = og.import_printer(FIELD / "rods-entered-4mm-short" / "printer-with-mesh.cfg")
     file = machine_text(found.machine) + f"\n[measured]\nrods_mm = [{rods}, 0.05]\n"

@@ -301,63 +301,6 @@ def test_an_endstop_that_is_off_is_told_with_its_sign_and_what_it_costs(tmp_path
     assert "shape" not in tiles
 
 
-@pytest.mark.thorough
-def test_the_stored_mesh_ends_in_a_class(tmp_path: Path) -> None:
-    """FLSUN V400: six numbers leave 0.05 mm; tilted towers and the bed share what is left."""
-    out, done = tmp_path / "in", tmp_path / "out"
-    runner = CliRunner()
-    assert runner.invoke(cli, ["import", "klipper", str(V400), "--out", str(out)]).exit_code == 0
-    result = runner.invoke(
-        cli,
-        ["close-loop", str(out / "mesh-default_25Probe.csv"), "--machine",
-         str(out / "machine.toml"), "--out", str(done), "--quiet"],
-    )  # fmt: skip
-    assert result.exit_code == 0, result.output
-    told = json.loads((done / "result.json").read_text())
-    assert told["before"]["rms_mm"] == pytest.approx(0.052, abs=0.002)
-    assert told["after"]["rms_mm"] < 0.032
-    assert told["verdict"] == "ambiguous"
-    names = {n for e in told["effects"] for n in (e["name"], *e["indistinguishable_from"])}
-    assert {"plate_trefoil.default_25Probe.cos", "rail_tilt.tangential.common",
-            "axis_tilt.tangential.common"} <= names  # fmt: skip
-    firmware = told["firmware"]
-    assert "Measure the rods" in firmware["first"]
-    assert firmware["old"]["delta_radius_mm"] == 162.820595
-    assert firmware["height_rms_mm"][1] < firmware["height_rms_mm"][0]
-    reasons = " ".join(s["reason"] for s in told["next_measurements"])
-    assert "turned by 60 degrees" in reasons
-    assert "level at the tool" in reasons
-    first, tells = told["next_measurements"][0]["reason"], '"the plate of default_25Probe has'
-    assert "measure distances" in first  # a level turns neither of the two likeliest
-    assert f'{tells} three high and three low sides" from "the paths of the carriages' in first
-    sheet = "orthoglide design --owns distance --machine machine.toml --out distance.csv"
-    assert sheet in next(a["words"] for a in told["actions"] if a["action"] == "measure")
-    assert sheet in unescape((done / "report.html").read_text())
-    page = (done / "report.html").read_text()
-    assert "To undo" in page
-    assert "Numbers for the firmware" in page
-    before_verdict, _, rest = page.partition("<main>")[2].partition('<p class="word')
-    assert "The arms that the firmware stores" in before_verdict
-    assert rest
-    assert "The arms that the firmware stores" not in rest.partition("<section")[0]
-    calibrated = Machine.load(done / "calibrated.toml")
-    assert calibrated.spec.provenance["klipper"]["delta_radius_mm"] == 162.820595
-    exported = og.controller_numbers(calibrated)
-    assert exported.as_dict()["firmware"] == {k: firmware[k] for k in firmware_keys(firmware)}
-    assert exported.to_frame().loc["[stepper_a] position_endstop", "new"] == pytest.approx(
-        firmware["new"]["position_endstop_mm"][0], abs=1e-6
-    )
-    for told_there in (exported.text(), page):
-        assert f"delta_radius: {firmware['new']['delta_radius_mm']:.6f}" in told_there
-        assert "below the header of SAVE_CONFIG (#*#)" in unescape(told_there)
-        assert "zeros" not in told_there.split("Numbers for the firmware")[1].split("To undo")[0]
-
-
-def firmware_keys(firmware: dict[str, object]) -> set[str]:
-    kept = {"keep_old_because", "left_of_readings"}
-    return {"old", "new", "height_rms_mm", *kept} & set(firmware)
-
-
 def test_a_printer_without_readings_of_its_plate_is_given_no_numbers() -> None:
     """Zeros by a model that no touch of the plate tied to it would drive the nozzle into it."""
     machine = Machine(import_printer(V400).machine).with_parameters({"axis_tilt.a.radial": 4e-3})

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from orthoglide import reduction
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import ClosureError, FileError, InputError, OrthoglideError
 from orthoglide.geometry import Geometry
@@ -17,7 +16,6 @@ from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations import protocol
-from tests.rig import Rig
 
 NOMINAL = Machine.nominal()
 DELTA = Geometry(0.27, 0.05, 0.032, (-0.2, 0.1), LinearDelta((0.14,) * 3, tool=(0, 0, -0.04)))
@@ -32,20 +30,6 @@ CROOKED = NOMINAL.with_parameters(ERRORS)
 def commands(n: int, seed: int = 0) -> np.ndarray:
     low, high = Geometry().stroke
     return Geometry().L + np.random.default_rng(seed).uniform(low, high, (n, 3))
-
-
-def test_nominal_is_the_reduction() -> None:
-    rho = commands(200)
-    assert np.allclose(NOMINAL.forward(rho), reduction.forward(rho), rtol=0, atol=1e-12)
-    assert np.allclose(NOMINAL.pose(rho).R, np.eye(3), atol=1e-12)
-
-
-def test_with_errors_is_the_independent_machine() -> None:
-    rho = commands(50)
-    approach = np.tile([1.0, -1.0, 1.0], (50, 1))
-    pose, rig = CROOKED.pose(rho, approach=approach), Rig(errors=ERRORS).pose(rho, approach)
-    assert np.allclose(pose.p, rig.p, rtol=0, atol=2e-9)
-    assert np.allclose(pose.R, rig.R, rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("shape", [(), (1,), (4,), (2, 3), (0,)])
@@ -98,12 +82,6 @@ def test_jacobian_by_differences_under_a_load(machine: Machine) -> None:
         ends = (soft.forward(rho + side * step, load=100.0) for side in (1, -1))
         slope = np.subtract(*ends) / (2 * h)
         assert np.allclose(soft.jacobian(rho, load=100.0)[..., axis], slope, rtol=0, atol=1e-8)
-
-
-def test_nominal_jacobian_is_equation_5() -> None:
-    rho = commands(50)
-    expected = reduction.jacobians(reduction.forward(rho), rho).rho
-    assert np.allclose(NOMINAL.jacobian(rho), expected, rtol=0, atol=1e-9)
 
 
 def test_readings_differ_from_the_nominal_by_the_errors() -> None:

@@ -141,7 +141,7 @@ def the_same(
     assert len(other.blunders) == len(one.blunders)
 
 
-@pytest.mark.thorough(except_for=["all_at_once-rig-2", "in_two_files-rig-2"])
+@pytest.mark.thorough(except_for=["all_at_once-rig-2"])
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("change", CHANGES, ids=lambda f: f.__name__)
 def test_what_says_nothing_of_the_machine_changes_nothing(

@@ -51,27 +51,10 @@ def unrepeated() -> Readings:
     return whole.subset(whole.repeat == 1)
 
 
-def test_declared_for_the_run_replaces_everything() -> None:
-    noise, (rows,) = by_dial([campaign(sigma=7e-5)], Dial(repeatability=1e-6), 4e-5)
-    assert noise.source == "declared"
-    assert noise.typical == 4e-5
-    assert np.all(rows.sigma == 4e-5)
-
-
 @pytest.mark.parametrize("bad", [0.0, -1e-5, float("nan"), float("inf"), 5e-3])
 def test_declared_noise_is_some_instruments(bad: float) -> None:
     with pytest.raises(InputError, match=r"deviation in metres, from 1e-09 to 0\.001, not"):
         by_dial([campaign()], EXACT, bad)
-
-
-def test_declared_by_row() -> None:
-    sigma = np.linspace(1e-5, 5e-5, len(campaign()))
-    noise, (rows,) = by_dial(
-        [replace(campaign(), sigma=sigma)], Dial(resolution=0.0, repeatability=1e-6)
-    )
-    assert noise.source == "declared"
-    assert np.array_equal(rows.sigma, sigma)
-    assert noise.typical == pytest.approx(np.sqrt(np.mean(sigma**2)))
 
 
 def caution(estimate: og.Estimate | Fit) -> str:
@@ -114,24 +97,10 @@ def test_noise_declared_about_right_is_not_doubted(seed: int) -> None:
         assert not caution(og.identify(read, noise=noise))
 
 
-def test_rows_without_a_sigma_take_the_machines() -> None:
-    half = replace(campaign(), sigma=np.where(np.arange(len(campaign())) % 2, 9e-5, np.nan))
-    noise, (rows,) = by_dial([half], Dial(resolution=0.0, repeatability=1e-6))
-    assert noise.source == "machine"
-    assert set(np.unique(rows.sigma)) == {1e-6, 9e-5}
-
-
 def test_machine_adds_what_the_dial_rounds_away() -> None:
     noise, _ = by_dial([unrepeated()], Dial(resolution=3e-5, repeatability=1e-5))
     assert noise.source == "machine"
     assert noise.typical == pytest.approx(np.sqrt(1e-10 + 9e-10 / 12))
-
-
-def test_repeats_tell_the_noise() -> None:
-    noise, _ = by_dial([campaign()], EXACT)
-    assert noise.source == "repeats"
-    # 252 readings at 84 stations; both sides of the sweep's way count as one where they agree.
-    assert noise.typical == pytest.approx(SPREAD, rel=0.15)
 
 
 def test_a_slow_drift_is_no_noise() -> None:
@@ -247,8 +216,8 @@ def test_a_step_is_never_made_up() -> None:
     assert set(steps(still.with_readings(metres))) == {1e-5}
     sheet, rng = protocol("standard"), np.random.default_rng(0)
     once = sheet.subset(sheet.repeat == 1)
-    drawn = 1e-5 * rng.integers(0, 20, (2000, len(once)))
-    assert sum(set(steps(once.with_readings(d))) != {1e-5} for d in drawn) <= 4
+    drawn = 1e-5 * rng.integers(0, 20, (500, len(once)))
+    assert sum(set(steps(once.with_readings(d))) != {1e-5} for d in drawn) <= 1
 
 
 def test_the_noise_of_a_coarse_dial_has_its_rounding() -> None:
@@ -346,7 +315,7 @@ def test_nothing_is_said_of_repeats_as_declared_or_that_declare_themselves() -> 
     assert "where 0.005 was declared: correct what was declared" in note
 
 
-@pytest.mark.thorough(except_for=["1.2e-05"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [1.2e-5, 3e-5])
 def test_noise_declared_too_small_is_said_and_the_machine_is_not_blamed(size: float) -> None:
     """Six times the declared noise was told as dials and bars that change with time."""

@@ -40,14 +40,15 @@ from tests.rig_delta import DeltaRig
 KINDS = list(OBSERVATIONS)
 every = pytest.mark.parametrize(("kind", "layout"), CASES, ids=[f"{k}-{w}" for k, w in CASES])
 
-# Every kind on one layout in the first tier, and on the other one in the thorough one.
+# Every kind on one layout in the first tier, the layouts in turn, and on both in the thorough one.
+LAYOUTS = [[w for k, w in CASES if k == kind] for kind in KINDS]
+FIRST = {
+    (kind, own[k % len(own) - 1]) for k, (kind, own) in enumerate(zip(KINDS, LAYOUTS, strict=True))
+}
 ONCE = [
-    pytest.param(
-        kind, layout, id=f"{kind}-{layout}",
-        marks=[] if layout == [w for k, w in CASES if k == kind][-1] else pytest.mark.thorough,
-    )
-    for kind, layout in CASES
-]  # fmt: skip
+    pytest.param(*case, id="-".join(case), marks=[] if case in FIRST else pytest.mark.thorough)
+    for case in CASES
+]
 once = pytest.mark.parametrize(("kind", "layout"), ONCE)
 
 

@@ -75,6 +75,7 @@ def test_a_bump_is_found_again_by_its_name(at: float) -> None:
     assert [str(name) for name in motions] == [str(name) for name in place.effect.motions]
 
 
+@pytest.mark.thorough
 def test_a_dial_that_is_wrong_at_one_reading_is_named_or_rivals_the_command() -> None:
     """Its rows were set aside as those of a wrong command."""
     errors = {"joint_offset.x": 8e-4, "joint_offset.y": -1.5e-3, "axis_tilt.x.y": 1e-3}

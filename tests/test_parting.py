@@ -110,6 +110,7 @@ def test_a_dial_is_told_from_a_rail_by_another_dial() -> None:
     assert one.reason.endswith("; take another dial for them than before")
 
 
+@pytest.mark.thorough
 def test_places_of_a_delta_are_parted_by_what_one_may_own() -> None:
     rig = DeltaRig(bends={"a": lambda s: (5e-5 * np.sin(2 * np.pi * s / 0.2), 0.0, 0.0)})
     rng = np.random.default_rng(3)

@@ -25,7 +25,7 @@ shifts = arrays(float, 3, elements=st.floats(-0.004, 0.004))
 # For differences: the corner (60, 60, 60) of the stroke is 10 mm from a singular posture.
 inner = arrays(float, 3, elements=st.floats(-0.100, 0.045))
 legs = st.integers(0, 2)
-properties = settings(max_examples=60, deadline=None)
+properties = settings(max_examples=25, deadline=None)
 
 
 def cycle(x, axis=-1):

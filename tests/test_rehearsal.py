@@ -145,6 +145,7 @@ def alone() -> Rehearsal:
     return og.rehearse(og.Machine.load(MACHINE), "standard", 3, seed=2)
 
 
+@pytest.mark.thorough
 def test_campaigns_are_the_same_whatever_the_workers(alone: Rehearsal) -> None:
     two = og.rehearse(og.Machine.load(MACHINE), "standard", 2, seed=2, jobs=2)
     assert [replace(t, seconds=0.0).as_dict() for t in two.campaigns] == [

@@ -30,6 +30,7 @@ def wave(travel: float) -> float:
     return float(np.sin(2 * np.pi * travel / PERIOD + 1.0))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("part", "direction", "size", "instrument", "words"),
     [

@@ -207,14 +207,6 @@ def test_order_and_size_of_a_batch_do_not_matter() -> None:
     assert engine.tangent(travel[:0], moves[:0])[1].shape == (0, OUTPUTS, 33)
 
 
-def test_a_machine_takes_commands_of_any_shape() -> None:
-    rho, machine = commands(24, 9), Machine.nominal()
-    p, J = machine.forward(rho), machine.jacobian(rho)
-    assert np.array_equal(machine.forward(rho.reshape(2, 3, 4, 3)), p.reshape(2, 3, 4, 3))
-    assert np.array_equal(machine.jacobian(rho.reshape(4, 6, 3)), J.reshape(4, 6, 3, 3))
-    assert np.array_equal(machine.forward(rho[5]), p[5])
-
-
 def test_a_posture_does_not_see_its_neighbours() -> None:
     """Also where one of them needs more than the usual steps."""
     travel, moves = postures(NOMINAL, 40, 10)

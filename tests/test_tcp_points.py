@@ -57,22 +57,6 @@ def test_a_planted_machine_is_recovered(frame: Frame, missing: bool) -> None:
     np.testing.assert_allclose(found.x, again.x, atol=1e-9)
 
 
-@pytest.mark.thorough
-def test_dials_and_points_together_are_surer_than_either() -> None:
-    dials = og.read_campaign(RIG / "rig-1.csv", MACHINE.spec)
-    points = og.read_tcp(RIG / "rig-1.tcp.csv", MACHINE.spec)
-    both = og.identify([dials, points], MACHINE)
-    assert both.sigma_scale == 1.0
-    for alone in (og.identify(dials, MACHINE), og.identify(points, MACHINE)):
-        assert alone.names == both.names
-        assert all(both.sigmas[n] <= alone.sigmas[n] * (1 + 1e-9) for n in both.names)
-    keys = json.loads((RIG / "keys.json").read_text(encoding="utf-8"))["rig-1"]
-    for k, leg in enumerate("xyz"):
-        for effect in ("joint_offset", "leg_length"):
-            name, true = f"{effect}.{leg}", keys[f"{effect}_mm"][k] * 1e-3
-            assert abs(both.values[name] - true) < 4 * both.sigmas[name] + 5e-7
-
-
 def test_too_few_points_and_dials_are_refused() -> None:
     points = measured()
     few = points.subset(points.order < 2)

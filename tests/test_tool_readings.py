@@ -216,7 +216,7 @@ def test_a_plate_that_was_turned_takes_its_shape_along(tmp_path: Path) -> None:
     assert np.abs(left).max() < 1e-8
 
 
-@pytest.mark.thorough(except_for=["plate"])
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("errors", "name"),
     [
@@ -705,7 +705,7 @@ def from_both_sides(sheet: Readings, *, twice: bool) -> Readings:
     return replace(both, approach=sides, order=np.arange(1, 2 * n + 1))
 
 
-@pytest.mark.thorough(except_for=["plate-4e-05-True"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("twice", [True, False])
 @pytest.mark.parametrize("size", [4e-5, 2e-4])
 @pytest.mark.parametrize("kind", ["plate", "tcp"])
@@ -731,7 +731,7 @@ def test_repeats_of_an_instrument_are_visits_from_one_side(tmp_path: Path) -> No
     assert factor_of(visits, MACHINE).sigma == pytest.approx(2e-6, rel=1.5)
 
 
-@pytest.mark.thorough(except_for=["0.0003"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("bow", [2e-5, 1e-4, 3e-4])
 def test_a_bowed_plate_is_no_bar_far_beyond_its_tolerance(bow: float) -> None:
     """To a plate alone both look the same, and a base of wide priors would take either."""
