@@ -211,7 +211,7 @@ def mesh_closed(v400: Path) -> tuple[str, Path]:
     return run("close-loop", mesh, "--machine", v400 / "machine.toml", "--out", out), out
 
 
-def test_a_mesh_is_told_in_the_owners_words(mesh_closed: tuple[str, Path]) -> None:
+def test_a_mesh_is_told_in_the_owners_words(v400: Path, mesh_closed: tuple[str, Path]) -> None:
     told, out = mesh_closed
     left = re.search(r"residuals, rms, mm ([\d.]+) ([\d.]+) ([\d.]+)", told)
     assert left is not None
@@ -227,7 +227,7 @@ def test_a_mesh_is_told_in_the_owners_words(mesh_closed: tuple[str, Path]) -> No
     assert all(text.count(words[1:]) > 1 for words in rivals)  # among causes, and to be looked at
     assert "Measure more: to tell the causes apart" in told
     sheet = "orthoglide design --owns distance --machine {} --out distance.csv"
-    assert sheet.format(machine) in told  # where the file is, seen from here
+    assert sheet.format(v400 / "machine.toml") in told  # where the file is, seen from here
     assert sheet.format("machine.toml") in text  # whose folder nobody knows later
     assert "it tells" not in told  # that stands on the page
     assert "it tells" in text

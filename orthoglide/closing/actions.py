@@ -310,9 +310,12 @@ def _suggested(closed: Closed) -> tuple[Suggestion, ...]:
     known = closed.posterior
     sets = [(one.chosen.probability, one.data) for one in closed.effects]
     sets += [(one.members[0].probability, one.data) for one in closed.located]
-    rivals_in_data = [(data[0], p) for p, data in sets if data and known]
-    likely = [planning.deciding_visits(known, d) for d, p in rivals_in_data if d.probability > p]
-    others = [planning.deciding_visits(known, d) for d, p in rivals_in_data if d.probability <= p]
+    likely: list[Suggestion] = []
+    others: list[Suggestion] = []
+    for probability, (fault, *_) in (one for one in sets if one[1]):
+        if known is not None:
+            first = likely if fault.probability > probability else others
+            first.append(planning.deciding_visits(known, fault))
     parts = [s for one in closed.located if known for s in planning.parting(known, one)]
     if not geometry.dialled:
         apart = () if known is None else planning.deciding_instruments(known, closed.effects)
