@@ -83,11 +83,10 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
         results[name] = json.loads(report["result.json"])
         verdict = f"Verdict {result.word}: {results[name]['summary']}"
         lines = [intro, verdict]
-        lines += [f"If it were so: {text}" for text in if_it_were_so(result)]
+        lines += [f"Possible cause: {text}" for text in if_it_were_so(result)]
         placed = opt.MachineOption(None, None).placed
         lines += [
-            f"What to do: {placed(sentence(one.words), folder / name)}"
-            for one in result.actions[:1]
+            f"What to do: {placed(sentence(one.words), folder / name)}" for one in result.actions
         ]
         lines += [_report(folder / name), ""]
         answers.append(f"{name}: {result.word}" if quiet else "\n".join(lines))

@@ -1,4 +1,4 @@
-"""What to do about a machine, largest gain first, and what to measure next."""
+"""What to do about a machine, and what to measure next."""
 
 from __future__ import annotations
 
@@ -21,14 +21,16 @@ if TYPE_CHECKING:
     from orthoglide.closing.closed import Closed
     from orthoglide.planning import Suggestion
 
-_AGAIN = "numbers and commands made before {} are no longer valid: use those of this result"
+_AGAIN = (
+    "numbers and commands from files older than {} are no longer valid: use those of this result"
+)
 _LOST = "the stated errors of the tool do not include lost motion: "
 _COMPENSATED = "orthoglide compensate makes up for it"
 _DIAL_TURNS = (
-    "come to one gauge block from a shorter and from a longer one: expect {} between the two "
-    "readings"
+    "read one gauge block twice, first after a shorter block and then after a longer one: the two "
+    "readings should differ by {}"
 )
-_INSTEAD = "instead of new zeros, never both, which gains more"
+_INSTEAD = "instead of new zeros (not both; this gains more)"
 _MEND = "Confirm the cause by its test, repair it, and measure again"
 _SCATTERS = (
     "Before more is measured, look for what is loose, or correct the noise that was declared"
@@ -40,10 +42,11 @@ _WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth
 
 
 def actions(closed: Closed) -> tuple[Action, ...]:
-    """Return what to do, largest gain first; readings come first where the verdict depends on them.
+    """Return what to do, in the order of the expected gain.
 
-    Nothing is to be entered or mended where the verdict warns against it, or where the firmware's
-    own calibration comes first.
+    The gain of compensated commands is what they gain beyond the best zeros. Measurements come
+    first if the verdict depends on them. Nothing is to be entered or mended if the verdict warns
+    against it, or if the firmware's own calibration comes first; measurements then come last.
     """
     decides, told = _measure(closed)
     if closed.firmware is not None and closed.firmware.again:
@@ -134,8 +137,8 @@ def _found(
         else:
             gain = (math.nan, math.nan)
             gain = gain if loses(change) else gains.get(change.parameter, gain)
-            by = " by the new zeros, never both" if of_zero else ""
-            words = f"Confirm the change, put it back, or correct for it{by}; {again}"
+            instead = "enter the new zeros, not both" if of_zero else "correct for it"
+            words = f"Confirm the change. Then put it back, or {instead}; {again}"
             yield Action(kind, words, *gain, options=suspects(change))
 
 
@@ -215,8 +218,8 @@ def confirm_place(curve: Curve) -> str:
             f"{leg}: expect {size} between the two"
         )
     return (
-        f"set a dial on {where}, come to one place after a long way without a turn, then turn just "
-        f"before it: expect up to {size} between the two"
+        f"set a dial on {where}, approach one place after a long way in one direction, then again "
+        f"with a reversal just before it: the two readings should differ by up to {size}"
     )
 
 
@@ -227,7 +230,7 @@ def confirm(one: Explanation) -> str:
     """
     effect = one.catalogue.effect_of(one.name)
     named = [one.catalogue.parameter(n) for n in one.parameters]
-    # Of what campaigns have for themselves: the last one's.
+    # Of parameters that each campaign has for itself, the last campaign's.
     values = {p.plain: one.values[n] for p, n in zip(named, one.parameters, strict=True)}
     first, *more = values
     pair = effect.paired and len({p.leg for p in values}) == 1
@@ -249,7 +252,9 @@ def _compensate(closed: Closed) -> Iterator[Action]:
 
 
 def worth_compensating(closed: Closed) -> bool:
-    """Return whether compensated commands should reduce the tool's error by 2 % or more."""
+    """Return whether compensated commands reduce the mean shape error further than the best zeros
+    do, by more than 2 % of the error now. False after `identify` and for a printer's firmware.
+    """
     if not closed.request.searches or closed.firmware is not None:
         return False
     gain, _ = closed.compensation_gain
@@ -288,7 +293,7 @@ def _measure(closed: Closed) -> tuple[bool, list[Action]]:
 
 
 def next_measurements(closed: Closed) -> tuple[Suggestion, ...]:
-    """Return readings to take next; those at unexplained residuals come first."""
+    """Return the readings to take next, most useful first."""
     option = closed.request.machine_option
     return tuple(
         replace(
@@ -301,7 +306,10 @@ def next_measurements(closed: Closed) -> tuple[Suggestion, ...]:
 
 
 def _suggested(closed: Closed) -> tuple[Suggestion, ...]:
-    """Return readings to take next, whose sheets are for any machine."""
+    """Return the suggestions, in which the machine's file is still the placeholder ``MACHINE``.
+
+    Readings that tell a data fault from a less probable cause precede all others.
+    """
     from orthoglide import planning
 
     geometry, follow = closed.request.machine.geometry, not closed.stands

@@ -15,7 +15,7 @@ from orthoglide.explanation.suspects import Key
 from orthoglide.fit import Problem
 from orthoglide.ordering import descending, largest
 
-EVEN = 0.5  # probability from which something is likelier than not
+EVEN = 0.5  # probability above which something is more probable than not
 
 _NEIGHBOURS = 1.6  # times the distance of the nearest touch: the next across a square's diagonal
 
@@ -27,9 +27,9 @@ the one whose command is wrong: one in twenty, below which it would not be in a 
 def certain_data_faults(posterior: FullPosterior) -> list[Fault]:
     """Return the data faults that are certain enough to correct, with their estimated sizes.
 
-    Such a fault is active with a probability of at least 0.9, and data faults hold 99 % of its
-    credible set. A touch of a plate is left out if a neighbouring touch is an outlier too, because
-    the plate then has a shape error.
+    The fault and its alternatives together are active with a probability of at least 0.9, and data
+    faults account for at least 99 % of that. A touch of a plate is left out if a
+    neighbouring touch is an outlier too, because the plate then has a shape error.
     """
     mixture, groups = posterior.mixture, posterior.mixture.linear.groups
     instead, data = Alternatives(mixture), np.array([g.of_data for g in groups], dtype=bool)
@@ -56,8 +56,8 @@ def certain_data_faults(posterior: FullPosterior) -> list[Fault]:
 
 
 def suspected(posterior: FullPosterior) -> list[tuple[Fault, float]]:
-    """Return the data faults that are likelier than not, but less than certain enough for a claim
-    (0.9), each with its probability.
+    """Return the data faults that are more probable than not, each with its probability, where the
+    fault and its alternatives together have less than the 0.9 of a claim.
     """
     mixture, groups = posterior.mixture, posterior.mixture.linear.groups
     instead, data = Alternatives(mixture), np.array([g.of_data for g in groups], dtype=bool)

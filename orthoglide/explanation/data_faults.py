@@ -1,7 +1,7 @@
-"""Faults of the data that were found: named with their rows, and set aside in the open.
+"""Data faults that were found, each with its rows, and the readings without them.
 
-They stand out of the same search as causes of the machine do (`suspects`); what stands out is put
-right and everything weighed again, until nothing more does.
+Data faults and causes of the machine compete in one search (`suspects`). Faults that are found are
+corrected and the search is repeated, at most six times.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from orthoglide.observations import Readings
 from orthoglide.ordering import EQUAL_ODDS, best_of
 
 _ROUNDS = 6
-"""Of finding faults and putting them right."""
+"""Largest number of rounds of search and correction."""
 
 _MARGIN = 3.0
 """Log odds by which another meaning must be likelier: what is expected of each kind is a guess."""
@@ -70,7 +70,8 @@ class Blunder:
     rows: tuple[tuple[int, int], ...]
     setups: tuple[str, ...]  # names of the setups concerned
     message: str  # which file, which lines, what it looks like, what to do
-    improvement: float  # fall of chi2 once it is known, the faults found before it set aside
+    # decrease of the least cost (chi2 and priors) once it is corrected, earlier faults corrected
+    improvement: float
     rms_with: float  # of the residuals with it, metres
     rms_without: float  # of the residuals without it, metres
     # of a wrong command the drives that it may be of, the likeliest first, and how much more each
@@ -81,7 +82,7 @@ class Blunder:
 
     @property
     def sets_aside(self) -> bool:
-        """Whether its rows do not count; else they have a datum of their own."""
+        """Whether the result is fitted without its rows; else they have a datum of their own."""
         return self.kind not in DATUMS
 
     def lines(self, given: Sequence[Readings]) -> dict[str, tuple[int, ...]]:
@@ -119,20 +120,23 @@ def find_faults(read: Estimate) -> Findings:
     found = scattered(read.problem)
     fit = _fitted(_set_right(read.problem, found)) if found else _narrow(read)
     for _ in range(_ROUNDS):
-        # What may have changed is found anew: what a fault does was not for that to explain.
+        # Changes are searched anew: a fault that is corrected now may have caused the earlier ones.
         changed, cost = likeliest_changes(fit)
         look = first_look(_fitted(separated(fit.problem, changed)) if changed else fit)
-        if changed and (meant := _meant(first_look(fit), found, look.evidence - cost)) is not None:
-            found = _joined(found, [_of(read.problem, meant)])
+        if (
+            changed
+            and (misread := _misread(first_look(fit), found, look.evidence - cost)) is not None
+        ):
+            found = _joined(found, [_of_all_rows(read.problem, misread)])
             fit = _fitted(_set_right(read.problem, found))
             continue
         if look.chi2_per_dof < _QUIET:  # else a wrong unit could pass for the noise
             look = first_look(_fitted(quieter(look.before.problem, _squares(look))))
-        meant = _meant(look, found)
-        faults = certain_data_faults(look) if meant is None else [meant]
+        misread = _misread(look, found)
+        faults = certain_data_faults(look) if misread is None else [misread]
         if not faults:
             break
-        found = _joined(found, [_of(read.problem, f) for f in faults])
+        found = _joined(found, [_of_all_rows(read.problem, f) for f in faults])
         fit = _fitted(_set_right(read.problem, found))
     check_scatter(look.before.problem)
     measured = tuple(c.measured(look.before) for c in changed)
@@ -140,12 +144,12 @@ def find_faults(read: Estimate) -> Findings:
     whole = as_read and not (found or changed or look.about.suspects)
     maybe = unsure(look)
     reusable = look if whole and not maybe else None
-    notes = tuple(_perhaps(look))
+    notes = tuple(_suspicions(look))
     return Findings(_reported(read, found), measured, reusable, maybe, notes)
 
 
-def _perhaps(look: FullPosterior) -> Iterator[Note]:
-    """Yield what to look up in the notes where a fault is likelier than not, but no more."""
+def _suspicions(look: FullPosterior) -> Iterator[Note]:
+    """Yield a note on each fault that is probable, but not certain enough to be corrected."""
     for fault, probability in suspected(look):
         text = message(look.before.problem, fault)
         yield Note(f"perhaps ({100 * probability:.0f} % likely; it is kept): {text}", "slip")
@@ -164,18 +168,21 @@ def _squares(look: FullPosterior) -> dict[str, float]:
 
 
 def _narrow(read: Estimate) -> Estimate:
-    """The fit with values within their tolerances, as wrong readings lead them beyond, and with
-    noise that few of them make.
+    """Return the fit with narrow priors, so that faulty readings cannot pull parameters far off.
+
+    The noise is estimated without the repeats that differ most.
     """
-    problem = _held(read.problem)
+    problem = _at_tolerance(read.problem)
     if (far := far_repeats(problem)).any():
         problem = with_noise_of_the_rest(problem, far)
     return read if problem is read.problem else _fitted(problem)
 
 
-def _held(problem: Problem) -> Problem:
-    """The problem with values held within their tolerances, but for what changed since an earlier
-    calibration, which may be anything.
+def _at_tolerance(problem: Problem) -> Problem:
+    """Return the problem with the tolerance as each prior's standard deviation.
+
+    With an earlier calibration the priors stay as wide as they are: what changed since may be
+    anything.
     """
     return problem if problem.calibrated else problem.at_tolerance()
 
@@ -184,8 +191,11 @@ def _fitted(problem: Problem) -> Estimate:
     return solve(problem, method="nested", widen=False)
 
 
-def _meant(look: FullPosterior, found: Sequence[Fault], otherwise: float = -np.inf) -> Fault | None:
-    """What readings mean instead; ``None`` where they mean what they seem to.
+def _misread(
+    look: FullPosterior, found: Sequence[Fault], otherwise: float = -np.inf
+) -> Fault | None:
+    """Return the wrong sign, unit, label, shift or turn that explains readings clearly better;
+    ``None`` if there is none.
 
     Args:
         look: at the readings as they stand.
@@ -206,7 +216,7 @@ def _meant(look: FullPosterior, found: Sequence[Fault], otherwise: float = -np.i
     return fault if evidence > max(look.evidence, otherwise) + _MARGIN else None
 
 
-def _of(problem: Problem, fault: Fault) -> Fault:
+def _of_all_rows(problem: Problem, fault: Fault) -> Fault:
     """The fault with its setups as the readings had them first."""
     setups = tuple(np.unique(problem.setup_of_row[fault.rows]).tolist())
     rows = fault.rows
@@ -233,16 +243,21 @@ def slips_of_tool(estimate: Estimate) -> Iterator[Note]:
 
 
 def _joined(found: Sequence[Fault], new: Sequence[Fault]) -> list[Fault]:
-    """All faults, but for what readings seemed to be before they were seen to mean another thing:
-    that is seen anew.
+    """Return all faults. One found on rows that a new misreading covers is dropped, to be searched
+    again.
     """
-    meant = [set(f.setups) for f in new if f.kind in MEANINGS]
-    kept = [f for f in found if f.commands or not any(set(f.setups) <= s for s in meant)]
+    misread = [set(f.setups) for f in new if f.kind in MEANINGS]
+    kept = [f for f in found if f.commands or not any(set(f.setups) <= s for s in misread)]
     return [*kept, *new]
 
 
 def _set_right(problem: Problem, faults: Sequence[Fault]) -> Problem:
-    """The same rows with commands and datums put right, those of other faults without weight."""
+    """Return the problem with misread readings restored, shifted datums split and wrong commands
+    corrected.
+
+    Rows of other faults have no weight. Nor have those of wrong commands, which are corrected all
+    the same: the side from which the next rows were reached depends on them.
+    """
     for fault in faults:
         if fault.kind in MEANINGS:
             problem = restored(problem, fault)
@@ -255,7 +270,7 @@ def _set_right(problem: Problem, faults: Sequence[Fault]) -> Problem:
         table = _corrected(factors[k].readings, fault, fault.rows - part.start)
         factors[k] = factors[k].with_table(table)
         silent[fault.rows] |= fault.sets_aside
-    problem = without_weight(replace(_held(problem), factors=tuple(factors)), silent)
+    problem = without_weight(replace(_at_tolerance(problem), factors=tuple(factors)), silent)
     return with_noise_of_the_rest(problem, far_repeats(problem))
 
 
@@ -263,10 +278,10 @@ def _reported(read: Estimate, faults: Sequence[Fault]) -> tuple[Blunder, ...]:
     """The faults with what each explains once those before it are set aside."""
     problem, n = read.problem, len(read.problem.measured)
     kept, shown = np.ones(n, dtype=bool), np.zeros((n, 0))
-    chi2, rms = _left(read, kept, shown)
+    cost, rms = _least_cost(read, kept, shown)
     blunders = []
     for fault in faults:
-        before, with_it = chi2, rms
+        before, with_it = cost, rms
         rows = np.isin(np.arange(n), fault.rows)
         free = steps(problem, fault)
         if fault.kind == "moved":
@@ -275,14 +290,14 @@ def _reported(read: Estimate, faults: Sequence[Fault]) -> tuple[Blunder, ...]:
         shown = np.hstack([shown, free])
         if fault.sets_aside:
             kept = kept & ~rows
-        chi2, rms = _left(read, kept, shown)
+        cost, rms = _least_cost(read, kept, shown)
         blunders.append(
             Blunder(
                 fault.kind,
                 places(problem, fault.rows),
                 tuple(problem.setups[s].name for s in fault.setups),
                 message(problem, fault),
-                before - chi2,
+                before - cost,
                 with_it,
                 rms,
                 fault.commands,
@@ -292,7 +307,7 @@ def _reported(read: Estimate, faults: Sequence[Fault]) -> tuple[Blunder, ...]:
     return tuple(blunders)
 
 
-def _left(estimate: Estimate, kept: NDArray[np.bool_], steps: Array) -> tuple[float, float]:
+def _least_cost(estimate: Estimate, kept: NDArray[np.bool_], steps: Array) -> tuple[float, float]:
     """Least cost of a linearised fit to some readings ``(n,)``, with steps free, and the root mean
     square that it leaves of lengths.
     """

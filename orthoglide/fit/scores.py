@@ -15,9 +15,9 @@ from orthoglide.numerals import ByUnit
 from orthoglide.result.fits import Scores
 
 LACK_OF_FIT = 0.01
-"""Probability of calling what is left of a complete model a lack of fit."""
+"""Significance level of the lack-of-fit test that widens the standard deviations."""
 
-_SPREAD = 2.0  # degrees of freedom: with fewer there is nothing that scatters
+_SPREAD = 2.0  # degrees of freedom below which stations have no standard error
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -37,7 +37,7 @@ class FittedRows:
         predicted = at.value + nuisance.fitted(problem.measured - at.value)
         basis = fitted_basis(problem, nuisance, at)
         fitted = basis[: len(predicted)]
-        # What was fitted may move readings of one station apart: its share in the means counts.
+        # Fitted columns may vary within a station: only what they do to its mean counts.
         means = nuisance.weighing.along(fitted)
         return cls(
             problem, nuisance, predicted, np.einsum("nr,nr->n", fitted, fitted),
@@ -53,10 +53,10 @@ class FittedRows:
     def lack_of_fit(self, here: Normal) -> float:
         """Probability of a chi2 this large were the model complete; nan without degrees of freedom.
 
-        The smaller of two tests, allowed for being two: of all readings, and of the station means,
-        which see better what repeats at every visit. Of the means alone, against Student's noise,
-        where the noise is the repeats' own scatter; and where that is a matter of single steps of a
-        dial, of no normal law.
+        Two tests are made, of all readings and of the station means, which show better what comes
+        again at every visit; the smaller p-value is corrected for two tests (Sidak). Only the means
+        are tested if each station was read once, if the noise was estimated from repeats (an F
+        test), or if visits share a rounding error, as single readings are then not normal.
         """
         problem, weighing = self.problem, self.nuisance.weighing
         known, rows, stations = problem.noise_dof, len(problem.measured), len(weighing.first)
@@ -150,8 +150,9 @@ def tail(chi2: float, count: int, shares: Array, known: float = np.inf) -> float
 
 
 def deviation_rms(problem: Problem, residual: Array) -> float:
-    """Root mean square of averaged deviations from each dial setup's first posture, metres; from
-    nothing of readings without a datum.
+    """Root mean square of averaged deviations from each dial setup's first posture, metres.
+
+    Readings without a datum are compared with zero.
     """
     dials = slice(0, problem.rows[-1].stop) if problem.rows else slice(0, 0)
     place, setup = problem.place[dials], problem.setup_of_row[dials]
@@ -160,8 +161,8 @@ def deviation_rms(problem: Problem, residual: Array) -> float:
     count = np.bincount(place)
     average = np.bincount(place, residual[dials]) / count
     row = np.lexsort((problem.of_dials("order"), setup))
-    present, index = np.unique(setup[row], return_index=True)  # a fault may leave nothing of one
-    first = place[row[index]]  # a place a setup
+    present, index = np.unique(setup[row], return_index=True)  # a setup may have lost all rows
+    first = place[row[index]]  # of each setup
     home = np.zeros(len(count), dtype=np.int64)
     home[place] = np.searchsorted(present, setup)
     datum = np.array([problem.setups[k].observation.from_datum for k in present])

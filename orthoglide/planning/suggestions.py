@@ -32,11 +32,11 @@ class Suggestion(Framed):
 
     Attributes:
         reason: what they are for and what is to be expected of them, in words.
-        aim: ``separate`` rivals, ``narrow`` a weak direction, ``trace`` what nothing explains, or
-            ``none`` where nothing helps.
-        gain: for rivals the sigmas between the two least separated, by another instrument between
-            the two most; for a direction how many times narrower it gets; nan of what nothing
-            explains.
+        aim: ``separate`` rivals; ``narrow`` a weak direction; ``trace`` an unexplained residual or
+            a doubtful reading; ``none`` if no sheet is proposed, although another instrument may
+            help.
+        gain: separation of rivals in sigmas, the least of all pairs, or by another instrument the
+            largest; of a direction the ratio of its standard deviations; nan for ``trace``.
         pool: the readings to choose from; ``None`` where another instrument is what helps.
         chosen: those chosen, with repetitions; none where nothing helps.
         what: what to measure, without what is to be expected of it; empty where that is all of
@@ -96,7 +96,7 @@ def next_sheet(suggestions: Sequence[Suggestion]) -> Readings | None:
 
 
 def _trace(reason: str, pool: Readings | None = None, rows: Sequence[int] = ()) -> Suggestion:
-    """Return the advice to visit rows of a pool twice."""
+    """Return a ``trace`` suggestion; rows of a pool that are given are visited twice."""
     twice = np.repeat(np.asarray(rows, dtype=int), _TWICE)
     return Suggestion(reason, "trace", float("nan"), pool, tuple(twice.tolist()))
 
@@ -115,9 +115,10 @@ def tracing(rest: SetupResidual, geometry: Geometry) -> Suggestion:
         for k, s in enumerate(pool.setups)
         if (s.leg, s.axis) == (rest.leg, rest.axis) and s.bar and abs(s.gauge - gauge) < 1e-6
     ]
-    own = [axis for axis in range(3) if axis != rest.leg]
-    along = np.ptp(pool.command[:, own], axis=1) < 1e-6  # the other two stand alike: on the axis
-    rows = np.flatnonzero(np.isin(pool.setup, dials) & along)
+    others = [axis for axis in range(3) if axis != rest.leg]
+    # The two other drives have equal commands: the TCP is on the leg's axis.
+    on_axis = np.ptp(pool.command[:, others], axis=1) < 1e-6
+    rows = np.flatnonzero(np.isin(pool.setup, dials) & on_axis)
     axis = LEGS[rest.axis]
     reason = (
         f"the residual is largest on {rest.reads}, so take {len(rows) * _TWICE} readings of both "

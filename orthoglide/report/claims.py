@@ -17,7 +17,7 @@ BESIDES = "Something else is wrong as well."
 """Behind what was found, where it does not explain all."""
 
 _CERTAIN, _SURE = 0.995, 0.9
-_CLEARLY = 50.0  # log odds
+_CLEARLY = 50.0  # log odds: beyond, exp would overflow
 _MOST_RIVALS = 2  # alternatives that a headline names; the report lists all
 _NO_OPTION = -1  # of what no drawing shows
 
@@ -29,16 +29,16 @@ class Statement:
     words: str  # a sentence with part, direction, size and unit
     sure: str  # how sure it is, and how well its size is known
     option: int = _NO_OPTION  # its place among the options of the drawing
-    probability: float = math.nan  # given the other findings; nan of a change
+    probability: float = math.nan  # given the other findings; nan for a change
     brief: str = ""  # the same in a few words, where `words` take more than a sentence
 
 
 @dataclass(frozen=True)
 class Claim:
-    """What was found in one place of the machine."""
+    """What was found, and what else it could be."""
 
     first: Statement  # the most probable
-    same: tuple[Statement, ...]  # other names of it: the same to these readings and to the tool
+    same: tuple[Statement, ...]  # explanations with equal effects on readings and tool
     rivals: tuple[Statement, ...]  # that these readings cannot tell from it, most probable first
     note: str = ""  # what else must be known of it, a sentence
 
@@ -50,7 +50,9 @@ def claims(result: Result) -> list[Claim]:
     found += [_of_located(one, option) for one in result.located]
     if result.word == "partial":
         found = [
-            replace(c, first=replace(c.first, sure=f"among the causes known {c.first.sure}"))
+            replace(
+                c, first=replace(c.first, sure=f"{c.first.sure}, if it is one of the known causes")
+            )
             for c in found
         ]
     return [*found, *(_of_change(change, option) for change in result.moved)]
@@ -65,7 +67,7 @@ def spoken(several: Iterable[Claim]) -> str:
         first = claim.first.brief or claim.first.words
         told.append(f"Besides, {lowered(first)}" if k else first)
         told += (
-            f"Or {lowered(one.words)[:-1]}: readings and tool are the same either way."
+            f"Equivalently, {lowered(one.words)[:-1]}: readings and tool are equal."
             for one in claim.same
         )
         told += (f"Or {lowered(one.brief or one.words)}" for one in claim.rivals[:_MOST_RIVALS])
@@ -92,7 +94,7 @@ def lowered(text: str) -> str:
 
 
 def _of_cause(cause: Cause, option: Iterator[int]) -> Claim:
-    """Return the claim of a cause, or of a data fault that is more probable."""
+    """Return the claim of a cause; an alternative that is more probable comes first."""
     first = _statement(cause.chosen, cause.together, next(option))
     same, rivals = (
         tuple(_statement(e, e.probability, next(option)) for e in part)
@@ -106,7 +108,7 @@ def _of_cause(cause: Cause, option: Iterator[int]) -> Claim:
 
 
 def _of_located(found: Located, option: Iterator[int]) -> Claim:
-    """Return the claim of a free-form error, or of a data fault that is more probable."""
+    """Return the claim of a free-form error; a data fault that is more probable comes first."""
     every = (*_of_places(found.members, option), *_of_data(found.data))
     first, *others = ranked(every, lambda one: one.probability)
     note = ""

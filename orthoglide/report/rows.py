@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from orthoglide.numerals import compact, decimals_for, hundredths, probability, signed
 from orthoglide.result import CandidateScore, Result
+from orthoglide.text import sentence
 
 _SHOWN = 0.005  # probability that two decimals show
 _LEFT_OVER = 0.5  # degrees of freedom: less is no test
@@ -89,9 +90,11 @@ def possible_rows(result: Result) -> list[tuple[str, str, str, str]]:
 
 def if_it_were_so(result: Result) -> list[str]:
     """Return the most probable causes where nothing was found, a sentence each."""
-    what = "averaged readings" if math.isfinite(result.before.scores.deviation_rms) else "residuals"
+    averaged = math.isfinite(result.before.scores.deviation_rms)
+    what = "averaged deviations" if averaged else "residuals"
     return [
-        f"{words} (probability {chance}): {what} {fit}, stations left out {left_out} rms."
+        f"{sentence(words)} Probability {chance}. It would reduce the rms of {what} from {fit}, "
+        f"and of readings predicted from other stations from {left_out}."
         for chance, words, fit, left_out in possible_rows(result)
     ]
 

@@ -203,11 +203,12 @@ def where_left(result: Result) -> str:
 
 
 def _largest_part(result: Result, share: float, where: str, size: str) -> str:
-    """Return where the residual is largest, and whether all setups show some."""
+    """Return where the residual is largest, and whether no setup has more than twice its share."""
     dials, tool = len(result.left.by_dial), len(result.left.by_instrument)
     alike = dials + tool > 1 and share < 2 / (dials + tool)
-    spread = f"; all {'setups' if tool else 'dials'} show some" if alike else ""
-    return f" The residual is largest {where} ({100 * share:.0f} % of it{spread}). There {size}."
+    spread = f", so it is spread over the {'setups' if tool else 'dials'}" if alike else ""
+    part = f"{100 * share:.0f} % of its squares{spread}"
+    return f" The residual is largest {where} ({part}). There {size}."
 
 
 def _alone(result: Result) -> str:
