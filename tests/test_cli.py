@@ -37,17 +37,6 @@ def run(*arguments: str | Path) -> Result:
     return CliRunner().invoke(cli, [str(a) for a in arguments])
 
 
-def process(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "orthoglide", *map(str, arguments)],
-        cwd=cwd,
-        env=NEVER,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
 def done(*arguments: str | Path) -> str:
     result = run(*arguments)
     assert result.exit_code == 0, result.output

@@ -23,7 +23,7 @@ from orthoglide.cli.app import progress
 from orthoglide.cli.calibrating import differences
 from orthoglide.progress import Step
 from orthoglide.report.words import MEANINGS
-from tests.test_cli import EXPERIMENT_2, EXPERIMENT_3, NEVER, done, process, run, tree
+from tests.test_cli import EXPERIMENT_2, EXPERIMENT_3, NEVER, done, run, tree
 
 RIG = Path(__file__).parent / "data" / "rig"
 FIGURES = ("residuals", "readings", "workspace")
@@ -56,9 +56,10 @@ def flat(text: str) -> str:
 # --- demo -----------------------------------------------------------------------------------
 
 
-def test_demo_as_a_process_from_another_folder(tmp_path: Path) -> None:
-    first = process("demo", cwd=tmp_path)
-    assert first.returncode == 0
+def test_demo_from_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    first = run("demo")
+    assert first.exit_code == 0
     assert all(re.fullmatch(r" *\d+ s  [a-z].*", line) for line in first.stderr.splitlines())
     two, one = flat(first.stdout).split("2. A machine made up")
     said = r"x rail is bent: its middle stands (0\.1[45]\d*) mm toward −z"

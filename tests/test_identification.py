@@ -116,7 +116,6 @@ FREE_SETS = [
 @pytest.mark.thorough(
     except_for=[
         "joint_offset-True",
-        "leg_length.z-False",
         "joint_offset.y joint_offset.z leg_length.x leg_length.z-False",
         "joint_offset leg_length.common-False",
     ]
@@ -138,7 +137,7 @@ def test_programme_is_the_reductions_fit_on_every_free_set(
 
 @pytest.mark.parametrize(
     ("kind", "count"),
-    [("standard ends", 12), ("standard", 54), ("sweep", 252)],
+    [("standard ends", 12), ("sweep", 252)],
 )
 def test_programme_is_the_reductions_fit_on_campaigns_of_all_sizes(kind: str, count: int) -> None:
     campaign = measured(kind)
@@ -584,8 +583,7 @@ def test_what_is_written_as_zero_is_none_of_the_reductions_business() -> None:
 # -- the papers' ordinary least squares ----------------------------------------------------------
 
 
-@pytest.mark.parametrize("family", ["joint_offset", "leg_length"])
-@pytest.mark.parametrize("number", [2, 3])
+@pytest.mark.parametrize(("number", "family"), [(2, "joint_offset"), (3, "leg_length")])
 def test_deviations_are_system_11_to_second_order(family: str, number: int) -> None:
     campaign = published(number)
     system = reduction.system11().select(

@@ -43,7 +43,9 @@ def moved(kind: str, size: float) -> tuple[Readings, int]:
     return replace(found, reading=found.reading + late * shown * size), first
 
 
-@pytest.mark.parametrize(("kind", "size"), [("tcp", 2e-3), ("ballbar", 3e-4)])
+@pytest.mark.parametrize(
+    ("kind", "size"), [("tcp", 2e-3), pytest.param("ballbar", 3e-4, marks=pytest.mark.thorough)]
+)
 def test_an_instrument_that_was_moved_is_told(kind: str, size: float) -> None:
     """Two millimetres were *adequate*: the noise of the repeats was 0.7 mm, and so was the rest.
 
