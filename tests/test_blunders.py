@@ -279,9 +279,9 @@ def test_who_sets_most_dials_to_zero_anew_does_so_with_all(nominal):
     verdict = close_loop(campaign_of(rows, nominal), nominal)
     (blunder,) = verdict.blunders
     assert (blunder.kind, blunder.setups) == ("zeroed", tuple(names))
-    told = re.findall(r"([+-][0-9.]+) mm at repeat", blunder.message)
+    told = re.findall(r"([+−][0-9.]+) mm at repeat", blunder.message)
     for size, step in zip(told, datum.values(), strict=True):
-        assert float(size) == pytest.approx(step, abs=0.01)
+        assert float(size.replace("−", "-")) == pytest.approx(step, abs=0.01)
     assert verdict.word == "adequate"
 
 
@@ -303,10 +303,10 @@ def test_two_repeats_and_all_dials_set_to_zero_between(protocol, machine, nomina
         verdict = close_loop(campaign_of(rows, judge), judge)
         (blunder,) = verdict.blunders
         assert (blunder.kind, blunder.setups) == ("zeroed", tuple(names))
-        told = re.findall(r"(\S+): ([+-][0-9.]+) mm at repeat 2", blunder.message)
+        told = re.findall(r"(\S+): ([+−][0-9.]+) mm at repeat 2", blunder.message)
         assert [name for name, _ in told] == names
         for k, (_, size) in enumerate(told):
-            assert float(size) == pytest.approx(0.4 - 0.15 * k, abs=0.02)
+            assert float(size.replace("−", "-")) == pytest.approx(0.4 - 0.15 * k, abs=0.02)
         assert {n for c in verdict.effects for n in (c.name, *c.indistinguishable_from)} >= {
             "axis_tilt.y.z"
         }

