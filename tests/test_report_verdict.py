@@ -212,7 +212,7 @@ def test_on_paper_the_first_sheet_has_drawing_and_tiles_and_tables_have_heads(
 def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
     text = headline(verdict_of("explained"))
     assert text.startswith("The path of the y carriage is out of square toward z by 2.4 mrad")
-    said = "Equivalently, the y rail leans toward z by 2.4 mrad (0.24 mm over 100 mm) and its carriage with"
+    said = "Equivalently, the y rail leans toward z by 2.4 mrad (0.24 mm over 100 mm) and its"
     assert said in text
     assert "0.043 to 0.003 mm rms. Single readings have a residual of 0.0060 mm rms" in text
     assert "consistent with the noise of the dial (0.0058 mm)" in text

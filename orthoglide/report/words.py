@@ -204,9 +204,8 @@ def where_left(result: Result) -> str:
 
 def _largest_part(result: Result, share: float, where: str, size: str) -> str:
     """Return where the residual is largest, and whether no setup has more than twice its share."""
-    dials, tool = len(result.left.by_dial), len(result.left.by_instrument)
-    alike = dials + tool > 1 and share < 2 / (dials + tool)
-    spread = f", so it is spread over the {'setups' if tool else 'dials'}" if alike else ""
+    setups = len(result.left.by_dial) + len(result.left.by_instrument)
+    spread = ", so it is spread over the setups" if 1 < setups < 2 / share else ""
     part = f"{100 * share:.0f} % of its squares{spread}"
     return f" The residual is largest {where} ({part}). There {size}."
 
