@@ -205,7 +205,7 @@ def where_left(result: Result) -> str:
 def _largest_part(result: Result, share: float, where: str, size: str) -> str:
     """Return where the residual is largest, and whether no setup has more than twice its share."""
     setups = len(result.left.by_dial) + len(result.left.by_instrument)
-    spread = ", so it is spread over the setups" if 1 < setups < 2 / share else ""
+    spread = ", so it is spread over the setups" if setups > 1 and share * setups < 2 else ""
     part = f"{100 * share:.0f} % of its squares{spread}"
     return f" The residual is largest {where} ({part}). There {size}."
 
