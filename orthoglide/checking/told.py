@@ -8,6 +8,7 @@ from typing import Any
 from orthoglide import __version__
 from orthoglide.checking.comparing import Check
 from orthoglide.checking.difference import COLUMNS
+from orthoglide.control import withheld
 from orthoglide.numerals import plain
 from orthoglide.progress import Progress, silent
 from orthoglide.report import report_files
@@ -72,13 +73,16 @@ def _data(found: Check) -> dict[str, Any]:
     numbers = found.told.numbers
     now, zeros = (f"{numbers.expected[k].shape * 1e3:.3f} mm" for k in ("now", "zeros"))
     zero = ", ".join(f"{d.leg} {plain(d.new_zero * 1e3, 3)}" for d in numbers.drives)
+    held_back = bool(
+        withheld(verdict.machine)
+    )  # numbers that nothing confirms are not to be entered
     return {
         "said": [sentence(text) for text in found.sentences],
         "left": headline(verdict),
         "tool": f"The tool is {now} off on average over the workspace, a shift of the whole left "
-        f"out; {zeros} once the zeros are right.",
+        f"out{'' if held_back else f'; {zeros} once the zeros are right'}.",
         "cautions": found.told.cautions,
         "zeros": f"Once new zeros are entered ({zero} mm), these readings prove their "
         f"signs, each from the new zeros with the dial set to 0 there",
-        "checks": [sentence(str(check)) for check in numbers.checks],
+        "checks": [] if held_back else [sentence(str(check)) for check in numbers.checks],
     }

@@ -19,6 +19,7 @@ from orthoglide.progress import Progress, Step
 from orthoglide.text import MACHINE, brief
 
 BAD_INPUT, NUMERICS_FAILED, INTERRUPTED = 2, 3, 130  # 130: 128 + SIGINT, as shells have it
+_STOPPED = "interrupted: nothing is left half written"
 _LONGEST = 1000  # characters of an error: file, line and remedy fit, a pasted file does not
 _SENTENCE = 200  # characters: no first sentence of a command's help is cut in the list
 _RESUMED = ("measure", "rehearse")  # commands that keep in --out what was done
@@ -82,7 +83,7 @@ class Command(click.Command):
             given = getattr(ctx.params.get("machine"), "words", "") or MACHINE
             raise Refusal(str(error).replace(MACHINE, given), BAD_INPUT) from error
         except KeyboardInterrupt:
-            said = "interrupted: nothing is left half written"
+            said = _STOPPED
             if ctx.info_name in _RESUMED and ctx.params["out"] is not None:
                 said += "; the same command goes on from what --out holds"
             raise Refusal(said, INTERRUPTED) from None
@@ -115,6 +116,8 @@ class Group(click.Group):
             raise Refusal(str(error), code) from error
         except (click.ClickException, click.exceptions.Exit, click.Abort):
             raise
+        except KeyboardInterrupt:  # before a command began
+            raise Refusal(_STOPPED, INTERRUPTED) from None
         except Exception as error:
             broken_pipe = isinstance(error, OSError) and error.errno == errno.EPIPE
             if broken_pipe or os.environ.get("ORTHOGLIDE_TRACEBACK"):

@@ -30,7 +30,7 @@ _DIAL_TURNS = (
     "read one gauge block twice, first after a shorter block and then after a longer one: the two "
     "readings should differ by {}"
 )
-_INSTEAD = "instead of new zeros (not both; this gains more)"
+_INSTEAD = "instead of new zeros (not both; the gain is beyond that of the zeros)"
 _MEND = "Confirm the cause by its test, repair it, and measure again"
 _SCATTERS = (
     "Before more is measured, look for what is loose, or correct the noise that was declared"
