@@ -105,6 +105,10 @@ def test_a_quiet_mesh_makes_no_slips_of_sound_distances() -> None:
     verdict = closed("quiet-mesh", "printer.cfg")
     assert verdict.word == "adequate"
     assert not verdict.blunders
+    # Import would say of these numbers that rods of one set are not so: so does what offers them.
+    assert re.search(
+        r"their arms differ by 1\.\d+ mm.*: measure the rods", verdict.actions[0].words
+    )
 
 
 def test_drives_of_three_per_cent_are_told_of_the_drives() -> None:

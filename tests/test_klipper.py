@@ -355,6 +355,22 @@ def test_a_stored_header_without_its_brackets_is_named(broken: str, tmp_path: Pa
         assert f"write [{name}]" in said
 
 
+@pytest.mark.parametrize(
+    "name", ["printer", "stepper_b", "delta_calibrate", "bed_mesh default_25Probe"]
+)
+def test_a_stored_header_that_is_lost_is_named(name: str, tmp_path: Path) -> None:
+    """Seven heights and all distances vanished without a word."""
+    file, text = tmp_path / "printer.cfg", V400.read_text()
+    before, header, after = text.partition(f"#*# [{name}]\n")
+    assert header
+    file.write_text(before + after)
+    try:
+        said = "\n".join(import_printer(file).notes)
+    except FileError as error:
+        said = str(error)
+    assert "so the header above it was lost: write" in said, said
+
+
 LEFT_OUT = {
     "steps of another time": ("31752.000,42168.000,31693.000", "31752.000,32168.000,31693.000",
                               "height", "different times"),
@@ -492,8 +508,8 @@ def test_what_the_firmware_would_not_read_below_its_header_is_refused(tmp_path: 
     own, header = _apart(text)
     last = len(text.splitlines())
     for more, told in (
-        ("[printer]\ndelta_radius: 160\n", "the whole block out: move it above"),
-        ("# a remark\n", "move it above the header"),
+        ("[printer]\ndelta_radius: 160\n", "the whole block out: put #.# before it"),
+        ("# a remark\n", "else move it above the header"),
         (header, "a second header stands below"),
     ):
         file.write_text(text.rstrip("\n") + "\n" + more)

@@ -173,7 +173,7 @@ def test_simulated_surfaces_slope_as_the_machine_file_says() -> None:
         (f"parallelism,s,x,z,{ZERO},90,90,0.1", r"line 2: .*two dials stand at one place"),
         (f"parallelism,s,x,z,{ZERO},90,400,0.1", r"line 2: the gauge at 400 mm is off the leg.*gau"
          "ge2_mm"),
-        (f"parallelism,s,x,z,{ZERO},-5,200,0.1", r"line 2: the gauge at -5 mm is off .*gauge_mm"),
+        (f"parallelism,s,x,z,{ZERO},-5,200,0.1", r"line 2: the gauge at −5 mm is off .*gauge_mm"),
         (f"parallelism,s,x,z,{ZERO},90,0.2,0.1", r"line 2: gauge2_mm is in metres"),
         (f"parallelism,s,x,z,{ZERO},90,,0.1", r"line 2: gauge2_mm is empty"),
         (f"parallelism,s,x,x,{ZERO},90,200,0.1", r"line 2: direction is the leg's own axis"),

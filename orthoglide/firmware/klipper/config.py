@@ -29,6 +29,11 @@ _READ = ("printer", "stepper_a", "stepper_b", "stepper_c", "delta_calibrate", "b
 _DEEPEST = 8  # files that include one another
 _SECTIONS = (*_READ, "include", "bltouch", "smart_effector", "beacon", "cartographer")
 _PASTED = {0x200B: None, 0xFEFF: None, 0x2212: "-"}  # what web pages put into pasted text
+_KEYS = {
+    "printer": re.compile("delta_radius"),
+    "delta_calibrate": re.compile(r"(height|distance)\d+(_pos\d?)?"),
+    "bed_mesh": re.compile(r"points|[xy]_count|mesh_[xy]_pps"),
+}  # that SAVE_CONFIG writes in sections of one kind alone
 _MOST = 1e6  # of anything that a printer's file counts
 
 BROKEN = "broken header"
@@ -141,6 +146,8 @@ class Config:
     sections: dict[str, Section] = field(default_factory=dict)  # in the order of the file
     missing: list[str] = field(default_factory=list)  # included files that were not found
     notes: list[Note] = field(default_factory=list)  # of what was noticed on reading it
+    # line, key and section of keys that stand there a second time
+    twice: list[tuple[int, str, str]] = field(default_factory=list)
 
     def note(self, kind: str, text: str) -> None:
         """Note something for the owner."""
@@ -232,7 +239,8 @@ def _saved(lines: Lines, file: str) -> Lines:
         if headers and wrong:
             raise FileError(
                 f"{what} stands below the header of SAVE_CONFIG (line {first}), and the firmware "
-                f"then leaves the whole block out: move it above the header, or remove it",
+                f"then leaves the whole block out: put {_SAVED} before it if it belongs to the "
+                f"block, else move it above the header or remove it",
                 file=file,
                 line=wrong[0],
             )
@@ -243,10 +251,29 @@ def _saved(lines: Lines, file: str) -> Lines:
     ]
 
 
+def _strayed(saved: Config) -> Iterator[Note]:
+    """Yield a note where a header was lost: below it a key stands twice in a section, or in a
+    section of another kind than SAVE_CONFIG writes it in.
+    """
+    found = [(line, f"{key} stands twice in [{name}]", "it") for line, key, name in saved.twice]
+    for kind, keys in _KEYS.items():
+        found += [
+            (entry.line, f"{key} stands in [{name}]", f"[{kind}]")
+            for name, section in saved.sections.items() if name.partition(" ")[0] != kind
+            for key, entry in section.entries.items() if keys.fullmatch(key)
+        ]  # fmt: skip
+    for line, what, header in sorted(found)[:1]:
+        yield Note(
+            f"{saved.file}, line {line}: {what}, so the header above it was lost: write {header} "
+            f"there, else what stands below it is left out",
+            BROKEN,
+        )
+
+
 def _add_saved(config: Config, saved: Config) -> None:
     """Add what SAVE_CONFIG wrote where nothing else gives it, with a note of other values above."""
     twice = list[str]()
-    config.notes += saved.notes
+    config.notes += [*saved.notes, *_strayed(saved)]
     for name, section in saved.sections.items():
         own = config.sections.setdefault(name, section)
         for key, below in section.entries.items():
@@ -301,6 +328,7 @@ def _parse(config: Config, lines: Lines, path: Path, within: tuple[Path, ...]) -
                 section = config.sections.setdefault(name, section)
         elif (found := _ENTRY.match(text)) and section is not None:
             key = found[1].strip().lower()
+            config.twice += [(number, key, section.name)] * (key in section.entries)
             section.entries[key] = Entry(found[2].strip(), number, shown(path))
         elif meant := _broken_header(text):  # what follows belongs to nothing
             section, key = Section("", Entry("", number, shown(path))), ""

@@ -64,12 +64,13 @@ def import_printer(
     config = read_config(path)
     try:
         return _imported(config, turned or {})
-    except FileError as error:
+    except InputError as error:
         reasons = [note for note in config.notes if note.kind in ("twice", BROKEN)]
         if not reasons:
             raise
-        message = f"{error.reason}; {'; '.join(reasons)}"
-        raise FileError(message, file=error.file, line=error.line) from None
+        at = error if isinstance(error, FileError) else FileError(str(error), file=config.file)
+        message = f"{at.reason}; {'; '.join(reasons)}"
+        raise FileError(message, file=at.file, line=at.line) from None
 
 
 def _imported(config: Config, turned: Mapping[str, float]) -> Imported:

@@ -71,6 +71,11 @@ def corrections_of(
                 "as distances say, and a print that shrank makes these shorter: measure a rod first"
             )
         rods = f"; they have {way} rods, {why}"
+    if (spread := float(np.ptp(new.arm))) > SPREAD and not rods_measured:
+        rods += (
+            f"; their arms differ by {spread * 1e3:.2f} mm, more than rods of one set do: measure "
+            f"the rods before you enter them"
+        )
     offered = old if keep else new  # what fits worse is never shown as new numbers
     values = offered.values
     return Corrections(
