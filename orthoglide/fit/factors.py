@@ -281,14 +281,15 @@ class Factor:
         said = list[str]()
         for k in np.flatnonzero(~kept):
             off = self.outlier_height[k] * 1e3
-            where = "above" if off > 0 else "below"
+            above = off > 0
+            what = "a speck on the plate" if above else "a dent in the plate"
             name = r.setups[r.setup[k]].name
             said.append(
                 f"{source(r)}, line {r.line[k]}, setup {name!r}: the touch at x "
                 f"{plain(p[k, 0] * 1e3, 0)}, y {plain(p[k, 1] * 1e3, 0)} mm is {abs(off):.2f} mm "
-                f"{where} the "
-                f"surface of all others, as a speck on the plate or a bad touch is, and does not "
-                f"count: clean the plate and probe again"
+                f"{'above' if above else 'below'} the surface of all others, as {what} or a bad "
+                f"touch is, and does not count: {'clean' if above else 'look at'} the plate and "
+                f"probe again"
             )
         return replace(self.subset(kept), left_out=tuple(said))
 
