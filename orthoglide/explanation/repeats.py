@@ -25,7 +25,8 @@ _ROUNDS = 6  # of leaving out what is far beyond the rest
 
 _BEYOND, _BEYOND_OF_TOOL = 3.0, 10.0
 """Times what a dial, or an instrument at the tool, is expected to scatter, that nothing of it
-explains."""
+explains; the latter also of a dial beside others where the noise was declared, as one that is only
+worse than they are has more noise of its own."""
 
 _FEWEST = 10  # repeats of repeats from which a setup may be said to scatter
 
@@ -57,10 +58,12 @@ def scattered(problem: Problem) -> list[Fault]:
         rows = np.flatnonzero(problem.setup_of_row == number)
         k, _ = places(problem, rows[:1])[0]
         factor, own = problem.factors[k], rows - problem.factor_rows[k].start
-        if not factor.noise.from_repeats[own].all():
-            continue
         step = float(factor.noise.step[own].max())
         most = _BEYOND * max(_usual(factor, own), step)
+        if not factor.noise.from_repeats[
+            own
+        ].all():  # noise that was declared, if too small for all
+            most = _BEYOND_OF_TOOL * float(np.median(factor.noise.total))
         apart = _successive(factor.readings.subset(own))
         fault = Fault("scatter", rows, (number,), _most_scatter(apart, step))
         every.append((fault, len(apart) >= _FEWEST and fault.size > most))
