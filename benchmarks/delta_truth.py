@@ -75,10 +75,10 @@ SHARES = {"nothing": 6, "effect": 14, "outside": 6, "whole": 4}
 HEAD = """# The truth table of the linear delta
 
 Read this page to see which instrument shows which cause of a delta, and how often the verdict is
-right. Printed by `python -m benchmarks.delta_truth --campaigns {campaigns}`. Machines are simulated
-by the tests' own delta, which shares no code with the package: arms of 345 mm, a mesh of 49 touches
-that repeat to 0.018 mm, thirty distances on a ring of 90 mm to 0.05 mm, a level at 13 places to
-0.02 mrad, 36 places of the tool to 0.01 mm."""
+right. Printed by `python -m benchmarks.delta_truth --campaigns {campaigns} --seed {seed}`. Machines
+are simulated by the tests' own delta, which shares no code with the package: arms of 345 mm, a mesh
+of 49 touches that repeat to 0.018 mm, thirty distances on a ring of 90 mm to 0.05 mm, a level at 13
+places to 0.02 mrad, 36 places of the tool to 0.01 mm."""
 
 FEW = """ A few campaigns of each kind are no rate yet;
 `--campaigns 300` takes some minutes."""
@@ -357,7 +357,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         wanted = [c for c in wanted if c.key in there]
     found = collect(wanted, options.seed, options.jobs, options.cache)
     few = FEW if options.campaigns < 300 else ""
-    print(HEAD.format(campaigns=options.campaigns) + few)
+    print(HEAD.format(campaigns=options.campaigns, seed=options.seed) + few)
     for table in (visible(), *tables(found)):
         print(table.markdown())
 
