@@ -213,9 +213,8 @@ def _closing(machine: Machine) -> Iterator[None]:
         unit, value = machine.catalogue.effect_of(worst).unit, machine.values[worst]
         raise InputError(
             f"{worst} = {compact(value / unit.si, 6)}{unit.behind} is {off[worst]:.0f} times its "
-            "tolerance "
-            f"of {machine.tolerance(worst) / unit.si:g}{unit.behind}, and the machine does not "
-            f"close with it: is it meant in another unit?"
+            f"tolerance of {machine.tolerance(worst) / unit.si:g}{unit.behind}, and the machine "
+            f"does not close with it: is it meant in another unit?"
         ) from None
 
 

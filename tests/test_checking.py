@@ -18,6 +18,7 @@ from benchmarks.delta_truth import machine as delta
 from orthoglide import units
 from orthoglide.checking import Check, Difference, check
 from orthoglide.checking.difference import entered
+from orthoglide.checking.told import changes_text
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
 from orthoglide.firmware.klipper import import_printer
@@ -108,6 +109,11 @@ def test_where_nothing_changed_it_says_how_sure_that_is(machine: og.Machine) -> 
     (said,) = found.sentences
     assert said.startswith("nothing changed beyond its uncertainty: ")
     assert said.count("±") == len(found.differences)
+    # Zeros and the readings that prove them are listed, but not where the verdict withholds them.
+    assert "these readings prove their signs" in changes_text(found)
+    doubted = changes_text(replace(found, closed=replace(found.closed, word="unexplained")))
+    assert "prove their signs" not in doubted
+    assert "once the zeros are right" not in doubted
 
 
 @pytest.mark.thorough

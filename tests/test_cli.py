@@ -309,6 +309,18 @@ def test_interrupted_while_writing(here: Path, monkeypatch: pytest.MonkeyPatch, 
     assert sorted(os.listdir(here)) == ["experiment2.csv", "planted.toml"]
 
 
+def test_interrupted_before_a_command_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It ended with 1 and "Aborted!"."""
+
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "resolve_command", interrupt)
+    result = run("compare")
+    assert result.exit_code == 130
+    assert result.stderr == "orthoglide: interrupted: nothing is left half written\n"
+
+
 @pytest.mark.parametrize("made", ["mkdir", "open"])
 def test_interrupted_the_moment_something_stands(
     here: Path, monkeypatch: pytest.MonkeyPatch, made: str

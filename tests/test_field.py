@@ -101,6 +101,24 @@ def test_a_slip_that_is_only_likely_is_kept_and_told(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("off", "said"),
+    [
+        (3e-4, "below the surface of all others, as a dent in the plate"),
+        (-3e-4, "above the surface of all others, as a speck on the plate"),
+    ],
+)
+def test_a_touch_off_its_surface_is_told_on_its_side(off: float, said: str) -> None:
+    """A touch below was a speck on the plate, too. A reading is what the nozzle hangs above it."""
+    found = og.import_printer(FIELD.parent / "delta" / "flight505.cfg")
+    _, readings = found.campaigns  # the mesh
+    row = int(np.argmin(np.linalg.norm(readings.command, axis=1)))
+    spoilt = readings.with_readings(readings.reading + off * (np.arange(len(readings)) == row))
+    warnings = og.identify([spoilt], og.Machine(found.machine)).warnings
+    (told,) = (w for w in warnings if f"line {readings.line[row]}," in w)
+    assert said in told
+
+
 def test_a_quiet_mesh_makes_no_slips_of_sound_distances() -> None:
     verdict = closed("quiet-mesh", "printer.cfg")
     assert verdict.word == "adequate"

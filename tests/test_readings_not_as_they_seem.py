@@ -262,7 +262,9 @@ def test_a_few_readings_of_a_sound_machine_are_no_fault() -> None:
 
 @pytest.mark.thorough
 def test_what_was_not_looked_at_has_no_probability() -> None:
-    closed = replace(studied(rig(1), MACHINE), word="unexplained", left=Left(float("nan")))
+    closed = replace(studied(rig(1), MACHINE), word="partial", left=Left(float("nan")))
     lost = filled(closed, og.Verdict)
-    assert "probability" not in evidence(lost)
+    said = evidence(lost)
+    assert "What was found does not predict the readings that it was found by." in said
+    assert "probability" not in said
     assert json.loads(result_text(lost))["left"]["lack_of_fit_p"] is None

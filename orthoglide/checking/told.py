@@ -8,7 +8,6 @@ from typing import Any
 from orthoglide import __version__
 from orthoglide.checking.comparing import Check
 from orthoglide.checking.difference import COLUMNS
-from orthoglide.control import withheld
 from orthoglide.numerals import plain
 from orthoglide.progress import Progress, silent
 from orthoglide.report import report_files
@@ -73,9 +72,7 @@ def _data(found: Check) -> dict[str, Any]:
     numbers = found.told.numbers
     now, zeros = (f"{numbers.expected[k].shape * 1e3:.3f} mm" for k in ("now", "zeros"))
     zero = ", ".join(f"{d.leg} {plain(d.new_zero * 1e3, 3)}" for d in numbers.drives)
-    held_back = bool(
-        withheld(verdict.machine)
-    )  # numbers that nothing confirms are not to be entered
+    held_back = any(one.kind == "zeros" for one in verdict.withheld)
     return {
         "said": [sentence(text) for text in found.sentences],
         "left": headline(verdict),

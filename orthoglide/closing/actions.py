@@ -320,10 +320,10 @@ def _suggested(closed: Closed) -> tuple[Suggestion, ...]:
     sets += [(one.members[0].probability, one.data) for one in closed.located]
     likely: list[Suggestion] = []
     others: list[Suggestion] = []
-    for probability, (fault, *_) in (one for one in sets if one[1]):
-        if known is not None:
-            first = likely if fault.probability > probability else others
-            first.append(planning.deciding_visits(known, fault))
+    for probability, faults in sets:
+        if faults and known is not None:
+            visits = likely if faults[0].probability > probability else others
+            visits.append(planning.deciding_visits(known, faults[0]))
     parts = [s for one in closed.located if known for s in planning.parting(known, one)]
     if not geometry.dialled:
         apart = () if known is None else planning.deciding_instruments(known, closed.effects)

@@ -19,6 +19,7 @@ from orthoglide.explanation import (
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.change_model import WIDTHS
 from orthoglide.explanation.changes import separated
+from orthoglide.explanation.credible_faults import EVEN
 from orthoglide.explanation.data_faults import Blunder, find_faults, without
 from orthoglide.explanation.identifying import identify
 from orthoglide.explanation.recalibration import account_for_changes, vague
@@ -34,10 +35,6 @@ from orthoglide.observations.repetition import shared_fraction
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.result import Request, Word
 from orthoglide.threads import on_one_thread
-
-EVEN = 0.5
-"""Probability of a machine beyond all tolerances, or of more noise than the repeats show, from
-which nothing is said to be explained: what is likelier than not."""
 
 _LITTLE = 0.1  # share of the lack of fit that a place which was found may leave
 
@@ -212,8 +209,9 @@ def _warned(closed: Closed, note: Note) -> Closed:
 def _missing(left: Left) -> bool:
     """Return whether the list of explanations lacks one.
 
-    The residual is significant, or was not tested; or only a machine beyond all its tolerances, or
-    more noise than the repeats show, explains it, which would explain anything.
+    The residual is significant, or was not tested; or it is likelier than not that only a machine
+    beyond all its tolerances, or more noise than the repeats show, explains it, which would explain
+    anything.
     """
     return not left.p_value >= SIGNIFICANT or left.rare > EVEN
 

@@ -102,6 +102,7 @@ def _triple(shown: Shown) -> str:
 
 
 def _signed(change: float) -> str:
+    """Return a change of a reading, metres, as text in millimetres."""
     return signed(change * 1e3, 3)
 
 

@@ -28,8 +28,7 @@ RULE = (
 """What to do with new zeros, wherever they are given."""
 _FORMULA = (
     f"new zero = old zero {MINUS} sign × offset: what the controller shows, counted as now, when "
-    "the "
-    "carriage is at mechanical zero."
+    "the carriage is at mechanical zero."
 )
 _ZEROS = "zeros alone"
 _NAMED = 2  # kinds of errors that a sentence names

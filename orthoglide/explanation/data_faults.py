@@ -105,7 +105,7 @@ class Findings:
     look: FullPosterior | None
     # faults that the data may have, where a cause of the machine would explain the readings as well
     unsure: frozenset[Key] = frozenset()
-    # about faults that are likelier than not, but not enough so to be corrected
+    # on faults that are more probable than not, but not certain enough to be corrected
     notes: tuple[Note, ...] = ()
 
 
@@ -123,10 +123,8 @@ def find_faults(read: Estimate) -> Findings:
         # Changes are searched anew: a fault that is corrected now may have caused the earlier ones.
         changed, cost = likeliest_changes(fit)
         look = first_look(_fitted(separated(fit.problem, changed)) if changed else fit)
-        if (
-            changed
-            and (misread := _misread(first_look(fit), found, look.evidence - cost)) is not None
-        ):
+        misread = _misread(first_look(fit), found, look.evidence - cost) if changed else None
+        if misread is not None:
             found = _joined(found, [_of_all_rows(read.problem, misread)])
             fit = _fitted(_set_right(read.problem, found))
             continue

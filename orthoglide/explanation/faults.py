@@ -206,10 +206,10 @@ def _clause(problem: Problem, fault: Fault) -> str:
             unit = given.setups[given.setup[row]].observation.unit
             return (
                 f"from here on the same places read about {compact(fault.size * 1e3, 2)} {unit} "
-                "otherwise than before, as if the instrument, or what it stands on, had been "
-                "moved, or "
-                f"drifted: give the rows from there on a setup name of their own, as is done here, "
-                f"or measure the setup again{_or_lost(problem, k, int(given.setup[row]))}"
+                f"otherwise than before, as if the instrument, or what it stands on, had been "
+                f"moved, or drifted: give the rows from there on a setup name of their own, as is "
+                f"done here, or measure the setup again"
+                f"{_or_lost(problem, k, int(given.setup[row]))}"
             )
         case "stuck":
             return (

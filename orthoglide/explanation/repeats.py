@@ -24,9 +24,9 @@ _LITTLE = 1e-4  # square of the noise that no reading is without
 _ROUNDS = 6  # of leaving out what is far beyond the rest
 
 _BEYOND, _BEYOND_OF_TOOL = 3.0, 10.0
-"""Times what a dial, or an instrument at the tool, is expected to scatter, that nothing of it
-explains; the latter also of a dial beside others where the noise was declared, as one that is only
-worse than they are has more noise of its own."""
+"""Times the scatter expected of a dial, or of an instrument at the tool, that is no noise of it.
+Where the noise was declared, a dial is held to the latter beside the others: up to that it counts
+as a dial with more noise of its own."""
 
 _FEWEST = 10  # repeats of repeats from which a setup may be said to scatter
 
@@ -60,9 +60,7 @@ def scattered(problem: Problem) -> list[Fault]:
         factor, own = problem.factors[k], rows - problem.factor_rows[k].start
         step = float(factor.noise.step[own].max())
         most = _BEYOND * max(_usual(factor, own), step)
-        if not factor.noise.from_repeats[
-            own
-        ].all():  # noise that was declared, if too small for all
+        if not factor.noise.from_repeats[own].all():  # declared, perhaps too small for all dials
             most = _BEYOND_OF_TOOL * float(np.median(factor.noise.total))
         apart = _successive(factor.readings.subset(own))
         fault = Fault("scatter", rows, (number,), _most_scatter(apart, step))

@@ -81,9 +81,8 @@ def check_commands(values: Array, travelled: bool, machine: MachineFile, fail: F
     low, high = sorted(limits[:, axis] * 1e3)
     fail(
         f"the command {compact(given[axis] * 1e3, 9)} mm of axis {names[axis]} is outside its "
-        "stroke "
-        f"of {compact(low, 6)} to {compact(high, 6)} mm: correct it, or the stroke in the machine "
-        "file",
+        f"stroke of {compact(low, 6)} to {compact(high, 6)} mm: correct it, or the stroke in the "
+        f"machine file",
         row,
     )
 
@@ -329,8 +328,8 @@ def _dial(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
             row = rows[np.argmax(np.abs(reading - np.median(every)))]
             fail(
                 f"reading_mm is {compact(campaign.reading[row] * 1e3, 6)} in setup "
-                f"{setup.name!r}, whose "
-                f"readings span {np.ptp(every) * 1e3:.4g} mm{' from 0' if datum else ''}, more "
+                f"{setup.name!r}, whose readings span {np.ptp(every) * 1e3:.4g} mm"
+                f"{' from 0' if datum else ''}, more "
                 "than its leg can move: correct a slip, or give millimetres",
                 int(row),
             )

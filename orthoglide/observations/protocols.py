@@ -219,8 +219,7 @@ def _check_on_leg(
     if place.min() <= max(travel) or place.max() >= geometry.L + min(travel):
         raise InputError(
             f"between travel {compact(min(travel) * 1e3, 6)} and {compact(max(travel) * 1e3, 6)} "
-            "mm a leg of "
-            f"{geometry.L * 1e3:g} mm moves past a dial set between "
+            f"mm a leg of {geometry.L * 1e3:g} mm moves past a dial set between "
             f"{place.min() * 1e3:.1f} and {place.max() * 1e3:.1f} mm along it: give "
             f"a shorter stroke in the machine file"
         )

@@ -29,15 +29,15 @@ _READ = ("printer", "stepper_a", "stepper_b", "stepper_c", "delta_calibrate", "b
 _DEEPEST = 8  # files that include one another
 _SECTIONS = (*_READ, "include", "bltouch", "smart_effector", "beacon", "cartographer")
 _PASTED = {0x200B: None, 0xFEFF: None, 0x2212: "-"}  # what web pages put into pasted text
-_KEYS = {
+_KEYS = {  # by the kind of section in which alone SAVE_CONFIG writes them
     "printer": re.compile("delta_radius"),
     "delta_calibrate": re.compile(r"(height|distance)\d+(_pos\d?)?"),
     "bed_mesh": re.compile(r"points|[xy]_count|mesh_[xy]_pps"),
-}  # that SAVE_CONFIG writes in sections of one kind alone
+}
 _MOST = 1e6  # of anything that a printer's file counts
 
 BROKEN = "broken header"
-"""Kind of a note on a section that is lost, as its header cannot be read."""
+"""Kind of a note on a section that is lost, as its header is missing or cannot be read."""
 
 Lines = Sequence[tuple[int, str]]
 """Lines of text with their numbers."""
@@ -147,7 +147,7 @@ class Config:
     missing: list[str] = field(default_factory=list)  # included files that were not found
     notes: list[Note] = field(default_factory=list)  # of what was noticed on reading it
     # line, key and section of keys that stand there a second time
-    twice: list[tuple[int, str, str]] = field(default_factory=list)
+    repeated: list[tuple[int, str, str]] = field(default_factory=list)
 
     def note(self, kind: str, text: str) -> None:
         """Note something for the owner."""
@@ -255,7 +255,7 @@ def _strayed(saved: Config) -> Iterator[Note]:
     """Yield a note where a header was lost: below it a key stands twice in a section, or in a
     section of another kind than SAVE_CONFIG writes it in.
     """
-    found = [(line, f"{key} stands twice in [{name}]", "it") for line, key, name in saved.twice]
+    found = [(line, f"{key} stands twice in [{name}]", "it") for line, key, name in saved.repeated]
     for kind, keys in _KEYS.items():
         found += [
             (entry.line, f"{key} stands in [{name}]", f"[{kind}]")
@@ -328,7 +328,8 @@ def _parse(config: Config, lines: Lines, path: Path, within: tuple[Path, ...]) -
                 section = config.sections.setdefault(name, section)
         elif (found := _ENTRY.match(text)) and section is not None:
             key = found[1].strip().lower()
-            config.twice += [(number, key, section.name)] * (key in section.entries)
+            if key in section.entries:
+                config.repeated.append((number, key, section.name))
             section.entries[key] = Entry(found[2].strip(), number, shown(path))
         elif meant := _broken_header(text):  # what follows belongs to nothing
             section, key = Section("", Entry("", number, shown(path))), ""
