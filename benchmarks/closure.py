@@ -34,7 +34,7 @@ sys.path.insert(0, str(ROOT))
 
 import orthoglide as og
 from orthoglide import reduction
-from orthoglide.mechanism.engine import ByPinocchio, SixBars
+from orthoglide.mechanism.engine import PinocchioEngine, SixBars
 from orthoglide.mechanism.mechanism import Mechanism
 from orthoglide.prediction import Model
 from orthoglide.urdf import closures, to_mjcf, to_urdf
@@ -140,7 +140,7 @@ def add_engine(add: Callable[..., None], engine: SixBars, how: str) -> None:
     single, each = engine.single(), list(zip(travel[:500], moves[:500], strict=True))
 
     def bare() -> None:
-        _, own_travel, own_moves = single.given
+        _, own_travel, own_moves = single.arguments
         for one, displacements in each:
             own_travel[:], own_moves[:] = one, displacements
             single.evaluate()
@@ -154,7 +154,7 @@ def add_pinocchio(add: Callable[..., None], few: Array) -> None:
     """The definition, posture by posture."""
     mechanism = Mechanism(GEOMETRY)
     moves = 1e-3 * np.random.default_rng(1).standard_normal((len(few), 3, 10))
-    judge = ByPinocchio(mechanism)
+    judge = PinocchioEngine(mechanism)
     add("Pinocchio, Mechanism.close, one posture", len(few),
         lambda: [mechanism.close(rho, m) for rho, m in zip(few, moves, strict=True)])  # fmt: skip
     add("Pinocchio, closure and all sensitivities", len(few),

@@ -36,7 +36,7 @@ from orthoglide import reduction
 from orthoglide.explanation.identifying import identify
 from orthoglide.fit import Problem, assemble
 from orthoglide.fit.crosscheck import reduction_fit
-from orthoglide.fit.least_squares import Nuisances, linearise, normal, nuisances
+from orthoglide.fit.least_squares import Nuisances, linearise, normal_equations, nuisances
 from orthoglide.fit.nested import solve_nested
 from orthoglide.fit.nlp import Nlp
 from orthoglide.geometry import Array
@@ -106,11 +106,15 @@ def by_scipy(problem: Problem, nuisance: Nuisances) -> Array:
     gauges = np.array([s.gauge for s in setups])
 
     def rows(six: Array) -> Array:
-        shown = reduction.observe(data.command, legs, axes, gauges, six[:3], six[3:]).values
+        shown = reduction.predict_readings(
+            data.command, legs, axes, gauges, six[:3], six[3:]
+        ).values
         return np.append(nuisance.project(problem.measured - shown), six / problem.tolerance)
 
     def slopes(six: Array) -> Array:
-        by_six = reduction.observe(data.command, legs, axes, gauges, six[:3], six[3:]).gradient
+        by_six = reduction.predict_readings(
+            data.command, legs, axes, gauges, six[:3], six[3:]
+        ).gradient
         return np.vstack([-nuisance.project(by_six), np.diag(1 / problem.tolerance)])
 
     exact = {"ftol": 1e-15, "xtol": 1e-15, "gtol": 1e-15}
@@ -121,8 +125,8 @@ def by_scipy(problem: Problem, nuisance: Nuisances) -> Array:
 def ways(problem: Problem) -> dict[str, Callable[[], Array]]:
     """Every way of solving a problem once."""
     first = linearise(problem, problem.start)
-    nuisance = nuisances(problem, first.seen)
-    scale = 1 / np.sqrt(np.diag(normal(problem, first, nuisance).information))
+    nuisance = nuisances(problem, first.reading_poses)
+    scale = 1 / np.sqrt(np.diag(normal_equations(problem, first, nuisance).information))
     warm = Nlp(problem, nuisance, scale)
     joints = warm.start_joints(problem, first.x)
 

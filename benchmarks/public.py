@@ -310,10 +310,10 @@ def predicted_sd_mm(verdict: og.Verdict, other: og.Readings) -> float:
     known = machine.posterior
     kept = [k for k, name in enumerate(known.names) if name in machine.catalogue.motions]
     names = [known.names[k] for k in kept]
-    factor = Factor.unread(other, machine)
+    factor = Factor.from_planned(other, machine)
     seen = factor.linearise(machine.model, machine.values, names)
-    rows = seen.jacobian @ known.root[kept]
-    turn, _ = np.linalg.qr(factor.nuisances(seen.seen).columns)
+    rows = seen.jacobian @ known.covariance_root[kept]
+    turn, _ = np.linalg.qr(factor.nuisances(seen.reading_poses).columns)
     past = rows - turn @ (turn.T @ rows)
     return float(np.sqrt(np.mean(np.sum(past**2, axis=1)))) * 1e3
 

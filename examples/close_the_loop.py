@@ -16,7 +16,7 @@ readings = og.read_campaign(DATA / "rig-4.csv")
 
 # 1. Identify what the simplified model has: joint offsets and leg lengths.
 base = og.identify(readings, machine)
-print(f"noise of a reading      {1e3 * base.problem.told_noise:.3f} mm")
+print(f"noise of a reading      {1e3 * base.problem.declared_noise:.3f} mm")
 print(f"residual, rms           {1e3 * base.scores.rms:.3f} mm")
 residual = readings.reading - base.predicted
 for number, setup in enumerate(readings.setups):

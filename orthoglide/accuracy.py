@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.effects import OF_DRIVES
+from orthoglide.effects import DRIVE_ENTRIES
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine import Machine
 from orthoglide.mechanism.perfect_legs import Spheres, commands as commands_of
@@ -22,15 +22,15 @@ from orthoglide.prediction import Conditions
 GRID = 5
 """Commands along each axis of the map of the workspace."""
 
-_EVEN = 1 / 1.2207440846 ** np.arange(1, 4)
+_SEQUENCE_STEPS = 1 / 1.2207440846 ** np.arange(1, 4)
 """Steps of a sequence that fills a cube evenly (Roberts 2018, by the root of x^4 = x + 1)."""
 
 _DRAWS = 400
-_PLACE = 0.01  # weight of place against shape: enough to choose between equal shapes
-_STEPS = 2  # of Gauss-Newton, on a problem that is nearly linear
+_TRANSLATION_WEIGHT = 0.01  # weight of place against shape: enough to choose between equal shapes
+_GAUSS_NEWTON_STEPS = 2  # of Gauss-Newton, on a problem that is nearly linear
 
 
-def workspace(geometry: Geometry, count: int = GRID, pitch: float | None = None) -> Array:
+def workspace_grid(geometry: Geometry, count: int = GRID, pitch: float | None = None) -> Array:
     """Return commands ``(n, 3)`` that fill the workspace evenly, metres: on the Orthoglide the
     stroke.
 
@@ -42,36 +42,36 @@ def workspace(geometry: Geometry, count: int = GRID, pitch: float | None = None)
     """
     layout, sizes = geometry.layout, (geometry.L, geometry.r, geometry.stroke)
     if (points := layout.points(*sizes, count)) is not None:
-        return commands_of(Spheres.of(geometry), points)
+        return commands_of(Spheres.of_geometry(geometry), points)
     travel, spacing = np.linspace(*geometry.stroke, count, retstep=True)
     grid = np.stack(np.meshgrid(travel, travel, travel, indexing="ij"), axis=-1).reshape(-1, 3)
     third = min(pitch or 0.0, float(spacing)) / 3
-    phase = np.floor(3 * ((0.5 + np.arange(len(grid))[:, None] * _EVEN) % 1.0))
+    phase = np.floor(3 * ((0.5 + np.arange(len(grid))[:, None] * _SEQUENCE_STEPS) % 1.0))
     low, high = (np.abs(grid - end) < third for end in (travel[0], travel[-1]))
     return np.asarray(geometry.zero[0] + grid + third * (phase - 1 + low - high))
 
 
-def throughout(machine: Machine) -> Array:
+def workspace_commands(machine: Machine) -> Array:
     """Return commands over the workspace ``(n, 3)`` at every phase of the screws, metres."""
-    return workspace(machine.geometry, pitch=machine.spec.screw_pitch)
+    return workspace_grid(machine.geometry, pitch=machine.spec.screw_pitch)
 
 
 def tcp_slopes(machine: Machine, names: Sequence[str], at: Conditions | None = None) -> Array:
     """Return derivatives of the TCP by parameter ``(g, 3, P)``, SI, in given conditions or over the
     workspace.
     """
-    where = Conditions.at(throughout(machine)) if at is None else at
+    where = Conditions.from_commands(workspace_commands(machine)) if at is None else at
     _, slopes = machine.model.sensitivities(machine.values, where, tuple(names))
     return slopes[:, :3]
 
 
-def without_place(field: Array) -> Array:
+def without_translation(field: Array) -> Array:
     """Return a field over the workspace ``(g, 3, ...)`` after its best translation."""
     return field - field.mean(axis=0)
 
 
 @dataclass(frozen=True, repr=False)
-class Map:
+class TcpMap:
     """The predicted TCP over a set of commands."""
 
     commands: Array  # (g, 3), metres
@@ -82,7 +82,7 @@ class Map:
     @property
     def error(self) -> Array:
         """Distance of the calibrated TCP from the nominal ``(g,)``, best translation removed."""
-        return np.linalg.norm(without_place(self.p - self.nominal), axis=1)
+        return np.linalg.norm(without_translation(self.p - self.nominal), axis=1)
 
     @property
     def uncertainty(self) -> Array:
@@ -90,19 +90,21 @@ class Map:
         return 1.96 * np.linalg.norm(self.sigma, axis=1)
 
 
-def tcp_map(machine: Machine, commands: Array | None = None) -> Map:
+def tcp_map(machine: Machine, commands: Array | None = None) -> TcpMap:
     """Return the predicted TCP of a calibrated machine over the workspace, with its uncertainty.
 
     Args:
         machine: calibrated.
-        commands: ``(g, 3)``; :func:`throughout` the workspace where absent.
+        commands: ``(g, 3)``; :func:`workspace_commands` the workspace where absent.
     """
-    where = throughout(machine) if commands is None else commands
+    where = workspace_commands(machine) if commands is None else commands
     posterior = machine.posterior
-    slopes = without_place(tcp_slopes(machine, posterior.names, Conditions.at(where)))
+    slopes = without_translation(
+        tcp_slopes(machine, posterior.names, Conditions.from_commands(where))
+    )
     variance = np.einsum("gip,pq,giq->gi", slopes, posterior.covariance, slopes)
     nominal = machine.with_only({}).forward(where)
-    return Map(where, nominal, machine.forward(where), np.sqrt(np.maximum(variance, 0.0)))
+    return TcpMap(where, nominal, machine.forward(where), np.sqrt(np.maximum(variance, 0.0)))
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,7 @@ def expected_error(machine: Machine, settings: Mapping[str, float]) -> ExpectedE
         settings: parameters that the commands allow for, SI; the machine's own are compensation,
             none are a controller that knows of no error.
     """
-    shape, distance = _drawn(machine, settings)
+    shape, distance = _sampled_errors(machine, settings)
     found = (shape.mean(), shape.std(), distance.mean(), distance.std())
     return ExpectedError(*map(float, found))
 
@@ -153,20 +155,20 @@ def expected_gain(
         before: parameters that the commands allow for, SI.
         after: those that they allow for instead.
     """
-    gain = _drawn(machine, before)[0] - _drawn(machine, after)[0]
+    gain = _sampled_errors(machine, before)[0] - _sampled_errors(machine, after)[0]
     return float(gain.mean()), float(gain.std())
 
 
-def _drawn(machine: Machine, settings: Mapping[str, float]) -> tuple[Array, Array]:
+def _sampled_errors(machine: Machine, settings: Mapping[str, float]) -> tuple[Array, Array]:
     """Return mean shape error and translation over the workspace ``(draws,)`` of machines drawn
     from the posterior, the same for all settings.
     """
     posterior, wanted = machine.posterior, wanted_points(machine)
     commands = machine.with_only(settings).inverse(wanted)
     mean = machine.forward(commands) - wanted
-    slopes = tcp_slopes(machine, posterior.names, Conditions.at(commands))
+    slopes = tcp_slopes(machine, posterior.names, Conditions.from_commands(commands))
     draws = np.random.default_rng(0).standard_normal((_DRAWS, len(posterior.names)))
-    errors = mean + np.einsum("gip,np->ngi", slopes, draws @ posterior.root.T)
+    errors = mean + np.einsum("gip,np->ngi", slopes, draws @ posterior.covariance_root.T)
     place = errors.mean(axis=1)
     shape = np.linalg.norm(errors - place[:, None], axis=2).mean(axis=1)
     return np.asarray(shape), np.linalg.norm(place, axis=1)
@@ -174,10 +176,10 @@ def _drawn(machine: Machine, settings: Mapping[str, float]) -> tuple[Array, Arra
 
 def wanted_points(machine: Machine) -> Array:
     """Return where a machine without errors puts the tool over its workspace ``(g, 3)``, metres."""
-    return machine.with_only({}).forward(throughout(machine))
+    return machine.with_only({}).forward(workspace_commands(machine))
 
 
-def _weighed(field: Array, place: Array) -> Array:
+def _with_weighted_translation(field: Array, place: Array) -> Array:
     """Return a field ``(g, 3, ...)`` with these shares ``(3,)`` of its translation."""
     return field - np.einsum("x,x...->x...", 1 - place, field.mean(axis=0))
 
@@ -199,17 +201,19 @@ def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
         Parameters that the commands allow for, SI.
     """
     held, of = {"zero", *also}, machine.catalogue.effect_of
-    zeros = machine.catalogue.expand(machine.catalogue.held_as("zero"))
+    zeros = machine.catalogue.expand(machine.catalogue.correctable_by("zero"))
     identified = {n: v for n, v in machine.values.items() if of(n).controller in held}
     settings: dict[str, float] = {**dict.fromkeys(zeros, 0.0), **identified}
-    wanted, goal, weight = wanted_points(machine), np.zeros(3), np.full(3, _PLACE)
+    wanted, goal, weight = wanted_points(machine), np.zeros(3), np.full(3, _TRANSLATION_WEIGHT)
     if machine.geometry.layout.hanging:
-        above = machine.forward(throughout(machine)) - wanted
+        above = machine.forward(workspace_commands(machine)) - wanted
         goal[2], weight[2] = above[:, 2].mean(), 1.0
-    for _ in range(_STEPS):
+    for _ in range(_GAUSS_NEWTON_STEPS):
         commands = machine.with_only(settings).inverse(wanted)
-        left = _weighed(machine.forward(commands) - wanted - goal, weight)
-        slopes = _weighed(tcp_slopes(machine, zeros, Conditions.at(commands)), weight)
+        left = _with_weighted_translation(machine.forward(commands) - wanted - goal, weight)
+        slopes = _with_weighted_translation(
+            tcp_slopes(machine, zeros, Conditions.from_commands(commands)), weight
+        )
         step = np.linalg.lstsq(slopes.reshape(-1, len(zeros)), left.reshape(-1))[0]
         settings.update({n: settings[n] + float(d) for n, d in zip(zeros, step, strict=True)})
     return settings
@@ -227,6 +231,6 @@ def tool_settings(machine: Machine) -> dict[str, dict[str, float]]:
         "now": {},
         "zeros": best_zeros(machine),
         "zeros_and_lengths": best_zeros(machine, ["bar_length"]),
-        "numbers": best_zeros(machine, OF_DRIVES),
+        "numbers": best_zeros(machine, DRIVE_ENTRIES),
         "compensated": machine.values,
     }

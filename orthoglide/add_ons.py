@@ -19,19 +19,19 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.errors import InputError, check_word
+from orthoglide.errors import InputError, check_choice
 from orthoglide.notes import Note
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-GROUP = "orthoglide.firmware"
+ENTRY_POINT_GROUP = "orthoglide.firmware"
 """Group of the entry points, and the package with the add-ons that come with this one."""
 
-EXACT = 17
+EXACT_DIGITS = 17
 """Significant digits with which a number is read back unchanged; a firmware's are not rounded."""
 
-MARK = "numbers"
+MARK_KEY = "numbers"
 """Key of a firmware's table: what tells its numbers from others, short."""
 
 
@@ -100,7 +100,7 @@ class Section:
     touch: str
     holds: str
     beyond: tuple[str, ...]
-    facts: Mapping[str, Any] = field(metadata={"digits": EXACT})
+    facts: Mapping[str, Any] = field(metadata={"digits": EXACT_DIGITS})
 
     def derived(self) -> dict[str, Any]:
         """Return keys of ``result.json`` that follow from the fields."""
@@ -182,14 +182,14 @@ class AddOn(Protocol):
 
 
 @cache
-def _found() -> dict[str, EntryPoint]:
+def _entry_points() -> dict[str, EntryPoint]:
     """Entry points by the name of the firmware: those installed, and those of this package."""
     from importlib.metadata import EntryPoint, entry_points  # which is slow to load
 
-    folder = import_module(GROUP).__path__
-    own = [EntryPoint(m.name, f"{GROUP}.{m.name}:ADD_ON", GROUP)
+    folder = import_module(ENTRY_POINT_GROUP).__path__
+    own = [EntryPoint(m.name, f"{ENTRY_POINT_GROUP}.{m.name}:ADD_ON", ENTRY_POINT_GROUP)
            for m in pkgutil.iter_modules(folder) if m.ispkg]  # fmt: skip
-    return {one.name: one for one in (*entry_points(group=GROUP), *own)}
+    return {one.name: one for one in (*entry_points(group=ENTRY_POINT_GROUP), *own)}
 
 
 def add_on(name: str) -> AddOn:
@@ -198,9 +198,9 @@ def add_on(name: str) -> AddOn:
     Raises:
         InputError: where there is none of that name, or it cannot be loaded.
     """
-    check_word("firmware", name, _found())
+    check_choice("firmware", name, _entry_points())
     try:
-        found: AddOn = _found()[name].load()
+        found: AddOn = _entry_points()[name].load()
     except (ImportError, AttributeError) as error:
         raise InputError(
             f"the add-on for the firmware {name} cannot be loaded ({error}): install it again, or "
@@ -209,11 +209,11 @@ def add_on(name: str) -> AddOn:
     return found
 
 
-def table_of(provenance: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
+def firmware_table(provenance: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
     """Return the name of the firmware in the provenance of a machine file, and its table; an empty
     name where no add-on has written one.
     """
     for name, table in provenance.items():
-        if isinstance(table, Mapping) and name in _found():
+        if isinstance(table, Mapping) and name in _entry_points():
             return name, table
     return "", {}

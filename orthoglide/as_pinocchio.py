@@ -76,7 +76,7 @@ def pinocchio_model(machine: MachineSource | None = None) -> PinocchioModel:
         model,
         constraints.models,
         constraints.datas,
-        *_rigid(reduced),
+        *_rigid_constraints(reduced),
         visual,
         posture.q[kept],
         drives,
@@ -84,7 +84,7 @@ def pinocchio_model(machine: MachineSource | None = None) -> PinocchioModel:
     )
 
 
-def _rigid(tree: Tree) -> tuple[Any, Any]:
+def _rigid_constraints(tree: Tree) -> tuple[Any, Any]:
     """The loops as Pinocchio's older kind of constraint, with their data."""
     models, datas = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
     for loop in tree.loops:

@@ -126,7 +126,7 @@ class CrossCheckError(NumericsError):
         self.difference = difference
 
 
-def check_word(what: str, given: object, known: Iterable[str]) -> None:
+def check_choice(what: str, given: object, known: Iterable[str]) -> None:
     """Refuses a word that is none of those known, and says which there are.
 
     Raises:
@@ -147,7 +147,7 @@ def check_list(what: str, given: object) -> None:
         raise InputError(f"{what} is a list of names: give [{given!r}], not {given!r}")
 
 
-def path_of(given: str | PathLike[str]) -> Path:
+def as_path(given: str | PathLike[str]) -> Path:
     """A path; a number is none, which the system takes for a file that is open.
 
     Raises:
@@ -158,7 +158,7 @@ def path_of(given: str | PathLike[str]) -> Path:
     return Path(given)
 
 
-def check_whole(what: str, given: object, least: int) -> int:
+def check_integer(what: str, given: object, least: int) -> int:
     """A whole number that is at least so large.
 
     Raises:
@@ -169,7 +169,7 @@ def check_whole(what: str, given: object, least: int) -> int:
     return int(given)
 
 
-def check_by_name(what: str, given: object) -> None:
+def check_mapping(what: str, given: object) -> None:
     """Refuses what are no numbers by name.
 
     Raises:
@@ -182,7 +182,7 @@ def check_by_name(what: str, given: object) -> None:
             raise InputError(f"{name} must be a number, not {value!r}")
 
 
-def numbers(what: str, given: Any) -> NDArray[np.float64]:
+def as_float_array(what: str, given: Any) -> NDArray[np.float64]:
     """An array of numbers, of any shape.
 
     Raises:

@@ -12,25 +12,25 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from orthoglide.errors import FileError, path_of
-from orthoglide.text import shown
+from orthoglide.errors import FileError, as_path
+from orthoglide.text import printable_path
 
-TEXT = 2**20
+TEXT_LIMIT = 2**20
 """Largest file that people write by hand, bytes: it is read key by key."""
 
-LIMIT = 128 * 2**20
+FILE_LIMIT = 128 * 2**20
 """Largest file that is read, bytes: a result with some hundred thousand readings has less."""
 
-SILENCE = 5.0
+PIPE_TIMEOUT = 5.0
 """How long a pipe may say nothing before it is given up, seconds."""
 
-_PIECE = 2**20
+_READ_SIZE = 2**20
 _BOM = b"\xef\xbb\xbf"
 
 
-def inside(path: str | os.PathLike[str], name: str) -> Path:
+def result_file(path: str | os.PathLike[str], name: str) -> Path:
     """The file of a result where its folder is given; any other path as it is."""
-    given = path_of(path)
+    given = as_path(path)
     return given / name if given.is_dir() else given
 
 
@@ -43,28 +43,33 @@ def read_bytes(path: str | os.PathLike[str], most: int | None = None) -> bytes:
 
     Raises:
         FileError: where it is missing, empty, unreadable, too large, or a pipe into which nobody
-            writes for `SILENCE` seconds.
+            writes for `PIPE_TIMEOUT` seconds.
         InputError: for what is no path.
     """
-    path_of(path)
-    most = LIMIT if most is None else most
+    as_path(path)
+    most = FILE_LIMIT if most is None else most
     try:
         content = _content(path, most)
     except FileNotFoundError:
-        raise FileError("there is no such file: check the name", file=shown(path)) from None
+        raise FileError(
+            "there is no such file: check the name", file=printable_path(path)
+        ) from None
     except TimeoutError:
         raise FileError(
-            f"is a pipe that says nothing for {SILENCE:g} seconds: give a file", file=shown(path)
+            f"is a pipe that says nothing for {PIPE_TIMEOUT:g} seconds: give a file",
+            file=printable_path(path),
         ) from None
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise FileError(
-            f"cannot be read ({reason}): give a readable file", file=shown(path)
+            f"cannot be read ({reason}): give a readable file", file=printable_path(path)
         ) from None
     if len(content) > most:
-        raise FileError(f"is larger than {most // 2**20} MB: give the right file", file=shown(path))
+        raise FileError(
+            f"is larger than {most // 2**20} MB: give the right file", file=printable_path(path)
+        )
     if not content.removeprefix(_BOM).strip():
-        raise FileError("is empty: give a file with content", file=shown(path))
+        raise FileError("is empty: give a file with content", file=printable_path(path))
     return content
 
 
@@ -76,24 +81,24 @@ def _content(path: str | os.PathLike[str], most: int) -> bytes:
 
     with open(path, "rb", buffering=0, opener=opener) as stream:
         if stat.S_ISREG(os.fstat(stream.fileno()).st_mode) or os.name == "nt":
-            return _up_to(most, stream.read)
+            return _read_up_to(most, stream.read)
         silent_since = time.monotonic()
 
         def read(count: int) -> bytes | None:
             nonlocal silent_since
-            left = silent_since + SILENCE - time.monotonic()
+            left = silent_since + PIPE_TIMEOUT - time.monotonic()
             if left <= 0 or not select.select([stream], [], [], left)[0]:
                 raise TimeoutError
             silent_since = time.monotonic()
             return stream.read(count)
 
-        return _up_to(most, read)
+        return _read_up_to(most, read)
 
 
-def _up_to(most: int, read: Callable[[int], bytes | None]) -> bytes:
+def _read_up_to(most: int, read: Callable[[int], bytes | None]) -> bytes:
     content = bytearray()
     while len(content) <= most:
-        piece = read(_PIECE)
+        piece = read(_READ_SIZE)
         if piece == b"":
             break
         content += piece or b""  # None: another reader took it
@@ -118,15 +123,15 @@ def decode(content: bytes, path: str | os.PathLike[str], errors: str = "strict")
     """
     for start, message in _BINARY.items():
         if content.startswith(start):
-            raise FileError(message, file=shown(path))
+            raise FileError(message, file=printable_path(path))
     if b"\0" in content:
-        raise FileError("is not text: give a UTF-8 text file", file=shown(path))
+        raise FileError("is not text: give a UTF-8 text file", file=printable_path(path))
     try:
         return content.decode("utf-8-sig", errors)
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
         raise FileError(
-            "is not UTF-8 text: save it as UTF-8", file=shown(path), line=line
+            "is not UTF-8 text: save it as UTF-8", file=printable_path(path), line=line
         ) from None
 
 
@@ -135,9 +140,9 @@ def sha256(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def write_whole(path: str | os.PathLike[str], content: str | bytes, *, overwrite: bool) -> None:
+def write_file(path: str | os.PathLike[str], content: str | bytes, *, overwrite: bool) -> None:
     """Writes a file that appears whole or not at all; raises as :func:`write_files`."""
-    write_files({path_of(path): content}, overwrite=overwrite)
+    write_files({as_path(path): content}, overwrite=overwrite)
 
 
 def write_files(
@@ -159,13 +164,13 @@ def write_files(
         for target, content in contents.items():
             if not overwrite:
                 check_new(target)
-            with writing(target):
-                waiting[target] = waiting_name(target)
+            with as_file_errors(target):
+                waiting[target] = temporary_path(target)
                 with waiting[target].open("xb") as stream:
                     stream.write(content.encode() if isinstance(content, str) else content)
         for target, name in waiting.items():
-            with writing(target):
-                _put(name, target, overwrite)
+            with as_file_errors(target):
+                _move_into_place(name, target, overwrite)
             put.append(target)
     except BaseException:
         for target in put if not overwrite else ():
@@ -176,14 +181,14 @@ def write_files(
             name.unlink(missing_ok=True)
 
 
-def waiting_name(target: Path) -> Path:
+def temporary_path(target: Path) -> Path:
     """Where what is to be ``target`` waits, beside it: known before anything stands there, so an
     interrupt at any moment finds what to remove.
     """
     return target.parent / f".orthoglide-{secrets.token_hex(8)}"
 
 
-def _put(name: Path, target: Path, overwrite: bool) -> None:
+def _move_into_place(name: Path, target: Path, overwrite: bool) -> None:
     """Give a finished file its name; another process may have taken it a moment ago."""
     if overwrite:
         os.replace(name, target)
@@ -191,36 +196,38 @@ def _put(name: Path, target: Path, overwrite: bool) -> None:
     try:
         os.link(name, target)  # never over another, a link to nothing included
     except FileExistsError:
-        raise _exists(target) from None
+        raise _exists_error(target) from None
     except OSError:  # a file system without hard links: take the name, then fill it
         try:
             os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
         except FileExistsError:
-            raise _exists(target) from None
+            raise _exists_error(target) from None
         os.replace(name, target)
 
 
-def _exists(path: str | os.PathLike[str]) -> FileError:
-    return FileError("exists and is not overwritten: choose another name", file=shown(path))
+def _exists_error(path: str | os.PathLike[str]) -> FileError:
+    return FileError(
+        "exists and is not overwritten: choose another name", file=printable_path(path)
+    )
 
 
 def check_new(path: str | os.PathLike[str]) -> None:
     """Refuse a name that stands already, or that no file can have, with a `FileError`."""
-    with writing(path):
+    with as_file_errors(path):
         try:
             os.lstat(path)  # a link to nothing stands as well
         except (FileNotFoundError, NotADirectoryError):
             return
-    raise _exists(path)
+    raise _exists_error(path)
 
 
 @contextmanager
-def writing(path: str | os.PathLike[str]) -> Iterator[None]:
+def as_file_errors(path: str | os.PathLike[str]) -> Iterator[None]:
     """What the system refuses within is a `FileError` that names the path."""
     try:
         yield
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise FileError(
-            f"cannot be written ({reason}): choose another place or name", file=shown(path)
+            f"cannot be written ({reason}): choose another place or name", file=printable_path(path)
         ) from None

@@ -8,14 +8,14 @@ from collections.abc import Collection
 from pathlib import Path
 
 from orthoglide.errors import FileError
-from orthoglide.text import MACHINE, shown
+from orthoglide.text import MACHINE_OPTION, printable_path
 
-_LIST = (
+_PLATES_ADVICE = (
     ", which is a list of plate points: read it with orthoglide import plates {}"
-    f"{MACHINE} --out DIR"
+    f"{MACHINE_OPTION} --out DIR"
 )
 _NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
-_FILES = {  # files that describe no machine: what stands in no others, and what to do with them
+_OTHER_FILES = {  # files that describe no machine: what stands in no others, and what to do with them
     "archive": (
         r"\A(?:PK\x03\x04|\x1f|BZh|7z\xbc\xaf|\xfd7zXZ|Rar!)",
         "is an archive: unpack it, and give the file in it",
@@ -30,18 +30,18 @@ _FILES = {  # files that describe no machine: what stands in no others, and what
         "is Klipper's printer.cfg: read it with orthoglide import klipper {} --out DIR",
     ),
     "height map": (
-        r"(?i)^RepRapFirmware height map file", f"is RepRapFirmware's height map{_LIST}",
+        r"(?i)^RepRapFirmware height map file", f"is RepRapFirmware's height map{_PLATES_ADVICE}",
     ),
     "bed lines": (
-        r"(?i)^.*\bbed +x *:.*\by *:.*\bz *:", f"has Marlin's lines of touches{_LIST}",
+        r"(?i)^.*\bbed +x *:.*\by *:.*\bz *:", f"has Marlin's lines of touches{_PLATES_ADVICE}",
     ),
     "probe lines": (
-        r"\bprobe at \S+ is z=", f"has Klipper's lines of touches{_LIST}",
+        r"\bprobe at \S+ is z=", f"has Klipper's lines of touches{_PLATES_ADVICE}",
     ),
 }  # fmt: skip
 _M665 = (r"^.*\bM665\b[^;\n]*?\bL *([\d.:]+)", r"^.*\bM665\b[^;\n]*?\bR *([\d.:]+)")
 _BED_LINES = "probe the plate (G29), save its lines 'Bed X: Y: Z:' and read them"
-_MACHINES = {  # files that describe a machine: what stands in no others, how the firmware touches
+_FIRMWARE_CONFIGS = {  # files that describe a machine: what stands in no others, how the firmware touches
     # the plate, and where lengths of the arms and the radius less the platform's stand
     "Smoothieware's config": (
         r"^[ \t]*(?:arm_solution|(?:alpha|beta|gamma)_[\w.]+|zprobe\.\w+|leveling-strategy\.\S+)"
@@ -66,37 +66,39 @@ _MACHINES = {  # files that describe a machine: what stands in no others, how th
 }  # fmt: skip
 
 
-def refuse_foreign(path: Path, content: bytes, own: Collection[str]) -> None:
+def refuse_foreign(path: Path, content: bytes, accepted: Collection[str]) -> None:
     """Refuse a file that another firmware wrote, or that another command reads.
 
     Args:
         path: of the file.
         content: its first bytes.
-        own: kinds that are welcome, as is one that nobody knows.
+        accepted: kinds that are welcome, as is one that nobody knows.
 
     Raises:
         FileError: saying what the file is and what to write instead.
     """
     plain = content.removeprefix(b"\xef\xbb\xbf")
     text = plain.decode("latin-1").replace("\r\n", "\n").replace("\r", "\n")
-    for kind, (pattern, message) in _FILES.items():
+    for kind, (pattern, message) in _OTHER_FILES.items():
         if re.search(pattern, text, re.MULTILINE):
-            if kind in own:
+            if kind in accepted:
                 return
-            raise FileError(message.format(shlex.quote(shown(path))), file=shown(path))
-    for name, (pattern, touch, arm, radius) in _MACHINES.items():
+            raise FileError(
+                message.format(shlex.quote(printable_path(path))), file=printable_path(path)
+            )
+    for name, (pattern, touch, arm, radius) in _FIRMWARE_CONFIGS.items():
         if re.search(pattern, text, re.MULTILINE):
-            sizes = [f"L = {value:.7g}" for value in _values(arm, text)]
-            sizes += [f"radius_mm less r_mm = {value:.7g}" for value in _values(radius, text)]
+            sizes = [f"L = {value:.7g}" for value in _mean_value(arm, text)]
+            sizes += [f"radius_mm less r_mm = {value:.7g}" for value in _mean_value(radius, text)]
             given = f" with {' and '.join(sizes)}" if sizes else ""
             raise FileError(
                 f'is {name}, which is not read: write a machine file of kind "linear-delta"'
                 f"{given}, as docs/linear-deltas.md says; then {touch} by orthoglide import plates",
-                file=shown(path),
+                file=printable_path(path),
             )
 
 
-def _values(pattern: str, text: str) -> list[float]:
+def _mean_value(pattern: str, text: str) -> list[float]:
     """Return the number of a file, or the mean of several parted by colons, as a list of one; an
     empty list where there is none.
     """

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orthoglide import layout as layouts
-from orthoglide.errors import InputError, check_word, numbers
+from orthoglide.errors import InputError, as_float_array, check_choice
 
 Array = NDArray[np.float64]
 Leg = Literal["x", "y", "z"]
@@ -26,7 +26,10 @@ LEGS: tuple[Leg, Leg, Leg] = ("x", "y", "z")
 
 _FAR = 4.0  # bars' lengths beyond the stroke; legs two apart no longer meet
 _LARGEST = 10.0  # metres
-_WORKSHOP = 0.15, 0.6  # metres: bars of machines whose parts are made to the same tolerances
+_USUAL_BAR_LENGTHS = (
+    0.15,
+    0.6,
+)  # metres: bars of machines whose parts are made to the same tolerances
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ def vectors(values: ArrayLike, name: str) -> Array:
     Raises:
         InputError: where the shape is another, or something is no finite number.
     """
-    array = numbers(name, values)
+    array = as_float_array(name, values)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise InputError(f"{name} must have shape (..., 3), not {array.shape}")
     if not np.isfinite(array).all():
@@ -57,7 +60,7 @@ def vectors(values: ArrayLike, name: str) -> Array:
     return array
 
 
-def moved_onto(points: Array, source: Array, target: Array) -> Array:
+def align_points(points: Array, source: Array, target: Array) -> Array:
     """Points ``(n, 3)`` by the rigid motion that brings points ``source`` nearest to ``target``.
 
     In the least squares, by singular values (Kabsch 1976), and never by a mirror.
@@ -68,7 +71,7 @@ def moved_onto(points: Array, source: Array, target: Array) -> Array:
     return np.asarray((points - centre) @ (left @ flip @ right) + goal)
 
 
-def small_turns(points: Array, axis: NDArray[np.int64]) -> Array:
+def rotation_columns(points: Array, axis: NDArray[np.int64]) -> Array:
     """By how much small turns about x, y and z move a coordinate of each point ``(n, 3)``.
 
     Args:
@@ -84,7 +87,7 @@ def plane_columns(points: Array) -> Array:
     return np.column_stack([np.ones(len(points)), points[:, :2]])
 
 
-def axial(matrices: Array) -> Array:
+def axial_vectors(matrices: Array) -> Array:
     """Axial vectors ``(n, 3, ...)`` of matrices ``(n, 3, 3, ...)``: of rotations the sine of the
     angle times the axis, of small ones the turn about x, y and z.
     """
@@ -120,7 +123,7 @@ class Geometry:
                     f"geometry: {name} = {value:g} m is far from any machine: give lengths in "
                     f"metres, not millimetres"
                 )
-        limits = tuple(numbers("geometry: the stroke", self.stroke).ravel().tolist())
+        limits = tuple(as_float_array("geometry: the stroke", self.stroke).ravel().tolist())
         if len(limits) != 2 or not self.layout.stroke_fits(self.L, limits):
             raise InputError(
                 f"geometry: the stroke's two limits must run from below 0 to above 0 and stay "
@@ -151,7 +154,7 @@ class Geometry:
         """By how much its parts are made coarser than those of a machine of a workshop's size:
         1 for bars of 150 to 600 mm, beyond them in proportion to their length.
         """
-        return self.L / min(max(self.L, _WORKSHOP[0]), _WORKSHOP[1])
+        return self.L / min(max(self.L, _USUAL_BAR_LENGTHS[0]), _USUAL_BAR_LENGTHS[1])
 
     @property
     def leg_names(self) -> tuple[str, str, str]:
@@ -218,7 +221,7 @@ class Geometry:
         if posture[1:] not in ("max", "min"):
             raise InputError(f"there is no posture {posture!r}: zero, or xmax, xmin, ymax ...")
         axis = posture[0]
-        check_word("leg or axis", axis, LEGS)
+        check_choice("leg or axis", axis, LEGS)
         return self.command_on_axis(LEGS.index(axis), self.stroke[posture[1:] == "max"])
 
     def in_stroke(self, rho: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:

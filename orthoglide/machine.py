@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.effects import CATALOGUE, Catalogue, Effect
-from orthoglide.errors import ClosureError, InputError, UnreachableError, path_of
-from orthoglide.files import write_whole
+from orthoglide.errors import ClosureError, InputError, UnreachableError, as_path
+from orthoglide.files import write_file
 from orthoglide.geometry import Array, Geometry, Pose, vectors
 from orthoglide.machine_file import (
     MachineFile,
@@ -23,8 +23,13 @@ from orthoglide.machine_file import (
     read_machine_file,
     write_machine_file,
 )
-from orthoglide.machine_file.values import check_sigmas, check_single, check_sizes, entries_of
-from orthoglide.mechanism.engine import Outputs, place_in
+from orthoglide.machine_file.values import (
+    check_magnitudes,
+    check_sigmas,
+    parameter_entries,
+    refuse_structured_members,
+)
+from orthoglide.mechanism.engine import Outputs, batch_index
 from orthoglide.mechanism.mechanism import Posture
 from orthoglide.mechanism.perfect_legs import commands as commands_of
 from orthoglide.observations import Readings
@@ -89,7 +94,7 @@ class Machine:
             FileError: naming file, line and remedy.
         """
         spec = read_machine_file(path, CATALOGUE.with_effects(effects))
-        check_single(spec)
+        refuse_structured_members(spec)
         return cls(spec)
 
     @classmethod
@@ -107,7 +112,7 @@ class Machine:
             FileError: where a file is missing or says what cannot be.
             InputError: where the URDF has other legs.
         """
-        path = path_of(folder).resolve()
+        path = as_path(folder).resolve()
         machine = cls(replace(cls.of(given).spec, name=path.name, urdf=str(path)))
         machine.model.engine  # noqa: B018  (which reads the files, and looks at the pivots)
         return machine
@@ -182,8 +187,8 @@ class Machine:
                 that is no number or must be in another unit, and a standard deviation that is none
                 or of another parameter.
         """
-        check_sizes(self.spec, values)
-        return self._with(dict(self.spec.parameters), values, sigmas or {})
+        check_magnitudes(self.spec, values)
+        return self._with_entries(dict(self.spec.parameters), values, sigmas or {})
 
     def with_only(
         self, values: Mapping[str, float], sigmas: Mapping[str, float] | None = None
@@ -191,7 +196,7 @@ class Machine:
         """The same machine with these parameters and no others; arguments as for
         :meth:`with_parameters`.
         """
-        return self._with({}, values, sigmas or {})
+        return self._with_entries({}, values, sigmas or {})
 
     def with_posterior(self, values: Mapping[str, float], posterior: Posterior) -> Machine:
         """The same machine with these parameters and no others, and what is known of them.
@@ -206,13 +211,13 @@ class Machine:
         for name in posterior.names:
             if name not in self.catalogue.motions:
                 raise InputError(f"the covariance names {name!r}, which is no single parameter")
-        return self._with({}, values, posterior.sigmas, posterior.about(values))
+        return self._with_entries({}, values, posterior.sigmas, posterior.recentred(values))
 
     def with_provenance(self, provenance: Mapping[str, Any]) -> Machine:
         """The same machine, with where its parameters come from."""
-        return self._like(replace(self.spec, provenance=dict(provenance)))
+        return self._with_shared_model(replace(self.spec, provenance=dict(provenance)))
 
-    def _with(
+    def _with_entries(
         self,
         entries: dict[str, ParameterValue],
         values: Mapping[str, float],
@@ -221,11 +226,11 @@ class Machine:
     ) -> Machine:
         if posterior is None:
             check_sigmas(values, sigmas)
-        given = entries_of(self.catalogue, values, sigmas)
+        given = parameter_entries(self.catalogue, values, sigmas)
         made = replace(self.spec, parameters=entries | given, posterior=posterior, warnings=())
-        return self._like(replace(made, file="", sha256=""))
+        return self._with_shared_model(replace(made, file="", sha256=""))
 
-    def _like(self, spec: MachineFile) -> Machine:
+    def _with_shared_model(self, spec: MachineFile) -> Machine:
         """A machine of the same tree, which shares what is costly to build."""
         machine = Machine(spec)
         machine.__dict__["_models"] = self._models
@@ -257,7 +262,7 @@ class Machine:
     @cached_property
     def _theta(self) -> Array:
         """All parameters of the machine as the model takes them."""
-        return self.model.vector(self.values)
+        return self.model.parameter_vector(self.values)
 
     def pose(self, rho: ArrayLike, **seen: ArrayLike) -> Pose:
         """Pose of the platform.
@@ -279,9 +284,11 @@ class Machine:
     def _outputs(self, commands: Array, seen: Mapping[str, ArrayLike]) -> Outputs:
         """What closed postures show, one row a command."""
         try:
-            return self.model.posed(self._theta, Conditions.at(commands, **seen))
+            return self.model.outputs_of_vector(
+                self._theta, Conditions.from_commands(commands, **seen)
+            )
         except ClosureError as error:
-            error.index = place_in(commands.shape[:-1], error.index)
+            error.index = batch_index(commands.shape[:-1], error.index)
             raise
 
     def close(self, rho: ArrayLike, **seen: ArrayLike) -> Posture:
@@ -297,13 +304,15 @@ class Machine:
         command = self.geometry.commands(rho)
         if command.shape != (3,):
             raise InputError(f"close takes one command of shape (3,), not {command.shape}")
-        moves = self.model.moves(self.values, Conditions.at(command, **seen))
+        moves = self.model.loaded_displacements(
+            self.values, Conditions.from_commands(command, **seen)
+        )
         return self.model.mechanism.close(command, moves.reshape(3, -1))
 
     def posed(self, rho: ArrayLike | None = None) -> Posed:
         """Return the machine as drawings show it, at a command ``(3,)`` or mechanical zero."""
         command = self.geometry.zero if rho is None else self.geometry.commands(rho)
-        out = self.model.outputs(self.values, Conditions.at(command))
+        out = self.model.outputs(self.values, Conditions.from_commands(command))
         return Posed(self.geometry, out.lines[0], out.p[0], command - self.geometry.zero)
 
     def show(
@@ -329,24 +338,26 @@ class Machine:
             InputError: where meshcat is missing, or the loops do not close with errors as large.
             FileError: where ``out`` stands already.
         """
-        from orthoglide.viewer import Magnified, show, static_page
+        from orthoglide.viewer import MagnifiedMachine, show, static_page
 
         command = self.geometry.zero if rho is None else self.geometry.commands(rho)
-        machine = Magnified(self.model, self.values, seen, magnify)
+        machine = MagnifiedMachine(self.model, self.values, seen, magnify)
         viewer = show(machine, command, open_browser=open_browser)
         if out is not None:
-            write_whole(out, static_page(viewer, machine, self.spec.title), overwrite=False)
+            write_file(out, static_page(viewer, machine, self.spec.title), overwrite=False)
         return viewer
 
     def _repr_svg_(self) -> str:
-        return drawing(self.posed(), title=f"The machine {self.spec.name}".rstrip(), alone=True)
+        return drawing(
+            self.posed(), title=f"The machine {self.spec.name}".rstrip(), standalone=True
+        )
 
     def bar_tensions(self, rho: ArrayLike, **seen: ArrayLike) -> Array:
         """Pull in the bars ``(..., leg, bar)`` under a ``load``, newtons; arguments as for
         :meth:`pose`.
         """
         commands = self.geometry.commands(rho)
-        found = self.model.tensions(self.values, Conditions.at(commands, **seen))
+        found = self.model.tensions(self.values, Conditions.from_commands(commands, **seen))
         return found.reshape(*commands.shape[:-1], 3, 2)
 
     def forward(self, rho: ArrayLike, **seen: ArrayLike) -> Array:
@@ -360,7 +371,7 @@ class Machine:
         Arguments as for :meth:`pose`.
         """
         commands = self.geometry.commands(rho)
-        conditions = Conditions.at(commands, **seen)
+        conditions = Conditions.from_commands(commands, **seen)
         found = self.model.jacobian(self.values, conditions)
         return found.reshape(*commands.shape[:-1], 3, 3)
 
@@ -379,7 +390,7 @@ class Machine:
         try:
             rho = commands_of(spheres, goal.reshape(-1, 3)).reshape(goal.shape)
         except UnreachableError as error:
-            error.index = place_in(goal.shape[:-1], error.index)
+            error.index = batch_index(goal.shape[:-1], error.index)
             raise
         for _ in range(30):
             miss = goal - self.forward(rho, **seen)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-_MOST_DECIMALS = 6
+_MAX_DECIMALS = 6
 _ROUNDING = 1e-12  # in the units of files: no figure that means anything is smaller
-_PLAIN = 1e6  # below, a number is no power of ten
+_EXPONENT_FROM = 1e6  # below, a number is no power of ten
 MINUS = "−"
-SIDES = 1.96
+SIGMAS_95 = 1.96
 """Half width of a 95 % interval in standard deviations."""
 
 
-def decimals_for(sigma: float, most: int = _MOST_DECIMALS) -> int:
+def decimals_for(sigma: float, most: int = _MAX_DECIMALS) -> int:
     """Decimals that show two significant digits of a standard deviation."""
     if not math.isfinite(sigma) or sigma <= 0:
         return 3
@@ -45,7 +45,7 @@ def compact(value: float, digits: int = 3, plus: bool = False) -> str:
         return "–"
     value = value if abs(value) >= _ROUNDING else 0.0
     text = f"{value:.{digits}g}"
-    if "e+" in text and abs(value) < _PLAIN:
+    if "e+" in text and abs(value) < _EXPONENT_FROM:
         return f"{float(text):.0f}".replace("-", MINUS)
     if "e" in text:
         mantissa, exponent = text.split("e")
@@ -55,10 +55,10 @@ def compact(value: float, digits: int = 3, plus: bool = False) -> str:
     return text.replace("-", MINUS)
 
 
-_FINEST = 4  # decimals of millimetres that any machine is worth
+_MAX_DECIMALS_MM = 4  # decimals of millimetres that any machine is worth
 
 
-def with_sigma(value: float, sigma: float, most: int = _FINEST) -> str:
+def with_sigma(value: float, sigma: float, most: int = _MAX_DECIMALS_MM) -> str:
     """Return a number with its standard deviation, both with the decimals that show two significant
     digits of the latter, ``most`` of them: ``0.2610 ± 0.0031``. A standard deviation that these do
     not show is left out.
@@ -81,14 +81,14 @@ def probability(p: float) -> str:
     return "below 10⁻⁶" if p < 1e-6 else compact(p, 2) if p < 0.1 else f"{p:.2f}"
 
 
-def told_apart(was: float, now: float) -> tuple[str, str]:
+def distinct_figures(was: float, now: float) -> tuple[str, str]:
     """Two figures of one quantity, with more decimals where they would look alike, or be nothing.
 
     Two significant digits of the smaller, three decimals at most where these tell them apart. What
     no decimal shows is zero.
     """
-    was, now = (v if v >= 10.0**-_MOST_DECIMALS / 2 else 0.0 for v in (was, now))
-    for most in (3, _MOST_DECIMALS):
+    was, now = (v if v >= 10.0**-_MAX_DECIMALS / 2 else 0.0 for v in (was, now))
+    for most in (3, _MAX_DECIMALS):
         places = decimals_for(min(was, now), most)
         texts = f"{was:.{places}f}", f"{now:.{places}f}"
         if texts[0] != texts[1] and float(texts[1]) > 0:

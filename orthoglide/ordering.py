@@ -22,10 +22,10 @@ from numpy.typing import ArrayLike, NDArray
 T = TypeVar("T")
 Array = NDArray[np.float64]
 
-EQUAL = 1e-6
+RELATIVE_MARGIN = 1e-6
 """Margin of values, relative to the largest of them."""
 
-EQUAL_ODDS = 1e-5
+LOG_ODDS_MARGIN = 1e-5
 """Margin of log probabilities, log odds and log Bayes factors: a factor of 1.00001."""
 
 _ROUNDING = 1e-9  # of the largest value: what no margin goes below
@@ -36,7 +36,7 @@ def largest(values: ArrayLike, within: float | None = None) -> int:
 
     Args:
         values: finite or infinite, of any shape, at least one.
-        within: margin; ``EQUAL`` of the largest finite value where absent. It is no less than a
+        within: margin; ``RELATIVE_MARGIN`` of the largest finite value where absent. It is no less than a
             billionth of that value.
 
     Returns:
@@ -145,4 +145,4 @@ def _pivots(space: Array) -> list[int]:
 def _margin(values: Sequence[float] | Array, within: float | None) -> float:
     finite = np.abs(np.asarray(values)[np.isfinite(values)])
     size = float(finite.max(initial=0.0))
-    return EQUAL * size if within is None else max(within, _ROUNDING * size)
+    return RELATIVE_MARGIN * size if within is None else max(within, _ROUNDING * size)

@@ -40,10 +40,10 @@ def effect_name(name: str) -> str:
     """The effect of a name: its own, a parameter's or a structured member's."""
     if isinstance(name, Parameter):
         return name.effect
-    return plain_and_campaign(name)[0].partition(".")[0]
+    return split_campaign(name)[0].partition(".")[0]
 
 
-def plain_and_campaign(name: str) -> tuple[str, str]:
+def split_campaign(name: str) -> tuple[str, str]:
     """A name, an effect's own too, without its campaign, and that; empty where it has none."""
     if isinstance(name, Parameter):
         return name.plain, name.campaign

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from orthoglide.effects.wording import size_words
-from orthoglide.effects.words import more, toward
+from orthoglide.effects.words import sign_word, toward
 from orthoglide.geometry import Array
-from orthoglide.instruments.leg_dial import SHARES
+from orthoglide.instruments.leg_dial import BAR_WEIGHTS
 from orthoglide.machine import Machine
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings
@@ -21,11 +21,16 @@ from orthoglide.prediction import Conditions
 from orthoglide.scene import Dial, Mark, Option, Posed
 from orthoglide.scene.parts import Part
 
-SHOWN: Mapping[str, float] = {"approach": 1.0, "time": 3600.0, "warming": 10.0, "load": 10.0}
+SHOWN_CONDITIONS: Mapping[str, float] = {
+    "approach": 1.0,
+    "time": 3600.0,
+    "warming": 10.0,
+    "load": 10.0,
+}
 """Conditions at which what depends on them is shown: after a move outward, s, K, N."""
 
-_STATIONS = 33  # along the stroke
-_CLEAR = 0.3  # of the largest: what a path does at its outer end shows which way it goes
+_PATH_POINTS = 33  # along the stroke
+_MIN_END_SHARE = 0.3  # of the largest: what a path does at its outer end shows which way it goes
 _PARTS: Mapping[str, tuple[Part, int]] = {
     "travel": ("drive", 0), "lateral_b": ("rail", 1), "lateral_c": ("rail", 2),
     "turn_a": ("carriage", 0), "turn_b": ("carriage", 1), "turn_c": ("carriage", 2),
@@ -38,7 +43,7 @@ def dials(posture: Posed, campaigns: Iterable[Readings]) -> tuple[Dial, ...]:
     """Return the dials of campaigns on a machine, each name once."""
     found: dict[tuple[str, int], Dial] = {}
     for setup in (s for campaign in campaigns for s in campaign.setups):
-        ends = np.einsum("b,bex->ex", np.array(SHARES[setup.bar]), posture.lines[setup.leg])
+        ends = np.einsum("b,bex->ex", np.array(BAR_WEIGHTS[setup.bar]), posture.lines[setup.leg])
         way = np.eye(3)[setup.axis] * setup.sign
         for k, gauge in enumerate(setup.gauges):
             place = gauge + posture.geometry.r
@@ -62,7 +67,7 @@ def option(machine: Machine, words: str, values: Mapping[str, float]) -> Option:
             size, setup = size_words(effect, value), catalogue.parameter(name).setup
             part: Part = "plate" if effect.of_body else "dial"
             marks.append(Mark(part, -1, np.zeros(3), size, setup=setup))
-    for p, value in catalogue.moved_by(values).items():
+    for p, value in catalogue.elementary_machine_values(values).items():
         direction = "" if catalogue.effect_of(p).paired else p.direction
         groups.setdefault((p.effect, p.leg, direction), {})[p] = value
     marks += [mark for group in groups.values() for mark in _marks(machine, group)]
@@ -78,7 +83,9 @@ def _marks(machine: Machine, values: dict[Parameter, float]) -> list[Mark]:
     first = next(iter(values))
     effect, (leg, _) = machine.catalogue.effect_of(first), machine.catalogue.motions[first]
     size = size_words(effect, math.hypot(*values.values())).partition(" (")[0]
-    travel, moves = _along(machine, leg, {str(n): v for n, v in values.items()})
+    travel, moves = _displacements_along_stroke(
+        machine, leg, {str(n): v for n, v in values.items()}
+    )
     columns = moves[:, leg * len(VIRTUAL_NAMES) :]
     moving = {n: columns[:, k] for k, n in enumerate(VIRTUAL_NAMES) if columns[:, k].any()}
     stretched = [moving[n] for n in ("stretch1", "stretch2") if n in moving]
@@ -95,17 +102,21 @@ def _marks(machine: Machine, values: dict[Parameter, float]) -> list[Mark]:
     return list(found.values())
 
 
-def _along(machine: Machine, leg: int, values: Mapping[str, float]) -> tuple[Array, Array]:
+def _displacements_along_stroke(
+    machine: Machine, leg: int, values: Mapping[str, float]
+) -> tuple[Array, Array]:
     """Return travels and displacements of all virtual joints as one leg goes through its stroke.
 
     Where the platform hangs the others go with it, which could not follow one that goes alone.
     """
     geometry = machine.geometry
-    travel = np.linspace(*geometry.stroke, _STATIONS)
-    command = np.repeat(geometry.zero[None], _STATIONS, axis=0)
+    travel = np.linspace(*geometry.stroke, _PATH_POINTS)
+    command = np.repeat(geometry.zero[None], _PATH_POINTS, axis=0)
     command[:, slice(None) if geometry.layout.hanging else slice(leg, leg + 1)] += travel[:, None]
     # Only the load's force needs a posture that closes.
-    where, place = machine.model.merged(Conditions.at(command, **SHOWN), values)
+    where, place = machine.model.merged(
+        Conditions.from_commands(command, **SHOWN_CONDITIONS), values
+    )
     return travel, machine.model.displacements(values, where)[place]
 
 
@@ -133,7 +144,7 @@ def joint_mark(
     """
     part, axis = _PARTS[joint]
     k = largest(np.abs(curve))
-    if abs(curve[-1]) > _CLEAR * abs(curve[k]):
+    if abs(curve[-1]) > _MIN_END_SHARE * abs(curve[k]):
         k = len(curve) - 1
     size_there = float(np.abs(curve).max())
     sign = math.copysign(1.0, float(curve[k]))
@@ -143,13 +154,13 @@ def joint_mark(
     if part == "bar":
         way = sign * (here.carriage - here.platform) / machine.geometry.L
         bar = 0 if both_bars else int(joint[-1])
-        label = f"{size} {more(sign, 'longer', 'shorter')}" if size else ""
+        label = f"{size} {sign_word(sign, 'longer', 'shorter')}" if size else ""
     elif part == "rail" and size:
         direction = machine.catalogue.legs.across[leg][axis - 1]
         label = size if both else f"{size} toward {toward(direction, sign)}"
     elif part == "link" and size:
-        label = f"{size} {more(sign, 'wider', 'narrower')}"
+        label = f"{size} {sign_word(sign, 'wider', 'narrower')}"
     elif part == "drive" and size and not both:
-        label = f"{size} {more(sign, 'outward', 'inward')}"
+        label = f"{size} {sign_word(sign, 'outward', 'inward')}"
     shape = np.stack([travel, curve * sign / size_there], axis=1)
     return Mark(part, leg, way, label, bar, float(travel[k]), shape, both)

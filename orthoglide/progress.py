@@ -40,7 +40,7 @@ class Step:
         return f"{_STAGES[self.stage][0]} {self.detail}".strip()
 
     @property
-    def begins(self) -> int:
+    def start_percent(self) -> int:
         """Where the stage stands in a closed loop, per cent of the whole."""
         return _STAGES[self.stage][1]
 
@@ -49,5 +49,5 @@ Progress = Callable[[Step], None]
 """Called with each step as it begins; any callable will do, `print` too."""
 
 
-def silent(_: Step) -> None:
+def no_progress(_: Step) -> None:
     """Show nothing."""

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any
 
 from orthoglide import units
-from orthoglide.text import brief, nearest
+from orthoglide.text import abbreviated, nearest
 from orthoglide.units import Unit
 
 
@@ -33,13 +33,13 @@ class Kind:
     unit: str = ""
 
 
-def _given(value: Any) -> str:
+def _quoted_value(value: Any) -> str:
     """Return a value of a file as a message repeats it."""
     if isinstance(value, list):
         return f"a list of {len(value)}"
     if isinstance(value, dict):
         return "a table"
-    return brief(repr(value) if isinstance(value, str) else str(value).lower())
+    return abbreviated(repr(value) if isinstance(value, str) else str(value).lower())
 
 
 def quantity(unit: Unit, low: float = 0.0, high: float = 1e4, closed: bool = False) -> Kind:
@@ -51,7 +51,7 @@ def quantity(unit: Unit, low: float = 0.0, high: float = 1e4, closed: bool = Fal
 
     def read(value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, int | Decimal):
-            raise ValueError(f"must be a number, not {_given(value)}")
+            raise ValueError(f"must be a number, not {_quoted_value(value)}")
         number = Decimal(value)
         if not number.is_finite():
             raise ValueError(f"must be a finite number, not {number}")
@@ -63,20 +63,20 @@ def quantity(unit: Unit, low: float = 0.0, high: float = 1e4, closed: bool = Fal
     return Kind(allowed, read, partial(units.from_si, factor=unit.si), unit.behind.strip())
 
 
-def several(
-    each: Kind, count: int, alike: bool = False, check: Callable[..., None] | None = None
+def list_of(
+    each: Kind, count: int, single_allowed: bool = False, check: Callable[..., None] | None = None
 ) -> Kind:
-    """Return the kind of a list of values; a single one stands for all where they may be ``alike``.
+    """Return the kind of a list of values; a single one stands for all where they may be ``single_allowed``.
 
     ``check`` takes the values and raises ValueError where they do not go together.
     """
-    needed = f"{'a number or ' * alike}a list of {count} numbers{each.unit and ' in '}{each.unit}"
+    needed = f"{'a number or ' * single_allowed}a list of {count} numbers{each.unit and ' in '}{each.unit}"
 
     def read(value: Any) -> tuple[Any, ...]:
-        if alike and not isinstance(value, list):
+        if single_allowed and not isinstance(value, list):
             return (each.read(value),) * count
         if not isinstance(value, list) or len(value) != count:
-            raise ValueError(f"must be {needed}, not {_given(value)}")
+            raise ValueError(f"must be {needed}, not {_quoted_value(value)}")
         found = []
         for place, one in enumerate(value, start=1):
             try:
@@ -105,14 +105,14 @@ def one_of(values: tuple[Any, ...], remedy: str = "") -> Kind:
             return values[values.index(value)]
         near = nearest(str(value), map(str, values))
         told = remedy or (f"did you mean {near!r}?" if near else "correct it")
-        raise ValueError(f"must be {allowed}, not {_given(value)}: {told}")
+        raise ValueError(f"must be {allowed}, not {_quoted_value(value)}: {told}")
 
     return Kind(allowed, read)
 
 
 def _text(value: Any) -> str:
     if not isinstance(value, str):
-        raise ValueError(f"must be text in quotes, not {_given(value)}")
+        raise ValueError(f"must be text in quotes, not {_quoted_value(value)}")
     return value
 
 

@@ -8,37 +8,37 @@ from contextlib import contextmanager
 import numpy as np
 
 from orthoglide.accuracy import wanted_points
-from orthoglide.errors import ClosureError, InputError, check_whole
+from orthoglide.errors import ClosureError, InputError, check_integer
 from orthoglide.fit.factors import Factor
 from orthoglide.fit.noise import check_noise, instrument_of
 from orthoglide.geometry import Array
-from orthoglide.instruments import Setup, Stand
+from orthoglide.instruments import InstrumentPose, Setup
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.perfect_legs import Spheres, commands as commands_of
 from orthoglide.numerals import compact
-from orthoglide.observations import Readings, from_points, parts, protocol
-from orthoglide.observations.protocols import Kind
-from orthoglide.prediction import Observed, Seen
+from orthoglide.observations import Readings, from_points, protocol, split_legs_and_tool
+from orthoglide.observations.protocols import ProtocolName
+from orthoglide.prediction import MeasurementModel, ReadingPoses
 
-__all__ = ["TCP_POINTS", "lacks", "simulate", "simulate_tcp", "unshown"]
+__all__ = ["TCP_POINTS", "invisible_parameters", "missing_conditions", "simulate", "simulate_tcp"]
 
 TCP_POINTS = 60
 """Points over the workspace that are enough to judge a calibration by."""
 
-_RECORDS = {"time": "time_s", "temperature": "temperature_C", "load": "load_N",
+_CONDITION_COLUMNS = {"time": "time_s", "temperature": "temperature_C", "load": "load_N",
             "approach": "approach_x, _y and _z"}  # fmt: skip
 
-_ABSURD = 100.0  # tolerances: so large is a value in another unit
+_ABSURD_TOLERANCES = 100.0  # tolerances: so large is a value in another unit
 
 Seed = int | np.random.Generator
 
-_BETWEEN = 4  # points of the workspace between which a point is drawn
-_DATUM = 1e-3  # metres or radians: where an instrument's zero, or its frame, may lie
+_MIXED_POINTS = 4  # points of the workspace between which a point is drawn
+_DATUM_RANGE = 1e-3  # metres or radians: where an instrument's zero, or its frame, may lie
 
 
 def simulate(
     machine: MachineSource,
-    sheet: Readings | Kind = "standard",
+    sheet: Readings | ProtocolName = "standard",
     *,
     noise: float | None = None,
     seed: Seed = 0,
@@ -70,9 +70,11 @@ def simulate(
             f"a {type(sheet).__name__} is no sheet: give one campaign, readings of the tool, or a "
             f"kind of protocol"
         )
-    draw = _draws(seed)
+    draw = _random_generator(seed)
     sd = None if noise is None else check_noise(noise, 0.0)
-    filled = [_filled(machine, part, sd, None if exact else draw) for part in parts(sheet)]
+    filled = [
+        _fill_in(machine, part, sd, None if exact else draw) for part in split_legs_and_tool(sheet)
+    ]
     if len(filled) == 1:
         return filled[0]
     reading = np.empty(len(sheet))
@@ -80,19 +82,23 @@ def simulate(
     return sheet.with_readings(reading)
 
 
-def _filled(
+def _fill_in(
     machine: Machine, sheet: Readings, noise: float | None, draw: np.random.Generator | None
 ) -> Readings:
     """A sheet of legs or of the tool, filled in; exact where nothing is drawn."""
-    with _closing(machine):
-        factor = Factor.unread(sheet, machine)
+    with _refusing_absurd_values(machine):
+        factor = Factor.from_planned(sheet, machine)
         at = factor.linearise(machine.model, machine.values, ())
         if draw is None:
             return sheet.with_readings(np.round(at.value, 15))
-        drawn = _on_legs(factor, draw) if factor.on_legs else _at_tool(factor, at.seen, draw)
-        each = zip(sheet.setups, factor.stands, drawn, strict=True)
-        stands, brought = zip(*(_off_place(*one) for one in each), strict=True)
-        placed = Observed(sheet, stands, factor.place, np.stack(brought))
+        drawn = (
+            _draw_dial_nuisances(factor, draw)
+            if factor.on_legs
+            else _draw_tool_nuisances(factor, at.reading_poses, draw)
+        )
+        each = zip(sheet.setups, factor.instrument_poses, drawn, strict=True)
+        stands, brought = zip(*(_displaced_stand(*one) for one in each), strict=True)
+        placed = MeasurementModel(sheet, stands, factor.normalized_plate_xy, np.stack(brought))
         shown = placed.predict(machine.model, machine.values)
     level, steps = sheet.sigma.copy(), np.zeros(len(sheet))
     for observation, rows in sheet.observations:
@@ -104,40 +110,42 @@ def _filled(
     return sheet.with_readings(np.round(_rounded(shown, steps), 12))
 
 
-def _on_legs(factor: Factor, draw: np.random.Generator) -> Array:
+def _draw_dial_nuisances(factor: Factor, draw: np.random.Generator) -> Array:
     """What dials on legs bring ``(setups, K)``: where they stand, and where their zeros lie."""
-    known = _known(factor)
+    known = _nuisance_sigmas(factor)
     free = np.isinf(known)
     count = len(known)
     found = np.zeros_like(known)
     for k in range(known.shape[1] - 1, -1, -1):
         if free[:, k].any():
-            found[:, k] = draw.uniform(-_DATUM, _DATUM, count) * free[:, k]
+            found[:, k] = draw.uniform(-_DATUM_RANGE, _DATUM_RANGE, count) * free[:, k]
         if not free[:, k].all():
             found[:, k] += draw.normal(scale=np.where(free[:, k], 0.0, known[:, k]), size=count)
     return found
 
 
-def _at_tool(factor: Factor, seen: Seen, draw: np.random.Generator) -> Array:
+def _draw_tool_nuisances(factor: Factor, seen: ReadingPoses, draw: np.random.Generator) -> Array:
     """What instruments at the tool bring ``(setups, K)`` that stand somewhere near the place that
     their sheet says: datum, plane, scale, frame.
     """
-    known = _known(factor)
+    known = _nuisance_sigmas(factor)
     found = np.zeros_like(known)
     for k in range(len(known)):
-        own = seen.by_nuisance[factor.setup == k].any(axis=0) & (known[k] > 0)
-        found[k, own] = draw.normal(scale=np.minimum(known[k, own], _DATUM))
+        own = seen.nuisance_jacobian[factor.setup == k].any(axis=0) & (known[k] > 0)
+        found[k, own] = draw.normal(scale=np.minimum(known[k, own], _DATUM_RANGE))
     return found
 
 
-def _off_place(setup: Setup, stand: Stand, drawn: Array) -> tuple[Stand, Array]:
+def _displaced_stand(
+    setup: Setup, stand: InstrumentPose, drawn: Array
+) -> tuple[InstrumentPose, Array]:
     """Where an instrument stands, and what of its nuisances ``(K,)`` that leaves."""
-    count = setup.observation.nuisances
-    stand, left = setup.observation.off_place(stand, drawn[:count])
+    count = setup.observation.nuisance_count
+    stand, left = setup.observation.apply_pose_nuisances(stand, drawn[:count])
     return stand, np.pad(left, (0, len(drawn) - count))
 
 
-def _known(factor: Factor) -> Array:
+def _nuisance_sigmas(factor: Factor) -> Array:
     """Standard deviations of the nuisances of all setups ``(setups, K)``; 0 of those that are
     none.
     """
@@ -161,30 +169,32 @@ def simulate_tcp(machine: MachineSource, count: int = TCP_POINTS, *, seed: Seed 
     Raises:
         InputError: for no count of points, or a negative seed.
     """
-    machine, count = Machine.of(machine), check_whole("count", count, 1)
-    geometry, draw = machine.geometry, _draws(seed)
+    machine, count = Machine.of(machine), check_integer("count", count, 1)
+    geometry, draw = machine.geometry, _random_generator(seed)
     if geometry.dialled:
         rho = geometry.zero + draw.uniform(*geometry.stroke, (count, 3))
     else:
         places = wanted_points(machine)
-        shares = draw.dirichlet(np.full(_BETWEEN, 0.5), count)
-        chosen = draw.integers(len(places), size=(count, _BETWEEN))
-        rho = commands_of(Spheres.of(geometry), np.einsum("nk,nkx->nx", shares, places[chosen]))
+        shares = draw.dirichlet(np.full(_MIXED_POINTS, 0.5), count)
+        chosen = draw.integers(len(places), size=(count, _MIXED_POINTS))
+        rho = commands_of(
+            Spheres.of_geometry(geometry), np.einsum("nk,nkx->nx", shares, places[chosen])
+        )
     rho = np.round(rho, 9)
-    with _closing(machine):
+    with _refusing_absurd_values(machine):
         p = machine.forward(rho)
     return from_points(rho, p, legs=geometry.layout.names)
 
 
-def lacks(needs: Collection[str]) -> str:
+def missing_conditions(needs: Collection[str]) -> str:
     """What is missing where conditions are not there that an effect needs, as a clause."""
     if "pitch" in needs:
         return "the machine file says no screw_pitch_mm"
-    columns = [_RECORDS[n] for n in sorted(needs) if n in _RECORDS]
+    columns = [_CONDITION_COLUMNS[n] for n in sorted(needs) if n in _CONDITION_COLUMNS]
     return f"the sheet does not vary {' and '.join(columns)}"
 
 
-def unshown(machine: Machine, *sheets: Readings) -> dict[str, str]:
+def invisible_parameters(machine: Machine, *sheets: Readings) -> dict[str, str]:
     """Parameters of a machine that change no reading of sheets, each with what is missing."""
     given = {"approach"}
     given |= set() if machine.spec.screw_pitch is None else {"pitch"}
@@ -196,19 +206,19 @@ def unshown(machine: Machine, *sheets: Readings) -> dict[str, str]:
     for name, value in machine.values.items():
         missing = of(name).needs - given
         if value and missing:
-            found[name] = lacks(missing)
+            found[name] = missing_conditions(missing)
     return found
 
 
 @contextmanager
-def _closing(machine: Machine) -> Iterator[None]:
+def _refusing_absurd_values(machine: Machine) -> Iterator[None]:
     """A machine that does not close for a value in another unit is refused by that value."""
     try:
         yield
     except ClosureError:
         off = {n: abs(v) / machine.tolerance(n) for n, v in machine.values.items()}
         worst = max(off, key=lambda n: off[n], default="")
-        if not worst or off[worst] < _ABSURD:
+        if not worst or off[worst] < _ABSURD_TOLERANCES:
             raise
         unit, value = machine.catalogue.effect_of(worst).unit, machine.values[worst]
         raise InputError(
@@ -222,7 +232,7 @@ def _rounded(shown: Array, steps: Array | float) -> Array:
     return np.where(np.greater(steps, 0), np.round(shown / np.maximum(steps, 1e-12)) * steps, shown)
 
 
-def _draws(seed: Seed) -> np.random.Generator:
+def _random_generator(seed: Seed) -> np.random.Generator:
     if isinstance(seed, np.random.Generator):
         return seed
-    return np.random.default_rng(check_whole("seed", seed, 0))
+    return np.random.default_rng(check_integer("seed", seed, 0))

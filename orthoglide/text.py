@@ -13,23 +13,23 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 
-MACHINE = " --machine FILE"
+MACHINE_OPTION = " --machine FILE"
 """In an advised command the machine that whoever prints it knows."""
 
-_WIDTH = 100  # of text that goes to a file
-_ECHOED = 40  # characters of a file's text that a message repeats
+_FILE_WIDTH = 100  # of text that goes to a file
+_MAX_QUOTED_LENGTH = 40  # characters of a file's text that a message repeats
 
 # Controls, halves of pairs, what is no character, and what turns or breaks lines unseen: no page,
 # figure or terminal shows them, and XML has none of them.
-_UNSEEN = re.compile(
+_UNPRINTABLE = re.compile(
     "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufdd0-\ufdef"
     "\ufffe\uffff]"
 )
 
 
-def unseen(text: str) -> str:
+def unprintable(text: str) -> str:
     """The first character of a text that cannot be shown, as ``U+001B``; empty where none is."""
-    found = _UNSEEN.search(text)
+    found = _UNPRINTABLE.search(text)
     return f"U+{ord(found[0]):04X}" if found else ""
 
 
@@ -46,21 +46,21 @@ def leaves(data: Any) -> Iterator[Any]:
             yield value
 
 
-def unseen_in(data: Any) -> str:
+def unprintable_problem(data: Any) -> str:
     """What is wrong with the first text in nested mappings and lists that cannot be shown."""
     for value in leaves(data):
-        if isinstance(value, str) and (found := unseen(value)):
-            readable = brief(_UNSEEN.sub("", value))
+        if isinstance(value, str) and (found := unprintable(value)):
+            readable = abbreviated(_UNPRINTABLE.sub("", value))
             return f"holds the character {found}, which cannot be shown, in {readable!r}: remove it"
     return ""
 
 
-def shown(path: str | os.PathLike[str]) -> str:
+def printable_path(path: str | os.PathLike[str]) -> str:
     """A file's name for people and for results: what cannot be shown stands as U+FFFD."""
-    return _UNSEEN.sub("\ufffd", os.fspath(path))
+    return _UNPRINTABLE.sub("\ufffd", os.fspath(path))
 
 
-def brief(text: str, most: int = _ECHOED) -> str:
+def abbreviated(text: str, most: int = _MAX_QUOTED_LENGTH) -> str:
     """A text from a file as a message repeats it: its beginning where it is long."""
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
@@ -73,7 +73,7 @@ def nearest(word: str, names: Iterable[str]) -> str:
 # What a spreadsheet computes instead of showing it; signed numbers and directions are harmless.
 _FORMULA = re.compile(r"'*(?:[=@]|[+-](?![\w.]*$))")
 
-_BEGINS = "'=@+-"  # what a formula begins with, which is quicker to ask for
+_FORMULA_STARTS = "'=@+-"  # what a formula begins with, which is quicker to ask for
 
 
 def csv_text(names: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
@@ -84,7 +84,9 @@ def csv_text(names: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
     writer = csv.writer(stream, lineterminator="\n")
     for row in (names, *rows):
         cells = map(str, row)
-        writer.writerow([f"'{c}" if c[:1] in _BEGINS and _FORMULA.match(c) else c for c in cells])
+        writer.writerow(
+            [f"'{c}" if c[:1] in _FORMULA_STARTS and _FORMULA.match(c) else c for c in cells]
+        )
     return stream.getvalue()
 
 
@@ -97,8 +99,8 @@ def cell_text(cell: str) -> str:
 def text_width() -> int:
     """Columns of the terminal, or as ``COLUMNS`` says; 100 where the output goes to a file."""
     if is_terminal() or os.environ.get("COLUMNS", "").isdigit():
-        return shutil.get_terminal_size((_WIDTH, 24)).columns
-    return _WIDTH
+        return shutil.get_terminal_size((_FILE_WIDTH, 24)).columns
+    return _FILE_WIDTH
 
 
 def wrapped(text: str) -> str:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.errors import InputError, check_whole, numbers
+from orthoglide.errors import InputError, as_float_array, check_integer
 from orthoglide.geometry import Array, vectors
 from orthoglide.machine import Machine, MachineSource
 
@@ -69,8 +69,8 @@ def transmission_over_cube(
         UnreachableError: naming the leg that is too short.
     """
     middle = vectors(centre, "centre")
-    check_whole("count", count, 2)
-    size = numbers("the side", side)
+    check_integer("count", count, 2)
+    size = as_float_array("the side", side)
     if middle.shape != (3,) or size.shape != () or not (np.isfinite(size) and size > 0):
         raise InputError("a cube has a centre (3,) and a positive side, both in metres")
     own = Machine.of(machine)

@@ -26,11 +26,11 @@ class Unit(NamedTuple):
     @property
     def spoken(self) -> Unit:
         """The unit in which people say it: milliradians, percent."""
-        factor, name = spoken(self.name)
+        factor, name = display_unit(self.name)
         return Unit(name, self.si / factor)
 
 
-_SPOKEN = {
+_DISPLAY_UNITS = {
     "rad": (1e3, "mrad"),
     "1": (1e2, "%"),
     "mm/N": (1e3, "µm/N"),
@@ -39,14 +39,14 @@ _SPOKEN = {
 }
 
 
-def spoken(unit: str) -> tuple[float, str]:
+def display_unit(unit: str) -> tuple[float, str]:
     """Return what a number in a unit of files is multiplied by to be said, and the unit it then
     has.
     """
-    return _SPOKEN.get(unit, (1.0, unit))
+    return _DISPLAY_UNITS.get(unit, (1.0, unit))
 
 
-NOISE = (1e-9, 1e-3)
+NOISE_LIMITS = (1e-9, 1e-3)
 """Standard deviations that readings can have, metres: an atom, and more than any dial scatters."""
 
 MM, RAD, ONE = Unit("mm", 1e-3), Unit("rad", 1.0), Unit("1", 1.0)
@@ -54,7 +54,7 @@ MM, RAD, ONE = Unit("mm", 1e-3), Unit("rad", 1.0), Unit("1", 1.0)
 INCH = 25.4
 """In millimetres."""
 
-MISTAKEN = {
+UNIT_MISTAKES = {
     1e3: "in metres instead of millimetres",
     1e-3: "in micrometres instead of millimetres",
     INCH: "in inches instead of millimetres",
@@ -73,14 +73,14 @@ def to_si(number: str | int | float | Decimal, factor: float = 1.0) -> float:
     Zero has no sign: random generators refuse a standard deviation of -0.
     """
     mantissa, _, exponent = str(number).lower().partition("e")
-    return float(f"{mantissa}e{int(exponent or 0) + _places(factor)}") + 0.0
+    return float(f"{mantissa}e{int(exponent or 0) + _decimal_exponent(factor)}") + 0.0
 
 
 def from_si(value: float, factor: float = 1.0) -> Decimal:
     """The shortest decimal in a unit worth ``factor`` that `to_si` turns back into ``value``."""
-    return Decimal(f"{Decimal(repr(float(value) + 0.0)).scaleb(-_places(factor)):f}")
+    return Decimal(f"{Decimal(repr(float(value) + 0.0)).scaleb(-_decimal_exponent(factor)):f}")
 
 
 @cache
-def _places(factor: float) -> int:
+def _decimal_exponent(factor: float) -> int:
     return Decimal(repr(factor)).adjusted()

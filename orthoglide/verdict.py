@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from orthoglide.effects import Effect
-from orthoglide.errors import check_list, path_of
-from orthoglide.fit import points_of, readings_of, sorted_out
+from orthoglide.errors import as_path, check_list
+from orthoglide.fit import points_of, read_legs_and_tool, readings_of
 from orthoglide.frames import html_table
 from orthoglide.instruments import Frame
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.observations import Given, Readings
-from orthoglide.progress import Progress, silent
+from orthoglide.observations import Readings, ReadingsOrPath
+from orthoglide.progress import Progress, no_progress
 from orthoglide.result import Request, Result
 from orthoglide.threads import on_one_thread
 
@@ -38,7 +38,7 @@ class Verdict(Result):
         """
         from orthoglide.report import check_folder, report_files, write_folder
 
-        out = path_of(folder)
+        out = as_path(folder)
         check_folder(out, overwrite)
         write_folder(out, report_files(self), overwrite)
 
@@ -76,19 +76,19 @@ class Verdict(Result):
 
     @on_one_thread
     def _repr_html_(self) -> str:
-        from orthoglide.report.words import headline
+        from orthoglide.report.sentences import headline
 
         table = html_table(headline(self), self.columns)
         return f'<div style="max-width: 30rem">{self.picture.svg()}</div>{table}'
 
 
 def close_loop(
-    campaigns: Given | Sequence[Given],
+    campaigns: ReadingsOrPath | Sequence[ReadingsOrPath],
     machine: MachineSource | None = None,
     *,
     own: Sequence[str] = (),
     noise: float | None = None,
-    holdout: Given | Sequence[Given] | None = None,
+    holdout: ReadingsOrPath | Sequence[ReadingsOrPath] | None = None,
     tcp: Readings | str | os.PathLike[str] | None = None,
     effects: Sequence[Effect] = (),
     seed: int = 0,
@@ -116,20 +116,20 @@ def close_loop(
         InputError: if the campaigns cannot be used.
         NumericsError: if the base model cannot be identified.
     """
-    request = requested(
+    request = build_request(
         campaigns, machine, own=own, noise=noise, holdout=holdout, tcp=tcp, effects=effects,
         seed=seed, frame=frame,
     )  # fmt: skip
     return run(request, progress)
 
 
-def requested(
-    campaigns: Given | Sequence[Given],
+def build_request(
+    campaigns: ReadingsOrPath | Sequence[ReadingsOrPath],
     machine: MachineSource | None = None,
     *,
     own: Sequence[str] = (),
     noise: float | None = None,
-    holdout: Given | Sequence[Given] | None = None,
+    holdout: ReadingsOrPath | Sequence[ReadingsOrPath] | None = None,
     tcp: Readings | str | os.PathLike[str] | None = None,
     effects: Sequence[Effect] = (),
     seed: int = 0,
@@ -142,7 +142,7 @@ def requested(
     """
     machine = Machine.of(machine, effects)
     check_list("own", own)
-    several, points = sorted_out(campaigns, machine)
+    several, points = read_legs_and_tool(campaigns, machine)
     judges = None if tcp is None else points_of(tcp, machine)
     held = () if holdout is None else readings_of(holdout, machine)
     return Request(
@@ -158,7 +158,7 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
         InputError: if the campaigns cannot be used.
         NumericsError: if the base model cannot be identified.
     """
-    from orthoglide.closing import close, filled
+    from orthoglide.closing import build_result, compute_outcome
 
-    step = progress or silent
-    return filled(close(request, step), Verdict, step)
+    step = progress or no_progress
+    return build_result(compute_outcome(request, step), Verdict, step)

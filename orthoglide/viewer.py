@@ -20,23 +20,25 @@ from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.mechanism.visual import RailPath, bend_rails, fit_bars, visual_model
 from orthoglide.prediction import Conditions, Model
 
-_STATIONS = 49  # of a carriage's path over the stroke
-_NEAR = 1.5  # d: distance of a rail from its carriage's path, of this package's own URDF 1.2 d
-_KEYS, _KEYS_A_SECOND = 5, 8  # key frames from the middle to the end of a way
-_GHOST = [0.45, 0.5, 0.55, 0.3]  # red, green, blue, opacity of the nominal machine
-_DISTANCE = 0.85  # of the eye, in diagonals of the machine: all is within meshcat's 75 degrees
-_NARROW = (
+_PATH_POINTS = 49  # of a carriage's path over the stroke
+_RAIL_DISTANCE = (
+    1.5  # d: distance of a rail from its carriage's path, of this package's own URDF 1.2 d
+)
+_KEY_FRAMES, _FRAMES_PER_SECOND = 5, 8  # key frames from the middle to the end of a way
+_NOMINAL_COLOUR = [0.45, 0.5, 0.55, 0.3]  # red, green, blue, opacity of the nominal machine
+_EYE_DISTANCE = 0.85  # of the eye, in diagonals of the machine: all is within meshcat's 75 degrees
+_NARROW_SCREEN_SCRIPT = (
     "<script>viewer.camera.zoom = Math.min(1, innerWidth / innerHeight); "
     "viewer.camera.updateProjectionMatrix();</script>"
 )
-_CONTENT = (
+_CONTENT_SECURITY_POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
     "connect-src data:; img-src data: blob:"
 )
 
 
 @dataclass(frozen=True, eq=False)
-class Magnified:
+class MagnifiedMachine:
     """A machine with its errors magnified.
 
     Attributes:
@@ -48,12 +50,14 @@ class Magnified:
 
     model: Model
     values: Mapping[str, float]
-    seen: Mapping[str, ArrayLike]
+    conditions: Mapping[str, ArrayLike]
     factor: float
 
     def displacements(self, rho: Array) -> Array:
         """Return displacements of the virtual joints ``(3, 10)`` at a command ``(3,)``."""
-        moves = self.model.moves(self.values, Conditions.at(rho, **self.seen))
+        moves = self.model.loaded_displacements(
+            self.values, Conditions.from_commands(rho, **self.conditions)
+        )
         return self.factor * moves.reshape(3, -1)
 
     def close(self, rho: Array, guess: Posture | None = None) -> Posture:
@@ -80,22 +84,24 @@ class Magnified:
         leave the others' reach.
         """
         geometry = self.model.geometry
-        travel, found = np.linspace(*geometry.stroke, _STATIONS), []
+        travel, found = np.linspace(*geometry.stroke, _PATH_POINTS), []
         together = geometry.layout.hanging
         lateral = [VIRTUAL_NAMES.index(name) for name in ("lateral_b", "lateral_c")]
         for k, leg in enumerate(geometry.legs):
-            command = np.repeat(geometry.zero[None], _STATIONS, axis=0)
+            command = np.repeat(geometry.zero[None], _PATH_POINTS, axis=0)
             command[:, slice(None) if together else slice(k, k + 1)] += travel[:, None]
-            moves = self.model.displacements(self.values, Conditions.at(command, **self.seen))
-            across = self.factor * moves.reshape(_STATIONS, 3, -1)[:, k, lateral]
+            moves = self.model.displacements(
+                self.values, Conditions.from_commands(command, **self.conditions)
+            )
+            across = self.factor * moves.reshape(_PATH_POINTS, 3, -1)[:, k, lateral]
             aside = across @ leg.axes[:, 1:].T
             found.append(RailPath(leg.carriage, leg.axes[:, 0], travel, aside))
         return found
 
-    def along_axes(self, rho: Array) -> Iterator[Array]:
+    def commands_along_axes(self, rho: Array) -> Iterator[Array]:
         """Yield commands ``(3,)`` that lead the nominal tool to and fro along x, y and z."""
         mechanism = self.model.mechanism
-        start, outward = mechanism.close(rho).p, np.arange(1, _KEYS + 1) / _KEYS
+        start, outward = mechanism.close(rho).p, np.arange(1, _KEY_FRAMES + 1) / _KEY_FRAMES
         for way in np.stack([np.eye(3), -np.eye(3)], axis=1).reshape(6, 3):
             shares = self._reach(start, way) * np.array([*outward, *(1 - outward)])
             yield from commands_of(mechanism.spheres, start + np.outer(shares, way))
@@ -117,7 +123,7 @@ class Magnified:
         return 0.0
 
 
-def show(machine: Magnified, rho: Array, *, open_browser: bool = False) -> Any:
+def show(machine: MagnifiedMachine, rho: Array, *, open_browser: bool = False) -> Any:
     """Return Pinocchio's ``MeshcatVisualizer`` with a machine, animated along each axis.
 
     Args:
@@ -138,7 +144,7 @@ def show(machine: Magnified, rho: Array, *, open_browser: bool = False) -> Any:
     posture = machine.close(rho)
     visual = visual_model(tree, mechanism.looped)
     fit_bars(visual, tree, displacements)
-    bent = bend_rails(visual, paths, _NEAR * geometry.d)
+    bent = bend_rails(visual, paths, _RAIL_DISTANCE * geometry.d)
     viewer = visualizer(tree.model, None, visual)
     viewer.initViewer()
     viewer.loadViewerModel("machine")
@@ -150,10 +156,10 @@ def show(machine: Magnified, rho: Array, *, open_browser: bool = False) -> Any:
             nominal.removeGeometryObject(name)
         ghost = visualizer(tree.model, None, nominal)
         ghost.initViewer(viewer=viewer.viewer)
-        ghost.loadViewerModel("nominal", visual_color=_GHOST)
+        ghost.loadViewerModel("nominal", visual_color=_NOMINAL_COLOUR)
         ghost.display(mechanism.close(rho).q)
     _animate(viewer, machine, rho, posture)
-    _look(viewer, 270.0 if geometry.layout.hanging else 230.0)
+    _set_camera(viewer, 270.0 if geometry.layout.hanging else 230.0)
     if open_browser:
         viewer.viewer.open()
     return viewer
@@ -170,15 +176,15 @@ def _visualizer() -> Any:
     return MeshcatVisualizer
 
 
-def _animate(viewer: Any, machine: Magnified, rho: Array, posture: Posture) -> None:
+def _animate(viewer: Any, machine: MagnifiedMachine, rho: Array, posture: Posture) -> None:
     """Animate the viewer along each axis, which its controls play."""
     import pinocchio as pin
     from meshcat.animation import Animation
 
-    animation = Animation(default_framerate=_KEYS_A_SECOND)
+    animation = Animation(default_framerate=_FRAMES_PER_SECOND)
     moving = [item for item in viewer.visual_model.geometryObjects if item.parentJoint > 0]
     data, placed = viewer.model.createData(), viewer.visual_model.createData()
-    for k, command in enumerate([rho, *machine.along_axes(rho)]):
+    for k, command in enumerate([rho, *machine.commands_along_axes(rho)]):
         posture = machine.close(command, posture)
         pin.updateGeometryPlacements(viewer.model, data, viewer.visual_model, placed, posture.q)
         with animation.at_frame(viewer.viewer, k) as frame:
@@ -189,7 +195,7 @@ def _animate(viewer: Any, machine: Magnified, rho: Array, posture: Posture) -> N
     viewer.viewer.set_animation(animation, play=False)
 
 
-def _look(viewer: Any, azimuth: float) -> None:
+def _set_camera(viewer: Any, azimuth: float) -> None:
     """Look at the machine from an azimuth in degrees, on white paper."""
     corners = []
     items, placed = viewer.visual_model.geometryObjects, viewer.visual_data.oMg
@@ -205,7 +211,7 @@ def _look(viewer: Any, azimuth: float) -> None:
     turn, rise = np.deg2rad([azimuth, 22.0])
     flat = np.cos(rise)
     away = np.array([flat * np.cos(turn), flat * np.sin(turn), np.sin(rise)])
-    x, y, z = (_DISTANCE * float(np.linalg.norm(high - low)) * away).tolist()
+    x, y, z = (_EYE_DISTANCE * float(np.linalg.norm(high - low)) * away).tolist()
     scene = viewer.viewer
     scene.set_transform(moved)
     # The camera's y points up, the machine's z does.
@@ -215,7 +221,7 @@ def _look(viewer: Any, azimuth: float) -> None:
         scene[helper].set_property("visible", False)
 
 
-def static_page(viewer: Any, machine: Magnified, title: str) -> str:
+def static_page(viewer: Any, machine: MagnifiedMachine, title: str) -> str:
     """Return meshcat's static page of a viewer: one file, which asks nothing of a network.
 
     Args:
@@ -225,7 +231,7 @@ def static_page(viewer: Any, machine: Magnified, title: str) -> str:
     """
     head = (
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<meta http-equiv="Content-Security-Policy" content="{_CONTENT}">'
+        f'<meta http-equiv="Content-Security-Policy" content="{_CONTENT_SECURITY_POLICY}">'
         f"<title>{escape(title)}</title>"
     )
     foot = (
@@ -239,10 +245,10 @@ def static_page(viewer: Any, machine: Magnified, title: str) -> str:
         raise InputError("meshcat writes another page than 0.3 does: pip install 'meshcat<0.4'")
     page = page.replace("<title>MeshCat</title>", head, 1)
     before, body, after = page.rpartition("</body>")
-    return f"{before}{foot}{_NARROW}{body}{after}\n"
+    return f"{before}{foot}{_NARROW_SCREEN_SCRIPT}{body}{after}\n"
 
 
-def _caption(machine: Magnified) -> str:
+def _caption(machine: MagnifiedMachine) -> str:
     """Return the words below the scene."""
     red, green, blue = machine.model.geometry.leg_names
     errors = "True to scale."

@@ -12,7 +12,7 @@ from orthoglide.fit import Factor, Problem, build_problem, noise_of
 def factor_of(readings: og.Readings, machine: og.Machine, noise: float | None = None) -> Factor:
     """Readings of legs alone or of the tool alone; ``noise`` replaces all that is known of it."""
     _, (rows,) = noise_of([readings], machine.spec, noise)
-    factor = Factor.of(readings, machine, rows)
+    factor = Factor.from_readings(readings, machine, rows)
     return factor if noise else factor.with_roughness(machine)
 
 
@@ -21,5 +21,5 @@ def problem_of(
 ) -> Problem:
     """The problem of readings of legs as they are, neither checked nor doubted."""
     noise, each = noise_of(tables, machine.spec)
-    factors = [Factor.of(t, machine, rows) for t, rows in zip(tables, each, strict=True)]
+    factors = [Factor.from_readings(t, machine, rows) for t, rows in zip(tables, each, strict=True)]
     return build_problem(machine, factors, free, noise, **options)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from orthoglide.geometry import LEGS, Geometry
-from orthoglide.instruments import OBSERVATIONS, Setup, Stand
+from orthoglide.instruments import OBSERVATIONS, InstrumentPose, Setup
 from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
@@ -76,7 +76,7 @@ class Example:
     # what it reads of poses, instruments at the base frame without any nuisance
     by_hand: Callable[[Poses, Readings], Array]
     # the stand that goes with a machine moved by (R, t), and nuisances beside these of a setup
-    carried: Callable[[Stand, Array, Array, Array], tuple[Stand, Array]]
+    carried: Callable[[InstrumentPose, Array, Array, Array], tuple[InstrumentPose, Array]]
     signed: bool = False  # rows count against their axes in turn
     one_way: Sequence[str] = ()  # setups that read along z alone
 
@@ -127,31 +127,43 @@ def _turn(poses: Poses, r: Readings) -> Array:
     return r.sign * np.take_along_axis(sine, r.axis[:, None], 1)[:, 0]
 
 
-def _stay(stand: Stand, nuisance: Array, R: Array, t: Array) -> tuple[Stand, Array]:
+def _stay(
+    stand: InstrumentPose, nuisance: Array, R: Array, t: Array
+) -> tuple[InstrumentPose, Array]:
     return stand, nuisance
 
 
-def _frame(stand: Stand, nuisance: Array, R: Array, t: Array) -> tuple[Stand, Array]:
+def _frame(
+    stand: InstrumentPose, nuisance: Array, R: Array, t: Array
+) -> tuple[InstrumentPose, Array]:
     """Axes turn with the machine; a point moved by t reads more by that along each of them."""
-    turn = stand.turn @ R.T
+    turn = stand.rotation @ R.T
     moved = nuisance.copy()
     # The small turn of the frame is about the base's axes: it turns with them.
     moved[3:] = R @ nuisance[3:]
     moved[:3] -= turn @ t + turn @ np.cross(moved[3:], t)
-    return replace(stand, turn=turn), moved
+    return replace(stand, rotation=turn), moved
 
 
-def _plane(stand: Stand, nuisance: Array, R: Array, t: Array) -> tuple[Stand, Array]:
+def _plane(
+    stand: InstrumentPose, nuisance: Array, R: Array, t: Array
+) -> tuple[InstrumentPose, Array]:
     """A plane z = h + s . (x, y) about z turned and moved."""
     slope = R[:2, :2] @ nuisance[1:]
     return stand, np.array([nuisance[0] + t[2] - slope @ t[:2], *slope])
 
 
-def _sphere(stand: Stand, nuisance: Array, R: Array, t: Array) -> tuple[Stand, Array]:
-    return replace(stand, ball=R @ stand.ball + t), np.append(R @ nuisance[:3], nuisance[3])
+def _sphere(
+    stand: InstrumentPose, nuisance: Array, R: Array, t: Array
+) -> tuple[InstrumentPose, Array]:
+    return replace(stand, ball_centre=R @ stand.ball_centre + t), np.append(
+        R @ nuisance[:3], nuisance[3]
+    )
 
 
-def _level(stand: Stand, nuisance: Array, R: Array, t: Array) -> tuple[Stand, Array]:
+def _level(
+    stand: InstrumentPose, nuisance: Array, R: Array, t: Array
+) -> tuple[InstrumentPose, Array]:
     """A level turned about z past its datum: that of a platform that lay flat, (0, 0, sine)."""
     return stand, nuisance - [0.0, 0.0, R[1, 0]]
 

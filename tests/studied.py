@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from orthoglide.closing import Closed, close
-from orthoglide.verdict import requested
+from orthoglide.closing import RunOutcome, compute_outcome
+from orthoglide.verdict import build_request
 
 
-def studied(*given: Any, **options: Any) -> Closed:
+def studied(*given: Any, **options: Any) -> RunOutcome:
     """Close the loop as ``og.close_loop`` does with the same arguments, and keep the fits."""
-    return close(requested(*given, **options))
+    return compute_outcome(build_request(*given, **options))

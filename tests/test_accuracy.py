@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.accuracy import expected_error, tcp_map, workspace
+from orthoglide.accuracy import expected_error, tcp_map, workspace_grid
 from orthoglide.control import compensate
 from orthoglide.errors import FileError
 from orthoglide.machine_file import Posterior
@@ -56,7 +56,7 @@ def parts(error: Array) -> tuple[float, float]:
 @pytest.mark.parametrize("which", MACHINES)
 def test_what_is_stated_is_what_is_achieved(which: str) -> None:
     rig, machine = rig_of(which), verdict_of(which).machine
-    wanted = og.Machine.nominal().forward(workspace(machine.geometry))
+    wanted = og.Machine.nominal().forward(workspace_grid(machine.geometry))
     middle = np.zeros_like(wanted)
     for settings in (machine.values, {}):
         commands = machine.with_only(settings).inverse(wanted)
@@ -179,7 +179,7 @@ def test_the_workspace_meets_every_turn_of_the_screws() -> None:
 
 def test_zeros_of_parallel_slides_leave_the_tool_at_its_height_above_the_plate() -> None:
     """No reading tells that height, and no zero may pay for shape with it."""
-    from orthoglide.accuracy import best_zeros, workspace
+    from orthoglide.accuracy import best_zeros, workspace_grid
     from tests.test_layout import DELTA
 
     worn = og.Machine(replace(og.Machine.nominal().spec, geometry=DELTA)).with_parameters(
@@ -187,7 +187,7 @@ def test_zeros_of_parallel_slides_leave_the_tool_at_its_height_above_the_plate()
     )
     zeros = best_zeros(worn)
     assert expected_error(worn, zeros).shape <= expected_error(worn, {}).shape + 1e-6
-    where = worn.with_only({}).forward(workspace(DELTA))
+    where = worn.with_only({}).forward(workspace_grid(DELTA))
     now, then = (worn.forward(worn.with_only(v).inverse(where)) for v in ({}, zeros))
     assert np.abs((then - now).mean(axis=0)[2]) < 2e-5
 

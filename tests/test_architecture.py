@@ -323,21 +323,21 @@ def test_no_other_module_tests_the_kind_of_a_reading() -> None:
 # Where files of the command line, parts of a drawing or groups of effects have the same word.
 OTHER_MEANINGS = {
     "effects/effect.py", "effects/page.py", "effects/plates.py", "pictures.py",
-    "report/page.py", "result/reading.py", "result/request.py", "scene/marks.py",
+    "report/page.py", "result/loading.py", "result/request.py", "scene/marks.py",
     "scene/parts.py",
     "firmware/klipper/heights.py",
 }  # fmt: skip
 
 
 def test_nobody_else_knows_an_instrument_by_name() -> None:
-    from orthoglide.instruments import AT_TOOL
+    from orthoglide.instruments import TOOL_OBSERVATIONS
 
     found = {
         str(path.relative_to(PACKAGE))
         for path in modules()
         if path.parent != PACKAGE / "instruments"
         for node in nodes(path)
-        if isinstance(node, ast.Constant) and node.value in AT_TOOL
+        if isinstance(node, ast.Constant) and node.value in TOOL_OBSERVATIONS
     }
     assert found == OTHER_MEANINGS
 

@@ -11,8 +11,11 @@ import pytest
 from benchmarks.attribution_cases import Case
 from benchmarks.attribution_run import draw
 from orthoglide.errors import InputError
-from orthoglide.explanation.alternative_readings import alternatives, open_setups
-from orthoglide.explanation.data_faults import Blunder, find_faults, without
+from orthoglide.explanation.alternative_readings import (
+    list_alternative_readings,
+    setups_to_reinterpret,
+)
+from orthoglide.explanation.data_faults import ReportedFault, find_data_faults, without_faults
 from orthoglide.explanation.identifying import identify
 from orthoglide.fit import Estimate, solve
 from orthoglide.machine import Machine
@@ -48,8 +51,8 @@ def estimate_of(rows: list[rc.Row], machine: Machine) -> Estimate:
     return identify(campaign_of(rows, machine), machine, method="nested")
 
 
-def found_in(rows: list[rc.Row], machine: Machine) -> tuple[Blunder, ...]:
-    return find_faults(estimate_of(rows, machine)).blunders
+def found_in(rows: list[rc.Row], machine: Machine) -> tuple[ReportedFault, ...]:
+    return find_data_faults(estimate_of(rows, machine)).data_faults
 
 
 # -- nothing where there is nothing ----------------------------------------------------------------
@@ -61,7 +64,7 @@ def test_deviations_of_the_published_experiments_have_no_faults(number, nominal)
     """The golden results say so of their readings and of the rig's campaigns."""
     file = PUBLISHED / f"experiment{number}-differences.csv"
     estimate = identify(read_campaign(file, nominal.spec), nominal, method="nested")
-    assert find_faults(estimate).blunders == ()
+    assert find_data_faults(estimate).data_faults == ()
 
 
 @pytest.mark.parametrize(
@@ -337,7 +340,11 @@ def test_a_label_puts_no_two_dials_at_one_place_at_once(machine):
     """A wrong command at one posture was told of a dial whose place the other one takes."""
     problem = estimate_of(rows_of("standard"), machine).problem
     setups = problem.setups
-    labels = [a.fault for a in alternatives(problem, open_setups(problem, [])) if a.labels]
+    labels = [
+        a.fault
+        for a in list_alternative_readings(problem, setups_to_reinterpret(problem, []))
+        if a.labels
+    ]
     tried = {f.label for f in labels if f.kind == "label" and setups[f.setups[0]].name == "xy-0.5"}
     assert tried == {(1, 0), (1, 2), (2, 0), (2, 1)}
 
@@ -349,7 +356,7 @@ def test_a_wrong_command_beside_points_of_the_tool(machine):
     spoilt, touched = rc.wrong_command(rows, posture_of(rows, "y", "+20"), 0, 1.0)
     points = simulate_tcp(machine.with_parameters(BASE), 20, seed=1)
     estimate = identify([campaign_of(spoilt, machine), points], machine)
-    (blunder,) = find_faults(estimate).blunders
+    (blunder,) = find_data_faults(estimate).data_faults
     assert blunder.kind == "command"
     assert [row for _, row in blunder.rows] == touched
 
@@ -360,7 +367,7 @@ def test_neighbours_of_a_wrong_command_are_reached_from_their_own_side(machine):
     rows = rows_of(seed=2)
     spoilt, touched = rc.wrong_command(rows, posture_of(rows, "y", "+20"), 0, 3.0)
     estimate = estimate_of(spoilt, machine)
-    (clean,) = without(estimate.problem, find_faults(estimate).blunders).campaigns
+    (clean,) = without_faults(estimate.problem, find_data_faults(estimate).data_faults).campaigns
     sound, wrong = campaign_of(rows, machine), campaign_of(spoilt, machine)
     kept = np.delete(np.arange(len(rows)), touched)
     assert (wrong.approach[kept] != sound.approach[kept]).any()
@@ -468,11 +475,11 @@ def test_the_message_names_the_place_and_scores_tell_what_it_cost(tmp_path, nomi
     rc.write_csv(rc.outlier(rows_of("standard"), 20, 0.5).rows, path)
     campaign = read_campaign(path, nominal.spec)
     estimate = identify(campaign, nominal, method="nested")
-    (blunder,) = find_faults(estimate).blunders
+    (blunder,) = find_data_faults(estimate).data_faults
     assert blunder.message.startswith("monday.csv, line 22, setup 'yx-0.5', posture max: ")
     assert "measure this place again" in blunder.message
     assert blunder.lines([campaign]) == {str(path): (22,)}
-    again = solve(without(estimate.problem, [blunder]), method="nested")
+    again = solve(without_faults(estimate.problem, [blunder]), method="nested")
     assert blunder.rms_with == pytest.approx(estimate.scores.rms, rel=1e-6)
     assert blunder.rms_without < 0.3 * blunder.rms_with
     assert len(again.residuals) == len(estimate.residuals) - 1
@@ -483,7 +490,7 @@ def test_the_message_names_the_place_and_scores_tell_what_it_cost(tmp_path, nomi
 def test_a_knocked_setup_becomes_two(machine):
     rows, touched = rc.knocked_stand(rows_of("standard", seed=2), "yz-0.5", 0.5)
     estimate = estimate_of(rows, machine)
-    clean = without(estimate.problem, find_faults(estimate).blunders)
+    clean = without_faults(estimate.problem, find_data_faults(estimate).data_faults)
     (campaign,) = clean.campaigns
     assert (len(campaign), len(campaign.setups)) == (len(rows), 7)
     assert [k for k, s in enumerate(campaign.setup) if s == 6] == touched
@@ -499,10 +506,10 @@ def test_two_knocks_of_one_setup_make_three(machine):
     rows = rc.knocked_stand(rows_of(seed=2), "yz-0.5", 0.5, after=0.3).rows
     rows = rc.knocked_stand(rows, "yz-0.5", -0.3, after=0.7).rows
     estimate = estimate_of(rows, machine)
-    blunders = find_faults(estimate).blunders
+    blunders = find_data_faults(estimate).data_faults
     assert [b.kind for b in blunders] == ["knocked_stand", "knocked_stand"]
     for order in (blunders, blunders[::-1]):
-        (campaign,) = without(estimate.problem, order).campaigns
+        (campaign,) = without_faults(estimate.problem, order).campaigns
         assert sorted(np.bincount(campaign.setup).tolist())[:3] == [13, 13, 16]
 
 
@@ -510,17 +517,19 @@ def test_rows_are_counted_within_their_campaign(machine):
     first = campaign_of(rows_of("standard", seed=1), machine, "first")
     second = campaign_of(rc.outlier(rows_of("standard", seed=2), 11, 0.5).rows, machine, "second")
     estimate = identify([first, second], machine, method="nested")
-    (blunder,) = find_faults(estimate).blunders
+    (blunder,) = find_data_faults(estimate).data_faults
     assert blunder.rows == ((1, 11),)
     assert blunder.message.startswith("second, line 13,")
-    clean = without(estimate.problem, [blunder])
+    clean = without_faults(estimate.problem, [blunder])
     assert [len(c) for c in clean.campaigns] == [54, 53]
 
 
 def test_a_campaign_of_faults_alone_is_refused_for_its_own(machine):
     every = [campaign_of(rows_of("standard", seed=k), machine, f"visit-{k}") for k in (1, 2)]
     problem = identify(every, machine, method="nested").problem
-    first = Blunder("outlier", ((0, 3),), (), "visit-1, line 5", 0.0, 0.0, 0.0)
-    whole = Blunder("unit", tuple((1, k) for k in range(54)), (), "visit-2 is in", 0.0, 0.0, 0.0)
+    first = ReportedFault("outlier", ((0, 3),), (), "visit-1, line 5", 0.0, 0.0, 0.0)
+    whole = ReportedFault(
+        "unit", tuple((1, k) for k in range(54)), (), "visit-2 is in", 0.0, 0.0, 0.0
+    )
     with pytest.raises(InputError, match=r"nothing is left of visit-2 .* \(visit-2 is in\)"):
-        without(problem, [first, whole])
+        without_faults(problem, [first, whole])

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.explanation.change_model import CLASS_WIDTH, SLAB_ODDS, WIDTHS
-from orthoglide.explanation.linear import FreeNoise, Linear, whole
+from orthoglide.explanation.change_model import INDISTINGUISHABLE_CHI2, SLAB_ODDS, SLAB_WIDTHS
+from orthoglide.explanation.linear_model import LinearModel, UnknownNoise, identity_group
 from orthoglide.explanation.mixture import Mixture
 from orthoglide.geometry import Array
 from tests.studied import studied
@@ -24,15 +24,15 @@ def searched(columns: Array, residual: Array) -> Mixture:
     """The search over changes with these columns, the size of the noise unknown."""
     count, chi2 = columns.shape[1], float(residual @ residual)
     groups = tuple(
-        replace(whole(f"change.{k}", [k], free=False), expected=float(np.exp(-COST)))
+        replace(identity_group(f"change.{k}", [k], free_form=False), expected=float(np.exp(-COST)))
         for k in range(count)
     )
     none = np.zeros(count, dtype=bool)
     return Mixture(
-        Linear(
+        LinearModel(
             columns, residual, np.zeros(count), none, none, groups, np.zeros((len(residual), 0)),
-            (1.0,), WIDTHS, slab_odds=SLAB_ODDS, most=12,
-            free_noise=FreeNoise(chi2, float(len(residual))),
+            (1.0,), SLAB_WIDTHS, slab_log_odds=SLAB_ODDS, max_active=12,
+            unknown_noise=UnknownNoise(chi2, float(len(residual))),
         )
     )  # fmt: skip
 
@@ -46,7 +46,7 @@ def weight(columns: Array, residual: Array, places: list[int], widths: Array) ->
         return -ROWS / 2 * (share if share < 1 else 1 + float(np.log(share)))
 
     fit = of(float(residual @ np.linalg.solve(spread, residual))) - of(float(residual @ residual))
-    prior = np.log(1 / widths / np.sum(1 / np.array(WIDTHS))).sum() - COST * len(places)
+    prior = np.log(1 / widths / np.sum(1 / np.array(SLAB_WIDTHS))).sum() - COST * len(places)
     return fit - float(np.linalg.slogdet(spread)[1]) / 2 + float(prior)
 
 
@@ -65,9 +65,9 @@ def test_no_set_weighs_more_than_the_one_found(seed: int) -> None:
         weight(columns, residual, list(places), np.array(widths))
         for count in range(4)
         for places in combinations(range(COUNT), count)
-        for widths in product(WIDTHS, repeat=count)
+        for widths in product(SLAB_WIDTHS, repeat=count)
     )
-    most, weighed = max(every), found.total(found.best) - found.total(())
+    most, weighed = max(every), found.log_weight(found.best) - found.log_weight(())
     assert weighed >= most - 1e-6
     assert len(found.best) > 3 or weighed == pytest.approx(most, abs=1e-6)
 
@@ -78,12 +78,14 @@ def test_what_reads_the_same_is_in_the_class_with_its_own_size() -> None:
     columns[:, 2] = -2 * columns[:, 1]
     residual = 1.5 * columns[:, 1] - 2 * columns[:, 3] + rng.standard_normal(ROWS)
     found = searched(columns, residual)
-    each = {member: found.instead(member, CLASS_WIDTH) for member, _ in found.best}
+    each = {
+        member: found.alternatives_to(member, INDISTINGUISHABLE_CHI2) for member, _ in found.best
+    }
     assert {frozenset({k, *others}) for k, others in each.items()} == {
         frozenset({1, 2}), frozenset({3}),
     }  # fmt: skip
     (first,) = {1, 2} & set(each)
-    size, sigma, _ = found.spread_of(first)
+    size, sigma, _ = found.size_and_spread(first)
     sizes = {first: size} | each[first]
     assert sizes[1] == pytest.approx(1.5, abs=0.2)
     assert sizes[2] == pytest.approx(-0.75, abs=0.1)

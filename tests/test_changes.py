@@ -10,7 +10,7 @@ import pytest
 import orthoglide as og
 from orthoglide.errors import InputError
 from orthoglide.explanation.change import Change
-from orthoglide.explanation.data_faults import find_faults
+from orthoglide.explanation.data_faults import find_data_faults
 from orthoglide.explanation.identifying import identify
 from orthoglide.observations import Campaign
 from orthoglide.verdict import close_loop
@@ -82,8 +82,8 @@ def test_what_has_no_name_is_no_change_beyond_any_that_is_expected(machine):
 
 
 def changes_of(*campaigns: Campaign, machine: og.Machine) -> tuple[Change, ...]:
-    findings = find_faults(identify(campaigns, machine, method="nested"))
-    assert findings.blunders == ()
+    findings = find_data_faults(identify(campaigns, machine, method="nested"))
+    assert findings.data_faults == ()
     return findings.changes
 
 
@@ -154,6 +154,6 @@ def test_a_fault_of_one_file_is_no_change(machine):
         )
         for k, table in enumerate(rows)
     ]
-    findings = find_faults(identify(both, machine, method="nested"))
-    assert [b.kind for b in findings.blunders] == ["sign"]
+    findings = find_data_faults(identify(both, machine, method="nested"))
+    assert [b.kind for b in findings.data_faults] == ["sign"]
     assert findings.changes == ()

@@ -17,15 +17,15 @@ from benchmarks.delta_readings import measured
 from benchmarks.delta_truth import machine as delta
 from orthoglide import units
 from orthoglide.checking import Check, Difference, check
-from orthoglide.checking.difference import entered
-from orthoglide.checking.told import changes_text
+from orthoglide.checking.difference import zero_entry_clauses
+from orthoglide.checking.pages import changes_text
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
 from orthoglide.firmware.klipper import import_printer
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file import Instrument, MachineFile
 from orthoglide.observations import Readings, campaign_text
-from orthoglide.planning.sheets import sheet_of
+from orthoglide.planning.sheets import instrument_sheet
 from orthoglide.simulation import simulate
 from tests import rig_campaigns as rc
 from tests.factors import factor_of
@@ -98,7 +98,7 @@ def test_how_the_zeros_were_entered_that_were_advised(times: float, told: str) -
         Difference(machine.catalogue.parameter(n), v, v - times * v, 1e-5, units.MM, True)
         for n, v in offsets.items()
     ]
-    said = list(entered(machine, differences))
+    said = list(zero_entry_clauses(machine, differences))
     assert len(said) == bool(told)
     assert all(told in one for one in said)
 
@@ -180,7 +180,7 @@ def test_dials_and_the_tool_are_compared_in_one_go() -> None:
 
     def visit(seed: int, **changed: float) -> list[Readings]:
         machine = og.Machine.nominal().with_parameters(told | changed)
-        sheet = sheet_of(machine, "tcp")
+        sheet = instrument_sheet(machine, "tcp")
         exact = factor_of(sheet, machine).predict(machine.model, machine.values)
         noise = 5e-6 * np.random.default_rng(seed).standard_normal(len(sheet))
         tracker = replace(sheet, reading=exact + noise, sigma=np.full(len(sheet), 5e-6))
@@ -309,7 +309,7 @@ def test_a_plate_of_a_small_machine_moves_by_less() -> None:
         instruments={"plate": Instrument(1e-7, 1e-6)},
     )
     stage = og.Machine(spec)
-    sheet = sheet_of(stage, "plate")
+    sheet = instrument_sheet(stage, "plate")
     old = simulate(stage, sheet, seed=1)
     new = replace(old, reading=old.reading - 5e-5)
     (move,) = check([replace(old, name="old")], [replace(new, name="new")], stage).moves
@@ -349,7 +349,7 @@ def visit(seed: int, *kinds: str, **changed: float) -> list[Readings]:
     true, rng = delta().with_parameters(ENDSTOPS | changed), np.random.default_rng(seed)
     read = []
     for kind in kinds:
-        sheet = sheet_of(delta(), kind)
+        sheet = instrument_sheet(delta(), kind)
         near = replace(sheet, reading=np.where(np.isfinite(sheet.reading), sheet.reading, 0.0))
         read.append(og.simulate(true, near, seed=int(rng.integers(1 << 20))))
     return read

@@ -22,7 +22,7 @@ import orthoglide as og
 from orthoglide.cli.app import progress
 from orthoglide.cli.calibrating import differences
 from orthoglide.progress import Step
-from orthoglide.report.words import MEANINGS
+from orthoglide.report.sentences import MEANINGS
 from tests.test_cli import EXPERIMENT_2, EXPERIMENT_3, NEVER, done, run, tree
 
 RIG = Path(__file__).parent / "data" / "rig"

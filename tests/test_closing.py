@@ -123,4 +123,4 @@ def test_a_dials_scale_is_that_of_the_machine_found(seed: int, machine: og.Machi
     off = told.values[told.name] - true[told.name]
     assert abs(off) < 3 * told.sigmas[told.name] < 0.04
     assert closed.posterior is not None
-    assert closed.posterior.about.apart < 0.1
+    assert closed.posterior.linearised.linearisation_error < 0.1

@@ -11,7 +11,7 @@ import orthoglide as og
 from orthoglide.errors import FileError, InputError
 from orthoglide.instruments import OBSERVATIONS, Setup
 from orthoglide.observations import Readings, read_readings
-from orthoglide.observations.protocols import unread
+from orthoglide.observations.protocols import unread_campaign
 from orthoglide.observations.schema import COLUMNS
 
 MACHINE = og.Machine.nominal()
@@ -23,7 +23,7 @@ IN_A_FILE = sorted(OBSERVATIONS, key=lambda kind: not OBSERVATIONS[kind].on_leg)
 def readings(kind: str) -> Readings:
     """Six readings of a kind, with all that its mountings and rows can state."""
     one, n = OBSERVATIONS[kind], len(COMMANDS_READ)
-    stated = set(one.of_setup)
+    stated = set(one.setup_columns)
     setup = Setup(
         f"{kind}-1",
         kind=kind,
@@ -34,7 +34,7 @@ def readings(kind: str) -> Readings:
         beside=(0.01, 0.0, -0.04) if "beside_x_mm" in stated else (0.0, 0.0, 0.0),
         turned=60.0 if "turned_deg" in stated else 0.0,
     )
-    sheet = unread(
+    sheet = unread_campaign(
         MACHINE.geometry, kind, (setup,), np.zeros(n, int), COMMANDS_READ, posture=list("abcdef"),
         time=100.0 * IN_A_FILE.index(kind) + 10.0 * np.arange(n), load=2.5,
     )  # fmt: skip
@@ -74,7 +74,9 @@ def test_tables_of_one_setup_are_not_put_together() -> None:
 @pytest.mark.parametrize("kind", OBSERVATIONS)
 def test_a_column_that_a_kind_needs_is_missed(kind: str, tmp_path: Path) -> None:
     frame = readings(kind).to_frame()
-    needed = [c for c in COLUMNS if c.required and c.of(OBSERVATIONS[kind]) and c.name in frame]
+    needed = [
+        c for c in COLUMNS if c.required and c.applies_to(OBSERVATIONS[kind]) and c.name in frame
+    ]
     for column in (c for c in needed if c.name != "order"):
         with pytest.raises(FileError, match=f"has no column {column.name}"):
             og.Readings.from_frame(frame.drop(columns=column.name))

@@ -43,7 +43,7 @@ def comparison() -> Comparison:
 
 
 def rig_tcp(errors: dict[str, float]) -> tuple[Array, Array]:
-    seen = comparison().seen
+    seen = comparison().conditions
     rig = Rig(errors=errors, screw_pitch=FEW.pitch)
     pose = rig.pose(seen.command, seen.approach, seen.time, seen.warming, seen.load)
     return pose.p, pose.R
@@ -82,7 +82,7 @@ def test_the_effect_itself_is_that_of_the_independent_machine(name: str) -> None
 @pytest.mark.parametrize("name", ["axis_tilt.z.y", "bar_mismatch.y", "backlash.x"])
 def test_no_six_parameters_come_nearer_to_the_tcp(name: str) -> None:
     p, _ = rig_tcp({name: row(name).value})
-    commands = comparison().seen.command
+    commands = comparison().conditions.command
 
     def apart(six: Array) -> Array:
         return (reduction.forward(commands, six[:3], six[3:]) - p).ravel() * 1e6
@@ -103,7 +103,10 @@ def test_no_six_parameters_come_nearer_to_the_readings(name: str) -> None:
     pose = rig.pose(c.command, c.approach, c.time, c.temperature - c.temperature[0], c.load)
     shown = rig.readings(pose.lines, c.leg, [c.setups[k].direction for k in c.setup], gauges)
     columns = np.hstack(
-        [reduction.observe(c.command, c.leg, axes, gauges).gradient, np.eye(len(c.setups))[c.setup]]
+        [
+            reduction.predict_readings(c.command, c.leg, axes, gauges).gradient,
+            np.eye(len(c.setups))[c.setup],
+        ]
     )
     linear = shown - columns @ np.linalg.lstsq(columns, shown, rcond=None)[0]
     rms = np.sqrt(np.mean(linear**2))
@@ -170,7 +173,7 @@ def test_planes_show_the_same_difference() -> None:
 def test_constants_cannot_be_cold_and_warm_or_come_from_both_sides() -> None:
     for name in ("thermal_growth.y", "thermal_drift.x", "backlash.x"):
         assert row(name).fitted.mean > 1e-6
-    seen = comparison().seen
+    seen = comparison().conditions
     half = len(seen) // 2
     assert np.array_equal(seen.command[:half], seen.command[half:])
     assert np.all(seen.approach[:half] == 1)
@@ -235,7 +238,7 @@ def test_what_three_spheres_get_wrong_of_a_delta() -> None:
     (found,) = compare_effects(other("linear delta"), (name,), FEW)
     compared = Comparison(other("linear delta"), FEW)
     half = len(compared.p) // 2  # cold and warm are the same to it
-    travel, goal = compared.seen.command[:half], compared.p[:half]
+    travel, goal = compared.conditions.command[:half], compared.p[:half]
     worn = replace(DELTA, errors={name: found.value})
     p = np.array([worn.pose(t, near)[0] for t, near in zip(travel, goal, strict=True)])
     apart = np.linalg.norm(p - goal, axis=1)

@@ -17,16 +17,16 @@ import pytest
 from click.testing import CliRunner
 
 from orthoglide import Campaign, Machine, UnreachableError, identify
-from orthoglide.accuracy import tcp_slopes, throughout
+from orthoglide.accuracy import tcp_slopes, workspace_commands
 from orthoglide.cli import cli
 from orthoglide.control import (
     RULE,
     calibrated_urdf,
     commands_text,
     compensate,
+    constant_geometry,
     controller_numbers,
     export_files,
-    held_by_urdf,
     read_path,
 )
 from orthoglide.effects import CATALOGUE
@@ -214,7 +214,7 @@ def test_a_point_that_is_no_number_is_refused() -> None:
 def tcp_sigma(machine: Machine, rho: np.ndarray, **conditions: float) -> np.ndarray:
     """Standard deviation of the TCP along each axis ``(n, 3)``, where the machine sits in it."""
     known = machine.posterior
-    slopes = tcp_slopes(machine, known.names, Conditions.at(rho, **conditions))  # type: ignore[arg-type]
+    slopes = tcp_slopes(machine, known.names, Conditions.from_commands(rho, **conditions))  # type: ignore[arg-type]
     variance = np.einsum("...p,pq,...q->...", slopes, known.covariance, slopes)
     return np.sqrt(np.maximum(variance, 0.0))
 
@@ -406,7 +406,7 @@ def test_zeros_alone_are_fitted_to_the_whole_machine() -> None:
     values = {"joint_offset.x": 1e-3, "axis_offset.z.x": 4e-4, "encoder_scale.y": 3e-4}
     whole, rig = machine(values), Rig(errors=values)
     numbers = controller_numbers(whole, zeros_only=True)
-    wanted = throughout(whole)
+    wanted = workspace_commands(whole)
     goal, middle = Rig().pose(wanted, np.zeros_like(wanted)).p, np.zeros_like(wanted)
 
     def shape(offsets: Array) -> float:
@@ -527,7 +527,7 @@ def test_rigid_legs_close_on_the_machines_own_tcp() -> None:
 
 
 def test_with_relief_joints_all_constant_geometry_is_held() -> None:
-    values = held_by_urdf(machine(everything()))
+    values = constant_geometry(machine(everything()))
     assert len(values) > 30
     tree = tree_of(calibrated_urdf(machine(values)), general=True)
     slope = np.zeros(3)

@@ -21,9 +21,9 @@ from orthoglide.explanation.identifying import identify
 from orthoglide.explanation.signatures import signatures
 from orthoglide.machine import Machine
 from orthoglide.observations import Setup, read_readings
-from orthoglide.planning.sheets import mixed_sheet, sheet_of, whitened
+from orthoglide.planning.sheets import choose_from_sheets, instrument_sheet, whitened_rows
 from orthoglide.report import report_files
-from orthoglide.report.words import headline
+from orthoglide.report.sentences import headline
 from orthoglide.verdict import Verdict, close_loop
 from tests.klipper_files import DATA
 from tests.rig_delta import DeltaRig
@@ -175,15 +175,15 @@ def test_instruments_that_one_owns_and_others(imported: Path, tmp_path: Path) ->
 
 def test_readings_chosen_together_tell_more_than_drawn_ones(imported: Path) -> None:
     machine = Machine.load(imported / "machine.toml")
-    sheets = [sheet_of(machine, kind) for kind in ("plate", "distance", "incline")]
-    rows, shared, prior = whitened(machine, sheets)
+    sheets = [instrument_sheet(machine, kind) for kind in ("plate", "distance", "incline")]
+    rows, shared, prior = whitened_rows(machine, sheets)
 
     def told(kept: object) -> float:
         """Log determinant of all parameters, what belongs to setups projected out."""
         both = np.diag(prior) + rows[kept].T @ rows[kept]
         return float(np.linalg.slogdet(both)[1] - np.linalg.slogdet(both[shared:, shared:])[1])
 
-    chosen = mixed_sheet(machine, sheets, 24)
+    chosen = choose_from_sheets(machine, sheets, 24)
     names = [(s.name, p, a) for s in sheets for p, a in zip(s.posture, s.axis, strict=True)]
     kept = [names.index((s.name, p, a)) for s in chosen
             for p, a in zip(s.posture, s.axis, strict=True)]  # fmt: skip

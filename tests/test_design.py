@@ -30,11 +30,11 @@ from orthoglide.planning import (
     repeats_needed,
     smallest_effects,
 )
-from orthoglide.planning.choosing import Narrowing, RivalSeparation
+from orthoglide.planning.choosing import CombinationPrecision, RivalSeparation
 from orthoglide.planning.designs import Observability
-from orthoglide.planning.detectable import noncentrality, separation
+from orthoglide.planning.detectable import noncentrality, required_separation
 from orthoglide.planning.linear import LinearReadings, Steps
-from orthoglide.planning.pool import DIAL_TRAVEL, sheet
+from orthoglide.planning.pool import DIAL_TRAVEL, sheet_from_pool
 from tests.factors import problem_of
 from tests.relabelling import legs_renamed, relabelled
 from tests.rig import Rig
@@ -93,7 +93,7 @@ def test_a_stage_that_hardly_moves_has_a_pool():
         sides.setdefault(label, set()).add(approach)
     assert [label for label, ways in sides.items() if len(ways) == 1] == ["-0.4", "+0.4"]
     assert len(sides) == 8
-    chosen = sheet(pool, range(0, len(pool), 7))
+    chosen = sheet_from_pool(pool, range(0, len(pool), 7))
     assert len(chosen.moves)
     assert stage.in_stroke(chosen.moves.command).all()
     shortest = reading_pool(og.Geometry(0.008, 0.002, 0.001, (-4e-4, 4e-4)))
@@ -147,7 +147,7 @@ def by_hand(readings, rows):
 def some_rows(readings, seed=0):
     rng = np.random.default_rng(seed)
     setups = rng.choice(len(readings.campaign.setups), 3, replace=False)
-    rows = [int(k) for s in setups for k in rng.choice(readings.of_setup[s], 4, replace=False)]
+    rows = [int(k) for s in setups for k in rng.choice(readings.rows_by_setup[s], 4, replace=False)]
     return sorted([*rows, rows[1], rows[1]])  # one station three times
 
 
@@ -164,16 +164,16 @@ def stepwise(readings, criterion, rows):
     for setup in dict.fromkeys(int(readings.campaign.setup[k]) for k in rows):
         own = [k for k in rows if readings.campaign.setup[k] == setup]
         for i in range(1, len(own)):
-            steps = readings.continued(setup, own[:i])
+            steps = readings.continuing_steps(setup, own[:i])
             place = int(np.flatnonzero(steps.rows[:, 1] == own[i])[0])
-            criterion = criterion.after(steps, place)
+            criterion = criterion.with_step(steps, place)
     return criterion
 
 
 @pytest.mark.parametrize("combinations", [np.eye(3), np.array([[1.0], [0.0], [-1.0]])])
 def test_steps_add_up_to_the_whole_and_gain_what_they_promise(readings, combinations):
     rows, prior = some_rows(readings), np.diag([0.5, 1.0, 1 / 3])
-    start = Narrowing(prior, combinations)
+    start = CombinationPrecision(prior, combinations)
     after = stepwise(readings, start, rows)
     covariance = np.linalg.inv(prior + readings.information(rows))
     narrowed = combinations.T @ covariance @ combinations
@@ -182,7 +182,7 @@ def test_steps_add_up_to_the_whole_and_gain_what_they_promise(readings, combinat
     steps = readings.steps(rows, 4)
     taken_away = Steps(steps.rows[:2], 0.1 * steps.columns[:2], -steps.variance[:2])
     for some, k in ((steps, 0), (steps, len(steps.rows) - 1), (taken_away, 1)):
-        risen = after.after(some, k).value - after.value
+        risen = after.with_step(some, k).value - after.value
         assert after.gains(some)[k] == pytest.approx(risen, rel=1e-6)
 
 
@@ -203,7 +203,7 @@ def test_rivals_are_as_far_apart_as_least_squares_says(readings):
         assert chi2 == pytest.approx(left, rel=1e-5)
     steps = both.steps(rows, 4)
     for k in (0, len(steps.rows) // 2, len(steps.rows) - 1):
-        risen = after.after(steps, k).value - after.value
+        risen = after.with_step(steps, k).value - after.value
         assert after.gains(steps)[k] == pytest.approx(risen, rel=1e-6)
 
 
@@ -243,7 +243,7 @@ def test_a_d_optimal_design_beats_random_ones_and_the_protocol(machine):
     pool = reading_pool(machine.geometry)
     names = found.names
     everything = LinearReadings.of(machine, pool, names)
-    start = Narrowing(1e-4 * np.eye(len(names)), np.eye(len(names)))
+    start = CombinationPrecision(1e-4 * np.eye(len(names)), np.eye(len(names)))
     rng = np.random.default_rng(1)
     mountings = len(found.campaign.setups)
     random = []
@@ -252,7 +252,7 @@ def test_a_d_optimal_design_beats_random_ones_and_the_protocol(machine):
         rows = [
             int(k)
             for s in setups
-            for k in rng.choice(everything.of_setup[s], 24 // mountings, replace=False)
+            for k in rng.choice(everything.rows_by_setup[s], 24 // mountings, replace=False)
         ]
         random.append(start.with_rows(everything, rows).value - start.value)
     assert found.value > max(random) + 3
@@ -272,8 +272,8 @@ def test_a_design_is_a_sheet_that_reads_back(machine, count, tmp_path):
 
 
 def test_a_sheet_numbers_the_visits_of_a_station(readings):
-    rows = [int(readings.of_setup[0][2])] * 3 + [int(readings.of_setup[0][5])]
-    made = sheet(readings.campaign, rows)
+    rows = [int(readings.rows_by_setup[0][2])] * 3 + [int(readings.rows_by_setup[0][5])]
+    made = sheet_from_pool(readings.campaign, rows)
     assert made.repeat.tolist() == [1, 1, 2, 3]
     assert len(made.setups) == 1
 
@@ -353,7 +353,7 @@ def test_power_is_that_of_the_noncentral_distribution():
     limit = (2 * threshold + np.log(1 + square)) * (1 + square) / square
     assert ncx2.sf(limit, 1, nc) == pytest.approx(0.95, abs=1e-6)
     rng = np.random.default_rng(0)
-    distance = separation()
+    distance = required_separation()
     worse = distance**2 + 2 * distance * rng.standard_normal(200_000)
     assert np.mean(worse > 4) == pytest.approx(0.95, abs=0.005)
 
@@ -370,7 +370,7 @@ def test_an_effect_of_the_smallest_size_is_found_as_often_as_promised(machine):
         for seed in range(25):
             campaign = measured(quiet, Rig(errors={"axis_offset.z.x": value}), "standard", seed)
             seen = signatures(og.identify(campaign, quiet, method="nested"))
-            best = Scoring.of(seen, seen.candidates).evidences(seen.residual).max()
+            best = Scoring.prepare(seen, seen.candidates).evidences(seen.residual).max()
             hits += best > told.threshold
         return hits / 25
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.effects.places import all_dials, dial_places
-from orthoglide.explanation.free import curves_of_dials
+from orthoglide.effects.free_form import common_dial_form, dial_free_forms
+from orthoglide.explanation.free_form import dial_curve_columns
 from orthoglide.explanation.identifying import identify
 from orthoglide.fit import Estimate
 from orthoglide.report import result_text
@@ -97,23 +97,25 @@ def test_which_way_a_plunger_came() -> None:
         row["order"] = k
     estimate: Estimate = identify(campaign_of(rows), og.Machine.nominal())
     value = estimate.at.value
-    parts, places = curves_of_dials(estimate.problem, value, estimate.residuals)
+    parts, places = dial_curve_columns(estimate.problem, value, estimate.residuals)
     columns = np.hstack(parts)
     at = [p.name for p in places].index("dial.yz-0.5/approach")
     own = np.array([row["setup"] == "yz-0.5" for row in rows])
     start = sum(p.kernel.count for p in places[:at])
-    shown = columns[:, start] / places[at].unit
+    shown = columns[:, start] / places[at].prior_sd
     assert not shown[~own].any()
     expected = np.sign(np.diff(value[own])) / 2
     moved = np.abs(np.diff(value[own])) > 2e-6
     assert moved.sum() > 20
     assert shown[own][1:][moved] == pytest.approx(expected[moved])
-    together = columns[:, -1] / places[-1].unit
-    assert places[-1].name == all_dials((0.0, 1.0)).name == "dial/approach"
+    together = columns[:, -1] / places[-1].prior_sd
+    assert places[-1].name == common_dial_form((0.0, 1.0)).name == "dial/approach"
     assert together[own] == pytest.approx(shown[own])
 
 
 def test_a_dial_whose_plunger_came_one_way_shows_no_reversal() -> None:
-    names = [p.name for p in dial_places("s", 0, None, (0.0, 1e-3), False)]
+    names = [p.name for p in dial_free_forms("s", 0, None, (0.0, 1e-3), False)]
     assert names == ["dial.s/reading"]
-    assert [p.name for p in dial_places("s", 0, None, (0.0, 1e-3), True)][-1] == "dial.s/approach"
+    assert [p.name for p in dial_free_forms("s", 0, None, (0.0, 1e-3), True)][
+        -1
+    ] == "dial.s/approach"

@@ -128,7 +128,7 @@ def test_the_drawing_says_what_it_shows_and_keeps_on_its_paper(kind: str) -> Non
     own, base = machine(kind), machine(kind).catalogue["axis_tilt"].motions
     several = [option(own, f"cause {k} <&", {p: 3e-3}) for k, p in enumerate(base)]
     marked = (Dial("left", posed(kind).p, np.array([0.0, 1.0, 0.0])),)
-    text = drawing(posed(kind), several, marked, title="A & B", shown=(1,))
+    text = drawing(posed(kind), several, marked, title="A & B", first_shown=(1,))
     root = ET.fromstring(text)
     assert root.get("role") == "img"
     assert root.findtext("title") == "A & B"

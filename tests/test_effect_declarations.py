@@ -14,11 +14,11 @@ from click.testing import CliRunner
 
 import orthoglide as og
 from orthoglide.cli import cli
-from orthoglide.closing.actions import confirm
+from orthoglide.closing.actions import confirmation_test
 from orthoglide.effects import CATALOGUE, Effect, Motion, cos, once, sin
+from orthoglide.effects.custom import load_effects
+from orthoglide.effects.free_form import dial_free_forms
 from orthoglide.effects.motions import Constant, sideways
-from orthoglide.effects.own import load_effects
-from orthoglide.effects.places import dial_places
 from orthoglide.effects.wording import cause_short, cause_words, confirm_words, parameter_words
 from orthoglide.errors import InputError
 from orthoglide.explanation import Explanation
@@ -94,7 +94,7 @@ def test_the_contract_holds_for_ones_own(machine: og.Machine, name: str) -> None
     slope = model.linearised({}, campaign, [name]).jacobian[:, 0]
     np.testing.assert_allclose((high - low) / (2 * step), slope, atol=1e-7)
     assert np.abs(slope).max() > 1e-3
-    conditions = Conditions.of(campaign)
+    conditions = Conditions.from_readings(campaign)
     _, by_name = model.sensitivities({}, conditions, [name])
     ends = [model.outputs({name: v}, conditions).p for v in (step, -step)]
     np.testing.assert_allclose((ends[0] - ends[1]) / (2 * step), by_name[:, :3, 0], atol=1e-7)
@@ -139,7 +139,7 @@ def test_a_pair_has_a_test_that_confirms_it(machine: og.Machine, effect: Effect,
         f"{effect.name}.y", tuple(values), 1.0, values, values, values, np.zeros(0),
         machine.catalogue,
     )  # fmt: skip
-    assert re.fullmatch(test, confirm(one))
+    assert re.fullmatch(test, confirmation_test(one))
 
 
 def test_mistakes_are_refused() -> None:
@@ -304,7 +304,7 @@ def test_ones_own_effect_is_what_changed(machine: og.Machine, tmp_path: Path) ->
 def test_a_place_in_a_dial_of_any_name_is_an_effect() -> None:
     """The sheets' own mountings have names such as ``xy-0.5``."""
     for setup in ("xy-0.5", "leg x, left"):
-        for place in dial_places(setup, 0, (0.0, 60.0), (0.0, 1e-3), True):
+        for place in dial_free_forms(setup, 0, (0.0, 60.0), (0.0, 1e-3), True):
             assert place.effect.name.isidentifier()
             assert setup in place.words
 

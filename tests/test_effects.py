@@ -109,7 +109,7 @@ def rig_outputs(values: dict[str, float], seen: Readings) -> tuple[Pose, Array]:
 def outputs(values: dict[str, float], seen: Readings) -> Array:
     """TCP, rotation and bars' ends ``(n, 48)``."""
     machine = {k: v for k, v in values.items() if not CATALOGUE.effect_of(k).of_dial}
-    return model().outputs(machine, Conditions.of(seen)).values
+    return model().outputs(machine, Conditions.from_readings(seen)).values
 
 
 @cache
@@ -218,7 +218,7 @@ def test_derivatives_equal_central_differences(name: str, about: str) -> None:
 
     if not CATALOGUE.effect_of(name).of_dial:
         machine = {k: v for k, v in base.items() if not CATALOGUE.effect_of(k).of_dial}
-        out, by_name = model().sensitivities(machine, Conditions.of(seen), [name])
+        out, by_name = model().sensitivities(machine, Conditions.from_readings(seen), [name])
         assert np.abs(out.values - outputs(machine, seen)).max() < 1e-14
         numeric = four_point(lambda h: outputs({**machine, name: start + h}, seen), step)
         for part in (TCP, ROTATION, LINES):
@@ -300,16 +300,16 @@ MEMBERS = [
     (name, member)
     for name, family in CATALOGUE.items()
     if not family.of_dial
-    for member in CATALOGUE.structured(name)
+    for member in CATALOGUE.structured_members(name)
 ]
 
 
 @pytest.mark.parametrize(("family", "member"), MEMBERS)
 def test_structured_members_sum_to_their_parts(family: str, member: str) -> None:
-    weights = CATALOGUE.structured(family)[member]
+    weights = CATALOGUE.structured_members(family)[member]
     assert set(weights) <= set(CATALOGUE.parameters)
     assert set(weights.values()) <= {1.0, -1.0}
-    conditions = Conditions.of(campaign())
+    conditions = Conditions.from_readings(campaign())
     value = tolerance(family)
     together = model().displacements({n: w * value for n, w in weights.items()}, conditions)
     parts = [w * model().displacements({n: value}, conditions) for n, w in weights.items()]
@@ -324,7 +324,7 @@ def test_structured_members_sum_to_their_parts(family: str, member: str) -> None
 
 def test_structured_members_are_the_symmetries_they_are_called() -> None:
     for family in ("axis_offset", "axis_tilt", "rail_tilt", "rail_bow"):
-        members = CATALOGUE.structured(family)
+        members = CATALOGUE.structured_members(family)
         assert len(members) == 8
         assert len(members[f"{family}.common"]) == 6
         cyclic = members[f"{family}.cyclic"]
@@ -337,15 +337,18 @@ def test_structured_members_are_the_symmetries_they_are_called() -> None:
             one, other = f"{family}.{pair[0]}.{pair[1]}", f"{family}.{pair[1]}.{pair[0]}"
             assert members[f"{family}.{pair}.symmetric"] == {one: 1.0, other: 1.0}
             assert members[f"{family}.{pair}.antisymmetric"] == {one: 1.0, other: -1.0}
-    assert set(CATALOGUE.structured("mount_tilt")) == {"mount_tilt.a.common", "mount_tilt.b.common"}
-    assert CATALOGUE.structured("joint_offset") == {
+    assert set(CATALOGUE.structured_members("mount_tilt")) == {
+        "mount_tilt.a.common",
+        "mount_tilt.b.common",
+    }
+    assert CATALOGUE.structured_members("joint_offset") == {
         "joint_offset.common": {f"joint_offset.{leg}": 1.0 for leg in LEGS}
     }
 
 
 def test_a_dials_common_member_is_all_its_setups() -> None:
     names = [setup.name for setup in SETUPS]
-    weights = CATALOGUE.structured("gauge_scale", names)["gauge_scale.common"]
+    weights = CATALOGUE.structured_members("gauge_scale", names)["gauge_scale.common"]
     assert weights == {f"gauge_scale.{name}": 1.0 for name in names}
     shown = model().readings(dict.fromkeys(weights, 0.01), campaign())
     assert np.abs(shown - 1.01 * model().readings({}, campaign())).max() < 1e-15
@@ -360,5 +363,5 @@ def test_common_axis_offsets_and_joint_offset_are_one_translation() -> None:
 
 def test_without_a_pitch_the_screw_has_no_error() -> None:
     plain = Model(GEOMETRY, None, compile=False)
-    conditions = Conditions.of(campaign())
+    conditions = Conditions.from_readings(campaign())
     assert not plain.displacements({"screw_error.x.sin": 1e-3}, conditions).any()

@@ -49,11 +49,11 @@ def test_equals_the_independent_machine_under_load(bar: float) -> None:
     errors, rng = drawn_errors(10), np.random.default_rng(10)
     model = Model(Geometry(), 0.02, stiffness=Stiffness(bar=bar), compile=False)
     rho, load = commands(30, 10), rng.uniform(50, 300, 30)
-    conditions = Conditions.at(rho, approach=1.0, time=600.0, warming=3.0, load=load)
+    conditions = Conditions.from_commands(rho, approach=1.0, time=600.0, warming=3.0, load=load)
     out = model.outputs(errors, conditions)
     rig = Rig(errors=errors, screw_pitch=0.02, bar_stiffness=bar)
     pose = rig.pose(rho, np.ones((30, 3)), np.full(30, 600.0), np.full(30, 3.0), load)
-    light = Conditions.at(rho, approach=1.0, time=600.0, warming=3.0)
+    light = Conditions.from_commands(rho, approach=1.0, time=600.0, warming=3.0)
     unloaded = model.outputs(errors, light)
     assert np.abs(out.p - unloaded.p).max() > 1e-6
     # Growth is of the nominal bar here and of the longer one there: 1e-5 of 0.05 mm.
@@ -68,14 +68,14 @@ def test_compliant_drives_and_bars_together() -> None:
     model = Model(stiffness=Stiffness(bar=BAR), compile=False)
     rho = commands(30, 11)
     pose = Rig(errors=errors, bar_stiffness=BAR).pose(rho, load=100.0)
-    out = model.outputs(errors, Conditions.at(rho, load=100.0))
+    out = model.outputs(errors, Conditions.from_commands(rho, load=100.0))
     np.testing.assert_allclose(out.p, pose.p, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("bar", [1e5, 5e6, BAR])
 def test_the_platform_rests_and_each_bar_is_longer_by_its_pull(bar: float) -> None:
     """Equilibrium of the deformed machine, from the ends of its bars alone."""
-    own, conditions = machine(bar), Conditions.at(RHO, load=LOAD)
+    own, conditions = machine(bar), Conditions.from_commands(RHO, load=LOAD)
     out, pulls = own.model.outputs(ERRORS, conditions), own.bar_tensions(RHO, load=LOAD)
     run = out.lines[..., 0, :] - out.lines[..., 1, :]
     length = np.linalg.norm(run, axis=-1)
@@ -111,7 +111,7 @@ def test_stiff_bars_tend_to_rigid_ones_in_proportion() -> None:
 def test_rigid_bars_and_drives_carry_the_load_by_virtual_work() -> None:
     """Pulls along the slides are the forces on the drives: f = (dp/drho)^T (0, 0, -load)."""
     sound = Machine.nominal()
-    out = sound.model.outputs({}, Conditions.at(RHO))
+    out = sound.model.outputs({}, Conditions.from_commands(RHO))
     run = out.lines[..., 1, :] - out.lines[..., 0, :]
     pull = sound.bar_tensions(RHO, load=LOAD)[..., None] * run / sound.geometry.L
     expected = -LOAD * sound.jacobian(RHO)[:, 2]
@@ -149,7 +149,7 @@ def test_tangent_of_the_tensions_is_a_difference(geometry: Geometry) -> None:
 @pytest.mark.parametrize(("bar", "load"), [(BAR, LOAD), (5e6, 1000.0), (1e6, 1000.0)])
 def test_sensitivities_of_the_catalogue_equal_finite_differences(bar: float, load: float) -> None:
     model = machine(bar).model
-    conditions = Conditions.at(RHO[:3], approach=1.0, time=600.0, warming=3.0, load=load)
+    conditions = Conditions.from_commands(RHO[:3], approach=1.0, time=600.0, warming=3.0, load=load)
     outputs, by_name = model.sensitivities(ERRORS, conditions, CATALOGUE.parameters)
     for k, name in enumerate(CATALOGUE.parameters):
         step = CATALOGUE.effect_of(name).tolerance_si / 2
@@ -209,9 +209,9 @@ def test_torsional_stiffness_is_read_kept_and_said_to_be_without_effect(tmp_path
 
 def test_stiffness_is_used_where_it_matters() -> None:
     bars = machine().model
-    assert bars.is_elastic(Conditions.at(RHO, load=LOAD))
-    assert not bars.is_elastic(Conditions.at(RHO))
-    assert not machine(None).model.is_elastic(Conditions.at(RHO, load=LOAD))
+    assert bars.is_elastic(Conditions.from_commands(RHO, load=LOAD))
+    assert not bars.is_elastic(Conditions.from_commands(RHO))
+    assert not machine(None).model.is_elastic(Conditions.from_commands(RHO, load=LOAD))
     # Loaded and unloaded postures in one batch are what each is alone.
     load = np.where(np.arange(6) % 2, LOAD, 0.0)
     mixed = machine().forward(RHO, load=load)
@@ -234,7 +234,7 @@ def test_tensions_have_the_shape_of_the_commands() -> None:
 @pytest.mark.parametrize("load", [20.0, 200.0, 500.0])
 def test_bars_of_rubber_stand_in_equilibrium(load: float) -> None:
     """They give by up to a tenth of their length."""
-    soft, conditions = machine(1e4), Conditions.at(RHO, load=load)
+    soft, conditions = machine(1e4), Conditions.from_commands(RHO, load=load)
     out, pulls = soft.model.outputs(ERRORS, conditions), soft.bar_tensions(RHO, load=load)
     length = np.linalg.norm(out.lines[..., 1, :] - out.lines[..., 0, :], axis=-1)
     moves = soft.model.displacements(ERRORS, conditions)

@@ -13,7 +13,7 @@ import orthoglide as og
 from orthoglide.firmware.klipper import Imported
 from orthoglide.machine_file import Controller, machine_text, parse_machine_file
 from orthoglide.report.claims import claims
-from orthoglide.report.words import headline
+from orthoglide.report.sentences import headline
 from tests.klipper_files import imported
 
 FIELD = Path(__file__).parent / "data" / "field"

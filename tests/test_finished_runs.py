@@ -65,13 +65,13 @@ def test_failing_arithmetic_is_failed_numerics(
 
 def before_it_appears(monkeypatch: pytest.MonkeyPatch, module: Any, act: Callable[[], Any]) -> None:
     """Have another process act between a file's or folder's last check and its appearance."""
-    put = module._put
+    put = module._move_into_place
 
     def later(*arguments: Any) -> None:
         act()
         put(*arguments)
 
-    monkeypatch.setattr(module, "_put", later)
+    monkeypatch.setattr(module, "_move_into_place", later)
 
 
 def test_a_file_that_another_process_wrote_meanwhile_stands(
@@ -173,15 +173,15 @@ def test_the_cache_is_nobody_elses(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     cache = tmp_path / "cache"
     monkeypatch.setenv("ORTHOGLIDE_CACHE", str(cache))
-    assert compiled._own_folder() == cache
+    assert compiled._cache_folder() == cache
     assert cache.stat().st_mode & 0o077 == 0
     cache.chmod(0o777)
-    compiled._own_folder()
+    compiled._cache_folder()
     assert cache.stat().st_mode & 0o022 == 0
     own = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: own + 1)
     with pytest.raises(PermissionError):
-        compiled._own_folder()
+        compiled._cache_folder()
     assert compiled.compiled(["f"], "f", lambda: []) is None
 
 
@@ -201,7 +201,7 @@ def test_another_kind_of_computer_has_a_library_of_its_own(
     own = made(build=True)
     assert own is not None
     assert made(build=False) == own
-    monkeypatch.setattr(compiled, "_target", lambda *_: "#define __of_another_kind__ 1")
+    monkeypatch.setattr(compiled, "_compiler_target", lambda *_: "#define __of_another_kind__ 1")
     assert made(build=False) is None
     assert made(build=True) not in (None, own)
 

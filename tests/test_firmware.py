@@ -37,28 +37,28 @@ class Other:
 
 
 def test_the_add_ons_of_the_package_need_no_installation(monkeypatch: pytest.MonkeyPatch) -> None:
-    add_ons._found.cache_clear()
+    add_ons._entry_points.cache_clear()
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: ())
     found = add_ons.add_on("klipper").read(DATA / "electrocally.cfg")
     assert len(found.campaigns) == 2
     assert found.machine.firmware == found.machine.provenance["klipper"]["numbers"]
     with pytest.raises(InputError, match=r"no firmware 'other': it is one of klipper"):
         add_ons.add_on("other")
-    add_ons._found.cache_clear()
+    add_ons._entry_points.cache_clear()
 
 
 def test_another_add_on_is_found_by_its_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
     spec = replace(og.MachineFile(), provenance={"other": {"numbers": "other-1"}})
     assert parse_machine_file(machine_text(spec)).firmware == ""  # a table of nobody
-    add_ons._found.cache_clear()
-    mine = EntryPoint("other", "tests.test_firmware:Other", add_ons.GROUP)
-    broken = EntryPoint("broken", "tests.nowhere:Other", add_ons.GROUP)
+    add_ons._entry_points.cache_clear()
+    mine = EntryPoint("other", "tests.test_firmware:Other", add_ons.ENTRY_POINT_GROUP)
+    broken = EntryPoint("broken", "tests.nowhere:Other", add_ons.ENTRY_POINT_GROUP)
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: (mine, broken))
     assert add_ons.add_on("other").__name__ == "Other"
     assert spec.firmware == "other-1"
     with pytest.raises(InputError, match="for the firmware broken cannot be loaded"):
         add_ons.add_on("broken")
-    add_ons._found.cache_clear()
+    add_ons._entry_points.cache_clear()
 
 
 def test_an_edited_table_is_no_printer_s() -> None:

@@ -13,20 +13,20 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.closing import Closed, filled
+from orthoglide.closing import RunOutcome, build_result
 from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
-from orthoglide.effects.places import places
+from orthoglide.effects.free_form import free_forms
 from orthoglide.effects.wording import cause_short
 from orthoglide.explanation import Cause, Explanation
 from orthoglide.explanation.change import Change
 from orthoglide.layout import LinearDelta
 from orthoglide.numerals import ByUnit
 from orthoglide.parameters import Parameter
-from orthoglide.report.claims import sure_words
-from orthoglide.report.page import finding, rendered
+from orthoglide.report.claims import probability_words
+from orthoglide.report.page import finding, render_template
 from orthoglide.report.sections import budget
-from orthoglide.report.text import to_do
-from orthoglide.report.words import _falls
+from orthoglide.report.sentences import _rms_change
+from orthoglide.report.terminal import action_lines
 from orthoglide.result import Action, BudgetItem, Suspect
 from orthoglide.verdict import Verdict
 from tests import rig_campaigns as rc
@@ -47,7 +47,7 @@ def explained(name: str, value: float, catalogue: Catalogue, probability: float)
 
 
 @cache
-def base() -> Closed:
+def base() -> RunOutcome:
     """Something to put made-up causes into; its own numbers are the ones identified."""
     closed = closed_of("rig")
     closed.numbers  # noqa: B018  computed once for all copies
@@ -70,7 +70,7 @@ def made_up(
     }  # fmt: skip
     kept |= {} if drawn else {"picture": replace(base().picture, options=())}
     closed.__dict__.update(kept)
-    return filled(closed, Verdict)
+    return build_result(closed, Verdict)
 
 
 def item(name: str, **values: Any) -> BudgetItem:
@@ -254,7 +254,7 @@ def test_how_sure_it_is_counts_all_names_of_a_cause() -> None:
     assert "98 % sure, its size 2.40 ± 0.24 mrad (95 %)" in text
     assert "readings and tool are the same either way" in text
     assert "cannot tell" not in text
-    assert [sure_words(p) for p in (0.999, 0.93, 0.512)] == [
+    assert [probability_words(p) for p in (0.999, 0.93, 0.512)] == [
         "more than 99 % sure", "93 % sure", "51 % likely",
     ]  # fmt: skip
 
@@ -265,7 +265,7 @@ def test_rivals_beyond_the_first_are_folded_and_counted() -> None:
     first = explained("axis_tilt.y.z", 2.4e-3, CATALOGUE, 0.5)
     verdict = made_up("ambiguous", Cause(first, tuple(several), ()))
     assert "or 4 more" in screen(verdict)
-    html = rendered("sections/finding.html.j2", data=finding(verdict))
+    html = render_template("sections/finding.html.j2", data=finding(verdict))
     assert all(one.words[1:] in words(html) for one in several)
 
 
@@ -338,11 +338,11 @@ def test_lost_motion_of_the_catalogue_is_said_to_be_left_out_too(name: str, lose
 
 def test_a_place_in_the_budget_has_its_own_words_and_nothing_rounds_to_less_than_zero() -> None:
     """`rail.x.y/travel` is of one leg, not of all."""
-    place = next(p for p in places() if p.name == "rail.x.y/travel")
+    place = next(p for p in free_forms() if p.name == "rail.x.y/travel")
     assert cause_short(CATALOGUE.with_effects([place.effect]), place.effect.name) == place.words
     less = item("axis_tilt", gain=-1e-9, share=-1e-6)
     verdict = made_up("explained", budget=(less,))
-    page = rendered("sections/budget.html.j2", data=budget(verdict), result=verdict)
+    page = render_template("sections/budget.html.j2", data=budget(verdict), result=verdict)
     assert not re.search(r">−0(\.0+)?\b", page)
     assert '"of all">0%<' in page
 
@@ -370,7 +370,7 @@ def test_the_gain_of_one_of_several_causes_is_said_to_be_that() -> None:
     )
     verdict = made_up("ambiguous", Cause(chosen, (rival,), ()), budget=(item(chosen.name),))
     said = "gains 0.1 mm at the tool on average, whichever of these it is"
-    assert any(said in line for line in to_do(verdict))
+    assert any(said in line for line in action_lines(verdict))
     assert "gains 0.1 mm at the tool on average, whichever of these it is" in screen(verdict)
 
 
@@ -386,7 +386,7 @@ def test_the_gain_of_one_of_several_causes_is_said_to_be_that() -> None:
 def test_what_does_not_fall_is_not_said_to_fall(now: float, said: str) -> None:
     """It had hardly fallen, from 0.005 to 0.006 mm."""
     was, is_now = (SimpleNamespace(reported=ByUnit(v, float("nan"))) for v in (5e-6, now))
-    assert _falls(was, is_now) == said  # type: ignore[arg-type]
+    assert _rms_change(was, is_now) == said  # type: ignore[arg-type]
 
 
 def test_a_question_on_where_to_look_ends_its_sentence() -> None:
@@ -394,7 +394,7 @@ def test_a_question_on_where_to_look_ends_its_sentence() -> None:
     suspects = (Suspect("the rail leans", "its seat: does it give?", "set a dial: expect 1 mm"),
                 Suspect("the rail leans", "its seat: does it give?", ""))  # fmt: skip
     asked = SimpleNamespace(actions=[Action("mend", "Look", options=suspects)])
-    lines = list(to_do(asked))  # type: ignore[arg-type]
+    lines = list(action_lines(asked))  # type: ignore[arg-type]
     assert lines[1:] == [
         "   - The rail leans: look at its seat: does it give? Set a dial: expect 1 mm.",
         "   - The rail leans: look at its seat: does it give?",

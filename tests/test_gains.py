@@ -9,7 +9,7 @@ import orthoglide as og
 from benchmarks import gains
 from benchmarks.attribution_run import machine
 from orthoglide.explanation.budget import _Controller
-from orthoglide.explanation.linear import Group, Linear, whole
+from orthoglide.explanation.linear_model import Group, LinearModel, identity_group
 from orthoglide.explanation.mixture import Mixture
 
 SEED = 1
@@ -54,8 +54,8 @@ def test_the_best_zeros_and_lengths_leave_nothing_of_zeros_and_lengths() -> None
     worn = machine().with_parameters({"joint_offset.x": 2e-3, "bar_mismatch.z": 2e-3})
     controller = _Controller.of(worn)
     plain = {"joint_offset.x": 4e-3, "joint_offset.y": -3e-3, "leg_length.z": 2e-4}
-    assert np.abs(controller.left(plain)).max() < 1e-6  # of millimetres
-    left = np.linalg.norm(controller.left(dict(worn.values)).reshape(-1, 3), axis=1).mean()
+    assert np.abs(controller.residual_of(plain)).max() < 1e-6  # of millimetres
+    left = np.linalg.norm(controller.residual_of(dict(worn.values)).reshape(-1, 3), axis=1).mean()
     other = gains.Tool().error(gains.Rig(errors=dict(worn.values)))
     assert 1e3 * left == pytest.approx(other, rel=1e-3)
 
@@ -67,13 +67,15 @@ def test_two_causes_are_found_that_an_effect_whole_could_draw() -> None:
     other = whole_effect.sum(axis=1, keepdims=True) / np.sqrt(3) + 2.0 * basis[:, 3:4]
     # The rest of the machine is seen to be sound: no background draws anything.
     columns = np.hstack([whole_effect, other, 3e4 * basis[:, 4:]])
-    groups: list[Group] = [whole(f"single.{k}", [k], free=False) for k in range(4 + sound)]
-    groups.append(whole("single", [0, 1, 2], free=False))
+    groups: list[Group] = [
+        identity_group(f"single.{k}", [k], free_form=False) for k in range(4 + sound)
+    ]
+    groups.append(identity_group("single", [0, 1, 2], free_form=False))
     noise = rng.standard_normal(60)
     noise -= basis[:, :4] @ (basis[:, :4].T @ noise)
     residual = 2.0 * columns[:, 0] - 1.7 * columns[:, 3] + noise
     count = columns.shape[1]
-    linear = Linear(
+    linear = LinearModel(
         columns, residual, np.full(count, np.nan), np.zeros(count, bool), np.zeros(count, bool),
         tuple(groups), np.zeros((60, 1)),
     )  # fmt: skip

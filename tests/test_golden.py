@@ -9,7 +9,7 @@ import pytest
 
 import orthoglide as og
 from orthoglide.report import report_files
-from orthoglide.report.words import headline
+from orthoglide.report.sentences import headline
 from tests.golden.compare import beyond, differences
 from tests.golden.results import HERE, Case, cases, result_of
 from tests.page_laws import broken, too_long

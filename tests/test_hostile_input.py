@@ -20,7 +20,7 @@ from orthoglide.comparison.tables import slice_figure
 from orthoglide.control import export_files
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import FileError
-from orthoglide.figures.style import applied, new_figure, svg_text
+from orthoglide.figures.style import figure_style, new_figure, svg_text
 from orthoglide.files import read_bytes
 from orthoglide.machine_file import MachineFile, machine_text, parse_machine_file
 from orthoglide.machine_file.posterior import parse_posterior
@@ -149,7 +149,7 @@ def test_a_setup_called_common_is_no_structured_member() -> None:
     assert [p.setup for p in every] == ["common", "other"]
     member = CATALOGUE.parameter("gauge_scale.common", setups)
     assert (member.member, member.setup) == ("common", "")
-    assert len(CATALOGUE.elementary(member, setups)) == 2
+    assert len(CATALOGUE.elementary_weights(member, setups)) == 2
 
 
 @pytest.mark.parametrize("setup", ["a", "a@b", "common", '"', 'a"@"b', "@"])
@@ -180,7 +180,7 @@ def test_formulas_are_text_in_every_table(here: Path) -> None:
 
 def test_figures_take_no_formulas() -> None:
     names = ("$$", "$\\frac{$", "$x$")
-    with applied():
+    with figure_style():
         figure = new_figure(3, 2)
         for k, name in enumerate(names):
             figure.text(0.1, 0.2 * (k + 1), name)
@@ -288,7 +288,7 @@ def test_a_damaged_covariance_is_told() -> None:
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("orthoglide.files.SILENCE", 0.3)
+    monkeypatch.setattr("orthoglide.files.PIPE_TIMEOUT", 0.3)
 
 
 @pytest.mark.usefixtures("impatient")
@@ -319,7 +319,7 @@ def test_a_pipe_is_read_once(here: Path) -> None:
 def test_what_never_ends_is_not_read_to_its_end(
     here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("orthoglide.files.LIMIT", 2**20)
+    monkeypatch.setattr("orthoglide.files.FILE_LIMIT", 2**20)
     assert "is larger than 1 MB" in refused("identify", "/dev/zero", "--out", "out")
     (here / "large.csv").write_bytes(b"x" * (2**20 + 1))
     for command in (("forward", "310", "310", "310", "--machine"), ("import", "klipper")):

@@ -20,7 +20,7 @@ from orthoglide import reduction
 from orthoglide.errors import CrossCheckError, InputError, SolverError, UnidentifiableError
 from orthoglide.explanation.identifying import identify
 from orthoglide.fit import Estimate, Problem, crosscheck as crosscheck_module, solve
-from orthoglide.fit.least_squares import Nuisances, linearise, normal, nuisances
+from orthoglide.fit.least_squares import Nuisances, linearise, normal_equations, nuisances
 from orthoglide.fit.nlp import Nlp, NlpResult
 from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
@@ -286,8 +286,8 @@ def test_a_programme_is_built_once_for_many_readings() -> None:
 def programme_parts(campaign: Campaign) -> tuple[Problem, Nuisances, np.ndarray]:
     problem = posed(campaign)
     first = linearise(problem, problem.start)
-    nuisance = nuisances(problem, first.seen)
-    here = normal(problem, first, nuisance)
+    nuisance = nuisances(problem, first.reading_poses)
+    here = normal_equations(problem, first, nuisance)
     return problem, nuisance, 1 / np.sqrt(np.diag(here.information))
 
 
@@ -676,13 +676,13 @@ def test_optimality_is_the_gradient_that_is_left() -> None:
     """At the fit a step along any unknown costs; a little off it, optimality would say so."""
     found = identify(measured("standard once"), MACHINE, method="nlp")
     assert found.optimality < 1e-6
-    here = normal(found.problem, found.at, found.nuisance)
+    here = normal_equations(found.problem, found.at, found.nuisance)
     scale = 1 / np.sqrt(np.diag(here.information))
     for k, name in enumerate(found.names):
         for side in (-1, 1):
             x = found.x.copy()
             x[k] += side * scale[k]
-            cost = normal(found.problem, linearise(found.problem, x), found.nuisance).cost
+            cost = normal_equations(found.problem, linearise(found.problem, x), found.nuisance).cost
             assert cost == pytest.approx(here.cost + 1, abs=0.05), name
 
 
@@ -699,7 +699,7 @@ def test_cv_is_leaving_every_station_out(free: tuple[str, ...], priors: bool) ->
     prior = np.diag(np.concatenate([1 / problem.prior_sd, np.sqrt(nuisance.precision)]))
     columns = np.hstack([at.jacobian, nuisance.columns]) * nuisance.weighing.weight[:, None]
     target = (problem.measured - at.value + at.jacobian @ at.x) * nuisance.weighing.weight
-    station, errors = problem.place, []
+    station, errors = problem.place_number, []
     for k in range(station.max() + 1):
         out = station == k
         matrix = np.vstack([columns[~out], prior])

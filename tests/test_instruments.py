@@ -14,26 +14,40 @@ from scipy.spatial.transform import Rotation
 
 import orthoglide as og
 from orthoglide.effects import CATALOGUE, Effect
-from orthoglide.instruments import AT_TOOL, OBSERVATIONS, POSE, Beliefs, Observation, Row, Setup
-from orthoglide.instruments.observation import Site, Stand
+from orthoglide.instruments import (
+    OBSERVATIONS,
+    POSE_SIZE,
+    TOOL_OBSERVATIONS,
+    InstrumentPriors,
+    Observation,
+    ReadingVariables,
+    Setup,
+)
+from orthoglide.instruments.observation import InstrumentPose, MountingContext
 from orthoglide.observations import Readings
-from orthoglide.prediction.observed import Formula, Formulas
+from orthoglide.prediction.measurement_model import Formula, Formulas
 
 PACKAGE = Path(__file__).parents[1] / "orthoglide"
 COUNT = 12
 
 every = pytest.mark.parametrize("one", OBSERVATIONS.values(), ids=lambda one: one.kind)
-at_tool = pytest.mark.parametrize("one", AT_TOOL.values(), ids=lambda one: one.kind)
+at_tool = pytest.mark.parametrize("one", TOOL_OBSERVATIONS.values(), ids=lambda one: one.kind)
 
 
 def setup_of(one: Observation) -> Setup:
     if one.on_leg:
         return Setup("s", 0, 1, -1, 0.155, 1, kind=one.kind, gauge2=0.11)
-    return Setup("s", kind=one.kind, beside=(0.01, -0.02, -0.03) if one.of_setup else (0.0,) * 3)
+    return Setup(
+        "s", kind=one.kind, beside=(0.01, -0.02, -0.03) if one.setup_columns else (0.0,) * 3
+    )
 
 
 def drawn(
-    one: Observation, stand: Stand | None = None, *, sign: float = 0.0, nuisance: float = 0.0
+    one: Observation,
+    stand: InstrumentPose | None = None,
+    *,
+    sign: float = 0.0,
+    nuisance: float = 0.0,
 ) -> Rows:
     """Poses and mountings at random, nuisances of a size; signs too where none is given."""
     rng, effects = np.random.default_rng(3), Formulas(CATALOGUE).effects(one)
@@ -42,19 +56,21 @@ def drawn(
     pose = np.hstack([p, turn.reshape(COUNT, 9)])
     if one.on_leg:  # ends of bars along x
         ends = np.array([[0.0, 0.02, 0.0], [0.31, 0.02, 0.0], [0.0, -0.02, 0.0], [0.31, -0.02, 0]])
-        pose = ends.ravel() + rng.normal(scale=1e-2, size=(COUNT, POSE))
+        pose = ends.ravel() + rng.normal(scale=1e-2, size=(COUNT, POSE_SIZE))
     axis = [one.axes[k % len(one.axes)] if one.axes else 0 for k in range(COUNT)]
     signs = rng.choice([-1.0, 1.0], COUNT) if not sign else np.full(COUNT, sign)
     table = Readings(
         "drawn", (setup_of(one),), setup=np.zeros(COUNT, dtype=int), command=np.zeros((COUNT, 3)),
         reading=np.full(COUNT, np.nan), time=np.arange(COUNT) * 60.0, axis=axis, sign=signs,
     )  # fmt: skip
-    stand = stand or Stand(Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix(), 0.1 * np.ones(3))
-    site = Site(og.Geometry(), (stand,), rng.uniform(-0.7, 0.7, (COUNT, 2)), effects)
-    mounting = one.mountings(table, np.arange(COUNT), site)
+    stand = stand or InstrumentPose(
+        Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix(), 0.1 * np.ones(3)
+    )
+    site = MountingContext(og.Geometry(), (stand,), rng.uniform(-0.7, 0.7, (COUNT, 2)), effects)
+    mounting = one.mounting_values(table, np.arange(COUNT), site)
     other = np.hstack([p + apart, pose[:, 3:]])
     values = rng.normal(scale=1e-4, size=(COUNT, sum(len(e.parameters(("s",))) for e in effects)))
-    brought = rng.normal(scale=nuisance, size=(COUNT, one.nuisances))
+    brought = rng.normal(scale=nuisance, size=(COUNT, one.nuisance_count))
     return Rows(one, effects, table, [pose, other, mounting, brought, values])
 
 
@@ -74,7 +90,9 @@ class Rows:
         """Readings ``(COUNT,)``, some of what they follow replaced."""
         given = dict(zip(PARTS, self.given, strict=True)) | other
         rows = zip(*(given[part] for part in PARTS), strict=True)
-        return np.array([float(self.one.formula(Row(*row), self.effects)) for row in rows])
+        return np.array(
+            [float(self.one.formula(ReadingVariables(*row), self.effects)) for row in rows]
+        )
 
     @property
     def tangent(self) -> list[np.ndarray]:
@@ -92,14 +110,14 @@ class Rows:
 PARTS = ("pose", "other", "mounting", "nuisance", "values")
 
 
-def turned(small: float) -> tuple[Stand, Stand]:
+def turned(small: float) -> tuple[InstrumentPose, InstrumentPose]:
     """An instrument in its place, and about a distance off it, turned as well."""
     place = Rotation.from_rotvec([0.3, -0.5, 0.2])
     moved = place.inv() * Rotation.from_rotvec(np.array([1.0, -0.7, 0.4]) * small)
     ball = 0.1 * np.ones(3)
     return (
-        Stand(place.as_matrix(), ball),
-        Stand(moved.inv().as_matrix(), ball + np.array([-0.5, 0.8, 1.0]) * small),
+        InstrumentPose(place.as_matrix(), ball),
+        InstrumentPose(moved.inv().as_matrix(), ball + np.array([-0.5, 0.8, 1.0]) * small),
     )
 
 
@@ -136,15 +154,17 @@ def test_nuisances_span_what_a_setup_shows_besides_the_machine(kind: str) -> Non
 
 
 def test_kinds_whose_nuisances_are_held_by_hand_are_all_at_the_tool() -> None:
-    assert {*LINEAR, "tcp", "ballbar"} == set(AT_TOOL)
+    assert {*LINEAR, "tcp", "ballbar"} == set(TOOL_OBSERVATIONS)
 
 
 @every
 def test_what_is_known_of_nuisances_is_said_of_each(one: Observation) -> None:
     place = {"leg": 0, "axis": 1, "gauge2": 0.1} if one.on_leg else {}
     setup = Setup("some", kind=one.kind, **place)
-    known = one.known(setup, np.array([0]), Beliefs(placement=1e-4, surface_slope=1e-4))
-    assert known.shape == (one.nuisances,)
+    known = one.nuisance_sds(
+        setup, np.array([0]), InstrumentPriors(dial_placement_sd=1e-4, surface_slope_sd=1e-4)
+    )
+    assert known.shape == (one.nuisance_count,)
     assert (known > 0).all()
 
 
@@ -159,8 +179,8 @@ def test_a_sheet_stays_within_its_circle(one: Observation) -> None:
 
 @every
 def test_an_instrument_is_declared_whole(one: Observation) -> None:
-    assert "" not in (one.words, one.reads)
+    assert "" not in (one.instrument_phrase, one.quantity_phrase)
     assert one.unit in ("mm", "mrad")
-    shown = one.reads.format("AXIS", "LEG")
+    shown = one.quantity_phrase.format("AXIS", "LEG")
     assert ("AXIS" in shown, "LEG" in shown) == (bool(one.axes), one.on_leg)
     assert one.repeatability > 0

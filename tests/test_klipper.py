@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 
 import orthoglide as og
 from orthoglide.cli import cli
-from orthoglide.closing import filled
+from orthoglide.closing import build_result
 from orthoglide.errors import FileError
 from orthoglide.firmware.klipper import Imported, import_printer
-from orthoglide.firmware.klipper.new_numbers import plate_of
+from orthoglide.firmware.klipper.new_numbers import plate_heights
 from orthoglide.firmware.klipper.numbers import Numbers
-from orthoglide.fit.roughness import LOUD
+from orthoglide.fit.roughness import MAX_NOISE_RATIO
 from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text, parse_machine_file
 from orthoglide.numerals import MINUS
@@ -77,7 +77,7 @@ def test_arms_that_were_measured_are_kept_and_not_doubted(tmp_path: Path) -> Non
     doubted, kept = (studied(list(found.campaigns), Machine(m)) for m in (found.machine, measured))
     for closed, certain in ((doubted, False), (kept, True)):
         assert closed.corrections is not None
-        verdict, arms = filled(closed, Verdict), np.array(closed.corrections.new.arm)
+        verdict, arms = build_result(closed, Verdict), np.array(closed.corrections.new.arm)
         assert bool(np.abs(arms - [0.345, 0.345, 0.346]).max() < 1e-4) == certain
         assert ("Measure the rods" in str(verdict)) != certain
 
@@ -111,7 +111,9 @@ def test_prints_keep_the_size_that_distances_gave() -> None:
     for campaign in (calibration, heights):
         made = studied([campaign], machine).corrections
         assert made is not None
-        new = Numbers.of(made.kept.get("tried", made.kept["new"]))  # whether they are better or not
+        new = Numbers.from_table(
+            made.kept.get("tried", made.kept["new"])
+        )  # whether they are better or not
         angle = np.arange(6) * np.pi / 3
         ring = 0.05 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
         same = made.old.heights(ring) - made.old.at_endstop + new.at_endstop
@@ -170,7 +172,7 @@ def test_corrections_bring_the_independent_machine_to_the_plate(tmp_path: Path) 
     found = imported(tmp_path, simulated_cfg(rig, noise=0.0))
     machine = Machine(found.machine)
     estimate = og.identify(list(found.campaigns), machine)
-    old = Numbers.of(found.machine.provenance["klipper"])
+    old = Numbers.from_table(found.machine.provenance["klipper"])
     made = found.machine.printer.corrections(estimate.machine, found.campaigns)
     assert made is not None
     nominal = np.sqrt(rig.L**2 - (rig.radius - rig.r) ** 2)
@@ -267,7 +269,7 @@ def test_no_printer_s_plate_is_as_rough_as_what_no_roughness_explains() -> None:
             readings = factor_of(campaign, Machine(found.machine))
             for k, setup in enumerate(campaign.setups):
                 own, usual = readings.noise_and_expected(k)
-                assert setup.kind != "plate" or own < 0.7 * LOUD * usual, file.name
+                assert setup.kind != "plate" or own < 0.7 * MAX_NOISE_RATIO * usual, file.name
 
 
 @pytest.mark.thorough
@@ -485,7 +487,7 @@ def test_odd_files_say_what_the_plain_one_says(kind: str, tmp_path: Path) -> Non
 def test_what_stands_above_the_saved_block_counts_and_both_lines_are_told(tmp_path: Path) -> None:
     """As in the firmware's configfile.py: its saved block gives way to the file and includes."""
     text = V400.read_text()
-    plain = Numbers.of(import_printer(V400).machine.provenance["klipper"])
+    plain = Numbers.from_table(import_printer(V400).machine.provenance["klipper"])
     saved = text.splitlines().index("#*# delta_radius = 162.820595") + 1
     (tmp_path / "own.cfg").write_text("[printer]\ndelta_radius: 162.5\n")
     for own, value, where in (
@@ -494,7 +496,7 @@ def test_what_stands_above_the_saved_block_counts_and_both_lines_are_told(tmp_pa
         ("[printer]\ndelta_radius: 162.8205950\n", 162.820595, ""),
     ):
         found = imported(tmp_path, own + text)
-        now = Numbers.of(found.machine.provenance["klipper"])
+        now = Numbers.from_table(found.machine.provenance["klipper"])
         assert now == replace(plain, delta_radius=pytest.approx(value * 1e-3, abs=1e-12))
         notes = [n for n in found.notes if "above the header of SAVE_CONFIG" in n]
         assert len(notes) == bool(where)
@@ -662,7 +664,7 @@ def test_a_probe_beside_the_nozzle_leaves_the_middle_where_it_is(
         found = machine.pose(travel)
         return found.p, found.R[:, 2]
 
-    _, height = plate_of(pose, spec.printer.numbers, mesh)
+    _, height = plate_heights(pose, spec.printer.numbers, mesh)
     plane = np.linalg.solve(np.column_stack([np.ones(3), places[:, :2]]), height)
     assert plane[0] == pytest.approx(lies[0] + lifted, abs=2e-6)
     assert (abs(lies[0] + lifted) > 2e-5) == (rolls != 0)

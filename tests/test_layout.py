@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from orthoglide.accuracy import workspace
-from orthoglide.closing import filled
+from orthoglide.accuracy import workspace_grid
+from orthoglide.closing import build_result
 from orthoglide.effects import catalogue_of
-from orthoglide.effects.places import places
+from orthoglide.effects.free_form import free_forms
 from orthoglide.effects.wording import cause_words, parameter_words
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
@@ -61,7 +61,7 @@ def points(count: int = 12, seed: int = 0) -> np.ndarray:
 def test_a_stroke_that_lays_the_arms_flat_leaves_a_workspace_that_closes() -> None:
     """Carriages may go lower than any command: the map of the workspace stays where arms hold."""
     nominal = Machine(MachineFile(geometry=replace(DELTA, stroke=(-0.3, 0.42))))
-    where = workspace(nominal.geometry)
+    where = workspace_grid(nominal.geometry)
     p = nominal.forward(where)
     assert np.hypot(*p[:, :2].T).max() > 0.15
     for name in (n for n in map(str, NAMES) if n.split(".")[1] == "a"):
@@ -184,7 +184,7 @@ def test_compensated_commands_reach_the_points_on_the_independent_machine(machin
 
 
 def test_every_layout_has_its_names() -> None:
-    assert "axis_tilt.tangential.common" in CATALOGUE.structured("axis_tilt")
+    assert "axis_tilt.tangential.common" in CATALOGUE.structured_members("axis_tilt")
     assert {"plate_bow", "plate_trefoil"} <= set(catalogue_of(Orthoglide.names))
     for name in CATALOGUE:
         assert pickle.loads(pickle.dumps(CATALOGUE[name])) is CATALOGUE[name]
@@ -301,7 +301,7 @@ def test_machine_files_keep_free_legs() -> None:
 
 def test_places_of_legs_called_as_their_directions_have_names_of_their_own() -> None:
     for names, about in (("abc", "aaa"), ("uvw", "uvw")):
-        found = [place.name for place in places((), freely(DELTA, names).layout.names)]
+        found = [place.name for place in free_forms((), freely(DELTA, names).layout.names)]
         assert len(set(found)) == len(found)
         turns = {f"carriage.{leg}.{axis}/travel" for leg, axis in zip(names, about, strict=True)}
         assert turns < set(found)
@@ -340,13 +340,15 @@ def test_points_of_any_layout_are_simulated_judged_and_drawn(geometry: Geometry)
     assert list(drawn.to_frame())[:3] == [f"travel_{name}_mm" for name in geometry.leg_names]
     noise = np.random.default_rng(0).normal(scale=1e-5, size=len(drawn))
     closed = studied([drawn.with_readings(drawn.reading + noise)], sound)
-    verdict = filled(closed, Verdict)
+    verdict = build_result(closed, Verdict)
     assert verdict.stands
     for picture in (verdict._repr_html_(), verdict.plot("workspace").svg):
         assert "<svg" in picture
     space = verdict.workspace
     assert space is not None
-    assert np.abs(space.at - sound.forward(workspace(geometry))).max() < 1e-6  # six digits are kept
+    assert (
+        np.abs(space.at - sound.forward(workspace_grid(geometry))).max() < 1e-6
+    )  # six digits are kept
 
 
 def test_points_of_a_delta_are_written_and_read_by_its_controller_s_count(tmp_path: Path) -> None:

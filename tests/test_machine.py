@@ -131,10 +131,10 @@ def test_structured_members_set_what_they_stand_for() -> None:
     signs = {"x.y": 1, "y.z": 1, "z.x": 1, "y.x": -1, "z.y": -1, "x.z": -1}
     assert machine.values == {f"axis_tilt.{k}": 1e-3 * s for k, s in signs.items()}
     assert all(entry.sigma == 1e-4 for entry in machine.spec.parameters.values())
-    assert CATALOGUE.elementary("leg_length.common") == dict.fromkeys(
+    assert CATALOGUE.elementary_weights("leg_length.common") == dict.fromkeys(
         ("leg_length.x", "leg_length.y", "leg_length.z"), 1.0
     )
-    assert CATALOGUE.elementary("joint_offset.x") == {"joint_offset.x": 1.0}
+    assert CATALOGUE.elementary_weights("joint_offset.x") == {"joint_offset.x": 1.0}
 
 
 @pytest.mark.parametrize(

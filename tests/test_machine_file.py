@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from orthoglide.control import compensate, held_by_urdf
+from orthoglide.control import compensate, constant_geometry
 from orthoglide.effects import CATALOGUE, Effect, LegConditions, Motion, once
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
@@ -241,9 +241,9 @@ def test_every_key_is_read_and_written(layout: str) -> None:
     assert parse_machine_file(again) == machine
     placed = schema.LEG if layout is LEGS else schema.LAYOUTS["linear-delta"]
     for section in (schema.TOP, schema.GEOMETRY, schema.DRIVE, schema.INSTRUMENT, placed,
-                    *schema.PARTS.values()):  # fmt: skip
+                    *schema.SECTIONS_BY_ATTRIBUTE.values()):  # fmt: skip
         for key in section.keys:
-            assert key is schema.R or f"\n{key.name} = " in f"\n{again}"
+            assert key is schema.LAYOUT_R or f"\n{key.name} = " in f"\n{again}"
 
 
 @pytest.mark.parametrize("layout", [DELTA, LEGS], ids=["delta", "legs"])
@@ -394,5 +394,5 @@ def test_a_machine_file_may_name_effects_of_ones_own(tmp_path: Path) -> None:
     machine = Machine.load(file, [SHIFT])
     machine.save(tmp_path / "again.toml")
     assert Machine.load(tmp_path / "again.toml", [SHIFT]).values == machine.values
-    assert held_by_urdf(machine)["carriage_shift.y"] == -5e-4
+    assert constant_geometry(machine)["carriage_shift.y"] == -5e-4
     assert compensate(machine, [[0.0, 0.0, 0.01]]).residual.max() < 1e-8

@@ -19,9 +19,16 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.errors import FileError, InputError
 from orthoglide.machine_file import Controller
-from orthoglide.measuring import MOST, SETTLED, End, Record, Session, opening
-from orthoglide.measuring.expected import Expected
-from orthoglide.measuring.session import understood
+from orthoglide.measuring import (
+    MAX_READINGS,
+    SETTLED_CRITERION,
+    Record,
+    Session,
+    SessionEnd,
+    opening_sheet,
+)
+from orthoglide.measuring.expected import ExpectedReadings
+from orthoglide.measuring.session import parse_answer
 from tests.rig import Rig
 from tests.rig_campaigns import read_csv
 from tests.rig_operator import Operator
@@ -41,12 +48,12 @@ def test_numbers_and_words_are_understood_exactly() -> None:
     }  # fmt: skip
     words = {"skip": "skip", "BACK": "undo", "u": "undo", "q": "quit", "?": "help"}
     for typed, meant in numbers.items():
-        assert understood(typed) == Decimal(meant), typed
+        assert parse_answer(typed) == Decimal(meant), typed
     for typed, meant in words.items():
-        assert understood(typed) == meant, typed
+        assert parse_answer(typed) == meant, typed
     for typed in ("", "4.1.2", "1,234.5", "four", "4 in", "nan", "1e3", "5000"):
         with pytest.raises(InputError):
-            understood(typed)
+            parse_answer(typed)
 
 
 # --- What can be ------------------------------------------------------------------------------
@@ -55,8 +62,8 @@ def test_numbers_and_words_are_understood_exactly() -> None:
 def test_readings_of_a_machine_within_its_tolerances_are_never_doubted(
     machine: og.Machine,
 ) -> None:
-    sheet = opening(machine)
-    expected = Expected.of(sheet, machine)
+    sheet = opening_sheet(machine)
+    expected = ExpectedReadings.of(sheet, machine)
     for seed in range(5):
         rng = np.random.default_rng(seed)
         names = machine.catalogue.expand([n for n, e in machine.catalogue.items() if not e.needs])
@@ -71,7 +78,7 @@ def test_readings_of_a_machine_within_its_tolerances_are_never_doubted(
 
 def test_a_slip_is_out_of_step_with_its_repeats(machine: og.Machine) -> None:
     sheet = og.protocol("sweep")
-    expected = Expected.of(sheet, machine)
+    expected = ExpectedReadings.of(sheet, machine)
     shown = og.simulate(machine, sheet, seed=1).reading.tolist()
     row = next(k for k in range(len(sheet)) if sheet.repeat[k] == 2 and sheet.posture[k] == "+37.8")
     taken = dict(enumerate(shown[:row]))
@@ -90,8 +97,11 @@ def test_a_slip_is_out_of_step_with_its_repeats(machine: og.Machine) -> None:
 
 
 def conversation(
-    path: Path, machine: og.Machine, answer: Callable[[str, Operator], str], most: int = MOST
-) -> tuple[Operator, list[str], Callable[[], End | None]]:
+    path: Path,
+    machine: og.Machine,
+    answer: Callable[[str, Operator], str],
+    most: int = MAX_READINGS,
+) -> tuple[Operator, list[str], Callable[[], SessionEnd | None]]:
     """A session with an operator; ``answer`` may change what it says."""
     operator = Operator(Rig(errors=TILTED), np.random.default_rng(5))
     said: list[str] = []
@@ -103,7 +113,7 @@ def conversation(
 
     seconds = iter(range(0, 10**6, 10))
     session = Session(machine, Record(path, machine.spec), lambda q: answer(q, operator), tell,
-                      most=most, clock=lambda: float(next(seconds)))  # fmt: skip
+                      max_readings=most, clock=lambda: float(next(seconds)))  # fmt: skip
     return operator, said, session.run
 
 
@@ -150,7 +160,7 @@ def test_skip_undo_and_nonsense(machine: og.Machine, tmp_path: Path) -> None:
     text = "\n".join(said)
     assert "there is no reading to take back" in text
     assert "'five' is no reading" in text
-    assert SETTLED in text
+    assert SETTLED_CRITERION in text
     assert "999 mm cannot be" in text
     rows = read_csv(path)
     assert [row["posture"] for row in rows] == [
@@ -158,7 +168,7 @@ def test_skip_undo_and_nonsense(machine: og.Machine, tmp_path: Path) -> None:
     ]  # fmt: skip
     # Led back, it comes to the place from the same side as before.
     campaign = og.read_campaign(path, machine.spec)
-    plan = opening(machine)
+    plan = opening_sheet(machine)
     np.testing.assert_array_equal(campaign.approach, plan.approach[[0, 1, 2, 4, 5, 6, 7]])
     np.testing.assert_array_equal(campaign.approach[:, 0], [1, 1, 1, -1, -1, -1, -1])
 
@@ -210,7 +220,7 @@ def test_it_goes_on_within_a_later_sheet_in_the_controllers_own_coordinates(
         for line in text.split("\n"):
             operator.hear(line)
 
-    def run() -> End | None:
+    def run() -> SessionEnd | None:
         return Session(machine, Record(path, machine.spec), answer, tell).run()
 
     assert run() is None
@@ -330,8 +340,8 @@ def test_the_end_of_the_input_is_a_stop(tmp_path: Path) -> None:
 
 def test_the_help_says_the_criterion_and_how_many_readings() -> None:
     text = " ".join(CliRunner().invoke(cli, ["measure", "--help"]).output.split())
-    assert SETTLED in text
-    assert f"[default: {MOST}; x>=2]" in text
+    assert SETTLED_CRITERION in text
+    assert f"[default: {MAX_READINGS}; x>=2]" in text
 
 
 def test_bad_usage(tmp_path: Path) -> None:

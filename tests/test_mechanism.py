@@ -16,8 +16,8 @@ from orthoglide.geometry import Array, Geometry
 from orthoglide.machine import Machine
 from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.constraints import Constraints
-from orthoglide.mechanism.engine import ByPinocchio
-from orthoglide.mechanism.mechanism import _rebuilt
+from orthoglide.mechanism.engine import PinocchioEngine
+from orthoglide.mechanism.mechanism import _rebuild_mechanism
 from orthoglide.mechanism.perfect_legs import commands as commands_of
 from orthoglide.mechanism.symbolic_closure import closure_functions
 from orthoglide.mechanism.tree import (
@@ -194,7 +194,7 @@ def test_newton_matrix_is_the_jacobian_where_the_loops_are_closed(displaced: flo
 def test_symbolic_residual_vanishes_where_pinocchios_does() -> None:
     tree, rho, moves = mechanism().tree, commands(50, 9), displacements(50, 9)
     functions = closure_functions(tree)
-    judge = ByPinocchio(mechanism())
+    judge = PinocchioEngine(mechanism())
     for r, m in zip(rho, moves, strict=True):
         q = mechanism().close(r, m).q
         known = np.concatenate([r - NOMINAL.L, m.ravel()])
@@ -337,7 +337,9 @@ def test_pose_does_not_depend_on_which_end_of_a_parallelogram_comes_first() -> N
 
 def same_pose_with(loops: tuple[Closure, ...], seed: int) -> None:
     own = mechanism()
-    variant = ByPinocchio(_rebuilt(NOMINAL, own.looped, replace(own.tree, loops=loops)))
+    variant = PinocchioEngine(
+        _rebuild_mechanism(NOMINAL, own.looped, replace(own.tree, loops=loops))
+    )
     asked = given(commands(50, seed), displacements(50, seed))
     expected, expected_slopes = six_bars().tangent(*asked)
     found, slopes = variant.tangent(*asked)

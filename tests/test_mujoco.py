@@ -11,7 +11,7 @@ pytest.importorskip("mujoco")
 
 import mujoco
 
-from orthoglide.control import calibrated_mjcf, held_by_urdf
+from orthoglide.control import calibrated_mjcf, constant_geometry
 from orthoglide.geometry import Geometry
 from orthoglide.machine import Machine
 from orthoglide.mechanism.tree import RELIEF_NAMES, VIRTUAL_NAMES
@@ -80,7 +80,7 @@ def test_a_calibrated_machine_exported_to_mujoco_is_where_ours_is(geometry: Geom
         str(n): plain.tolerance(n) * float(rng.standard_normal())
         for n in plain.catalogue.parameters if "tilt" not in n or n.startswith("mount")
     }  # fmt: skip
-    drawn = held_by_urdf(plain.with_parameters(drawn))
+    drawn = constant_geometry(plain.with_parameters(drawn))
     worn = plain.with_parameters({**drawn, "backlash." + geometry.leg_names[0]: 1e-4})
     assert len(drawn) > 20
     text = calibrated_mjcf(worn)

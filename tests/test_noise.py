@@ -373,12 +373,12 @@ def test_the_source_of_the_noise_is_told_of_each_instrument(tmp_path: Path) -> N
     assert "from the scatter of the repeats" in (tmp_path / "out" / "report.html").read_text()
     own = replace(machine.spec, instruments={"tcp": og.Instrument(repeatability=3e-5)})
     told = og.identify(read[0], replace(machine, spec=own)).problem
-    assert told.noises == {"tcp": (pytest.approx(3e-5), "machine")}
+    assert told.noise_by_instrument == {"tcp": (pytest.approx(3e-5), "machine")}
     assert told.noise_source == "machine"
     declared = og.identify(replace(read[0], sigma=np.full(len(tracker), 2e-5)), machine).problem
-    assert declared.noises == {"tcp": (pytest.approx(2e-5), "declared")}
+    assert declared.noise_by_instrument == {"tcp": (pytest.approx(2e-5), "declared")}
     dials = og.identify(og.simulate(machine, "standard"), machine).problem
-    assert list(dials.noises) == ["leg"]
+    assert list(dials.noise_by_instrument) == ["leg"]
     assert dials.noise_source == dials.noise.source
 
 

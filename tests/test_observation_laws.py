@@ -18,11 +18,17 @@ from orthoglide.fit import assemble
 from orthoglide.fit.factors import Factor
 from orthoglide.fit.noise import noise_of
 from orthoglide.fit.solving import Method
-from orthoglide.instruments import OBSERVATIONS, Beliefs, Observation, Setup, Stand
+from orthoglide.instruments import (
+    OBSERVATIONS,
+    InstrumentPose,
+    InstrumentPriors,
+    Observation,
+    Setup,
+)
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument
 from orthoglide.observations import Readings, concatenated, read_campaign, write_campaign
-from orthoglide.prediction import Observed
+from orthoglide.prediction import MeasurementModel
 from tests.observation_examples import (
     BALL,
     CASES,
@@ -58,15 +64,15 @@ def test_every_kind_has_an_example() -> None:
         assert {s.kind for s in example.setups} == {kind}
 
 
-def stands_of(kind: str, readings: Readings) -> tuple[Stand, ...]:
+def stands_of(kind: str, readings: Readings) -> tuple[InstrumentPose, ...]:
     """Instruments in the base frame, their ball where the example has it."""
     ball = BALL if OBSERVATIONS[kind].about_ball else np.zeros(3)
-    return (Stand(ball=ball),) * len(readings.setups)
+    return (InstrumentPose(ball_centre=ball),) * len(readings.setups)
 
 
 def drawn(kind: str, readings: Readings, size: float = 1e-3) -> Array:
     """Some nuisances of every setup ``(setups, K)``."""
-    shape = (len(readings.setups), OBSERVATIONS[kind].nuisances)
+    shape = (len(readings.setups), OBSERVATIONS[kind].nuisance_count)
     return size * np.random.default_rng(3).uniform(0.3, 1.0, shape)
 
 
@@ -85,19 +91,21 @@ def test_a_reading_is_what_an_independent_machine_shows(kind: str, layout: str) 
     """A machine with errors of every sort, posed by other equations, read by hand."""
     sheet, machine = sheet_of(kind, layout), MACHINES[layout]
     for errors in ({}, TRUE[layout]):
-        shown = Observed(sheet, lifted(kind, sheet, machine, errors)).predict(machine.model, errors)
+        shown = MeasurementModel(sheet, lifted(kind, sheet, machine, errors)).predict(
+            machine.model, errors
+        )
         by_hand = EXAMPLES[kind].by_hand(poses_of(layout, sheet, errors), sheet)
         assert np.abs(shown - by_hand).max() < 1e-11
 
 
 def lifted(
     kind: str, sheet: Readings, machine: Machine, errors: dict[str, float]
-) -> tuple[Stand, ...]:
+) -> tuple[InstrumentPose, ...]:
     """The example's stands, with how much higher a place beside the tool is in the mean."""
-    R = machine.model.outputs(errors, Observed(sheet).conditions()).R[: len(sheet)]
+    R = machine.model.outputs(errors, MeasurementModel(sheet).conditions()).R[: len(sheet)]
     lift = np.einsum("nij,nj->ni", R, sheet.beside)[:, 2]
     return tuple(
-        replace(stand, lift=float(lift[sheet.setup == k].mean()))
+        replace(stand, mean_lift=float(lift[sheet.setup == k].mean()))
         for k, stand in enumerate(stands_of(kind, sheet))
     )
 
@@ -117,8 +125,8 @@ def test_derivatives_are_those_of_the_reading(kind: str, layout: str) -> None:
     observation, nuisances = OBSERVATIONS[kind], drawn(kind, sheet)
     model, place = machine.model, sheet.command[:, :2] * 3
     stands = stands_of(kind, sheet)
-    seen = Observed(sheet, stands, place, nuisances)
-    own = [n for s in sheet.setups for n in model.formulas.names(observation, s.name)]
+    seen = MeasurementModel(sheet, stands, place, nuisances)
+    own = [n for s in sheet.setups for n in model.formulas.parameter_names(observation, s.name)]
     needless = ("screw_error", "thermal", "drive_compliance")
     of_machine = [p for p in machine.catalogue.parameters if not p.startswith(needless)]
     values = TRUE[layout] | {n: 0.3 * machine.tolerance(n) for n in own}
@@ -134,13 +142,13 @@ def test_derivatives_are_those_of_the_reading(kind: str, layout: str) -> None:
         )
         assert np.abs(shown / step - column).max() < 1e-13 / step + 1e-8, name
     for setup in range(len(sheet.setups)):
-        for j in range(observation.nuisances):
+        for j in range(observation.nuisance_count):
             shown = np.zeros(len(sheet))
             for k, w in STENCIL:
                 moved = nuisances.copy()
                 moved[setup, j] += k * 1e-4
-                shown += w * Observed(sheet, stands, place, moved).predict(model, values)
-            expected = linear.seen.by_nuisance[:, j] * (sheet.setup == setup)
+                shown += w * MeasurementModel(sheet, stands, place, moved).predict(model, values)
+            expected = linear.reading_poses.nuisance_jacobian[:, j] * (sheet.setup == setup)
             assert np.abs(shown / 1e-4 - expected).max() < 1e-9
 
 
@@ -192,7 +200,7 @@ def test_machine_and_instrument_moved_together_read_the_same(kind: str, layout: 
         "joint_offset.x": 6e-4, "leg_length.y": 5e-5, "leg_length.z": -4e-5
     }  # fmt: skip
     stands, nuisances = stands_of(kind, sheet), drawn(kind, sheet)
-    before = Observed(sheet, stands, None, nuisances).predict(machine.model, lengths)
+    before = MeasurementModel(sheet, stands, None, nuisances).predict(machine.model, lengths)
     own = shifted(layout, SHIFT) if layout == "orthoglide" else turned_about_z(angle, SHIFT)
     values = together(own, lengths)
     if layout == "delta":  # whose offsets and lengths turn with it
@@ -203,7 +211,9 @@ def test_machine_and_instrument_moved_together_read_the_same(kind: str, layout: 
     if OBSERVATIONS[kind].dials == 1:
         for k, setup in enumerate(sheet.setups):
             carried[k] += [-setup.sign * SHIFT[setup.axis], SHIFT[setup.leg]]
-    after = Observed(sheet, [s for s, _ in each], None, carried).predict(machine.model, values)
+    after = MeasurementModel(sheet, [s for s, _ in each], None, carried).predict(
+        machine.model, values
+    )
     assert np.abs(after - before).max() < 1e-11
 
 
@@ -215,14 +225,16 @@ def test_what_moves_as_a_whole_is_taken_up_by_nuisances(kind: str, layout: str) 
     machine = MACHINES[layout]
     sheet = sheet_of(kind, layout)
     sheet = og.simulate(machine, sheet, exact=True)
-    factor = Factor.of(sheet, machine, noise_of([sheet], machine.spec)[1][0], Beliefs(1.0, 1.0))
+    factor = Factor.from_readings(
+        sheet, machine, noise_of([sheet], machine.spec)[1][0], InstrumentPriors(1.0, 1.0)
+    )
     motions = [(shifted(layout, SHIFT), np.linalg.norm(SHIFT) ** 2 / 0.05)]
     if layout == "delta":
         motions.append((turned_about_z(2e-3, SHIFT), (2e-3) ** 2))
     for motion, second_order in motions:
         at = factor.linearise(machine.model, {}, ())
         shown = factor.predict(machine.model, motion) - at.value
-        columns = factor.nuisances(at.seen).columns
+        columns = factor.nuisances(at.reading_poses).columns
         size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         kept = columns / size @ np.linalg.lstsq(columns / size, shown, rcond=1e-10)[0]
         assert np.abs(shown - kept).max() < max(second_order, 1e-13)
@@ -258,7 +270,7 @@ def test_an_instrument_that_counts_the_other_way_shows_the_negative(kind: str, l
         setups=tuple(replace(s, sign=-s.sign) for s in sheet.setups),
         sign=-sheet.sign,
     )
-    one, other = (Observed(t, stands_of(kind, t)).predict(machine.model, TRUE[layout])
+    one, other = (MeasurementModel(t, stands_of(kind, t)).predict(machine.model, TRUE[layout])
                   for t in (sheet, turned))  # fmt: skip
     assert np.abs(one).max() > 1e-4
     assert np.array_equal(one, -other)
@@ -296,7 +308,7 @@ def test_what_a_positive_error_does(
     frame |= {column: [cell] * 2 for column, cell in cells.items()}
     frame[f"reading_{OBSERVATIONS[kind].unit}"] = [0.0, 0.0]
     sheet = Readings.from_frame(frame)
-    shown = Observed(sheet).linearise(ORTHOGLIDE.model, {}, [name]).jacobian[0, 0]
+    shown = MeasurementModel(sheet).linearise(ORTHOGLIDE.model, {}, [name]).jacobian[0, 0]
     assert shown == pytest.approx(slope, abs=1e-9)
 
 
@@ -308,7 +320,7 @@ def test_lengths_between_places_grow_with_the_drives_and_away_from_the_ball() ->
         ("ballbar", zero, None, "joint_offset.x", 1.0),
     ):
         sheet = replace(sheet_of(kind).subset([0]), command=command, second=second)
-        seen = Observed(sheet, [Stand(ball=np.array([-0.2, 0.0, 0.0]))])
+        seen = MeasurementModel(sheet, [InstrumentPose(ball_centre=np.array([-0.2, 0.0, 0.0]))])
         shown = seen.linearise(ORTHOGLIDE.model, {}, [name]).jacobian[0, 0]
         assert shown == pytest.approx(slope, rel=1e-6)
 
@@ -316,7 +328,7 @@ def test_lengths_between_places_grow_with_the_drives_and_away_from_the_ball() ->
 def test_a_bowl_lowers_readings_at_the_rim_and_none_in_the_middle() -> None:
     sheet = sheet_of("plate").subset([0, 1, 2])
     place = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, -1.0]])
-    seen = Observed(sheet, (), place).linearise(ORTHOGLIDE.model, {}, ["plate_bow.plain"])
+    seen = MeasurementModel(sheet, (), place).linearise(ORTHOGLIDE.model, {}, ["plate_bow.plain"])
     assert seen.jacobian[:, 0] == pytest.approx([0.0, -1.0, -1.0], abs=1e-15)
 
 
@@ -331,9 +343,16 @@ def test_legs_may_be_renamed(kind: str) -> None:
         parameters = {machine.catalogue.parameter(n): v for n, v in values.items()}
         values = {relabelled(n): v for n, v in parameters.items()}
         turns = 1 if again.same_as(legs_renamed(sheet)) else 2
-        stands = [replace(s, ball=np.roll(s.ball, turns)) for s in stands_of(kind, sheet)]
-        before = Observed(sheet, stands_of(kind, sheet)).predict(machine.model, TRUE["orthoglide"])
-        assert np.abs(Observed(again, stands).predict(machine.model, values) - before).max() < 1e-12
+        stands = [
+            replace(s, ball_centre=np.roll(s.ball_centre, turns)) for s in stands_of(kind, sheet)
+        ]
+        before = MeasurementModel(sheet, stands_of(kind, sheet)).predict(
+            machine.model, TRUE["orthoglide"]
+        )
+        assert (
+            np.abs(MeasurementModel(again, stands).predict(machine.model, values) - before).max()
+            < 1e-12
+        )
     assert legs_renamed(legs_renamed(legs_renamed(sheet))).same_as(sheet)
     assert not legs_renamed(sheet).same_as(sheet)
 
@@ -402,15 +421,15 @@ def test_parts_of_a_table_and_tables_put_together_keep_their_readings(
     chosen = np.sort(rng.choice(len(readings), 11, replace=False))
     part = readings.subset(chosen)
     assert part.subset(np.arange(11)).same_as(part)
-    whole = Observed(readings, stands_of(kind, readings)).predict(model, TRUE[layout])
-    some = Observed(part, stands_of(kind, part)).predict(model, TRUE[layout])
+    whole = MeasurementModel(readings, stands_of(kind, readings)).predict(model, TRUE[layout])
+    some = MeasurementModel(part, stands_of(kind, part)).predict(model, TRUE[layout])
     assert np.array_equal(whole[chosen], some)
     halves = [readings.subset(readings.setup == k) for k in range(len(readings.setups))]
     back = concatenated(halves)
     by_setup = np.argsort(readings.setup, kind="stable")
     assert np.array_equal(back.reading, readings.reading[by_setup])
     assert np.array_equal(back.axis, readings.axis[by_setup])
-    shown = Observed(back, stands_of(kind, back)).predict(model, TRUE[layout])
+    shown = MeasurementModel(back, stands_of(kind, back)).predict(model, TRUE[layout])
     assert np.array_equal(shown, whole[by_setup])
     assert machine.geometry.layout.names == back.legs
 
@@ -520,8 +539,8 @@ def test_a_result_says_the_noise_of_its_kind_and_where_it_is_from(kind: str, lay
         (with_sigma(filled(kind, layout, seed=1), 3e-5), said, 3e-5, "declared"),
     ):
         problem = assemble(readings, of, ["joint_offset"])
-        assert list(problem.noises) == [kind]
-        size, source = problem.noises[kind]
+        assert list(problem.noise_by_instrument) == [kind]
+        size, source = problem.noise_by_instrument[kind]
         assert (size, source) == (pytest.approx(expected, rel=1e-9), where)
 
 
@@ -542,7 +561,7 @@ def test_all_methods_find_the_same(kind: str, layout: str) -> None:
     what the machine file says.
     """
     machine, sheet = MACHINES[layout], sheet_of(kind, layout, 10)
-    own = machine.model.formulas.names(OBSERVATIONS[kind], sheet.setups[0].name)
+    own = machine.model.formulas.parameter_names(OBSERVATIONS[kind], sheet.setups[0].name)
     true = {n: 0.7 * machine.tolerance(n) for n in own}
     worn = machine.with_parameters(zeros_of(layout, np.random.default_rng(1)) | true)
     readings = og.simulate(worn, replace(sheet, time=20.0 * np.arange(len(sheet))), seed=2)
@@ -553,7 +572,7 @@ def test_all_methods_find_the_same(kind: str, layout: str) -> None:
 def has_free(kind: str) -> bool:
     """Whether something of its instruments is not known at all."""
     observation = OBSERVATIONS[kind]
-    known = observation.known(mounted(observation), np.array([0]), Beliefs())
+    known = observation.nuisance_sds(mounted(observation), np.array([0]), InstrumentPriors())
     return bool(np.isinf(known).any())
 
 

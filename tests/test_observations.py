@@ -34,7 +34,7 @@ from orthoglide.observations import (
     readings_from_rows,
     write_campaign,
 )
-from orthoglide.observations.approach import built_up
+from orthoglide.observations.approach import built_up_lost_motion
 from orthoglide.prediction import Conditions
 from tests import rig_campaigns
 
@@ -417,7 +417,7 @@ def test_what_builds_up_after_a_reversal_is_that_of_the_independent_machine(leng
     near = rig_campaigns.approaches(rows)
     lag = rig_campaigns.hysteresis(1, 2e-5, length)(rho, near, rho[:, 0])[:, 1, 1]
     mixed = np.random.default_rng(3).permutation(len(rows))
-    found = built_up(rho[mixed], mixed, [0.1, length])
+    found = built_up_lost_motion(rho[mixed], mixed, [0.1, length])
     np.testing.assert_allclose(-2e-5 * found[1, :, 1], lag[mixed], rtol=0, atol=1e-17)
 
 
@@ -476,7 +476,12 @@ def test_sheets_of_a_stage_that_hardly_moves_stay_within_its_stroke(
         write_campaign(sheet, path)
         found = read_campaign(path, machine, require_readings=False)
         assert np.array_equal(found.moves.command, sheet.moves.command)
-        assert found.moves.beyond == sheet.moves.beyond < 1e-3 == protocol("sweep").moves.beyond
+        assert (
+            found.moves.overshoot
+            == sheet.moves.overshoot
+            < 1e-3
+            == protocol("sweep").moves.overshoot
+        )
         assert not [note for note in found.warnings if note.kind == "command"]
 
 
@@ -624,8 +629,10 @@ def test_subset_keeps_what_it_needs() -> None:
     assert [s.name for s in part.setups] == ["yx-0.5", "yz-0.5"]
     assert part.same_as(campaign.subset(np.flatnonzero(mask)))
     assert np.array_equal(part.temperature_rise, campaign.temperature_rise[mask])
-    every = Conditions.of(campaign)
-    for found, whole in zip(vars(Conditions.of(part)).values(), vars(every).values(), strict=True):
+    every = Conditions.from_readings(campaign)
+    for found, whole in zip(
+        vars(Conditions.from_readings(part)).values(), vars(every).values(), strict=True
+    ):
         assert np.array_equal(found, whole[mask])
     names = [[c.setups[k].name for k in c.setup] for c in (part, campaign)]
     assert names[0] == [name for name, kept in zip(names[1], mask, strict=True) if kept]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.effects.places import Place
-from orthoglide.effects.single_places import bumps, with_places
+from orthoglide.effects.bumps_and_jumps import travel_bumps, with_free_forms
+from orthoglide.effects.free_form import FreeForm
 
 RIG2 = Path(__file__).parent / "data" / "rig2"
 
@@ -70,7 +70,7 @@ def test_a_bump_is_found_again_by_its_name(at: float) -> None:
     machine = og.Machine.nominal()
     geometry = machine.geometry
     place = _bump(at)
-    found = with_places(machine.catalogue, [f"{place.effect.name}.x.1"], geometry)
+    found = with_free_forms(machine.catalogue, [f"{place.effect.name}.x.1"], geometry)
     motions = found[place.effect.name].motions
     assert [str(name) for name in motions] == [str(name) for name in place.effect.motions]
 
@@ -101,8 +101,8 @@ def test_a_single_part_comes_before_patterns_that_fit_no_better() -> None:
     assert all(one.probability < cause.together for one in patterns)
 
 
-def _bump(at: float) -> Place:
+def _bump(at: float) -> FreeForm:
     """Of the x rail toward z."""
     machine = og.Machine.nominal()
     geometry = machine.geometry
-    return bumps([[at], [], []], machine.catalogue.legs, geometry.stroke, geometry.scale)[2]
+    return travel_bumps([[at], [], []], machine.catalogue.legs, geometry.stroke, geometry.scale)[2]

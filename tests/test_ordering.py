@@ -10,8 +10,15 @@ from hypothesis import given, settings, strategies as st
 from scipy.stats import special_ortho_group
 
 import orthoglide as og
-from orthoglide.fit.least_squares import normal, weak_directions
-from orthoglide.ordering import EQUAL_ODDS, best_of, canonical_basis, descending, largest, ranked
+from orthoglide.fit.least_squares import normal_equations, weak_directions
+from orthoglide.ordering import (
+    LOG_ODDS_MARGIN,
+    best_of,
+    canonical_basis,
+    descending,
+    largest,
+    ranked,
+)
 
 SEEDS = st.integers(0, 2**32 - 1)
 ROUNDING = 1e-12
@@ -24,8 +31,8 @@ def test_the_first_of_equal_values_is_chosen() -> None:
     assert largest([-np.inf, -np.inf]) == 0
     assert largest([[0.0, 1.0], [1.0, 1.0]]) == 1
     # Log odds are compared by their difference, whatever their size.
-    assert largest([-100.0, -99.999999], EQUAL_ODDS) == 0
-    assert largest([-100.0, -99.99], EQUAL_ODDS) == 1
+    assert largest([-100.0, -99.999999], LOG_ODDS_MARGIN) == 0
+    assert largest([-100.0, -99.99], LOG_ODDS_MARGIN) == 1
 
 
 def test_an_order_is_that_of_the_values_but_among_equals() -> None:
@@ -116,7 +123,7 @@ def test_weak_directions_are_printed_alike_whatever_rounding_does() -> None:
         imported.campaigns, imported.machine, ["joint_offset", "leg_length", "axis_offset"]
     )
     problem = estimate.problem
-    here = normal(problem, estimate.at, estimate.nuisance)
+    here = normal_equations(problem, estimate.at, estimate.nuisance)
     said = [str(w) for w in weak_directions(problem, here.jacobian, estimate.covariance)]
     assert len(said) > 3
     draw = np.random.default_rng(1)

@@ -129,7 +129,7 @@ def test_both_techniques_together_say_more_than_either() -> None:
     for name, value in OFFSETS.items():
         assert both.sigmas[name] < min(one.sigmas[name] for one in alone)
         assert abs(both.values[name] - value) < 1e-6
-    noise = both.problem.noises
+    noise = both.problem.noise_by_instrument
     assert list(noise) == ["parallelism", "leg"]
 
 

@@ -14,8 +14,8 @@ import pytest
 import orthoglide as og
 from benchmarks.delta_readings import measured as read_by
 from benchmarks.delta_truth import machine as delta
-from orthoglide.closing import filled
-from orthoglide.planning import parting
+from orthoglide.closing import build_result
+from orthoglide.planning import suggest_separating_places
 from orthoglide.report import report_files
 from tests.rig import Rig
 from tests.rig_campaigns import hysteresis, s_curve
@@ -65,7 +65,7 @@ def test_the_readings_proposed_for_a_class_of_places_leave_the_true_one(
 @pytest.mark.thorough
 def test_the_sheet_and_the_page_hold_them_and_they_come_first() -> None:
     _, _, closed = located(6)
-    verdict = filled(closed, og.Verdict)
+    verdict = build_result(closed, og.Verdict)
     (one,) = proposed(verdict)
     files = report_files(verdict)
     for row in {row["setup"] for row in one.readings if row["setup"]}:
@@ -87,25 +87,27 @@ def test_a_place_that_is_alone_needs_no_readings(machine: og.Machine) -> None:
 def class_of(closed: Any, *names: str) -> Any:
     """A class of other places in the place of the one found."""
     (found,) = closed.located
-    places = {p.name: p for p in closed.posterior.about.places}
+    places = {p.name: p for p in closed.posterior.linearised.free_form_errors}
     return replace(found, members=tuple(SimpleNamespace(name=n, place=places[n]) for n in names))
 
 
 def test_places_that_no_reading_parts_are_said_to_be_such() -> None:
     _, _, closed = located(6)
     still = "drive.z/approach", "bar.y.1/approach"  # neither does anything here
-    (one,) = parting(closed.posterior, class_of(closed, *still))
+    (one,) = suggest_separating_places(closed.posterior, class_of(closed, *still))
     assert (one.hopeless, one.rows) == (True, ())
     assert one.reason.startswith('no few readings of a dial on a leg tell "')
     gone = "dial.xz-0.5/time", "dial.xz-0.5/reading"
-    (one,) = parting(closed.posterior, class_of(closed, *gone))
+    (one,) = suggest_separating_places(closed.posterior, class_of(closed, *gone))
     assert (one.hopeless, one.rows) == (True, ())
     assert "no new readings tell" in one.reason
 
 
 def test_a_dial_is_told_from_a_rail_by_another_dial() -> None:
     _, _, closed = located(6)
-    (one,) = parting(closed.posterior, class_of(closed, TRUE, "dial.xz-0.5/reading"))
+    (one,) = suggest_separating_places(
+        closed.posterior, class_of(closed, TRUE, "dial.xz-0.5/reading")
+    )
     assert one.aim == "separate"
     assert one.reason.endswith("; take another dial for them than before")
 

@@ -11,16 +11,16 @@ import pytest
 
 import orthoglide as og
 from orthoglide.add_ons import Corrections
-from orthoglide.closing import Closed, filled
+from orthoglide.closing import RunOutcome, build_result
 from orthoglide.explanation.residuals import residual_by_setup
 from orthoglide.firmware.klipper import Imported, Printer, import_printer
-from orthoglide.firmware.klipper.new_numbers import left_of, why_not
+from orthoglide.firmware.klipper.corrections import ResidualChange, make_paste
+from orthoglide.firmware.klipper.new_numbers import rejection_reason, residual_changes
 from orthoglide.firmware.klipper.numbers import Numbers
-from orthoglide.firmware.klipper.pasting import Left, paste_of
-from orthoglide.firmware.klipper.printer import AGAIN
+from orthoglide.firmware.klipper.provenance import CALIBRATE_AGAIN_KEY
 from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text, parse_machine_file
-from orthoglide.planning import repeating
+from orthoglide.planning import suggest_repeating
 from orthoglide.report import report_files
 from orthoglide.verdict import Verdict, close_loop
 from tests.klipper_files import DATA, imported, simulated_cfg
@@ -32,7 +32,7 @@ NUMBERS = Numbers(0.163, (210.0, 330.0, 90.0), (0.345,) * 3, (0.3,) * 3)
 OFF = {"joint_offset.a": 4e-4, "joint_offset.b": -3e-4}
 
 
-def made_of(closed: Closed) -> Corrections:
+def made_of(closed: RunOutcome) -> Corrections:
     assert closed.corrections is not None
     return closed.corrections
 
@@ -78,7 +78,7 @@ def test_what_the_firmware_makes_of_the_readings(tmp_path: Path) -> None:
     old, mesh = NUMBERS, found.campaigns[1]
     new = replace(old, delta_radius=old.delta_radius + 2e-4, endstop=(0.3003, 0.3003, 0.3003))
     for relative in (False, True):
-        (left,) = left_of(old, new, [mesh], relative)
+        (left,) = residual_changes(old, new, [mesh], relative)
         for firmware, told in ((old, left.old), (new, left.new)):
             h = mesh.command + old.zero - old.at_endstop + firmware.at_endstop
             off = firmware.points(h)[:, 2] - mesh.reading
@@ -87,10 +87,10 @@ def test_what_the_firmware_makes_of_the_readings(tmp_path: Path) -> None:
     stored = import_printer(DATA / "v400-april.cfg")
     printer, (calibration, *_) = stored.machine.printer, stored.campaigns
     assert isinstance(printer, Printer)
-    heights, apart = left_of(printer.numbers, printer.numbers, [calibration], False)
+    heights, apart = residual_changes(printer.numbers, printer.numbers, [calibration], False)
     assert (heights.kind, heights.count, apart.kind, apart.count) == ("heights", 7, "distances", 12)
     wrong = replace(calibration, reading=calibration.reading * 1.003)
-    (_, larger) = left_of(printer.numbers, printer.numbers, [wrong], False)
+    (_, larger) = residual_changes(printer.numbers, printer.numbers, [wrong], False)
     assert larger.old > 1.5 * apart.old  # rods that are too short make all distances too short
 
 
@@ -112,7 +112,7 @@ def test_what_the_firmware_makes_of_the_readings(tmp_path: Path) -> None:
 def test_numbers_must_do_better_by_the_firmware_in_every_file(
     left: list[tuple[str, int, float, float]], said: str
 ) -> None:
-    found = why_not([Left("mesh", *one) for one in left])
+    found = rejection_reason([ResidualChange("mesh", *one) for one in left])
     assert said in found
     assert bool(found) == bool(said)
 
@@ -130,17 +130,17 @@ def test_rods_that_were_entered_too_short_are_found_by_distances(name: str) -> N
     assert float(size) == pytest.approx((made.new.arm[1] - made.old.arm[1]) * 1e3, abs=1e-3)
     assert re.search(r"they have longer rods, as distances say.*: measure a rod first", made.words)
     mesh = import_printer(FIELD / "rods-entered-4mm-short" / "printer-with-mesh.cfg").campaigns[1]
-    (unused,) = left_of(found.machine.printer.numbers, made.new, [mesh], False)
+    (unused,) = residual_changes(found.machine.printer.numbers, made.new, [mesh], False)
     assert unused.new < 0.7 * unused.old
 
 
 def test_numbers_that_an_earlier_version_kept_are_pasted() -> None:
     kept = {"new": NUMBERS.as_dict(), "height_rms_mm": [0.1, 0.05], "keep_old_because": ""}
-    found = paste_of(NUMBERS, kept)
+    found = make_paste(NUMBERS, kept)
     assert found.facts == {"old": NUMBERS.as_dict(), **kept}
     assert any("delta_radius: 163.000000" in text for text in found.paragraphs)
     for edited in (None, {}, {"new": "x"}, {**kept, "left_of_readings": [{"file": "mesh"}]}):
-        assert "missing" in paste_of(NUMBERS, edited).facts
+        assert "missing" in make_paste(NUMBERS, edited).facts
 
 
 @pytest.mark.thorough(except_for=["v400-april"])
@@ -164,7 +164,7 @@ def test_heights_that_the_numbers_were_fitted_to_give_no_new_ones(name: str) -> 
 def test_what_is_left_stands_on_the_page_and_in_the_file(tmp_path: Path) -> None:
     found = imported(tmp_path, simulated_cfg(DeltaRig(errors=OFF), count=5))
     closed = studied(list(found.campaigns), Machine(found.machine))
-    made, verdict = made_of(closed), filled(closed, Verdict)
+    made, verdict = made_of(closed), build_result(closed, Verdict)
     files = report_files(verdict)
     (row,) = made.left
     assert row[0] == "mesh-default, heights"
@@ -181,7 +181,7 @@ def test_what_is_left_stands_on_the_page_and_in_the_file(tmp_path: Path) -> None
 
 def test_the_firmware_s_own_calibration_comes_first(tmp_path: Path) -> None:
     found = imported(tmp_path, simulated_cfg(DeltaRig(errors=OFF), count=5))
-    kept = {**found.machine.provenance["klipper"], AGAIN: True}
+    kept = {**found.machine.provenance["klipper"], CALIBRATE_AGAIN_KEY: True}
     spec = parse_machine_file(machine_text(replace(found.machine, provenance={"klipper": kept})))
     verdict = close_loop(list(found.campaigns), Machine(spec))
     assert verdict.actions[0].words.startswith("Run DELTA_CALIBRATE and SAVE_CONFIG")
@@ -199,7 +199,7 @@ def test_places_to_read_again_are_the_firmware_s() -> None:
     firmware = found.machine.printer.numbers
     assert firmware is not None
     for one in residual_by_setup(estimate):
-        words = repeating(one).reason
+        words = suggest_repeating(one).reason
         assert "either side" not in words
         place = firmware.points(one.command[None] + firmware.zero)[0]
         x, y, *z = one.where[0].partition(" to ")[0].replace("−", "-").split(", ")

@@ -41,7 +41,7 @@ def sent(p: np.ndarray, radius: float = NOMINAL.radius - NOMINAL.r) -> np.ndarra
 
 def sheet(*kinds: str, machine: Machine = MACHINE) -> list[Row]:
     given = tool_sheets(machine, kinds)
-    text = readings_text(given, machine.spec, places=True)
+    text = readings_text(given, machine.spec, commands_as_places=True)
     return list(csv.DictReader(io.StringIO(text)))
 
 

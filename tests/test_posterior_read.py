@@ -10,9 +10,9 @@ import pytest
 
 from orthoglide.effects import CATALOGUE
 from orthoglide.explanation.candidates import Candidate
-from orthoglide.explanation.linear import Group
+from orthoglide.explanation.credible_sets import _CredibleSetReader
+from orthoglide.explanation.linear_model import Group
 from orthoglide.explanation.mixture import Mixture
-from orthoglide.explanation.outstanding import _Reader
 
 NONE = np.zeros(0, dtype=np.intp)
 
@@ -22,8 +22,8 @@ def claimed(odds: list[float], free: list[bool]) -> Any:
     groups = tuple(Group(f"g{k}", NONE, np.zeros((0, 1)), f) for k, f in enumerate(free))
     mixture = SimpleNamespace(linear=SimpleNamespace(groups=groups))
 
-    class Told(_Reader):
-        alternatives = SimpleNamespace(of=lambda _: np.array(odds))
+    class Reader(_CredibleSetReader):
+        alternatives = SimpleNamespace(probabilities=lambda _: np.array(odds))
 
         def _cause(self, member, odds):
             return "cause", [k for k, _ in odds]
@@ -31,7 +31,7 @@ def claimed(odds: list[float], free: list[bool]) -> Any:
         def _located(self, member, odds, probability):
             return "located", [k for k, _ in odds], probability
 
-    return Told(SimpleNamespace(mixture=mixture)).set_of(0, ())
+    return Reader(SimpleNamespace(mixture=mixture)).credible_set(0, ())
 
 
 @pytest.mark.parametrize(
@@ -86,10 +86,10 @@ def test_waves_of_a_leg_are_one_cause_and_the_likeliest_comes_first() -> None:
         for name, own in zip(names, parts, strict=True)
     ]
     machine = SimpleNamespace(catalogue=CATALOGUE)
-    posterior = SimpleNamespace(about=SimpleNamespace(candidates=several), machine=machine)
-    reader = _Reader.__new__(_Reader)
+    posterior = SimpleNamespace(linearised=SimpleNamespace(candidates=several), machine=machine)
+    reader = _CredibleSetReader.__new__(_CredibleSetReader)
     vars(reader)["posterior"] = posterior
-    found = reader._by_cause([(0, 0.4), (1, 0.3), (2, 0.2), (3, 0.1)])
+    found = reader._merge_by_cause([(0, 0.4), (1, 0.3), (2, 0.2), (3, 0.1)])
     assert [k for k, _ in found] == [1, 0]
     assert [p for _, p in found] == pytest.approx([0.6, 0.4])
 
@@ -103,14 +103,14 @@ def test_the_covariance_has_what_explanations_differ_by() -> None:
     states = [(), ((0, 1.0),), ((1, 1.0),)]
     one = Mixture.__new__(Mixture)
     groups = tuple(Group(f"g{k}", np.array([k]), np.eye(1), False) for k in range(2))
-    one.linear = SimpleNamespace(groups=groups, fixed=np.zeros(2))
+    one.linear = SimpleNamespace(groups=groups, fixed_sd=np.zeros(2))
     one.best = ()
     one.scales = [SimpleNamespace(spike=np.array([0.25, 4.0]))]
     vars(one)["weights"] = {s: np.array([w]) for s, w in zip(states, weights, strict=True)}
 
     one._mean = lambda state, scale: means[states.index(state)]
     one._covariances = lambda at: lambda state, _: covariances[states.index(state)][np.ix_(at, at)]
-    found = one.averaged(2)
+    found = one.averaged_moments(2)
     middle = weights @ means
     apart = means - middle
     assert found.mean == pytest.approx(middle)

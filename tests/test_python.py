@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.closing import Closed, filled
+from orthoglide.closing import RunOutcome, build_result
 from orthoglide.control import commands_text
 from orthoglide.layout import LinearDelta
 from orthoglide.observations import campaign_text
@@ -46,13 +46,13 @@ def estimate(campaign: og.Campaign, machine: og.Machine) -> og.Estimate:
 
 
 @pytest.fixture(scope="module")
-def closed(campaign: og.Campaign, machine: og.Machine) -> Closed:
+def closed(campaign: og.Campaign, machine: og.Machine) -> RunOutcome:
     return studied(campaign, machine)
 
 
 @pytest.fixture(scope="module")
-def verdict(closed: Closed) -> og.Verdict:
-    return filled(closed, og.Verdict)
+def verdict(closed: RunOutcome) -> og.Verdict:
+    return build_result(closed, og.Verdict)
 
 
 def test_only_what_is_public_is_shown() -> None:
@@ -175,7 +175,9 @@ def test_what_is_shown_of_a_campaign(campaign: og.Campaign) -> None:
     assert repr(points) == "<Readings 'rig-2.tcp': 180 readings in 1 setup (tcp)>"
 
 
-def test_what_a_verdict_holds_is_shown_in_a_few_lines(verdict: og.Verdict, closed: Closed) -> None:
+def test_what_a_verdict_holds_is_shown_in_a_few_lines(
+    verdict: og.Verdict, closed: RunOutcome
+) -> None:
     """Its causes alone were 70 000 characters, with the catalogue and every array in them."""
     assert repr(verdict.effects[0]).startswith(
         "<Cause axis_tilt.y.z: the path of the y carriage is out of square toward z by 2.4 mrad"
@@ -323,7 +325,7 @@ def test_types_are_shipped(tmp_path: Path) -> None:
 
 
 def test_verdicts_and_estimates_plot_themselves(
-    verdict: og.Verdict, closed: Closed, tmp_path: Path
+    verdict: og.Verdict, closed: RunOutcome, tmp_path: Path
 ) -> None:
     drawing = verdict.plot("workspace")
     assert drawing._repr_svg_().startswith("<?xml")

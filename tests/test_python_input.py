@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.checking import states_of
+from orthoglide.checking import read_states
 from orthoglide.effects import CATALOGUE
 from orthoglide.fit import points_of
 from orthoglide.observations import csv_text, tcp_rows
 from orthoglide.parameters import MEMBERS
-from orthoglide.planning.sheets import sheet_of
+from orthoglide.planning.sheets import instrument_sheet
 from orthoglide.report import result_text
 
 WORN = og.Machine.nominal().with_parameters({"joint_offset.x": 6e-4, "leg_length.y": 5e-5})
@@ -154,7 +154,7 @@ def test_one_effect_is_a_list_of_one() -> None:
 
 
 def test_words_of_structured_members_name_no_leg() -> None:
-    every = {p for e in CATALOGUE for p in CATALOGUE.structured(e, ("any",))}
+    every = {p for e in CATALOGUE for p in CATALOGUE.structured_members(e, ("any",))}
     assert {p.member.rpartition(".")[2] for p in every} == set(MEMBERS)
 
 
@@ -174,16 +174,16 @@ def test_states_are_read_from_results_too(tmp_path: Path) -> None:
     verdict = closed()
     (tmp_path / "result.json").write_text(result_text(verdict), encoding="utf-8")
     for state in (tmp_path, tmp_path / "result.json", verdict.request):
-        states = states_of(state, DIALS)
+        states = read_states(state, DIALS)
         assert states.machine.geometry == WORN.geometry
         assert np.array_equal(states.old[0].reading, DIALS.reading)
         assert states.new == (DIALS,)
         assert states.noise is None
-    assert states_of(replace(verdict.request, noise=2e-5), DIALS).noise == 2e-5
+    assert read_states(replace(verdict.request, noise=2e-5), DIALS).noise == 2e-5
     assert og.check(verdict, replace(DIALS, name="again")).old == ("standard",)
     other = og.Machine(replace(WORN.spec, geometry=og.Geometry(L=0.32)))
     away = replace(verdict, request=replace(verdict.request, machine=other)).request
-    refused(lambda: states_of(verdict.request, away), "machines of different dimensions")
+    refused(lambda: read_states(verdict.request, away), "machines of different dimensions")
 
 
 def test_points_are_written_a_row_each(tmp_path: Path) -> None:
@@ -235,7 +235,7 @@ def with_one(name: str, value: Any, given: Any = DIALS) -> Any:
 
 
 def tool(kind: str = "ballbar") -> og.Readings:
-    sheet = sheet_of(og.Machine.nominal(), kind)
+    sheet = instrument_sheet(og.Machine.nominal(), kind)
     return sheet.with_readings(np.nan_to_num(sheet.reading))
 
 

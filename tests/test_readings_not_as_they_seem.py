@@ -13,13 +13,13 @@ import pytest
 import orthoglide as og
 from benchmarks.attribution_cases import base_errors
 from benchmarks.attribution_run import campaign as campaign_of, points_of
-from orthoglide.closing import filled
+from orthoglide.closing import build_result
 from orthoglide.errors import InputError
-from orthoglide.explanation.significance import Left
+from orthoglide.explanation.significance import LackOfFitTest
 from orthoglide.machine_file.measured import Measured
 from orthoglide.notes import Note
 from orthoglide.report import result_text
-from orthoglide.report.words import evidence
+from orthoglide.report.sentences import evidence
 from orthoglide.simulation import simulate, simulate_tcp
 from tests import rig_campaigns as rc
 from tests.rig import Rig
@@ -262,8 +262,10 @@ def test_a_few_readings_of_a_sound_machine_are_no_fault() -> None:
 
 @pytest.mark.thorough
 def test_what_was_not_looked_at_has_no_probability() -> None:
-    closed = replace(studied(rig(1), MACHINE), word="partial", left=Left(float("nan")))
-    lost = filled(closed, og.Verdict)
+    closed = replace(
+        studied(rig(1), MACHINE), word="partial", residual_test=LackOfFitTest(float("nan"))
+    )
+    lost = build_result(closed, og.Verdict)
     said = evidence(lost)
     assert "What was found does not predict the readings that it was found by." in said
     assert "probability" not in said

@@ -230,8 +230,10 @@ def test_legs_that_just_touch_are_reachable():
         lambda: reduction.inverse(np.zeros(3), signs=(1, 0, 1)),
         lambda: reduction.intersect_spheres(np.zeros((3, 3)), np.ones(3)),
         lambda: reduction.intersect_spheres(np.zeros((3, 2)), np.ones(3)),
-        lambda: reduction.observe(MACHINE.zero, 0, 0, L / 2).values,
-        lambda: reduction.observe(np.tile(MACHINE.zero, (2, 1)), [0, 1, 2], 1, L / 2).values,
+        lambda: reduction.predict_readings(MACHINE.zero, 0, 0, L / 2).values,
+        lambda: (
+            reduction.predict_readings(np.tile(MACHINE.zero, (2, 1)), [0, 1, 2], 1, L / 2).values
+        ),
         lambda: reduction.solve(reduction.system11(), np.zeros(11)),
         lambda: reduction.system11().select("axis_tilt"),
         lambda: reduction.system11().ordered({"x_y+": 0.0}),
@@ -304,7 +306,7 @@ def test_readings_are_those_of_the_general_form():
     centres = (commands + offsets)[..., None] * np.eye(3)
     p = reduction.intersect_spheres(centres, L + lengths)
     np.testing.assert_allclose(
-        reduction.observe(commands, leg, axes, gauges, offsets, lengths).values,
+        reduction.predict_readings(commands, leg, axes, gauges, offsets, lengths).values,
         reduction.reading(centres, p, leg, axes, gauges),
         atol=1e-15,
     )
@@ -315,24 +317,24 @@ def test_readings_are_those_of_the_general_form():
         return reduction.reading(centres, p, leg, axes, gauges)
 
     np.testing.assert_allclose(
-        reduction.observe(commands, leg, axes, gauges, offsets, lengths).gradient,
+        reduction.predict_readings(commands, leg, axes, gauges, offsets, lengths).gradient,
         differences(general, np.r_[offsets, lengths]),
         atol=1e-9,
     )
 
 
 def test_reading_jacobian_and_curvature_are_the_derivatives():
-    from orthoglide.reduction.deviations import Dials, observed
+    from orthoglide.reduction.deviations import Dials, predicted
 
     rng = np.random.default_rng(4)
     commands, leg, axes, gauges = _list(rng, 20)
     dials = Dials.checked(commands, leg, axes, gauges)
     six = rng.normal(0, 2e-3, 6)
-    found = observed(dials, six, L)
+    found = predicted(dials, six, L)
     np.testing.assert_allclose(
-        found.gradient, differences(lambda x: observed(dials, x, L).values, six), atol=1e-10
+        found.gradient, differences(lambda x: predicted(dials, x, L).values, six), atol=1e-10
     )
-    second = differences(lambda x: observed(dials, x, L).gradient, six)
+    second = differences(lambda x: predicted(dials, x, L).gradient, six)
     weights = rng.normal(0, 1, 20)
     np.testing.assert_allclose(found.curvature(weights), weights[:, None, None] * second, atol=1e-8)
 
@@ -376,7 +378,7 @@ def _deviations(rows, machine):
     def function(six):
         return np.subtract(
             *(
-                reduction.observe(c, leg, axes, L / 2, six[:3], six[3:]).values
+                reduction.predict_readings(c, leg, axes, L / 2, six[:3], six[3:]).values
                 for c in (ends, zeros)
             )
         )
@@ -387,7 +389,9 @@ def _deviations(rows, machine):
 def test_reading_jacobian_gives_system_11_exactly():
     system = reduction.system11()
     ends, zeros, leg, axes = _postures(system.rows, MACHINE)
-    matrix = np.subtract(*(reduction.observe(c, leg, axes, L / 2).gradient for c in (ends, zeros)))
+    matrix = np.subtract(
+        *(reduction.predict_readings(c, leg, axes, L / 2).gradient for c in (ends, zeros))
+    )
     np.testing.assert_allclose(matrix, system.matrix, atol=1e-15)
 
 
@@ -510,7 +514,10 @@ def test_fit_recovers_a_planted_machine(seed):
     commands, leg, axes, gauges, datum = _campaign(rng, 36, 6)
     six, z = rng.normal(0, 2e-3, 6), rng.normal(0, 1e-2, 6)
     signs = rng.choice([-1.0, 1.0], 36)
-    y = signs * reduction.observe(commands, leg, axes, gauges, six[:3], six[3:]).values + datum @ z
+    y = (
+        signs * reduction.predict_readings(commands, leg, axes, gauges, six[:3], six[3:]).values
+        + datum @ z
+    )
     fit = reduction.fit_readings(
         commands, leg, axes, gauges, y, 1e-5, signs=signs, nuisance=datum, geometry=MACHINE
     )
@@ -526,7 +533,11 @@ def _objective(data, sigma, prior, datum, precision):
 
     def function(v):
         x, z = v[:6], v[6:]
-        r = y - reduction.observe(commands, leg, axes, gauges, x[:3], x[3:]).values - datum @ z
+        r = (
+            y
+            - reduction.predict_readings(commands, leg, axes, gauges, x[:3], x[3:]).values
+            - datum @ z
+        )
         return np.concatenate([r / sigma, x / prior, np.sqrt(precision) * z])
 
     return function
@@ -540,7 +551,7 @@ def test_fit_is_stationary_to_a_picometre_with_lack_of_fit(prior, precision):
     rng = np.random.default_rng(6)
     commands, leg, axes, gauges, datum = _campaign(rng, 36, 6)
     true = rng.normal(0, 1e-3, 6)
-    y = reduction.observe(commands, leg, axes, gauges, true[:3], true[3:]).values
+    y = reduction.predict_readings(commands, leg, axes, gauges, true[:3], true[3:]).values
     y = y + rng.normal(0, 1e-4, 36)
     sigma, known = rng.uniform(1e-5, 3e-5, 36), np.full(6, precision)
     fit = reduction.fit_readings(
@@ -625,7 +636,11 @@ def test_cyclic_relabelling_of_a_campaign_relabels_the_fit():
         "axes": (data["axes"] + 1) % 3,
     }
     again = reduction.fit_readings(**turned, sigma=2e-5)
-    np.testing.assert_allclose(again.six, cycle(fit.six.reshape(2, 3)).reshape(1, 6), atol=1e-12)
+    np.testing.assert_allclose(
+        again.offsets_and_lengths,
+        cycle(fit.offsets_and_lengths.reshape(2, 3)).reshape(1, 6),
+        atol=1e-12,
+    )
 
 
 def test_campaigns_share_some_parameters_and_own_others():
@@ -642,13 +657,15 @@ def test_campaigns_share_some_parameters_and_own_others():
         maps[g, 3:, 6:] = np.eye(3)
     x = rng.normal(0, 1e-3, 9)
     six = maps @ x
-    y = reduction.observe(commands, leg, axes, gauges, six[group, :3], six[group, 3:]).values
+    y = reduction.predict_readings(
+        commands, leg, axes, gauges, six[group, :3], six[group, 3:]
+    ).values
     fit = reduction.fit_readings(
         commands, leg, axes, gauges, y, 1e-5, group=group, maps=maps, nuisance=datum
     )
     assert fit.converged
     np.testing.assert_allclose(fit.values, x, atol=1e-12)
-    np.testing.assert_allclose(fit.six, six, atol=1e-12)
+    np.testing.assert_allclose(fit.offsets_and_lengths, six, atol=1e-12)
     noisy = y + rng.normal(0, 5e-5, 60)
     call = {"group": group, "maps": maps, "nuisance": datum}
     near, far = (

@@ -20,9 +20,18 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.firmware.klipper import import_printer
 from orthoglide.instruments import OBSERVATIONS
-from orthoglide.planning.sheets import sheet_of
-from orthoglide.rehearsal.drawing import EFFECT, KINDS, NOTHING, OUTSIDE, TURNS, WHOLE, Scope, draw
-from orthoglide.rehearsal.outcome import Outcome, claims, outcome_of
+from orthoglide.planning.sheets import instrument_sheet
+from orthoglide.rehearsal.outcome import Outcome, judge_claims, run_campaign
+from orthoglide.rehearsal.random_machines import (
+    ALL_EFFECTS,
+    EFFECT,
+    KIND_SEQUENCE,
+    KINDS,
+    NOTHING,
+    OUTSIDE,
+    Scope,
+    draw_machine,
+)
 from orthoglide.rehearsal.rehearsing import weak_spots
 from orthoglide.rehearsal.table import Rehearsal
 from tests.klipper_files import DATA
@@ -37,14 +46,14 @@ def scope() -> Scope:
 
 
 def drawn(scope: Scope, kind: Any, number: int = 0) -> Any:
-    return draw(scope, kind, np.random.default_rng(number))
+    return draw_machine(scope, kind, np.random.default_rng(number))
 
 
 # --- what is drawn --------------------------------------------------------------------------------
 
 
 def test_machines_are_off_by_their_tolerances(scope: Scope) -> None:
-    machines = [drawn(scope, WHOLE[1], k).machine for k in range(40)]
+    machines = [drawn(scope, ALL_EFFECTS[1], k).machine for k in range(40)]
     for name, share in (("joint_offset.x", 1.0), ("axis_tilt.y.z", 0.3), ("backlash.z", 0.3)):
         sizes = [m.values[name] / m.tolerance(name) for m in machines]
         assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(share, rel=0.35), name
@@ -76,7 +85,7 @@ def test_what_is_outside_has_no_shape_of_the_catalogue(scope: Scope) -> None:
         u = np.linspace(-1, 1, 401)
         weights = [one.machine.values[n] for n in place.effect.motions]
         curve = np.stack(place.kernel.functions(u), axis=1) @ weights
-        assert np.sqrt(np.mean(curve**2)) == pytest.approx(one.size * place.unit, rel=0.02)
+        assert np.sqrt(np.mean(curve**2)) == pytest.approx(one.size * place.prior_sd, rel=0.02)
         left = curve - np.polyval(np.polyfit(u, curve, 2), u)
         assert np.linalg.norm(left) > 0.99 * np.linalg.norm(curve)
 
@@ -103,17 +112,19 @@ def verdict_of(*effects: tuple[str, ...], places: tuple[str, ...] = ()) -> Any:
 
 def test_a_set_that_holds_the_cause_names_it(scope: Scope) -> None:
     one = next(d for d in (drawn(scope, EFFECT, k) for k in range(99)) if "axis_tilt" in d.cause)
-    assert claims(verdict_of(("axis_tilt.x.y", one.cause)), one)[0] == ["axis_tilt.x.y"]
-    assert claims(verdict_of(("rail_bow.x.y",)), one) == ([], [], ["rail_bow.x.y"])
-    assert claims(verdict_of(places=("rail.x.y/travel",)), one)[2] == ["rail.x.y/travel"]
-    assert claims(verdict_of(("axis_tilt.common",)), one)[2] == ["axis_tilt.common"]
-    assert claims(verdict_of(("axis_tilt",)), one)[0] == ["axis_tilt"]  # the block that holds it
+    assert judge_claims(verdict_of(("axis_tilt.x.y", one.cause)), one)[0] == ["axis_tilt.x.y"]
+    assert judge_claims(verdict_of(("rail_bow.x.y",)), one) == ([], [], ["rail_bow.x.y"])
+    assert judge_claims(verdict_of(places=("rail.x.y/travel",)), one)[2] == ["rail.x.y/travel"]
+    assert judge_claims(verdict_of(("axis_tilt.common",)), one)[2] == ["axis_tilt.common"]
+    assert judge_claims(verdict_of(("axis_tilt",)), one)[0] == [
+        "axis_tilt"
+    ]  # the block that holds it
 
 
 def test_a_place_is_located_by_its_class(scope: Scope) -> None:
     one = drawn(scope, OUTSIDE)
-    assert claims(verdict_of(places=("bar.x.1/approach", one.cause)), one)[1]
-    assert claims(verdict_of(("axis_tilt.x.y",)), one)[2] == ["axis_tilt.x.y"]
+    assert judge_claims(verdict_of(places=("bar.x.1/approach", one.cause)), one)[1]
+    assert judge_claims(verdict_of(("axis_tilt.x.y",)), one)[2] == ["axis_tilt.x.y"]
 
 
 # --- weak spots -----------------------------------------------------------------------------------
@@ -192,8 +203,8 @@ def test_a_failed_campaign_counts_and_is_shown(scope: Scope, monkeypatch: Any) -
     def fail(*_: Any, **__: Any) -> None:
         raise og.SolverError("it does not settle")
 
-    monkeypatch.setattr("orthoglide.rehearsal.outcome.close", fail)
-    tried = outcome_of(scope, 0, 0)
+    monkeypatch.setattr("orthoglide.rehearsal.outcome.compute_outcome", fail)
+    tried = run_campaign(scope, 0, 0)
     assert tried.failed == "SolverError: it does not settle"
     assert not tried.missed
     found = Rehearsal("mine", 36, 0, (tried,), ())
@@ -206,7 +217,7 @@ def test_the_result_is_a_table(alone: Rehearsal, monkeypatch: pytest.MonkeyPatch
     frame = alone.to_frame()
     assert list(frame.index) == [0, 1, 2]
     assert frame.after_mm.notna().all()
-    assert alone.columns["campaigns"] == [sum(k is t for t in TURNS[:3]) for k in KINDS]
+    assert alone.columns["campaigns"] == [sum(k is t for t in KIND_SEQUENCE[:3]) for k in KINDS]
     assert "<table>" in alone._repr_html_()
     monkeypatch.setenv("COLUMNS", "60")
     assert max(map(len, str(alone).splitlines())) <= 60
@@ -317,13 +328,13 @@ def test_a_delta_is_rehearsed_with_the_instruments_one_owns(delta: og.Machine) -
 
 def test_a_sheet_and_what_one_owns_exclude_each_other(delta: og.Machine) -> None:
     with pytest.raises(og.InputError, match="exclude each other"):
-        og.rehearse(delta, sheet_of(delta, "tcp"), owns=["plate"], campaigns=1)
+        og.rehearse(delta, instrument_sheet(delta, "tcp"), owns=["plate"], campaigns=1)
 
 
 @pytest.mark.parametrize("kind", ["tcp", "plate", "distance", "ballbar", "incline"])
 def test_readings_at_the_tool_are_simulated_with_their_noise(delta: og.Machine, kind: str) -> None:
     """About the exact ones, but for datums, and no two alike."""
-    sheet = sheet_of(delta, kind)
+    sheet = instrument_sheet(delta, kind)
     exact = og.simulate(delta, sheet, exact=True)
     one, two = (og.simulate(delta, sheet, seed=seed) for seed in (1, 2))
     assert not np.array_equal(one.reading, two.reading)

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.closing import Closed, close, filled
+from orthoglide.closing import RunOutcome, build_result, compute_outcome
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import parameter_words
 from orthoglide.figures.draw import draw
@@ -32,10 +32,10 @@ from orthoglide.machine_file import Controller
 from orthoglide.numerals import compact, decimals_for, plain, probability, signed, with_sigma
 from orthoglide.observations import protocol
 from orthoglide.report import report_files, sections
-from orthoglide.report.embed import panels, whole
+from orthoglide.report.embed import inline_panels, inline_svg
 from orthoglide.report.identified import weak_sentences
-from orthoglide.report.page import finding, rendered
-from orthoglide.report.words import claim, headline
+from orthoglide.report.page import finding, render_template
+from orthoglide.report.sentences import claim_text, headline
 from orthoglide.result import Request
 from orthoglide.result.fits import WeakDirection
 from orthoglide.text import listed
@@ -60,19 +60,21 @@ def identified(*files: Path, **options: Any) -> Verdict:
 
 
 @cache
-def closed_of(which: str = "published") -> Closed:
+def closed_of(which: str = "published") -> RunOutcome:
     one, two = (DATA / f"experiment{k}.csv" for k in (2, 3))
     if which == "rig":
-        return close(asked(RIG / "rig-2.csv", machine=og.Machine.load(RIG / "machine.toml")))
+        return compute_outcome(
+            asked(RIG / "rig-2.csv", machine=og.Machine.load(RIG / "machine.toml"))
+        )
     if which == "two":
         free, own = ("joint_offset", "axis_tilt"), ("joint_offset",)
-        return close(asked(one, two, free=free, own=own))
-    return close(asked(one))
+        return compute_outcome(asked(one, two, free=free, own=own))
+    return compute_outcome(asked(one))
 
 
 @cache
 def result_of(which: str = "published") -> Verdict:
-    return filled(closed_of(which), Verdict)
+    return build_result(closed_of(which), Verdict)
 
 
 def published() -> Estimate:
@@ -97,7 +99,7 @@ def words(html: str) -> str:
 
 def screen(verdict: Verdict) -> str:
     """What a reader finds on the first screen, folded parts left out."""
-    html = rendered("sections/finding.html.j2", data=finding(verdict))
+    html = render_template("sections/finding.html.j2", data=finding(verdict))
     html = re.sub(r"<svg.*?</svg>", "", html, flags=re.DOTALL)
     open_parts = re.sub(r"</summary>.*?</details>", "</summary></details>", html, flags=re.DOTALL)
     return words(open_parts)
@@ -179,8 +181,8 @@ def check_timeless(files: dict[str, str]) -> None:
 
 def test_the_key_numbers_are_on_the_page() -> None:
     estimate, text = published(), words(files_of()["report.html"])
-    assert claim(result_of()) == headline(result_of())
-    assert claim(result_of()) in text
+    assert claim_text(result_of()) == headline(result_of())
+    assert claim_text(result_of()) in text
     assert "x −0.51, y +0.55, z −1.72 mm" in text
     assert "leg lengths not seen by these readings" in text  # told by the priors alone
     assert "from 0.32 to 0.14 mm" in text
@@ -297,11 +299,11 @@ def test_figures_are_svg_with_a_panel_a_setup(which: str) -> None:
     for drawing in drawings.values():
         root = ET.fromstring(re.sub(r"<!DOCTYPE[^>]*>", "", drawing.svg))
         assert root.tag.endswith("svg")
-        inline = whole(drawing)
+        inline = inline_svg(drawing)
         ET.fromstring(inline)
         assert "var(--fig-ink)" in inline
         assert not [code for code in PALETTE.values() if code in inline]
-    shown = panels(drawings["readings"])
+    shown = inline_panels(drawings["readings"])
     assert len(shown) == len(estimate.problem.setups)
     titles = [f"{s.name}: leg" for c in estimate.problem.campaigns for s in c.setups]
     for title, panel in zip(titles, shown, strict=True):

@@ -18,16 +18,16 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.closing import Closed, filled
-from orthoglide.closing.actions import _one_of_two
+from orthoglide.closing import RunOutcome, build_result
+from orthoglide.closing.actions import _state_alternatives
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import FileError
 from orthoglide.numerals import ByUnit
 from orthoglide.observations import Campaign, protocol
 from orthoglide.report import report_files, result_text, summary
 from orthoglide.report.page import finding
-from orthoglide.report.text import to_do
-from orthoglide.report.words import dealt_with, evidence, headline
+from orthoglide.report.sentences import data_faults_text, evidence, headline
+from orthoglide.report.terminal import action_lines
 from orthoglide.result import Action, HoldOut, Suspect
 from orthoglide.result.result import sheet_of
 from orthoglide.verdict import Verdict, close_loop
@@ -77,11 +77,11 @@ def faulty() -> Campaign:
 
 @cache
 def verdict_of(which: str) -> Verdict:
-    return filled(closed_of(which), Verdict)
+    return build_result(closed_of(which), Verdict)
 
 
 @cache
-def closed_of(which: str) -> Closed:
+def closed_of(which: str) -> RunOutcome:
     machine = rig_machine()
     if which == "partial":
         tilted = machine.with_parameters({"axis_tilt.y.z": 5e-3})
@@ -226,7 +226,7 @@ def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
     left_out = len(verdict_of("faulty").readings) // 4
     (known,) = verdict_of("faulty").blunders
     many = replace(known, kind="label", rows_in_request=tuple((0, k) for k in range(left_out)))
-    told = dealt_with(replace(verdict_of("faulty"), blunders=(many,)))
+    told = data_faults_text(replace(verdict_of("faulty"), blunders=(many,)))
     assert re.search(rf"{left_out} of \d+ readings do not count", told)
 
 
@@ -299,7 +299,7 @@ def test_what_speaks_against_acting_is_told_everywhere(worse: bool) -> None:
     """A mere part, and readings held out that the cause predicts worse."""
     less, more = ByUnit(2e-5, np.nan), ByUnit(3e-5, np.nan)
     scores = HoldOut(less, more) if worse else HoldOut(more, less)
-    verdict = filled(replace(closed_of("partial"), hold_out=scores), Verdict)
+    verdict = build_result(replace(closed_of("partial"), hold_out=scores), Verdict)
     files = report_files(verdict)
     warnings = json.loads(files["result.json"])["warnings"]
     said = " ".join(summary(verdict).split())
@@ -464,16 +464,19 @@ def test_new_zeros_and_compensated_commands_are_never_both_told() -> None:
     commands = next(a.words for a in verdict.actions if a.kind == "compensate")
     said = "Or, until something is repaired, send compensated commands instead of new zeros (not"
     assert commands.startswith(said)
-    assert commands in " ".join(to_do(verdict))
+    assert commands in " ".join(action_lines(verdict))
     assert commands in " ".join(screen(verdict).split())
     assert commands in [a["words"] for a in json.loads(result_text(verdict))["actions"]]
     zeros, both = Action("zeros", "Enter new zeros"), Action("compensate", "Send them")
-    assert [a.words for a in _one_of_two([both, zeros])] == ["Send them", "Or enter new zeros"]
+    assert [a.words for a in _state_alternatives([both, zeros])] == [
+        "Send them",
+        "Or enter new zeros",
+    ]
     mend = Action("mend", "Confirm the cause by its test, repair it, and measure again")
-    told = [a.words for a in _one_of_two([zeros, mend, both])]
+    told = [a.words for a in _state_alternatives([zeros, mend, both])]
     until = "until something is repaired, "
     assert told == [f"U{until[1:]}enter new zeros", mend.words, f"Or, {until}send them"]
-    assert _one_of_two([both]) == [both]
+    assert _state_alternatives([both]) == [both]
 
 
 def test_what_is_left_is_found_where_it_is() -> None:

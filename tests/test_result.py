@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 import orthoglide as og
-from orthoglide.figures.readings import MOST_DRAWN, _drawn
+from orthoglide.figures.readings import MAX_DRAWN, _rows_to_draw
 from orthoglide.notes import Note
 from orthoglide.numerals import ByUnit
 from orthoglide.report import result_text
@@ -157,12 +157,12 @@ def test_a_row_of_readings_is_a_line_of_the_file(verdict: og.Verdict) -> None:
 def test_of_many_readings_the_extremes_are_drawn(count: int) -> None:
     rng = np.random.default_rng(count)
     x, left = rng.uniform(-100, 60, count), rng.normal(size=count)
-    drawn = _drawn(x, left)
-    assert len(drawn) == len(set(drawn)) == (count if count <= MOST_DRAWN else len(drawn))
-    assert len(drawn) <= MOST_DRAWN
+    drawn = _rows_to_draw(x, left)
+    assert len(drawn) == len(set(drawn)) == (count if count <= MAX_DRAWN else len(drawn))
+    assert len(drawn) <= MAX_DRAWN
     assert {left.argmax(), left.argmin()} <= set(drawn)
     assert np.all(np.diff(drawn) > 0)
-    assert len(_drawn(np.zeros(count), left)) <= MOST_DRAWN
+    assert len(_rows_to_draw(np.zeros(count), left)) <= MAX_DRAWN
 
 
 def test_a_loaded_verdict_shows_itself(verdict: og.Verdict, folder: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 import orthoglide as og
 from orthoglide.explanation import columns
 from orthoglide.fit import solving
-from orthoglide.prediction import Observed, observed
+from orthoglide.prediction import MeasurementModel, measurement_model
 from orthoglide.simulation import simulate
 
 MACHINE = og.Machine.nominal()
@@ -21,7 +21,7 @@ def measured() -> og.Campaign:
 
 def by_joints(sheet: og.Readings) -> np.ndarray:
     """Derivatives of readings by motions of the virtual joints, one after the other."""
-    moved = Observed(sheet).by_joints(MACHINE.model, BENT.values)
+    moved = MeasurementModel(sheet).joint_response(MACHINE.model, BENT.values)
     return np.hstack([moved(joint, np.ones((len(sheet), 1))) for joint in np.eye(30)])
 
 
@@ -29,11 +29,13 @@ def test_derivatives_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     sheet, names = measured(), ("joint_offset.x", "backlash.y", "gauge_scale.xy-0.5")
     whole = MACHINE.model.linearised(BENT.values, sheet, names)
     joints = by_joints(sheet)
-    monkeypatch.setattr(observed, "_ROWS", 7)
+    monkeypatch.setattr(measurement_model, "_ROWS", 7)
     parts = MACHINE.model.linearised(BENT.values, sheet, names)
     assert parts.value == pytest.approx(whole.value, abs=1e-15)
     assert parts.jacobian == pytest.approx(whole.jacobian, abs=1e-12)
-    assert parts.seen.by_nuisance == pytest.approx(whole.seen.by_nuisance, abs=1e-12)
+    assert parts.reading_poses.nuisance_jacobian == pytest.approx(
+        whole.reading_poses.nuisance_jacobian, abs=1e-12
+    )
     assert by_joints(sheet) == pytest.approx(joints, abs=1e-12)
 
 
@@ -63,20 +65,20 @@ def test_few_directions_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_directions_of_blocks_against_all_at_once() -> None:
     """Inner products of columns, residual and stations, beside what all columns leave."""
-    from orthoglide.explanation.compressed import compressed
+    from orthoglide.explanation.compression import compress_readings
 
     found = og.identify(measured(), MACHINE)
     nuisance, n = found.nuisance, len(found.problem.measured)
     rng = np.random.default_rng(0)
     rows, rest = 1e-5 * rng.standard_normal((n, 9)), 1e-5 * rng.standard_normal(n)
     dense, left = nuisance.project(rows), nuisance.project(rest)
-    seen, residual, root, (square, count, visits) = compressed(nuisance, rows, rest)
+    seen, residual, root, (square, count, visits) = compress_readings(nuisance, rows, rest)
     assert seen.T @ seen == pytest.approx(dense.T @ dense)
     assert seen.T @ residual == pytest.approx(dense.T @ left)
     station = found.problem.station
     errors = nuisance.project(np.eye(station.max() + 1)[station] * found.problem.sigma[:, None])
     shown = errors.T @ dense
     assert seen.T @ root @ root.T @ seen == pytest.approx(shown.T @ shown)
-    assert count == station.max() + 1 - nuisance.free - 9
+    assert count == station.max() + 1 - nuisance.unconstrained_count - 9
     assert visits == pytest.approx(n / (station.max() + 1))
     assert 0 < square < float(left @ left)

@@ -10,10 +10,10 @@ import pytest
 from scipy.stats import norm
 
 from orthoglide.explanation.alternatives import Alternatives
-from orthoglide.explanation.linear import Group, Linear, whole
+from orthoglide.explanation.full_likelihood import FullLikelihood
+from orthoglide.explanation.linear_model import Group, LinearModel, identity_group
 from orthoglide.explanation.mixture import Mixture
-from orthoglide.explanation.search import Search, State, gained, left_singular
-from orthoglide.explanation.wide import Wide
+from orthoglide.explanation.search import Search, State, explained_by_group, left_singular
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 
@@ -22,18 +22,18 @@ SLABS = (0.3, 1.0, 3.0)
 SHARES = (0.01, 0.1, 1.0)
 
 
-def made_up(columns: Array, truth: Array, seed: int) -> Linear:
+def made_up(columns: Array, truth: Array, seed: int) -> LinearModel:
     """Readings of a made-up machine: the first two coefficients are its base; then causes of one
     coefficient; last a family of three, and a free function of six that shows in two ways only.
     """
     rng = np.random.default_rng(seed)
     count, last = columns.shape[1], columns.shape[1] - 9
     groups = [Group(f"g{k}", np.array([k]), np.eye(1), False) for k in range(2, last)]
-    groups += [whole("family", range(last, last + 3), free=False)]
-    groups += [whole("place", range(last + 3, count), free=True)]
+    groups += [identity_group("family", range(last, last + 3), free_form=False)]
+    groups += [identity_group("place", range(last + 3, count), free_form=True)]
     free = np.arange(count) >= last + 3
     fixed = np.where(np.arange(count) < 2, 1.0, np.nan)
-    return Linear(
+    return LinearModel(
         columns, columns @ truth + rng.standard_normal(ROWS), fixed, free, np.zeros(count, bool),
         tuple(groups), np.eye(ROWS), SHARES, SLABS,
     )  # fmt: skip
@@ -51,12 +51,14 @@ def written_out(search: Search, state: State) -> Array:
     linear, found = search.linear, []
     for scale in search.scales:
         cov = np.eye(ROWS) * (1 + scale.noise**2)
-        cov += (linear.columns * linear.spike(scale.share, scale.free_share)) @ linear.columns.T
+        cov += (
+            linear.columns * linear.spike(scale.background_scale, scale.free_form_scale)
+        ) @ linear.columns.T
         for group, tau in state:
-            shown = linear.columns[:, linear.groups[group].places] * tau
+            shown = linear.columns[:, linear.groups[group].coefficients] * tau
             cov += shown @ shown.T
         square = linear.residual @ np.linalg.solve(cov, linear.residual)
-        prior = -3.0 * ((scale.share > 1) + (scale.noise > 0))
+        prior = -3.0 * ((scale.background_scale > 1) + (scale.noise > 0))
         found.append(prior - (square + np.linalg.slogdet(cov)[1]) / 2)
     return np.array(found) - sum(search.cost[g] for g, _ in state)
 
@@ -70,7 +72,7 @@ def test_states_with_one_group_more_have_their_evidence(state: State) -> None:
     truth = np.zeros(17)
     truth[[3, 4]] = 2.0, -1.0
     search = Search(made_up(drawn(1), truth, 2))
-    table = search.table(state)
+    table = search.child_log_weights(state)
     out = {g for g, _ in state}
     for group, (t, tau) in product(range(len(search.linear.groups)), enumerate(SLABS)):
         if group in out:
@@ -98,8 +100,8 @@ def test_the_best_of_all_states_of_two_is_found(seed: int) -> None:
         for t, u in product(SLABS, repeat=2)
     ]
     best = max(pooled(written_out(search, s)) for s in states)
-    assert search.total(search.best) >= best - 1e-6
-    assert search.total(search.best) == pytest.approx(pooled(written_out(search, search.best)))
+    assert search.log_weight(search.best) >= best - 1e-6
+    assert search.log_weight(search.best) == pytest.approx(pooled(written_out(search, search.best)))
 
 
 @pytest.mark.parametrize("start", [(), ((3, 1.0),), ((0, 3.0), (2, 1.0))])
@@ -113,7 +115,9 @@ def test_what_is_given_stands_out_whatever_the_readings_say(start: State) -> Non
     mixture = Mixture(linear, [name], named)
     assert 0 in {group for group, _ in mixture.best}
     assert mixture.inclusion[0] == pytest.approx(1.0)
-    assert mixture.total(mixture.best) == pytest.approx(Mixture(linear, [name]).total(mixture.best))
+    assert mixture.log_weight(mixture.best) == pytest.approx(
+        Mixture(linear, [name]).log_weight(mixture.best)
+    )
 
 
 @pytest.mark.parametrize("start", [((5, 1.0),), ((0, 3.0), (2, 1.0), (4, 0.3))])
@@ -124,14 +128,17 @@ def test_where_a_search_begins_does_not_say_where_it_ends(start: State) -> None:
     fresh = Search(linear)
     named = [(linear.groups[group].name, tau) for group, tau in start]
     assert Search(linear, start=named).best == fresh.best
-    assert Search(linear, start=fresh.standing).best == fresh.best
+    assert Search(linear, start=fresh.active_groups).best == fresh.best
 
 
 def test_what_shows_nothing_of_a_group_is_left_out() -> None:
     linear = made_up(drawn(3), np.zeros(17), 3)
-    assert [seen.shape[1] for seen in linear.seen] == [1] * 6 + [3, 2]
-    for group, seen in zip(linear.groups, linear.seen, strict=True):
-        all_of_it, kept = linear.columns[:, group.places], linear.columns[:, group.places] @ seen
+    assert [seen.shape[1] for seen in linear.visible_directions] == [1] * 6 + [3, 2]
+    for group, seen in zip(linear.groups, linear.visible_directions, strict=True):
+        all_of_it, kept = (
+            linear.columns[:, group.coefficients],
+            linear.columns[:, group.coefficients] @ seen,
+        )
         assert kept @ kept.T == pytest.approx(all_of_it @ all_of_it.T)
 
 
@@ -146,7 +153,7 @@ def test_two_that_show_what_two_others_do_are_in_each_others_sets() -> None:
     assert held in ({0, 1}, {2, 3})
     alternatives = Alternatives(mixture)
     for member in held:
-        odds = alternatives.of(member)
+        odds = alternatives.probabilities(member)
         assert odds.sum() == pytest.approx(1.0)
         assert odds[-1] < 1e-3
         assert odds[list({0, 1, 2, 3} - held)].sum() > 0.2
@@ -160,7 +167,7 @@ def test_a_group_that_shows_what_is_out_already_adds_no_more_than_nothing() -> N
     met = np.array([3e4, 3e4])
     full = np.eye(2) + 9.0 * inner
     by_hand = 9.0 * met @ np.linalg.solve(full, met) / 2 - np.linalg.slogdet(full)[1] / 2
-    explained, occam = gained(inner, met, np.array(1e3), 3.0)
+    explained, occam = explained_by_group(inner, met, np.array(1e3), 3.0)
     assert explained / 2 - occam == pytest.approx(by_hand, rel=1e-6)
 
 
@@ -182,7 +189,7 @@ def test_a_cause_that_is_there_in_some_explanations_is_drawn_in_as_many() -> Non
     weights = np.eye(17)[[0, 2, 4]]
     normal = np.random.default_rng(1).standard_normal((20_000, 3))
     drawn_from = mixture.draws(weights, normal)
-    averaged = mixture.averaged(8)
+    averaged = mixture.averaged_moments(8)
     sd = np.sqrt(np.diag(averaged.covariance)[[0, 2, 4]])
     assert np.abs((drawn_from.mean(axis=0) - averaged.mean[[0, 2, 4]]) / sd).max() < 0.05
     spread = np.cov(drawn_from.T) - averaged.covariance[np.ix_([0, 2, 4], [0, 2, 4])]
@@ -195,10 +202,10 @@ def test_a_cause_that_is_there_in_some_explanations_is_drawn_in_as_many() -> Non
 
 def test_a_background_wider_than_names_bear_is_rare_and_no_more() -> None:
     linear = made_up(drawn(10), np.zeros(17), 10)
-    plain, narrow = Search(linear), Search(replace(linear, wide=(0.03, -3.0)))
+    plain, narrow = Search(linear), Search(replace(linear, wide_background=(0.03, -3.0)))
     for one, other in zip(plain.scales, narrow.scales, strict=True):
         assert other.rare == one.rare
-        assert one.log_z - other.log_z == pytest.approx(3.0 if one.share > 0.03 else 0.0)
+        assert one.log_z - other.log_z == pytest.approx(3.0 if one.background_scale > 0.03 else 0.0)
 
 
 def test_where_lapack_does_not_converge_the_search_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -231,7 +238,7 @@ def test_a_covariance_is_one_however_exact_the_readings(exact: float) -> None:
         assert found == pytest.approx(usual, rel=1e-7, abs=1e-8 if exact == 1 else 1e-3)
         # A precision of all is the one that is written out.
         every = np.arange(17)
-        spread = mixture._spread(state)
+        spread = mixture._slab_root(state)
         prior = np.diag(scale.spike) + spread @ spread.T
         rows = mixture.linear.columns / np.sqrt(1 + scale.noise**2)
         whole = np.linalg.inv(np.linalg.inv(prior) + rows.T @ rows)
@@ -251,20 +258,24 @@ def test_other_readings_against_their_covariance_written_out(causes: int) -> Non
     rng, n, own = np.random.default_rng(causes), 30, np.arange(10)
     machine, residual = 3 * rng.standard_normal((n, causes)), 5 * rng.standard_normal(n)
     datums = np.repeat(50 * np.eye(3), 10, axis=0)
-    wide = Wide(Weighing(np.full(n, 2.0), np.zeros(n), np.arange(n)), machine, datums, residual)
+    wide = FullLikelihood(
+        Weighing(np.full(n, 2.0), np.zeros(n), np.arange(n)), machine, datums, residual
+    )
     cov = np.eye(n) + machine @ machine.T + datums @ datums.T
     change = rng.standard_normal((n, 2))
     changed = residual[:, None] + change / 2
     expected = [log_likelihood(one, cov) for one in changed.T]
-    assert wide.score(change) == pytest.approx(expected)
+    assert wide.log_likelihood(change) == pytest.approx(expected)
     silent = log_likelihood(changed[10:, 0], cov[10:, 10:])
-    assert wide.score(change)[0] + wide.without(own, change[:, 0]) == pytest.approx(silent)
+    assert wide.log_likelihood(change)[0] + wide.deletion_gain(own, change[:, 0]) == pytest.approx(
+        silent
+    )
     foretold = cov[:10, 10:] @ np.linalg.solve(cov[10:, 10:], residual[10:])
-    assert wide.foretold(own).off == pytest.approx(2 * (residual[:10] - foretold))
+    assert wide.deletion_residual(own).difference == pytest.approx(2 * (residual[:10] - foretold))
     columns, placed, rest = rng.standard_normal((10, causes)), np.full((10, 1), 50.0), residual[::3]
     moved = np.vstack([columns, machine[10:]])
     other = np.eye(n) + moved @ moved.T
     other[10:, 10:] += datums[10:] @ datums[10:].T
     other[:10, :10] += placed @ placed.T
     labelled = log_likelihood(np.concatenate([rest, residual[10:]]), other)
-    assert wide.relabelled(own, columns, placed, rest) == pytest.approx(labelled)
+    assert wide.relabelled_log_likelihood(own, columns, placed, rest) == pytest.approx(labelled)

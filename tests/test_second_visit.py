@@ -33,12 +33,12 @@ def campaign_of(rig: Rig, seed: int, name: str, noise: float = 5e-6) -> og.Campa
 
 @pytest.mark.thorough
 def test_what_changed_is_said_first(tmp_path: Path) -> None:
-    from orthoglide.report.words import claim
+    from orthoglide.report.sentences import claim_text
 
     first = og.close_loop(measured(ERRORS, 3, "first"), SHEET)
     first.machine.save(tmp_path / "calibrated.toml")
     known = og.Machine.load(tmp_path / "calibrated.toml")
-    text = claim(og.close_loop(measured({**ERRORS, "backlash.x": 6e-5}, 4, "second"), known))
+    text = claim_text(og.close_loop(measured({**ERRORS, "backlash.x": 6e-5}, 4, "second"), known))
     between = "Between calibrated.toml and second the backlash of leg x changed from "
     assert text.startswith(between), text
     said = re.match(r"\S+ to ([\d.]+) mm", text.removeprefix(between))
@@ -106,7 +106,7 @@ def test_a_plate_that_bent_since_the_calibration_is_in_the_class(
     again = studied([probed("probe", 2, **after)], known)
     (change,) = again.changed
     for name, size in by.items():
-        assert change.moved[name] == pytest.approx(size, rel=0.25)
+        assert change.change_by_member[name] == pytest.approx(size, rel=0.25)
     assert change.after - change.before == pytest.approx(by[change.parameter], rel=0.25)
     assert again.word == "adequate"
     legs = [again.values[f"axis_offset.{leg}.radial"] for leg in "abc"]
@@ -206,7 +206,7 @@ def test_a_cause_that_was_one_of_several_is_told_by_how_much_it_changed(tmp_path
     (note,) = [str(note) for note in again.warnings if "told best by orthoglide check" in str(note)]
     assert "bar_mismatch.z" in note
     for change in again.changed:
-        assert change.moved["mount_tilt.z.b"] == pytest.approx(9.4e-3, rel=0.1)
+        assert change.change_by_member["mount_tilt.z.b"] == pytest.approx(9.4e-3, rel=0.1)
         assert "changed by" in change.message
     told = " ".join(str(action.words) for action in again.actions)
     assert "put back" not in told

@@ -13,8 +13,8 @@ import pytest
 import orthoglide as og
 from benchmarks.delta_truth import machine, measured
 from orthoglide.effects import CATALOGUE
-from orthoglide.effects.places import places
-from orthoglide.effects.plates import own_shapes
+from orthoglide.effects.free_form import free_forms
+from orthoglide.effects.plates import residual_plate_shapes
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file import Dial, MachineFile, machine_text, parse_machine_file
 from orthoglide.observations import readings_from_rows
@@ -69,8 +69,8 @@ def test_located_as_such_and_kept(
 
 
 def test_a_short_stroke_has_one_of_each() -> None:
-    assert {p.part for p in places() if p.short} == {"drive"}
-    both = {p.name for p in places(stroke=(-0.14, 0.4))} - {p.name for p in places()}
+    assert {p.part for p in free_forms() if p.short_waves} == {"drive"}
+    both = {p.name for p in free_forms(stroke=(-0.14, 0.4))} - {p.name for p in free_forms()}
     assert len(both) == 3 * (2 + 3)
     assert all(name.endswith("/waves") for name in both)
 
@@ -83,14 +83,18 @@ def test_parts_of_a_workshop_s_machines_are_made_to_the_same_tolerances() -> Non
     assert Geometry(L=1.8).scale == pytest.approx(3.0)
     stage = Geometry(0.03, 0.008, 0.003, (-0.01, 0.006))
     assert stage.scale == pytest.approx(0.2)
-    usual = {place.name: place.unit for place in places()}
-    for place in places(stroke=stage.stroke, scale=stage.scale):
-        assert place.unit == pytest.approx(usual[place.name] * (1.0 if place.turns else 0.2))
+    usual = {place.name: place.prior_sd for place in free_forms()}
+    for place in free_forms(stroke=stage.stroke, scale=stage.scale):
+        assert place.prior_sd == pytest.approx(
+            usual[place.name] * (1.0 if place.is_rotation else 0.2)
+        )
     at = np.random.default_rng(0).uniform(-0.7, 0.7, (5, 2))
-    for (_, fine), (_, size) in zip(own_shapes(at, stage.scale), own_shapes(at), strict=True):
+    for (_, fine), (_, size) in zip(
+        residual_plate_shapes(at, stage.scale), residual_plate_shapes(at), strict=True
+    ):
         assert fine == pytest.approx(0.2 * size)
     # The curve of a rail is of the same tolerance where it was found and where it is kept.
-    name = next(place.effect.name for place in places() if place.part == "rail")
+    name = next(place.effect.name for place in free_forms() if place.part == "rail")
     text = machine_text(MachineFile(geometry=stage))
     kept = parse_machine_file(
         f'{text}\n[parameters]\n"{name}.x.1" = {{value = 0.001, sigma = 0.0, unit = "mm"}}\n'

@@ -16,10 +16,10 @@ from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
 from orthoglide.mechanism.compiled import compiler
-from orthoglide.mechanism.engine import ByPinocchio, SixBars
+from orthoglide.mechanism.engine import PinocchioEngine, SixBars
 from orthoglide.mechanism.perfect_legs import commands as commands_of
-from orthoglide.mechanism.rows import Rows
-from orthoglide.mechanism.six_bars import LINES, OUTPUTS, ROTATION
+from orthoglide.mechanism.rows import RowFunction
+from orthoglide.mechanism.six_bars import LINES, OUTPUT_SIZE, ROTATION
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.prediction import Conditions
 from tests.engines import (
@@ -67,8 +67,8 @@ def postures(geometry: Geometry, n: int, seed: int, size: float = 1e-3) -> tuple
     return given(commands_of(mechanism(geometry).spheres, p), moves, geometry)
 
 
-def judge(geometry: Geometry) -> ByPinocchio:
-    return ByPinocchio(mechanism(geometry))
+def judge(geometry: Geometry) -> PinocchioEngine:
+    return PinocchioEngine(mechanism(geometry))
 
 
 # -- against Pinocchio -----------------------------------------------------------------------
@@ -91,7 +91,7 @@ def test_sensitivities_are_central_differences(geometry: Geometry, size: float) 
     known, h = np.hstack(postures(geometry, 4, 2, size)), 5e-5
     engine = six_bars(geometry)
     _, by_given = engine.tangent(known[:, :3], known[:, 3:])
-    assert by_given.shape == (4, OUTPUTS, 33)
+    assert by_given.shape == (4, OUTPUT_SIZE, 33)
 
     def values(change: Array) -> Array:
         moved = known + change
@@ -132,8 +132,8 @@ def drawn_machines(geometry: Geometry, n: int, times: float) -> tuple[Array, Arr
     tolerances = np.array([machine.tolerance(name) for name in model.catalogue.parameters])
     theta = times * tolerances * draws.standard_normal((n, len(tolerances)))
     travel, _ = postures(geometry, n, 5)
-    seen = model.seen(
-        Conditions.at(
+    seen = model.condition_vectors(
+        Conditions.from_commands(
             geometry.zero + travel,
             approach=draws.choice([-1.0, 1.0], (n, 3)),
             time=draws.uniform(0, 3600, n),
@@ -141,8 +141,10 @@ def drawn_machines(geometry: Geometry, n: int, times: float) -> tuple[Array, Arr
             load=draws.uniform(0, 100, n),
         )
     )
-    sizes = np.broadcast_to(model.moving.size, (n, len(model.moving.size)))
-    return travel, Rows(model.moving.function)(sizes, theta, seen)[0]
+    sizes = np.broadcast_to(
+        model.displacement_model.dimensions, (n, len(model.displacement_model.dimensions))
+    )
+    return travel, RowFunction(model.displacement_model.function)(sizes, theta, seen)[0]
 
 
 @pytest.mark.parametrize("geometry", [NOMINAL, WIDE], ids=["Orthoglide", "wide delta"])
@@ -204,7 +206,7 @@ def test_order_and_size_of_a_batch_do_not_matter() -> None:
         assert np.array_equal(one.values[0], together.values[k])
         assert np.array_equal(slope[0], slopes[k])
     assert forward(np.empty((0, 3))).shape == (0, 3)
-    assert engine.tangent(travel[:0], moves[:0])[1].shape == (0, OUTPUTS, 33)
+    assert engine.tangent(travel[:0], moves[:0])[1].shape == (0, OUTPUT_SIZE, 33)
 
 
 def test_a_posture_does_not_see_its_neighbours() -> None:

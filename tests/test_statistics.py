@@ -9,14 +9,14 @@ import pytest
 from scipy import stats
 
 import orthoglide as og
-from orthoglide.accuracy import Map, without_place
+from orthoglide.accuracy import TcpMap, without_translation
 from orthoglide.explanation import significance
 from orthoglide.explanation.signatures import Scoring, signatures
 from orthoglide.fit import Estimate
-from orthoglide.fit.least_squares import normal
+from orthoglide.fit.least_squares import normal_equations
 from orthoglide.fit.repeats import repeat_variance
-from orthoglide.fit.scores import deviation_rms, tail
-from orthoglide.fit.unknown import build_unknowns
+from orthoglide.fit.scores import chi2_p_value, deviation_rms
+from orthoglide.fit.unknowns import build_unknowns
 from orthoglide.machine_file import Dial
 from orthoglide.observations import protocol
 from orthoglide.planning import smallest_effects
@@ -81,7 +81,9 @@ def test_degrees_of_freedom_of_successive_differences() -> None:
 @pytest.mark.parametrize("resolution", [0.0, 1e-5])
 def test_drawn_noise_is_as_large_as_the_noise_of_a_reading(resolution: float) -> None:
     found = fitted(noise=None, resolution=resolution, repeatability=NOISE, placement=0.0)
-    drawn = significance._noise(found.problem, signatures(found), np.random.default_rng(0), 2000)
+    drawn = significance._draw_noise(
+        found.problem, signatures(found), np.random.default_rng(0), 2000
+    )
     total = np.sqrt(NOISE**2 + resolution**2 / 12)
     assert np.std(drawn) == pytest.approx(total, rel=0.02)
     assert found.problem.noise.typical == pytest.approx(total)
@@ -94,7 +96,7 @@ def test_what_is_to_be_detected_stands_above_noise_as_often_as_stated(level: flo
     told = smallest_effects(made, sheet, level=level)
     seen = signatures(fitted(repeatability=NOISE))
     drawn = significance.noise_residuals(seen, np.random.default_rng(7), 2000)
-    best = Scoring.of(seen, seen.candidates).evidences(drawn).max(axis=0)
+    best = Scoring.prepare(seen, seen.candidates).evidences(drawn).max(axis=0)
     assert np.mean(best > told.threshold) == pytest.approx(level, abs=0.018)
 
 
@@ -110,13 +112,13 @@ def test_the_tail_of_squares_that_priors_hold_back() -> None:
             continue
         drawn = np.sum(weights * rng.standard_normal((200_000, len(weights))) ** 2, axis=1)
         for p in (0.5, 0.1, 0.01):
-            assert tail(float(np.quantile(drawn, 1 - p)), count, shares) == pytest.approx(
+            assert chi2_p_value(float(np.quantile(drawn, 1 - p)), count, shares) == pytest.approx(
                 p, rel=0.1
             )
         noise = rng.chisquare(10, len(drawn)) / 10
         limit = float(np.quantile(drawn / noise, 0.95))
-        assert tail(limit, count, shares, 10.0) == pytest.approx(0.05, rel=0.15)
-    assert np.isnan(tail(1.0, 3, np.ones(3)))
+        assert chi2_p_value(limit, count, shares, 10.0) == pytest.approx(0.05, rel=0.15)
+    assert np.isnan(chi2_p_value(1.0, 3, np.ones(3)))
 
 
 @pytest.mark.parametrize(("size", "seed"), [(0.0, 0), (2e-5, 2)])
@@ -161,13 +163,13 @@ def test_noise_from_repeats_is_held_against_fisher() -> None:
 
 def test_priors_are_no_question_to_the_readings() -> None:
     found = fitted()
-    here = normal(found.problem, found.at, found.nuisance)
+    here = normal_equations(found.problem, found.at, found.nuisance)
     assert found.scores.chi2 == pytest.approx(here.chi2)
     assert found.scores.prior_chi2 == pytest.approx(
         float(np.sum((found.x / found.problem.prior_sd) ** 2))
     )
     assert found.scores.cost == pytest.approx(here.cost)
-    assert np.sum(here.shares) == pytest.approx(np.trace(
+    assert np.sum(here.hat_eigenvalues) == pytest.approx(np.trace(
         np.linalg.solve(here.information, here.jacobian.T @ here.jacobian)), rel=1e-6)  # fmt: skip
 
 
@@ -185,9 +187,10 @@ def test_deviations_are_from_the_first_posture_in_order() -> None:
     for setup in range(len(whole.setups)):
         rows = np.flatnonzero(whole.setup == setup)
         mean = {
-            k: residual[rows[problem.place[rows] == k]].mean() for k in set(problem.place[rows])
+            k: residual[rows[problem.place_number[rows] == k]].mean()
+            for k in set(problem.place_number[rows])
         }
-        first = problem.place[rows[np.argmin(turned.order[rows])]]
+        first = problem.place_number[rows[np.argmin(turned.order[rows])]]
         apart += [v - mean[first] for k, v in mean.items() if k != first]
     assert deviation_rms(problem, residual) == pytest.approx(np.sqrt(np.mean(np.square(apart))))
 
@@ -207,8 +210,8 @@ def test_unknowns_stay_within_fifty_tolerances() -> None:
 
 def test_a_field_is_taken_after_its_best_translation() -> None:
     field = np.random.default_rng(0).standard_normal((50, 3))
-    moved = without_place(field + np.array([1.0, -2.0, 3.0]))
-    assert moved == pytest.approx(without_place(field))
+    moved = without_translation(field + np.array([1.0, -2.0, 3.0]))
+    assert moved == pytest.approx(without_translation(field))
     assert np.sum(moved**2) <= np.sum((field - field[0]) ** 2)
     assert moved.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-12)
 
@@ -217,7 +220,7 @@ def test_the_stated_radius_holds_ninety_five_in_a_hundred() -> None:
     """In a plane's worth of directions and in one: at least that, as coordinates are pooled."""
     rng = np.random.default_rng(0)
     for sigma in ([1.0, 0.0, 0.0], [1.0, 1.0, 1.0]):
-        stated = Map(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)), np.array([sigma]))
+        stated = TcpMap(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)), np.array([sigma]))
         drawn = np.linalg.norm(rng.standard_normal((100_000, 3)) * sigma, axis=1)
         inside = np.mean(drawn <= stated.uncertainty[0])
         assert inside == pytest.approx(0.95, abs=0.003) if sigma[1] == 0 else inside > 0.95

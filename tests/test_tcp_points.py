@@ -107,7 +107,7 @@ def test_points_that_judge_are_looked_at_as_well() -> None:
 
 def test_points_are_judged_by_what_they_are_known_to_themselves() -> None:
     """Noise of 20 um in the points is no error of a machine that is known to 1 um."""
-    from orthoglide.closing.judging import fits_neither, tcp_errors
+    from orthoglide.closing.judging import points_contradiction, tcp_errors
 
     worn, rng = MACHINE.with_parameters(TRUTH), np.random.default_rng(2)
     rho = MACHINE.geometry.L + rng.uniform(*MACHINE.geometry.stroke, (40, 3))
@@ -117,7 +117,7 @@ def test_points_are_judged_by_what_they_are_known_to_themselves() -> None:
     def judged(sigma: float, after: dict[str, float]) -> tuple[float, str]:
         given = og.Readings.from_points(rho, p, np.full(40, sigma), np.zeros((40, 3)), lines)
         errors = tcp_errors(MACHINE, given, {}, after, stated)["translation"]
-        return errors.inside, fits_neither(errors, stated, given.points())
+        return errors.inside, points_contradiction(errors, stated, given.points())
 
     assert judged(np.nan, worn.values)[0] < 0.2
     inside, said = judged(2e-5, worn.values)

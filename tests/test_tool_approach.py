@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.fit.excited import excited_effects
+from orthoglide.fit.excitation import excited_effects
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations import Readings, read_readings, readings_text

@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.explanation.data_faults import Blunder, without
-from orthoglide.instruments.placing import centre_of
+from orthoglide.explanation.data_faults import ReportedFault, without_faults
+from orthoglide.instruments.pose_estimation import estimate_sphere_centre
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument
 from orthoglide.observations import Readings
-from tests.test_tool_readings import sheet_of
+from tests.test_tool_readings import instrument_sheet
 
 MACHINE = Machine.nominal()
 OFF = {"joint_offset.x": 0.7e-3, "joint_offset.y": -1.1e-3, "leg_length.z": 0.04e-3}
 
 
 def read(kind: str, seed: int = 3, noise: float | None = None, passes: int = 1) -> Readings:
-    sheet = sheet_of(MACHINE, kind)
+    sheet = instrument_sheet(MACHINE, kind)
     rows = np.tile(np.arange(len(sheet)), passes)
     order = np.arange(len(rows))
     sheet = replace(sheet.subset(rows), order=order + 1, line=order + 2)
@@ -35,7 +35,7 @@ def moved(kind: str, size: float) -> tuple[Readings, int]:
     late = np.arange(len(found)) >= len(found) // 2
     if kind == "ballbar":
         p = MACHINE.with_parameters(OFF).forward(found.command)
-        toward = p - centre_of(p, found.reading)
+        toward = p - estimate_sphere_centre(p, found.reading)
         shown = toward @ [1.0, 0.5, -0.7] / np.linalg.norm(toward, axis=1)
     else:
         shown = np.array([1.0, 0.5, -0.7])[found.axis]
@@ -79,13 +79,13 @@ def test_what_moved_twice_leaves_no_setup_without_readings() -> None:
     """Whichever is found first: a setup without readings ended the run in a traceback."""
     problem = og.identify([read("tcp")], MACHINE).problem
     late, later = (
-        Blunder(
+        ReportedFault(
             "moved", tuple((0, k) for k in range(first, len(problem.measured))), (), "", 0, 0, 0
         )
         for first in (6, 30)
     )
     for order in ([late, later], [later, late]):
-        (factor,) = without(problem, order).factors
+        (factor,) = without_faults(problem, order).factors
         assert np.bincount(factor.setup).min() > 0
         assert len(factor.readings.setups) == 3
 

@@ -11,16 +11,16 @@ from scipy.spatial.transform import Rotation
 import orthoglide as og
 from orthoglide.errors import FileError, InputError
 from orthoglide.firmware.klipper import import_printer
-from orthoglide.fit import assemble, tempered
+from orthoglide.fit import assemble, refit_with_residual_noise
 from orthoglide.fit.roughness import roughness
-from orthoglide.geometry import Geometry, moved_onto
+from orthoglide.geometry import Geometry, align_points
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller, Instrument, MachineFile
 from orthoglide.observations import Readings, campaign_text, read_readings
 from orthoglide.observations.checks import check_readings
-from orthoglide.planning.sheets import sheet_of, sheets_of
+from orthoglide.planning.sheets import instrument_sheet, sheets_by_kind
 from tests.factors import factor_of
 from tests.klipper_files import DATA
 from tests.rig_delta import DeltaRig
@@ -116,7 +116,7 @@ def test_a_probe_beside_the_tool_touches_where_the_platform_holds_it(tmp_path: P
         assert np.array_equal(again.beside, campaign.beside)
         factor = factor_of(again, MACHINE)
         linear = factor.linearise(true.model, true.values, ["joint_offset.b"])
-        columns = factor.nuisances(linear.seen).columns
+        columns = factor.nuisances(linear.reading_poses).columns
         rest = factor.measured - linear.value
         left.append(np.abs(rest - columns @ np.linalg.lstsq(columns, rest, rcond=1e-12)[0]).max())
     assert left[0] < 1e-9
@@ -164,10 +164,10 @@ def test_a_longer_tool_swings_as_the_platform_turns(tmp_path: Path) -> None:
         assert np.array_equal(again.beside, campaign.beside)
         factor = factor_of(again, true)
         linear = factor.linearise(true.model, true.values, ["joint_offset.b"])
-        factor = factor.about(linear.seen)
+        factor = factor.with_instrument_poses(linear.reading_poses)
         linear = factor.linearise(true.model, true.values, ["joint_offset.b"])
         assert np.array_equal(linear.value, factor.predict(true.model, true.values))
-        columns = factor.nuisances(linear.seen).columns
+        columns = factor.nuisances(linear.reading_poses).columns
         rest = factor.measured - linear.value
         rest = rest - columns @ np.linalg.lstsq(columns, rest, rcond=1e-12)[0]
         left[down] = {k: np.abs(rest[again.of_kind(k)]).max() for k in set(again.kind)}
@@ -210,7 +210,7 @@ def test_a_plate_that_was_turned_takes_its_shape_along(tmp_path: Path) -> None:
     shapes = {f"plate_trefoil.{s}.cos": 2e-4 for s in factor.setup_names}
     shapes |= {f"plate_bow.{s}": -1e-4 for s in factor.setup_names}
     linear = factor.linearise(MACHINE.model, MACHINE.values | shapes, ["joint_offset.b"])
-    columns = factor.nuisances(linear.seen).columns
+    columns = factor.nuisances(linear.reading_poses).columns
     rest = factor.measured - linear.value
     left = rest - columns @ np.linalg.lstsq(columns, rest, rcond=1e-12)[0]
     assert np.abs(left).max() < 1e-8
@@ -294,7 +294,7 @@ def test_a_plate_and_a_level_find_what_is_wrong(tmp_path: Path) -> None:
 def test_the_shape_of_a_plate_is_its_own(tmp_path: Path) -> None:
     (campaign,) = read(tmp_path, text(("plate",), MACHINE, noise=1e-6))
     factor = factor_of(campaign, MACHINE)
-    x, y = factor.place.T
+    x, y = factor.normalized_plate_xy.T
     lobes = 2e-4 * (x**3 - 3 * x * y**2)
     bent = replace(campaign, reading=campaign.reading - lobes)  # a higher plate is nearer
     estimate = og.identify([bent], MACHINE, [*MACHINE.catalogue.base, "plate_trefoil"])
@@ -310,7 +310,11 @@ def test_noise_comes_from_instrument_rows_and_roughness(tmp_path: Path) -> None:
     declared = replace(campaign, sigma=np.full(len(campaign), 3e-6))
     assert factor_of(declared, MACHINE).sigma[0] == pytest.approx(3e-6)
     problem = assemble(campaign, MACHINE, ["joint_offset"])
-    assert problem.noise.typical == pytest.approx(problem.sigma[0]) == problem.noises["plate"][0]
+    assert (
+        problem.noise.typical
+        == pytest.approx(problem.sigma[0])
+        == problem.noise_by_instrument["plate"][0]
+    )
     assert roughness(np.zeros((5, 2)), np.zeros(5), np.zeros((5, 3)))[0] == 0.0
 
 
@@ -374,7 +378,7 @@ def test_what_a_delta_or_its_file_lacks_is_said(tmp_path: Path) -> None:
 @pytest.mark.thorough
 def test_a_strong_cause_is_no_slip(tmp_path: Path) -> None:
     """Half a millimetre off the base at few places, but on what a leaning rail makes of all."""
-    machine = Machine(replace(SPEC, tolerance=MACHINE.catalogue.of_belts))
+    machine = Machine(replace(SPEC, tolerance=MACHINE.catalogue.belt_tolerance))
     bent = machine.with_parameters({"rail_tilt.c.tangential": 9e-3})
     (campaign,) = read(tmp_path, text(("tcp",), bent, noise=1e-5))
     assert og.identify([campaign], machine).sigma_scale > 5
@@ -392,7 +396,7 @@ def test_a_slip_counts_by_the_size_of_the_machine() -> None:
         instruments={"tcp": Instrument(1e-7, 1e-6)},
     )
     stage = Machine(spec)
-    sheet = og.simulate(stage, sheet_of(stage, "tcp"), seed=1)
+    sheet = og.simulate(stage, instrument_sheet(stage, "tcp"), seed=1)
     read = sheet.reading.copy()
     read[7] += 6e-5
     found = og.identify([replace(sheet, reading=read)], stage)
@@ -437,7 +441,7 @@ def test_an_imported_frame_reads_back() -> None:
 
 def sheets(machine: Machine, *kinds: str) -> list[Readings]:
     """Readings that instruments would take."""
-    return [og.simulate(machine, sheet_of(machine, kind), seed=1) for kind in kinds]
+    return [og.simulate(machine, instrument_sheet(machine, kind), seed=1) for kind in kinds]
 
 
 def test_kinds_go_into_one_file(tmp_path: Path) -> None:
@@ -617,7 +621,7 @@ def test_a_slip_of_an_exact_instrument_is_told(kind: str, size: float, tmp_path:
 @pytest.fixture(scope="module")
 def tracked() -> tuple[Machine, Readings]:
     machine = Machine(import_printer(DATA / "v400-april.cfg").machine).with_only({})
-    sheet = sheet_of(machine, "tcp")
+    sheet = instrument_sheet(machine, "tcp")
     return machine, sheet
 
 
@@ -649,7 +653,9 @@ def test_intervals_of_readings_ten_times_as_noisy_as_declared_hold_the_truth(
         true = {p: float(rng.normal(0, machine.tolerance(p))) for p in names}
         seen = og.simulate(machine.with_parameters(true), sheet, noise=1e-3, seed=seed)
         declared = replace(seen, sigma=np.full(len(seen), 1e-4))
-        found = tempered(og.identify([declared], machine, list(machine.catalogue.base)))
+        found = refit_with_residual_noise(
+            og.identify([declared], machine, list(machine.catalogue.base))
+        )
         assert 8 < found.sigma_scale < 12
         held = [low <= true[p] <= high for p in names for low, high in [found.interval(p)]]
         outside += held.count(False)
@@ -664,7 +670,7 @@ def base_of(machine: Machine) -> list[str]:
 def test_a_ball_is_where_the_machine_found_has_it() -> None:
     """Zeros some millimetres off: squares of the ball's shift were a sound machine's errors."""
     machine = Machine.nominal()
-    sheet = sheet_of(machine, "ballbar")
+    sheet = instrument_sheet(machine, "ballbar")
     off = {"joint_offset.x": -1.9e-3, "joint_offset.y": -1.8e-3, "joint_offset.z": 3.4e-3}
     exact = og.simulate(machine.with_parameters(off), sheet, exact=True)
     seen = replace(exact, sigma=np.full(len(exact), 5e-6))
@@ -686,7 +692,7 @@ def test_what_an_instrument_would_tell_goes_by_its_noise(
         instruments={kind: Instrument(repeatability=4 * OBSERVATIONS[kind].repeatability)},
     )
     one, other = (
-        {s.name: s.detectable for s in og.smallest_effects(m, sheet_of(m, kind)).smallest}
+        {s.name: s.detectable for s in og.smallest_effects(m, instrument_sheet(m, kind)).smallest}
         for m in (machine, replace(machine, spec=noisy))
     )
     worse = [other[name] / one[name] for name in one if name in other]
@@ -711,7 +717,7 @@ def from_both_sides(sheet: Readings, *, twice: bool) -> Readings:
 @pytest.mark.parametrize("kind", ["plate", "tcp"])
 def test_lost_motion_is_no_noise_of_an_instrument(kind: str, size: float, twice: bool) -> None:
     machine = Machine.nominal()
-    sheet = sheet_of(machine, kind)
+    sheet = instrument_sheet(machine, kind)
     loose = machine.with_parameters({"backlash.common": size})
     read = og.simulate(loose, from_both_sides(sheet, twice=twice), noise=5e-6, seed=1)
     assert factor_of(read, machine).sigma.max() <= OBSERVATIONS[kind].repeatability
@@ -737,7 +743,7 @@ def test_a_bowed_plate_is_no_bar_far_beyond_its_tolerance(bow: float) -> None:
     """To a plate alone both look the same, and a base of wide priors would take either."""
     spec = replace(Machine.nominal().spec, instruments={"plate": Instrument(repeatability=3e-6)})
     machine = Machine(spec)
-    sheet = sheet_of(machine, "plate")
+    sheet = instrument_sheet(machine, "plate")
     off = machine.with_parameters({"joint_offset.x": 5e-4, "joint_offset.y": -3e-4})
     seen = og.simulate(off, sheet, seed=5)
     p = machine.forward(seen.command)
@@ -753,8 +759,8 @@ def test_a_bowed_plate_is_no_bar_far_beyond_its_tolerance(bow: float) -> None:
 
 def test_one_plate_probed_twice_hides_its_bowl_as_if_probed_once() -> None:
     """Two setups on one plate show that their shapes agree, and not what they are."""
-    machine = Machine(replace(SPEC, tolerance=MACHINE.catalogue.of_belts))
-    once = sheet_of(machine, "plate")
+    machine = Machine(replace(SPEC, tolerance=MACHINE.catalogue.belt_tolerance))
+    once = instrument_sheet(machine, "plate")
     for setups in (("bed",), ("bed", "again")):
         read = [replace(og.simulate(machine, once, noise=2e-5, seed=k), name=s,
                         setups=(replace(once.setups[0], name=s),))
@@ -781,10 +787,10 @@ ZEROS = {"joint_offset.x": 5e-4, "joint_offset.y": -3e-4}
 def test_the_frame_of_a_simulated_tracker_is_turned_and_not_sheared() -> None:
     machine = exacting(**ZEROS)
     for seed in range(4):
-        made = og.simulate(machine, sheet_of(machine, "tcp"), noise=0.0, seed=seed)
+        made = og.simulate(machine, instrument_sheet(machine, "tcp"), noise=0.0, seed=seed)
         p, seen = machine.forward(made.command)[::3], made.reading.reshape(-1, 3)
         assert np.abs(seen - p).max() > 1e-4
-        assert np.abs(moved_onto(seen, seen, p) - p).max() < 1e-9
+        assert np.abs(align_points(seen, seen, p) - p).max() < 1e-9
 
 
 @pytest.mark.thorough
@@ -792,7 +798,7 @@ def test_a_ball_bar_pulls_at_nothing_that_it_does_not_see() -> None:
     """Towers that all end higher move the tool as a whole: the prior is all that is known of it."""
     layout = LinearDelta((0.12,) * 3)
     machine = Machine(MachineFile(geometry=Geometry(0.25, 0.05, 0.03, (-0.01, 0.15), layout)))
-    sheets = sheets_of(machine, ["plate", "ballbar"])
+    sheets = sheets_by_kind(machine, ["plate", "ballbar"])
     legs = machine.geometry.leg_names
     for seed in (5, 7):
         rng = np.random.default_rng(seed)

@@ -10,14 +10,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from orthoglide.closing import Closed, filled
+from orthoglide.closing import RunOutcome, build_result
 from orthoglide.fit import Estimate
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.observations import Readings
 from orthoglide.report import report_files, result_text
 from orthoglide.report.rows import score_rows
-from orthoglide.report.words import headline
+from orthoglide.report.sentences import headline
 from orthoglide.result import Request
 from orthoglide.verdict import Verdict, close_loop, run
 from tests import rig_campaigns as rc
@@ -60,11 +60,11 @@ def tool(
 
 @cache
 def odd_tool() -> Verdict:
-    return filled(odd_loop(), Verdict)
+    return build_result(odd_loop(), Verdict)
 
 
 @cache
-def odd_loop() -> Closed:
+def odd_loop() -> RunOutcome:
     """The dials find nothing odd, the tracker's places are off without pattern."""
     return studied([dials(), tool(("tcp",), odd=4e-4)], MACHINE)
 
@@ -98,19 +98,19 @@ TWISTED = {**ERRORS, "mount_tilt.x.a": 0.012}
 
 
 @cache
-def with_level() -> Closed:
+def with_level() -> RunOutcome:
     """A hinge that hardly moves the tool, and turns the platform."""
     return studied([tool(("tcp", "incline"), errors=TWISTED)], MACHINE)
 
 
-def left_of(closed: Closed, of: str, stage: Estimate) -> float:
-    (points,) = (f.readings for f in closed.after.problem.tool)
+def left_of(closed: RunOutcome, of: str, stage: Estimate) -> float:
+    (points,) = (f.readings for f in closed.after.problem.tool_factors)
     return float(np.sqrt(np.mean(stage.residuals[points.of_kind(of)] ** 2)) * 1e3)
 
 
 @pytest.mark.thorough
 def test_millimetres_and_milliradians_are_told_apart() -> None:
-    closed, verdict = with_level(), filled(with_level(), Verdict)
+    closed, verdict = with_level(), build_result(with_level(), Verdict)
     before, after = closed.before, closed.after
     mm, mrad = (
         [left_of(closed, kind, stage) for stage in (before, after)] for kind in ("tcp", "incline")
@@ -146,8 +146,8 @@ def test_what_readings_do_not_see_is_not_called_nominal() -> None:
 @pytest.mark.thorough
 def test_residuals_stand_under_their_units() -> None:
     closed = with_level()
-    (points,) = (f.readings for f in closed.after.problem.tool)
-    files = report_files(filled(closed, Verdict))
+    (points,) = (f.readings for f in closed.after.problem.tool_factors)
+    files = report_files(build_result(closed, Verdict))
     table = list(csv.DictReader(io.StringIO(files["residuals.csv"])))
     assert [row["kind"] for row in table] == list(points.kind)
     residuals = closed.after.residuals * 1e3

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.closing import Closed, close, filled
+from orthoglide.closing import RunOutcome, build_result, compute_outcome
 from orthoglide.effects import CATALOGUE
-from orthoglide.effects.wording import confirm_words, one_words, size_words
+from orthoglide.effects.wording import confirm_words, size_words, value_words
 from orthoglide.effects.words import mm, mrad, percent, slope
 from orthoglide.mechanism.tree import load, nominal_tree
 from orthoglide.numerals import compact
@@ -67,7 +67,7 @@ def test_what_time_and_warmth_do_is_said_alike_in_every_sentence(
     name: str, value: float, told: str, expected: str
 ) -> None:
     parameter = CATALOGUE.parameter(name, ("a",))
-    assert told in one_words(CATALOGUE[parameter.effect], parameter, value)
+    assert told in value_words(CATALOGUE[parameter.effect], parameter, value)
     assert expected in confirm_words(CATALOGUE[parameter.effect], parameter, value)
 
 
@@ -85,16 +85,16 @@ def test_a_misfit_is_as_large_as_its_largest_entry_whatever_its_sign() -> None:
 
 @cache
 def found() -> og.Verdict:
-    return filled(closed(), og.Verdict)
+    return build_result(closed(), og.Verdict)
 
 
 @cache
-def closed() -> Closed:
+def closed() -> RunOutcome:
     """An identification of lengths, angles, ratios and speeds."""
     machine = og.Machine.load(RIG / "machine.toml")
     free = ["joint_offset", "leg_length", "axis_tilt", "gauge_drift", "gauge_scale"]
     campaign = og.read_campaign(RIG / "rig-2.csv", machine.spec)
-    return close(Request("identify", (campaign,), machine, free=tuple(free)))
+    return compute_outcome(Request("identify", (campaign,), machine, free=tuple(free)))
 
 
 def test_values_sigmas_and_tolerances_share_one_unit() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.explanation.free import curves
+from orthoglide.explanation.free_form import free_form_columns
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -62,7 +62,7 @@ def test_readings_that_follow_within_a_fraction_of_a_second_may_jump() -> None:
     frame["time_s"] = [0.03 * k for k in range(len(rows))]
     fit = og.identify([og.Campaign.from_frame(frame)])
     rest = np.random.default_rng(6).normal(size=len(rows))
-    _, found = curves(fit.problem, fit.x, rest)
+    _, found = free_form_columns(fit.problem, fit.x, rest)
     names = [place.name for place in found]
     assert sum("drive.x/time@" in name for name in names) >= 2
     assert len(set(names)) == len(names)

@@ -15,7 +15,7 @@ from orthoglide.errors import FileError
 from orthoglide.explanation.identifying import identify
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
-from orthoglide.mechanism.engine import ByPinocchio, SixBars
+from orthoglide.mechanism.engine import PinocchioEngine, SixBars
 from orthoglide.mechanism.symbolic_closure import closure_functions
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import protocol
@@ -164,7 +164,7 @@ def test_closure_engine_and_programme_follow_the_file(edit: Edit, tmp_path: Path
     assert np.abs(pose.R - R).max() < 1e-11
     assert np.abs(machine.by_pinocchio().forward(RHO) - p).max() < 1e-12
     assert isinstance(machine.model.engine, SixBars)
-    assert isinstance(machine.by_pinocchio().model.engine, ByPinocchio)
+    assert isinstance(machine.by_pinocchio().model.engine, PinocchioEngine)
     tree = machine.model.mechanism.tree
     functions = closure_functions(tree)
     for command, place in zip(RHO[:5], p, strict=False):

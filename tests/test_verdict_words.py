@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.explanation import full_posterior, outstanding, remains
-from orthoglide.explanation.causes import Outstanding
+from orthoglide.explanation import credible_sets, full_posterior, posterior_lack_of_fit
+from orthoglide.explanation.causes import CredibleSets
 from orthoglide.explanation.significance import SIGNIFICANT
 from orthoglide.fit import assemble, solve
-from orthoglide.report.words import headline
+from orthoglide.report.sentences import headline
 from tests import rig_campaigns as rc
 from tests.rig import LEGS, Rig
 from tests.studied import studied
 
-NOTHING = Outstanding((), (), ())
+NOTHING = CredibleSets((), (), ())
 
 
 def campaign_of(rig: Rig, seed: int = 3) -> og.Campaign:
@@ -43,7 +43,7 @@ def test_a_verdict_and_its_table_agree() -> None:
     members = verdict.located[0].members  # the mean is over all of them
     assert len(members) > 1
     assert verdict.after.scores.lack_of_fit_p > SIGNIFICANT
-    about, curves = verdict.posterior.about, verdict.after.problem.curves
+    about, curves = verdict.posterior.linearised, verdict.after.problem.free_form_errors
     for member in (one for one in members if one.probability > 0.1):
         own = about.rows[:, about.coefficients(member.place)]
         off = own - curves.columns @ np.linalg.lstsq(curves.columns, own, rcond=1e-12)[0]
@@ -81,14 +81,14 @@ def test_what_is_not_told_explains_nothing() -> None:
     campaign = campaign_of(Rig(errors={"axis_tilt.y.z": 2e-3}))
     machine = og.Machine.nominal()
     known = full_posterior(solve(assemble([campaign], machine, machine.catalogue.base)))
-    found = outstanding(known)
+    found = credible_sets(known)
     assert "axis_tilt.y.z" in found.names
-    assert remains(known, NOTHING).p_value > 0.01
+    assert posterior_lack_of_fit(known, NOTHING).p_value > 0.01
     known.__dict__["after"] = known.before  # as if the mean did not fit
-    told, untold = remains(known, found), remains(known, NOTHING)
+    told, untold = posterior_lack_of_fit(known, found), posterior_lack_of_fit(known, NOTHING)
     assert told.p_value > 0.01
     assert untold.p_value < 1e-6
-    assert untold.untold == pytest.approx(told.p_value, rel=0.5)
+    assert untold.with_unreported == pytest.approx(told.p_value, rel=0.5)
 
 
 @pytest.mark.thorough

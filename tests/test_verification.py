@@ -17,7 +17,7 @@ import orthoglide as og
 from orthoglide.errors import ClosureError, CrossCheckError, SolverError
 from orthoglide.explanation.identifying import identify
 from orthoglide.fit import Estimate, solving
-from orthoglide.fit.crosscheck import MOST_POSTURES, verify
+from orthoglide.fit.crosscheck import MAX_POSTURES, verify
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, Stiffness
 from orthoglide.mechanism.engine import Outputs, SixBars
@@ -75,7 +75,7 @@ def test_a_result_says_how_far_pinocchio_is_from_it(result: Callable[[], Verdict
     assert 0 < max(written["closure_residual_m"].values()) < 1e-11
     assert written["tcp_max_difference_mm"] < 1e-9
     assert written["sensitivity_max_relative_difference"] < 1e-9
-    assert 0 < written["postures"] <= MOST_POSTURES
+    assert 0 < written["postures"] <= MAX_POSTURES
     assert found.verification is not None
     assert written == found.verification.as_dict()
 
@@ -83,10 +83,10 @@ def test_a_result_says_how_far_pinocchio_is_from_it(result: Callable[[], Verdict
 @pytest.mark.thorough
 def test_of_many_postures_as_many_are_drawn() -> None:
     machine = Machine.nominal().with_parameters({"joint_offset.x": 3e-4})
-    points = simulate_tcp(machine, MOST_POSTURES + 40)
+    points = simulate_tcp(machine, MAX_POSTURES + 40)
     found = identify(points, method="nested")
     assert found.verification is not None
-    assert found.verification.postures == MOST_POSTURES
+    assert found.verification.postures == MAX_POSTURES
     few = identify(simulate_tcp(machine, 30), method="nested").verification
     assert few is not None
     assert few.postures == 30

@@ -16,7 +16,7 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.errors import FileError, InputError
 from orthoglide.machine_file import MachineFile
-from orthoglide.viewer import Magnified, show, static_page
+from orthoglide.viewer import MagnifiedMachine, show, static_page
 from tests.test_layout import DELTA
 from tests.test_report import browsed
 
@@ -92,7 +92,7 @@ class Scene:
 @cache
 def page_of(kind: str, factor: float) -> str:
     own = worn(kind)
-    drawn = Magnified(own.model, own.values, {}, factor)
+    drawn = MagnifiedMachine(own.model, own.values, {}, factor)
     return static_page(show(drawn, posture(kind)), drawn, "A & B")
 
 
@@ -165,16 +165,16 @@ def test_errors_are_magnified_and_the_nominal_machine_stands_beside(kind: str) -
 def test_a_rail_is_drawn_along_the_path_of_its_carriage() -> None:
     own = worn("orthoglide")
     plain, bent = Scene(page_of("orthoglide", 1.0)), scene("orthoglide", FACTOR)
-    path = Magnified(own.model, own.values, {}, FACTOR).paths()[1]  # y: a bow toward z
+    path = MagnifiedMachine(own.model, own.values, {}, FACTOR).paths()[1]  # y: a bow toward z
     low, high = own.geometry.stroke
     found = [place[:3, 3] for name, place in bent.places.items() if "base_5_piece" in name]
     assert len(found) > 10
     for point in found:
         travel = point[1] - path.origin[1]
         if low < travel < high:
-            aside = np.interp(travel, path.travel, path.aside[:, 2])
+            aside = np.interp(travel, path.travel, path.lateral[:, 2])
             assert point[2] - 0.95 * own.geometry.d == pytest.approx(aside, abs=2e-4)
-    assert np.ptp(path.aside[:, 2]) > 1e-3
+    assert np.ptp(path.lateral[:, 2]) > 1e-3
     straight = "machine/visuals/base_10"  # z is neither tilted nor bowed
     np.testing.assert_array_equal(bent.places[straight], plain.places[straight])
 

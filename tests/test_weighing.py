@@ -53,7 +53,7 @@ def test_means_and_scatter_share_out_the_square() -> None:
     within = float(np.sum(((rows - means[STATION]) / SIGMA) ** 2))
     assert white @ white == pytest.approx(between + within)
     own = rows[STATION == 1]
-    assert found.first.tolist() == [0, 1, 3, 6]
+    assert found.first_rows.tolist() == [0, 1, 3, 6]
     assert means[1] == pytest.approx(np.average(own, weights=SIGMA[STATION == 1] ** -2))
 
 
@@ -145,7 +145,7 @@ def test_what_the_model_lacks_does_not_widen_tolerances() -> None:
     """Ends that deviate alike bend lengths by metres where nothing holds them."""
     found = og.identify(_bowed(), og.Machine.nominal())
     assert found.sigma_scale > 1
-    assert {u.width for u in found.problem.unknowns} == {1.0}
+    assert {u.prior_width for u in found.problem.unknowns} == {1.0}
 
 
 def _bowed() -> og.Campaign:

@@ -18,7 +18,7 @@ sys.path.insert(0, str(HERE.parents[1]))
 
 import orthoglide as og  # noqa: E402
 from orthoglide.effects.wording import cause_words  # noqa: E402
-from orthoglide.report.words import MEANINGS, claim  # noqa: E402
+from orthoglide.report.sentences import MEANINGS, claim_text  # noqa: E402
 from orthoglide.text import sentence  # noqa: E402
 from orthoglide.units import MM  # noqa: E402
 
@@ -144,7 +144,7 @@ def section(case: Case) -> str:
             f"{sentence(MEANINGS[verdict.word])} {ADVICE[case.name]}",
             f"Hidden in the machine: {case.hidden}.",
             f"![The machine, what was found marked on it](images/{drawn.name})",
-            f"**{claim(verdict)}**",
+            f"**{claim_text(verdict)}**",
             errors(verdict),
         ]
     )

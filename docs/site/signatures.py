@@ -10,7 +10,7 @@ import numpy as np
 
 import orthoglide as og
 import orthoglide.figures.style as style
-from orthoglide.effects.wording import one_words
+from orthoglide.effects.wording import value_words
 from orthoglide.geometry import LEGS, Array
 from orthoglide.pictures import dials, option
 from orthoglide.scene import drawing
@@ -87,12 +87,12 @@ def draw(effect: og.Effect, sheet: Sheet, folder: Path) -> tuple[str, str]:
     setup, stem = sheet.campaign.setups[0].name, f"effect-{effect.name}"
     value = effect.tolerance_si
     name = max(effect.parameters((setup,)), key=lambda n: np.linalg.norm(sheet.left(n, value)))
-    words = one_words(effect, name, value)
+    words = value_words(effect, name, value)
     posed = sheet.machine.with_only({}).posed()
     marked = option(sheet.machine, words, {name: value})
-    svg = drawing(posed, [marked], dials(posed, [sheet.campaign]), title=words, alone=True)
+    svg = drawing(posed, [marked], dials(posed, [sheet.campaign]), title=words, standalone=True)
     (folder / f"{stem}-machine.svg").write_text(svg, encoding="utf-8")
-    with style.applied():
+    with style.figure_style():
         svg = panels(sheet, sheet.change(name, value), sheet.left(name, value))
     (folder / f"{stem}-readings.svg").write_text(svg, encoding="utf-8")
     return words, stem

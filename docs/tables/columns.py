@@ -25,10 +25,10 @@ def names(column: Column) -> str:
 def has(column: Column, observation: Observation) -> bool:
     """Return whether readings of a kind have a column, by the kind's own list if it is on one."""
     name = column.names()[0]
-    listed = any(name in one.of_setup for one in OBSERVATIONS.values())
-    if column.of_setup and listed:
-        return name in observation.of_setup
-    return column.of(observation)
+    listed = any(name in one.setup_columns for one in OBSERVATIONS.values())
+    if column.per_setup and listed:
+        return name in observation.setup_columns
+    return column.applies_to(observation)
 
 
 def kinds(column: Column) -> str:
@@ -44,8 +44,8 @@ def empty(column: Column) -> str:
     """Return what an empty cell or an absent column stands for."""
     if column in schema.READINGS.values() or column.required:
         return "" if column is ORDER or column in WAYS else "required"
-    written = column.kind.write(column.empty)
-    shown = f"{column.empty:g}" if isinstance(column.empty, float) else written
+    written = column.kind.write(column.empty_value)
+    shown = f"{column.empty_value:g}" if isinstance(column.empty_value, float) else written
     return f"`{shown}`" if written else ""
 
 
@@ -65,8 +65,8 @@ def kind_table() -> str:
     skipped -= {COMMANDS[schema.TRAVEL]}  # the second command in one of its ways is enough
     further = [c for c in COLUMNS if kinds(c) != "all" and c.attribute and c not in skipped]
     lines = [
-        f"| `{kind}` | {one.words} | {one.fill} | "
-        f"{', '.join(names(c) for c in further if has(c, one))} | {one.fitted} |"
+        f"| `{kind}` | {one.instrument_phrase} | {one.sheet_instruction} | "
+        f"{', '.join(names(c) for c in further if has(c, one))} | {one.nuisance_summary} |"
         for kind, one in OBSERVATIONS.items()
     ]
     return "\n".join([KIND_HEAD, *lines]).replace("|  |", "| |")

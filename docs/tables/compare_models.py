@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 
 from orthoglide.comparison import Row, compare_effects, worst_by_effect
-from orthoglide.comparison.rows import SAME
+from orthoglide.comparison.rows import EQUAL_WITHIN
 from orthoglide.comparison.tables import LIMITS, markdown_table
 
 COLUMNS = (
@@ -35,8 +35,8 @@ def names(rows: tuple[Row, ...]) -> str:
 
 
 def summary(rows: tuple[Row, ...]) -> str:
-    seen = [r for r in rows if max(r.nominal.max, r.reading_change) > SAME]
-    exact = tuple(r for r in seen if max(r.fitted.max, r.reading_max) <= SAME)
+    seen = [r for r in rows if max(r.nominal.max, r.reading_change) > EQUAL_WITHIN]
+    exact = tuple(r for r in seen if max(r.fitted.max, r.reading_max) <= EQUAL_WITHIN)
     enough = tuple(r for r in seen if r.good_enough and r not in exact)
     not_enough = tuple(r for r in seen if not r.good_enough)
     unseen = tuple(r for r in rows if r not in seen)

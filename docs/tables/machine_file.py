@@ -23,7 +23,9 @@ def default(section: Section, key: Key) -> str:
     """Return what is taken where a key is absent; nothing where its meaning says it."""
     if key.required:
         return "required"
-    found = {field.name: field.default for field in fields(section.record)}.get(key.held, MISSING)
+    found = {field.name: field.default for field in fields(section.record_class)}.get(
+        key.field_name, MISSING
+    )
     if section in NO_DEFAULTS or found is MISSING or found in (None, ""):
         return ""
     return f"`{written(key.kind.write(found))}`"
@@ -65,7 +67,13 @@ def layout_rows() -> list[str]:
 def markdown() -> str:
     """Return the table of the page."""
     lines = [row(*HEAD), "|---|---|---|---|---|", *rows(schema.TOP)]
-    known = (schema.GEOMETRY, schema.INSTRUMENT, schema.DRIVE, schema.CLASS, *schema.PARTS.values())
+    known = (
+        schema.GEOMETRY,
+        schema.INSTRUMENT,
+        schema.DRIVE,
+        schema.CLASS,
+        *schema.SECTIONS_BY_ATTRIBUTE.values(),
+    )
     keys = {section.name: rows(section) for section in known}
     keys["layout"] = layout_rows()
     keys["tolerance"] = rows(schema.tolerances(CATALOGUE), (schema.SURFACE_SLOPE,))

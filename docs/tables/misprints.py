@@ -205,8 +205,8 @@ def right_side_2006() -> Misprint:
         np.subtract(
             *(
                 (
-                    reduction.observe(commands, 0, 1, L / 2, o).values
-                    - reduction.observe(commands, 0, 1, L / 2, -o).values
+                    reduction.predict_readings(commands, 0, 1, L / 2, o).values
+                    - reduction.predict_readings(commands, 0, 1, L / 2, -o).values
                 )
                 / (2 * step)
             )

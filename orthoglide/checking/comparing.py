@@ -9,22 +9,28 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.checking.difference import COLUMNS, Difference, entered
+from orthoglide.checking.difference import COLUMNS, Difference, zero_entry_clauses
 from orthoglide.checking.plates import PlateMove, plate_moves
-from orthoglide.checking.states import State, of_all, of_one, states_of, told_apart
-from orthoglide.closing import Closed, close, filled
+from orthoglide.checking.states import (
+    State,
+    joint_request,
+    read_states,
+    single_request,
+    with_distinct_names,
+)
+from orthoglide.closing import RunOutcome, build_result, compute_outcome
 from orthoglide.effects import Catalogue
 from orthoglide.explanation import Located
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.changes import visits
 from orthoglide.explanation.recalibration import account_for_changes
 from orthoglide.fit import Problem, assemble, solve
-from orthoglide.fit.unknown import Unknown
+from orthoglide.fit.unknowns import Unknown
 from orthoglide.frames import Framed
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.ordering import ranked
 from orthoglide.parameters import Parameter
-from orthoglide.progress import Progress, Step, silent
+from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.threads import on_one_thread
 from orthoglide.verdict import Verdict
 
@@ -48,7 +54,7 @@ class Check(Framed):
 
     old: tuple[str, ...]
     new: tuple[str, ...]
-    closed: Closed
+    closed: RunOutcome
     differences: tuple[Difference, ...]
     changes: tuple[Change, ...] = ()
     moves: tuple[PlateMove, ...] = ()
@@ -91,19 +97,19 @@ class Check(Framed):
     def places(self) -> tuple[str, ...]:
         """Which places were located in one state alone, a sentence each."""
         return (
-            *(f"what was located before shows no more: {_words(one)}" for one in self.gone),
-            *(f"located now, and not before: {_words(one)}" for one in self.come),
+            *(f"what was located before shows no more: {_located_words(one)}" for one in self.gone),
+            *(f"located now, and not before: {_located_words(one)}" for one in self.come),
         )
 
     @cached_property
     def verdict(self) -> Verdict:
         """Of the machine as it is now, from the new readings alone."""
-        return filled(self.closed, Verdict)
+        return build_result(self.closed, Verdict)
 
     @cached_property
     def told(self) -> Verdict:
         """The verdict with what changed since the old readings, to draw and to act upon."""
-        return filled(replace(self.closed, changed=self.changes), Verdict)
+        return build_result(replace(self.closed, changed=self.changes), Verdict)
 
     @cached_property
     def sentences(self) -> tuple[str, ...]:
@@ -114,11 +120,14 @@ class Check(Framed):
         rest = [d for d in self.differences if not d.changed]
         what = "nothing else" if changed or self.plates or self.moves or self.places else "nothing"
         said = (
-            (f"{what} changed beyond its uncertainty", [d.still for d in rest if not d.far]),
+            (
+                f"{what} changed beyond its uncertainty",
+                [d.unchanged_clause for d in rest if not d.is_significant],
+            ),
             (
                 "of these the two states differ, each by itself, but all readings together need no "
                 "change of them",
-                [d.still for d in rest if d.far],
+                [d.unchanged_clause for d in rest if d.is_significant],
             ),
         )
         told = (f"{words}: {', '.join(those)}" for words, those in said if those)
@@ -170,51 +179,57 @@ def check(
         InputError: where a side is empty or the campaigns cannot be used.
         NumericsError: where the base model cannot be identified.
     """
-    progress = progress or silent
+    progress = progress or no_progress
     old, new = (s.request if isinstance(s, Verdict) else s for s in (old, new))
-    states = states_of(old, new, None if machine is None else Machine.of(machine))
+    states = read_states(old, new, None if machine is None else Machine.of(machine))
     machine, noise = states.machine, states.noise if noise is None else noise
-    before, after = told_apart(states.old, states.new)
-    request, past = of_all(machine, before, after, noise, seed)
-    together = close(request, progress)
+    before, after = with_distinct_names(states.old, states.new)
+    request, past = joint_request(machine, before, after, noise, seed)
+    together = compute_outcome(request, progress)
     # A change that is one of several leaves open what there was before: not so the new readings.
-    closed = close(of_one(request, after), progress)
+    closed = compute_outcome(single_request(request, after), progress)
     old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
     jointly = not past and len(visits(together.before.problem)) > 1
     was, gone, come = None, tuple[Located, ...](), tuple[Located, ...]()
     if not jointly or together.changed or any(map(_has_unnamed, (together, closed))):
-        was = close(of_one(request, before), progress)
-        gone, come = _unlike(was, closed), _unlike(closed, was)
+        was = compute_outcome(single_request(request, before), progress)
+        gone, come = _located_only_in_first(was, closed), _located_only_in_first(closed, was)
         jointly = jointly and not gone and not come
     progress(Step("comparing"))
     if jointly or was is None:
         changes = tuple(c for c in together.changed if np.isfinite(c.after))
-        differences = tuple(_of_both(together, new_names, changes))
+        differences = tuple(_joint_differences(together, new_names, changes))
     else:
-        differences = tuple(_of_each(was, closed))
+        differences = tuple(_separate_differences(was, closed))
         between = ", ".join(old_names), ", ".join(new_names)
-        changes = tuple(_change(d, between, machine.catalogue) for d in differences if d.changed)
+        changes = tuple(_as_change(d, between, machine.catalogue) for d in differences if d.changed)
     after_all = together.after
     moves = plate_moves(after_all.problem, after_all.x, old_names, new_names)
-    told = () if was is None or machine.spec.printer else tuple(entered(was.machine, differences))
+    told = (
+        ()
+        if was is None or machine.spec.printer
+        else tuple(zero_entry_clauses(was.machine, differences))
+    )
     return Check(old_names, new_names, closed, differences, changes, moves, gone, come, told)
 
 
-def _has_unnamed(closed: Closed) -> bool:
+def _has_unnamed(closed: RunOutcome) -> bool:
     """Return whether something has no name: then no parameter is what changed, and each state must
     be closed by itself.
     """
     return bool(closed.located) or closed.word == "unexplained"
 
 
-def _unlike(one: Closed, other: Closed) -> tuple[Located, ...]:
+def _located_only_in_first(one: RunOutcome, other: RunOutcome) -> tuple[Located, ...]:
     """Places located in one state of which none is in the other, that was read at the same places,
     nor any cause of their legs.
     """
-    if not _read(one) or _read(one) != _read(other):
+    if not _places_read(one) or _places_read(one) != _places_read(other):
         return ()
     known = {curve.name for located in other.located for curve in located.members}
-    named = {other.catalogue.parameter(n).leg for cause in other.effects for n in cause.every}
+    named = {
+        other.catalogue.parameter(n).leg for cause in other.effects for n in cause.all_parameters
+    }
     return tuple(
         located
         for located in one.located
@@ -225,7 +240,7 @@ def _unlike(one: Closed, other: Closed) -> tuple[Located, ...]:
     )
 
 
-def _read(closed: Closed) -> set[tuple[float, ...]]:
+def _places_read(closed: RunOutcome) -> set[tuple[float, ...]]:
     """Where dials read what, to a tenth of a millimetre."""
     return {
         (s.leg, s.axis, s.bar, round(s.gauge, 3), *command)
@@ -238,7 +253,7 @@ def _read(closed: Closed) -> set[tuple[float, ...]]:
     }
 
 
-def _words(located: Located) -> str:
+def _located_words(located: Located) -> str:
     """Its likeliest place, and what else it may be."""
     first, *others = located.members
     more = [f"{len(others)} other place{'s' * (len(others) > 1)}"] if others else []
@@ -247,26 +262,28 @@ def _words(located: Located) -> str:
     return f"{first.words}{rivals}"
 
 
-def _of_both(
-    together: Closed, later: Collection[str], changes: Sequence[Change]
+def _joint_differences(
+    together: RunOutcome, later: Collection[str], changes: Sequence[Change]
 ) -> Iterator[Difference]:
     """Yield what changed, then all other parameters by a fit of all readings in which each has one
     value before and one in later campaigns.
     """
-    names = _compared(together)
+    names = _compared_parameters(together)
     problem, request = together.before.problem, together.request
     # Rows taken for faulty have lost their weight there.
     kept = [
         f.readings if f.on_legs else replace(f.readings, sigma=f.sigma) for f in problem.factors
     ]
     noise = request.noise if request.campaigns else None
-    both = assemble(kept, request.machine, names, own=names, noise=noise)
-    fit = account_for_changes(solve(_two_states(both, later)))
+    both = assemble(kept, request.machine, names, per_campaign=names, noise=noise)
+    fit = account_for_changes(solve(_with_one_value_per_state(both, later)))
     catalogue, changed = request.machine.catalogue, {c.parameter for c in changes}
     legs = catalogue.legs
     for c in changes:
         if not c.parameter.setup:
-            yield Difference(c.parameter, c.before, c.after, c.sigma, c.unit, True, c.others, legs)
+            yield Difference(
+                c.parameter, c.before, c.after, c.sigma, c.unit, True, c.alternatives_clause, legs
+            )
     places: dict[Parameter, list[int]] = {}
     for k, unknown in enumerate(fit.names):
         places.setdefault(catalogue.parameter(unknown).plain, []).append(k)
@@ -279,11 +296,11 @@ def _of_both(
             yield Difference(name, before, after, sigma, unit, False, legs=legs)
 
 
-def _of_each(was: Closed, now: Closed) -> Iterator[Difference]:
+def _separate_differences(was: RunOutcome, now: RunOutcome) -> Iterator[Difference]:
     """Parameters as each state's own readings have them, all that they leave open allowed for, as
     other instruments see other errors.
     """
-    names = dict.fromkeys([*_compared(was), *_compared(now)])
+    names = dict.fromkeys([*_compared_parameters(was), *_compared_parameters(now)])
     rivals = {
         name: (*cause.same, *cause.rivals)
         for cause in (*was.effects, *now.effects)
@@ -299,29 +316,29 @@ def _of_each(was: Closed, now: Closed) -> Iterator[Difference]:
         variance = 0.0
         for one, k in zip(known, at, strict=True):
             # What readings did not see is small in a sound machine, and could have been anything.
-            alone = 0.0 if one.alone is None else float(one.alone[k])
+            alone = 0.0 if one.conditional_variance is None else float(one.conditional_variance[k])
             variance += max(float(one.covariance[k, k]), alone)
         parameter = catalogue.parameter(name)
         unit = catalogue.effect_of(parameter).unit
         sigma, told = float(np.sqrt(variance)), others.get(name, "")
         found = Difference(parameter, before, after, sigma, unit, False, told, catalogue.legs)
-        yield replace(found, changed=found.far)
+        yield replace(found, changed=found.is_significant)
 
 
-def _two_states(problem: Problem, later: Collection[str]) -> Problem:
+def _with_one_value_per_state(problem: Problem, later: Collection[str]) -> Problem:
     """What every campaign has for itself, joined to one value before and one in the later ones."""
     joined: dict[tuple[str, bool], Unknown] = {}
     for unknown in problem.unknowns:
-        at = next(k for k, parts in enumerate(unknown.parts) if parts)
+        at = next(k for k, parts in enumerate(unknown.weights) if parts)
         key = unknown.name.plain, problem.factors[at].name in later
         one = joined.setdefault(key, unknown)
-        parts = tuple(a or b for a, b in zip(one.parts, unknown.parts, strict=True))
-        joined[key] = replace(one, parts=parts)
+        parts = tuple(a or b for a, b in zip(one.weights, unknown.weights, strict=True))
+        joined[key] = replace(one, weights=parts)
     old_first = sorted(joined, key=lambda key: key[1])
     return replace(problem, unknowns=tuple(joined[key] for key in old_first))
 
 
-def _compared(closed: Closed) -> list[str]:
+def _compared_parameters(closed: RunOutcome) -> list[str]:
     """Parameters of the machine in the base model, of the causes found and of what is seen to have
     changed, without campaigns.
     """
@@ -334,7 +351,7 @@ def _compared(closed: Closed) -> list[str]:
     return list(dict.fromkeys(map(str, (*base, *named))))
 
 
-def _change(difference: Difference, between: tuple[str, str], catalogue: Catalogue) -> Change:
+def _as_change(difference: Difference, between: tuple[str, str], catalogue: Catalogue) -> Change:
     """Return what changed as each state by itself has it."""
     d = difference
     return Change(

@@ -16,12 +16,12 @@ from orthoglide.fit import Problem
 from orthoglide.geometry import Array, plane_columns
 from orthoglide.numerals import plain
 
-_SIGMAS = 3.0
-_LEAST = 1e-4
+_SIGNIFICANT_SIGMAS = 3.0
+_LEAST_MOVE = 1e-4
 """A difference below is not worth a sentence on a machine of a workshop's size, metres: paper is as
 thick."""
 
-_FEWEST = 4  # touches, of which a plane leaves one
+_FEWEST_TOUCHES = 4  # touches, of which a plane leaves one
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def plate_moves(
     values = problem.values(first, x)
     # The last of a visit is the state that it leaves.
     old, new = (dict(_touches(problem, values, names)) for names in (before, after))
-    least = _LEAST * problem.machine.geometry.scale
+    least = _LEAST_MOVE * problem.machine.geometry.scale
     found = (_move(name, old[name], new[name], least) for name in old if name in new)
     return tuple(move for move in found if move.higher or move.rise)
 
@@ -75,14 +75,14 @@ def _touches(
     problem: Problem, values: dict[str, float], names: Collection[str]
 ) -> Iterator[tuple[str, Array]]:
     """Yield setups, and place, height and noise of the touches of each ``(m, 4)``, metres."""
-    for factor in problem.tool:
+    for factor in problem.tool_factors:
         if factor.name not in names:
             continue
         place = problem.machine.forward(factor.readings.command)
         height = factor.predict(problem.machine.model, values) - factor.measured
         for k, setup in enumerate(factor.readings.setups):
             rows = (factor.setup == k) & factor.noise.weighted
-            if setup.observation.touches and rows.sum() >= _FEWEST:
+            if setup.observation.touches and rows.sum() >= _FEWEST_TOUCHES:
                 yield setup.name, np.column_stack([place[:, :2], height, factor.sigma])[rows]
 
 
@@ -103,7 +103,9 @@ def _move(setup: str, old: Array, new: Array, least: float) -> PlateMove:
     toward = float(np.degrees(np.arctan2(along[1], along[0]))) % 360
 
     def significant(size: float, variance: float) -> float:
-        return float(size) if abs(size) > max(least, _SIGMAS * np.sqrt(variance)) else 0.0
+        return (
+            float(size) if abs(size) > max(least, _SIGNIFICANT_SIGMAS * np.sqrt(variance)) else 0.0
+        )
 
     higher = significant(higher, covariance[3, 3])
     rise = significant(rise, float(along @ covariance[4:, 4:] @ along))

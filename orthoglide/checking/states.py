@@ -10,14 +10,14 @@ from pathlib import Path
 
 from orthoglide.effects import Effect
 from orthoglide.errors import InputError
-from orthoglide.files import inside
+from orthoglide.files import result_file
 from orthoglide.fit import readings_of
 from orthoglide.machine import Machine
-from orthoglide.observations import Given, Readings
-from orthoglide.result.reading import read_result, request_of
+from orthoglide.observations import Readings, ReadingsOrPath
+from orthoglide.result.loading import read_result, request_of
 from orthoglide.result.request import Request
 
-State = Given | Sequence[Given] | Request
+State = ReadingsOrPath | Sequence[ReadingsOrPath] | Request
 """Readings, or a run that has them; of its result the path of ``result.json`` or of its folder."""
 
 
@@ -33,7 +33,7 @@ class States:
     noise: float | None
 
 
-def states_of(
+def read_states(
     old: State, new: State, given: Machine | None = None, effects: tuple[Effect, ...] = ()
 ) -> States:
     """Return the machine and the readings of both states.
@@ -48,14 +48,15 @@ def states_of(
     Raises:
         InputError: where a side has no readings, or the two are of different machines.
     """
-    runs = [_as_run(state, effects) for state in (old, new)]
+    runs = [_load_run(state, effects) for state in (old, new)]
     kept = next((run.machine for run in runs if isinstance(run, Request)), None)
     kept = kept or Machine.nominal().with_effects(effects)
     (machine, before), (other, after) = (
-        _state(run, state, given, kept) for run, state in zip(runs, (old, new), strict=True)
+        _machine_and_readings(run, state, given, kept)
+        for run, state in zip(runs, (old, new), strict=True)
     )
-    one, two = _called(old, before), _called(new, after)
-    _check_numbers(one, machine, two, other)
+    one, two = _state_name(old, before), _state_name(new, after)
+    _check_firmware_numbers(one, machine, two, other)
     if other.geometry != machine.geometry:
         raise InputError(
             f"{one} and {two} are of machines of different dimensions "
@@ -68,7 +69,7 @@ def states_of(
     return States(machine, before, after, max(declared, default=None))
 
 
-def _as_run(state: State, effects: tuple[Effect, ...]) -> State:
+def _load_run(state: State, effects: tuple[Effect, ...]) -> State:
     """The run whose result stands at a path; other states as they are."""
     if not isinstance(state, str | os.PathLike):
         return state
@@ -78,30 +79,30 @@ def _as_run(state: State, effects: tuple[Effect, ...]) -> State:
             f"{path} is a machine file, which has no readings: give the result.json beside "
             f"it, or the campaign"
         )
-    path = inside(path, "result.json")
+    path = result_file(path, "result.json")
     return request_of(read_result(path), str(path), effects) if path.suffix == ".json" else state
 
 
-def _state(
+def _machine_and_readings(
     run: State, state: State, given: Machine | None, otherwise: Machine
 ) -> tuple[Machine, tuple[Readings, ...]]:
     """The machine by which a state's readings are read, and these."""
     if isinstance(run, Request):
         if given is not None:
-            called = _called(state, run.readings)
-            _check_numbers(called, run.machine, given.spec.file or "the machine", given)
+            called = _state_name(state, run.readings)
+            _check_firmware_numbers(called, run.machine, given.spec.file or "the machine", given)
         return given or run.machine, run.readings
     machine = given or otherwise
     return machine, readings_of(run, machine)
 
 
-def _called(state: State, readings: Sequence[Readings]) -> str:
+def _state_name(state: State, readings: Sequence[Readings]) -> str:
     """What a state is called in messages: by its path, else by its readings."""
     named = isinstance(state, str | os.PathLike)
     return str(state) if named else ", ".join(r.name for r in readings)
 
 
-def _check_numbers(one: str, machine: Machine, two: str, other: Machine) -> None:
+def _check_firmware_numbers(one: str, machine: Machine, two: str, other: Machine) -> None:
     """Refuses two imports with other numbers of the firmware: equal commands are no equal heights
     of the carriages, and what was pasted would be told as what changed.
     """
@@ -115,7 +116,7 @@ def _check_numbers(one: str, machine: Machine, two: str, other: Machine) -> None
         )
 
 
-def of_all(
+def joint_request(
     machine: Machine,
     before: Sequence[Readings],
     after: Sequence[Readings],
@@ -133,19 +134,19 @@ def of_all(
     return request, bool(past)
 
 
-def of_one(request: Request, side: Sequence[Readings]) -> Request:
+def single_request(request: Request, side: Sequence[Readings]) -> Request:
     """The request of one state alone."""
     dials = tuple(r for r in side if not r.of_tool)
     return replace(request, campaigns=dials, points=tuple(r for r in side if r.of_tool))
 
 
-def told_apart(
+def with_distinct_names(
     old: Sequence[Readings], new: Sequence[Readings]
 ) -> tuple[list[Readings], list[Readings]]:
     """The campaigns of both sides, no two of one name; an instrument at the tool that is the only
     one of its kind at both visits has one name at both.
     """
-    now, then = (_only_ones(side) for side in (new, old))
+    now, then = (_unique_setups_by_kind(side) for side in (new, old))
     called = {name: now[kind] for kind, name in then.items() if kind in now}
 
     def renamed(one: Readings) -> Readings:
@@ -159,8 +160,8 @@ def told_apart(
 
     old = [renamed(one) for one in old]
     # What both visits read comes first in the new one: there the files of a visit begin anew.
-    known = {name for one in old for name in _at_tool(one)}
-    new = sorted(new, key=lambda one: known.isdisjoint(_at_tool(one)))
+    known = {name for one in old for name in _tool_setup_names(one)}
+    new = sorted(new, key=lambda one: known.isdisjoint(_tool_setup_names(one)))
     names = [c.name for c in (*old, *new)]
     if len(set(names)) == len(names):
         return list(old), list(new)
@@ -172,12 +173,12 @@ def told_apart(
     return before, after
 
 
-def _at_tool(one: Readings) -> list[str]:
+def _tool_setup_names(one: Readings) -> list[str]:
     """Names of the setups at the tool, none of dials on legs."""
     return [s.name for s in one.setups] if one.of_tool else []
 
 
-def _only_ones(side: Sequence[Readings]) -> dict[str, str]:
+def _unique_setups_by_kind(side: Sequence[Readings]) -> dict[str, str]:
     """Names of setups at the tool by their kind, where there is one of it."""
     named = {(s.kind, s.name) for c in side if c.of_tool for s in c.setups}
     count = Counter(kind for kind, _ in named)

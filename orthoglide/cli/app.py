@@ -16,14 +16,14 @@ from orthoglide import __version__
 from orthoglide.errors import InputError, OrthoglideError
 from orthoglide.files import write_files
 from orthoglide.progress import Progress, Step
-from orthoglide.text import MACHINE, brief
+from orthoglide.text import MACHINE_OPTION, abbreviated
 
 BAD_INPUT, NUMERICS_FAILED, INTERRUPTED = 2, 3, 130  # 130: 128 + SIGINT, as shells have it
 _STOPPED = "interrupted: nothing is left half written"
-_LONGEST = 1000  # characters of an error: file, line and remedy fit, a pasted file does not
-_SENTENCE = 200  # characters: no first sentence of a command's help is cut in the list
-_RESUMED = ("measure", "rehearse")  # commands that keep in --out what was done
-_BETWEEN = 1.0  # seconds between two lines of progress where the error stream is a file
+_MAX_MESSAGE = 1000  # characters of an error: file, line and remedy fit, a pasted file does not
+_MAX_HELP_SENTENCE = 200  # characters: no first sentence of a command's help is cut in the list
+_RESUMABLE = ("measure", "rehearse")  # commands that keep in --out what was done
+_PROGRESS_INTERVAL = 1.0  # seconds between two lines of progress where the error stream is a file
 
 
 class Refusal(click.ClickException):
@@ -35,7 +35,7 @@ class Refusal(click.ClickException):
     """
 
     def __init__(self, message: str, exit_code: int) -> None:
-        super().__init__(brief(" ".join(message.split()), _LONGEST))
+        super().__init__(abbreviated(" ".join(message.split()), _MAX_MESSAGE))
         self.exit_code = exit_code  # type: ignore[misc]
 
     def show(self, file: IO[Any] | None = None) -> None:
@@ -80,11 +80,11 @@ class Command(click.Command):
         try:
             return super().invoke(ctx)
         except InputError as error:
-            given = getattr(ctx.params.get("machine"), "words", "") or MACHINE
-            raise Refusal(str(error).replace(MACHINE, given), BAD_INPUT) from error
+            given = getattr(ctx.params.get("machine"), "words", "") or MACHINE_OPTION
+            raise Refusal(str(error).replace(MACHINE_OPTION, given), BAD_INPUT) from error
         except KeyboardInterrupt:
             said = _STOPPED
-            if ctx.info_name in _RESUMED and ctx.params["out"] is not None:
+            if ctx.info_name in _RESUMABLE and ctx.params["out"] is not None:
                 said += "; the same command goes on from what --out holds"
             raise Refusal(said, INTERRUPTED) from None
 
@@ -103,7 +103,10 @@ class Group(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write every command with the whole first sentence of its help."""
-        rows = [(name, one.get_short_help_str(_SENTENCE)) for name, one in self.commands.items()]
+        rows = [
+            (name, one.get_short_help_str(_MAX_HELP_SENTENCE))
+            for name, one in self.commands.items()
+        ]
         with formatter.section("Commands"):
             formatter.write_dl(rows)
 
@@ -122,12 +125,12 @@ class Group(click.Group):
             broken_pipe = isinstance(error, OSError) and error.errno == errno.EPIPE
             if broken_pipe or os.environ.get("ORTHOGLIDE_TRACEBACK"):
                 raise  # click ends quietly where the reader of a pipe has left
-            raise _unexpected(error) from error
+            raise _unexpected_refusal(error) from error
 
 
-def _unexpected(error: Exception) -> Refusal:
+def _unexpected_refusal(error: Exception) -> Refusal:
     """Return the sentence for an error that no function of the package raised on purpose."""
-    kind, text = type(error).__name__, brief(str(error), 200)
+    kind, text = type(error).__name__, abbreviated(str(error), 200)
     if isinstance(error, OSError):
         reason = (error.strerror or text).lower()
         return Refusal(f"the output cannot be written ({reason}): choose another place", BAD_INPUT)
@@ -167,7 +170,7 @@ def progress(quiet: bool) -> Iterator[Progress]:
 
     def line(step: Step) -> None:
         nonlocal last
-        if not quiet and (now := time.monotonic()) - last >= _BETWEEN:
+        if not quiet and (now := time.monotonic()) - last >= _PROGRESS_INTERVAL:
             last = now
             click.echo(f"{now - began:4.0f} s  {step}", err=True)
 
@@ -179,7 +182,7 @@ def progress(quiet: bool) -> Iterator[Progress]:
         task = bar.add_task("starting", total=100)
 
         def show(step: Step) -> None:
-            done = step.begins if step.done is None else step.done
+            done = step.start_percent if step.done is None else step.done
             completed = max(done, bar.tasks[0].completed)
             bar.update(task, description=str(step), completed=completed)
 

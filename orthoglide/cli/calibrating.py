@@ -24,17 +24,17 @@ if TYPE_CHECKING:
 DEMO_FOLDER = "orthoglide-demo"
 DEMO_CAMPAIGN, DEMO_SECOND, DEMO_MACHINE = "experiment2.csv", "experiment3.csv", "made-up.toml"
 
-_WITHIN = 0.2
+_RERUN_SIGMAS = 0.2
 """Sigmas by which a repeated value may differ: a tenth of the 95 % half width."""
-_TINY = 1e-6
+_ROUNDING = 1e-6
 """Relative and, in the units of files, absolute difference that rounding explains."""
 
-_as_json = click.option("--json", "as_json", is_flag=True, help="Print result.json only.")
-_judges = opt.together(
+_json_option = click.option("--json", "as_json", is_flag=True, help="Print result.json only.")
+_holdout_options = opt.combine_options(
     opt.file("--holdout", "Readings that only judge the finished result."),
     opt.file("--tcp", "Measured TCP points that only judge the finished result."),
 )
-_run_options = opt.together(
+_run_options = opt.combine_options(
     click.argument("campaigns", nargs=-1, type=opt.PATH),
     opt.machine(),
     opt.out(),
@@ -47,7 +47,7 @@ _run_options = opt.together(
     opt.noise("from machine file, rows or repeats"),
     opt.seed,
     opt.quiet,
-    _as_json,
+    _json_option,
 )  # fmt: skip
 
 
@@ -55,7 +55,7 @@ _run_options = opt.together(
 @opt.out(f"Folder for the results.  [default: {DEMO_FOLDER}]")
 @opt.seed
 @opt.quiet
-@_as_json
+@_json_option
 def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
     """Close the loop on the published Orthoglide (2008), and on a machine with a known fault.
 
@@ -69,7 +69,7 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
       orthoglide demo --out demo
     """
     from orthoglide.report import report_files
-    from orthoglide.report.rows import if_it_were_so
+    from orthoglide.report.rows import possible_cause_sentences
     from orthoglide.text import sentence
     from orthoglide.verdict import run
 
@@ -83,12 +83,12 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
         results[name] = json.loads(report["result.json"])
         verdict = f"Verdict {result.word}: {results[name]['summary']}"
         lines = [intro, verdict]
-        lines += [f"Possible cause: {text}" for text in if_it_were_so(result)]
-        placed = opt.MachineOption(None, None).placed
+        lines += [f"Possible cause: {text}" for text in possible_cause_sentences(result)]
+        placed = opt.MachineOption(None, None).with_typed_paths
         lines += [
             f"What to do: {placed(sentence(one.words), folder / name)}" for one in result.actions
         ]
-        lines += [_report(folder / name), ""]
+        lines += [_report_line(folder / name), ""]
         answers.append(f"{name}: {result.word}" if quiet else "\n".join(lines))
     answer = (", " if quiet else "\n").join(answers).rstrip("\n")
     deliver(json.dumps(results, indent=1, ensure_ascii=False) if as_json else answer, files, folder)
@@ -103,7 +103,7 @@ def _next_free(path: Path) -> Path:
     return free
 
 
-def _report(folder: Path, page: str = "report.html") -> str:
+def _report_line(folder: Path, page: str = "report.html") -> str:
     return f"Report: {click.format_filename(folder / page)}"
 
 
@@ -116,13 +116,13 @@ def _demo_requests(seed: int, files: dict[str, str | bytes]) -> dict[str, tuple[
     from orthoglide.machine import Machine
     from orthoglide.observations import campaign_text
     from orthoglide.simulation import simulate
-    from orthoglide.verdict import requested
+    from orthoglide.verdict import build_request
 
     with as_file(packaged("orthoglide") / "data") as data:
         worn = Machine.load(data / DEMO_MACHINE)
         files[DEMO_MACHINE] = (data / DEMO_MACHINE).read_text("utf-8")
-        published = requested(
-            (data / DEMO_CAMPAIGN, data / DEMO_SECOND), own=worn.catalogue.held_as("zero"),
+        published = build_request(
+            (data / DEMO_CAMPAIGN, data / DEMO_SECOND), own=worn.catalogue.correctable_by("zero"),
             seed=seed,
         )  # fmt: skip
     (fault,) = (n for n in worn.values if worn.catalogue.effect_of(n).name not in
@@ -132,7 +132,7 @@ def _demo_requests(seed: int, files: dict[str, str | bytes]) -> dict[str, tuple[
         sheet = Path(place) / "simulated.csv"
         sheet.write_text(campaign_text(campaign, worn.spec), encoding="utf-8")
         files[sheet.name] = sheet.read_text("utf-8")
-        simulated = requested(sheet, seed=seed)
+        simulated = build_request(sheet, seed=seed)
     hidden = cause_words(worn.catalogue, fault, worn.values)
     return {
         "published": (
@@ -150,7 +150,7 @@ def _demo_requests(seed: int, files: dict[str, str | bytes]) -> dict[str, tuple[
 
 @cli.command("close-loop")
 @_run_options
-@_judges
+@_holdout_options
 def close_loop(**options: Any) -> None:
     """Calibrate, trace what is left beyond the noise to a cause, and write the report.
 
@@ -164,7 +164,7 @@ def close_loop(**options: Any) -> None:
 
 @cli.command()
 @_run_options
-@_judges
+@_holdout_options
 def diagnose(**options: Any) -> None:
     """Print the verdict of close-loop and the causes with the most evidence.
 
@@ -208,13 +208,13 @@ def _run(
         step(Step("reading"))
         from orthoglide.observations import read_tcp
         from orthoglide.report import report_files, result_text
-        from orthoglide.text import shown
-        from orthoglide.verdict import requested, run
+        from orthoglide.text import printable_path
+        from orthoglide.verdict import build_request, run
 
         known = machine.load()
         points = (read_tcp(path, known.spec) for path in fit_tcp)
-        request = requested((*campaigns, *points), known, **given)
-        name = shown(machine.effects_file.name) if machine.effects_file else ""
+        request = build_request((*campaigns, *points), known, **given)
+        name = printable_path(machine.effects_file.name) if machine.effects_file else ""
         result = run(replace(request, command=command, effects_file=name, **asked or {}), step)
         files = {} if out is None else report_files(result, step)
         answer = _answer(result, machine, out, quiet)
@@ -226,14 +226,14 @@ def _run(
 def _answer(result: Verdict, machine: opt.MachineOption, out: Path | None, quiet: bool) -> str:
     """Return what was found, for the terminal, with where its files are."""
     from orthoglide.report import summary
-    from orthoglide.report.words import meaning
+    from orthoglide.report.sentences import meaning
 
     if quiet:
         return f"Verdict {result.word}: {meaning(result)}."
     folder, ranked = out or Path("DIR"), result.request.command == "diagnose"
-    text = summary(result, ranked, "machine", lambda line: machine.placed(line, folder))
+    text = summary(result, ranked, "machine", lambda line: machine.with_typed_paths(line, folder))
     if out is not None:
-        return f"{text}\n\n{_report(out)}"
+        return f"{text}\n\n{_report_line(out)}"
     file = f"{folder / opt.CALIBRATED}"
     return text + (f"\n({file} is written with --out {folder}.)" if file in text else "")
 
@@ -266,12 +266,12 @@ def check(
         )
     with progress(quiet) as step:
         step(Step("reading"))
-        from orthoglide.checking import check as compare, states_of
-        from orthoglide.checking.told import changes_text, check_files
+        from orthoglide.checking import check as compare, read_states
+        from orthoglide.checking.pages import changes_text, check_files
         from orthoglide.observations.repetition import copied_files
 
         given = None if machine.path is None else machine.load()
-        read = states_of(states[0], states[1], given, machine.effects)
+        read = read_states(states[0], states[1], given, machine.effects)
         noise = read.noise if noise is None else noise
         found = compare(read.old, read.new, read.machine, noise=noise, seed=seed, progress=step)
         files = {} if out is None else check_files(found, step)
@@ -282,7 +282,7 @@ def check(
     else:
         warn(copied_files((*read.old, *read.new)))
     if out is not None and not quiet:
-        answer += f"\n\n{_report(out, 'check.html')}"
+        answer += f"\n\n{_report_line(out, 'check.html')}"
     deliver(answer, files, out)
 
 
@@ -304,13 +304,13 @@ def rerun(result: Path, effects_file: Path | None, out: Path | None, quiet: bool
     """
     with progress(quiet) as step:
         step(Step("reading"))
-        from orthoglide.files import inside
+        from orthoglide.files import result_file
         from orthoglide.report import report_files, result_text
         from orthoglide.result import read_result, request_of
-        from orthoglide.result.reading import EDITED, as_edited, writer_of
+        from orthoglide.result.loading import EDITED_FILE_ERRORS, edited_file_error, version_text
         from orthoglide.verdict import run
 
-        file = inside(result, "result.json")
+        file = result_file(result, "result.json")
         old = read_result(file)
         effects = opt.MachineOption(None, effects_file).effects
         new = run(request_of(old, str(file), effects), step)
@@ -318,47 +318,47 @@ def rerun(result: Path, effects_file: Path | None, out: Path | None, quiet: bool
         try:
             different = list(differences(old, again))
             changed = list(_changed_files(old, file.parent))
-        except EDITED as error:
-            raise as_edited(error, str(file)) from None
+        except EDITED_FILE_ERRORS as error:
+            raise edited_file_error(error, str(file)) from None
         files = {} if out is None or different else report_files(new, step)
     warn(tuple(f"{name} has changed since the run" for name in changed))
     if different:
         name, how = click.format_filename(file), "is not reproduced"
-        if _within(old, again):
+        if _allowed_sigmas(old, again):
             given = ", ".join(dict.fromkeys(one["file"] for one in old["inputs"]))
             how += (
-                f" by this state of the program; {writer_of(old)} wrote it: keep it as a record, "
+                f" by this state of the program; {version_text(old)} wrote it: keep it as a record, "
                 f"and give {given} to orthoglide {old['command']} for the numbers of today"
             )
         raise NumericsError(f"{name} {how}: {'; '.join(different)}")
     count = len(again["parameters"])
     answer = f"The same numbers again, from the rows kept in the result: all {count} agree"
-    if within := _within(old, again):
-        answer += f" to {within:g} sigma, as an earlier state of the program, {writer_of(old)}, "
+    if within := _allowed_sigmas(old, again):
+        answer += f" to {within:g} sigma, as an earlier state of the program, {version_text(old)}, "
         answer += "wrote the result"
     answer += "."
     if out is not None and not quiet:
-        answer += f"\n{_report(out)}"
+        answer += f"\n{_report_line(out)}"
     deliver(answer, files, out)
 
 
-def _within(old: Mapping[str, Any], new: Mapping[str, Any]) -> float:
+def _allowed_sigmas(old: Mapping[str, Any], new: Mapping[str, Any]) -> float:
     """Return the sigmas by which values may differ: none where the same program wrote both."""
-    return 0.0 if old["version"] == new["version"] and old.keys() >= new.keys() else _WITHIN
+    return 0.0 if old["version"] == new["version"] and old.keys() >= new.keys() else _RERUN_SIGMAS
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
     """Yield a phrase for each difference in verdict or values of two ``result.json``."""
     if old.get("verdict") not in (None, new["verdict"]):
         yield f"the verdict was {str(old['verdict'])[:40]!r} and is {new['verdict']!r}"
-    within = _within(old, new)
+    within = _allowed_sigmas(old, new)
     before, after = old["parameters"], new["parameters"]
     for name in dict.fromkeys((*before, *after)):
         if name not in after or name not in before:
             yield f"{name[:40]} is {'gone' if name in before else 'new'}"
             continue
         one, other = before[name], after[name]
-        limit = max(within * one["sigma"], _TINY * max(1.0, abs(one["value"])))
+        limit = max(within * one["sigma"], _ROUNDING * max(1.0, abs(one["value"])))
         if not abs(one["value"] - other["value"]) <= limit:
             was, now = (compact(each["value"], 6) for each in (one, other))
             yield f"{name} was {was} and is {now} {one['unit']}"

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from orthoglide.geometry import Array
     from orthoglide.machine import Machine
 
-_force = opt.flag("--force", "Even where the verdict says not to act on the numbers.")
+_force_option = opt.flag("--force", "Even where the verdict says not to act on the numbers.")
 
 
 @cli.command()
@@ -36,7 +36,7 @@ _force = opt.flag("--force", "Even where the verdict says not to act on the numb
 @click.option("--warming", type=click.FloatRange(-100, 100), default=0.0, metavar="K",
               show_default=True, help="Kelvin above the calibration's first "
                    "reading.")  # fmt: skip
-@_force
+@_force_option
 def compensate(
     path: Path, machine: opt.MachineOption, out: Path | None, load_N: float, warming: float,
     force: bool,
@@ -61,10 +61,10 @@ def compensate(
         line = points.line[error.index[0]] if error.index else None
         raise FileError(str(error), file=points.file, line=line) from error
     warn(points.warnings)
-    _table(control.commands_text(found), out, str(found))
+    _deliver_table(control.commands_text(found), out, str(found))
 
 
-def _table(text: str, out: Path | None, answer: str) -> None:
+def _deliver_table(text: str, out: Path | None, answer: str) -> None:
     """Write a table and say what it is; or print it, and say it on the error stream."""
     if out is not None:
         deliver(f"{click.format_filename(out)}: {answer}", {out: text})
@@ -76,7 +76,7 @@ def _table(text: str, out: Path | None, answer: str) -> None:
 @cli.command()
 @opt.machine(required=True)
 @opt.flag("--zeros-only", "For a controller that takes nothing but zeros.")
-@_force
+@_force_option
 @opt.out("Folder for the files; else the controller's numbers are printed.")
 def export(machine: opt.MachineOption, zeros_only: bool, force: bool, out: Path | None) -> None:
     """Write what other programs take of a calibrated machine.
@@ -124,7 +124,7 @@ def compare(
     """
     from orthoglide.comparison import compare_effects, compare_machine, worst_by_effect
     from orthoglide.comparison.tables import comparison_files, short_table
-    from orthoglide.report.text import console_text, table
+    from orthoglide.report.terminal import console_text, table
 
     known = machine.load()
     with progress(quiet) as step:
@@ -156,8 +156,8 @@ class _Coordinate(click.ParamType):
             self.fail(f"{value!r} is not a number.", param, ctx)
 
 
-def _kinematics(metavar: str) -> opt.Decorator:
-    return opt.together(
+def _kinematics_command(metavar: str) -> opt.Decorator:
+    return opt.combine_options(
         # Coordinates may begin with a minus sign, which would else be read as options.
         cli.command(context_settings={"ignore_unknown_options": True}),
         click.argument("numbers", nargs=-1, type=_Coordinate(), metavar=f"[{metavar}]"),
@@ -167,7 +167,7 @@ def _kinematics(metavar: str) -> opt.Decorator:
     )
 
 
-@_kinematics("COMMAND COMMAND COMMAND")
+@_kinematics_command("COMMAND COMMAND COMMAND")
 def forward(**given: Any) -> None:
     """TCP of commands: three joint coordinates in mm, or a CSV of rho_*_mm or travel_*_mm, with
     approach_* where it is known.
@@ -183,7 +183,7 @@ def forward(**given: Any) -> None:
     _compute(True, **given)
 
 
-@_kinematics("P_X P_Y P_Z")
+@_kinematics_command("P_X P_Y P_Z")
 def inverse(**given: Any) -> None:
     """Commands for a TCP: three coordinates in mm, or a CSV of p_x_mm, p_y_mm, p_z_mm.
 
@@ -213,15 +213,15 @@ def _compute(
     if csv is None:
         if len(numbers) != 3 or not np.isfinite(numbers).all():
             raise InputError("give exactly three finite numbers, in mm")
-        found = _solved(to_tcp, known, np.array([numbers]) * 1e-3, _refuse)
-        click.echo(" ".join(map(_number, found[0])))
+        found = _solve_kinematics(to_tcp, known, np.array([numbers]) * 1e-3, _raise_input_error)
+        click.echo(" ".join(map(_millimetres, found[0])))
         return
-    from orthoglide.observations.columns import own_commands, stated_commands
+    from orthoglide.observations.columns import native_command_column, stated_commands
     from orthoglide.observations.schema import APPROACH, POINT
     from orthoglide.observations.table import read_table
 
     rows, layout = read_table(csv), known.geometry.layout.names
-    given, sought = replace(POINT, empty=None), own_commands(layout)
+    given, sought = replace(POINT, empty_value=None), native_command_column(layout)
     if to_tcp:
         given, sought = stated_commands(rows, known.spec), POINT
     names, new = given.names(layout.legs), sought.names(layout.legs)
@@ -230,12 +230,14 @@ def _compute(
     if set(APPROACH.names(layout.legs)) <= set(rows.names):
         seen["approach"] = rows.array(APPROACH, layout.legs)
     travelled = names[0].startswith("travel")
-    found = _solved(to_tcp, known, rows.array(given, layout.legs), rows.fail, travelled, **seen)
+    found = _solve_kinematics(
+        to_tcp, known, rows.array(given, layout.legs), rows.fail, travelled, **seen
+    )
     if new[0].startswith("travel"):
         found = known.spec.controller.from_rho(found, known.geometry)
     if set(new) & set(rows.names):  # what was wanted stays beside what is found
         new = tuple(f"computed_{name}" for name in new)
-    wider = ([*row, *map(_number, more)] for row, more in zip(rows.rows, found, strict=True))
+    wider = ([*row, *map(_millimetres, more)] for row, more in zip(rows.rows, found, strict=True))
     text = csv_text((*rows.names, *new), wider)
     if out is None:
         click.echo(text, nl=False)
@@ -243,7 +245,7 @@ def _compute(
         deliver(f"{click.format_filename(out)}: {len(found)} rows", {out: text})
 
 
-def _solved(
+def _solve_kinematics(
     to_tcp: bool, machine: Machine, given: Array, fail: Callable[[str, int | None], NoReturn],
     travelled: bool = False, **seen: Array,
 ) -> Array:  # fmt: skip
@@ -271,11 +273,11 @@ def _solved(
     return rho
 
 
-def _refuse(message: str, row: int | None) -> NoReturn:
+def _raise_input_error(message: str, row: int | None) -> NoReturn:
     raise InputError(message)
 
 
-def _number(metres: float) -> str:
+def _millimetres(metres: float) -> str:
     return f"{metres * 1e3:z.6f}"
 
 
@@ -297,15 +299,18 @@ def view(machine: opt.MachineOption, magnify: float, out: Path | None, no_open: 
       orthoglide view
       orthoglide view april/calibrated.toml --magnify 50 --out april.html
     """
-    from orthoglide.pictures import SHOWN
-    from orthoglide.viewer import Magnified, show, static_page
+    from orthoglide.pictures import SHOWN_CONDITIONS
+    from orthoglide.viewer import MagnifiedMachine, show, static_page
 
     opt.exclude("out", "no_open", because="a page is written, and no viewer is opened")
     known = machine.load()
-    zero, drawn = known.geometry.zero, Magnified(known.model, known.values, SHOWN, magnify)
+    zero, drawn = (
+        known.geometry.zero,
+        MagnifiedMachine(known.model, known.values, SHOWN_CONDITIONS, magnify),
+    )
     with redirect_stdout(StringIO()):  # meshcat prints the address of its server
         viewer = show(drawn, zero, open_browser=out is None and not no_open)
-    off = known.forward(zero, **SHOWN) - known.with_only({}).forward(zero)
+    off = known.forward(zero, **SHOWN_CONDITIONS) - known.with_only({}).forward(zero)
     size = ", ".join(plain(1e3 * v, 3) for v in off)
     scale = "true to scale" if magnify == 1 else f"errors {magnify:g} times as large"
     said = f"{scale}; its errors put the tool {size} mm off in x, y and z"
@@ -336,10 +341,12 @@ def klipper(config: Path, out: Path, turned: opt.Pairs) -> None:
       orthoglide import klipper printer.cfg --out printer
     """
     from orthoglide.add_ons import add_on
-    from orthoglide.machine_file import machine_files
+    from orthoglide.machine_file import machine_file_contents
 
     found = add_on("klipper").read(config, turned=dict(turned))
-    _write(found, out, dict(machine_files(found.machine, "machine.toml")), out / "machine.toml")
+    _deliver_import(
+        found, out, dict(machine_file_contents(found.machine, "machine.toml")), out / "machine.toml"
+    )
 
 
 @import_.command()
@@ -356,18 +363,20 @@ def plates(points: Path, machine: opt.MachineOption, out: Path) -> None:
     from orthoglide.firmware.plate_lists import import_plates
 
     file = machine.path or Path("machine.toml")  # which is required
-    _write(import_plates(points, machine.load().spec), out, {}, file)
+    _deliver_import(import_plates(points, machine.load().spec), out, {}, file)
 
 
-def _write(found: Imported, out: Path, files: dict[str, str | bytes], machine: Path) -> None:
+def _deliver_import(
+    found: Imported, out: Path, files: dict[str, str | bytes], machine: Path
+) -> None:
     """Write what was imported, and print what it is and what to run with the files that go
     together; with each alone where that is not known.
     """
     from orthoglide.observations import campaign_text
 
     def command(*names: str) -> str:
-        campaigns = " ".join(f"{opt.typed(out)}/{name}.csv" for name in names)
-        return f"orthoglide close-loop {campaigns} --machine {opt.typed(machine)} --out OUT"
+        campaigns = " ".join(f"{opt.shell_path(out)}/{name}.csv" for name in names)
+        return f"orthoglide close-loop {campaigns} --machine {opt.shell_path(machine)} --out OUT"
 
     lines = list[str]()
     for campaign in found.campaigns:

@@ -13,19 +13,19 @@ import orthoglide.cli.options as opt
 from orthoglide.cli.app import cli, deliver, progress, warn
 from orthoglide.errors import FileError, InputError
 from orthoglide.progress import Step
-from orthoglide.text import shown, wrapped
+from orthoglide.text import printable_path, wrapped
 
 if TYPE_CHECKING:
     from orthoglide.machine import Machine
     from orthoglide.observations import Readings
 
-_COUNT = 24  # readings of a design, as many as the published campaigns have
-_kind = click.option(
+_DESIGN_COUNT = 24  # readings of a design, as many as the published campaigns have
+_kind_option = click.option(
     "--kind", type=click.Choice(opt.PROTOCOLS), default="standard", show_default=True,
     help="Zero, Max and Min; the stroke in steps, both ways; the same at two places of a leg; two "
          "dials on a leg at a time, whose difference is read at Zero, Max and Min.",
 )  # fmt: skip
-_owns = ("leg (dials), parallelism, tcp, plate, distance, ballbar, incline", "KIND,...")
+_INSTRUMENT_KINDS = ("leg (dials), parallelism, tcp, plate, distance, ballbar, incline", "KIND,...")
 
 
 def _dial_sheet(path: Path, machine: Machine, otherwise: str) -> Readings:
@@ -40,7 +40,9 @@ def _dial_sheet(path: Path, machine: Machine, otherwise: str) -> Readings:
     others = dict.fromkeys(s.kind for s in sheet.setups if s.observation.dials != 1)
     if others:
         what = "readings at the tool" if sheet.of_tool else "readings of two dials at a time"
-        raise FileError(f"holds {what} ({', '.join(others)}): {otherwise}", file=shown(path))
+        raise FileError(
+            f"holds {what} ({', '.join(others)}): {otherwise}", file=printable_path(path)
+        )
     return sheet
 
 
@@ -53,7 +55,7 @@ def _sheet_files(
 
     page = path.with_suffix(".html")
     page = page if page != path else path.with_name(f"{path.name}.html")
-    page_text = sheet_page(sheet, machine, shown(path.name))
+    page_text = sheet_page(sheet, machine, printable_path(path.name))
     return {path: campaign_text(sheet, machine.spec), page: page_text}, (
         f"{click.format_filename(path)}: {len(sheet)} readings in {len(sheet.setups)} setups, to "
         f"be filled in as reading_mm; {len(sheet.moves)} rows are moves: go there, read nothing",
@@ -62,7 +64,7 @@ def _sheet_files(
 
 
 @cli.command()
-@_kind
+@_kind_option
 @opt.machine()
 @opt.out_file("File to write, with a page to print beside it; else rows are printed.", "SHEET.csv")
 def protocol(kind: str, machine: opt.MachineOption, out: Path | None) -> None:
@@ -87,10 +89,10 @@ def protocol(kind: str, machine: opt.MachineOption, out: Path | None) -> None:
 @opt.machine(required=True)
 @opt.pairs("--error", "More errors of the machine, in the units of files.", "NAME=NUMBER,...")
 @opt.out_file("Readings to write; else they are printed.", "CSV")
-@_kind
+@_kind_option
 @opt.file("--sheet", "Rows to be read in place of a protocol's; of any instruments.", "SHEET.csv")
 @opt.seed
-@opt.noise(least=0.0)
+@opt.noise(minimum=0.0)
 @click.option("--exact", is_flag=True,
               help="No noise, no rounding, dials exactly in place, datums zero.")  # fmt: skip
 @opt.file("--tcp", "Also write 60 exact TCP points, to judge by.", "TCP.csv")
@@ -117,7 +119,7 @@ def simulate(
     if tcp is not None and out is not None and tcp.resolve() == out.resolve():
         raise InputError(f"--out and --tcp are both {str(tcp)!r}: give each a name of its own")
     plain = machine.load()
-    given = opt.in_si("--error", error, plain.catalogue)
+    given = opt.values_in_si("--error", error, plain.catalogue)
     bent, draw = plain.with_parameters(given), np.random.default_rng(seed)
     sheets = (
         (protocol(kind, bent.geometry),)  # type: ignore[arg-type]
@@ -132,7 +134,7 @@ def simulate(
         points = simulation.simulate_tcp(bent, seed=draw)
         points = points.with_readings(np.round(points.reading, 9))
         files[tcp] = csv_text(tcp_rows(points, bent.spec))
-    unshown = simulation.unshown(bent, *filled).items()
+    unshown = simulation.invisible_parameters(bent, *filled).items()
     counts = [f"{click.format_filename(p)}: {t.count(chr(10)) - 1} rows" for p, t in files.items()]
     deliver(text.rstrip("\n") if out is None else "\n".join(counts), files)
     warn(tuple(f"{name} changes no reading, as {lacking}" for name, lacking in unshown))
@@ -168,17 +170,21 @@ def measure(out: Path, machine: opt.MachineOption, sheet: Path | None, most: int
     otherwise = "measure asks for dials on legs; fill it in and give it to close-loop"
     first = None if sheet is None else _dial_sheet(sheet, known, otherwise)
     record = Record(out, known.spec)
-    end = Session(known, record, _ask, deliver, sheet=first, most=most).run()
+    end = Session(known, record, _ask, deliver, sheet=first, max_readings=most).run()
     if end is None:
         count = f"{record.readings} reading" + "s" * (record.readings != 1)
         deliver(f"Stopped with {count} in {name}: the same command goes on from there.")
         return
     folder = Path(out.stem)
-    found = summary(end.verdict, said="machine", placed=lambda text: machine.placed(text, folder))
+    found = summary(
+        end.verdict,
+        omitted_kind="machine",
+        with_paths=lambda text: machine.with_typed_paths(text, folder),
+    )
     deliver(
         f"{'Settled' if end.settled else 'Not settled'} after {end.readings} readings: "
-        f"{end.reason}.\n\n{found}\n\nThe report: orthoglide close-loop {opt.typed(out)}"
-        f"{machine.words} --out {opt.typed(folder)}"
+        f"{end.reason}.\n\n{found}\n\nThe report: orthoglide close-loop {opt.shell_path(out)}"
+        f"{machine.words} --out {opt.shell_path(folder)}"
     )
 
 
@@ -200,9 +206,9 @@ def _ask(question: str) -> str:
 @click.option("--count", type=int, help="Readings to choose.  [default: 24; all with --owns]")
 @opt.pairs("--want", "Accuracies wanted, in the units of files, TCP=0.01 among them: how often to "
            "repeat.", "NAME=SIGMA,...")  # fmt: skip
-@opt.names("--owns", f"Instruments that you have ({_owns[0]}): what they would tell together, and "
+@opt.names("--owns", f"Instruments that you have ({_INSTRUMENT_KINDS[0]}): what they would tell together, and "
            "with --out a sheet; with --count as many of the tool's readings as tell most "
-           "together.", _owns[1])  # fmt: skip
+           "together.", _INSTRUMENT_KINDS[1])  # fmt: skip
 @opt.flag("--detect", "Also tell the smallest effects found and named.")
 @opt.noise()
 @opt.seed
@@ -229,17 +235,20 @@ def design(
     )  # fmt: skip
     known = machine.load()
     if owns:
-        _design_for(owns, known, count, out, seed, quiet)
+        _design_for_instruments(owns, known, count, out, seed, quiet)
         return
-    count, most = _COUNT if count is None else count, len(planning.reading_pool(known.geometry))
+    count, most = (
+        _DESIGN_COUNT if count is None else count,
+        len(planning.reading_pool(known.geometry)),
+    )
     if count > most:
         raise InputError(f"there are {most} readings to choose from: give --count {most} or less")
-    wanted = opt.in_si("--want", want, known.catalogue)
+    wanted = opt.values_in_si("--want", want, known.catalogue)
     with progress(quiet) as step:
         step(Step("computing", "choosing readings"))
         found = planning.design(known, free or None, count, noise=noise)
         step(Step("computing", "comparing"))
-        several = dict(_compared(known, sheets))
+        several = dict(_sheets_to_compare(known, sheets))
         rows = [(name, planning.observability(known, one, found.names, noise))
                 for name, one in several.items()]  # fmt: skip
         lines = [planning.index_table([*rows, ("design", found.indices)])]
@@ -261,7 +270,7 @@ def design(
     deliver(line if quiet else wrapped("\n".join([*lines, *written])), files)
 
 
-def _compared(machine: Machine, paths: tuple[Path, ...]) -> Mapping[str, Readings]:
+def _sheets_to_compare(machine: Machine, paths: tuple[Path, ...]) -> Mapping[str, Readings]:
     """Return the sheets given by name, or the protocols that there are."""
     from orthoglide.observations import protocol
 
@@ -275,32 +284,32 @@ def _compared(machine: Machine, paths: tuple[Path, ...]) -> Mapping[str, Reading
     return {kind: protocol(kind, machine.geometry) for kind in opt.DIAL_PROTOCOLS}  # type: ignore[arg-type]
 
 
-def _design_for(
+def _design_for_instruments(
     owns: tuple[str, ...], machine: Machine, count: int | None, out: Path | None, seed: int,
     quiet: bool,
 ) -> None:  # fmt: skip
     """Print the smallest effects that instruments detect, and write a sheet of the tool's."""
     from orthoglide.observations import readings_text
     from orthoglide.planning import (
-        TAKEN_BY,
+        INSTRUMENT_WORDS,
+        blank_tool_sheets,
         detectable_rows,
-        sheets_of,
+        sheets_by_kind,
         smallest_effects,
-        to_fill_in,
     )
 
     with progress(quiet) as step:
         step(Step("computing", "what the instruments would tell"))
-        owned = sheets_of(machine, owns, count)
+        owned = sheets_by_kind(machine, owns, count)
         found = smallest_effects(machine, list(owned.values()), seed=seed)
-    listed = ", ".join(f"{TAKEN_BY[k]} ({len(s)})" for k, s in owned.items())
+    listed = ", ".join(f"{INSTRUMENT_WORDS[k]} ({len(s)})" for k, s in owned.items())
     lines = [f"with {listed}:", *detectable_rows(found)]
     files = dict[Path, str]()
     if out is not None:
-        sheets, placed = to_fill_in(owned.values()), machine.spec.kinematics is not None
+        sheets, placed = blank_tool_sheets(owned.values()), machine.spec.kinematics is not None
         if not sheets:
             raise InputError("orthoglide protocol writes the sheets of dials alone")
-        files[out] = readings_text(sheets, machine.spec, places=True)
+        files[out] = readings_text(sheets, machine.spec, commands_as_places=True)
         moves = sum(len(sheet.moves) for sheet in sheets)
         between = f"; rows of kind move ({moves}): go there, read nothing" if moves else ""
         lines += ["", f"{click.format_filename(out)}: {sum(map(len, sheets))} readings of the "
@@ -308,7 +317,9 @@ def _design_for(
         if placed:
             lines.append("Send the tool to x_mm, y_mm, z_mm, with its numbers as they are.")
         for one in (sheet.setups[0].observation for sheet in sheets):
-            lines.append(f"{one.words}: {(one.fill_place if placed else '') or one.fill}.")
+            lines.append(
+                f"{one.instrument_phrase}: {(one.sheet_instruction_place if placed else '') or one.sheet_instruction}."
+            )
     hidden = len(found.invisible)
     line = f"{len(found.by_effect)} effects are seen, {hidden} parameters are not visible."
     deliver(line if quiet else wrapped("\n".join(lines)), files)
@@ -318,7 +329,11 @@ def _design_for(
 @opt.machine()
 @opt.file("--sheet", "Measuring sheet; the protocol sweep if absent, or a probe on a plate where "
           "no dial stands on a leg.", "SHEET.csv")  # fmt: skip
-@opt.names("--owns", f"In place of a sheet, readings you can take: {_owns[0]}.", _owns[1])
+@opt.names(
+    "--owns",
+    f"In place of a sheet, readings you can take: {_INSTRUMENT_KINDS[0]}.",
+    _INSTRUMENT_KINDS[1],
+)
 @click.option("--campaigns", type=click.IntRange(1), default=90, show_default=True,
               help="How many to simulate.")  # fmt: skip
 @opt.seed

@@ -16,7 +16,7 @@ from click.core import ParameterSource
 from orthoglide.cli.app import warn
 from orthoglide.errors import InputError
 from orthoglide.files import check_new
-from orthoglide.units import NOISE
+from orthoglide.units import NOISE_LIMITS
 
 if TYPE_CHECKING:
     from orthoglide.effects import Catalogue, Effect
@@ -39,12 +39,12 @@ CALIBRATED = "calibrated.toml"
 """The calibrated machine in the folder of a result."""
 
 
-def typed(path: Path) -> str:
+def shell_path(path: Path) -> str:
     """Return a path as it is typed on a command line."""
     return shlex.quote(click.format_filename(path))
 
 
-def together(*options: Decorator) -> Decorator:
+def combine_options(*options: Decorator) -> Decorator:
     """Return several options as one decorator; help lists them in this order."""
 
     def decorate(command: Any) -> Any:
@@ -55,7 +55,7 @@ def together(*options: Decorator) -> Decorator:
     return decorate
 
 
-def _parts(text: str) -> list[str]:
+def _split_commas(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
@@ -63,7 +63,7 @@ def names(option: str, help: str, metavar: str = "NAME,...") -> Decorator:
     """Return an option that takes names parted by commas, a tuple in Python."""
 
     def every(_: Any, __: Any, given: str) -> tuple[str, ...]:
-        return tuple(_parts(given))
+        return tuple(_split_commas(given))
 
     return click.option(option, default="", callback=every, metavar=metavar, help=help)
 
@@ -73,7 +73,7 @@ def pairs(option: str, help: str, metavar: str) -> Decorator:
 
     def every(_: Any, __: Any, given: tuple[str, ...]) -> Pairs:
         found = list[tuple[str, float]]()
-        for item in (item for text in given for item in _parts(text)):
+        for item in (item for text in given for item in _split_commas(text)):
             name, _, number = (part.strip() for part in item.rpartition("="))
             value = math.nan
             with suppress(ValueError):
@@ -107,7 +107,7 @@ class MachineOption:
     @property
     def effects(self) -> tuple[Effect, ...]:
         """The user's own effects."""
-        from orthoglide.effects.own import load_effects
+        from orthoglide.effects.custom import load_effects
 
         return load_effects(self.effects_file)
 
@@ -115,9 +115,9 @@ class MachineOption:
     def words(self) -> str:
         """The options of the command line that give this machine."""
         given = {"--machine": self.path, "--effects-file": self.effects_file}
-        return "".join(f" {o} {typed(p)}" for o, p in given.items() if p)
+        return "".join(f" {o} {shell_path(p)}" for o, p in given.items() if p)
 
-    def placed(self, text: str, out: Path) -> str:
+    def with_typed_paths(self, text: str, out: Path) -> str:
         """Return a text of a result with files in advised commands as they are typed here: results
         name them without folders.
 
@@ -129,7 +129,7 @@ class MachineOption:
         for option, path in (*machines, ("--effects-file", self.effects_file)):
             if path is not None:
                 file = shlex.quote(path.name)
-                text = text.replace(f"{option} {file}", f"{option} {typed(path)}")
+                text = text.replace(f"{option} {file}", f"{option} {shell_path(path)}")
         return text
 
     def load(self) -> Machine:
@@ -159,7 +159,7 @@ def machine(required: bool = False) -> Decorator:
         return MachineOption(value, context.meta.get(key))
 
     otherwise = "." if required else "; the nominal Orthoglide if absent."
-    return together(
+    return combine_options(
         file("--machine", f"Machine file, also by itself{otherwise}", "FILE.toml",
              required=required, callback=both),
         file("--effects-file", "Python file with effects of your own, beside the catalogue.",
@@ -167,7 +167,7 @@ def machine(required: bool = False) -> Decorator:
     )  # fmt: skip
 
 
-def _checked(check: Callable[[Path], None]) -> Callable[..., Path | None]:
+def _path_callback(check: Callable[[Path], None]) -> Callable[..., Path | None]:
     """Return the callback of an option that looks at a path before any work is done."""
 
     def callback(context: click.Context, _: Any, path: Path | None) -> Path | None:
@@ -186,12 +186,12 @@ def _check_folder(path: Path) -> None:
 
 def out(help: str = "Folder for the results; must be new or empty.", **more: Any) -> Decorator:
     """Return ``--out DIR`` of a new folder."""
-    return file("--out", help, "DIR", callback=_checked(_check_folder), **more)
+    return file("--out", help, "DIR", callback=_path_callback(_check_folder), **more)
 
 
 def out_file(help: str, metavar: str, **more: Any) -> Decorator:
     """Return ``--out FILE`` of a new file."""
-    return file("--out", help, metavar, callback=_checked(check_new), **more)
+    return file("--out", help, metavar, callback=_path_callback(check_new), **more)
 
 
 seed = click.option(
@@ -200,20 +200,20 @@ seed = click.option(
 quiet = flag("--quiet", "No progress; the answer in one line.")
 
 
-def noise(otherwise: str = "the machine file's", least: float = NOISE[0]) -> Decorator:
+def noise(otherwise: str = "the machine file's", minimum: float = NOISE_LIMITS[0]) -> Decorator:
     """Return ``--noise MM``, metres in Python.
 
     Args:
         otherwise: what counts where it is absent.
-        least: the smallest that is taken, metres.
+        minimum: the smallest that is taken, metres.
     """
 
     def metres(_: Any, __: Any, value: float | None) -> float | None:
-        if value is None or least <= value * 1e-3 <= NOISE[1]:
+        if value is None or minimum <= value * 1e-3 <= NOISE_LIMITS[1]:
             return None if value is None else value * 1e-3
         raise InputError(
-            f"--noise must be a number of millimetres from {least * 1e3:g} to "
-            f"{NOISE[1] * 1e3:g}, not {value:g}"
+            f"--noise must be a number of millimetres from {minimum * 1e3:g} to "
+            f"{NOISE_LIMITS[1] * 1e3:g}, not {value:g}"
         )
 
     return click.option(
@@ -223,7 +223,7 @@ def noise(otherwise: str = "the machine file's", least: float = NOISE[0]) -> Dec
     )  # fmt: skip
 
 
-def in_si(option: str, given: Pairs, catalogue: Catalogue) -> dict[str, float]:
+def values_in_si(option: str, given: Pairs, catalogue: Catalogue) -> dict[str, float]:
     """Return numbers by name in SI, of an option in the units of files; that of TCP in millimetres.
 
     Raises:
@@ -244,7 +244,7 @@ def exclude(one: str, *others: str, because: str) -> None:
         InputError: if ``one`` and one of the others were given; ``because`` says why not.
     """
     context = click.get_current_context()
-    shown = {p.name: _shown(p) for p in context.command.params}
+    shown = {p.name: _option_text(p) for p in context.command.params}
 
     def given(name: str) -> bool:
         default = context.get_parameter_source(name) in (None, ParameterSource.DEFAULT)
@@ -254,7 +254,7 @@ def exclude(one: str, *others: str, because: str) -> None:
         raise InputError(f"{shown[one]} and {shown[other]} exclude each other: {because}")
 
 
-def _shown(parameter: click.Parameter) -> str:
+def _option_text(parameter: click.Parameter) -> str:
     """Return a parameter as it is written on the command line."""
     if isinstance(parameter, click.Argument):
         return (parameter.metavar or parameter.human_readable_name).strip("[] .")

@@ -1,5 +1,5 @@
 """From readings to causes: the loop is closed, and what was found becomes a result."""
 
-from orthoglide.closing.closed import Closed as Closed
-from orthoglide.closing.fill import filled as filled
-from orthoglide.closing.loop import close as close
+from orthoglide.closing.fill import build_result as build_result
+from orthoglide.closing.loop import compute_outcome as compute_outcome
+from orthoglide.closing.outcome import RunOutcome as RunOutcome

@@ -8,61 +8,63 @@ from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Literal
 
-from orthoglide.control import withheld
+from orthoglide.control import withholding_reason
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.explanation import Cause, Curve, Explanation, Located
 from orthoglide.explanation.change import Change
 from orthoglide.numerals import plain, with_sigma
 from orthoglide.ordering import ranked
 from orthoglide.result import Action, Suspect, Withheld
-from orthoglide.text import MACHINE
+from orthoglide.text import MACHINE_OPTION
 
 if TYPE_CHECKING:
-    from orthoglide.closing.closed import Closed
+    from orthoglide.closing.outcome import RunOutcome
     from orthoglide.planning import Suggestion
 
-_AGAIN = (
+_FILES_OUTDATED = (
     "numbers and commands from files older than {} are no longer valid: use those of this result"
 )
-_LOST = "the stated errors of the tool do not include lost motion: "
-_COMPENSATED = "orthoglide compensate makes up for it"
-_DIAL_TURNS = (
+_LOST_MOTION_EXCLUDED = "the stated errors of the tool do not include lost motion: "
+_COMPENSATE_CORRECTS = "orthoglide compensate makes up for it"
+_DIAL_REVERSAL_TEST = (
     "read one gauge block twice, first after a shorter block and then after a longer one: the two "
     "readings should differ by {}"
 )
-_INSTEAD = "instead of new zeros (not both; the gain is beyond that of the zeros)"
-_MEND = "Confirm the cause by its test, repair it, and measure again"
-_SCATTERS = (
+_ALTERNATIVE_TO_ZEROS = "instead of new zeros (not both; the gain is beyond that of the zeros)"
+_REPAIR = "Confirm the cause by its test, repair it, and measure again"
+_CHECK_SCATTER = (
     "Before more is measured, look for what is loose, or correct the noise that was declared"
 )
 _MOST_RIVALS = 6  # between which readings are proposed
-_NO_GAIN = 1e-9  # metres: differences of gain below are rounding
-_SURELY = 2.0  # standard deviations by which a gain must exceed nothing
-_WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth a line
+_GAIN_ROUNDING = 1e-9  # metres: differences of gain below are rounding
+_MIN_SIGMAS = 2.0  # standard deviations by which a gain must exceed nothing
+_MIN_RELATIVE_GAIN = 0.02  # of the tool's error now: a setting that gains less is not worth a line
 
 
-def actions(closed: Closed) -> tuple[Action, ...]:
+def actions(closed: RunOutcome) -> tuple[Action, ...]:
     """Return what to do, in the order of the expected gain.
 
     The gain of compensated commands is what they gain beyond the best zeros. Measurements come
     first if the verdict depends on them. Nothing is to be entered or mended if the verdict warns
     against it, or if the firmware's own calibration comes first; measurements then come last.
     """
-    decides, told = _measure(closed)
+    decides, told = _measurement_actions(closed)
     if closed.firmware is not None and closed.firmware.again:
         return (Action("measure", closed.firmware.again[:-1]), *told)
-    if withheld(closed.machine):
+    if withholding_reason(closed.machine):
         scatters = closed.word == "unexplained" and bool(closed.scattering)
-        noisy = [Action("confirm", _SCATTERS)] * scatters
-        return (*noisy, *_found(closed, "confirm"), *told)
-    zeros = list(_zeros(closed))
-    done = [*zeros, *_found(closed, "mend", bool(zeros)), *_compensate(closed)]
-    done = ranked(done, lambda action: action.gain if math.isfinite(action.gain) else 0.0, _NO_GAIN)
-    done = _one_of_two(done)
+        noisy = [Action("confirm", _CHECK_SCATTER)] * scatters
+        return (*noisy, *_finding_actions(closed, "confirm"), *told)
+    zeros = list(_zero_actions(closed))
+    done = [*zeros, *_finding_actions(closed, "mend", bool(zeros)), *_compensation_actions(closed)]
+    done = ranked(
+        done, lambda action: action.gain if math.isfinite(action.gain) else 0.0, _GAIN_ROUNDING
+    )
+    done = _state_alternatives(done)
     return (*told, *done) if decides else (*done, *told)
 
 
-def _one_of_two(done: list[Action]) -> list[Action]:
+def _state_alternatives(done: list[Action]) -> list[Action]:
     """Return actions of which alternatives say so: new zeros and compensated commands together
     would correct the zeros twice, and both hold only until something is repaired.
     """
@@ -73,7 +75,7 @@ def _one_of_two(done: list[Action]) -> list[Action]:
         words = action.words
         if action.kind in ("zeros", "compensate"):
             if both and action.kind == "compensate":
-                words = words.replace("commands:", f"commands {_INSTEAD}:", 1)
+                words = words.replace("commands:", f"commands {_ALTERNATIVE_TO_ZEROS}:", 1)
             later = not {"zeros", "compensate", "mend"}.isdisjoint(kinds[:k])
             if lead := ", ".join(["or"] * later + ["until something is repaired"] * mended):
                 lead = f"{lead[:1].upper()}{lead[1:]}{',' * mended}"
@@ -82,7 +84,7 @@ def _one_of_two(done: list[Action]) -> list[Action]:
     return told
 
 
-def _zeros(closed: Closed) -> Iterator[Action]:
+def _zero_actions(closed: RunOutcome) -> Iterator[Action]:
     numbers, expected = closed.numbers, closed.numbers.expected
     if closed.firmware is not None:
         found = closed.firmware.corrections
@@ -97,14 +99,14 @@ def _zeros(closed: Closed) -> Iterator[Action]:
     known = any(of(name).controller == "zero" for name in closed.machine.spec.parameters)
     gain = expected["now"].shape - expected["zeros"].shape
     now = expected["now"]
-    if known and gain > max(_WORTH * now.shape, now.shape_sigma):
+    if known and gain > max(_MIN_RELATIVE_GAIN * now.shape, now.shape_sigma):
         named = zip(numbers.drives, numbers.zeros_only, strict=True)
         values = ", ".join(f"{d.leg} {plain(zero * 1e3, 3)}" for d, zero in named)
         yield Action("zeros", f"Enter new zeros in the controller: {values} mm", gain)
 
 
-def _found(
-    closed: Closed, kind: Literal["confirm", "mend"], zeros: bool = False
+def _finding_actions(
+    closed: RunOutcome, kind: Literal["confirm", "mend"], zeros: bool = False
 ) -> Iterator[Action]:
     """Yield causes, located errors and changes, each with the parts to look at and its gain.
 
@@ -112,21 +114,23 @@ def _found(
     """
     found = [item for item in closed.budget if not item.rest]
     gains = {item.cause: (item.gain, item.gain_sigma) for item in found}
-    what = {"confirm": "Confirm before anything is changed", "mend": _MEND}
+    what = {"confirm": "Confirm before anything is changed", "mend": _REPAIR}
     claims: tuple[Cause | Located, ...] = (*closed.effects, *closed.located)
     for one in claims:
         name = one.name if isinstance(one, Cause) else one.in_machine(closed.catalogue)[0]
         options = suspects(one)
-        if kind == "mend" and not loses(one):
+        if kind == "mend" and not may_be_lost_motion(one):
             gain = gains.get(name, (0.0, 0.0))
             several = len(options) > 1
-            yield Action(kind, what[kind], *gain, options, several, several and _of_plate(one))
+            yield Action(
+                kind, what[kind], *gain, options, several, several and _may_be_plate_shape(one)
+            )
         else:
-            lost = f" ({_LOST}{_made_up(one)})" if kind == "mend" else ""
+            lost = f" ({_LOST_MOTION_EXCLUDED}{_lost_motion_remedy(one)})" if kind == "mend" else ""
             yield Action(kind, f"{what[kind]}{lost}", options=options)
     of = closed.catalogue.effect_of
     for change in closed.moved:
-        again = _AGAIN.format(change.files[1])
+        again = _FILES_OUTDATED.format(change.files[1])
         of_zero = zeros and of(change.parameter).controller == "zero"
         if kind == "confirm" or change.vague:
             yield Action("confirm", what["confirm"], options=suspects(change))
@@ -136,13 +140,13 @@ def _found(
             yield Action("confirm", words, options=suspects(change))
         else:
             gain = (math.nan, math.nan)
-            gain = gain if loses(change) else gains.get(change.parameter, gain)
+            gain = gain if may_be_lost_motion(change) else gains.get(change.parameter, gain)
             instead = "enter the new zeros, not both" if of_zero else "correct for it"
             words = f"Confirm the change. Then put it back, or {instead}; {again}"
             yield Action(kind, words, *gain, options=suspects(change))
 
 
-def loses(found: Cause | Located | Change) -> bool:
+def may_be_lost_motion(found: Cause | Located | Change) -> bool:
     """Return whether it may be lost motion, which the expected errors of the tool exclude."""
     if isinstance(found, Located):
         return any(curve.place.loses for curve in found.members)
@@ -151,7 +155,7 @@ def loses(found: Cause | Located | Change) -> bool:
     return any("approach" in one.catalogue.effect_of(name).needs for name in names)
 
 
-def _made_up(found: Cause | Located) -> str:
+def _lost_motion_remedy(found: Cause | Located) -> str:
     """Return what compensates for lost motion, a clause."""
     if isinstance(found, Located):
         if not all(curve.place.in_model for curve in found.members):
@@ -161,11 +165,11 @@ def _made_up(found: Cause | Located) -> str:
         each = (e.catalogue.effect_of(e.name) for e in found.explanations)
         drives = all(effect.controller for effect in each)
     if drives:
-        return f"a controller's own setting makes up for it, or {_COMPENSATED}"
-    return _COMPENSATED
+        return f"a controller's own setting makes up for it, or {_COMPENSATE_CORRECTS}"
+    return _COMPENSATE_CORRECTS
 
 
-def _of_plate(found: Cause | Located) -> bool:
+def _may_be_plate_shape(found: Cause | Located) -> bool:
     """Return whether it may be a shape of a plate."""
     if isinstance(found, Located):
         return False
@@ -175,20 +179,22 @@ def _of_plate(found: Cause | Located) -> bool:
 def suspects(found: Cause | Located | Change) -> tuple[Suspect, ...]:
     """Return the parts to look at, for every member of a credible set."""
     if isinstance(found, Change):
-        return tuple(_changed(found, k) for k in range(len(found.members)))
+        return tuple(_suspect_of_change(found, k) for k in range(len(found.members)))
     if isinstance(found, Cause):
-        return tuple(Suspect(e.words, e.look_at, confirm(e)) for e in found.explanations)
-    return tuple(Suspect(c.place.words, c.place.look_at, confirm_place(c)) for c in found.members)
+        return tuple(Suspect(e.words, e.look_at, confirmation_test(e)) for e in found.explanations)
+    return tuple(
+        Suspect(c.place.words, c.place.look_at, located_error_test(c)) for c in found.members
+    )
 
 
-def _changed(change: Change, k: int) -> Suspect:
+def _suspect_of_change(change: Change, k: int) -> Suspect:
     """Return the k-th of the parameters that may have changed, with its value before or after."""
     name = change.members[k]
     effect = change.catalogue.effect_of(name)
     if change.vague and not k:
-        return Suspect(change.what_alone, effect.look_at, "")
-    if change.vague or name not in change.summed:
-        return Suspect(f"or instead {change.words[k]}", effect.look_at, "")
+        return Suspect(change.what_without_alternatives, effect.look_at, "")
+    if change.vague or name not in change.summed_members:
+        return Suspect(f"or instead {change.member_clauses[k]}", effect.look_at, "")
     now = change.is_cause or abs(change.after) > abs(change.before)
     value = change.after if now else change.before
     said = f"{'now' if now else 'before'}: {cause_words(change.catalogue, name, {name: value})}"
@@ -198,11 +204,11 @@ def _changed(change: Change, k: int) -> Suspect:
     )
 
 
-def confirm_place(curve: Curve) -> str:
+def located_error_test(curve: Curve) -> str:
     """Return the test that shows lost motion of a located error; empty for other errors."""
     place, size = curve.place, curve.size_words
     if place.of_dial:
-        return _DIAL_TURNS.format(size) if place.two_sided else ""
+        return _DIAL_REVERSAL_TEST.format(size) if place.depends_on_approach else ""
     leg = place.names.legs[place.leg]
     where = {
         "drive": f"carriage {leg} along its travel",
@@ -211,7 +217,7 @@ def confirm_place(curve: Curve) -> str:
     }.get(place.part)
     if not place.loses or where is None:
         return ""
-    where = place.names.spoken(where)
+    where = place.names.in_layout_words(where)
     if place.against == "approach":
         return (
             f"set a dial on {where} and come to one place from smaller and from larger travel of "
@@ -223,7 +229,7 @@ def confirm_place(curve: Curve) -> str:
     )
 
 
-def confirm(one: Explanation) -> str:
+def confirmation_test(one: Explanation) -> str:
     """Return the test that confirms a cause, with the reading to expect.
 
     It is empty for several parameters that are not those of one leg and one cause.
@@ -241,9 +247,9 @@ def confirm(one: Explanation) -> str:
     return confirm_words(effect, first, value) + f" (as in {campaign})" * bool(campaign)
 
 
-def _compensate(closed: Closed) -> Iterator[Action]:
+def _compensation_actions(closed: RunOutcome) -> Iterator[Action]:
     gain, sigma = closed.compensation_gain
-    if worth_compensating(closed) and gain > _SURELY * sigma:
+    if worth_compensating(closed) and gain > _MIN_SIGMAS * sigma:
         words = (
             f"Send compensated commands: orthoglide compensate path.csv --machine calibrated.toml"
             f"{closed.request.effects_option} --out commands.csv"
@@ -251,23 +257,23 @@ def _compensate(closed: Closed) -> Iterator[Action]:
         yield Action("compensate", words, gain, sigma)
 
 
-def worth_compensating(closed: Closed) -> bool:
+def worth_compensating(closed: RunOutcome) -> bool:
     """Return whether compensated commands reduce the mean shape error further than the best zeros
     do, by more than 2 % of the error now. False after `identify` and for a printer's firmware.
     """
     if not closed.request.searches or closed.firmware is not None:
         return False
     gain, _ = closed.compensation_gain
-    return gain > _WORTH * closed.numbers.expected["now"].shape
+    return gain > _MIN_RELATIVE_GAIN * closed.numbers.expected["now"].shape
 
 
-def not_advised(closed: Closed) -> tuple[Withheld, ...]:
+def not_advised(closed: RunOutcome) -> tuple[Withheld, ...]:
     """Return what is not advised, with the reason."""
     kinds: tuple[Literal["zeros", "compensate"], ...] = ("zeros", "compensate")
-    if why := withheld(closed.machine):
+    if why := withholding_reason(closed.machine):
         return tuple(Withheld(kind, why) for kind in kinds)
     gain, sigma = closed.compensation_gain if worth_compensating(closed) else (0.0, 0.0)
-    if gain <= 0 or gain > _SURELY * sigma:
+    if gain <= 0 or gain > _MIN_SIGMAS * sigma:
         return ()
     size = with_sigma(gain * 1e3, sigma * 1e3)
     return (
@@ -275,7 +281,7 @@ def not_advised(closed: Closed) -> tuple[Withheld, ...]:
     )
 
 
-def _measure(closed: Closed) -> tuple[bool, list[Action]]:
+def _measurement_actions(closed: RunOutcome) -> tuple[bool, list[Action]]:
     """Return whether the verdict depends on further readings, and the readings that decide most."""
     if not closed.request.searches:
         text = "Look for the cause of the residual: orthoglide close-loop takes the same files"
@@ -292,20 +298,20 @@ def _measure(closed: Closed) -> tuple[bool, list[Action]]:
     return False, []
 
 
-def next_measurements(closed: Closed) -> tuple[Suggestion, ...]:
+def next_measurements(closed: RunOutcome) -> tuple[Suggestion, ...]:
     """Return the readings to take next, most useful first."""
     option = closed.request.machine_option
     return tuple(
         replace(
             one,
-            reason=one.reason.replace(MACHINE, option),
-            what=one.what.replace(MACHINE, option),
+            reason=one.reason.replace(MACHINE_OPTION, option),
+            what=one.what.replace(MACHINE_OPTION, option),
         )
-        for one in _suggested(closed)
+        for one in _suggestions(closed)
     )
 
 
-def _suggested(closed: Closed) -> tuple[Suggestion, ...]:
+def _suggestions(closed: RunOutcome) -> tuple[Suggestion, ...]:
     """Return the suggestions, in which the machine's file is still the placeholder ``MACHINE``.
 
     Readings that tell a data fault from a less probable cause precede all others.
@@ -314,7 +320,7 @@ def _suggested(closed: Closed) -> tuple[Suggestion, ...]:
 
     geometry, follow = closed.request.machine.geometry, not closed.stands
     left = closed.lack_of_fit
-    again = tuple(map(planning.repeating, left.by_instrument[:follow]))
+    again = tuple(map(planning.suggest_repeating, left.by_instrument[:follow]))
     known = closed.posterior
     sets = [(one.chosen.probability, one.data) for one in closed.effects]
     sets += [(one.members[0].probability, one.data) for one in closed.located]
@@ -323,10 +329,14 @@ def _suggested(closed: Closed) -> tuple[Suggestion, ...]:
     for probability, faults in sets:
         if faults and known is not None:
             visits = likely if faults[0].probability > probability else others
-            visits.append(planning.deciding_visits(known, faults[0]))
-    parts = [s for one in closed.located if known for s in planning.parting(known, one)]
+            visits.append(planning.suggest_deciding_visits(known, faults[0]))
+    parts = [
+        s for one in closed.located if known for s in planning.suggest_separating_places(known, one)
+    ]
     if not geometry.dialled:
-        apart = () if known is None else planning.deciding_instruments(known, closed.effects)
+        apart = (
+            () if known is None else planning.suggest_instruments_for_causes(known, closed.effects)
+        )
         return (*likely, *apart, *parts, *again, *others)
     several = [(c.chosen, *c.rivals) for c in closed.effects if c.rivals]
     several = several or [tuple(closed.alone[:_MOST_RIVALS])]
@@ -337,5 +347,5 @@ def _suggested(closed: Closed) -> tuple[Suggestion, ...]:
     apart = planning.next_measurements(closed.after, rivals, pairs=pairs, directions=())
     more = planning.next_measurements(closed.before)
     if follow and left.dials_hold_most:
-        again = tuple(planning.tracing(rest, geometry) for rest in left.by_dial[:1])
+        again = tuple(planning.suggest_tracing(rest, geometry) for rest in left.by_dial[:1])
     return (*likely, *again, *others, *apart, *parts, *more)

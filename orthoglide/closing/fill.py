@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Literal, TypeVar
 
-from orthoglide.accuracy import tcp_map, without_place, workspace
+from orthoglide.accuracy import tcp_map, without_translation, workspace_grid
 from orthoglide.closing.actions import not_advised
-from orthoglide.closing.closed import Closed
+from orthoglide.closing.outcome import RunOutcome
 from orthoglide.closing.values import (
     cause_value,
     change_value,
@@ -20,19 +20,19 @@ from orthoglide.closing.values import (
 )
 from orthoglide.effects.wording import cause_short
 from orthoglide.errors import NumericsError
-from orthoglide.explanation.free import one_surface
+from orthoglide.explanation.free_form import only_surface_readings
 from orthoglide.fit import CrossCheck, Estimate, solve
 from orthoglide.fit.assembling import with_free
-from orthoglide.fit.excited import excited_effects, unmet
+from orthoglide.fit.excitation import excited_effects, unmet_conditions
 from orthoglide.fit.noise_notes import noise_scales
-from orthoglide.fit.shown import readings_shown, rows_in
+from orthoglide.fit.reading_tables import fitted_readings, row_indices
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.observations import campaign_rows, source
 from orthoglide.parameters import Parameter
-from orthoglide.planning import TAKEN_BY, Suggestion
-from orthoglide.progress import Progress, Step, silent
+from orthoglide.planning import INSTRUMENT_WORDS, Suggestion
+from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.result import (
     CandidateScore,
     DataFault,
@@ -52,13 +52,13 @@ from orthoglide.threads import on_one_thread
 # from one processor to the next.
 _ROUNDING = 1e-12
 
-_OF_ONE = "one alone, or several differently"
+_ONE_OR_SEVERAL = "one alone, or several differently"
 
 R = TypeVar("R", bound=Result)
 
 
 @on_one_thread
-def filled(closed: Closed, cls: type[R], progress: Progress = silent) -> R:
+def build_result(closed: RunOutcome, cls: type[R], progress: Progress = no_progress) -> R:
     """Return a finished run as an instance of ``cls``, `Result` or a subclass of it.
 
     The values are encoded as in ``result.json`` and decoded again, so that a result that is loaded
@@ -66,10 +66,10 @@ def filled(closed: Closed, cls: type[R], progress: Progress = silent) -> R:
     """
     progress(Step("suggesting"))
     request, machine = closed.request, closed.machine
-    return cls.read(encoded(_result(closed)), request, machine)
+    return cls.read(encoded(_result_values(closed)), request, machine)
 
 
-def _result(closed: Closed) -> Result:
+def _result_values(closed: RunOutcome) -> Result:
     request, base, after, catalogue = closed.request, closed.before, closed.after, closed.catalogue
     moved = {id(change) for change in closed.moved}
     kinds = {s.kind for f in after.problem.factors for s in f.readings.setups}
@@ -83,7 +83,7 @@ def _result(closed: Closed) -> Result:
         nominal=closed.before.nominal,
         before=fit_value(base),
         after=fit_value(after),
-        rms_of_all=closed.first.scores.rms,
+        rms_of_all=closed.first_fit.scores.rms,
         hold_out=closed.hold_out,
         tcp=closed.tcp,
         effects=tuple(map(cause_value, closed.effects)),
@@ -92,10 +92,10 @@ def _result(closed: Closed) -> Result:
         budget=closed.budget,
         identified=closed.identified,
         candidates=tuple(_candidates(closed)),
-        blunders=_faults(closed),
+        blunders=_data_faults(closed),
         changed=tuple(change_value(c, id(c) not in moved) for c in closed.changed),
         weak=after.weak,
-        check=base.check and _floored(base.check),
+        check=base.check and _above_rounding(base.check),
         verification=after.verification,
         firmware=closed.firmware,
         next_measurements=tuple(map(_proposal, closed.next_measurements)),
@@ -106,24 +106,28 @@ def _result(closed: Closed) -> Result:
         actions=closed.actions,
         invisible=invisible,
         unseen=not_seen,
-        instruments={kind: words for kind, words in TAKEN_BY.items() if kind in kinds},
+        instruments={kind: words for kind, words in INSTRUMENT_WORDS.items() if kind in kinds},
         cautions=closed.cautions,
         warnings=_warnings(closed),
-        calibrated_before=base.problem.calibrated,
-        shapes_of_plate=known is not None and bool(known.mixture.linear.unnamed.any()),
+        calibrated_before=base.problem.has_earlier_calibration,
+        shapes_of_plate=known is not None and bool(known.mixture.linear.plate_shapes.any()),
         picture=closed.picture,
-        readings=readings_shown(after, base, request.given),
+        readings=fitted_readings(after, base, request.given),
         withheld=not_advised(closed),
         contradicted=closed.contradicted,
-        possible=tuple(_possible(closed)),
-        noise_by_setup=tuple(_by_setup(after)),
+        possible=tuple(_possible_causes(closed)),
+        noise_by_setup=tuple(_noise_by_setup(after)),
     )
 
 
-def _candidates(closed: Closed) -> Iterator[CandidateScore]:
+def _candidates(closed: RunOutcome) -> Iterator[CandidateScore]:
     """Yield the causes and located errors that were considered, in words."""
     known = closed.posterior
-    places = {} if known is None else {place.name: place.words for place in known.about.places}
+    places = (
+        {}
+        if known is None
+        else {place.name: place.words for place in known.linearised.free_form_errors}
+    )
     for one in closed.candidates:
         named = (
             cause_short(closed.catalogue, one.name) if one.parameters else places.get(one.name, "")
@@ -131,15 +135,15 @@ def _candidates(closed: Closed) -> Iterator[CandidateScore]:
         yield replace(one, words=named)
 
 
-def _faults(closed: Closed) -> tuple[DataFault, ...]:
+def _data_faults(closed: RunOutcome) -> tuple[DataFault, ...]:
     """Return the data faults, with their rows within the readings of the request."""
-    tables = [factor.readings for factor in closed.first.problem.factors]
+    tables = [factor.readings for factor in closed.first_fit.problem.factors]
     given = zip(tables, closed.request.given, strict=True)
-    rows = [rows_in(part, whole) for part, whole in given]
+    rows = [row_indices(part, whole) for part, whole in given]
     return tuple(data_fault_value(b, tables, lambda k, r: int(rows[k][r])) for b in closed.blunders)
 
 
-def _floored(check: CrossCheck) -> CrossCheck:
+def _above_rounding(check: CrossCheck) -> CrossCheck:
     return replace(
         check,
         reduction=max(check.reduction, _ROUNDING),
@@ -156,16 +160,16 @@ def _workspace(before: Estimate, known: Machine, calibrated: Machine) -> Workspa
     found, geometry = tcp_map(calibrated), known.geometry
     travels = geometry.dialled  # elsewhere no levels of travel are levels of the tool
     return Workspace(
-        at=workspace(geometry) - geometry.zero if travels else found.nominal,
+        at=workspace_grid(geometry) - geometry.zero if travels else found.nominal,
         axis="travel of {}" if travels else "{} of the tool",
-        now=without_place(found.p - found.nominal),
-        left=without_place(found.p - base.p),
+        now=without_translation(found.p - found.nominal),
+        left=without_translation(found.p - base.p),
         sure_before=base.uncertainty,
         sure=found.uncertainty,
     )
 
 
-def _warnings(closed: Closed) -> tuple[Note, ...]:
+def _warnings(closed: RunOutcome) -> tuple[Note, ...]:
     """Return warnings of the last fit, except lack of fit, which the verdict reports."""
     machine, found = closed.request.machine, list(closed.after.warnings)
     if (printer := machine.spec.printer) is not None:
@@ -173,21 +177,21 @@ def _warnings(closed: Closed) -> tuple[Note, ...]:
     return tuple(w for w in found if w.kind != "lack_of_fit")
 
 
-def _noise(closed: Closed) -> Noise:
+def _noise(closed: RunOutcome) -> Noise:
     problem = closed.after.problem
     each = {
         kind: InstrumentNoise(float(sigma), OBSERVATIONS[kind].unit, source)
-        for kind, (sigma, source) in problem.noises.items()
+        for kind, (sigma, source) in problem.noise_by_instrument.items()
     }
     return Noise(
-        declared=problem.told_noise,
+        declared=problem.declared_noise,
         single_reading=problem.one_reading,
         source=problem.noise_source,
         by_instrument=each,
     )
 
 
-def _possible(closed: Closed) -> Iterator[Possible]:
+def _possible_causes(closed: RunOutcome) -> Iterator[Possible]:
     """Yield the most probable causes if nothing was found, each with the scores of its own fit."""
     problem = closed.before.problem
     for one in closed.possible:
@@ -199,7 +203,7 @@ def _possible(closed: Closed) -> Iterator[Possible]:
         yield Possible(one.name, names, float(one.probability), one.words, fit.scores)
 
 
-def _by_setup(fit: Estimate) -> Iterator[SetupNoise]:
+def _noise_by_setup(fit: Estimate) -> Iterator[SetupNoise]:
     """Yield the noise that the residuals show, by setup."""
     for one in noise_scales(fit):
         file, setup = source(one.readings), one.setup
@@ -218,58 +222,60 @@ def _proposal(one: Suggestion) -> Proposal:
     )
 
 
-def _unseen(closed: Closed) -> tuple[Unseen, tuple[str, ...]]:
+def _unseen(closed: RunOutcome) -> tuple[Unseen, tuple[str, ...]]:
     """Return what the readings cannot detect, and the names of all parameters concerned."""
     hidden = () if closed.posterior is None else closed.posterior.invisible
     excited = {e.name for e in excited_effects(closed.after.problem)} | {*closed.catalogue.base}
     still = tuple(name for name in closed.request.machine.catalogue if name not in excited)
-    varied = _unvaried(closed, still)
+    varied = _unvaried_conditions(closed, still)
     found = Unseen(
-        effects=_unshown(closed, hidden),
+        effects=_undetected_effects(closed, hidden),
         unvaried=varied,
-        one_sided=_one_sided(closed, varied),
+        one_sided=_one_sided_reason(closed, varied),
         unexcited=still,
     )
     return found, tuple(map(str, (*hidden, *closed.catalogue.expand(list(varied)))))
 
 
-def _unshown(
-    closed: Closed, invisible: tuple[Parameter, ...]
+def _undetected_effects(
+    closed: RunOutcome, invisible: tuple[Parameter, ...]
 ) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Return effects that would not show at three tolerances, each as a clause with the parameters
     concerned: none where it is all of them; of an effect that was found, its other parameters.
     """
-    asked = [] if closed.posterior is None else closed.posterior.about.asked
+    asked = [] if closed.posterior is None else closed.posterior.linearised.varied_parameters
     every, hidden = (Counter(n.effect for n in names) for names in (asked, invisible))
     several = [one for cause in closed.effects for one in cause.explanations]
     told = {one.catalogue.effect_of(one.name).name for one in several}
 
     def which(effect: str) -> tuple[str, ...]:
         if hidden[effect] == every[effect]:
-            return (_OF_ONE,) if effect in told else ()
+            return (_ONE_OR_SEVERAL,) if effect in told else ()
         names = (str(n) for n in invisible if n.effect == effect)
         return tuple(name.removeprefix(f"{effect}.") for name in names)
 
     return tuple((cause_short(closed.catalogue, effect), which(effect)) for effect in hidden)
 
 
-def _unvaried(closed: Closed, unexcited: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+def _unvaried_conditions(
+    closed: RunOutcome, unexcited: tuple[str, ...]
+) -> dict[str, tuple[str, ...]]:
     """Return effects of the machine for which the readings vary no condition, each with those that
     it needs; empty where no cause was looked for.
     """
     problem = closed.after.problem
     several = () if closed.posterior is None else problem.machine.catalogue.effects
     asked = (e for e in several if not (e.of_dial or e.instead_of) and e.name in unexcited)
-    return {effect.name: unmet(problem, effect) for effect in asked}
+    return {effect.name: unmet_conditions(problem, effect) for effect in asked}
 
 
-def _one_sided(
-    closed: Closed, unvaried: dict[str, tuple[str, ...]]
+def _one_sided_reason(
+    closed: RunOutcome, unvaried: dict[str, tuple[str, ...]]
 ) -> Literal["", "fixed", "same", "unknown"]:
     """Return why lost motion is not detected, as `Unseen.one_sided`."""
     if not any("approach" in needs for needs in unvaried.values()):
         return ""
-    if one_surface(closed.after.problem):
+    if only_surface_readings(closed.after.problem):
         return "fixed"
     known = (f.conditions().approach.any() for f in closed.after.problem.factors)
     return "same" if all(known) else "unknown"

@@ -10,15 +10,17 @@ import numpy as np
 from orthoglide.fit import assemble, solve
 from orthoglide.fit.least_squares import linearise, nuisances
 from orthoglide.fit.scores import FittedRows, rms_by_unit
-from orthoglide.geometry import Array, moved_onto
+from orthoglide.geometry import Array, align_points
 from orthoglide.machine import Machine
-from orthoglide.numerals import SIDES, ByUnit, compact, told_apart
+from orthoglide.numerals import SIGMAS_95, ByUnit, compact, distinct_figures
 from orthoglide.observations import Readings
 from orthoglide.observations.readings import Points
 from orthoglide.prediction import Conditions
 from orthoglide.result import HoldOut, TcpErrors
 
-_FAR = 3.0  # ratio of errors to what is expected of them from which points fit no machine
+_MAX_ERROR_RATIO = (
+    3.0  # ratio of errors to what is expected of them from which points fit no machine
+)
 
 
 def hold_out(
@@ -40,26 +42,26 @@ def hold_out(
         held: out, of any kinds.
         own: families or parameters that each campaign has for itself.
     """
-    return HoldOut(*(_left_out(values, machine, held, own) for values in (before, after)))
+    return HoldOut(*(_held_out_rms(values, machine, held, own) for values in (before, after)))
 
 
-def _left_out(
+def _held_out_rms(
     values: Mapping[str, float], machine: Machine, held: Sequence[Readings], own: Sequence[str]
 ) -> ByUnit:
-    kept = machine.catalogue.of_machine(values)
+    kept = machine.catalogue.machine_values(values)
     problem = assemble(held, machine.with_only(kept), own or machine.catalogue.base)
     if own:
         rows = solve(problem, method="nested").rows
     else:
         problem = replace(problem, unknowns=(), held=(kept,) * len(problem.factors))
         at = linearise(problem, np.zeros(0))
-        rows = FittedRows.of(problem, nuisances(problem, at.seen), at)
+        rows = FittedRows.from_fit(problem, nuisances(problem, at.reading_poses), at)
     left = 1 - rows.leverage
     scored = np.where(left > 1e-6, left, np.nan)
-    return rms_by_unit(rows.residual / scored, problem.turned)
+    return rms_by_unit(rows.residual / scored, problem.angular)
 
 
-def fits_neither(errors: TcpErrors, stated: Array, points: Points) -> str:
+def points_contradiction(errors: TcpErrors, stated: Array, points: Points) -> str:
     """Return that measured points contradict the machine with and without the finding, a clause;
     empty if they do not, or if their accuracy is unknown.
 
@@ -68,13 +70,13 @@ def fits_neither(errors: TcpErrors, stated: Array, points: Points) -> str:
         stated: standard deviations of the machine with what was found ``(n, 3)``, metres.
         points: measured.
     """
-    known = _known(points)
+    known = _declared_sigma(points)
     if not known.any():
         return ""
     expected = float(np.sqrt(np.mean(np.sum(stated**2 + known**2, axis=1))))
-    if min(errors.before_mean, errors.after_mean) < _FAR * expected:
+    if min(errors.before_mean, errors.after_mean) < _MAX_ERROR_RATIO * expected:
         return ""
-    before, after = told_apart(errors.before_mean * 1e3, errors.after_mean * 1e3)
+    before, after = distinct_figures(errors.before_mean * 1e3, errors.after_mean * 1e3)
     return (
         f"the measured points fit this result neither with nor without what was found: the tool is "
         f"{after} and {before} mm off, where {compact(expected * 1e3, 2)} mm are to be expected; "
@@ -82,7 +84,7 @@ def fits_neither(errors: TcpErrors, stated: Array, points: Points) -> str:
     )
 
 
-def _known(points: Points) -> Array:
+def _declared_sigma(points: Points) -> Array:
     """Return the declared standard deviation of a coordinate ``(m, 1)``, metres; 0 if there is
     none.
     """
@@ -108,7 +110,7 @@ def tcp_errors(
             are known to counts beside it.
     """
     points = given.points()
-    conditions = Conditions.at(points.command, approach=points.approach)
+    conditions = Conditions.from_commands(points.command, approach=points.approach)
     found = {}
     predicted = {
         name: machine.model.outputs(values, conditions).p
@@ -123,8 +125,8 @@ def tcp_errors(
             figures[f"{name}_max"] = float(distance.max())
         if sigma is not None and fit == "translation":  # of `after`, the last
             known = np.isfinite(apart)
-            both = np.hypot(sigma, _known(points))
-            inside = float(np.mean(np.abs(apart[known]) <= SIDES * both[known]))
+            both = np.hypot(sigma, _declared_sigma(points))
+            inside = float(np.mean(np.abs(apart[known]) <= SIGMAS_95 * both[known]))
         found[fit] = TcpErrors(**figures, inside=inside)
     return found
 
@@ -138,4 +140,4 @@ def _aligned(p: Array, measured: Array, fit: str) -> Array:
     complete = np.isfinite(measured).all(axis=1)
     if fit == "translation" or complete.sum() < 3:
         return p + np.nanmean(measured - p, axis=0)
-    return moved_onto(p, p[complete], measured[complete])
+    return align_points(p, p[complete], measured[complete])

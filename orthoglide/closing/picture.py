@@ -19,10 +19,10 @@ from orthoglide.result import Picture
 from orthoglide.scene import Mark, Option
 
 if TYPE_CHECKING:
-    from orthoglide.closing.closed import Closed
+    from orthoglide.closing.outcome import RunOutcome
 
 
-def picture(closed: Closed) -> Picture:
+def picture(closed: RunOutcome) -> Picture:
     """Return the drawing of the machine with what was found, or with the dial of the largest
     residual.
     """
@@ -34,36 +34,38 @@ def picture(closed: Closed) -> Picture:
     for cause in closed.effects:
         first.append(len(options))
         options += [option(machine, one.words, one.values) for one in cause.explanations]
-        options += [_placed(machine, curve) for curve in cause.places]
+        options += [_located_option(machine, curve) for curve in cause.places]
     for found in closed.located:
         first.append(len(options))
-        options += [_placed(machine, curve) for curve in found.members]
+        options += [_located_option(machine, curve) for curve in found.members]
     for change in closed.moved:
         first.append(len(options))
-        options += _moved(machine, change)
+        options += _change_options(machine, change)
     of_dials = closed.lack_of_fit.dials_hold_most
     if closed.word == "unexplained" and of_dials and closed.request.searches:
         first.append(len(options))
-        options.append(_left(closed))
+        options.append(_residual_option(closed))
     return Picture(posed, stand, tuple(options), tuple(first))
 
 
-def _moved(machine: Machine, change: Change) -> list[Option]:
+def _change_options(machine: Machine, change: Change) -> list[Option]:
     """Return what may have changed, each on its part, with direction and size."""
     options = []
-    for words, (name, by) in zip(change.words, change.moved.items(), strict=True):
+    for words, (name, by) in zip(
+        change.member_clauses, change.change_by_member.items(), strict=True
+    ):
         made = option(machine, words, {name: by} if math.isfinite(by) else {})
         marks = (replace(m, label=m.label and f"changed by {m.label}") for m in made.marks)
         options.append(replace(made, marks=tuple(marks)))
     return options
 
 
-def _placed(machine: Machine, curve: Curve) -> Option:
+def _located_option(machine: Machine, curve: Curve) -> Option:
     """Return the mark of a located error: the joint that moves, by the curve that was found."""
     place, size = curve.place, curve.size_words
     if place.of_dial:
         return Option(place.words, (Mark("dial", -1, np.zeros(3), size, setup=place.setup),))
-    if place.moves_lines:
+    if place.moves_bar_ends:
         way = np.eye(3)[LEGS.index(place.direction)]
         return Option(place.words, (Mark("platform", place.leg, way, size, both=True),))
     both, along = place.loses, place.against == "travel"
@@ -76,7 +78,7 @@ def _placed(machine: Machine, curve: Curve) -> Option:
     )
 
 
-def _left(closed: Closed) -> Option:
+def _residual_option(closed: RunOutcome) -> Option:
     most = closed.lack_of_fit.by_dial[0]
     way = np.eye(3)[most.axis] * np.sign(most.most)
     size = f"{compact(abs(most.most) * 1e3, 2)} mm toward {toward(LEGS[most.axis], most.most)}"

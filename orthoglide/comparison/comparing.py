@@ -9,20 +9,20 @@ from functools import cached_property
 import numpy as np
 
 from orthoglide import reduction
-from orthoglide.comparison.rows import READING_LIMIT, SAME, Difference, Row
+from orthoglide.comparison.rows import EQUAL_WITHIN, READING_LIMIT, Difference, Row
 from orthoglide.errors import InputError, NumericsError
-from orthoglide.geometry import LEGS, Array, Geometry, axial
+from orthoglide.geometry import LEGS, Array, Geometry, axial_vectors
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.perfect_legs import Spheres, commands
 from orthoglide.observations import Readings
-from orthoglide.observations.protocols import Kind, protocol
+from orthoglide.observations.protocols import ProtocolName, protocol
 from orthoglide.prediction import Conditions
 from orthoglide.reduction.spheres import Mode, intersect_spheres
 from orthoglide.units import ONE
 
 _FIT_STEPS = 20
 _NAN = float("nan")
-_NOWHERE = Difference(_NAN, _NAN, (_NAN,) * 3)
+_NO_DIFFERENCE = Difference(_NAN, _NAN, (_NAN,) * 3)
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,12 @@ class Circumstances:
     duration: float = 3600.0
     load: float = 10.0  # newtons at the TCP along base -z, always
     pitch: float = 0.016  # of the screws, metres, where the machine file names none
-    kind: Kind = "sweep"  # protocol of the campaign
+    kind: ProtocolName = "sweep"  # protocol of the campaign
 
-    def twice(self, rho: Array) -> Conditions:
+    def visit_conditions(self, rho: Array) -> Conditions:
         """Return the conditions ``(2 n,)`` of the two visits to commands ``(n, 3)``."""
         late = np.repeat([0.0, 1.0], len(rho))
-        return Conditions.at(
+        return Conditions.from_commands(
             np.tile(rho, (2, 1)),
             approach=np.tile(1.0 - 2.0 * late[:, None], 3),
             time=late * self.duration,
@@ -106,9 +106,11 @@ class Comparison:
         self.geometry, self.model = plain.geometry, self.machine.model
         points = grid(self.geometry, self.circumstances.points)
         self.p = np.tile(points, (2, 1))
-        self.seen = self.circumstances.twice(commands(Spheres.of(self.geometry), points))
+        self.conditions = self.circumstances.visit_conditions(
+            commands(Spheres.of_geometry(self.geometry), points)
+        )
         zero = intersect_spheres(self.geometry.centres, self.geometry.L)
-        self.mode: Mode = "machine" if np.abs(zero).max() < SAME else "other"
+        self.mode: Mode = "machine" if np.abs(zero).max() < EQUAL_WITHIN else "other"
 
     @cached_property
     def campaign(self) -> Readings:
@@ -116,24 +118,24 @@ class Comparison:
         return self.circumstances.campaign(self.geometry)
 
     @cached_property
-    def shown(self) -> Array:
+    def perfect_readings(self) -> Array:
         """Readings of the campaign on the perfect machine ``(n,)``, metres."""
         return self.model.readings({}, self.campaign)
 
-    def mechanism(
+    def mechanism_tcp(
         self, values: Mapping[str, float], seen: Conditions | None = None
     ) -> tuple[Array, float]:
         """Return the TCP ``(n, 3)`` of the mechanism, and the platform's largest turn, radians."""
-        distinct, place = self.model.merged(seen or self.seen, values)
+        distinct, place = self.model.merged(seen or self.conditions, values)
         out = self.model.outputs(values, distinct)
-        sine = np.linalg.norm(axial(out.R), axis=1)
+        sine = np.linalg.norm(axial_vectors(out.R), axis=1)
         return out.p[place], float(np.arcsin(np.clip(sine, 0, 1)).max())
 
-    def reduced(self, six: Array, seen: Conditions | None = None) -> Array:
+    def reduction_tcp(self, six: Array, seen: Conditions | None = None) -> Array:
         """Return the TCP ``(n, 3)`` of the reduction with offsets and lengths ``six`` ``(6,)``,
         metres.
         """
-        return intersect_spheres(*self._spheres(six, seen or self.seen), self.mode)
+        return intersect_spheres(*self._spheres(six, seen or self.conditions), self.mode)
 
     def _spheres(self, six: Array, seen: Conditions) -> tuple[Array, Array]:
         """Return centres ``(n, leg, 3)``, all bars carried to the TCP, and radii ``(leg,)``,
@@ -149,7 +151,7 @@ class Comparison:
         """
         six = np.zeros(6)
         for _ in range(_FIT_STEPS):
-            centres, radii = self._spheres(six, self.seen)
+            centres, radii = self._spheres(six, self.conditions)
             found = intersect_spheres(centres, radii, self.mode)
             # Of each leg |p - c| = L: (p - c) . dp = (p - c) . slide d(offset) + L dL
             bars = found[:, None] - centres
@@ -167,16 +169,16 @@ class Comparison:
         """Return mean, largest value and place of differences ``(2 n, 3)`` over the workspace."""
         size = np.linalg.norm(apart, axis=1)
         x, y, z = self.p[
-            int(np.argmax(size >= size.max() - SAME))
+            int(np.argmax(size >= size.max() - EQUAL_WITHIN))
         ].tolist()  # the first of the same
         return Difference(float(size.mean()), float(size.max()), (x, y, z))
 
     def row(self, name: str, value: float, values: Mapping[str, float]) -> Row:
         """Return the comparison for parameters ``values``; name and value are for the table."""
-        found, rotation = self.mechanism(values)
+        found, rotation = self.mechanism_tcp(values)
         six = self.fit_tcp(found)
         effect = None if np.isnan(value) else self.machine.catalogue.effect_of(name)
-        nominal, read = found - self.p, self._read(values, found)
+        nominal, read = found - self.p, self._reading_figures(values, found)
         return Row(
             name=name,
             effect=effect.name if effect else "",
@@ -184,7 +186,7 @@ class Comparison:
             value=value,
             nominal=self.difference(nominal),
             translated=self.difference(nominal - nominal.mean(axis=0)),
-            fitted=self.difference(found - self.reduced(six)),
+            fitted=self.difference(found - self.reduction_tcp(six)),
             identified=read[0],
             six=tuple(six.tolist()),
             rotation=rotation,
@@ -194,14 +196,14 @@ class Comparison:
             legs=self.geometry.leg_names,
         )
 
-    def _read(
+    def _reading_figures(
         self, values: Mapping[str, float], found: Array
     ) -> tuple[Difference, float, float, float]:
         """Return the figures of a row that come from readings of dials; nan on other layouts."""
         if not self.geometry.dialled:
-            return _NOWHERE, _NAN, _NAN, _NAN
-        change, best, priors = self.readings(values)
-        identified = found - self.reduced(priors.values)
+            return _NO_DIFFERENCE, _NAN, _NAN, _NAN
+        change, best, priors = self.fit_reduction_to_readings(values)
+        identified = found - self.reduction_tcp(priors.values)
         return (
             self.difference(identified - identified.mean(axis=0)),
             float(np.sqrt(np.mean(change**2))),
@@ -209,7 +211,7 @@ class Comparison:
             float(np.abs(best.residuals).max()),
         )
 
-    def readings(
+    def fit_reduction_to_readings(
         self, values: Mapping[str, float]
     ) -> tuple[Array, reduction.ReadingFit, reduction.ReadingFit]:
         """Return the change of the readings by an effect, datums removed, and two fits of the
@@ -217,7 +219,7 @@ class Comparison:
         """
         c, shown = self.campaign, self.model.readings(values, self.campaign)
         datums = np.eye(len(c.setups))[c.setup]
-        change = shown - self.shown
+        change = shown - self.perfect_readings
         change = change - datums @ np.linalg.lstsq(datums, change, rcond=None)[0]
         setups = [c.setups[k] for k in c.setup]
         own = [self.machine.tolerance(name) for name in self.machine.catalogue.base]
@@ -270,7 +272,7 @@ def compare_effects(
         if plain.catalogue.effect_of(name).of_dial and not dialled:
             raise InputError(f"{name}: dials are set against the legs of an Orthoglide alone")
         value = plain.tolerance(name)
-        parts = plain.catalogue.elementary(name, setups)
+        parts = plain.catalogue.elementary_weights(name, setups)
         rows.append(comparison.row(name, value, {n: w * value for n, w in parts.items()}))
     return tuple(rows)
 
@@ -312,18 +314,24 @@ def slices(
     with an odd number of points along each side.
     """
     comparison = Comparison(machine, circumstances)
-    six = comparison.fit_tcp(comparison.mechanism(machine.values)[0])
+    six = comparison.fit_tcp(comparison.mechanism_tcp(machine.values)[0])
     places = grid(machine.geometry, points)
     planes = []
     for normal in range(3):
         # The cube is cut where p = 0, which its grid need not hold.
-        cut = places if machine.geometry.dialled else places[np.abs(places[:, normal]) < SAME]
+        cut = (
+            places if machine.geometry.dialled else places[np.abs(places[:, normal]) < EQUAL_WITHIN]
+        )
         flat = np.delete(cut, normal, axis=1)
         p = np.stack(np.meshgrid(*map(np.unique, flat.T), indexing="ij"), -1)
         inside = (p[:, :, None] == np.unique(flat, axis=0)).all(axis=-1).any(axis=-1)
         p = np.insert(p, normal, 0.0, -1)
-        seen = comparison.circumstances.twice(commands(Spheres.of(machine.geometry), p[inside]))
-        apart = comparison.mechanism(machine.values, seen)[0] - comparison.reduced(six, seen)
+        seen = comparison.circumstances.visit_conditions(
+            commands(Spheres.of_geometry(machine.geometry), p[inside])
+        )
+        apart = comparison.mechanism_tcp(machine.values, seen)[0] - comparison.reduction_tcp(
+            six, seen
+        )
         size = np.full(p.shape[:2], np.nan)
         size[inside] = np.linalg.norm(apart, axis=1).reshape(2, -1).max(axis=0)
         planes.append(Slice(normal, p, size))

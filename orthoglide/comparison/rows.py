@@ -15,7 +15,7 @@ TCP_LIMIT = 5e-6
 READING_LIMIT = 5e-6
 """... and its fitted readings are no further off, rms: half the step of a workshop dial."""
 
-SAME = 1e-9
+EQUAL_WITHIN = 1e-9
 """Metres: differences that are closer together than this are the same."""
 
 
@@ -81,6 +81,8 @@ def worst_by_effect(rows: Sequence[Row]) -> tuple[Row, ...]:
     for row in rows:
         worst = found.setdefault(row.effect, row)
         apart = row.fitted.max - worst.fitted.max
-        if apart > SAME or (abs(apart) <= SAME and row.reading_rms > worst.reading_rms + SAME):
+        if apart > EQUAL_WITHIN or (
+            abs(apart) <= EQUAL_WITHIN and row.reading_rms > worst.reading_rms + EQUAL_WITHIN
+        ):
             found[row.effect] = row
     return tuple(found.values())

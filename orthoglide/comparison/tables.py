@@ -14,7 +14,7 @@ from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 from orthoglide.numerals import plain
 from orthoglide.observations import csv_text
-from orthoglide.progress import Progress, Step, silent
+from orthoglide.progress import Progress, Step, no_progress
 
 _TITLE = "When the simplified model is good enough"
 _UM = 1e6
@@ -34,7 +34,7 @@ LEGEND = (
 )
 """What the table's columns are."""
 
-_OF_TOOL = (
+_LEGEND_WITHOUT_DIALS = (
     f"The reduction will do where, after its six parameters are fitted, the TCP is nowhere more "
     f"than {TCP_LIMIT * _UM:g} µm from the mechanism. Readings are not compared: dials are set "
     f"against the legs of an Orthoglide alone. Lengths in µm, turns of the platform in µrad, "
@@ -55,7 +55,7 @@ def micrometres(*values: float) -> str:
     return ", ".join(one(abs(value) * _UM) for value in values)
 
 
-def _size(row: Row, value: float, machine: str) -> str:
+def _size_text(row: Row, value: float, machine: str) -> str:
     if math.isnan(value):
         return machine
     if math.isinf(value):
@@ -63,39 +63,39 @@ def _size(row: Row, value: float, machine: str) -> str:
     return f"{value / row.unit.si:.2g}" + row.unit.behind
 
 
-def _place(difference: Difference) -> str:
+def _place_text(difference: Difference) -> str:
     if difference.max * _UM < 1e-3:
         return "–"
     return "({})".format(", ".join(plain(x * 1e3, 0) for x in difference.where))
 
 
-_OF_READINGS = ("readings: change", "six fitted: rms, max", "calibrated TCP: max")
+_READING_COLUMNS = ("readings: change", "six fitted: rms, max", "calibrated TCP: max")
 
 _COLUMNS: dict[str, Callable[[Row], str]] = {
     "effect": lambda row: row.name,
-    "size": lambda row: _size(row, row.value, "all"),
+    "size": lambda row: _size_text(row, row.value, "all"),
     "TCP as it is: mean, max": lambda row: micrometres(row.nominal.mean, row.nominal.max),
     "best translation: max": lambda row: micrometres(row.translated.max),
     "six fitted: mean, max": lambda row: micrometres(row.fitted.mean, row.fitted.max),
-    "where": lambda row: _place(row.fitted),
+    "where": lambda row: _place_text(row.fitted),
     "platform turns": lambda row: micrometres(row.rotation),
     "readings: change": lambda row: micrometres(row.reading_change),
     "six fitted: rms, max": lambda row: micrometres(row.reading_rms, row.reading_max),
     "calibrated TCP: max": lambda row: micrometres(row.identified.max),
     "reduction will do": lambda row: "yes" if row.good_enough else "no",
-    "up to": lambda row: _size(row, row.value and row.good_up_to, "–"),
+    "up to": lambda row: _size_text(row, row.value and row.good_up_to, "–"),
 }
 
 
-def _table(rows: Sequence[Row]) -> dict[str, list[str]]:
+def _cells_by_column(rows: Sequence[Row]) -> dict[str, list[str]]:
     read = any(row.read for row in rows)
-    shown = {head: cell for head, cell in _COLUMNS.items() if read or head not in _OF_READINGS}
+    shown = {head: cell for head, cell in _COLUMNS.items() if read or head not in _READING_COLUMNS}
     return {head: [cell(row) for row in rows] for head, cell in shown.items()}
 
 
 def legend(rows: Sequence[Row]) -> str:
     """Return what the columns of the tables mean."""
-    return f"{LIMITS} {LEGEND}" if any(row.read for row in rows) else _OF_TOOL
+    return f"{LIMITS} {LEGEND}" if any(row.read for row in rows) else _LEGEND_WITHOUT_DIALS
 
 
 def markdown_table(rows: Sequence[Row], columns: Sequence[str] | None = None) -> str:
@@ -105,7 +105,7 @@ def markdown_table(rows: Sequence[Row], columns: Sequence[str] | None = None) ->
         rows: effects, or a machine.
         columns: heads of the columns to show; all where absent.
     """
-    table = _table(rows)
+    table = _cells_by_column(rows)
     table = {head: table[head] for head in columns or table}
     table["effect"] = [f"`{name.replace('|', '/')}`" for name in table["effect"]]
     cells = [tuple(table), *zip(*table.values(), strict=True)]
@@ -134,10 +134,10 @@ def short_table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, .
 
 def csv_table(rows: Sequence[Row]) -> str:
     """Return all numbers of the rows as CSV, names with their unit."""
-    return csv_text([_record(row) for row in rows])
+    return csv_text([_csv_record(row) for row in rows])
 
 
-def _record(row: Row) -> dict[str, str]:
+def _csv_record(row: Row) -> dict[str, str]:
     alone = not math.isnan(row.value)
     record = {
         "effect": row.name,
@@ -167,7 +167,7 @@ def _record(row: Row) -> dict[str, str]:
 def slice_figure(title: str, planes: Sequence[Slice]) -> str:
     """Return three planes of the workspace as SVG, coloured by the difference at the TCP."""
     top = max(float(np.nanmax(plane.difference)) for plane in planes) * _UM
-    with style.applied():
+    with style.figure_style():
         figure = style.new_figure(9.5, 3.2)
         figure.set_layout_engine("constrained")
         axes = figure.subplots(1, 3)
@@ -189,7 +189,7 @@ def comparison_files(
     whole: Sequence[Row],
     rows: Sequence[Row],
     drawn: Sequence[Row] = (),
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> dict[str, str]:
     """Return the files of a comparison's folder by name.
 

@@ -2,7 +2,6 @@
 files that a controller or another program takes of a calibrated machine.
 """
 
-from orthoglide.control.checking import withheld as withheld
 from orthoglide.control.compensation import Compensation as Compensation, compensate as compensate
 from orthoglide.control.files import (
     commands_text as commands_text,
@@ -17,5 +16,6 @@ from orthoglide.control.numbers import (
 from orthoglide.control.urdf import (
     calibrated_mjcf as calibrated_mjcf,
     calibrated_urdf as calibrated_urdf,
-    held_by_urdf as held_by_urdf,
+    constant_geometry as constant_geometry,
 )
+from orthoglide.control.zero_checks import withholding_reason as withholding_reason

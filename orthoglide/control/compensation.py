@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.accuracy import tcp_slopes
-from orthoglide.control.checking import not_withheld
-from orthoglide.errors import ClosureError, InputError, UnreachableError, numbers
+from orthoglide.control.zero_checks import checked_for_use
+from orthoglide.errors import ClosureError, InputError, UnreachableError, as_float_array
 from orthoglide.frames import Framed
 from orthoglide.geometry import LEGS, Array
 from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.layout.leg import triple
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.mechanism.perfect_legs import UNITS
+from orthoglide.mechanism.perfect_legs import UNITS_REMEDY
 from orthoglide.numerals import compact, plain
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
-from orthoglide.observations.columns import of_commands
+from orthoglide.observations.columns import native_command_names
 from orthoglide.observations.schema import APPROACH, PLACE, POINT, TRAVEL
 from orthoglide.prediction import Conditions
 
@@ -36,13 +36,13 @@ NOT_COVERED = (
 )
 """What the expected accuracy does not cover."""
 
-_ENDS = ("residual_mm", "shape_mm", "place_mm", "expected_mm", "uncompensated_mm",
+_ERROR_COLUMNS = ("residual_mm", "shape_mm", "place_mm", "expected_mm", "uncompensated_mm",
          "uncompensated_shape_mm")  # fmt: skip
-_UNKNOWN = (
+_NO_UNCERTAINTY = (
     "the machine file says nothing of how well its parameters are known, and so nothing is known "
     "of how near these commands bring the real machine: give the calibrated.toml of a result"
 )
-_FAR = 0.02  # metres, more than any effect moves a command
+_STROKE_MARGIN = 0.02  # metres, more than any effect moves a command
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,12 +102,12 @@ class Compensation(Framed):
         ends = (self.residual, self.shape, np.full(len(self), self.place), self.accuracy)
         groups: dict[tuple[str, ...], Array] = {
             POINT.names(): self.wanted * 1e3,
-            of_commands(self.legs): self.rho * 1e3,
+            native_command_names(self.legs): self.rho * 1e3,
             TRAVEL.names(legs): self.travel * 1e3,  # the same columns on other layouts
             **({} if self.sent is None else {PLACE.names(): self.sent * 1e3}),
             APPROACH.names(legs): self.approach,
             tuple(f"sigma_{axis}_mm" for axis in LEGS): self.shape_sigma * 1e3,
-            _ENDS: np.column_stack([*ends, self.error_before, self.shape_before]) * 1e3,
+            _ERROR_COLUMNS: np.column_stack([*ends, self.error_before, self.shape_before]) * 1e3,
         }
         return {n: v[:, k].tolist() for names, v in groups.items() for k, n in enumerate(names)}
 
@@ -146,7 +146,7 @@ class Compensation(Framed):
 
     def __str__(self) -> str:
         if not self.is_known:
-            return "\n".join([f"{len(self)} points", _UNKNOWN, *_ALWAYS])
+            return "\n".join([f"{len(self)} points", _NO_UNCERTAINTY, *_GENERAL_NOTES])
         before, shape = self.shape_before * 1e3, self.shape * 1e3
         how = (
             "from the parameters' sigmas, taken for independent; values that the readings only "
@@ -162,12 +162,12 @@ class Compensation(Framed):
             f"states the mean over the workspace in place of the rms over these points",
             f"where the machine as a whole sits is known to {self.place * 1e3:.2f} mm: a datum on "
             f"the workpiece removes that",
-            *_ALWAYS,
+            *_GENERAL_NOTES,
         ]
         return "\n".join(lines)
 
 
-_ALWAYS = (
+_GENERAL_NOTES = (
     "the commands count as the controller does now: enter no new zero besides",
     "not covered: " + "; ".join(NOT_COVERED),
 )
@@ -207,18 +207,18 @@ def compensate(
             are not numbers.
         UnreachableError: naming the row of the first point outside reach or stroke.
     """
-    machine = not_withheld(machine, force)
-    goal = _path(points)
-    given = Conditions.at(goal, time=time, warming=warming, load=load)
+    machine = checked_for_use(machine, force)
+    goal = _checked_path(points)
+    given = Conditions.from_commands(goal, time=time, warming=warming, load=load)
     conditions = {"time": given.time, "warming": given.warming, "load": given.load}
     nominal = _nominal_commands(machine, goal)
-    before = _before(machine, start)
-    rho = _settled(machine, goal, nominal, before, conditions, resolution)
+    before = _start_command(machine, start)
+    rho = _commands_along_path(machine, goal, nominal, before, conditions, resolution)
     steps = machine.spec.controller.from_rho(rho, machine.geometry) / resolution
     travel = np.round(np.round(steps) * resolution, 12)
     rho = machine.spec.controller.to_rho(travel, machine.geometry)
     _check_stroke(machine, rho)
-    approach = _approach(rho, before, 4 * resolution)  # no rounding turns a drive
+    approach = _arrival_directions(rho, before, 4 * resolution)  # no rounding turns a drive
     arriving = {"approach": approach, **conditions}
     predicted = machine.forward(rho, **arriving)
     return Compensation(
@@ -228,18 +228,18 @@ def compensate(
         approach,
         predicted,
         machine.forward(
-            nominal, **{**arriving, "approach": _approach(nominal, before, resolution)}
+            nominal, **{**arriving, "approach": _arrival_directions(nominal, before, resolution)}
         ),
-        *_shape_and_place(machine, Conditions.at(rho, **arriving)),
+        *_shape_and_offset_sigmas(machine, Conditions.from_commands(rho, **arriving)),
         machine.spec.posterior is None,
         machine.geometry.layout.names,
         None if (known := machine.spec.kinematics) is None else known.places(rho),
     )
 
 
-def _path(points: ArrayLike) -> Array:
+def _checked_path(points: ArrayLike) -> Array:
     """Return TCP points ``(n, 3)``, metres."""
-    goal = numbers("a path", points)
+    goal = as_float_array("a path", points)
     if goal.ndim != 2 or goal.shape[1] != 3 or not len(goal):
         raise InputError(f"a path has the shape (n, 3), n at least 1, not {goal.shape}")
     bad = np.flatnonzero(~np.isfinite(goal).all(axis=1))
@@ -248,7 +248,7 @@ def _path(points: ArrayLike) -> Array:
     return goal
 
 
-def _shape_and_place(machine: Machine, at: Conditions) -> tuple[Array, Array]:
+def _shape_and_offset_sigmas(machine: Machine, at: Conditions) -> tuple[Array, Array]:
     """Return sigmas after the best translation over the workspace ``(n, 3)``, and of that
     translation ``(3,)``; nan if no parameter is known.
     """
@@ -256,15 +256,15 @@ def _shape_and_place(machine: Machine, at: Conditions) -> tuple[Array, Array]:
     if not names:
         return np.full((len(at.command), 3), np.nan), np.full(3, np.nan)
     slopes, place = tcp_slopes(machine, names, at), tcp_slopes(machine, names).mean(axis=0)
-    return _spread(slopes - place, covariance), _spread(place, covariance)
+    return _output_sigmas(slopes - place, covariance), _output_sigmas(place, covariance)
 
 
-def _spread(slopes: Array, covariance: Array) -> Array:
+def _output_sigmas(slopes: Array, covariance: Array) -> Array:
     variance = np.einsum("...p,pq,...q->...", slopes, covariance, slopes)
     return np.sqrt(np.maximum(variance, 0.0))
 
 
-def _before(machine: Machine, start: ArrayLike | None) -> Array | None:
+def _start_command(machine: Machine, start: ArrayLike | None) -> Array | None:
     """Return the nominal command ``(1, 3)`` of the place before the first point, if known."""
     if start is None:
         return None
@@ -272,17 +272,17 @@ def _before(machine: Machine, start: ArrayLike | None) -> Array | None:
 
 
 def _nominal_commands(machine: Machine, goal: Array) -> Array:
-    return _reached(lambda rows: machine.with_only({}).inverse(goal[rows]), len(goal))
+    return _solve_path(lambda rows: machine.with_only({}).inverse(goal[rows]), len(goal))
 
 
 def _inverse(machine: Machine, goal: Array, conditions: dict[str, Array]) -> Array:
     def solve(rows: slice) -> Array:
         return machine.inverse(goal[rows], **{k: v[rows] for k, v in conditions.items()})
 
-    return _reached(solve, len(goal))
+    return _solve_path(solve, len(goal))
 
 
-def _reached(solve: Callable[[slice], Array], count: int) -> Array:
+def _solve_path(solve: Callable[[slice], Array], count: int) -> Array:
     """Solve for all rows of the path; a failure names its row."""
     try:
         return solve(slice(None))
@@ -296,7 +296,7 @@ def _reached(solve: Callable[[slice], Array], count: int) -> Array:
                 break
         leg, excess = getattr(error, "leg", ""), float(getattr(error, "excess", 0.0))
         why = f"leg {leg} is {excess * 1e3:.3f} mm too short" if leg else "the legs do not reach it"
-        remedy = UNITS if UNITS in str(error) else "move the point towards the middle"
+        remedy = UNITS_REMEDY if UNITS_REMEDY in str(error) else "move the point towards the middle"
         raise UnreachableError(
             f"row {row + 1} of the path is out of reach: {why}; {remedy}",
             leg=leg,
@@ -324,16 +324,16 @@ def _check_stroke(machine: Machine, rho: Array, slack: float = STROKE_SLACK) -> 
     )
 
 
-def _approach(rho: Array, before: Array | None, moved: float) -> Array:
+def _arrival_directions(rho: Array, before: Array | None, moved: float) -> Array:
     """Return the directions in which drives arrive; compensated lost motion turns them at the first
     step back, however short.
     """
     whole = rho if before is None else np.concatenate([before, rho])
-    found = derive_approach(whole, np.arange(len(whole)), moved=moved)
+    found = derive_approach(whole, np.arange(len(whole)), min_move=moved)
     return found[len(whole) - len(rho) :]
 
 
-def _settled(
+def _commands_along_path(
     machine: Machine,
     goal: Array,
     nominal: Array,
@@ -348,7 +348,7 @@ def _settled(
     that makes up for too much, may not turn at all: there the prediction has what it does.
     """
     # Far outside the stroke points are refused before effects are solved for there.
-    _check_stroke(machine, nominal, _FAR)
+    _check_stroke(machine, nominal, _STROKE_MARGIN)
     middle = _inverse(machine, goal, {**conditions, "approach": np.zeros_like(goal)})
-    way = _approach(middle, before, 2 * resolution)
+    way = _arrival_directions(middle, before, 2 * resolution)
     return _inverse(machine, goal, {**conditions, "approach": way})

@@ -21,7 +21,7 @@ from orthoglide.observations.table import read_table
 from orthoglide.text import csv_text
 from orthoglide.urdf import closures_text, file_names, parallel_robot_files
 
-_SMALL = 1e-3  # metres: a path within it is hardly one
+_SHORTEST_PATH = 1e-3  # metres: a path within it is hardly one
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +45,9 @@ def read_path(path: str | os.PathLike[str]) -> PathPoints:
     """
     table = read_table(path)
     warnings = table.check_names(POINT.names(), POINT.names())
-    p = table.array(replace(POINT, empty=None))
-    if len(p) > 1 and 0 < np.abs(p).max() < _SMALL:
-        told = f"all points lie within {_SMALL * 1e3:g} mm of the middle: are they metres?"
+    p = table.array(replace(POINT, empty_value=None))
+    if len(p) > 1 and 0 < np.abs(p).max() < _SHORTEST_PATH:
+        told = f"all points lie within {_SHORTEST_PATH * 1e3:g} mm of the middle: are they metres?"
         warnings = (*warnings, Note(told, "units"))
     return PathPoints(p, table.lines, table.file, warnings)
 

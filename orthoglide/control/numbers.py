@@ -10,8 +10,8 @@ import numpy as np
 
 from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
 from orthoglide.add_ons import Paste
-from orthoglide.control.checking import ZeroCheck, check_zeros, not_withheld
-from orthoglide.effects import OF_DRIVES
+from orthoglide.control.zero_checks import ZeroCheck, check_zeros, checked_for_use
+from orthoglide.effects import DRIVE_ENTRIES
 from orthoglide.effects.wording import effects_in_words
 from orthoglide.frames import Framed
 from orthoglide.layout import ORTHOGLIDE, LegNames
@@ -30,9 +30,9 @@ _FORMULA = (
     f"new zero = old zero {MINUS} sign × offset: what the controller shows, counted as now, when "
     "the carriage is at mechanical zero."
 )
-_ZEROS = "zeros alone"
-_NAMED = 2  # kinds of errors that a sentence names
-_SCALE, _LENGTH = 5e-6, 5e-7  # less is a micrometre over 0.2 m; metres
+_ZEROS_ALONE = "zeros alone"
+_MAX_NAMED = 2  # kinds of errors that a sentence names
+_MIN_SCALE, _MIN_LENGTH = 5e-6, 5e-7  # less is a micrometre over 0.2 m; metres
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,10 @@ class DriveNumbers:
 
     def worked(self, names: LegNames) -> str:
         """The sign rule for this drive, number by number, in a layout's words."""
-        way, side = names.ways[self.sign > 0][1], names.ways[_mm(self.offset) >= 0][0]
+        way, side = (
+            names.slide_end_words[self.sign > 0][1],
+            names.slide_end_words[_mm(self.offset) >= 0][0],
+        )
         stands = "stands on average" if self.best else "stands"
         old, sign = plain(_mm(self.zero), 3), signed(self.sign, 0)
         return (
@@ -179,14 +182,14 @@ class ControllerNumbers(Framed):
     @property
     def zeros_alone(self) -> bool:
         """Whether these are numbers for a controller that takes zeros and nothing else."""
-        return self.drives[0].best == _ZEROS
+        return self.drives[0].best == _ZEROS_ALONE
 
     @property
     def zeros(self) -> Table:
         """The zeros of each axis, old and new."""
         rows = []
         for d in self.drives:
-            old, new = _shown(d.zero), _shown(d.new_zero)
+            old, new = _millimetres_text(d.zero), _millimetres_text(d.new_zero)
             rows.append((d.leg, old, "unchanged" if new == old else new))
         return Table((self.names.axis, "old zero", "new zero"), tuple(rows))
 
@@ -205,15 +208,18 @@ class ControllerNumbers(Framed):
         """Further numbers, each with what it means; none that would change nothing."""
         drives, axis, bar = self.drives, self.names.axis, self.names.bar
         found = []
-        if any(abs(d.scale_factor - 1) > _SCALE for d in drives):
+        if any(abs(d.scale_factor - 1) > _MIN_SCALE for d in drives):
             rows = tuple((d.leg, f"{d.scale_factor:.6f}") for d in drives)
-            found.append((Table((axis, "scale factor"), rows), _OF_SCALE))
-        if any(d.backlash > _LENGTH for d in drives):
-            lost = ((d.leg, _shown(d.backlash), _shown(d.one_sided_zero)) for d in drives)
-            found.append((Table((axis, "backlash", "one-sided zero"), tuple(lost)), _OF_BACKLASH))
+            found.append((Table((axis, "scale factor"), rows), _SCALE_TEXT))
+        if any(d.backlash > _MIN_LENGTH for d in drives):
+            lost = (
+                (d.leg, _millimetres_text(d.backlash), _millimetres_text(d.one_sided_zero))
+                for d in drives
+            )
+            found.append((Table((axis, "backlash", "one-sided zero"), tuple(lost)), _BACKLASH_TEXT))
         if not self.zeros_alone and self.calibrated:
-            rods = tuple((d.leg, _shown(d.bar_length)) for d in drives)
-            found.append((Table((axis, f"{bar} length"), rods), _OF_LENGTH.format(bar)))
+            rods = tuple((d.leg, _millimetres_text(d.bar_length)) for d in drives)
+            found.append((Table((axis, f"{bar} length"), rods), _LENGTH_TEXT.format(bar)))
         return tuple(found)
 
     @property
@@ -221,8 +227,8 @@ class ControllerNumbers(Framed):
         """How the signs are checked, and a reading to expect for each axis, the plainest first."""
         if self.checks:
             told = ranked(self.checks, lambda check: abs(check.right - check.wrong))
-            return _CHECKS, tuple(sentence(str(check)) for check in told)
-        return (_NONE if self.names == ORTHOGLIDE.names else _UNDIALLED), ()
+            return _CHECKS_TEXT, tuple(sentence(str(check)) for check in told)
+        return (_NO_CHECKS_TEXT if self.names == ORTHOGLIDE.names else _CHECKS_AT_TOOL_TEXT), ()
 
     @property
     def gains(self) -> str:
@@ -271,12 +277,12 @@ class ControllerNumbers(Framed):
     def rest(self) -> str:
         """What these numbers leave out, and what takes it in."""
         if not self.calibrated:
-            return _NOMINAL
+            return _NOMINAL_TEXT
         if not self.beyond:
             return "Nothing else was identified: these numbers hold all of it."
         named = [
-            *self.beyond[:_NAMED],
-            *(f"{n} more" for n in [len(self.beyond) - _NAMED] if n > 0),
+            *self.beyond[:_MAX_NAMED],
+            *(f"{n} more" for n in [len(self.beyond) - _MAX_NAMED] if n > 0),
         ]
         alone = (
             " A controller that takes zeros alone needs other zeros, which the option --zeros-only "
@@ -306,16 +312,16 @@ def controller_numbers(
     Raises:
         InputError: where the verdict says not to act on the machine's numbers.
     """
-    machine = not_withheld(machine, force)
+    machine = checked_for_use(machine, force)
     settings = tool_settings(machine)
-    alone = _by_kind(machine, settings["zeros"])["zero"]
-    held = _by_kind(machine, settings["zeros" if zeros_only else "numbers"])
+    alone = _values_by_kind(machine, settings["zeros"])["zero"]
+    held = _values_by_kind(machine, settings["zeros" if zeros_only else "numbers"])
     of = machine.catalogue.effect_of
     others = [n for n, v in machine.values.items() if v and of(n).controller not in held]
     left_over = ranked(others, lambda n: abs(machine.values[n]) / machine.tolerance(n))
     fitted = left_over or machine.geometry.layout.hanging  # which leaves the tool at its height
-    best = _ZEROS if zeros_only else "these numbers" if fitted else ""
-    identified = _by_kind(machine, machine.values).get("zero", np.zeros(3))
+    best = _ZEROS_ALONE if zeros_only else "these numbers" if fitted else ""
+    identified = _values_by_kind(machine, machine.values).get("zero", np.zeros(3))
     controller, length = machine.spec.controller, machine.geometry.L
     printer = machine.spec.printer
     none = np.zeros(3)
@@ -346,14 +352,14 @@ def controller_numbers(
     )
 
 
-def _by_kind(machine: Machine, values: dict[str, float]) -> dict[str, np.ndarray]:
+def _values_by_kind(machine: Machine, values: dict[str, float]) -> dict[str, np.ndarray]:
     """Return the numbers that a controller takes of these parameters: by kind, for each leg
     ``(3,)``, SI.
     """
     found: dict[str, np.ndarray] = {}
     for name, value in values.items():
         kind = machine.catalogue.effect_of(name).controller
-        if kind in OF_DRIVES:
+        if kind in DRIVE_ENTRIES:
             leg = machine.geometry.leg_names.index(machine.catalogue.parameter(name).leg)
             found.setdefault(kind, np.zeros(3))[leg] += value
     return found
@@ -363,32 +369,32 @@ def _mm(metres: float) -> float:
     return round(metres * 1e3, 6) + 0.0
 
 
-def _shown(metres: float) -> str:
+def _millimetres_text(metres: float) -> str:
     """Return millimetres to a micrometre as text; what rounds to zero has no sign."""
     return f"{round(metres * 1e3, 3) + 0.0:.3f}"
 
 
-_OF_SCALE = (
+_SCALE_TEXT = (
     "Scale, where the controller has one: multiply commanded distances from mechanical zero (or "
     "the counts per millimetre) by the factor. The new zero is the one after that."
 )
-_OF_BACKLASH = (
+_BACKLASH_TEXT = (
     "Backlash, where the controller has a setting for it: one that shifts by half of it each way "
     "takes it with the new zero above. One that adds the whole in one direction only (taken here: "
     "moves toward smaller commands go farther) takes it with the one-sided zero."
 )
-_OF_LENGTH = "Length of the {}s, where the controller computes the kinematics."
-_CHECKS = (
+_LENGTH_TEXT = "Length of the {}s, where the controller computes the kinematics."
+_CHECKS_TEXT = (
     "Check the signs before the machine works again. With the new zeros entered and nothing else, "
     "send all axes to their new zeros and set the dial to 0; move them as the controller counts, "
     "and read the dial."
 )
-_NONE = "Dials on the legs cannot check the signs of these zeros."
-_UNDIALLED = (
+_NO_CHECKS_TEXT = "Dials on the legs cannot check the signs of these zeros."
+_CHECKS_AT_TOOL_TEXT = (
     "Check of the signs: enter the zeros with the tool well clear, then read the tool again as for "
     "the calibration. A zero with the wrong sign doubles what was off."
 )
-_NOMINAL = (
+_NOMINAL_TEXT = (
     "The machine file holds no calibration: these are its nominal numbers, and nothing is known of "
     "how far the real machine is off. Give the calibrated.toml of a result."
 )

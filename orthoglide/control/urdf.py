@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from orthoglide.effects import Effect, LegConditions, Motion
-from orthoglide.effects.wording import by_effect
+from orthoglide.effects.wording import grouped_by_effect
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.tree import VIRTUAL_NAMES, load
@@ -41,7 +41,9 @@ def calibrated_urdf(machine: MachineSource) -> str:
     robot = ET.fromstring(nominal)
     origins = {j.get("name"): j.find("origin") for j in robot.iter("joint")}
     axes = {j.get("name"): j.find("axis") for j in robot.iter("joint")}
-    for leg, (moves, slope) in zip(machine.geometry.leg_names, _moves(machine), strict=True):
+    for leg, (moves, slope) in zip(
+        machine.geometry.leg_names, _leg_displacements(machine), strict=True
+    ):
         slide = origins[f"{leg}_slide"]
         turn = Rotation.from_euler("xyz", _attribute(slide, "rpy"))
         path = np.array([moves["travel"], moves["lateral_b"], moves["lateral_c"]])
@@ -49,13 +51,13 @@ def calibrated_urdf(machine: MachineSource) -> str:
         tilted = np.array([1.0, *slope])
         axis = axes[f"{leg}_slide"]
         if axis is not None and slope.any():
-            axis.set("xyz", _text(tilted / np.linalg.norm(tilted)))
+            axis.set("xyz", _numbers_text(tilted / np.linalg.norm(tilted)))
         turned = [moves["turn_a"], moves["turn_b"], moves["turn_c"]]
         carriage = origins[f"{leg}_theta"]
         if carriage is not None and any(turned):  # about a, the turned b, then the turned c
             lean = Rotation.from_euler("xyz", _attribute(carriage, "rpy"))
             both = Rotation.from_euler("XYZ", turned) * lean
-            carriage.set("rpy", _text(both.as_euler("xyz")))
+            carriage.set("rpy", _numbers_text(both.as_euler("xyz")))
         wider = moves["width1"] + moves["width2"]
         _shift(origins[f"{leg}_knuckle"], [-moves["stretch1"], 0, 0])
         _shift(origins[f"{leg}_bar2_tip_fixed"], [-moves["stretch2"], 0, 0])
@@ -86,7 +88,7 @@ def calibrated_mjcf(machine: MachineSource) -> str:
     return to_mjcf(calibrated_urdf(machine), loops, comment=_comment(machine, "MJCF"))
 
 
-def held_by_urdf(machine: Machine) -> dict[str, float]:
+def constant_geometry(machine: Machine) -> dict[str, float]:
     """Return the parameters that are constant geometry, SI: places and directions of joints."""
     of = machine.catalogue.effect_of
     return {n: v for n, v in machine.values.items() if _is_constant(of(n), machine)}
@@ -113,14 +115,14 @@ def _is_constant(effect: Effect, machine: Machine) -> bool:
     return True
 
 
-def _moves(machine: Machine) -> list[tuple[dict[str, float], Array]]:
+def _leg_displacements(machine: Machine) -> list[tuple[dict[str, float], Array]]:
     """Return for each leg displacements of its virtual joints at mechanical zero, and slopes of its
     path.
 
     Taken from the effects themselves, so that there is one definition of each.
     """
-    at = Conditions.at(machine.geometry.zero + np.array([[0.0], [_PROBE]]))
-    here, there = machine.model.displacements(held_by_urdf(machine), at).reshape(2, 3, -1)
+    at = Conditions.from_commands(machine.geometry.zero + np.array([[0.0], [_PROBE]]))
+    here, there = machine.model.displacements(constant_geometry(machine), at).reshape(2, 3, -1)
     lateral = [VIRTUAL_NAMES.index(name) for name in _LATERAL]
     return [
         (
@@ -132,7 +134,7 @@ def _moves(machine: Machine) -> list[tuple[dict[str, float], Array]]:
 
 
 def _comment(machine: Machine, of_format: str = "URDF") -> str:
-    constant, of = held_by_urdf(machine), machine.catalogue.effect_of
+    constant, of = constant_geometry(machine), machine.catalogue.effect_of
     names = machine.geometry.layout.names
     held = [n for n, v in constant.items() if v]
     left = [n for n, v in machine.values.items() if v and n not in constant]
@@ -141,7 +143,7 @@ def _comment(machine: Machine, of_format: str = "URDF") -> str:
         f"Calibrated: {machine.spec.title}. Slide q is the commanded {names.travel}.",
         "Holds " + (", ".join(held) or "no correction") + ".",
         f"Left out, for {of_format} holds constant geometry only: "
-        + (", ".join(by_effect(left)) or "nothing")
+        + (", ".join(grouped_by_effect(left)) or "nothing")
         + ".",
     ]
     if misfit and of_format == "URDF":
@@ -159,10 +161,10 @@ def _attribute(element: ET.Element | None, name: str) -> Array:
     return np.array(text.split(), dtype=float) if text else np.zeros(3)
 
 
-def _text(values: Array) -> str:
+def _numbers_text(values: Array) -> str:
     return " ".join(repr(float(v) + 0.0) for v in values)
 
 
 def _shift(origin: ET.Element | None, by: Array | list[float]) -> None:
     if origin is not None and np.any(by):
-        origin.set("xyz", _text(_attribute(origin, "xyz") + by))
+        origin.set("xyz", _numbers_text(_attribute(origin, "xyz") + by))

@@ -5,7 +5,7 @@ from orthoglide.effects.catalogue import (
     Catalogue as Catalogue,
     catalogue_of as catalogue_of,
 )
-from orthoglide.effects.effect import OF_DRIVES as OF_DRIVES, Effect as Effect
+from orthoglide.effects.effect import DRIVE_ENTRIES as DRIVE_ENTRIES, Effect as Effect
 from orthoglide.effects.motions import (
     DialReading as DialReading,
     LegConditions as LegConditions,

@@ -7,7 +7,7 @@ from typing import Any
 
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.motions import Constant, LegConditions, Motion, once
-from orthoglide.effects.words import Words, micrometres, mm, more
+from orthoglide.effects.words import Words, micrometres, mm, sign_word
 from orthoglide.units import MM, Unit
 
 _PER_HOUR = 3600e6
@@ -27,16 +27,16 @@ LEG_LENGTH = Effect(
     members=once(*_both_bars(Constant(1.0))),
     words=Words(
         lambda p, v: (
-            f"the bars of leg {p.leg} are {mm(v)} {more(v, 'longer', 'shorter')} than nominal"
+            f"the bars of leg {p.leg} are {mm(v)} {sign_word(v, 'longer', 'shorter')} than nominal"
         ),
         lambda p: f"the bars of leg {p.leg} are not of nominal length",
         "the bars of the legs are not of nominal length",
         confirm=lambda p, v: (
             f"measure the bars of leg {p.leg} between their pivots: expect {mm(v)} "
-            f"{more(v)} than nominal on the average of the two"
+            f"{sign_word(v)} than nominal on the average of the two"
         ),
         common=lambda v: (
-            f"the bars of all legs are {mm(v)} {more(v, 'longer', 'shorter')} than nominal"
+            f"the bars of all legs are {mm(v)} {sign_word(v, 'longer', 'shorter')} than nominal"
         ),
     ),
     controller="bar_length",
@@ -52,12 +52,14 @@ BAR_MISMATCH = Effect(
     look_at="the two bars side by side, and the play of their pivots",
     members=once(Motion("stretch1", Constant(0.5)), Motion("stretch2", Constant(-0.5))),
     words=Words(
-        lambda p, v: f"bar 1 of leg {p.leg} is {mm(v)} {more(v, 'longer', 'shorter')} than bar 2",
+        lambda p, v: (
+            f"bar 1 of leg {p.leg} is {mm(v)} {sign_word(v, 'longer', 'shorter')} than bar 2"
+        ),
         lambda p: f"the two bars of leg {p.leg} differ in length",
         "the two bars of each leg differ in length",
         confirm=lambda p, v: (
             f"measure both bars of leg {p.leg} between their pivots: expect bar 1 {mm(v)} "
-            f"{more(v, 'longer', 'shorter')} than bar 2"
+            f"{sign_word(v, 'longer', 'shorter')} than bar 2"
         ),
     ),
 )
@@ -73,13 +75,13 @@ PARALLELOGRAM_WIDTH = Effect(
     words=Words(
         lambda p, v: (
             f"the short link of leg {p.leg} at the platform is {mm(v)} "
-            f"{more(v, 'wider', 'narrower')} than the one at the carriage"
+            f"{sign_word(v, 'wider', 'narrower')} than the one at the carriage"
         ),
         lambda p: f"the two short links of leg {p.leg} differ",
         "the short links at the platform differ from those at the carriages",
         confirm=lambda p, v: (
             f"measure the distance of the bars of leg {p.leg} at both ends: expect it {mm(v)} "
-            f"{more(v, 'wider', 'narrower')} at the platform"
+            f"{sign_word(v, 'wider', 'narrower')} at the platform"
         ),
     ),
 )
@@ -94,7 +96,7 @@ THERMAL_GROWTH = Effect(
     members=once(*_both_bars(lambda c: c.length * c.warming)),
     words=Words(
         lambda p, v: (
-            f"the bars of leg {p.leg} {more(v, 'grow', 'shrink')} by "
+            f"the bars of leg {p.leg} {sign_word(v, 'grow', 'shrink')} by "
             f"{micrometres(v, 'a metre and kelvin')}"
         ),
         lambda p: f"the bars of leg {p.leg} grow with temperature",
@@ -102,7 +104,7 @@ THERMAL_GROWTH = Effect(
         lambda v: micrometres(v, "a metre and kelvin"),
         lambda p, v: (
             f"measure the bars of leg {p.leg} cold and 10 K warmer: expect them "
-            f"{micrometres(10 * v, 'a metre')} {more(v, 'longer', 'shorter')}"
+            f"{micrometres(10 * v, 'a metre')} {sign_word(v, 'longer', 'shorter')}"
         ),
     ),
     group="temperature",
@@ -118,7 +120,7 @@ THERMAL_DRIFT = Effect(
     members=once(*_both_bars(lambda c: c.length * c.time)),
     words=Words(
         lambda p, v: (
-            f"the bars of leg {p.leg} {more(v, 'grow', 'shrink')} by "
+            f"the bars of leg {p.leg} {sign_word(v, 'grow', 'shrink')} by "
             f"{micrometres(v, 'a metre and hour', _PER_HOUR)}"
         ),
         lambda p: f"the bars of leg {p.leg} grow as time goes on",
@@ -126,7 +128,7 @@ THERMAL_DRIFT = Effect(
         lambda v: micrometres(v, "a metre and hour", _PER_HOUR),
         lambda p, v: (
             f"measure the bars of leg {p.leg} at the start and an hour later: expect them "
-            f"{micrometres(v, 'a metre', _PER_HOUR)} {more(v, 'longer', 'shorter')}"
+            f"{micrometres(v, 'a metre', _PER_HOUR)} {sign_word(v, 'longer', 'shorter')}"
         ),
     ),
     group="temperature",

@@ -12,21 +12,21 @@ from functools import cache, cached_property
 from typing import Any
 
 from orthoglide.effects import bars, dials, drives, plates, rails
+from orthoglide.effects.custom import check_bases
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.motions import Motion
-from orthoglide.effects.own import check_bases
 from orthoglide.errors import InputError
 from orthoglide.layout import Layout, LegNames, Orthoglide
 from orthoglide.parameters import Parameter, effect_name, setup_parts
 from orthoglide.units import to_si
 
-OWN = (
+CUSTOM_EFFECTS_HINT = (
     "your own come with --effects-file FILE.py, in Python with Machine.load(FILE, effects=[...]) "
     "or Machine.with_effects"
 )
 """For errors: how an effect of a user's own becomes known."""
 
-_BELTS = {
+_BELT_TOLERANCES = {
     "joint_offset": 2.0, "leg_length": 0.05, "axis_offset": 1.0, "axis_tilt": 3e-3,
     "rail_tilt": 3e-3, "rail_bow": 0.1, "mount_tilt": 1e-2,
     "bar_mismatch": 0.05, "parallelogram_width": 0.3, "encoder_scale": 1e-2, "backlash": 0.05,
@@ -36,12 +36,12 @@ stretch, and a pulley's or a microstep's number is entered by hand: drives of th
 much were reported."""
 
 
-_ENTERED = {"leg_length": 1.0}
+_COMMON_TOLERANCES = {"leg_length": 1.0}
 """Standard deviations, in the effects' own units, of what parts of one set have in common where an
 owner enters it: rods are even to a few hundredths, but their length is read off a rule or a shop's
 page. Rods of 217 were entered as 234, 272 as 268, 288 as 270."""
 
-CLASSES = ("laboratory", "belts")
+MACHINE_CLASSES = ("laboratory", "belts")
 """Classes of machines: a carefully built one of ground steel, and belts on extrusions."""
 
 
@@ -101,7 +101,7 @@ class Catalogue(Mapping[str, Effect]):
             check_bases(effect)
         return catalogue
 
-    def of_layout(self, layout: Layout) -> Catalogue:
+    def for_layout(self, layout: Layout) -> Catalogue:
         """The catalogue of a machine of another layout, a user's own effects included."""
         if layout.names == self.legs:
             return self
@@ -112,9 +112,9 @@ class Catalogue(Mapping[str, Effect]):
     @cached_property
     def base(self) -> tuple[str, ...]:
         """The effects with which every identification starts; of the papers: zeros and lengths."""
-        return self.held_as(*self.legs.held)
+        return self.correctable_by(*self.legs.controller_entries)
 
-    def held_as(self, *numbers: str) -> tuple[str, ...]:
+    def correctable_by(self, *numbers: str) -> tuple[str, ...]:
         """The effects that some of a controller's numbers hold, such as its zeros: ``"zero"``."""
         return tuple(e.name for e in self.effects if e.controller in numbers)
 
@@ -129,7 +129,7 @@ class Catalogue(Mapping[str, Effect]):
         return tuple(self.motions)
 
     @cached_property
-    def of_instruments(self) -> tuple[Effect, ...]:
+    def instrument_effects(self) -> tuple[Effect, ...]:
         """Effects of dials and plates, in the order in which they change a reading."""
         return tuple(e for e in self.effects if e.of_dial)
 
@@ -139,15 +139,15 @@ class Catalogue(Mapping[str, Effect]):
         return {e.name: e.tolerance_si for e in self.effects}
 
     @property
-    def of_belts(self) -> dict[str, float]:
+    def belt_tolerance(self) -> dict[str, float]:
         """Standard deviation to expect of every effect on a machine of belts, SI."""
-        belts = {n: to_si(v, self[n].unit.si) for n, v in _BELTS.items()}
+        belts = {n: to_si(v, self[n].unit.si) for n, v in _BELT_TOLERANCES.items()}
         return {**self.default_tolerance, **belts}
 
     @property
-    def entered(self) -> dict[str, float]:
+    def common_tolerance(self) -> dict[str, float]:
         """Standard deviations to expect of what parts of one set have in common, SI."""
-        return {n: to_si(v, self[n].unit.si) for n, v in _ENTERED.items()}
+        return {n: to_si(v, self[n].unit.si) for n, v in _COMMON_TOLERANCES.items()}
 
     def effect_of(self, name: str) -> Effect:
         """Effect of a parameter, a structured member or an effect's own name.
@@ -158,7 +158,9 @@ class Catalogue(Mapping[str, Effect]):
         effect = effect_name(name)
         if effect not in self.by_name:
             known = ", ".join(self)
-            raise InputError(f"there is no effect {effect!r}: the catalogue has {known} ({OWN})")
+            raise InputError(
+                f"there is no effect {effect!r}: the catalogue has {known} ({CUSTOM_EFFECTS_HINT})"
+            )
         return self.by_name[effect]
 
     def parameter(self, name: str, setups: Iterable[str] = ()) -> Parameter:
@@ -180,14 +182,14 @@ class Catalogue(Mapping[str, Effect]):
             for known in effect.parameters(setups):
                 if name == known or name.startswith(f"{known}@"):
                     return known.at(name[len(known) + 1 :])
-            members = self.structured(effect.name, ("any",))
+            members = self.structured_members(effect.name, ("any",))
             if setup and plain not in members and plain != f"{effect.name}.common" and not setups:
                 return Parameter(effect.name, setup=setup, direction=shape, campaign=own)
         else:
             for known in effect.motions:
                 if plain == known:
                     return known.at(campaign)
-        for member in self.structured(effect.name, setups):
+        for member in self.structured_members(effect.name, setups):
             if plain == member:
                 return member.at(campaign)
         if effect.of_dial:
@@ -199,7 +201,7 @@ class Catalogue(Mapping[str, Effect]):
             f"there is no parameter {name!r}: {effect.name} has {', '.join(effect.motions)}"
         )
 
-    def elementary(self, name: str, setups: Iterable[str] = ()) -> dict[str, float]:
+    def elementary_weights(self, name: str, setups: Iterable[str] = ()) -> dict[str, float]:
         """Weights of the parameters that a name stands for: itself, or a structured member's.
 
         Raises:
@@ -207,23 +209,23 @@ class Catalogue(Mapping[str, Effect]):
         """
         parameter = self.parameter(name, setups)
         if parameter.member:
-            weights = self.structured(parameter.effect, setups)[parameter.plain]
+            weights = self.structured_members(parameter.effect, setups)[parameter.plain]
             return {n.at(parameter.campaign): w for n, w in weights.items()}
         return {parameter: 1.0}
 
-    def of_machine(self, values: Mapping[str, float]) -> dict[str, float]:
+    def machine_values(self, values: Mapping[str, float]) -> dict[str, float]:
         """Parameters by name without those of dials and plates."""
         return {name: v for name, v in values.items() if not self.effect_of(name).of_dial}
 
-    def moved_by(self, values: Mapping[str, float]) -> dict[Parameter, float]:
+    def elementary_machine_values(self, values: Mapping[str, float]) -> dict[Parameter, float]:
         """Single parameters of the machine by what names stand for, those of dials left out.
 
         Of what campaigns have for themselves the last one's, which is the machine as it is now.
         """
         found: dict[Parameter, float] = {}
-        now = {self.parameter(n).plain: v for n, v in self.of_machine(values).items()}
+        now = {self.parameter(n).plain: v for n, v in self.machine_values(values).items()}
         for name, value in now.items():
-            for part, weight in self.elementary(name).items():
+            for part, weight in self.elementary_weights(name).items():
                 plain = self.parameter(part).plain
                 found[plain] = found.get(plain, 0.0) + weight * value
         return found
@@ -243,7 +245,7 @@ class Catalogue(Mapping[str, Effect]):
                 found[self.parameter(name, setups)] = None
         return tuple(found)
 
-    def structured(
+    def structured_members(
         self, name: str, setups: Iterable[str] = ()
     ) -> dict[Parameter, dict[Parameter, float]]:
         """Structured members of an effect: patterns of the machine's threefold symmetry.
@@ -299,28 +301,30 @@ def catalogue_of(names: LegNames) -> Catalogue:
     """The package's own effects on a layout; one object for each."""
     if names == CATALOGUE.legs:
         return CATALOGUE
-    effects = (*CATALOGUE.effects, *rails.OF_TOWERS, *plates.OF_TOWERS)
-    return Catalogue(tuple(_said(e, names) for e in effects), names)
+    effects = (*CATALOGUE.effects, *rails.DELTA_EFFECTS, *plates.DELTA_EFFECTS)
+    return Catalogue(tuple(_in_layout_words(e, names) for e in effects), names)
 
 
-def _said(effect: Effect, names: LegNames) -> Effect:
+def _in_layout_words(effect: Effect, names: LegNames) -> Effect:
     """An effect on a layout, in the words of that layout; names of setups stay as they are."""
-    if effect.of_dial or not names.nouns:
+    if effect.of_dial or not names.noun_replacements:
         return replace(effect, names=names)
     words = effect.words
     of_value = ("one", "short", "common", "confirm")
-    told = {name: _speaking(getattr(words, name), names) for name in of_value}
+    told = {name: _clause_in_layout_words(getattr(words, name), names) for name in of_value}
     return replace(
         effect,
         names=names,
-        sentence=names.spoken(effect.sentence),
-        look_at=names.spoken(effect.look_at),
-        words=replace(words, many=names.spoken(words.many), **told),
+        sentence=names.in_layout_words(effect.sentence),
+        look_at=names.in_layout_words(effect.look_at),
+        words=replace(words, many=names.in_layout_words(words.many), **told),
     )
 
 
-def _speaking(of: Callable[..., str] | None, names: LegNames) -> Callable[..., str] | None:
-    return None if of is None else lambda *given: names.spoken(of(*given))
+def _clause_in_layout_words(
+    of: Callable[..., str] | None, names: LegNames
+) -> Callable[..., str] | None:
+    return None if of is None else lambda *given: names.in_layout_words(of(*given))
 
 
 # An effect holds functions, which do not travel between processes: those of the package go by name.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.motions import cos, sin
-from orthoglide.effects.words import Words, mm, more, mrad, percent
+from orthoglide.effects.words import Words, mm, mrad, percent, sign_word
 from orthoglide.units import ONE, RAD, Unit
 
 GAUGE_DIRECTION = Effect(
@@ -21,13 +21,13 @@ GAUGE_DIRECTION = Effect(
     words=Words(
         lambda p, v: (
             f"the dial of {p.setup} is turned by {mrad(v)} about the leg, "
-            f"{more(v, 'right-handed', 'left-handed')}"
+            f"{sign_word(v, 'right-handed', 'left-handed')}"
         ),
         lambda p: f"the dial of {p.setup} is turned about the leg",
         "the dials are turned about their legs",
         confirm=lambda p, v: (
             f"hold a square to the stem of {p.setup}, looking along the leg: expect the stem "
-            f"{mrad(v)} off, {more(v, 'right-handed', 'left-handed')} about the leg's axis"
+            f"{mrad(v)} off, {sign_word(v, 'right-handed', 'left-handed')} about the leg's axis"
         ),
     ),
     group="dial",
@@ -42,12 +42,12 @@ GAUGE_SCALE = Effect(
     sentence="the dial shows more or less than it is moved",
     look_at="the dial against gauge blocks",
     words=Words(
-        lambda p, v: f"the dial of {p.setup} shows {percent(v)} {more(v)} than it is moved",
+        lambda p, v: f"the dial of {p.setup} shows {percent(v)} {sign_word(v)} than it is moved",
         lambda p: f"the dial of {p.setup} shows more or less than it is moved",
         "the dials show more or less than they are moved",
         confirm=lambda p, v: (
             f"put gauge blocks 5 mm apart under the dial of {p.setup}: expect {mm(5e-3 * v)} "
-            f"{more(v)} than 5 mm"
+            f"{sign_word(v)} than 5 mm"
         ),
     ),
     group="dial",
@@ -63,7 +63,7 @@ GAUGE_DRIFT = Effect(
     look_at="the stand's clamps and its foot; let it settle, then read zero again at the end",
     words=Words(
         lambda p, v: (
-            f"the stand of {p.setup} creeps: its reading {more(v, 'grows', 'falls')} by "
+            f"the stand of {p.setup} creeps: its reading {sign_word(v, 'grows', 'falls')} by "
             f"{mm(v * 3600)} an hour"
         ),
         lambda p: f"the stand of {p.setup} creeps",
@@ -71,7 +71,7 @@ GAUGE_DRIFT = Effect(
         lambda v: f"{mm(v * 3600)} an hour",
         lambda p, v: (
             f"leave the machine at rest for an hour with the dial of {p.setup} in place: expect "
-            f"its reading to {more(v, 'grow', 'fall')} by {mm(v * 3600)}"
+            f"its reading to {sign_word(v, 'grow', 'fall')} by {mm(v * 3600)}"
         ),
     ),
     group="dial",

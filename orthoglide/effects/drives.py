@@ -8,7 +8,7 @@ import numpy as np
 
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.motions import Constant, LegConditions, Motion, cos, once, sin
-from orthoglide.effects.words import Words, micrometres, mm, more, percent
+from orthoglide.effects.words import Words, micrometres, mm, percent, sign_word
 from orthoglide.numerals import compact
 from orthoglide.units import MM, ONE, Unit
 
@@ -31,12 +31,12 @@ JOINT_OFFSET = Effect(
     look_at="the reference switch and the zero mark of the drive",
     members=once(Motion("travel", Constant(1.0))),
     words=Words(
-        lambda p, v: f"the zero of drive {p.leg} is {mm(v)} too far {more(v, 'out', 'in')}",
+        lambda p, v: f"the zero of drive {p.leg} is {mm(v)} too far {sign_word(v, 'out', 'in')}",
         lambda p: f"the zero of drive {p.leg} is off",
         "the zeros of the drives are off",
         confirm=lambda p, v: (
             f"send drive {p.leg} to its zero and measure its carriage against the zero mark: "
-            f"expect it {mm(v)} too far {more(v, 'out', 'in')}"
+            f"expect it {mm(v)} too far {sign_word(v, 'out', 'in')}"
         ),
     ),
     group="drive",
@@ -54,12 +54,12 @@ ENCODER_SCALE = Effect(
     "100 mm of the carriage's travel",
     members=once(Motion("travel", lambda c: c.nominal_travel)),
     words=Words(
-        lambda p, v: f"drive {p.leg} moves {percent(v)} {more(v)} than it is told",
+        lambda p, v: f"drive {p.leg} moves {percent(v)} {sign_word(v)} than it is told",
         lambda p: f"drive {p.leg} moves more or less than it is told",
         "the drives move more or less than they are told",
         confirm=lambda p, v: (
             f"set a dial or a scale on carriage {p.leg} and command a move of 50 mm: expect "
-            f"{mm(50e-3 * v)} {more(v)} than 50 mm"
+            f"{mm(50e-3 * v)} {sign_word(v)} than 50 mm"
         ),
     ),
     group="drive",
@@ -108,7 +108,7 @@ BACKLASH = Effect(
         "the drives have lost motion",
         confirm=lambda p, v: (
             f"set a dial on carriage {p.leg} and come to one place from smaller and from larger "
-            f"travel: expect it {mm(v)} {more(v, 'farther out', 'farther in')} when it comes from "
+            f"travel: expect it {mm(v)} {sign_word(v, 'farther out', 'farther in')} when it comes from "
             f"larger travel"
         ),
     ),
@@ -126,7 +126,7 @@ DRIVE_COMPLIANCE = Effect(
     members=once(Motion("travel", lambda c: c.force)),
     words=Words(
         lambda p, v: (
-            f"drive {p.leg} {more(v, 'gives way', 'moves against the load')} by "
+            f"drive {p.leg} {sign_word(v, 'gives way', 'moves against the load')} by "
             f"{micrometres(v, 'a newton')}"
         ),
         lambda p: f"drive {p.leg} gives way under the load",
@@ -134,7 +134,7 @@ DRIVE_COMPLIANCE = Effect(
         lambda v: micrometres(v, "a newton"),
         lambda p, v: (
             f"set a dial on carriage {p.leg} and push with 10 N along its rail: expect "
-            f"{compact(abs(v) * 1e7, 2)} µm {more(v, 'with', 'against')} the push"
+            f"{compact(abs(v) * 1e7, 2)} µm {sign_word(v, 'with', 'against')} the push"
         ),
     ),
     group="load",

@@ -16,7 +16,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 from orthoglide.effects.motions import (
-    SIDES,
+    LATERAL_KEYS,
     Condition,
     DialReading,
     DialRecorder,
@@ -34,8 +34,8 @@ Group = Literal["structure", "drive", "temperature", "load", "dial", "plate", "p
 Shape = Callable[[Any, Any], Any]
 """Height of a plate at (x, y), both over the largest measured radius, for one unit."""
 
-Held = Literal["zero", "scale", "backlash", "bar_length", "place"]
-OF_DRIVES: tuple[Held, ...] = ("zero", "scale", "backlash", "bar_length")
+ControllerEntry = Literal["zero", "scale", "backlash", "bar_length", "place"]
+DRIVE_ENTRIES: tuple[ControllerEntry, ...] = ("zero", "scale", "backlash", "bar_length")
 """What a controller of three drives takes; where towers stand is a firmware's own."""
 
 
@@ -81,7 +81,7 @@ class Effect:
     group: Group = "structure"
     paired: bool = False
     instead_of: Condition | None = None
-    controller: Held | None = None
+    controller: ControllerEntry | None = None
     urdf: bool = False
     dial: Callable[[DialReading, Any], Any] | None = None
     plate: tuple[tuple[str, Shape], ...] = ()
@@ -113,7 +113,7 @@ class Effect:
     @property
     def sided(self) -> bool:
         """Whether its parameters have a direction across their leg."""
-        return any(key in SIDES for key in self.members(0))
+        return any(key in LATERAL_KEYS for key in self.members(0))
 
     @property
     def shapes(self) -> dict[str, Shape]:
@@ -133,7 +133,9 @@ class Effect:
     def motions(self) -> dict[Parameter, tuple[int, tuple[Motion, ...]]]:
         """All parameters of the machine: from name to leg (0, 1, 2) and motions."""
         return {
-            Parameter(self.name, name, dict(zip(SIDES, across, strict=True)).get(key, key)): (
+            Parameter(
+                self.name, name, dict(zip(LATERAL_KEYS, across, strict=True)).get(key, key)
+            ): (
                 leg,
                 motions,
             )

@@ -16,7 +16,7 @@ import numpy as np
 from orthoglide.effects.motions import exp, sin
 from orthoglide.geometry import Array
 
-_ROOM = 1.25
+_INTERVAL_RATIO = 1.25
 """Half the interval of the eigenfunctions over half the variable's: at its ends they are free."""
 
 
@@ -40,17 +40,17 @@ class Kernel:
     @cached_property
     def weights(self) -> Array:
         """Standard deviation of each eigenfunction's coefficient ``(waves,)``."""
-        frequency = np.pi * np.arange(1, self.waves + 1) / (2 * _ROOM)
+        frequency = np.pi * np.arange(1, self.waves + 1) / (2 * _INTERVAL_RATIO)
         rate = np.sqrt(3) / self.length
         smooth = 4 * rate**3 / (rate**2 + frequency**2) ** 2
         rate = 1 / self.length
         stepped = 2 * rate / (rate**2 + frequency**2)
         density = (1 - self.rough) * smooth + self.rough * stepped
-        return np.asarray(np.sqrt(density / _ROOM))
+        return np.asarray(np.sqrt(density / _INTERVAL_RATIO))
 
     def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
         """Eigenfunctions of a variable in [-1, 1], each times its weight."""
-        turn = np.pi * (u + _ROOM) / (2 * _ROOM)
+        turn = np.pi * (u + _INTERVAL_RATIO) / (2 * _INTERVAL_RATIO)
         return [
             float(self.weights[k]) * sin((k + 1) * turn) if k < self.waves else u
             for k in range(self.count)[which]
@@ -72,25 +72,25 @@ class Level:
 class Bump:
     """A bump at one value of the variable: a Gaussian of unit height."""
 
-    at: float  # where it is highest, within [-1, 1]
+    centre: float  # where it is highest, within [-1, 1]
     width: float  # standard deviation, over half the variable's range
     count = 1
 
     def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
         """One, at any variable."""
-        return [exp(-0.5 * ((u - self.at) / self.width) ** 2)][which]
+        return [exp(-0.5 * ((u - self.centre) / self.width) ** 2)][which]
 
 
 @dataclass(frozen=True)
 class Jump:
     """A step of unit height at one value of the variable."""
 
-    at: float  # where it is, within [-1, 1]
+    position: float  # where it is, within [-1, 1]
     count = 1
 
     def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
         """One, at any variable."""
-        return [np.where(u > self.at, 1.0, 0.0)][which]
+        return [np.where(u > self.position, 1.0, 0.0)][which]
 
 
 @dataclass(frozen=True)

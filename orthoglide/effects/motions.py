@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 Condition = Literal["approach", "time", "temperature", "load", "pitch"]
-SIDES = ("@b", "@c")  # stand for the names that a layout gives a leg's axes b and c
+LATERAL_KEYS = ("@b", "@c")  # stand for the names that a layout gives a leg's axes b and c
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ def no_motions(leg: int) -> Mapping[str, tuple[Motion, ...]]:
 
 
 @dataclass(frozen=True)
-class _EveryLeg:
+class _SameForEachLeg:
     """Members that are the same for each leg; they pickle where their bases do."""
 
     members: tuple[tuple[str, tuple[Motion, ...]], ...]
@@ -153,7 +153,7 @@ def once(*motions: Motion) -> Members:
     Args:
         motions: of the leg's virtual joints, for one unit of the parameter.
     """
-    return _EveryLeg((("", motions),))
+    return _SameForEachLeg((("", motions),))
 
 
 def sideways(make: Callable[[str, int], tuple[Motion, ...]]) -> Members:
@@ -163,4 +163,6 @@ def sideways(make: Callable[[str, int], tuple[Motion, ...]]) -> Members:
         make: takes the leg's name for axis j, ``"b"`` or ``"c"``, and the sign of the turn about
             the other that tips a toward j (a x b = c, a x c = -b).
     """
-    return _EveryLeg(((SIDES[0], tuple(make("b", +1))), (SIDES[1], tuple(make("c", -1)))))
+    return _SameForEachLeg(
+        ((LATERAL_KEYS[0], tuple(make("b", +1))), (LATERAL_KEYS[1], tuple(make("c", -1))))
+    )

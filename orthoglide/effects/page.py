@@ -18,8 +18,8 @@ GROUPS = {
 }
 """Headings of the page, by group of the catalogue, in their order."""
 
-_OF_DELTAS = catalogue_of(LinearDelta.names)
-EFFECTS = (*CATALOGUE.values(), *(e for e in _OF_DELTAS.values() if e.name not in CATALOGUE))
+_DELTA_CATALOGUE = catalogue_of(LinearDelta.names)
+EFFECTS = (*CATALOGUE.values(), *(e for e in _DELTA_CATALOGUE.values() if e.name not in CATALOGUE))
 """All of the page: the Orthoglide's, then those that other layouts have besides."""
 
 _HEAD = f"""# The catalogue of effects
@@ -61,9 +61,10 @@ def _overview() -> str:
 
 def _section(effect: Effect) -> str:
     names = [f"`{n}`" for n in effect.parameters(("SETUP",))]
-    catalogue = CATALOGUE if effect.name in CATALOGUE else _OF_DELTAS
+    catalogue = CATALOGUE if effect.name in CATALOGUE else _DELTA_CATALOGUE
     members = [
-        f"`{n}`" for n in catalogue.structured(effect.name, _SETUPS if effect.of_dial else ())
+        f"`{n}`"
+        for n in catalogue.structured_members(effect.name, _SETUPS if effect.of_dial else ())
     ]
     first = next(iter(effect.parameters(("SETUP",))))
     lines = [
@@ -81,11 +82,11 @@ def _section(effect: Effect) -> str:
         lines.append("- On linear deltas and machines of kind `legs`, not on an Orthoglide.")
     if effect.needs:
         lines.append(f"- Depends on: {', '.join(sorted(effect.needs))}.")
-    lines.append(f"- Corrected by: {_held(effect)}.")
+    lines.append(f"- Corrected by: {_correction(effect)}.")
     return "\n".join(lines) + "\n"
 
 
-def _held(effect: Effect) -> str:
+def _correction(effect: Effect) -> str:
     if effect.of_dial:
         return "nothing, as it is no error of the machine"
     number = {"zero": "zero", "scale": "scale factor", "backlash": "backlash setting",

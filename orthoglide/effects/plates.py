@@ -8,31 +8,31 @@ larger, the distances that are read on it are longer.
 from __future__ import annotations
 
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.words import Words, mm, more, percent
+from orthoglide.effects.words import Words, mm, percent, sign_word
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 from orthoglide.units import MM, ONE
 
-FLAT = 1e-4
+PLATE_SHAPE_SD = 1e-4
 """Standard deviation of a shape that an effect names, a bowl or three lobes, metres."""
 
 PLATE_BOW = Effect(
     "plate_bow",
     MM,
-    FLAT / MM.si,
+    PLATE_SHAPE_SD / MM.si,
     because="a heated bed is flat to a tenth or two",
     sentence="the plate is a bowl or a dome",
     look_at="the plate with a straight edge across its middle",
     words=Words(
         lambda p, v: (
-            f"{_plate(p)} is a {more(v, 'bowl', 'dome')}: its rim stands {mm(v)} "
-            f"{more(v, 'higher', 'lower')} than its middle"
+            f"{_plate(p)} is a {sign_word(v, 'bowl', 'dome')}: its rim stands {mm(v)} "
+            f"{sign_word(v, 'higher', 'lower')} than its middle"
         ),
         lambda p: f"{_plate(p)} is a bowl or a dome",
         "the plates are bowls or domes",
         confirm=lambda p, v: (
             f"lay a straight edge across {_plate(p)}: expect a gap of {mm(v)} under its "
-            f"{more(v, 'middle', 'ends')}"
+            f"{sign_word(v, 'middle', 'ends')}"
         ),
     ),
     group="plate",
@@ -42,7 +42,7 @@ PLATE_BOW = Effect(
 PLATE_TREFOIL = Effect(
     "plate_trefoil",
     MM,
-    FLAT / MM.si,
+    PLATE_SHAPE_SD / MM.si,
     because="a bed on three screws, or heated, warps by a tenth in three lobes",
     sentence="the plate has three high and three low sides",
     look_at="the plate turned by 60 degrees on its seat: a pattern of its own turns with it",
@@ -66,7 +66,7 @@ PLATE_TREFOIL = Effect(
 )
 
 
-_LONG = 0.1  # metres: a length that a calliper and a rule both reach
+_REFERENCE_LENGTH = 0.1  # metres: a length that a calliper and a rule both reach
 
 PART_SIZE = Effect(
     "part_size",
@@ -77,14 +77,14 @@ PART_SIZE = Effect(
     look_at="the calliper against a gauge block or a second calliper, and the slicer's scale",
     words=Words(
         lambda p, v: (
-            f"the printed part, or the calliper, makes distances{_in(p)} {percent(v)} "
-            f"{more(v, 'longer', 'shorter')} than the plastic's shrinkage does"
+            f"the printed part, or the calliper, makes distances{_in_setup(p)} {percent(v)} "
+            f"{sign_word(v, 'longer', 'shorter')} than the plastic's shrinkage does"
         ),
         lambda p: "the printed part, or the calliper, is off in size beyond the shrinkage",
         "the printed parts, or the calliper, are off in size beyond the shrinkage",
         confirm=lambda p, v: (
             f"measure a gauge block, or 100 mm of a good rule, with the calliper: expect "
-            f"{mm(_LONG * v)} {more(v)}, or look for that in the slicer's scale"
+            f"{mm(_REFERENCE_LENGTH * v)} {sign_word(v)}, or look for that in the slicer's scale"
         ),
     ),
     group="part",
@@ -102,15 +102,15 @@ def _lobe(part: str, value: float) -> int:
     return first if value >= 0 else first + 60
 
 
-def _in(p: Parameter) -> str:
+def _in_setup(p: Parameter) -> str:
     return f" in {p.setup}" if p.setup else ""
 
 
 EFFECTS = (PLATE_BOW, PLATE_TREFOIL)
-OF_TOWERS = (PART_SIZE,)
+DELTA_EFFECTS = (PART_SIZE,)
 
 
-def own_shapes(place: Array, scale: float = 1.0) -> list[tuple[Array, float]]:
+def residual_plate_shapes(place: Array, scale: float = 1.0) -> list[tuple[Array, float]]:
     """Shapes of degree 2 to 4 that no effect names, each ``(n,)`` with its standard deviation.
 
     No plate is flat but for a bowl and three lobes, and what is left of it is no cause in the
@@ -134,7 +134,7 @@ def own_shapes(place: Array, scale: float = 1.0) -> list[tuple[Array, float]]:
         ),
     }
     return [
-        (shape, scale * FLAT / 2 ** (degree - 1))
+        (shape, scale * PLATE_SHAPE_SD / 2 ** (degree - 1))
         for degree, shapes in by_degree.items()
         for shape in shapes
     ]

@@ -6,7 +6,17 @@ from typing import Any
 
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.motions import Constant, LegConditions, Motion, once, sideways
-from orthoglide.effects.words import Words, across, along, mm, more, mrad, slope, toward, turned
+from orthoglide.effects.words import (
+    Words,
+    across,
+    along,
+    mm,
+    mrad,
+    rotation_sense,
+    sign_word,
+    slope,
+    toward,
+)
 from orthoglide.layout import LinearDelta, Orthoglide
 from orthoglide.parameters import Parameter
 from orthoglide.units import MM, RAD
@@ -21,7 +31,7 @@ def _turned(axis: str, sign: int) -> Motion:
     return Motion("turn_c" if axis == "b" else "turn_b", Constant(float(sign)))
 
 
-def _about(p: Parameter) -> str:
+def _bracket_axis(p: Parameter) -> str:
     """The base axis about which a bracket is turned, and what it is to the leg."""
     names = Orthoglide.names
     base = p.leg in names.legs  # whose legs lie along base axes
@@ -34,9 +44,9 @@ def _about(p: Parameter) -> str:
     )
 
 
-def _way(p: Parameter, value: float) -> str:
+def _bracket_sense(p: Parameter, value: float) -> str:
     """Which way a bracket is turned, as somebody sees it who looks at the machine."""
-    return turned(p.direction, value, p.leg in LinearDelta.names.legs)
+    return rotation_sense(p.direction, value, p.leg in LinearDelta.names.legs)
 
 
 AXIS_OFFSET = Effect(
@@ -146,13 +156,13 @@ MOUNT_TILT = Effect(
     },
     words=Words(
         lambda p, v: (
-            f"the first hinge of leg {p.leg} is turned by {mrad(v)} about {_about(p)}, {_way(p, v)}"
+            f"the first hinge of leg {p.leg} is turned by {mrad(v)} about {_bracket_axis(p)}, {_bracket_sense(p, v)}"
         ),
-        lambda p: f"the first hinge of leg {p.leg} is turned about {_about(p)}",
+        lambda p: f"the first hinge of leg {p.leg} is turned about {_bracket_axis(p)}",
         "the first hinges of the legs are turned on their carriages",
         confirm=lambda p, v: (
             f"hold a square between carriage {p.leg} and the first hinge of its leg: expect the "
-            f"hinge {mrad(v)} off about {_about(p)}, {_way(p, v)}"
+            f"hinge {mrad(v)} off about {_bracket_axis(p)}, {_bracket_sense(p, v)}"
         ),
     ),
 )
@@ -168,7 +178,7 @@ RAIL_TORSION = Effect(
     words=Words(
         lambda p, v: (
             f"the {p.leg} rail is twisted: from one end of the stroke to the other its carriage "
-            f"turns by {mrad(2 * v)} about it, {more(v, 'counter-clockwise', 'clockwise')} on the "
+            f"turns by {mrad(2 * v)} about it, {sign_word(v, 'counter-clockwise', 'clockwise')} on the "
             f"way up"
         ),
         lambda p: f"the {p.leg} rail is twisted along its length",
@@ -182,5 +192,5 @@ RAIL_TORSION = Effect(
 )
 
 EFFECTS = (AXIS_OFFSET, AXIS_TILT, RAIL_TILT, RAIL_BOW, MOUNT_TILT)
-OF_TOWERS = (RAIL_TORSION,)
+DELTA_EFFECTS = (RAIL_TORSION,)
 """Where rails stand free: those of an Orthoglide lie on their beds."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 
 from orthoglide.effects.catalogue import CATALOGUE, Catalogue
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.words import across, mm, mrad, percent, toward, turned
+from orthoglide.effects.words import across, mm, mrad, percent, rotation_sense, toward
 from orthoglide.layout import DIRECTIONS, LegNames, LinearDelta
 from orthoglide.numerals import MINUS, compact
 from orthoglide.parameters import Parameter
@@ -25,57 +25,59 @@ def cause_words(catalogue: Catalogue, name: str, values: Mapping[str, float]) ->
             parameters of one leg (``screw_error.x``).
         values: identified values by parameter, SI.
     """
-    effect, parameter = _resolved(catalogue, name)
-    where = _campaign(parameter, name)
+    effect, parameter = _resolve_name(catalogue, name)
+    where = _campaign_suffix(parameter, name)
     if name in values and parameter is not None:
         if parameter.member and effect.of_body:
-            text = one_words(effect, _of_any_body(effect, parameter), values[name])
+            text = value_words(effect, _without_setup(effect, parameter), values[name])
         elif parameter.member == "common" and effect.words.common is not None:
             text = effect.words.common(values[name])
         elif parameter.member:
-            pattern = effect.names.spoken(_pattern(effect, parameter, values[name]))
-            text = f"{_many(effect)}, {pattern}"
+            pattern = effect.names.in_layout_words(_pattern(effect, parameter, values[name]))
+            text = f"{_clause_of_all(effect)}, {pattern}"
         else:
-            text = one_words(effect, parameter, values[name])
+            text = value_words(effect, parameter, values[name])
         return text + where
     parts = {n: v for n, v in values.items() if n.startswith(f"{name.split('@')[0]}.")}
     if effect.paired and parts and name != effect.name:  # a sine and a cosine of one leg
         first = catalogue.parameter(next(iter(parts)))
-        return one_words(effect, first, math.hypot(*parts.values())) + where
+        return value_words(effect, first, math.hypot(*parts.values())) + where
     if not parts:
-        return _many(effect) + where
+        return _clause_of_all(effect) + where
     sizes = [
         size_words(effect, v) for v in (min(parts.values(), key=abs), max(parts.values(), key=abs))
     ]
-    return f"{_many(effect)}, from {sizes[0]} to {sizes[1]}{where}"
+    return f"{_clause_of_all(effect)}, from {sizes[0]} to {sizes[1]}{where}"
 
 
 def cause_short(catalogue: Catalogue, name: str) -> str:
     """Return the clause of a cause without its size."""
-    effect, parameter = _resolved(catalogue, name)
-    where = _campaign(parameter, name)
+    effect, parameter = _resolve_name(catalogue, name)
+    where = _campaign_suffix(parameter, name)
     if parameter is None and name != effect.name:  # the paired parameters of one leg
         parameter = next(p for p in effect.motions if p.startswith(f"{name.split('@')[0]}."))
     if parameter is not None and parameter.member and effect.of_body:
-        return _short(effect, _of_any_body(effect, parameter)) + where
+        return _clause_without_size(effect, _without_setup(effect, parameter)) + where
     if parameter is not None and not parameter.member:
-        return _short(effect, parameter) + where
+        return _clause_without_size(effect, parameter) + where
     member = parameter.member if parameter is not None else ""
-    return f"{_many(effect)}{_short_pattern(effect, member)}{where}"
+    return f"{_clause_of_all(effect)}{_short_pattern(effect, member)}{where}"
 
 
-def one_words(effect: Effect, parameter: Parameter, value: float) -> str:
+def value_words(effect: Effect, parameter: Parameter, value: float) -> str:
     """Return the clause of one parameter with its value, SI."""
     if effect.words.one is not None:
         return effect.words.one(parameter, value)
-    return f"{_short(effect, parameter)}, by {_told_size(effect, value)}"
+    return (
+        f"{_clause_without_size(effect, parameter)}, by {_signed_size_or_amplitude(effect, value)}"
+    )
 
 
 def confirm_words(effect: Effect, parameter: Parameter, value: float) -> str:
     """Return a test on the machine that confirms a cause, with the reading to expect."""
     if effect.words.confirm is not None:
         return effect.words.confirm(parameter, value)
-    size = _told_size(effect, value)
+    size = _signed_size_or_amplitude(effect, value)
     return f"look at {effect.look_at}: expect {'an amplitude of ' * effect.paired}{size}"
 
 
@@ -93,7 +95,7 @@ def signed_size(effect: Effect, value: float) -> str:
     return f"{'+' if value >= 0 else MINUS}{size_words(effect, value)}"
 
 
-def _told_size(effect: Effect, value: float) -> str:
+def _signed_size_or_amplitude(effect: Effect, value: float) -> str:
     """Return a size, SI, as text with its sign; paired parameters give an amplitude without one."""
     return size_words(effect, value) if effect.paired else signed_size(effect, value)
 
@@ -106,7 +108,7 @@ def parameter_words(parameter: Parameter, names: LegNames = CATALOGUE.legs) -> s
         parameter: a parameter or a structured member.
         names: names of the machine's legs and parts; on a delta a leg is a tower with its rods.
     """
-    return names.spoken(_parameter_words(parameter, names.effect_words(parameter.effect)))
+    return names.in_layout_words(_parameter_words(parameter, names.effect_words(parameter.effect)))
 
 
 def _parameter_words(parameter: Parameter, words: str) -> str:
@@ -119,7 +121,7 @@ def _parameter_words(parameter: Parameter, words: str) -> str:
     if parameter.direction.isdigit():  # of a place's free function
         return f"curve {words}, number {parameter.direction}{where}"
     effect = CATALOGUE.by_name.get(parameter.effect)
-    if _sided(effect, parameter.direction):
+    if _is_lateral(effect, parameter.direction):
         points = "toward" if effect is None else effect.points
         way = toward(parameter.direction, 1.0)
         return f"{words} of leg {parameter.leg} {points} {way}{where}"
@@ -135,7 +137,7 @@ def effects_in_words(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name.partition(".")[0].replace("_", " ") for name in names))
 
 
-def by_effect(names: Iterable[str]) -> tuple[str, ...]:
+def grouped_by_effect(names: Iterable[str]) -> tuple[str, ...]:
     """Return parameters in short: an effect with several of them stands once, with their number."""
     groups: dict[str, list[str]] = {}
     for name in names:
@@ -146,7 +148,7 @@ def by_effect(names: Iterable[str]) -> tuple[str, ...]:
     )
 
 
-def _resolved(catalogue: Catalogue, name: str) -> tuple[Effect, Parameter | None]:
+def _resolve_name(catalogue: Catalogue, name: str) -> tuple[Effect, Parameter | None]:
     """Return the effect of a name, and its parameter or structured member; ``None`` in place of the
     latter for a whole effect and for the pair of one leg.
     """
@@ -160,31 +162,31 @@ def _resolved(catalogue: Catalogue, name: str) -> tuple[Effect, Parameter | None
     return effect, catalogue.parameter(name)
 
 
-def _of_any_body(effect: Effect, member: Parameter) -> Parameter:
+def _without_setup(effect: Effect, member: Parameter) -> Parameter:
     part = member.member.rpartition(".")[0]
     return Parameter(effect.name, direction=part)
 
 
-def _campaign(parameter: Parameter | None, name: str) -> str:
+def _campaign_suffix(parameter: Parameter | None, name: str) -> str:
     campaign = parameter.campaign if parameter is not None else name.partition("@")[2]
     return f" ({campaign})" if campaign else ""
 
 
-def _short(effect: Effect, parameter: Parameter) -> str:
+def _clause_without_size(effect: Effect, parameter: Parameter) -> str:
     if effect.words.short is not None:
         return effect.words.short(parameter)
     place = f"in setup {parameter.setup}" if parameter.setup else f"on leg {parameter.leg}"
-    sided = _sided(effect, parameter.direction)
+    sided = _is_lateral(effect, parameter.direction)
     toward_j = f" toward {toward(parameter.direction, 1.0)}" if sided else ""
     return f"{place} {effect.sentence}{toward_j}"
 
 
-def _sided(effect: Effect | None, direction: str) -> bool:
+def _is_lateral(effect: Effect | None, direction: str) -> bool:
     """Return whether a direction lies across a leg; false for an axis of rotation."""
     return direction in DIRECTIONS or (direction in ("b", "c") and bool(effect and effect.sided))
 
 
-def _many(effect: Effect) -> str:
+def _clause_of_all(effect: Effect) -> str:
     place = "in all setups" if effect.of_dial else "on all legs"
     return effect.words.many or f"{place} {effect.sentence}"
 
@@ -195,7 +197,7 @@ def _short_pattern(effect: Effect, member: str) -> str:
     if member.endswith("symmetric"):
         ways = "opposite ways" if member.endswith("antisymmetric") else "the same way"
         return f" ({member[0]} and {member[1]}, {ways})"
-    if _sided(effect, side := member.partition(".")[0]):
+    if _is_lateral(effect, side := member.partition(".")[0]):
         return f", all alike in {across(side)}"
     return ", in a threefold pattern" if member == "cyclic" else ", all by the same amount"
 
@@ -214,8 +216,8 @@ def _pattern(effect: Effect, parameter: Parameter, value: float) -> str:
         return (
             f"{one} toward {toward(other, value)} and {other} toward {toward(one, back)} by {size}"
         )
-    if _sided(effect, side := member.partition(".")[0]):
+    if _is_lateral(effect, side := member.partition(".")[0]):
         return f"all by {size} toward {toward(side, value)}"
     if about := _ABOUT.get(side, "") if "." in member else "":
-        return f"all by {size}{about}, {turned(side, value, effect.names == LinearDelta.names)}"
+        return f"all by {size}{about}, {rotation_sense(side, value, effect.names == LinearDelta.names)}"
     return f"all by {'' if value >= 0 else MINUS}{size}"

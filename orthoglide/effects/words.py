@@ -33,7 +33,7 @@ def percent(value: float) -> str:
     return f"{compact(abs(value) * 100, 2)} %"
 
 
-_SIDES = {
+_TOWER_SIDES = {
     "radial": ("the outside", "the centre"),
     "tangential": ("the counter-clockwise side", "the clockwise side"),
 }
@@ -44,12 +44,12 @@ def toward(axis: str, value: float) -> str:
     """Return the direction in which a value points: ``z`` or ``−z`` for a base axis, ``the
     outside`` or ``the centre`` for the radial direction of a tower.
     """
-    if axis in _SIDES:
-        return _SIDES[axis][bool(value < 0)]
+    if axis in _TOWER_SIDES:
+        return _TOWER_SIDES[axis][bool(value < 0)]
     return axis if value >= 0 else f"{MINUS}{axis}"
 
 
-def turned(about: str, value: float, tower: bool) -> str:
+def rotation_sense(about: str, value: float, tower: bool) -> str:
     """Return the sense of a rotation.
 
     Args:
@@ -59,9 +59,9 @@ def turned(about: str, value: float, tower: bool) -> str:
             outside the tower, else as right-handed or left-handed.
     """
     if not tower:
-        return more(value, "right-handed", "left-handed")
+        return sign_word(value, "right-handed", "left-handed")
     seen = {"a": "from above", "b": "from outside the tower"}[about]
-    return f"{more(value, 'counter-clockwise', 'clockwise')} seen {seen}"
+    return f"{sign_word(value, 'counter-clockwise', 'clockwise')} seen {seen}"
 
 
 def along(leg: str, axis: str) -> str:
@@ -71,17 +71,17 @@ def along(leg: str, axis: str) -> str:
         leg: name of the leg.
         axis: direction across the leg; its name shows whether the leg is a tower.
     """
-    if axis in _SIDES:
+    if axis in _TOWER_SIDES:
         return f"stands along tower {leg}, and move 100 mm up"
     return f"lies along {leg}, and move 100 mm outward"
 
 
 def across(axis: str) -> str:
     """Return a direction without its sign, to follow the word "in"."""
-    return f"{axis} direction" if axis in _SIDES else f"the direction of {axis}"
+    return f"{axis} direction" if axis in _TOWER_SIDES else f"the direction of {axis}"
 
 
-def more(value: float, positive: str = "more", negative: str = "less") -> str:
+def sign_word(value: float, positive: str = "more", negative: str = "less") -> str:
     """Return the word for the sign of a value; zero up to rounding counts as positive."""
     return positive if value >= -_ROUNDING else negative
 
@@ -97,7 +97,7 @@ def micrometres(value: float, per: str, scale: float = 1e6) -> str:
     return f"{compact(abs(value) * scale, 2)} µm {per}"
 
 
-Said = Callable[[Parameter, float], str]
+ValueClause = Callable[[Parameter, float], str]
 """Returns a clause for a parameter and its value, SI."""
 
 
@@ -116,9 +116,9 @@ class Words:
             and unit.
     """
 
-    one: Said | None = None
+    one: ValueClause | None = None
     short: Callable[[Parameter], str] | None = None
     many: str = ""
     size: Callable[[float], str] | None = None
-    confirm: Said | None = None
+    confirm: ValueClause | None = None
     common: Callable[[float], str] | None = None

@@ -49,17 +49,17 @@ from orthoglide.explanation.budget import BudgetItem as BudgetItem, budget as bu
 from orthoglide.explanation.causes import (
     CandidateScore as CandidateScore,
     Cause as Cause,
+    CredibleSets as CredibleSets,
     Curve as Curve,
     Explanation as Explanation,
     Located as Located,
-    Outstanding as Outstanding,
 )
-from orthoglide.explanation.columns import with_everything as with_everything
-from orthoglide.explanation.everything import (
+from orthoglide.explanation.columns import with_all_parameters as with_all_parameters
+from orthoglide.explanation.credible_sets import credible_sets as credible_sets
+from orthoglide.explanation.free_form import visible_free_form_errors as visible_free_form_errors
+from orthoglide.explanation.full_posterior import (
     FullPosterior as FullPosterior,
     full_posterior as full_posterior,
 )
-from orthoglide.explanation.free import places_of as places_of
 from orthoglide.explanation.levels import check_levels as check_levels
-from orthoglide.explanation.outstanding import outstanding as outstanding
-from orthoglide.explanation.significance import remains as remains
+from orthoglide.explanation.significance import posterior_lack_of_fit as posterior_lack_of_fit

@@ -14,9 +14,9 @@ from functools import cached_property
 
 import numpy as np
 
-from orthoglide.accuracy import tcp_slopes, throughout, without_place
+from orthoglide.accuracy import tcp_slopes, without_translation, workspace_commands
 from orthoglide.effects.wording import cause_short
-from orthoglide.explanation.everything import FullPosterior
+from orthoglide.explanation.full_posterior import FullPosterior
 from orthoglide.fit.scores import rms_by_unit
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -37,19 +37,19 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
     known, catalogue, values = machine.posterior, machine.catalogue, machine.values
     base = np.array([catalogue.effect_of(n).name in catalogue.base for n in known.names])
     controller = _Controller.of(machine)
-    slopes = without_place(tcp_slopes(machine, known.names)).reshape(-1, len(known.names))
-    slopes = controller.past(slopes)
+    slopes = without_translation(tcp_slopes(machine, known.names)).reshape(-1, len(known.names))
+    slopes = controller.residual(slopes)
     # A translation of the whole makes no shape: what it leaves open is no cause's part.
-    _, mean, weights = posterior.machine_with(posterior.mean)
+    _, mean, weights = posterior.machine_parameters(posterior.mean)
     normal = np.random.default_rng(0).standard_normal((_DRAWS, len(known.names)))
-    off, now = posterior.mixture.draws(weights, normal) - mean, controller.left(values)
+    off, now = posterior.mixture.draws(weights, normal) - mean, controller.residual_of(values)
     drawn = now + off @ slopes.T
     total = _mean_length(drawn)
     found = []
-    for cause, names, rest in _members(posterior, causes, known.names, base):
+    for cause, names, rest in _parameters_by_cause(posterior, causes, known.names, base):
         at = [known.names.index(n) for n in names]
         # Exact at the mean: a bar off by millimetres turns the platform by more than its slope.
-        mended = controller.left({n: v for n, v in values.items() if n not in names})
+        mended = controller.residual_of({n: v for n, v in values.items() if n not in names})
         known_part = now - mended
         part = known_part + off[:, at] @ slopes[:, at].T
         gain = total - _mean_length(drawn - part)
@@ -62,13 +62,13 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
             BudgetItem(
                 cause,
                 cause_short(catalogue, cause),
-                tuple(t for n in names for t in (n, *dict(posterior.about.twins.get(n, ())))),
+                tuple(t for n in names for t in (n, *dict(posterior.linearised.twins.get(n, ())))),
                 float(known.mean[at[0]]) / unit.si if single else float("nan"),
                 sigma if single else float("nan"),
                 unit.name,
                 float(np.max(np.abs(known.mean[at]) / tolerance)),
                 float(np.mean((size > 1).any(axis=1))),
-                _shown(posterior, names),
+                _rms_of_readings(posterior, names),
                 float(length.mean()),
                 float(length.std()),
                 float(gain.mean()),
@@ -83,18 +83,18 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
     return tuple(ranked(by_name, lambda item: item.gain, _NO_GAIN))
 
 
-def _members(
+def _parameters_by_cause(
     posterior: FullPosterior, causes: Mapping[str, Sequence[str]], names: Sequence[str], base: Array
 ) -> list[tuple[str, list[str], bool]]:
     """Causes with the machine's parameters that each is made of, none twice, zeros left out, and
     whether it is what is left of an effect: a cause that is a whole family has the effect's name.
     """
     catalogue = posterior.machine.catalogue
-    twins = {t for others in posterior.about.twins.values() for t, _ in others}
+    twins = {t for others in posterior.linearised.twins.values() for t, _ in others}
     left = [n for n, b in zip(names, base, strict=True) if not b and n not in twins]
     found: list[tuple[str, list[str], bool]] = []
     for cause, parameters in causes.items():
-        parts = set(map(str, catalogue.moved_by(dict.fromkeys(parameters, 1.0))))
+        parts = set(map(str, catalogue.elementary_machine_values(dict.fromkeys(parameters, 1.0))))
         mine = [n for n in left if n in parts]
         if mine:
             found.append((cause, mine, False))
@@ -110,35 +110,35 @@ class _Controller:
     """A controller that takes the best zeros and bar lengths, and what it leaves."""
 
     machine: Machine  # whose workspace it is
-    held: Mapping[str, float]  # zeros and lengths to start from, SI
+    settings: Mapping[str, float]  # zeros and lengths to start from, SI
     slopes: Array  # TCP's shape over the workspace by these (3 g, B), metres
 
     @classmethod
     def of(cls, machine: Machine) -> _Controller:
         names = machine.catalogue.expand(machine.catalogue.base)
         held = {str(n): machine.values.get(n, 0.0) for n in names}
-        slopes = without_place(tcp_slopes(machine.with_only(held), names))
+        slopes = without_translation(tcp_slopes(machine.with_only(held), names))
         return cls(machine, held, slopes.reshape(-1, len(names)))
 
     @cached_property
     def inverse(self) -> Array:
         """From errors ``(3 g,)`` to the settings that make up for them ``(B, 3 g)``."""
-        sd = np.array([self.machine.tolerance(n) for n in self.held])
+        sd = np.array([self.machine.tolerance(n) for n in self.settings])
         return np.asarray(sd[:, None] * np.linalg.pinv(self.slopes * sd, rcond=1e-6))
 
-    def past(self, errors: Array) -> Array:
+    def residual(self, errors: Array) -> Array:
         """Errors ``(3 g, ...)`` that no setting makes up for, to first order."""
         return np.asarray(errors - self.slopes @ (self.inverse @ errors))
 
-    def left(self, values: Mapping[str, float]) -> Array:
+    def residual_of(self, values: Mapping[str, float]) -> Array:
         """What the best settings leave of a machine's error over the workspace ``(3 g,)``."""
-        where, settings = throughout(self.machine), np.array([*self.held.values()])
+        where, settings = workspace_commands(self.machine), np.array([*self.settings.values()])
         goal = self.machine.with_only(values).forward(where)
         for _ in range(_STEPS):
-            taken = self.machine.with_only(dict(zip(self.held, settings.tolist(), strict=True)))
-            apart = without_place(goal - taken.forward(where)).ravel()
+            taken = self.machine.with_only(dict(zip(self.settings, settings.tolist(), strict=True)))
+            apart = without_translation(goal - taken.forward(where)).ravel()
             settings = settings + self.inverse @ apart
-        return self.past(apart)
+        return self.residual(apart)
 
 
 def _mean_length(errors: Array) -> Array:
@@ -146,13 +146,13 @@ def _mean_length(errors: Array) -> Array:
     return np.asarray(np.linalg.norm(errors.reshape(len(errors), -1, 3), axis=2).mean(axis=1))
 
 
-def _shown(posterior: FullPosterior, names: Sequence[str]) -> ByUnit:
+def _rms_of_readings(posterior: FullPosterior, names: Sequence[str]) -> ByUnit:
     """Root mean square of a cause's part of the readings at the mean."""
-    about, mean = posterior.about, posterior.mean
+    about, mean = posterior.linearised, posterior.mean
     at = [k for k, n in enumerate(about.problem.names) if n.plain in set(names)]
-    for place in posterior.places:
+    for place in posterior.free_form_errors:
         if set(place.effect.motions) & set(names):
             at += about.coefficients(place).tolist()
     rows = about.rows[:, at] @ mean[at]
-    rows = rows - posterior.about.nuisance.fitted(rows)
-    return rms_by_unit(rows, about.problem.turned)
+    rows = rows - posterior.linearised.nuisance.explained_residual(rows)
+    return rms_by_unit(rows, about.problem.angular)

@@ -25,7 +25,7 @@ class Candidate:
         return len(self.parameters)
 
     @property
-    def chance(self) -> float:
+    def relative_prior(self) -> float:
         """How often it goes wrong, over a cause of one part. A pattern counts as the parts that it
         moves, as each would have to be wrong; a common error counts as one, as parts of one drawing
         and one supplier have it together.
@@ -45,23 +45,27 @@ def candidates(
     for effect in effects:
         mine = [n for n in names if n.effect == effect.name]
         single = (
-            _of_dials(effect, mine, catalogue) if effect.of_dial else _of(effect, mine, catalogue)
+            _dial_candidates(effect, mine, catalogue)
+            if effect.of_dial
+            else _machine_candidates(effect, mine, catalogue)
         )
-        for candidate in (*single, *_whole(effect, mine)):
+        for candidate in (*single, *_family_candidates(effect, mine)):
             # The same parameters under two names would be one cause twice.
             each = (sorted((str(n), w) for n, w in c.items()) for c in candidate.weights)
             found.setdefault(repr(sorted(each)), candidate)
     return tuple(found.values())
 
 
-def _of_dials(effect: Effect, names: list[Parameter], catalogue: Catalogue) -> list[Candidate]:
+def _dial_candidates(
+    effect: Effect, names: list[Parameter], catalogue: Catalogue
+) -> list[Candidate]:
     """Candidates of dials: each campaign has its own."""
     members = [Candidate(n, effect.name, (n,), ({n: 1.0},)) for n in names]
     if effect.of_body:  # shared by all campaigns, and of each setup only where there is one
-        shared = catalogue.structured(effect.name, tuple({n.setup for n in names}))
+        shared = catalogue.structured_members(effect.name, tuple({n.setup for n in names}))
         return (
             [
-                _one(effect, member, seen)
+                _pattern_candidate(effect, member, seen)
                 for member, weights in shared.items()
                 if (seen := {n: 1.0 for n in names if n.plain in weights})
             ]
@@ -71,13 +75,15 @@ def _of_dials(effect: Effect, names: list[Parameter], catalogue: Catalogue) -> l
     for campaign in dict.fromkeys(n.campaign for n in names):
         here = [n.plain for n in names if n.campaign == campaign]
         setups = tuple(n.setup for n in here)
-        for member, weights in catalogue.structured(effect.name, setups).items():
+        for member, weights in catalogue.structured_members(effect.name, setups).items():
             full = {n.at(campaign): w for n, w in weights.items()}
-            members.append(_one(effect, member.at(campaign), full))
+            members.append(_pattern_candidate(effect, member.at(campaign), full))
     return members
 
 
-def _of(effect: Effect, names: list[Parameter], catalogue: Catalogue) -> list[Candidate]:
+def _machine_candidates(
+    effect: Effect, names: list[Parameter], catalogue: Catalogue
+) -> list[Candidate]:
     """Candidates of the machine: what campaigns have for themselves makes one cause together."""
     parts: dict[Parameter, list[Parameter]] = {}
     for name in names:
@@ -87,10 +93,12 @@ def _of(effect: Effect, names: list[Parameter], catalogue: Catalogue) -> list[Ca
         for plain, full in parts.items()
     ]
     shared = {plain for plain, full in parts.items() if full == [plain]}
-    patterns = catalogue.structured(effect.name)
+    patterns = catalogue.structured_members(effect.name)
     separate = {tuple(n.campaign for n in full) for full in parts.values()}
     if shared or len(separate) != 1:
-        return members + [_one(effect, m, w) for m, w in patterns.items() if set(w) <= shared]
+        return members + [
+            _pattern_candidate(effect, m, w) for m, w in patterns.items() if set(w) <= shared
+        ]
     (campaigns,) = separate
     for member, weights in patterns.items():
         if set(weights) <= set(parts):
@@ -100,16 +108,18 @@ def _of(effect: Effect, names: list[Parameter], catalogue: Catalogue) -> list[Ca
     return members
 
 
-def _one(effect: Effect, member: Parameter, weights: Mapping[Parameter, float]) -> Candidate:
+def _pattern_candidate(
+    effect: Effect, member: Parameter, weights: Mapping[Parameter, float]
+) -> Candidate:
     return Candidate(member, effect.name, (member,), ({str(n): w for n, w in weights.items()},))
 
 
-def _whole(effect: Effect, names: list[Parameter]) -> list[Candidate]:
+def _family_candidates(effect: Effect, names: list[Parameter]) -> list[Candidate]:
     """An effect whole; and where a leg has several parameters of one cause, those of each leg."""
     if effect.of_dial or len(names) < 2:
         return []
     # Where legs share their directions an effect whole is patterns of its own: the common ones.
-    patterned = len({n.direction for n in names}) > 1 and effect.names.alike
+    patterned = len({n.direction for n in names}) > 1 and effect.names.same_directions
     blocks = {} if patterned else {effect.name: names}
     if effect.paired:
         for name in names:

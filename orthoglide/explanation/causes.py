@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.effects import Catalogue
-from orthoglide.effects.places import Place
+from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.wording import cause_words
 from orthoglide.geometry import Array
 from orthoglide.numerals import compact
-from orthoglide.parameters import plain_and_campaign
+from orthoglide.parameters import split_campaign
 from orthoglide.result import CandidateScore, DataRival
 
 
@@ -40,7 +40,7 @@ class Explanation:
     @property
     def words(self) -> str:
         """What is wrong, with size and sign, as a clause; of each campaign if these differ."""
-        if plain_and_campaign(self.name)[1]:
+        if split_campaign(self.name)[1]:
             return cause_words(self.catalogue, self.name, dict(self.values))
         each = dict[str, dict[str, float]]()
         for name, value in self.values.items():
@@ -54,7 +54,7 @@ class Explanation:
         return ", and ".join(told)
 
     @property
-    def is_there(self) -> bool:
+    def exceeds_uncertainty(self) -> bool:
         """Whether anything of it is larger than its uncertainty: else it explains nothing."""
         return any(abs(value) > self.sigmas[n] for n, value in self.values.items())
 
@@ -64,7 +64,7 @@ class Explanation:
         return self.catalogue.effect_of(self.name).look_at
 
     @property
-    def in_unit(self) -> tuple[float, float] | None:
+    def estimate_in_unit(self) -> tuple[float, float] | None:
         """Value and sigma in its unit; ``None`` where it has several parameters.
 
         Of one that campaigns have for themselves: the last one's.
@@ -124,7 +124,7 @@ class Cause:
         return (*self.rivals, *self.places)
 
     @property
-    def every(self) -> tuple[str, ...]:
+    def all_parameters(self) -> tuple[str, ...]:
         """Parameters of the whole credible set."""
         return tuple(name for one in self.explanations for name in one.parameters)
 
@@ -138,7 +138,7 @@ class Cause:
 class Curve:
     """A place and the free function found there."""
 
-    place: Place  # where and how
+    place: FreeForm  # where and how
     probability: float  # all else that was found given
     at: Array  # where the function is given: travel, command (metres) or time (seconds) (k,)
     # SI (k,); about its mean unless it is lost motion, as a level may belong to the zeros
@@ -164,7 +164,7 @@ class Curve:
         reversal from the turn to the farthest; a bump at its top, and a jump as high as it is;
         else root mean square about its mean.
         """
-        if self.place.single:
+        if self.place.is_local:
             return float(np.abs(self.value).max())
         if self.place.against == "approach":
             return float(np.sqrt(np.mean(self.value**2)))
@@ -175,12 +175,12 @@ class Curve:
     @property
     def unit(self) -> str:
         """In which people read it: millimetres, or milliradians of what turns."""
-        return "mrad" if self.place.turns else "mm"
+        return "mrad" if self.place.is_rotation else "mm"
 
     @property
     def size_words(self) -> str:
         """Its size with its unit, and whether that is a root mean square."""
-        whole = self.place.two_sided or self.place.single
+        whole = self.place.depends_on_approach or self.place.is_local
         return f"{compact(self.size * 1e3, 2)} {self.unit}{'' if whole else ' rms'}"
 
 
@@ -216,18 +216,18 @@ class Located:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Outstanding:
+class CredibleSets:
     """Everything that stands out of the background."""
 
     # with names, that first without which the readings are explained worst
     causes: tuple[Cause, ...]
     located: tuple[Located, ...]  # places without, in the same order
-    weighed: tuple[CandidateScore, ...]  # all that came near, most probable first
+    candidate_scores: tuple[CandidateScore, ...]  # all that came near, most probable first
     # where nothing stands out of a background that shows: causes of which one would be behind it if
     # the rest of the machine were sound
-    alone: tuple[Explanation, ...] = ()
+    single_causes: tuple[Explanation, ...] = ()
     # where nothing stands out: the most probable causes, each as if it were there
-    possible: tuple[Explanation, ...] = ()
+    possible_causes: tuple[Explanation, ...] = ()
 
     @property
     def names(self) -> frozenset[str]:

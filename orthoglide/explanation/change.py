@@ -15,7 +15,7 @@ from orthoglide.numerals import compact, decimals_for, plain, signed
 from orthoglide.parameters import Parameter
 from orthoglide.units import Unit
 
-SIGNIFICANT = 3.0
+SIGNIFICANT_SIGMAS = 3.0
 """Sigmas beyond which what is left after a change is an error of its own."""
 
 
@@ -37,10 +37,14 @@ class Change:
     sigma_after: float = float("nan")  # standard deviation of the value after the change, SI
     sizes: tuple[float, ...] = ()  # by how much each of `members` would have changed, SI
     size_sigma: float = float("nan")  # standard deviation of the first of `sizes`, SI
-    among: float = 0.0  # the part of `size_sigma` that other sets of changes contribute, SI
+    sigma_between_sets: float = (
+        0.0  # the part of `size_sigma` that other sets of changes contribute, SI
+    )
     # whether the value before is an average over causes that could not be told apart
     vague: bool = False
-    unseen: float = 0.0  # by how much it may have been off before unseen, a standard deviation, SI
+    unseen_before: float = (
+        0.0  # by how much it may have been off before unseen, a standard deviation, SI
+    )
 
     def __repr__(self) -> str:
         return f"<Change of {self.parameter}: {self.message}>"
@@ -57,7 +61,7 @@ class Change:
         return before, after
 
     @property
-    def moved(self) -> dict[Parameter, float]:
+    def change_by_member(self) -> dict[Parameter, float]:
         """Change of each member, were it the one that changed, SI; nan if unknown."""
         by, of = self.after - self.before, self.catalogue.effect_of
         alike = [by if of(name).unit == self.unit else float("nan") for name in self.members]
@@ -76,22 +80,22 @@ class Change:
     @property
     def what(self) -> str:
         """Clause with the parameter, both values, and the alternatives."""
-        return self._told(self.others)
+        return self._clause(self.alternatives_clause)
 
     @property
-    def words(self) -> tuple[str, ...]:
+    def member_clauses(self) -> tuple[str, ...]:
         """Each member by itself: the first as in the message, the others by their own sizes."""
-        return (f"{self.when} {self.what_alone}", *self._rivals)
+        return (f"{self.when} {self.what_without_alternatives}", *self._alternatives)
 
     @property
-    def what_alone(self) -> str:
+    def what_without_alternatives(self) -> str:
         """Clause with the parameter and both values, without the alternatives."""
-        return self._told("")
+        return self._clause("")
 
-    def _words(self, parameter: Parameter) -> str:
+    def _parameter_words(self, parameter: Parameter) -> str:
         return parameter_words(parameter, self.catalogue.legs)
 
-    def _told(self, others: str) -> str:
+    def _clause(self, others: str) -> str:
         unit = self.unit.spoken
         decimals = decimals_for(self.sigma / unit.si, most=9)
         before, after = (plain(v / unit.si, decimals) for v in (self.before, self.after))
@@ -99,59 +103,64 @@ class Change:
         if self.vague:
             size = f"by {signed((self.after - self.before) / unit.si, decimals)}"
         return (
-            f"the {self._words(self.parameter)}{others} changed {size} {unit.name} "
+            f"the {self._parameter_words(self.parameter)}{others} changed {size} {unit.name} "
             f"(± {self.sigma / unit.si:.{decimals}f})"
         )
 
     @property
-    def others(self) -> str:
+    def alternatives_clause(self) -> str:
         """The alternatives with their sizes, in brackets; empty if there are none."""
-        return f" (or {', or '.join(self._rivals)})" if self._rivals else ""
+        return f" (or {', or '.join(self._alternatives)})" if self._alternatives else ""
 
     @property
-    def _rivals(self) -> tuple[str, ...]:
+    def _alternatives(self) -> tuple[str, ...]:
         named = []
-        for name, by in list(self.moved.items())[1:]:
+        for name, by in list(self.change_by_member.items())[1:]:
             size = signed_size(self.catalogue.effect_of(name), by) if math.isfinite(by) else ""
-            named.append(f"the {self._words(name)}{size and f' by {size}'}")
+            named.append(f"the {self._parameter_words(name)}{size and f' by {size}'}")
         return tuple(named)
 
     @property
-    def summed(self) -> tuple[Parameter, ...]:
+    def summed_members(self) -> tuple[Parameter, ...]:
         """Members that share what ``before`` and ``after`` say."""
-        return summed_of(self.members, self.catalogue)
+        return summed_members(self.members, self.catalogue)
 
     @property
-    def own(self) -> tuple[str, ...]:
+    def campaign_parameters(self) -> tuple[str, ...]:
         """Members as per-campaign parameters from ``since`` on, for ``build_problem``."""
         return tuple(f"{name}@{self.since}" for name in self.members)
 
     @property
-    def is_told(self) -> bool:
+    def is_reported(self) -> bool:
         """Whether there is a difference to tell, once the evidence has decided for one: what the
         readings before did not see may have been as it is now.
         """
-        return abs(self.after - self.before) > max(self.sigma, SIGNIFICANT * self.unseen)
+        return abs(self.after - self.before) > max(
+            self.sigma, SIGNIFICANT_SIGMAS * self.unseen_before
+        )
 
     @property
     def found_only_now(self) -> str:
         """What is told in place of a change that is none to tell; empty where there is nothing."""
-        if self.is_told or abs(self.after - self.before) < SIGNIFICANT * self.sigma_after:
+        if (
+            self.is_reported
+            or abs(self.after - self.before) < SIGNIFICANT_SIGMAS * self.sigma_after
+        ):
             return ""
         value, unit = compact(self.after / self.unit.spoken.si, 3), self.unit.spoken.name
         return (
-            f"the {self._words(self.parameter)} is {value} {unit}: the readings of the "
+            f"the {self._parameter_words(self.parameter)} is {value} {unit}: the readings of the "
             f"calibration before could not see it, so nothing shows that it changed since"
         )
 
     @property
     def is_cause(self) -> bool:
         """Whether the error that remains after the change is significant."""
-        return abs(self.after) > SIGNIFICANT * self.sigma_after
+        return abs(self.after) > SIGNIFICANT_SIGMAS * self.sigma_after
 
-    def now(self, estimate: Estimate) -> Change:
+    def with_later_fit(self, estimate: Estimate) -> Change:
         """Return the change with the value and the sigma of a later fit."""
-        summed = self.summed
+        summed = self.summed_members
         places = [k for k, name in enumerate(estimate.names) if name in summed]
         if len(places) < len(summed):
             return self
@@ -161,7 +170,7 @@ class Change:
         before = after - (self.after - self.before) if self.vague else self.before
         return replace(self, before=before, after=after, sigma_after=float(np.sqrt(spread)))
 
-    def measured(self, estimate: Estimate) -> Change:
+    def with_separate_fit(self, estimate: Estimate) -> Change:
         """With the values of a fit in which the parameter, or a member instead, is separate.
 
         The search knows by how much it changed with everything open, the fit with all else as
@@ -178,9 +187,9 @@ class Change:
             first = self.members.index(name)
             size = self.sizes[first]
             ratio = abs(size / self.sizes[0])
-            widest, among = self.size_sigma * ratio, self.among * ratio
+            widest, among = self.size_sigma * ratio, self.sigma_between_sets * ratio
             sigma = math.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1] + among**2)
-            if abs(after - before - size) > SIGNIFICANT * widest:
+            if abs(after - before - size) > SIGNIFICANT_SIGMAS * widest:
                 about, sigma = (before + after) / 2, widest
                 before, after = about - size / 2, about + size / 2
             order = [first, *(k for k in range(len(self.members)) if k != first)]
@@ -194,12 +203,12 @@ class Change:
                 sigma=sigma,
                 sigma_after=float(np.sqrt(spread[1, 1])),
                 size_sigma=widest,
-                among=among,
+                sigma_between_sets=among,
             )
         return self
 
 
-def summed_of(members: tuple[Parameter, ...], catalogue: Catalogue) -> tuple[Parameter, ...]:
+def summed_members(members: tuple[Parameter, ...], catalogue: Catalogue) -> tuple[Parameter, ...]:
     """What the readings cannot tell apart counts as one, the sum of all of one unit that stand for
     it: of one leg and direction, one plate, or one pattern of legs. A zero is known apart from a
     length by the tolerances of both.

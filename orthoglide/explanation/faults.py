@@ -14,9 +14,9 @@ from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import Controller
 from orthoglide.numerals import compact, plain, signed
 from orthoglide.observations import source
-from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
-from orthoglide.observations.arrays import numbered
-from orthoglide.units import MISTAKEN
+from orthoglide.observations.approach import APPROACH_NOT_RECORDED, APPROACH_REMEDY
+from orthoglide.observations.arrays import group_ids
+from orthoglide.units import UNIT_MISTAKES
 
 Kind = Literal[
     "outlier", "knocked_stand", "zeroed", "command", "sign", "label", "exchanged_labels", "shifted",
@@ -25,14 +25,16 @@ Kind = Literal[
 Rows = NDArray[np.int64]
 Same = Callable[["Fault", "Fault"], bool]
 
-DATUMS: tuple[Kind, ...] = ("knocked_stand", "zeroed", "moved")
+DATUM_KINDS: tuple[Kind, ...] = ("knocked_stand", "zeroed", "moved")
 """Faults whose rows count, each with a datum of its own."""
 
-EVIDENCE = 7.0
+REQUIRED_EVIDENCE = 7.0
 """Log Bayes factor that a fault must reach, the number of its like discounted: about 1 in 1000."""
 
-_NEAR = 2e-3  # metres: a drive that is wrong at a command is wrong as near as this, by no more
-_SHOWN = 12  # lines that a message lists one by one
+_LOCAL_RANGE = (
+    2e-3  # metres: a drive that is wrong at a command is wrong as near as this, by no more
+)
+_MOST_LINES_LISTED = 12  # lines that a message lists one by one
 
 
 @dataclass(frozen=True)
@@ -57,58 +59,58 @@ class Fault:
     sizes: tuple[float, ...] = ()
 
     @property
-    def sets_aside(self) -> bool:
+    def excluded(self) -> bool:
         """Whether its rows do not count; else they have a datum of their own."""
-        return self.kind not in DATUMS
+        return self.kind not in DATUM_KINDS
 
     @property
     def offsets(self) -> tuple[float, ...]:
-        """Of each of its :func:`datums`, metres."""
-        return () if self.sets_aside else self.sizes or (self.size,)
+        """Of each of its :func:`datum_rows`, metres."""
+        return () if self.excluded else self.sizes or (self.size,)
 
 
-def in_order(problem: Problem, setup: int) -> Rows:
+def rows_in_order(problem: Problem, setup: int) -> Rows:
     """Stacked rows of a setup, in the order they were taken."""
     rows = np.flatnonzero(problem.setup_of_row == setup)
-    return np.asarray(rows[np.argsort(problem.of_dials("order")[rows], kind="stable")])
+    return np.asarray(rows[np.argsort(problem.dial_column("order")[rows], kind="stable")])
 
 
-def counting(problem: Problem, setup: int) -> Rows:
+def weighted_rows(problem: Problem, setup: int) -> Rows:
     """Rows of a setup of dials that have weight, in the order they were taken."""
-    rows = in_order(problem, setup)
-    kept = np.concatenate([f.noise.weighted for f in problem.on_legs])
+    rows = rows_in_order(problem, setup)
+    kept = np.concatenate([f.noise.weighted for f in problem.leg_factors])
     return rows[kept[rows]]
 
 
-def datums(problem: Problem, fault: Fault) -> list[Rows]:
+def datum_rows(problem: Problem, fault: Fault) -> list[Rows]:
     """Rows that have a datum of their own: by setup and repeat, or all behind a knock."""
-    if fault.sets_aside:
+    if fault.excluded:
         return []
     setup = problem.setup_of_row
-    repeat = problem.of_dials("repeat") if fault.kind == "zeroed" else np.zeros_like(setup)
-    return parts(fault.kind, fault.rows, setup, repeat)
+    repeat = problem.dial_column("repeat") if fault.kind == "zeroed" else np.zeros_like(setup)
+    return split_by_datum(fault.kind, fault.rows, setup, repeat)
 
 
-def steps(problem: Problem, fault: Fault) -> Array:
-    """What readings show of a metre of each of its :func:`datums` ``(n, datums)``."""
+def datum_columns(problem: Problem, fault: Fault) -> Array:
+    """What readings show of a metre of each of its :func:`datum_rows` ``(n, datums)``."""
     shown = np.zeros((len(problem.measured), len(fault.offsets)))
-    for k, rows in enumerate(datums(problem, fault)):
+    for k, rows in enumerate(datum_rows(problem, fault)):
         shown[rows, k] = 1.0
     return shown
 
 
-def parts(kind: Kind, rows: Rows, setup: Rows, repeat: Rows) -> list[Rows]:
+def split_by_datum(kind: Kind, rows: Rows, setup: Rows, repeat: Rows) -> list[Rows]:
     """Rows of each datum, by setup and repeat of all rows of which these are some."""
-    datum = numbered(np.column_stack([setup, repeat * (kind == "zeroed")])[rows])
+    datum = group_ids(np.column_stack([setup, repeat * (kind == "zeroed")])[rows])
     return [rows[datum == k] for k in range(datum.max(initial=-1) + 1)]
 
 
-def campaign_of(problem: Problem, rows: Rows) -> int:
+def campaign_index(problem: Problem, rows: Rows) -> int:
     """Number of the campaign that stacked rows of one campaign belong to."""
-    return next(k for k, part in enumerate(problem.rows) if rows[0] < part.stop)
+    return next(k for k, part in enumerate(problem.leg_rows) if rows[0] < part.stop)
 
 
-def places(problem: Problem, rows: Rows) -> tuple[tuple[int, int], ...]:
+def factors_and_rows(problem: Problem, rows: Rows) -> tuple[tuple[int, int], ...]:
     """Factor and row within it of stacked rows."""
     ends = [part.stop for part in problem.factor_rows]
     ordered = np.sort(rows).tolist()
@@ -117,18 +119,18 @@ def places(problem: Problem, rows: Rows) -> tuple[tuple[int, int], ...]:
     return tuple((k, row - problem.factor_rows[k].start) for k, row in each)
 
 
-def message(problem: Problem, fault: Fault) -> str:
+def fault_message(problem: Problem, fault: Fault) -> str:
     """One sentence: which file, which lines, what it looks like, what to do."""
-    at = places(problem, fault.rows)
+    at = factors_and_rows(problem, fault.rows)
     given = problem.factors[at[0][0]].readings
-    lines = _listed([*dict.fromkeys(int(given.line[row]) for k, row in at if k == at[0][0])])
+    lines = _line_list([*dict.fromkeys(int(given.line[row]) for k, row in at if k == at[0][0])])
     setups = " and ".join(repr(problem.setups[s].name) for s in fault.setups)
     plural = "s" * (len(fault.setups) > 1)
     where = "" if given.by_point else f", setup{plural} {setups}"
-    return f"{source(given)}, {lines}{where}{_label(problem, at)}: {_clause(problem, fault)}"
+    return f"{source(given)}, {lines}{where}{_row_label(problem, at)}: {_clause(problem, fault)}"
 
 
-def _label(problem: Problem, at: tuple[tuple[int, int], ...]) -> str:
+def _row_label(problem: Problem, at: tuple[tuple[int, int], ...]) -> str:
     """Return the label by which people know what was read, behind its place in the file; empty
     where the rows have none, or several.
     """
@@ -140,9 +142,9 @@ def _label(problem: Problem, at: tuple[tuple[int, int], ...]) -> str:
     return f", {given.kind[row] if given.paired[row] else 'posture'} {label}"
 
 
-def _slipped(problem: Problem, fault: Fault) -> str:
+def _outlier_clause(problem: Problem, fault: Fault) -> str:
     """How far off a reading or a point is, and what to look up."""
-    k, row = places(problem, fault.rows)[0]
+    k, row = factors_and_rows(problem, fault.rows)[0]
     given = problem.factors[k].readings
     unit = given.setups[given.setup[row]].observation.unit
     off = compact(fault.size * 1e3, plus=True)
@@ -154,7 +156,7 @@ def _slipped(problem: Problem, fault: Fault) -> str:
     looked = "it" if visits > 1 or given.paired[row] else "it and its command"
     lost = ""
     if visits > 1 and not given.approach[row].all() and not given.paired[row]:
-        lost = f"; or it is lost motion, as {SIDES_UNTOLD}: {TELL_SIDES}"
+        lost = f"; or it is lost motion, as {APPROACH_NOT_RECORDED}: {APPROACH_REMEDY}"
     once = ""
     if visits == 1 and given.on_legs[row]:
         once = "; it was visited once, and a defect of the machine at this place would read alike"
@@ -170,9 +172,9 @@ def _clause(problem: Problem, fault: Fault) -> str:
     up = f"{abs(fault.size) * 1e3:.3g} mm {'higher' if fault.size > 0 else 'lower'}"
     match fault.kind:
         case "outlier":
-            return _slipped(problem, fault)
+            return _outlier_clause(problem, fault)
         case "zeroed":
-            return _zeroed(problem, fault)
+            return _zeroed_clause(problem, fault)
         case "knocked_stand":
             return (
                 f"from here on all readings of the setup are {up} than before, as if the "
@@ -180,9 +182,9 @@ def _clause(problem: Problem, fault: Fault) -> str:
                 f"measure the setup again"
             )
         case "command":
-            return _commanded(problem, fault)
+            return _command_clause(problem, fault)
         case "sign" | "label" | "exchanged_labels":
-            return _mislabelled(problem, fault)
+            return _label_clause(problem, fault)
         case "shifted":
             late, up = ("late", "up") if fault.size > 0 else ("early", "down")
             return (
@@ -194,14 +196,14 @@ def _clause(problem: Problem, fault: Fault) -> str:
             by = " or ".join(f"{factor:.4g}" for factor in factors)
             return (
                 f"the readings fit once they are multiplied by {by}, so they seem to be "
-                f"{', or '.join(MISTAKEN[f] for f in factors)}: put this setup into millimetres"
+                f"{', or '.join(UNIT_MISTAKES[f] for f in factors)}: put this setup into millimetres"
             )
         case "turns":
-            return _turned(fault)
+            return _turns_clause(fault)
         case "scatter":
-            return _scattered(problem, fault)
+            return _scatter_clause(problem, fault)
         case "moved":
-            k, row = places(problem, fault.rows)[0]
+            k, row = factors_and_rows(problem, fault.rows)[0]
             given = problem.factors[k].readings
             unit = given.setups[given.setup[row]].observation.unit
             return (
@@ -209,7 +211,7 @@ def _clause(problem: Problem, fault: Fault) -> str:
                 f"otherwise than before, as if the instrument, or what it stands on, had been "
                 f"moved, or drifted: give the rows from there on a setup name of their own, as is "
                 f"done here, or measure the setup again"
-                f"{_or_lost(problem, k, int(given.setup[row]))}"
+                f"{_lost_motion_clause(problem, k, int(given.setup[row]))}"
             )
         case "stuck":
             return (
@@ -219,9 +221,9 @@ def _clause(problem: Problem, fault: Fault) -> str:
             )
 
 
-def _scattered(problem: Problem, fault: Fault) -> str:
+def _scatter_clause(problem: Problem, fault: Fault) -> str:
     """By how much visits to one place differ, and what to do."""
-    k, row = places(problem, fault.rows)[0]
+    k, row = factors_and_rows(problem, fault.rows)[0]
     given, size = problem.factors[k].readings, f"{fault.size * 1e3:.2g}"
     if problem.factors[k].on_legs:
         return (
@@ -236,18 +238,18 @@ def _scattered(problem: Problem, fault: Fault) -> str:
         f"visits to the same place{near} scatter by {size} {instrument.unit}, which is no noise of "
         f"such an instrument: rows were exchanged, the readings have another unit, or something "
         f"is loose; put it right, or give repeatability in the machine file under "
-        f"[instrument.{instrument.kind}]{_or_lost(problem, k, setup)}"
+        f"[instrument.{instrument.kind}]{_lost_motion_clause(problem, k, setup)}"
     )
 
 
-def _or_lost(problem: Problem, factor: int, setup: int) -> str:
+def _lost_motion_clause(problem: Problem, factor: int, setup: int) -> str:
     """What else visits of one place differ by, where nobody knows their sides."""
     if problem.factors[factor].approach_known(setup):
         return ""
-    return f"; or it is lost motion, as {SIDES_UNTOLD}: {TELL_SIDES}"
+    return f"; or it is lost motion, as {APPROACH_NOT_RECORDED}: {APPROACH_REMEDY}"
 
 
-def _mislabelled(problem: Problem, fault: Fault) -> str:
+def _label_clause(problem: Problem, fault: Fault) -> str:
     """As what setup the readings fit: the other way round, of another leg, or of another dial."""
     if fault.kind == "sign":
         setup = problem.setups[fault.setups[0]]
@@ -270,7 +272,7 @@ def _mislabelled(problem: Problem, fault: Fault) -> str:
     )
 
 
-def _turned(fault: Fault) -> str:
+def _turns_clause(fault: Fault) -> str:
     """By how much readings are off, and which hand tells."""
     ends = sorted({min(fault.sizes), max(fault.sizes)})
     by = " to ".join(compact(size * 1e3, plus=True) for size in ends)
@@ -282,11 +284,11 @@ def _turned(fault: Fault) -> str:
     )
 
 
-def _zeroed(problem: Problem, fault: Fault) -> str:
+def _zeroed_clause(problem: Problem, fault: Fault) -> str:
     """By how much the datum of each repeat is off that of the first."""
-    repeat = problem.of_dials("repeat")
+    repeat = problem.dial_column("repeat")
     said: dict[str, list[str]] = {}
-    for rows, size in zip(datums(problem, fault), fault.sizes, strict=True):
+    for rows, size in zip(datum_rows(problem, fault), fault.sizes, strict=True):
         by = said.setdefault(problem.setups[problem.setup_of_row[rows[0]]].name, [])
         by.append(f"{signed(size * 1e3, 3)} mm at repeat {repeat[rows[0]]}")
     several = len(said) > 1
@@ -298,9 +300,9 @@ def _zeroed(problem: Problem, fault: Fault) -> str:
     )
 
 
-def _commanded(problem: Problem, fault: Fault) -> str:
+def _command_clause(problem: Problem, fault: Fault) -> str:
     """Which command fits a posture, in the coordinates of files, and what else it could be."""
-    (k, row), *_ = places(problem, fault.rows)
+    (k, row), *_ = factors_and_rows(problem, fault.rows)
     written = problem.campaigns[k].command[row]
     spec, said = problem.machine.spec, []
     for drive, size in fault.commands:
@@ -318,17 +320,19 @@ def _commanded(problem: Problem, fault: Fault) -> str:
         f"and correct or drop these rows"
     )
     # It may be the drive where no other posture has it near, and it is off by little.
-    others = np.delete(problem.of_dials("command"), fault.rows, axis=0) - written
-    far = (np.abs(others) > _NEAR).all(axis=0)
-    alone = [LEGS[drive] for drive, size in fault.commands if abs(size) <= _NEAR and far[drive]]
+    others = np.delete(problem.dial_column("command"), fault.rows, axis=0) - written
+    far = (np.abs(others) > _LOCAL_RANGE).all(axis=0)
+    alone = [
+        LEGS[drive] for drive, size in fault.commands if abs(size) <= _LOCAL_RANGE and far[drive]
+    ]
     if not alone:
         return text
     return f"{text}; or drive {' or '.join(alone)} is off at this place alone: measure it again"
 
 
-def _listed(lines: Sequence[int]) -> str:
+def _line_list(lines: Sequence[int]) -> str:
     if len(lines) == 1:
         return f"line {lines[0]}"
-    if len(lines) > _SHOWN:
+    if len(lines) > _MOST_LINES_LISTED:
         return f"{len(lines)} lines from {min(lines)} to {max(lines)}"
     return "lines " + ", ".join(map(str, lines[:-1])) + f" and {lines[-1]}"

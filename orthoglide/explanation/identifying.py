@@ -8,29 +8,29 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from orthoglide.errors import InputError, check_word
-from orthoglide.explanation.data_faults import slips_of_tool
+from orthoglide.errors import InputError, check_choice
+from orthoglide.explanation.data_faults import tool_fault_notes
 from orthoglide.explanation.recalibration import account_for_changes
-from orthoglide.explanation.repeats import with_noise_of_repeats
+from orthoglide.explanation.repeats import with_refuted_noise_enlarged
 from orthoglide.fit import Estimate, Problem, assemble, solve
-from orthoglide.fit.assembling import read_given
+from orthoglide.fit.assembling import read_tables
 from orthoglide.fit.crosscheck import verify
-from orthoglide.fit.plausible import check_columns, check_plausible
+from orthoglide.fit.plausible import check_drive_order, check_plausible
 from orthoglide.fit.solving import Method
 from orthoglide.instruments import Frame
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.observations import Given
-from orthoglide.parameters import plain_and_campaign
+from orthoglide.observations import ReadingsOrPath
+from orthoglide.parameters import split_campaign
 from orthoglide.threads import on_one_thread
 
-_EXACT = 1e-2  # of the noise; leaves a ten-thousandth of what a free datum takes up
+_EXACT_SIGMA = 1e-2  # of the noise; leaves a ten-thousandth of what a free datum takes up
 
 Weighting = Literal["readings", "deviations"]
 
 
 @on_one_thread
 def identify(
-    campaigns: Given | Sequence[Given],
+    campaigns: ReadingsOrPath | Sequence[ReadingsOrPath],
     machine: MachineSource | None = None,
     free: Sequence[str] | None = None,
     *,
@@ -70,38 +70,38 @@ def identify(
         SolverError: where no solver reaches an answer that passes our own checks.
         CrossCheckError: where mechanism, reduction and Pinocchio disagree beyond 1e-6 mm.
     """
-    check_word("weighting", weighting, get_args(Weighting))
-    check_word("method", method, get_args(Method))
+    check_choice("weighting", weighting, get_args(Weighting))
+    check_choice("method", method, get_args(Method))
     machine = Machine.of(machine)
     chosen = machine.catalogue.base if free is None else free
-    read = read_given(campaigns, machine)
+    read = read_tables(campaigns, machine)
     check_plausible(read, machine, frame)
     problem = assemble(
         read, machine, chosen,
-        own=own, priors=priors, noise=noise, bounds=bounds, frame=frame,
+        per_campaign=own, priors=priors, noise=noise, bounds=bounds, frame=frame,
     )  # fmt: skip
-    _check_own(problem)
-    problem = with_noise_of_repeats(problem)
+    _check_per_campaign(problem)
+    problem = with_refuted_noise_enlarged(problem)
     if weighting == "deviations":
-        problem = _anchored(problem)
+        problem = _with_exact_first_postures(problem)
     found = account_for_changes(solve(problem, method=method), method)
-    check_columns(found)
-    warnings = (*found.warnings, *slips_of_tool(found))
+    check_drive_order(found)
+    warnings = (*found.warnings, *tool_fault_notes(found))
     return replace(found, warnings=warnings, verification=verify(found))
 
 
-def _check_own(problem: Problem) -> None:
+def _check_per_campaign(problem: Problem) -> None:
     """Refuse what is own to each campaign and not free."""
-    for name in problem.own:
-        plain, _ = plain_and_campaign(name)
+    for name in problem.per_campaign:
+        plain, _ = split_campaign(name)
         if not any(plain in (n.plain, n.effect) for n in problem.names):
             raise InputError(f"{name} is own to each campaign but not free: free it too")
 
 
-def _anchored(problem: Problem) -> Problem:
+def _with_exact_first_postures(problem: Problem) -> Problem:
     """Averaged readings, equal weights, each setup's first posture and the dials' places exact."""
     factors = []
-    for factor in problem.on_legs:
+    for factor in problem.leg_factors:
         every = factor.readings
         # One row a setup and posture, as the papers average their repeats.
         table = np.column_stack([every.setup, every.command])
@@ -113,9 +113,9 @@ def _anchored(problem: Problem) -> Problem:
         sigma = np.full(len(kept), problem.noise.typical)
         _, first = np.unique(some.setup, return_index=True)
         first = first[[s.observation.from_datum for s in some.readings.setups]]
-        sigma[first] *= _EXACT
+        sigma[first] *= _EXACT_SIGMA
         step = np.full(len(kept), problem.noise.resolution)
         noise = replace(some.noise, sigma=sigma, common=np.zeros(len(kept)), step=step)
-        beliefs = replace(some.beliefs, placement=0.0)
-        factors.append(replace(some, noise=noise, beliefs=beliefs))
-    return problem.with_factors(factors)
+        beliefs = replace(some.instrument_priors, dial_placement_sd=0.0)
+        factors.append(replace(some, noise=noise, instrument_priors=beliefs))
+    return problem.with_leg_factors(factors)

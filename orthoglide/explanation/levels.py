@@ -12,28 +12,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orthoglide.errors import InputError, NumericsError
-from orthoglide.explanation.everything import FullPosterior, full_posterior
-from orthoglide.explanation.faults import EVIDENCE
+from orthoglide.explanation.faults import REQUIRED_EVIDENCE
+from orthoglide.explanation.full_posterior import FullPosterior, full_posterior
 from orthoglide.explanation.signatures import signatures
 from orthoglide.fit import Estimate
 from orthoglide.fit.solving import solve
 from orthoglide.observations import Readings, source
-from orthoglide.ordering import EQUAL_ODDS, best_of
+from orthoglide.ordering import LOG_ODDS_MARGIN, best_of
 
-_WIDE = 5.0  # tolerances
+_PRIOR_WIDTH = 5.0  # tolerances
 _DEGREE = np.pi / 180 / 1e-3  # a reading in degrees that was taken for milliradians
 
 
 @dataclass(frozen=True)
-class _Sense:
+class _LevelInterpretation:
     """What readings of a level may mean instead."""
 
     signs: tuple[float, float] = (1.0, 1.0)  # by which those about x and about y are multiplied
     exchanged: bool = False  # whether those about x are about y
     factor: float = 1.0  # of all of them
-    said: str = ""  # how they fit, and what to do
+    clause: str = ""  # how they fit, and what to do
 
-    def of(self, points: Readings) -> Readings:
+    def applied_to(self, points: Readings) -> Readings:
         """The same readings with that meaning."""
         level = points.angular
         sign = np.where(level, np.take(self.signs, points.axis % 2), 1.0) * points.sign
@@ -42,15 +42,15 @@ class _Sense:
         return replace(points, sign=sign, axis=axis, reading=reading)
 
 
-_SENSES = (
-    _Sense((-1, -1), said="with the opposite sign: look which way it counts, right-handed about "
+_LEVEL_INTERPRETATIONS = (
+    _LevelInterpretation((-1, -1), clause="with the opposite sign: look which way it counts, right-handed about "
                           "x and y, and put -x and -y as directions"),
-    _Sense((-1, 1), said="with the opposite sign about x: look which way it counts there, and put "
+    _LevelInterpretation((-1, 1), clause="with the opposite sign about x: look which way it counts there, and put "
                          "-x as direction"),
-    _Sense((1, -1), said="with the opposite sign about y: look which way it counts there, and put "
+    _LevelInterpretation((1, -1), clause="with the opposite sign about y: look which way it counts there, and put "
                          "-y as direction"),
-    _Sense(exchanged=True, said="with x and y exchanged: correct the directions"),
-    _Sense(factor=_DEGREE, said="as degrees: put them into milliradians, 17.45 a degree"),
+    _LevelInterpretation(exchanged=True, clause="with x and y exchanged: correct the directions"),
+    _LevelInterpretation(factor=_DEGREE, clause="as degrees: put them into milliradians, 17.45 a degree"),
 )  # fmt: skip
 
 
@@ -64,41 +64,42 @@ def check_levels(known: FullPosterior) -> None:
     problem = known.before.problem
     levels = [
         f"{source(f.readings)}, setup {s.name!r}"
-        for _, f, _, s in problem.mounted
+        for _, f, _, s in problem.tool_setups
         if s.observation.angular
     ]
     if not levels:
         return
-    least = known.evidence + EVIDENCE + np.log(len(_SENSES))
-    likelier = [(e, s) for s, e in _weighed(known.before) if e > least]
+    least = known.evidence + REQUIRED_EVIDENCE + np.log(len(_LEVEL_INTERPRETATIONS))
+    likelier = [(e, s) for s, e in _interpretation_evidence(known.before) if e > least]
     if likelier:
-        _, sense = best_of(likelier, lambda one: one[0], EQUAL_ODDS)
+        _, sense = best_of(likelier, lambda one: one[0], LOG_ODDS_MARGIN)
         raise InputError(
             f"{'; '.join(levels)}: the readings of the level have a far likelier machine, and fit "
-            f"it, {sense.said}"
+            f"it, {sense.clause}"
         )
 
 
-def _weighed(before: Estimate) -> Iterator[tuple[_Sense, float]]:
+def _interpretation_evidence(before: Estimate) -> Iterator[tuple[_LevelInterpretation, float]]:
     """Log of what the readings weigh with each other meaning that could be likelier."""
-    problem, least = before.problem, _roughly(before) + EVIDENCE
-    for sense in _SENSES:
+    problem, least = before.problem, _rough_evidence(before) + REQUIRED_EVIDENCE
+    for sense in _LEVEL_INTERPRETATIONS:
         factors = tuple(
-            f if f.on_legs else replace(f, readings=sense.of(f.readings)) for f in problem.factors
+            f if f.on_legs else replace(f, readings=sense.applied_to(f.readings))
+            for f in problem.factors
         )
         try:
             fit = solve(replace(problem, factors=factors), method="nested", start=before.x)
-            found = full_posterior(fit) if _roughly(fit) > least else None
+            found = full_posterior(fit) if _rough_evidence(fit) > least else None
         except NumericsError:
             continue
-        if found is not None and found.settled:
+        if found is not None and found.converged:
             yield sense, found.evidence
 
 
-def _roughly(fit: Estimate) -> float:
+def _rough_evidence(fit: Estimate) -> float:
     """The same where every effect may be off by some tolerances, up to what all meanings share."""
     known = signatures(fit)
-    columns = known.columns * known.tolerance * _WIDE
+    columns = known.columns * known.tolerance * _PRIOR_WIDTH
     inside = np.eye(columns.shape[1]) + columns.T @ columns
     seen = columns.T @ known.residual
     square = known.residual @ known.residual - seen @ np.linalg.solve(inside, seen)

@@ -15,22 +15,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from orthoglide.explanation.linear import SOUND, Scale
-from orthoglide.explanation.search import Search, State, whitened
+from orthoglide.explanation.linear_model import SOUND_BACKGROUND, Scale
+from orthoglide.explanation.search import Search, State, shrink_along
 from orthoglide.geometry import Array
-from orthoglide.machine_file import root_of
-from orthoglide.ordering import EQUAL_ODDS, descending, largest, ranked
+from orthoglide.machine_file import symmetric_root
+from orthoglide.ordering import LOG_ODDS_MARGIN, descending, largest, ranked
 
 _NEGLIGIBLE = 1e-4  # weight below which a state is left out of averages
-_KEPT = 60  # most states and scales in an average
-_LIKELY, _ASKED = 0.05, 8  # weight of explanations over that of the likeliest, and their number
+_MOST_TERMS = 60  # most states and scales in an average
+_LEAST_RELATIVE_WEIGHT, _MOST_LIKELY_STATES = (
+    0.05,
+    8,
+)  # weight of explanations over that of the likeliest, and their number
 
-LEAST_SHARE = 0.05
+LEAST_PROBABILITY = 0.05
 """Least probability of a free-form error that enters the calibrated machine."""
 
 
 @dataclass(frozen=True, eq=False)
-class Averaged:
+class AveragedMoments:
     """Moments of the coefficients, averaged over all explanations."""
 
     mean: Array  # (C,)
@@ -47,10 +50,12 @@ class Mixture(Search):
         logs: dict[State, Array] = dict(self.visited)
         for state, table in self.children.items():
             pooled = table.max(axis=0)
-            for group, tau in zip(*np.nonzero(pooled > self.total(self.best) - 12), strict=True):
-                child = tuple(sorted((*state, (int(group), self.linear.slabs[tau]))))
+            for group, tau in zip(
+                *np.nonzero(pooled > self.log_weight(self.best) - 12), strict=True
+            ):
+                child = tuple(sorted((*state, (int(group), self.linear.slab_scales[tau]))))
                 logs.setdefault(child, table[:, group, tau])
-        logs = {s: v for s, v in logs.items() if self._known <= {g for g, _ in s}}
+        logs = {s: v for s, v in logs.items() if self._given_groups <= {g for g, _ in s}}
         every = np.stack(list(logs.values()))
         raw = np.exp(every - every.max())
         return dict(zip(logs, raw / raw.sum(), strict=True))
@@ -73,38 +78,42 @@ class Mixture(Search):
         """Groups of the best state, in the order of how much the fit needs them."""
         left = {}
         for member, _ in self.best:
-            self.table(rest := self.without(member))
-            left[member] = self.total(rest)
-        return tuple(ranked(left, lambda member: -left[member], EQUAL_ODDS))
+            self.child_log_weights(rest := self.without(member))
+            left[member] = self.log_weight(rest)
+        return tuple(ranked(left, lambda member: -left[member], LOG_ODDS_MARGIN))
 
     @cached_property
-    def shares(self) -> tuple[float, float, float]:
+    def mean_scales(self) -> tuple[float, float, float]:
         """Posterior mean scales of the catalogue, the free functions and the excess noise."""
         by_scale = np.sum(list(self.weights.values()), axis=0)
-        each = np.array([(s.share, s.free_share, s.noise) for s in self.scales])
+        each = np.array([(s.background_scale, s.free_form_scale, s.noise) for s in self.scales])
         named, free, noise = (by_scale @ each).tolist()
         return named, free, noise
 
     @property
-    def _plain(self) -> NDArray[np.bool_]:
+    def _declared_noise_scales(self) -> NDArray[np.bool_]:
         """Mask of the scales without station errors and with least free functions ``(scales,)``."""
-        least = min(s.free_share for s in self.scales)
-        return np.array([s.noise == 0 and s.free_share == least for s in self.scales])
+        least = min(s.free_form_scale for s in self.scales)
+        return np.array([s.noise == 0 and s.free_form_scale == least for s in self.scales])
 
     @cached_property
-    def named(self) -> tuple[tuple[State, Scale], ...]:
+    def likely_explanations(self) -> tuple[tuple[State, Scale], ...]:
         """Likely states, each with a scale without station errors, most probable first."""
-        plain = self._plain
+        plain = self._declared_noise_scales
         weight = {state: float(found[plain].sum()) for state, found in self.weights.items()}
-        order = ranked(weight, lambda state: weight[state])[:_ASKED]
-        likely = [state for state in order if weight[state] >= _LIKELY * weight[order[0]]]
+        order = ranked(weight, lambda state: weight[state])[:_MOST_LIKELY_STATES]
+        likely = [
+            state for state in order if weight[state] >= _LEAST_RELATIVE_WEIGHT * weight[order[0]]
+        ]
         at = [largest(np.where(plain, self.weights[s], -np.inf)) for s in likely]
         return tuple((s, self.scales[k]) for s, k in zip(likely, at, strict=True))
 
     def likeliest_background(self) -> Scale:
         """Return the likeliest scale within tolerances, at the declared noise, no group active."""
-        within = self._plain & np.array([s.share <= 1 for s in self.scales])
-        return self.scales[largest(np.where(within, self.visited[()], -np.inf), EQUAL_ODDS)]
+        within = self._declared_noise_scales & np.array(
+            [s.background_scale <= 1 for s in self.scales]
+        )
+        return self.scales[largest(np.where(within, self.visited[()], -np.inf), LOG_ODDS_MARGIN)]
 
     def restricted_to(self, names: Collection[str]) -> tuple[tuple[State, Scale], ...]:
         """Return the likely explanations whose active groups are all in ``names``.
@@ -113,103 +122,116 @@ class Mixture(Search):
         background.
         """
         groups = self.linear.groups
-        found = [one for one in self.named if all(groups[g].name in names for g, _ in one[0])]
+        found = [
+            one
+            for one in self.likely_explanations
+            if all(groups[g].name in names for g, _ in one[0])
+        ]
         if found:
             return tuple(found)
         state = tuple(one for one in self.best if groups[one[0]].name in names)
         by_scale = np.sum(list(self.weights.values()), axis=0)
-        return ((state, self.scales[largest(np.where(self._plain, by_scale, -np.inf))]),)
+        return (
+            (state, self.scales[largest(np.where(self._declared_noise_scales, by_scale, -np.inf))]),
+        )
 
     @cached_property
-    def rare(self) -> float:
+    def probability_rare(self) -> float:
         """Probability of a background beyond all tolerances, or of noise larger than declared."""
-        return self._weight_of([s.rare > 0 for s in self.scales])
+        return self._probability_of_scales([s.rare > 0 for s in self.scales])
 
     @cached_property
-    def beyond(self) -> float:
+    def probability_beyond_tolerance(self) -> float:
         """Probability of a background beyond all tolerances."""
-        return self._weight_of([s.share > 1 for s in self.scales])
+        return self._probability_of_scales([s.background_scale > 1 for s in self.scales])
 
-    def _weight_of(self, scales: list[bool]) -> float:
+    def _probability_of_scales(self, scales: list[bool]) -> float:
         """Return the total probability of the scales in a mask."""
         return float(sum(weight[np.array(scales)].sum() for weight in self.weights.values()))
 
     @property
-    def _sound(self) -> list[int]:
+    def _sound_scales(self) -> list[int]:
         """Indices of the scales of a machine that is sound apart from its active groups."""
-        return [k for k, s in enumerate(self.scales) if s.share <= SOUND and s.noise == 0]
+        return [
+            k
+            for k, s in enumerate(self.scales)
+            if s.background_scale <= SOUND_BACKGROUND and s.noise == 0
+        ]
 
-    def over_sound_machine(self) -> Array:
+    def log_bayes_factors_if_sound(self) -> Array:
         """Return log Bayes factors of single groups on a sound machine ``(groups, taus)``."""
         return np.asarray(
-            self.table(())[self._sound].max(axis=0) - self.visited[()][self._sound].max()
+            self.child_log_weights(())[self._sound_scales].max(axis=0)
+            - self.visited[()][self._sound_scales].max()
         )
 
-    def over_sound(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
+    def moments_if_sound(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return mean ``(C,)`` and covariance ``(k, k)`` in a state on a sound machine."""
-        sound = [self.scales[k] for k in self._sound]
-        logs = self._log_z(sound, *self._out(sound, state))
-        return self.moments(state, sound[largest(logs, EQUAL_ODDS)], at)
+        sound = [self.scales[k] for k in self._sound_scales]
+        logs = self._log_z(sound, *self._active_directions(sound, state))
+        return self.moments(state, sound[largest(logs, LOG_ODDS_MARGIN)], at)
 
-    def next_odds(self) -> Array:
+    def next_log_bayes_factors(self) -> Array:
         """Return log Bayes factors of each group added to the best state ``(groups,)``."""
-        table = self.table(self.best)
-        top = self.total(self.best)
+        table = self.child_log_weights(self.best)
+        top = self.log_weight(self.best)
         with np.errstate(divide="ignore"):
             pooled = np.log(np.exp(table - top).sum(axis=(0, 2)))
         return np.asarray(pooled + self.cost)
 
-    def precision(self, state: State, scale: Scale, *, unnamed: bool = False) -> Array:
+    def precision(self, state: State, scale: Scale, *, plate_shapes: bool = False) -> Array:
         """Return the inverse prior covariance of the readings in a state ``(m, m)``.
 
-        Plate shapes that no effect names are included only if ``unnamed`` is true.
+        Plate shapes that no effect names are included only if ``plate_shapes`` is true.
         """
         columns = self.linear.columns
-        out = columns @ self._spread(state)
-        spike = scale.spike if unnamed else np.where(self.linear.unnamed, 0.0, scale.spike)
+        out = columns @ self._slab_root(state)
+        spike = (
+            scale.spike if plate_shapes else np.where(self.linear.plate_shapes, 0.0, scale.spike)
+        )
         cov = (columns * spike) @ columns.T + out @ out.T
         return np.asarray(np.linalg.inv(cov + np.eye(len(cov))), dtype=np.float64)
 
-    def _spread(self, state: State) -> Array:
+    def _slab_root(self, state: State) -> Array:
         """Return a root of the slab covariance of a state's active groups ``(C, q)``."""
-        count = len(self.linear.fixed)
+        count = len(self.linear.fixed_sd)
         spread = np.zeros((count, 0))
         for group, tau in state:
             g = self.linear.groups[group]
             part = np.zeros((count, g.size))
-            part[g.places] = g.weights * tau * g.unit
+            part[g.coefficients] = g.weights * tau * g.unit
             spread = np.hstack([spread, part])
         return spread
 
-    def likeliest(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
+    def likeliest_moments(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return mean ``(C,)`` and covariance ``(k, k)`` in a state at its likeliest scales."""
-        return self.moments(state, self._likeliest(state), at)
+        return self.moments(state, self._likeliest_scale(state), at)
 
     def likeliest_mean(self, state: State) -> Array:
         """Mean ``(C,)`` of the same."""
-        return self._mean(state, self._likeliest(state))
+        return self._mean(state, self._likeliest_scale(state))
 
     def likeliest_variance(self, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return posterior and prior variance of coefficients in the best state ``(k,)``."""
-        scale = self._likeliest(self.best)
-        prior = scale.spike[at] + np.sum(self._spread(self.best)[at] ** 2, axis=1)
+        scale = self._likeliest_scale(self.best)
+        prior = scale.spike[at] + np.sum(self._slab_root(self.best)[at] ** 2, axis=1)
         return np.diag(self._covariance(self.best, scale, at)), prior
 
-    def _likeliest(self, state: State) -> Scale:
+    def _likeliest_scale(self, state: State) -> Scale:
         if len(self.scales) == 1:
             return self.scales[0]
         if state in self.visited:
-            return self.scales[largest(self.visited[state], EQUAL_ODDS)]
+            return self.scales[largest(self.visited[state], LOG_ODDS_MARGIN)]
         return self.scales[largest(self.weights[state])]
 
     @cached_property
     def chi2(self) -> float:
         """Chi2 of the readings in the best state; its expectation is their number."""
-        scale = self._likeliest(self.best)
-        (left,), (shrink,) = self._out([scale], self.best)
-        return float(np.sum(whitened(scale.residual, left, shrink) ** 2))
+        scale = self._likeliest_scale(self.best)
+        (left,), (shrink,) = self._active_directions([scale], self.best)
+        return float(np.sum(shrink_along(scale.residual, left, shrink) ** 2))
 
-    def instead(self, member: int, rise: float) -> dict[int, float]:
+    def alternatives_to(self, member: int, rise: float) -> dict[int, float]:
         """Return the groups that could be active in place of one, with the size of each.
 
         All have one coefficient. They are judged at the widest slab, over the first background.
@@ -222,26 +244,28 @@ class Mixture(Search):
             From group to its coefficient; the one that explains most first.
         """
         rest = self.without(member)
-        left, shrink = self._out(self.scales, rest)
+        left, shrink = self._active_directions(self.scales, rest)
         explained = self._gains(left, shrink)[0][0, :, -1]
-        free, noise = self.linear.free_noise, 1.0
+        free, noise = self.linear.unknown_noise, 1.0
         if free is not None:
-            noise = free.scale(float(self._explained(left, shrink)[0] + explained[member]))
+            noise = free.variance(float(self._explained(left, shrink)[0] + explained[member]))
         near = explained >= explained[member] - rise * noise
         near[[g for g, _ in self.best]] = False
         others = np.flatnonzero(near)
         found = {}
-        for other in others[descending(explained[others], EQUAL_ODDS * noise)].tolist():
-            state = tuple(sorted((*rest, (other, self.linear.slabs[-1]))))
-            found[other] = float(self.likeliest_mean(state)[self.linear.groups[other].places[0]])
+        for other in others[descending(explained[others], LOG_ODDS_MARGIN * noise)].tolist():
+            state = tuple(sorted((*rest, (other, self.linear.slab_scales[-1]))))
+            found[other] = float(
+                self.likeliest_mean(state)[self.linear.groups[other].coefficients[0]]
+            )
         return found
 
-    def spread_of(self, member: int) -> tuple[float, float, float]:
+    def size_and_spread(self, member: int) -> tuple[float, float, float]:
         """Return mean and standard deviation of a group of one coefficient in the best state, and
         the standard deviation that is added by the other states that contain it.
         """
-        at = self.linear.groups[member].places
-        mean, cov = self.likeliest(self.best, at)
+        at = self.linear.groups[member].coefficients
+        mean, cov = self.likeliest_moments(self.best, at)
         size, variance = float(mean[at[0]]), float(cov[0, 0])
         more = total = 0.0
         for (weight, state, scale), m in zip(self._terms, self._means, strict=True):
@@ -257,23 +281,23 @@ class Mixture(Search):
 
     def _mean(self, state: State, scale: Scale) -> Array:
         """Return the mean of all coefficients in a state at a scale ``(C,)``."""
-        (left,), (shrink,) = self._out([scale], state)
-        spread = self._spread(state)
-        once = whitened(scale.residual, left, shrink)
-        along = scale.along(whitened(once, left, shrink))
+        (left,), (shrink,) = self._active_directions([scale], state)
+        spread = self._slab_root(state)
+        once = shrink_along(scale.residual, left, shrink)
+        along = scale.products_with_columns(shrink_along(once, left, shrink))
         return np.asarray(scale.spike * along + spread @ (spread.T @ along))
 
     def _covariance(self, state: State, scale: Scale, at: NDArray[np.intp]) -> Array:
         """Return the covariance of some coefficients in a state at a scale ``(k, k)``."""
-        (left,), (shrink,) = self._out([scale], state)
-        columns = whitened(scale.columns, left, shrink)
-        spread = self._spread(state)
+        (left,), (shrink,) = self._active_directions([scale], state)
+        columns = shrink_along(scale.columns, left, shrink)
+        spread = self._slab_root(state)
         # Prior covariance: diagonal of the spike, plus the slabs of the active groups.
         seen = columns * scale.spike + (columns @ spread) @ spread.T
         prior = np.diag(scale.spike[at]) + spread[at] @ spread[at].T
-        noise, free = 1.0, self.linear.free_noise
+        noise, free = 1.0, self.linear.unknown_noise
         if free is not None:
-            noise = free.scale(float(self._explained(left[None], shrink[None])[0]))
+            noise = free.variance(float(self._explained(left[None], shrink[None])[0]))
         return np.asarray(noise * (prior - seen[:, at].T @ seen[:, at]))
 
     def _covariances(self, at: NDArray[np.intp]) -> Callable[[State, Scale], Array]:
@@ -283,18 +307,18 @@ class Mixture(Search):
         million times better than the prior. Here the other coefficients are marginalised as
         noise, and precisions are added.
         """
-        linear, others = self.linear, np.ones(len(self.linear.fixed), dtype=bool)
+        linear, others = self.linear, np.ones(len(self.linear.fixed_sd), dtype=bool)
         others[at] = False
-        fixed = np.isfinite(linear.fixed)
-        kinds = (fixed, linear.free & ~fixed, ~linear.free & ~fixed)
-        size = np.where(fixed, linear.fixed, 1.0)
+        fixed = np.isfinite(linear.fixed_sd)
+        kinds = (fixed, linear.free_form & ~fixed, ~linear.free_form & ~fixed)
+        size = np.where(fixed, linear.fixed_sd, 1.0)
         rows = (linear.columns[:, others & kind] * size[others & kind] for kind in kinds)
         known, free, background = (part @ part.T for part in rows)
 
         def covariance(state: State, scale: Scale) -> Array:
-            spread = self._spread(state)
-            noise = known + scale.free_share**2 * free + scale.share**2 * background
-            noise += scale.noise**2 * linear.squares[3] + np.eye(len(noise))
+            spread = self._slab_root(state)
+            noise = known + scale.free_form_scale**2 * free + scale.background_scale**2 * background
+            noise += scale.noise**2 * linear.prior_covariances[3] + np.eye(len(noise))
             sd = np.sqrt(scale.spike[at])
             shown = np.hstack([linear.columns[:, at] * sd, linear.columns @ spread])
             shown = solve_triangular(np.linalg.cholesky(noise), shown, lower=True)
@@ -310,7 +334,7 @@ class Mixture(Search):
         """Weight, state and scale of every term of the averages."""
         states, every = list(self.weights), np.stack(list(self.weights.values()))
         likely = np.flatnonzero(every > _NEGLIGIBLE)
-        order = likely[descending(every.flat[likely])[:_KEPT]]
+        order = likely[descending(every.flat[likely])[:_MOST_TERMS]]
         at = [divmod(int(k), len(self.scales)) for k in order]
         total = sum(float(every[k]) for k in at)
         return tuple((float(every[k]) / total, states[k[0]], self.scales[k[1]]) for k in at)
@@ -342,12 +366,12 @@ class Mixture(Search):
         drawn, covariance = np.empty(normal.shape), self._covariances(at)
         for k in np.unique(term):
             _, state, scale = self._terms[k]
-            root = root_of(weights[:, at] @ covariance(state, scale) @ weights[:, at].T)
+            root = symmetric_root(weights[:, at] @ covariance(state, scale) @ weights[:, at].T)
             some = term == k
             drawn[some] = weights @ self._means[k] + normal[some] @ root.T
         return drawn
 
-    def averaged(self, known: int) -> Averaged:
+    def averaged_moments(self, known: int) -> AveragedMoments:
         """Return the moments of the coefficients, averaged over states and scales.
 
         The covariance covers the first ``known`` coefficients, and others whose group is active
@@ -355,18 +379,18 @@ class Mixture(Search):
         """
         best = {g for g, _ in self.best}
         likely = [
-            g.places
+            g.coefficients
             for k, (g, p) in enumerate(zip(self.linear.groups, self.inclusion, strict=True))
-            if p > LEAST_SHARE or k in best
+            if p > LEAST_PROBABILITY or k in best
         ]
         at = np.unique(np.concatenate([np.arange(known), *likely]).astype(int))
-        size = len(self.linear.fixed)
+        size = len(self.linear.fixed_sd)
         second, prior = np.zeros((size, size)), np.zeros((size, size))
         block, covariance = np.ix_(at, at), self._covariances(at)
         for (weight, state, scale), m in zip(self._terms, self._means, strict=True):
             cov = covariance(state, scale)
             second[block] += weight * (cov + np.outer(m[at], m[at]))
-            spread = self._spread(state)[at]
+            spread = self._slab_root(state)[at]
             prior[block] += weight * (np.diag(scale.spike[at]) + spread @ spread.T)
         second[block] -= np.outer(self.mean[at], self.mean[at])
-        return Averaged(self.mean, second, prior)
+        return AveragedMoments(self.mean, second, prior)

@@ -8,20 +8,23 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.explanation.linear import Linear
+from orthoglide.explanation.linear_model import LinearModel
 from orthoglide.fit.least_squares import explained_by_two
 from orthoglide.geometry import Array
-from orthoglide.ordering import EQUAL_ODDS, descending
+from orthoglide.ordering import LOG_ODDS_MARGIN, descending
 
-_NEAR, _MOST = 4.0, 40  # log odds of pairs that are looked at closely, and their number
+_NEAR_LOG_ODDS, _MOST_PAIRS = (
+    4.0,
+    40,
+)  # log odds of pairs that are looked at closely, and their number
 Pairs = tuple[NDArray[np.intp], NDArray[np.intp]]
 """Indices of the first and the second of each pair."""
 
-_FAR = 8.0  # log odds of scales of theirs that do not count
+_NEGLIGIBLE_LOG_ODDS = 8.0  # log odds of scales of theirs that do not count
 
 
 def likely_pairs(
-    linear: Linear,
+    linear: LinearModel,
     seen: Array,
     met: Array,
     base: tuple[Array, Array],
@@ -47,28 +50,33 @@ def likely_pairs(
     if not len(first):
         return
     # At one scale for both and few of the background first: off by no more than some log odds.
-    (logs, before), slabs, odds = base, linear.slabs, linear.odds_of
+    (logs, before), slabs, odds = base, linear.slab_scales, linear.log_odds_by_slab
 
     def gain(at: Sequence[int] | slice, pairs: Pairs, taus: tuple[float, float]) -> Array:
-        explained, occam = together(seen[at], met[at], pairs, taus)
-        return linear.support(explained, before[at]) - occam + odds[taus[0]] + odds[taus[1]]
+        explained, occam = explained_by_pair(seen[at], met[at], pairs, taus)
+        return (
+            linear.log_likelihood_gain(explained, before[at])
+            - occam
+            + odds[taus[0]]
+            + odds[taus[1]]
+        )
 
     table = np.stack([gain(coarse, (first, second), (tau, tau)) for tau in slabs])
     pooled = np.logaddexp.reduce(table + logs[coarse, None], axis=(0, 1))
     pooled -= cost[first] + cost[second]
-    likely = np.flatnonzero(pooled > pooled.max() - _NEAR)
-    order = likely[descending(pooled[likely], EQUAL_ODDS)[:_MOST]]
+    likely = np.flatnonzero(pooled > pooled.max() - _NEAR_LOG_ODDS)
+    order = likely[descending(pooled[likely], LOG_ODDS_MARGIN)[:_MOST_PAIRS]]
     near = first[order], second[order]
     paid = logs[:, None] - cost[near[0]] - cost[near[1]]
     both = list(product(slabs, slabs))
     found = [paid + gain(slice(None), near, taus) for taus in both]
-    least = max(float(f.max()) for f in found) - _FAR
+    least = max(float(f.max()) for f in found) - _NEGLIGIBLE_LOG_ODDS
     for (tau, other), weights in zip(both, found, strict=True):
         for k in np.flatnonzero(weights.max(axis=0) > least):
             yield int(near[0][k]), tau, int(near[1][k]), other, weights[:, k]
 
 
-def together(
+def explained_by_pair(
     seen: Array, met: Array, pairs: Pairs, taus: tuple[float, float]
 ) -> tuple[Array, Array]:
     """Return what pairs explain of chi2, and half their log determinant, ``(scales, k)`` each."""

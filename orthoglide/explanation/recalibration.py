@@ -14,31 +14,37 @@ from pathlib import Path
 
 import numpy as np
 
-from orthoglide.explanation.change import Change, summed_of
-from orthoglide.explanation.change_model import WIDTHS, Candidate, Moved, may_change, what_changed
+from orthoglide.explanation.change import Change, summed_members
+from orthoglide.explanation.change_model import (
+    SLAB_WIDTHS,
+    ChangeCandidate,
+    ChangeEstimate,
+    changeable_parameters,
+    most_probable_changes,
+)
 from orthoglide.fit.assembling import with_free
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.excited import excited_effects
+from orthoglide.fit.excitation import excited_effects
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import Method, solve
-from orthoglide.fit.unknown import one_plate
+from orthoglide.fit.unknowns import share_plate_shapes
 from orthoglide.machine_file import MachineFile, Posterior
 from orthoglide.parameters import Parameter
 
-_AS_BEFORE, _LITTLE = 0.02, 0.1
+_UNCHANGED_PLATE_WIDTH, _BENT_PLATE_WIDTH = 0.02, 0.1
 """Tolerances by which a plate may differ without a change: it is what it was, and what readings
 showed of it then stands in the machine's own numbers; and by which none is an ideal bowl."""
 
 
-_VAGUE = {
+_AMBIGUITY_CLAUSES = {
     "averaged_over": "could not tell causes apart ({} among them) and has their average",
     "located": "has a curve for what it had no name for ({})",
 }
 
 
-def vague(spec: MachineFile) -> str:
+def ambiguity_clause(spec: MachineFile) -> str:
     """Return a clause on what an earlier calibration left ambiguous; empty if nothing."""
-    for kept, words in _VAGUE.items():
+    for kept, words in _AMBIGUITY_CLAUSES.items():
         several = spec.provenance.get(kept, ())
         if isinstance(several, Sequence) and several:
             return words.format(", ".join(map(str, several)))
@@ -50,44 +56,48 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
     prior; as it is where there is none, or nothing has changed.
     """
     first = estimate.problem
-    known = first.earlier
-    if known is None or not first.calibrated:
+    known = first.earlier_posterior
+    if known is None or not first.has_earlier_calibration:
         return estimate
-    found = _found(estimate, known)
+    found = _find_changes(estimate, known)
     if not found:
         return estimate
     gone = [one.parameter for one in found]
     method = "nested" if method == "auto" else method
     left = known.without(gone)
-    free = _let_go(first, left, gone)
-    now = solve(free, method=method, start=free.padded(estimate.x))
-    return replace(now, changes=tuple(_changes(known, left, now, found)))
+    free = _with_parameters_released(first, left, gone)
+    now = solve(free, method=method, start=free.zero_padded(estimate.x))
+    return replace(now, changes=tuple(_reported_changes(known, left, now, found)))
 
 
-def _found(estimate: Estimate, known: Posterior) -> tuple[Moved, ...]:
+def _find_changes(estimate: Estimate, known: Posterior) -> tuple[ChangeEstimate, ...]:
     """What changed; beside plates that are bent a little where that leaves as much to tell, for a
     shape that is not quite a bowl's must not rule the plate out.
     """
-    wide = _beside_plates(estimate.problem, _AS_BEFORE)
-    found = _changed(estimate, known, wide)
+    wide = _with_plate_shapes(estimate.problem, _UNCHANGED_PLATE_WIDTH)
+    found = _search_changes(estimate, known, wide)
     if not found or len(wide.unknowns) == len(estimate.x):
         return found
-    loose = _changed(estimate, known, _beside_plates(estimate.problem, _LITTLE))
+    loose = _search_changes(
+        estimate, known, _with_plate_shapes(estimate.problem, _BENT_PLATE_WIDTH)
+    )
     return loose if len(loose) == len(found) else found
 
 
-def _changed(estimate: Estimate, known: Posterior, wide: Problem) -> tuple[Moved, ...]:
+def _search_changes(
+    estimate: Estimate, known: Posterior, wide: Problem
+) -> tuple[ChangeEstimate, ...]:
     """Return the changes of calibrated parameters; without dials also of plates and patterns."""
     first = estimate.problem
     names = [name for name in first.names if name in known.names]
     if not names:
         return ()
-    several = may_change(wide, [*names, *wide.names[len(first.names) :]])
-    candidates = [Candidate(n, 0, s, wide.machine.tolerance(n)) for n, s in several.items()]
-    return what_changed(wide, wide.padded(estimate.x), candidates)
+    several = changeable_parameters(wide, [*names, *wide.names[len(first.names) :]])
+    candidates = [ChangeCandidate(n, 0, s, wide.machine.tolerance(n)) for n, s in several.items()]
+    return most_probable_changes(wide, wide.zero_padded(estimate.x), candidates)
 
 
-def _beside_plates(problem: Problem, bent: float) -> Problem:
+def _with_plate_shapes(problem: Problem, bent: float) -> Problem:
     """The problem with the shapes of probed plates, of which a calibration keeps nothing, and which
     may differ by ``bent`` tolerances without a change; with dials, who know the machine, as it is.
     """
@@ -95,12 +105,14 @@ def _beside_plates(problem: Problem, bent: float) -> Problem:
         return problem
     shapes = [effect.name for effect in excited_effects(problem) if effect.of_body]
     wide = with_free(problem, shapes, release=False)
-    added = one_plate(wide.unknowns[len(problem.unknowns) :], problem.machine.catalogue)
-    narrow = (replace(unknown, width=bent) for unknown in added)
+    added = share_plate_shapes(wide.unknowns[len(problem.unknowns) :], problem.machine.catalogue)
+    narrow = (replace(unknown, prior_width=bent) for unknown in added)
     return replace(problem, unknowns=(*problem.unknowns, *narrow))
 
 
-def _let_go(problem: Problem, left: Posterior, names: Collection[Parameter]) -> Problem:
+def _with_parameters_released(
+    problem: Problem, left: Posterior, names: Collection[Parameter]
+) -> Problem:
     """The problem in which some parameters may be anything, and the rest is as known before.
 
     A pattern that changed is an unknown beside its legs, by how much each is not what it was.
@@ -108,29 +120,32 @@ def _let_go(problem: Problem, left: Posterior, names: Collection[Parameter]) -> 
     more = [name for name in names if name not in problem.names]
     wide = with_free(problem, more, release=False) if more else problem
     unknowns = (
-        replace(u, width=max(WIDTHS)) if u.name.plain in names else u for u in wide.unknowns
+        replace(u, prior_width=max(SLAB_WIDTHS)) if u.name.plain in names else u
+        for u in wide.unknowns
     )
-    return replace(wide, unknowns=tuple(unknowns), earlier=left)
+    return replace(wide, unknowns=tuple(unknowns), earlier_posterior=left)
 
 
-def _changes(
-    known: Posterior, left: Posterior, now: Estimate, found: Sequence[Moved]
+def _reported_changes(
+    known: Posterior, left: Posterior, now: Estimate, found: Sequence[ChangeEstimate]
 ) -> Iterator[Change]:
     """Yield the changes found, with the values of both visits."""
-    last, catalogue = now.problem.factors[now.problem.last], now.problem.machine.catalogue
+    last, catalogue = now.problem.factors[now.problem.last_factor], now.problem.machine.catalogue
     spec = now.problem.machine.spec
-    old, unclear = Path(spec.file).name or "earlier calibration", bool(vague(spec))
+    old, unclear = Path(spec.file).name or "earlier calibration", bool(ambiguity_clause(spec))
     for one in found:
         average = unclear and catalogue.effect_of(one.parameter).controller != "zero"
         if one.parameter in known.names:
-            summed = summed_of(tuple(one.sizes), catalogue)
+            summed = summed_members(tuple(one.sizes), catalogue)
             places = [now.names.index(name) for name in summed]
-            before, apart = _before(known, left, now, summed)
+            before, apart = _value_before(known, left, now, summed)
             unseen = 0.0
-            if known.alone is not None:  # were it alone off by about its tolerance then
-                several = (known.alone[known.names.index(name)] for name in summed)
+            if (
+                known.conditional_variance is not None
+            ):  # were it alone off by about its tolerance then
+                several = (known.conditional_variance[known.names.index(name)] for name in summed)
                 unseen = float(np.sqrt(max(several)))
-            apart = math.hypot(apart, unseen, one.among)
+            apart = math.hypot(apart, unseen, one.sigma_between_sets)
             sigma = float(np.sqrt(now.covariance[np.ix_(places, places)].sum()))
             after = float(now.x[places].sum())
             if average:  # the search knows by how much, from what no average does
@@ -138,21 +153,21 @@ def _changes(
         else:
             before = 0.0  # of a plate, which was taken for flat; of a pattern its share
             if not catalogue.effect_of(one.parameter).of_body:
-                weights = catalogue.elementary(one.parameter)
+                weights = catalogue.elementary_weights(one.parameter)
                 shares = (w * known.mean[known.names.index(part)] for part, w in weights.items())
                 before = float(sum(shares) / sum(w * w for w in weights.values()))
             place = [n.plain for n in now.problem.names].index(one.parameter)
             after = before + float(now.x[place])
             sigma = float(np.sqrt(now.covariance[place, place]))
-            apart, unseen = math.hypot(sigma, one.among), 0.0
+            apart, unseen = math.hypot(sigma, one.sigma_between_sets), 0.0
         yield Change(
             one.parameter, tuple(one.sizes), "", (old, last.name), one.evidence, catalogue,
-            before, after, apart, sigma, tuple(one.sizes.values()), unseen=unseen,
+            before, after, apart, sigma, tuple(one.sizes.values()), unseen_before=unseen,
             vague=average,
         )  # fmt: skip
 
 
-def _before(
+def _value_before(
     known: Posterior, left: Posterior, now: Estimate, members: tuple[Parameter, ...]
 ) -> tuple[float, float]:
     """Sum of some parameters at the earlier calibration, and the sigma of its change since.

@@ -13,8 +13,8 @@ from orthoglide.observations.approach import Ints
 from orthoglide.ordering import descending, ranked
 from orthoglide.result import SetupResidual
 
-_PLACES = 3  # at which most is left
-_CLEARLY = 1.05  # ratio of the largest residual to the next from which its posture is named
+_MOST_STATIONS = 3  # at which most is left
+_CLEAR_RATIO = 1.05  # ratio of the largest residual to the next from which its posture is named
 _ROUNDING = 1e-6  # of the noise of a reading, root mean square
 
 
@@ -41,10 +41,10 @@ def residual_by_setup(estimate: Estimate) -> tuple[SetupResidual, ...]:
             most = descending(np.abs(mean))
             where = own[at[most]]
             _, fresh = np.unique(given.command[where], axis=0, return_index=True)
-            worst = where[np.sort(fresh)[:_PLACES]]
+            worst = where[np.sort(fresh)[:_MOST_STATIONS]]
             # Of two stations with a free datum, both residuals are equal.
             first, *others = np.abs(mean[most]).tolist()
-            named = first > _CLEARLY * max(others[:1], default=0.0)
+            named = first > _CLEAR_RATIO * max(others[:1], default=0.0)
             leg = setup.leg
             one = SetupResidual(
                 setup=setup.name,
@@ -56,13 +56,13 @@ def residual_by_setup(estimate: Estimate) -> tuple[SetupResidual, ...]:
                 most=float(mean[most[0]]),
                 posture=given.posture[worst[0]] if named else "",
                 command=given.command[worst[0]],
-                where=_where(problem.machine, given, worst) if given.of_tool else (),
+                where=_tool_positions(problem.machine, given, worst) if given.of_tool else (),
             )
             found.append(one)
     return tuple(ranked(found, lambda one: one.share))
 
 
-def _where(machine: Machine, campaign: Readings, rows: Ints) -> tuple[str, ...]:
+def _tool_positions(machine: Machine, campaign: Readings, rows: Ints) -> tuple[str, ...]:
     """Places of the tool in rows ``(n,)``, or from there to the second command's; of what touches a
     plate without the height.
     """

@@ -15,15 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.explanation.candidates import Candidate, candidates
-from orthoglide.fit import Estimate, with_others
-from orthoglide.fit.excited import excited_effects
-from orthoglide.fit.least_squares import fitted_basis, linearise, past, whitened
-from orthoglide.fit.unknown import weight_matrix
+from orthoglide.fit import Estimate, with_effects_freed
+from orthoglide.fit.excitation import excited_effects
+from orthoglide.fit.least_squares import fitted_basis, linearise, project_out, whiten_and_project
+from orthoglide.fit.unknowns import weight_matrix
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 
 # A signature that one tolerance lifts less than this above the noise, in all, is not seen.
-_VISIBLE = 0.3
+_LEAST_SIGNAL = 0.3
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Signatures:
     tolerance: Array  # of these (E,), SI
     columns: Array  # signatures (m, E), a unit of SI
     residual: Array  # what the fit leaves (m,)
-    fitted: Array  # orthonormal columns of what is projected out (m, q)
+    fitted_basis: Array  # orthonormal columns of what is projected out (m, q)
     candidates: tuple[Candidate, ...]  # all that are made of these
     # names that these readings cannot show, whatever their size within reason
     invisible: tuple[Parameter, ...]
@@ -51,13 +51,13 @@ class Signatures:
 
     def whiten(self, readings: Array) -> Array:
         """Readings ``(n, ...)`` in metres as whitened, projected vectors ``(m, ...)``."""
-        return whitened(self.estimate.nuisance.weighing, self.fitted, readings)
+        return whiten_and_project(self.estimate.nuisance.weighing, self.fitted_basis, readings)
 
-    def of(self, candidate: Candidate) -> Array:
+    def signature(self, candidate: Candidate) -> Array:
         """Signature of a candidate at its tolerance ``(m, size)``."""
-        return self.columns @ self.scaled(candidate)
+        return self.columns @ self.weights_at_tolerance(candidate)
 
-    def scaled(self, candidate: Candidate) -> Array:
+    def weights_at_tolerance(self, candidate: Candidate) -> Array:
         """Elementary unknowns at tolerance for each of a candidate's parameters ``(E, size)``."""
         matrix = weight_matrix(self.names, candidate.weights)
         size = np.array([self.tolerance[np.flatnonzero(column)].max() for column in matrix.T])
@@ -70,10 +70,10 @@ def signatures(estimate: Estimate) -> Signatures:
     """
     problem, nuisance = estimate.problem, estimate.nuisance
     effects = excited_effects(problem)
-    wide, own = with_others(problem, [e.name for e in effects]), len(problem.unknowns)
-    at = linearise(wide, wide.padded(estimate.x))
+    wide, own = with_effects_freed(problem, [e.name for e in effects]), len(problem.unknowns)
+    at = linearise(wide, wide.zero_padded(estimate.x))
     fitted = fitted_basis(problem, nuisance, estimate.at)
-    columns = whitened(nuisance.weighing, fitted, at.jacobian[:, own:])
+    columns = whiten_and_project(nuisance.weighing, fitted, at.jacobian[:, own:])
     # What the fit leaves of the readings and of what was known before, past what it freed.
     _, target = problem.prior_rows
     left, n = np.zeros(len(fitted)), len(problem.measured)
@@ -82,7 +82,7 @@ def signatures(estimate: Estimate) -> Signatures:
     left[n : n + len(target)] = target
     tolerance = np.array([u.tolerance for u in wide.unknowns[own:]])
     names = tuple(u.name for u in wide.unknowns[own:])
-    seen = np.linalg.norm(columns, axis=0) * tolerance > _VISIBLE
+    seen = np.linalg.norm(columns, axis=0) * tolerance > _LEAST_SIGNAL
     kept = np.flatnonzero(seen)
     visible = tuple(names[k] for k in kept)
     return Signatures(
@@ -90,7 +90,7 @@ def signatures(estimate: Estimate) -> Signatures:
         visible,
         tolerance[kept],
         columns[:, kept],
-        past(fitted, left),
+        project_out(fitted, left),
         fitted,
         candidates(visible, effects, problem.machine.catalogue),
         tuple(n for n, s in zip(names, seen, strict=True) if not s),
@@ -108,11 +108,11 @@ class Scoring:
     occam: Array  # for each, log det(S^T S + 1)
 
     @classmethod
-    def of(cls, signatures: Signatures, chosen: Sequence[Candidate]) -> Scoring:
+    def prepare(cls, signatures: Signatures, chosen: Sequence[Candidate]) -> Scoring:
         """Prepare candidates of a fit's signatures."""
         basis, shrink, occam = list[Array](), list[Array](), list[float]()
         for candidate in chosen:
-            left, singular, _ = np.linalg.svd(signatures.of(candidate), full_matrices=False)
+            left, singular, _ = np.linalg.svd(signatures.signature(candidate), full_matrices=False)
             kept = singular > 1e-9 * max(float(singular.max(initial=0.0)), 1e-300)
             square = singular[kept] ** 2
             basis.append(left[:, kept])

@@ -10,20 +10,20 @@ from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 from orthoglide.prediction import Conditions
 
-_FEW = 3.0
+_REPLACED_TOLERANCES = 3.0
 """Tolerances of a parameter that another may replace if no reading and no tool shows it."""
 
-_SHAPELESS = 1e-6  # metres: what changes the shape by less moves the machine as a whole
+_TRANSLATION_LIMIT = 1e-6  # metres: what changes the shape by less moves the machine as a whole
 
 
 def tool_slopes(problem: Problem, x: Array, commands: Array | None = None) -> Array:
     """TCP of the last campaign's machine by unknown ``(g, 3, P)``, SI: at some commands ``(g, 3)``,
     metres, or throughout the workspace.
     """
-    machine, last = problem.machine, problem.last
-    names, matrix = problem.of_machine(last)
-    values = machine.catalogue.of_machine(problem.values(last, x))
-    at = None if commands is None else Conditions.at(commands)
+    machine, last = problem.machine, problem.last_factor
+    names, matrix = problem.machine_parameters(last)
+    values = machine.catalogue.machine_values(problem.values(last, x))
+    at = None if commands is None else Conditions.from_commands(commands)
     return tcp_slopes(machine.with_only(values), names, at) @ matrix
 
 
@@ -34,7 +34,7 @@ def translations(slopes: Array) -> Array:
         slopes: TCP by parameter over the workspace, in tolerances ``(g, 3, P)``, metres.
     """
     mean = slopes.mean(axis=0)
-    shape = (slopes - mean).reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes)) / _SHAPELESS
+    shape = (slopes - mean).reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes)) / _TRANSLATION_LIMIT
     directions = np.linalg.solve(np.eye(shape.shape[1]) + shape.T @ shape, mean.T)
     return np.asarray(np.linalg.qr(directions)[0])
 
@@ -74,11 +74,11 @@ def twins(
             if min(copies[plain[other]]) < free:
                 continue
             factor = float(cosine[one, other]) * length[other] / length[one]
-            if abs(cosine[one, other]) < 0.99 or abs(factor) < _SHAPELESS:
+            if abs(cosine[one, other]) < 0.99 or abs(factor) < _TRANSLATION_LIMIT:
                 continue
             apart = np.linalg.norm(shown[:, other] - factor * shown[:, one])
             moved = np.linalg.norm(tool[:, other] - factor * tool[:, one])
-            if _FEW * apart < 1.0 and _FEW * moved < noise / 2:
+            if _REPLACED_TOLERANCES * apart < 1.0 and _REPLACED_TOLERANCES * moved < noise / 2:
                 gone.add(other)
                 twin = plain[other]
                 for name in (plain[one], *(names[k] for k in copies[plain[one]])):

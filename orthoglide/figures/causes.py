@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
 
 _MOST_PANELS = 6
-_LEAST_PATTERN = 0.15  # of the largest: setups that show less of a cause are left out
-_SAME = 0.03  # of what is left: less is no difference between approaches
+_MIN_PATTERN = 0.15  # of the largest: setups that show less of a cause are left out
+_MIN_DIFFERENCE = 0.03  # of what is left: less is no difference between approaches
 _CURVES = (  # the chosen cause, then its rivals
     (style.FIT, "-", 2.6, 0.75),
     (style.PALETTE["minus"], "--", 1.3, 1.0),
@@ -36,30 +36,30 @@ class Pattern:
     mounting: Mounting  # the setup
     x: Array  # by station
     side: Array  # of the approach of the touched leg's own axis, by station
-    left: Array  # mean of what is left, by station
+    residual: Array  # mean of what is left, by station
     noise: Array  # two sigmas of that mean
     curves: tuple[Array, ...]  # what the causes predict, by station
 
     @property
-    def sides(self) -> list[float]:
+    def distinct_sides(self) -> list[float]:
         """Sides of the approach where the cause looks different from either; else none."""
         up, down = (
             dict(zip(np.round(self.x[at], 3).tolist(), self.curves[0][at], strict=True))
             for at in (self.side == 1, self.side == -1)
         )
         apart = [abs(up[x] - down[x]) for x in up if x in down]
-        differ = apart and max(apart) > _SAME * float(np.ptp(self.left))
+        differ = apart and max(apart) > _MIN_DIFFERENCE * float(np.ptp(self.residual))
         return [1.0, -1.0] if differ else []
 
 
-def drawn(cause: Cause) -> tuple[Explanation, ...]:
+def drawn_explanations(cause: Cause) -> tuple[Explanation, ...]:
     """Return the explanations of a credible set whose predicted readings are known, to be drawn."""
     return tuple(one for one in cause.explanations if len(one.shown))
 
 
 def _patterns(cause: Cause, read: ReadingsShown) -> list[Pattern]:
     residual = read.measured - read.after + cause.chosen.shown
-    predicted = [one.shown for one in drawn(cause)]
+    predicted = [one.shown for one in drawn_explanations(cause)]
     found = []
     for mounting in read.mountings:
         rows = mounting.rows
@@ -70,36 +70,34 @@ def _patterns(cause: Cause, read: ReadingsShown) -> list[Pattern]:
                 mounting,
                 mounting.x[first],
                 mounting.side[first],
-                _mean(residual[rows], station),
+                _station_means(residual[rows], station),
                 2e3 * np.hypot(noise, read.common[rows[first]]),
-                tuple(_mean(p[rows], station) for p in predicted),
+                tuple(_station_means(p[rows], station) for p in predicted),
             )
         )
     return found
 
 
-def _mean(values: Array, station: NDArray[np.intp]) -> Array:
+def _station_means(values: Array, station: NDArray[np.intp]) -> Array:
     """Return means by station, millimetres or milliradians."""
     return np.asarray(np.bincount(station, values) / np.bincount(station) * 1e3)
 
 
-def _shown(patterns: list[Pattern]) -> list[Pattern]:
+def _largest_patterns(patterns: list[Pattern]) -> list[Pattern]:
     """Return the setups in which a cause shows most, in the order of the file."""
     size = np.array([np.sqrt(np.mean(p.curves[0] ** 2)) for p in patterns])
     most = set(descending(size)[:_MOST_PANELS])
-    return [
-        p for k, p in enumerate(patterns) if k in most and size[k] >= _LEAST_PATTERN * size.max()
-    ]
+    return [p for k, p in enumerate(patterns) if k in most and size[k] >= _MIN_PATTERN * size.max()]
 
 
 def draw_signatures(cause: Cause, read: ReadingsShown, place: int) -> Drawing:
     """Return the figure of what a cause and its rivals predict; its ``place`` counts from 1."""
-    patterns = _shown(_patterns(cause, read))
-    width, height = style.PANEL[0], 2.1
-    figure, corners = style.sheet(len(patterns), height, strip=0.3)
+    patterns = _largest_patterns(_patterns(cause, read))
+    width, height = style.PANEL_SIZE[0], 2.1
+    figure, corners = style.panel_grid(len(patterns), height, strip=0.3)
     reach: dict[str, float] = {}
     for one in patterns:
-        most, unit = 1.15 * float(np.max(np.abs(one.left) + one.noise)), one.mounting.unit
+        most, unit = 1.15 * float(np.max(np.abs(one.residual) + one.noise)), one.mounting.unit
         reach[unit] = max(reach.get(unit, 0.0), most)
     for (left, top), pattern in zip(corners, patterns, strict=True):
         axes = style.place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 0.75)
@@ -107,16 +105,16 @@ def draw_signatures(cause: Cause, read: ReadingsShown, place: int) -> Drawing:
         far = reach[pattern.mounting.unit]
         axes.set_ylim(-far, far)
         style.few_ticks(axes)
-    names = [one.name for one in drawn(cause)]
+    names = [one.name for one in drawn_explanations(cause)]
     figure.legend(handles, names, loc="upper left", ncols=4, bbox_to_anchor=(0.0, 1.0),
                   borderaxespad=0.2, handlelength=2.2)  # fmt: skip
     title = "What is to be explained, and what each cause makes of it"
-    return style.multiples(f"signatures-{place}", title, figure, corners, height)
+    return style.panel_drawing(f"signatures-{place}", title, figure, corners, height)
 
 
 def _draw_pattern(axes: Axes, pattern: Pattern) -> list[Line2D]:
     """Draw one panel, and return a handle for each cause."""
-    sides = pattern.sides
+    sides = pattern.distinct_sides
     handles = []
     for curve, (colour, dash, width, alpha) in zip(pattern.curves, _CURVES, strict=False):
         for side in sides or [0.0]:
@@ -126,34 +124,36 @@ def _draw_pattern(axes: Axes, pattern: Pattern) -> list[Line2D]:
                                 linewidth=width, alpha=alpha)  # fmt: skip
         handles.append(line)
     marks = {1.0: "^", -1.0: "v"} if len(sides) > 1 else {}
-    axes.vlines(pattern.x, pattern.left - pattern.noise, pattern.left + pattern.noise,
+    axes.vlines(pattern.x, pattern.residual - pattern.noise, pattern.residual + pattern.noise,
                 color=style.DATA, linewidth=0.8)  # fmt: skip
     for side in sides or [0.0]:
         at = pattern.side == side if sides else np.ones(len(pattern.x), dtype=bool)
-        axes.plot(pattern.x[at], pattern.left[at], color=style.DATA, linestyle="none",
+        axes.plot(pattern.x[at], pattern.residual[at], color=style.DATA, linestyle="none",
                   marker=marks.get(side, "o"), markersize=4.2, markeredgewidth=0)  # fmt: skip
     axes.axhline(0, color=style.MUTED, linewidth=0.6)
     axes.set_title(pattern.mounting.title)
     axes.set_xlabel(pattern.mounting.label, labelpad=2)
     axes.set_ylabel(pattern.mounting.unit)
-    axes.yaxis.set_label_coords(style.LABEL, 0.5)
+    axes.yaxis.set_label_coords(style.LABEL_POSITION, 0.5)
     axes.margins(x=0.05)
     return handles
 
 
 def draw_located(found: Located, place: int) -> Drawing:
     """Return the figure of free-form errors with their 95 % bands; its ``place`` counts from 1."""
-    width, height = style.PANEL[0], 2.1
+    width, height = style.PANEL_SIZE[0], 2.1
     shown = found.members[:_MOST_PANELS]
-    figure, corners = style.sheet(len(shown), height)
+    figure, corners = style.panel_grid(len(shown), height)
     for (left, top), curve in zip(corners, shown, strict=True):
         axes = style.place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 0.75)
         _draw_curve(axes, curve)
         style.few_ticks(axes)
-    return style.multiples(f"located-{place}", "What was found, by place", figure, corners, height)
+    return style.panel_drawing(
+        f"located-{place}", "What was found, by place", figure, corners, height
+    )
 
 
-_AGAINST = {
+_AXIS_LABELS = {
     "travel": "travel, mm",
     "approach": "travel, mm",
     "reversal": "way since the drive turned, mm",
@@ -169,7 +169,7 @@ def _draw_curve(axes: Axes, curve: Curve) -> None:
     axes.plot(at, value, color=style.FIT, linewidth=1.6)
     axes.axhline(0, color=style.MUTED, linewidth=0.6)
     axes.set_title(curve.name)
-    axes.set_xlabel(_AGAINST.get(curve.against, "command, mm"), labelpad=2)
+    axes.set_xlabel(_AXIS_LABELS.get(curve.against, "command, mm"), labelpad=2)
     axes.set_ylabel(curve.unit)
-    axes.yaxis.set_label_coords(style.LABEL, 0.5)
+    axes.yaxis.set_label_coords(style.LABEL_POSITION, 0.5)
     axes.margins(x=0.02)

@@ -9,10 +9,10 @@ import numpy as np
 
 import orthoglide.figures.style as style
 from orthoglide.effects import Catalogue, Effect
-from orthoglide.errors import check_word
+from orthoglide.errors import check_choice
 from orthoglide.figures.causes import draw_located, draw_signatures
 from orthoglide.figures.readings import draw_readings, draw_residuals
-from orthoglide.figures.style import Drawing, applied
+from orthoglide.figures.style import Drawing, figure_style
 from orthoglide.frames import Framed
 from orthoglide.geometry import Array
 from orthoglide.numerals import ByUnit, signed
@@ -21,16 +21,16 @@ from orthoglide.result import ReadingsShown, Result, Workspace
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_DARKEST = 0.7  # opacity of a cell at the top of the scale
+_MAX_OPACITY = 0.7  # opacity of a cell at the top of the scale
 
 
 def draw(result: Result) -> list[Drawing]:
     """Return all figures of a result."""
-    with applied():
+    with figure_style():
         causes = enumerate(result.effects, start=1)
         drawings = [draw_signatures(cause, result.readings, k) for k, cause in causes]
         drawings += [draw_located(f, k) for k, f in enumerate(result.located, start=1)]
-        return drawings + [made() for made in _figures(result).values()]
+        return drawings + [made() for made in _result_figures(result).values()]
 
 
 def draw_one(result: Result, what: str) -> Drawing:
@@ -40,7 +40,7 @@ def draw_one(result: Result, what: str) -> Drawing:
     Raises:
         InputError: for a figure that there is not, or not of this result.
     """
-    return _drawn(_figures(result), what)
+    return _draw_named(_result_figures(result), what)
 
 
 def draw_fit(
@@ -58,26 +58,26 @@ def draw_fit(
     Raises:
         InputError: for a figure that there is not.
     """
-    return _drawn(_of_fit(read, read.nominal, noise, found, catalogue), what)
+    return _draw_named(_fit_figures(read, read.nominal, noise, found, catalogue), what)
 
 
-_Figures = dict[str, Callable[[], Drawing]]
+_FigureMakers = dict[str, Callable[[], Drawing]]
 
 
-def _figures(result: Result) -> _Figures:
+def _result_figures(result: Result) -> _FigureMakers:
     read, space = result.readings, result.workspace
     before = read.before if result.improved else read.nominal
     noise = result.noise.single_reading
-    found = _of_fit(read, before, noise, result, result.catalogue)
+    found = _fit_figures(read, before, noise, result, result.catalogue)
     if space is not None:
         del found["parameters"]
         found["workspace"] = lambda: draw_workspace(space, result.improved)
     return found
 
 
-def _of_fit(
+def _fit_figures(
     read: ReadingsShown, before: Array, noise: ByUnit, found: Framed, catalogue: Catalogue
-) -> _Figures:
+) -> _FigureMakers:
     return {
         "residuals": lambda: draw_residuals(read, before, noise),
         "readings": lambda: draw_readings(read, before),
@@ -85,9 +85,9 @@ def _of_fit(
     }
 
 
-def _drawn(figures: _Figures, what: str) -> Drawing:
-    check_word("figure", what, figures)
-    with applied():
+def _draw_named(figures: _FigureMakers, what: str) -> Drawing:
+    check_choice("figure", what, figures)
+    with figure_style():
         return figures[what]()
 
 
@@ -113,16 +113,18 @@ def draw_workspace(space: Workspace, effects: bool) -> Drawing:
         c: max(float(v.max()) for _, v, drawn in rows if drawn == c)
         for c in (style.DATA, style.FIT)
     }
-    width, height = style.PANEL[0], 2.5
+    width, height = style.PANEL_SIZE[0], 2.5
     panels = [(*row, level) for row in rows for level in chosen]
-    figure, corners = style.sheet(len(panels), height)
+    figure, corners = style.panel_grid(len(panels), height)
     for (left, top), (what, values, colour, level) in zip(corners, panels, strict=True):
         there = np.abs(at[:, 2] - level) < 1e-3
         axes = style.place_axes(figure, left + 0.5, top + 0.32, width - 0.6, height - 0.78)
         _draw_level(axes, at[there], values[there] * 1e3, colour, scale[colour] * 1e3)
         _label(axes, space.axis)
         axes.set_title(f"{what}, z {signed(level, 0)} mm")
-    return style.multiples("workspace", "The TCP over the workspace, mm", figure, corners, height)
+    return style.panel_drawing(
+        "workspace", "The TCP over the workspace, mm", figure, corners, height
+    )
 
 
 def _levels(space: Workspace) -> tuple[Array, Array]:
@@ -143,7 +145,12 @@ def _draw_level(axes: Axes, at: Array, values: Array, colour: str, most: float) 
     (xs, x), (ys, y) = (np.unique(np.round(at[:, k], 6), return_inverse=True) for k in (0, 1))
     places = 3 if most < 0.1 else 2
     cells = [
-        (i, j, to_rgba(colour, 0.05 + (_DARKEST - 0.05) * v / max(most, 1e-12)), f"{v:.{places}f}")
+        (
+            i,
+            j,
+            to_rgba(colour, 0.05 + (_MAX_OPACITY - 0.05) * v / max(most, 1e-12)),
+            f"{v:.{places}f}",
+        )
         for i, j, v in zip(x.tolist(), y.tolist(), values.tolist(), strict=True)
     ]
     _draw_cells(axes, cells, [signed(v, 0) for v in xs], [signed(v, 0) for v in ys])
@@ -189,20 +196,20 @@ def draw_parameters(columns: Mapping[str, Sequence[Any]], catalogue: Catalogue) 
     for k, name in enumerate(names):
         strips.setdefault(catalogue.effect_of(name), []).append(k)
     heights = [0.72 + 0.24 * len(members) for members in strips.values()]
-    figure = style.new_figure(style.SINGLE, sum(heights) + 0.3)
+    figure = style.new_figure(style.SINGLE_WIDTH, sum(heights) + 0.3)
     short = [name.removeprefix(f"{catalogue.effect_of(name).name}.") for name in names]
     margin = min(0.2 + 0.06 * max(map(len, short)), 1.7)
     top = 0.3
     for (effect, members), height in zip(strips.items(), heights, strict=True):
         axes = style.place_axes(
-            figure, margin, top + 0.2, style.SINGLE - margin - 0.12, height - 0.58
+            figure, margin, top + 0.2, style.SINGLE_WIDTH - margin - 0.12, height - 0.58
         )
         handles = _draw_strip(axes, columns, effect, members)
         axes.set_yticks(range(len(members)), [short[k] for k in members], color=style.INK)
         top += height
     figure.legend(
         handles, ("value, 95 % interval", "tolerance, ± 1 sigma"), loc="upper left", ncols=2,
-        bbox_to_anchor=(margin / style.SINGLE - 0.02, 1.0), borderaxespad=0.1, handlelength=1.4,
+        bbox_to_anchor=(margin / style.SINGLE_WIDTH - 0.02, 1.0), borderaxespad=0.1, handlelength=1.4,
     )  # fmt: skip
     return Drawing(
         "parameters", "Identified values against their tolerances", style.svg_text(figure)

@@ -34,11 +34,11 @@ class _Panel:
         return self.mounting.x
 
 
-MOST_DRAWN = 400
+MAX_DRAWN = 400
 """Readings of a setup that are drawn; in a panel of 3 inches more dots hide one another."""
 
 
-def _drawn(x: Array, left: Array) -> NDArray[np.intp]:
+def _rows_to_draw(x: Array, left: Array) -> NDArray[np.intp]:
     """Return the rows to draw ``(k,)``: all, or of many the two extreme residuals in each part of
     the scale.
 
@@ -46,9 +46,9 @@ def _drawn(x: Array, left: Array) -> NDArray[np.intp]:
         x: where each reading is drawn ``(m,)``.
         left: its residual ``(m,)``.
     """
-    if len(x) <= MOST_DRAWN:
+    if len(x) <= MAX_DRAWN:
         return np.arange(len(x))
-    parts = MOST_DRAWN // 2
+    parts = MAX_DRAWN // 2
     place = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
     part = np.minimum((place * parts).astype(np.intp), parts - 1)
     order = np.lexsort([left, part])
@@ -60,7 +60,7 @@ def _drawn(x: Array, left: Array) -> NDArray[np.intp]:
 def _panels(read: ReadingsShown, before: Array) -> list[_Panel]:
     found = []
     for every in read.mountings:
-        shown = _drawn(every.x, (read.measured - read.after)[every.rows])
+        shown = _rows_to_draw(every.x, (read.measured - read.after)[every.rows])
         mounting = replace(every, rows=every.rows[shown], x=every.x[shown], side=every.side[shown])
         measured, fit, was, sigma = (
             values[mounting.rows] * 1e3
@@ -80,9 +80,9 @@ def draw_readings(read: ReadingsShown, before: Array) -> Drawing:
         before: what was predicted of them before the fit ``(n,)``, metres or radians.
     """
     setups = _panels(read, before)
-    width, height = style.PANEL
-    figure, corners = style.sheet(len(setups), height, strip=0.3)
-    reach = {unit: _reach(some) for unit, some in _by_unit(setups).items()}
+    width, height = style.PANEL_SIZE
+    figure, corners = style.panel_grid(len(setups), height, strip=0.3)
+    reach = {unit: _axis_limits(some) for unit, some in _panels_by_unit(setups).items()}
     for (left, top), setup in zip(corners, setups, strict=True):
         axes = style.place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 1.4)
         handles = _draw_setup(axes, setup)
@@ -91,7 +91,7 @@ def draw_readings(read: ReadingsShown, before: Array) -> Drawing:
         style.few_ticks(axes)
         axes.tick_params(labelbottom=False, bottom=False)
         below = style.place_axes(figure, left + 0.56, top + height - 1.0, width - 0.68, 0.55)
-        _draw_left(below, setup)
+        _draw_residual_panel(below, setup)
         below.set_ylim(-left_over, left_over)
         below.set_xlim(axes.get_xlim())
         style.few_ticks(below, up=2)
@@ -100,17 +100,17 @@ def draw_readings(read: ReadingsShown, before: Array) -> Drawing:
         bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, handlelength=1.6,
     )  # fmt: skip
     title = "Readings and fit by setup"
-    return style.multiples("readings", title, figure, corners, height, axes=2)
+    return style.panel_drawing("readings", title, figure, corners, height, axes=2)
 
 
-def _by_unit(setups: Sequence[_Panel]) -> dict[str, list[_Panel]]:
+def _panels_by_unit(setups: Sequence[_Panel]) -> dict[str, list[_Panel]]:
     found: dict[str, list[_Panel]] = {}
     for setup in setups:
         found.setdefault(setup.mounting.unit, []).append(setup)
     return found
 
 
-def _reach(setups: Sequence[_Panel]) -> tuple[float, float]:
+def _axis_limits(setups: Sequence[_Panel]) -> tuple[float, float]:
     """Return the common limits of readings and of residuals."""
     most = max(float(np.abs(np.concatenate([s.measured, s.fit, s.before])).max()) for s in setups)
     left_over = 1.2 * max(float(np.abs(s.measured - s.fit).max()) for s in setups)
@@ -136,12 +136,12 @@ def _draw_setup(axes: Axes, setup: _Panel) -> list[Any]:
                         markersize=3.6 if len(x) < 12 else 2.4, markeredgewidth=0)  # fmt: skip
     axes.set_title(setup.mounting.title)
     axes.set_ylabel(setup.mounting.unit)
-    axes.yaxis.set_label_coords(style.LABEL, 0.5)
+    axes.yaxis.set_label_coords(style.LABEL_POSITION, 0.5)
     axes.margins(x=0.05)
     return [dots, line, band, was]
 
 
-def _draw_left(axes: Axes, setup: _Panel) -> None:
+def _draw_residual_panel(axes: Axes, setup: _Panel) -> None:
     """Draw the residuals of each reading, on a scale of their own."""
     order = np.argsort(setup.x, kind="stable")
     noise = 2 * setup.sigma[order]
@@ -151,7 +151,7 @@ def _draw_left(axes: Axes, setup: _Panel) -> None:
               markersize=3 if len(setup.x) < 12 else 2.2, markeredgewidth=0)  # fmt: skip
     axes.set_xlabel(setup.mounting.label, labelpad=2)
     axes.set_ylabel(f"left, {setup.mounting.unit}")
-    axes.yaxis.set_label_coords(style.LABEL, 0.5)
+    axes.yaxis.set_label_coords(style.LABEL_POSITION, 0.5)
 
 
 def draw_residuals(read: ReadingsShown, before: Array, noise: ByUnit) -> Drawing:
@@ -165,9 +165,9 @@ def draw_residuals(read: ReadingsShown, before: Array, noise: ByUnit) -> Drawing
     setups = _panels(read, before)
     names = [s.mounting.name for s in setups]
     height = 0.8 + 0.3 * len(setups)
-    figure = style.new_figure(style.SINGLE, height)
+    figure = style.new_figure(style.SINGLE_WIDTH, height)
     margin = min(0.2 + 0.055 * max(map(len, names)), 1.6)
-    axes = style.place_axes(figure, margin, 0.32, style.SINGLE - margin - 0.12, height - 0.78)
+    axes = style.place_axes(figure, margin, 0.32, style.SINGLE_WIDTH - margin - 0.12, height - 0.78)
     _draw_noise(axes, setups, noise.shown)
     axes.axvline(0, color=style.MUTED, linewidth=0.6)
     for k, setup in enumerate(setups):
@@ -186,7 +186,7 @@ def draw_residuals(read: ReadingsShown, before: Array, noise: ByUnit) -> Drawing
     axes.set_ylim(len(setups) - 0.4, -0.6)
     style.few_ticks(axes, across=6)
     axes.set_yticks(range(len(setups)), names, color=style.INK)
-    units = " or ".join(_by_unit(setups))
+    units = " or ".join(_panels_by_unit(setups))
     axes.set_xlabel(f"reading less prediction, {units}", labelpad=2)
     figure.legend(loc="upper left", ncols=3, borderaxespad=0.1, handlelength=1.4,
                   bbox_to_anchor=(0.0, 1.0))  # fmt: skip

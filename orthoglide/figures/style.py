@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from orthoglide.errors import InputError
-from orthoglide.files import write_whole
+from orthoglide.files import write_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,10 +33,10 @@ PALETTE = {
 INK, MUTED, GRID = PALETTE["ink"], PALETTE["muted"], PALETTE["grid"]
 DATA, FIT, BEFORE, BAND = (PALETTE[name] for name in ("data", "fit", "before", "band"))
 
-POINTS = 72.0  # SVG units an inch
-SINGLE = 3.9  # inches: width of a figure that fits a phone
-PANEL = (3.0, 2.75)  # inches: one of the small multiples
-LABEL = -0.195  # of the axes: where the small multiples carry the name of their scale
+POINTS_PER_INCH = 72.0  # SVG units an inch
+SINGLE_WIDTH = 3.9  # inches: width of a figure that fits a phone
+PANEL_SIZE = (3.0, 2.75)  # inches: one of the small multiples
+LABEL_POSITION = -0.195  # of the axes: where the small multiples carry the name of their scale
 
 
 @dataclass(frozen=True, repr=False)
@@ -70,11 +70,11 @@ class Drawing:
         """
         if not os.fspath(path).lower().endswith(".svg"):
             raise InputError("figures are drawn as SVG: choose a name that ends in .svg")
-        write_whole(path, self.svg, overwrite=overwrite)
+        write_file(path, self.svg, overwrite=overwrite)
 
 
 @contextmanager
-def applied() -> Iterator[None]:
+def figure_style() -> Iterator[None]:
     """Apply the style of all figures within a ``with`` block."""
     import matplotlib
 
@@ -147,7 +147,7 @@ def few_ticks(axes: Axes, across: int = 4, up: int = 4) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(up, steps=[1, 2, 2.5, 5, 10]))
 
 
-def sheet(
+def panel_grid(
     count: int, height: float, strip: float = 0.0
 ) -> tuple[Figure, list[tuple[float, float]]]:
     """A figure of small multiples, three abreast; ``height`` of each, and ``strip`` that is kept
@@ -158,14 +158,22 @@ def sheet(
     """
     across = min(3, count)
     lines = -(-count // across)
-    corners = [(k % across * PANEL[0], k // across * height + strip) for k in range(count)]
-    return new_figure(across * PANEL[0], lines * height + strip), corners
+    corners = [(k % across * PANEL_SIZE[0], k // across * height + strip) for k in range(count)]
+    return new_figure(across * PANEL_SIZE[0], lines * height + strip), corners
 
 
-def multiples(
+def panel_drawing(
     name: str, title: str, figure: Figure, corners: Sequence[tuple[float, float]], height: float,
     axes: int = 1,
 ) -> Drawing:  # fmt: skip
-    """Return a drawing whose panels a page may arrange; arguments as for :func:`sheet`."""
-    places = tuple((x * POINTS, y * POINTS, PANEL[0] * POINTS, height * POINTS) for x, y in corners)
+    """Return a drawing whose panels a page may arrange; arguments as for :func:`panel_grid`."""
+    places = tuple(
+        (
+            x * POINTS_PER_INCH,
+            y * POINTS_PER_INCH,
+            PANEL_SIZE[0] * POINTS_PER_INCH,
+            height * POINTS_PER_INCH,
+        )
+        for x, y in corners
+    )
     return Drawing(name, title, svg_text(figure), places, axes)

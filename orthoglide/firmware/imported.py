@@ -9,7 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.geometry import Array
-from orthoglide.instruments import BESIDE, MATERIAL, OBSERVATIONS, TURNED
+from orthoglide.instruments import (
+    MATERIAL_COLUMN,
+    OBSERVATIONS,
+    PLATE_TURN_COLUMN,
+    TOOL_OFFSET_COLUMNS,
+)
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import MachineFile
 from orthoglide.notes import Note
@@ -17,8 +22,8 @@ from orthoglide.observations import Readings, readings_from_rows
 from orthoglide.observations.schema import APPROACH, COMMANDS, TEMPERATURE, TRAVEL
 
 _DIGITS = 9  # of millimetres that are kept
-_LONGEST = 60  # characters of a name
-_FEW = 30  # touches: endstops, towers, arms and a plane, 15 numbers, leave half of them
+_MAX_NAME_LENGTH = 60  # characters of a name
+_FEW_TOUCHES = 30  # touches: endstops, towers, arms and a plane, 15 numbers, leave half of them
 _COLD, _HOT = -40.0, 100.0  # degrees Celsius, of a frame or a bed on which a plate is touched
 
 
@@ -67,7 +72,13 @@ class Row:
         cells: dict[str, float | None] = {
             **dict(zip(TRAVEL.names(legs), self.travel, strict=True)),
             **dict(zip(COMMANDS[TRAVEL].names(legs), second, strict=True)),
-            **dict(zip(BESIDE, [0.0] * 2 if self.beside is None else self.beside, strict=False)),
+            **dict(
+                zip(
+                    TOOL_OFFSET_COLUMNS,
+                    [0.0] * 2 if self.beside is None else self.beside,
+                    strict=False,
+                )
+            ),
             "reading_mm": self.reading,
             "sigma_mm": self.sigma,
         }
@@ -77,20 +88,20 @@ class Row:
             "posture": self.label,
             **{name: _millimetres(value) for name, value in cells.items()},
             **dict.fromkeys(APPROACH.names(legs), "-1" if touches else ""),  # from above
-            TURNED: f"{self.turned:g}" if touches else "",
-            TEMPERATURE.name: recorded(self.temperature),
-            MATERIAL: self.material,
+            PLATE_TURN_COLUMN: f"{self.turned:g}" if touches else "",
+            TEMPERATURE.name: temperature_cell(self.temperature),
+            MATERIAL_COLUMN: self.material,
         }
 
 
 def plain_name(text: str, default: str) -> str:
     """Return a name as files and parameters may carry it."""
-    return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-")[:_LONGEST] or default
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-")[:_MAX_NAME_LENGTH] or default
 
 
-def remark_few(most: int) -> Iterator[Note]:
+def note_few_touches(most: int) -> Iterator[Note]:
     """Yield that the longest list of touches is too short to tell of causes, where it is."""
-    if most < _FEW:
+    if most < _FEW_TOUCHES:
         yield Note(
             f"{most} touches of the plate leave hardly anything to look for a cause with: probe a "
             f"grid of 9 by 9 or more over a round bed's full radius",
@@ -98,7 +109,7 @@ def remark_few(most: int) -> Iterator[Note]:
         )
 
 
-def recorded(temperature: float) -> str:
+def temperature_cell(temperature: float) -> str:
     """Return a temperature as a file of readings has it; empty where it is none of a machine."""
     return f"{temperature:g}" if _COLD < temperature < _HOT else ""
 
@@ -107,7 +118,7 @@ def _millimetres(value: float | None) -> str:
     return "" if value is None or np.isnan(value) else repr(round(float(value) * 1e3, _DIGITS))
 
 
-def readings_of(
+def readings_from_cells(
     name: str,
     rows: Sequence[Mapping[str, str]],
     machine: MachineFile,

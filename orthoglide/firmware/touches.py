@@ -9,16 +9,18 @@ from dataclasses import dataclass, field
 
 from orthoglide.errors import FileError
 
-FEWEST = 3
+MIN_PLACES = 3
 """Places that tell of a plane: a list of fewer is none."""
 
-_MAP = re.compile(r"RepRapFirmware height map file", re.IGNORECASE)
+_HEIGHT_MAP = re.compile(r"RepRapFirmware height map file", re.IGNORECASE)
 _NUMBER = r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?|nan"
 _LABELLED = [re.compile(rf"(?<![A-Za-z]){axis}\s*[:=]\s*({_NUMBER})", re.I) for axis in "xyz"]
 _CONSOLE = re.compile(rf"\bprobe at ({_NUMBER}),({_NUMBER}) is z=", re.I)  # of Klipper
-_BED = re.compile(r"\bbed\s+x\s*[:=]", re.IGNORECASE)
+_BED_LINE = re.compile(r"\bbed\s+x\s*[:=]", re.IGNORECASE)
 _POSITION = re.compile(r"\bE\s*:|\bCount\b", re.IGNORECASE)  # where a tool stands, no touch
-_WARM = re.compile(rf"(?<![A-Za-z])B\s*:\s*({_NUMBER})\s*/", re.IGNORECASE)  # of the bed, in a log
+_BED_TEMPERATURE = re.compile(
+    rf"(?<![A-Za-z])B\s*:\s*({_NUMBER})\s*/", re.IGNORECASE
+)  # of the bed, in a log
 _PROBING = re.compile(r"\bG(?:29|32|33)\b")  # commands after which the plate is touched anew
 _COMMENT = re.compile(r"^\s*(?:#|//|;\s*[A-Za-z]).*")
 _UNTOUCHED = ("", "nan", "-", "null", "none", "n/a")
@@ -28,10 +30,12 @@ _AXES = {
 }  # fmt: skip
 _UNITS = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "micron": 1e-3, "microns": 1e-3,
           "m": 1e3, "cm": 10.0, "in": 25.4, "inch": 25.4, "inches": 25.4}  # fmt: skip
-_SAME = 0.01  # millimetres: places that are one
-_CLOSE = 1.0  # millimetres: places of a list that is in metres are not further from the centre
-_WIDEST = 1e5  # millimetres: no plate is wider
-_LINES = 1000  # of a height map
+_EQUAL_PLACES = 0.01  # millimetres: places that are one
+_METRES_LIMIT = (
+    1.0  # millimetres: places of a list that is in metres are not further from the centre
+)
+_MAX_COORDINATE = 1e5  # millimetres: no plate is wider
+_MAX_MAP_LINES = 1000  # of a height map
 
 Columns = Mapping[int, tuple[int, float]]
 """Column of each axis in a table, and its unit in millimetres."""
@@ -50,48 +54,48 @@ class Touch:
     @property
     def place(self) -> tuple[int, int]:
         """Where it is, so that equal places are equal."""
-        return round(self.x / _SAME), round(self.y / _SAME)
+        return round(self.x / _EQUAL_PLACES), round(self.y / _EQUAL_PLACES)
 
 
 @dataclass
-class Read:
+class TouchLists:
     """What was found in a file."""
 
     lists: list[list[Touch]] = field(default_factory=list)  # touches of one probing each
     # lines that were left out, by the reason, each with what stands there
-    out: dict[str, dict[int, str]] = field(default_factory=dict)
-    places: set[tuple[int, int]] = field(default_factory=set)  # of the last list
-    begins: bool = True  # whether the next touch is the first of a probing
+    left_out: dict[str, dict[int, str]] = field(default_factory=dict)
+    last_places: set[tuple[int, int]] = field(default_factory=set)  # of the last list
+    starts_list: bool = True  # whether the next touch is the first of a probing
     temperature: float = math.nan  # last recorded one, degrees Celsius
 
-    def leave(self, why: str, line: int, value: str = "") -> None:
+    def leave_out(self, why: str, line: int, value: str = "") -> None:
         """Leave a line out."""
-        self.out.setdefault(why, {}).setdefault(line, value.strip())
+        self.left_out.setdefault(why, {}).setdefault(line, value.strip())
 
     def add(self, touch: Touch) -> None:
         """Add a touch to the last list, or to a new one where a probing begins: on a new heading,
         or where a place is touched again that is not the one before.
         """
-        if not (abs(touch.x) < _WIDEST and abs(touch.y) < _WIDEST):
-            self.leave("no place on a plate", touch.line, f"x {touch.x:g}, y {touch.y:g}")
+        if not (abs(touch.x) < _MAX_COORDINATE and abs(touch.y) < _MAX_COORDINATE):
+            self.leave_out("no place on a plate", touch.line, f"x {touch.x:g}, y {touch.y:g}")
             return
         if not math.isfinite(touch.z):
-            self.leave("not touched", touch.line, f"x {touch.x:g}, y {touch.y:g}")
+            self.leave_out("not touched", touch.line, f"x {touch.x:g}, y {touch.y:g}")
             return
-        again = touch.place in self.places and touch.place != self.lists[-1][-1].place
-        if self.begins or again:
+        again = touch.place in self.last_places and touch.place != self.lists[-1][-1].place
+        if self.starts_list or again:
             self.lists.append([])
-            self.places.clear()
+            self.last_places.clear()
         self.lists[-1].append(touch)
-        self.places.add(touch.place)
-        self.begins = False
+        self.last_places.add(touch.place)
+        self.starts_list = False
 
 
-def read_touches(lines: Sequence[str], file: str) -> Read:
+def read_touches(lines: Sequence[str], file: str) -> TouchLists:
     """Read the lines of a file by what stands in them."""
-    read = Read()
+    read = TouchLists()
     lines = [_CONSOLE.sub(r"Bed X:\1 Y:\2 Z:", line) for line in lines]
-    if any(_MAP.search(line) for line in lines):
+    if any(_HEIGHT_MAP.search(line) for line in lines):
         _read_maps(lines, file, read)
     elif any(all(p.search(line) for p in _LABELLED) for line in lines):
         _read_labelled(lines, read)
@@ -100,27 +104,27 @@ def read_touches(lines: Sequence[str], file: str) -> Read:
     return read
 
 
-def _read_labelled(lines: Sequence[str], read: Read) -> None:
+def _read_labelled(lines: Sequence[str], read: TouchLists) -> None:
     """Read lines that name x, y and z; of a log those of touches only."""
-    bed = any(map(_BED.search, lines))
+    bed = any(map(_BED_LINE.search, lines))
     for number, line in enumerate(lines, start=1):
         cells = [found[1] for pattern in _LABELLED if (found := pattern.search(line))]
-        touch = _BED.search(line) if bed else not _POSITION.search(line)
-        if warm := _WARM.search(line):
+        touch = _BED_LINE.search(line) if bed else not _POSITION.search(line)
+        if warm := _BED_TEMPERATURE.search(line):
             read.temperature = _number(warm[1])
         if touch and len(cells) == len(_LABELLED):
             x, y, z = map(_number, cells)
             read.add(Touch(number, x, y, z, read.temperature))
         elif _PROBING.search(line):
-            read.begins = True
+            read.starts_list = True
 
 
-def _read_maps(lines: Sequence[str], file: str, read: Read) -> None:
+def _read_maps(lines: Sequence[str], file: str, read: TouchLists) -> None:
     """Read height maps: a heading, names of sizes, the sizes, and a row of heights for each y."""
     rows = [(k, line) for k, line in enumerate(lines, start=1) if line.strip()]
-    starts = [k for k, (_, line) in enumerate(rows) if _MAP.search(line)]
+    starts = [k for k, (_, line) in enumerate(rows) if _HEIGHT_MAP.search(line)]
     for start, end in zip(starts, [*starts[1:], len(rows)], strict=True):
-        block, read.begins = rows[start + 1 : end], True
+        block, read.starts_list = rows[start + 1 : end], True
         try:
             (_, names), (_, values), *heights = block
             sizes = _sizes(_cells(names), _cells(values))
@@ -152,7 +156,7 @@ def _span(sizes: Mapping[str, str], axis: int) -> list[float]:
     """Return the places of a height map along an axis, millimetres."""
     low, count = _number(sizes[f"min{axis}"]), int(_number(sizes[f"num{axis}"]))
     step = _number(sizes.get(f"spacing{axis}") or sizes["spacing"])
-    if not (math.isfinite(low + step) and 0 < count <= _LINES):
+    if not (math.isfinite(low + step) and 0 < count <= _MAX_MAP_LINES):
         raise ValueError(axis)
     return [low + k * step for k in range(count)]
 
@@ -162,7 +166,7 @@ def _read_heights(
     spans: tuple[Sequence[float], Sequence[float]],
     radius: float,
     swapped: bool,
-    read: Read,
+    read: TouchLists,
 ) -> None:
     """Read the heights of a map. A bare 0 is what stands for a place that was not touched, and no
     place beyond the radius is.
@@ -171,34 +175,34 @@ def _read_heights(
     for (number, line), y in zip(rows, along, strict=False):
         cells = _cells(line)
         if len(cells) != len(across):
-            read.leave(f"{len(cells)} heights where {len(across)} belong", number, line)
+            read.leave_out(f"{len(cells)} heights where {len(across)} belong", number, line)
             continue
         for x, cell in zip(across, cells, strict=True):
-            if math.hypot(x, y) <= radius + _SAME:
+            if math.hypot(x, y) <= radius + _EQUAL_PLACES:
                 place = (y, x) if swapped else (x, y)
                 read.add(Touch(number, *place, math.nan if cell == "0" else _number(cell)))
     if len(rows) < len(along):
-        read.leave(f"{len(rows)} rows of {len(along)}; more are missing below", *rows[-1])
+        read.leave_out(f"{len(rows)} rows of {len(along)}; more are missing below", *rows[-1])
     for number, line in rows[len(along) :]:
-        read.leave(f"more than the {len(along)} rows of the height map", number, line)
+        read.leave_out(f"more than the {len(along)} rows of the height map", number, line)
 
 
-def _read_table(lines: Sequence[str], file: str, read: Read) -> None:
+def _read_table(lines: Sequence[str], file: str, read: TouchLists) -> None:
     """Read a table of x, y, z with or without a line of names, which may be a comment."""
     columns: Columns = {axis: (axis, 1.0) for axis in range(3)}
     named = False
     for number, line in enumerate(lines, start=1):
         cells, comment = _cells(line.lstrip("#/; ")), bool(_COMMENT.match(line))
         if found := _columns(cells):
-            columns, named, read.begins = found, True, True
+            columns, named, read.starts_list = found, True, True
         elif comment or not line.strip():
             continue
         elif (touch := _row(number, cells, columns)) and (named or len(cells) == 3):
             read.add(touch)
         else:
-            read.leave("no row of x, y and z", number, line)
+            read.leave_out("no row of x, y and z", number, line)
     every = [touch for touches in read.lists for touch in touches]
-    if len(every) >= FEWEST and max(max(abs(t.x), abs(t.y)) for t in every) < _CLOSE:
+    if len(every) >= MIN_PLACES and max(max(abs(t.x), abs(t.y)) for t in every) < _METRES_LIMIT:
         raise FileError(
             "has all places within a millimetre of the centre: give millimetres, or the unit "
             "behind the names of the columns (x_m)", file=file, line=every[0].line,

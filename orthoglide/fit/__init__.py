@@ -20,16 +20,19 @@ from orthoglide.fit.assembling import (
     assemble as assemble,
     build_problem as build_problem,
     points_of as points_of,
+    read_legs_and_tool as read_legs_and_tool,
     readings_of as readings_of,
-    sorted_out as sorted_out,
+    with_effects_freed as with_effects_freed,
     with_free as with_free,
-    with_others as with_others,
 )
 from orthoglide.fit.crosscheck import CrossCheck as CrossCheck
 from orthoglide.fit.estimate import Estimate as Estimate
-from orthoglide.fit.excited import excited_effects as excited_effects
+from orthoglide.fit.excitation import excited_effects as excited_effects
 from orthoglide.fit.factors import Factor as Factor
-from orthoglide.fit.least_squares import linearise as linearise, normal as normal
+from orthoglide.fit.least_squares import (
+    linearise as linearise,
+    normal_equations as normal_equations,
+)
 from orthoglide.fit.noise import (
     PUBLISHED_REPEATABILITY as PUBLISHED_REPEATABILITY,
     Noise as Noise,
@@ -39,5 +42,8 @@ from orthoglide.fit.noise import (
 from orthoglide.fit.problem import Problem as Problem
 from orthoglide.fit.repeats import common_rounding as common_rounding
 from orthoglide.fit.scores import Scores as Scores
-from orthoglide.fit.solving import solve as solve, tempered as tempered
-from orthoglide.fit.unknown import weight_matrix as weight_matrix
+from orthoglide.fit.solving import (
+    refit_with_residual_noise as refit_with_residual_noise,
+    solve as solve,
+)
+from orthoglide.fit.unknowns import weight_matrix as weight_matrix

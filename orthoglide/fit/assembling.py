@@ -9,18 +9,25 @@ from typing import Any, get_args
 
 import numpy as np
 
-from orthoglide.errors import InputError, check_list, check_word
-from orthoglide.fit.factors import Factor, beliefs_of
-from orthoglide.fit.noise import Noise, noise_of, overall
+from orthoglide.errors import InputError, check_choice, check_list
+from orthoglide.fit.factors import Factor, machine_instrument_priors
+from orthoglide.fit.noise import Noise, noise_of, rms_noise
 from orthoglide.fit.problem import Problem
-from orthoglide.fit.unknown import NOTHING, Unknown, bounded, build_unknowns, expanded
+from orthoglide.fit.unknowns import NOTHING_FREE, Unknown, build_unknowns, expand_names, with_bounds
 from orthoglide.instruments import Frame
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
-from orthoglide.observations import Given, Readings, check_given, parts, read_readings, read_tcp
-from orthoglide.parameters import Parameter, plain_and_campaign
+from orthoglide.observations import (
+    Readings,
+    ReadingsOrPath,
+    check_given,
+    read_readings,
+    read_tcp,
+    split_legs_and_tool,
+)
+from orthoglide.parameters import Parameter, split_campaign
 
-_FEWEST_POINTS = 3  # of the tool: a point's three coordinates decide about its place at most
+_MIN_POINTS = 3  # of the tool: a point's three coordinates decide about its place at most
 
 
 def assemble(
@@ -28,7 +35,7 @@ def assemble(
     machine: Machine,
     free: Sequence[str],
     *,
-    own: Sequence[str] = (),
+    per_campaign: Sequence[str] = (),
     priors: bool = True,
     noise: float | None = None,
     bounds: Mapping[str, float] | None = None,
@@ -37,30 +44,32 @@ def assemble(
     """Return the problem of readings of all kinds together; arguments as of ``og.identify``, but
     readings that were read and checked.
     """
-    check_word("frame", frame, get_args(Frame))
+    check_choice("frame", frame, get_args(Frame))
     check_list("free", free)
-    check_list("own", own)
-    tables = sorted((p for one in _listed(given) for p in parts(one)), key=lambda t: t.of_tool)
-    beliefs = beliefs_of(machine, frame)
+    check_list("own", per_campaign)
+    tables = sorted(
+        (p for one in _as_list(given) for p in split_legs_and_tool(one)), key=lambda t: t.of_tool
+    )
+    beliefs = machine_instrument_priors(machine, frame)
     level, noises = noise_of(tables, machine.spec, noise)
     told = noise is not None and all(t.of_tool for t in tables)
     factors = []
     for table, rows in zip(tables, noises, strict=True):
-        if table.by_point and len(table.points().p) < _FEWEST_POINTS:
+        if table.by_point and len(table.points().p) < _MIN_POINTS:
             raise InputError(
                 f"{table.name}: these are too few TCP points to identify anything: measure three "
                 f"or more"
             )
-        factor = Factor.of(table, machine, rows, beliefs)
+        factor = Factor.from_readings(table, machine, rows, beliefs)
         factor = factor if told else factor.with_roughness(machine)
         factors.append(factor.without_outlying_touches(machine))
     if all(t.of_tool for t in tables):
-        rated = overall([f.readings for f in factors], [f.noise.total for f in factors])
+        rated = rms_noise([f.readings for f in factors], [f.noise.total for f in factors])
         level = replace(level, typical=rated)
     known = machine.posterior  # an earlier calibration says nothing where its file gives no sigmas
     return build_problem(
-        machine, factors, free, level, own=own, priors=priors, bounds=bounds,
-        earlier=known if priors and np.diag(known.covariance).any() else None,
+        machine, factors, free, level, per_campaign=per_campaign, priors=priors, bounds=bounds,
+        earlier_posterior=known if priors and np.diag(known.covariance).any() else None,
     )  # fmt: skip
 
 
@@ -70,10 +79,10 @@ def build_problem(
     free: Sequence[str],
     noise: Noise,
     *,
-    own: Sequence[str] = (),
+    per_campaign: Sequence[str] = (),
     priors: bool = True,
     bounds: Mapping[str, float] | None = None,
-    earlier: Posterior | None = None,
+    earlier_posterior: Posterior | None = None,
 ) -> Problem:
     """Put an identification together; arguments as of :func:`identify`, but readings with their
     noise, those of legs first, that noise in one figure, and what an earlier calibration says. What
@@ -84,27 +93,29 @@ def build_problem(
     """
     if not factors:
         raise InputError("there is no campaign: give at least one file of readings")
-    nothing = Problem(machine, tuple(factors), (), noise, priors, (), tuple(own), earlier)
+    nothing = Problem(
+        machine, tuple(factors), (), noise, priors, (), tuple(per_campaign), earlier_posterior
+    )
     stems = [s.name for s in nothing.factors]
-    for name in own:
-        plain, stem = plain_and_campaign(name)
+    for name in per_campaign:
+        plain, stem = split_campaign(name)
         if stem and stem not in stems:
             raise InputError(f"{name}: there is no campaign {stem!r}, only {', '.join(stems)}")
-        expanded(machine.catalogue, [plain], nothing.factors)
-    unknowns = build_unknowns(machine, nothing.factors, free, own)
+        expand_names(machine.catalogue, [plain], nothing.factors)
+    unknowns = build_unknowns(machine, nothing.factors, free, per_campaign)
     if not unknowns:  # all of instruments that none of these readings are of
-        raise InputError(NOTHING)
+        raise InputError(NOTHING_FREE)
     if bounds:
-        unknowns = bounded(unknowns, bounds)
+        unknowns = with_bounds(unknowns, bounds)
     every = tuple(machine.values for _ in nothing.factors)
-    return replace(nothing, unknowns=unknowns, held=_without(every, unknowns))
+    return replace(nothing, unknowns=unknowns, held=_held_values(every, unknowns))
 
 
-def _without(
+def _held_values(
     held: Sequence[Mapping[str, float]], unknowns: Sequence[Unknown]
 ) -> tuple[dict[str, float], ...]:
     """Return the values of each factor that no unknown sets, which stay held."""
-    free = [{n for u in unknowns for n in u.parts[k]} for k in range(len(held))]
+    free = [{n for u in unknowns for n in u.weights[k]} for k in range(len(held))]
     return tuple(
         {n: v for n, v in values.items() if n not in set_here}
         for values, set_here in zip(held, free, strict=True)
@@ -125,56 +136,60 @@ def with_free(problem: Problem, names: Sequence[str], *, release: bool = True) -
     present = set(problem.names)
     added: list[Unknown] = []
     for name in names:
-        plain, stem = plain_and_campaign(name)
-        for unknown in build_unknowns(problem.machine, problem.factors, [plain], problem.own):
+        plain, stem = split_campaign(name)
+        for unknown in build_unknowns(
+            problem.machine, problem.factors, [plain], problem.per_campaign
+        ):
             wanted = not stem or unknown.name.campaign in ("", stem)
             if wanted and unknown.name not in present:
                 present.add(unknown.name)
                 added.append(unknown)
     # With more freed, whether a value is beyond its tolerance is asked anew.
-    unknowns = (*problem.at_tolerance().unknowns, *added)
-    held = _without(problem.held, unknowns) if release else problem.held
+    unknowns = (*problem.with_prior_widths_reset().unknowns, *added)
+    held = _held_values(problem.held, unknowns) if release else problem.held
     return replace(problem, unknowns=unknowns, held=held)
 
 
-def with_others(problem: Problem, effects: Sequence[str]) -> Problem:
+def with_effects_freed(problem: Problem, effects: Sequence[str]) -> Problem:
     """The same problem with all single parameters of effects that no unknown sets yet: changes of
     what is held.
     """
-    taken = {p for u in problem.unknowns for parts in u.parts for p in parts}
+    taken = {p for u in problem.unknowns for parts in u.weights for p in parts}
     found: dict[Parameter, None] = {}
     for unknown in build_unknowns(problem.machine, problem.factors, list(effects)):
-        if not any(p in taken for parts in unknown.parts for p in parts):
+        if not any(p in taken for parts in unknown.weights for p in parts):
             found[unknown.name.plain] = None
     return with_free(problem, tuple(found), release=False)
 
 
-def sorted_out(
-    given: Given | Sequence[Given], machine: Machine
+def read_legs_and_tool(
+    given: ReadingsOrPath | Sequence[ReadingsOrPath], machine: Machine
 ) -> tuple[tuple[Readings, ...], tuple[Readings, ...]]:
     """Return readings of legs, and of the tool apart; paths are read.
 
     Raises:
         InputError: where there is neither, or a file cannot be read.
     """
-    read = read_given(given, machine)
+    read = read_tables(given, machine)
     legs = tuple(r for r in read if not r.of_tool)
     return legs, tuple(r for r in read if r.of_tool)
 
 
-def readings_of(given: Given | Sequence[Given], machine: Machine) -> tuple[Readings, ...]:
+def readings_of(
+    given: ReadingsOrPath | Sequence[ReadingsOrPath], machine: Machine
+) -> tuple[Readings, ...]:
     """Return readings of any kinds; paths are read.
 
     Raises:
-        InputError: as :func:`sorted_out`, and for files with a row a point.
+        InputError: as :func:`read_legs_and_tool`, and for files with a row a point.
     """
-    read = read_given(given, machine)
+    read = read_tables(given, machine)
     if any(r.by_point for r in read):
         raise InputError("TCP points are no campaign of readings: give them as tcp")
     return tuple(read)
 
 
-def points_of(given: Given, machine: Machine) -> Readings:
+def points_of(given: ReadingsOrPath, machine: Machine) -> Readings:
     """Return points of the tool to judge by; a path is read.
 
     Raises:
@@ -191,25 +206,27 @@ def points_of(given: Given, machine: Machine) -> Readings:
     return given
 
 
-def read_given(given: Given | Sequence[Given], machine: Machine) -> list[Readings]:
+def read_tables(
+    given: ReadingsOrPath | Sequence[ReadingsOrPath], machine: Machine
+) -> list[Readings]:
     """Return tables of what was given; paths are read.
 
     Raises:
         InputError: where nothing was given, or a file cannot be read.
     """
     read: list[Readings] = []
-    for one in _listed(given):
+    for one in _as_list(given):
         if isinstance(one, str | PathLike):
             read += read_readings(one, machine.spec)
         else:
             check_given(one, machine.spec)
-            read += parts(one)
+            read += split_legs_and_tool(one)
     if not read:
         raise InputError("there is no campaign: give at least one file of readings")
     return read
 
 
-def _listed(given: Any) -> list[Any]:
+def _as_list(given: Any) -> list[Any]:
     """One or several as a list; a path is one, and so is a data frame, which is none of them."""
     one = isinstance(given, str | Mapping) or hasattr(given, "columns")
     return [given] if one or not isinstance(given, Iterable) else list(given)

@@ -15,16 +15,16 @@ from orthoglide.errors import CrossCheckError
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.least_squares import Linearised, Nuisances
 from orthoglide.fit.problem import Problem
-from orthoglide.fit.unknown import weight_matrix
+from orthoglide.fit.unknowns import weight_matrix
 from orthoglide.geometry import Array
-from orthoglide.mechanism.engine import ByPinocchio
+from orthoglide.mechanism.engine import PinocchioEngine
 from orthoglide.prediction import Conditions
 from orthoglide.result.fits import CrossCheck, Verification
 
 AGREEMENT = 1e-9
 """Metres: two derivations of one model that disagree by more have an error."""
 
-_SIX = tuple(p for name in CATALOGUE.base for p in CATALOGUE[name].parameters())
+_REDUCTION_PARAMETERS = tuple(p for name in CATALOGUE.base for p in CATALOGUE[name].parameters())
 
 
 def reduction_fit(
@@ -48,13 +48,13 @@ def reduction_fit(
     """
     # Visits to a station differ in nothing that the reduction knows: their mean says it all.
     weighing = nuisance.weighing
-    chosen = weighing.first
+    chosen = weighing.first_rows
     campaigns = problem.campaigns
     group = np.repeat(np.arange(len(campaigns)), [len(c) for c in campaigns])
-    command, leg, axis, gauge, sign = (column[chosen] for column in _dials(problem))
+    command, leg, axis, gauge, sign = (column[chosen] for column in _dial_columns(problem))
     maps = np.zeros((len(campaigns), 6, len(problem.unknowns) + 1))
     for k in range(len(campaigns)):
-        maps[k, :, :-1], maps[k, :, -1] = _six(problem, k)
+        maps[k, :, :-1], maps[k, :, -1] = _reduction_weights(problem, k)
     free = np.ones(len(problem.unknowns), dtype=bool) if held is None else ~held
     # The last parameter is held at one: it carries what the machine file already says.
     return reduction.fit_readings(
@@ -77,15 +77,17 @@ def reduction_fit(
     )
 
 
-def _six(problem: Problem, campaign: int) -> tuple[Array, Array]:
+def _reduction_weights(problem: Problem, campaign: int) -> tuple[Array, Array]:
     """The reduction's six for a campaign: by the unknowns ``(6, P)``, and as held ``(6,)``."""
-    held = np.array([problem.held[campaign].get(name, 0.0) for name in _SIX])
-    return weight_matrix(_SIX, [u.parts[campaign] for u in problem.unknowns]), held
+    held = np.array([problem.held[campaign].get(name, 0.0) for name in _REDUCTION_PARAMETERS])
+    return weight_matrix(
+        _REDUCTION_PARAMETERS, [u.weights[campaign] for u in problem.unknowns]
+    ), held
 
 
-def _dials(problem: Problem) -> list[Any]:
+def _dial_columns(problem: Problem) -> list[Any]:
     """Command ``(n, 3)``, leg, axis, gauge and sign ``(n,)`` of every reading of a dial."""
-    return [problem.of_dials(name) for name in ("command", "leg", "axis", "gauge", "sign")]
+    return [problem.dial_column(name) for name in ("command", "leg", "axis", "gauge", "sign")]
 
 
 def cross_check(problem: Problem, nuisance: Nuisances, at: Linearised) -> CrossCheck | None:
@@ -97,7 +99,7 @@ def cross_check(problem: Problem, nuisance: Nuisances, at: Linearised) -> CrossC
     Raises:
         CrossCheckError: where mechanism and reduction disagree by more than 1e-6 mm.
     """
-    if not problem.representable:
+    if not problem.reduction_applies:
         return None
     x, value = at.x, at.value
     # What ended on a bound is held there, and far from the start the legs need not meet.
@@ -112,7 +114,7 @@ def cross_check(problem: Problem, nuisance: Nuisances, at: Linearised) -> CrossC
             difference=difference,
         )
     linear = reduction_fit(problem, nuisance, linear=True, start=start, held=held)
-    fitted = value + nuisance.fitted(problem.measured - value)
+    fitted = value + nuisance.explained_residual(problem.measured - value)
     weighing = nuisance.weighing
     apart = fitted - linear.readings[weighing.station]
     size = float(np.linalg.norm(weighing.whiten(apart)) / np.linalg.norm(weighing.weight))
@@ -133,13 +135,13 @@ def _second_order_bound(problem: Problem, nuisance: Nuisances, at: Linearised) -
     |e| + |P0 q| in the norm of the noise.
     """
     x, value = at.x, at.value
-    *dials, sign = _dials(problem)
-    seen = reduction.observe(*dials, geometry=problem.machine.geometry)
+    *dials, sign = _dial_columns(problem)
+    seen = reduction.predict_readings(*dials, geometry=problem.machine.geometry)
     by_six = sign[:, None] * seen.gradient
     by_x = np.zeros((len(sign), len(x)))
     constant = np.zeros(len(sign))
-    for k, part in enumerate(problem.rows):
-        by_unknowns, held = _six(problem, k)
+    for k, part in enumerate(problem.leg_rows):
+        by_unknowns, held = _reduction_weights(problem, k)
         by_x[part], constant[part] = by_six[part] @ by_unknowns, by_six[part] @ held
     prior = np.diag(1 / problem.prior_sd)
     jacobian = np.vstack([nuisance.project(by_x), prior])[:, ~problem.on_bound(x)]
@@ -152,7 +154,7 @@ def _second_order_bound(problem: Problem, nuisance: Nuisances, at: Linearised) -
 
 # By Pinocchio --------------------------------------------------------------------------------
 
-MOST_POSTURES = 500
+MAX_POSTURES = 500
 """Of more postures a random sample of this size is closed: one takes half a millisecond."""
 
 TCP_LIMIT = 1e-9
@@ -173,17 +175,17 @@ def verify(estimate: Estimate) -> Verification:
         CrossCheckError: where TCP or sensitivities differ by more than the limits.
     """
     travel, moves = _postures(estimate)
-    if len(travel) > MOST_POSTURES:
-        drawn = np.random.default_rng(0).choice(len(travel), MOST_POSTURES, replace=False)
+    if len(travel) > MAX_POSTURES:
+        drawn = np.random.default_rng(0).choice(len(travel), MAX_POSTURES, replace=False)
         travel, moves = travel[drawn], moves[drawn]
     engine = estimate.problem.machine.model.engine
-    reference = ByPinocchio(engine.mechanism)
+    reference = PinocchioEngine(engine.mechanism)
     shown, by_given = engine.tangent(travel, moves)
     expected, expected_by_given = reference.tangent(travel, moves)
     scale = np.abs(expected_by_given).max(axis=2, initial=SMALLEST_SCALE)
     apart = np.abs(by_given - expected_by_given).max(axis=2, initial=0.0)
     found = Verification(
-        reference.worst,
+        reference.largest_residual,
         float(np.linalg.norm(shown.p - expected.p, axis=1).max(initial=0.0)),
         float((apart / scale).max(initial=0.0)),
         len(travel),
@@ -206,5 +208,5 @@ def _postures(estimate: Estimate) -> tuple[Array, Array]:
         values = problem.values(k, estimate.x)
         conditions: Conditions = model.merged(factor.conditions(), values)[0]
         travel.append(conditions.command - model.geometry.zero)
-        moves.append(model.moves(values, conditions))
+        moves.append(model.loaded_displacements(values, conditions))
     return np.concatenate(travel), np.concatenate(moves)

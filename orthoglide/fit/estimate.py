@@ -8,8 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orthoglide.errors import check_word
-from orthoglide.fit.least_squares import Linearised, Nuisances, about_machine, linearise, nuisances
+from orthoglide.errors import check_choice
+from orthoglide.fit.least_squares import (
+    Linearised,
+    Nuisances,
+    linearise,
+    nuisances,
+    update_instrument_poses,
+)
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.scores import FittedRows, Scores, score
 from orthoglide.frames import Framed
@@ -106,7 +112,7 @@ class Estimate(Framed):
         Raises:
             InputError: for a name that was not identified.
         """
-        check_word("identified parameter", name, self.names)
+        check_choice("identified parameter", name, self.names)
         half = self.coverage_factor * self.sigmas[name]
         return self.values[name] - half, self.values[name] + half
 
@@ -127,37 +133,37 @@ class Estimate(Framed):
         return self.rows.residual
 
     @cached_property
-    def _before(self) -> tuple[Linearised, FittedRows]:
+    def _before_calibration(self) -> tuple[Linearised, FittedRows]:
         """The readings as the machine as it was explains them, about whose tool a ball or a frame
         stands elsewhere than about the calibrated one's.
         """
-        fixed, nuisance = replace(self.problem, unknowns=(), earlier=None), self.nuisance
+        fixed, nuisance = replace(self.problem, unknowns=(), earlier_posterior=None), self.nuisance
         at = linearise(fixed, np.zeros(0))
-        if (near := about_machine(fixed, at)) is not fixed:
+        if (near := update_instrument_poses(fixed, at)) is not fixed:
             fixed, at = near, linearise(near, np.zeros(0))
-            nuisance = nuisances(fixed, at.seen)
-        return at, FittedRows.of(fixed, nuisance, at)
+            nuisance = nuisances(fixed, at.reading_poses)
+        return at, FittedRows.from_fit(fixed, nuisance, at)
 
     @cached_property
     def nominal(self) -> Scores:
         """Scores of the machine as it was before (the unknowns at zero)."""
-        at, rows = self._before
+        at, rows = self._before_calibration
         return score(rows, at)
 
     @property
     def predicted_before(self) -> Array:
         """Readings ``(n,)`` that the machine as it was predicts, datums fitted, metres."""
-        return self._before[1].predicted
+        return self._before_calibration[1].predicted
 
     @property
     def machine(self) -> Machine:
         """The calibrated machine: the last campaign's where values are own to each."""
-        return self.machine_of(self.problem.last)
+        return self.machine_of(self.problem.last_factor)
 
     def machine_of(self, campaign: int) -> Machine:
         """The calibrated machine as one campaign saw it; dials are left out."""
         found = Posterior(self.names, self.x, self.covariance)
-        found = found.mapped(*self.problem.of_machine(campaign))
+        found = found.transformed(*self.problem.machine_parameters(campaign))
         start = self.problem.machine
         values = {**start.values, **dict(zip(found.names, found.mean.tolist(), strict=True))}
         return start.with_posterior(values, found.joined(start.posterior))
@@ -173,7 +179,7 @@ class Estimate(Framed):
         known = np.isfinite(s.deviation_rms)
         deviations = f"deviations {s.deviation_rms * 1e3:.3f} mm, " if known else ""
         lines.append(
-            f"residual rms {_to_tenths(s.left)}, {deviations}chi2 {s.chi2:.1f} on {s.dof:.0f} "
+            f"residual rms {_residual_text(s.left)}, {deviations}chi2 {s.chi2:.1f} on {s.dof:.0f} "
             f"degrees of freedom"
         )
         lines.extend(str(weak) for weak in self.weak)
@@ -184,7 +190,7 @@ class Estimate(Framed):
         readings = len(self.problem.measured)
         return (
             f"<Estimate of {len(self.names)} parameters from {readings} readings: residual rms "
-            f"{_to_tenths(self.scores.left)}>"
+            f"{_residual_text(self.scores.left)}>"
         )
 
     @property
@@ -216,14 +222,14 @@ class Estimate(Framed):
             InputError: for a figure that there is not.
         """
         from orthoglide.figures.draw import draw_fit
-        from orthoglide.fit.shown import readings_shown
+        from orthoglide.fit.reading_tables import fitted_readings
 
         problem = self.problem
         return draw_fit(
-            readings_shown(self, self), problem.one_reading, self, problem.machine.catalogue, what
+            fitted_readings(self, self), problem.one_reading, self, problem.machine.catalogue, what
         )
 
 
-def _to_tenths(left: ByUnit) -> str:
+def _residual_text(left: ByUnit) -> str:
     """Return the residual rms as text, to 0.1 um and 0.1 urad."""
     return " and ".join(f"{value:.4f} {unit}" for unit, value in left.shown.items())

@@ -17,21 +17,21 @@ from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
 from orthoglide.fit.noise import NoiseSource, RowNoise, expected_sigma
-from orthoglide.fit.repeats import FEWEST_REPEATS, repeat_variance
-from orthoglide.fit.roughness import LOUD, roughness
+from orthoglide.fit.repeats import MIN_REPEAT_DOF, repeat_variance
+from orthoglide.fit.roughness import MAX_NOISE_RATIO, roughness
 from orthoglide.geometry import Array
-from orthoglide.instruments import Beliefs, Frame, Stand, Taken
+from orthoglide.instruments import Frame, InstrumentPose, InstrumentPriors, SetupReadings
 from orthoglide.machine import Machine
 from orthoglide.numerals import plain
 from orthoglide.observations import Readings, source
 from orthoglide.observations.approach import Ints
-from orthoglide.observations.arrays import numbered
-from orthoglide.prediction import Conditions, LinearRows, Model, Observed, Seen
-from orthoglide.prediction.observed import ByJoints
+from orthoglide.observations.arrays import group_ids
+from orthoglide.prediction import Conditions, LinearRows, MeasurementModel, Model, ReadingPoses
+from orthoglide.prediction.measurement_model import JointResponse
 
 
 @dataclass(frozen=True)
-class Block:
+class NuisanceBlock:
     """Nuisances of one factor."""
 
     columns: Array  # derivative of its rows by them (n, k)
@@ -44,19 +44,25 @@ class Factor:
 
     readings: Readings
     noise: RowNoise
-    beliefs: Beliefs  # of how instruments stand
-    stands: tuple[Stand, ...]  # of every setup
+    instrument_priors: InstrumentPriors  # of how instruments stand
+    instrument_poses: tuple[InstrumentPose, ...]  # of every setup
     # on the plates over their largest measured radius (n, 2), along their own axes, which turn with
     # them; of the nominal machine, which is near enough
-    place: Array
+    normalized_plate_xy: Array
     # height of outlying touches of a plate above the surface through the others (n,), metres;
     # 0 of all other readings
     outlier_height: Array
-    left_out: tuple[str, ...] = ()  # a sentence for each outlying touch that was excluded
+    exclusion_sentences: tuple[
+        str, ...
+    ] = ()  # a sentence for each outlying touch that was excluded
 
     @classmethod
-    def of(
-        cls, readings: Readings, machine: Machine, noise: RowNoise, beliefs: Beliefs | None = None
+    def from_readings(
+        cls,
+        readings: Readings,
+        machine: Machine,
+        noise: RowNoise,
+        beliefs: InstrumentPriors | None = None,
     ) -> Factor:
         """Return readings with their instruments about where a machine has them.
 
@@ -67,24 +73,26 @@ class Factor:
             beliefs: of how instruments stand; as the machine file says where absent.
         """
         if beliefs is None:
-            beliefs = beliefs_of(machine)
+            beliefs = machine_instrument_priors(machine)
         n = len(readings)
         made = cls(
-            readings, noise, beliefs, (Stand(),) * len(readings.setups), np.zeros((n, 2)),
+            readings, noise, beliefs, (InstrumentPose(),) * len(readings.setups), np.zeros((n, 2)),
             np.zeros(n),
         )  # fmt: skip
         if made.on_legs:
             return made
         p, beside = machine.forward(readings.command), readings.beside
-        made = replace(made, place=_on_plates(readings, p + beside))
-        return made.about(Seen(np.zeros((n, 0)), p + beside, beside), start=True)
+        made = replace(made, normalized_plate_xy=_normalized_plate_xy(readings, p + beside))
+        return made.with_instrument_poses(
+            ReadingPoses(np.zeros((n, 0)), p + beside, beside), initial=True
+        )
 
     @classmethod
-    def unread(cls, readings: Readings, machine: Machine) -> Factor:
+    def from_planned(cls, readings: Readings, machine: Machine) -> Factor:
         """Return readings that were not taken yet, with the noise to reckon with."""
         sigma, n = expected_sigma(readings, machine.spec), len(readings)
-        noise = replace(RowNoise.unknown(n), sigma=sigma, expected=sigma)
-        return cls.of(readings, machine, noise)
+        noise = replace(RowNoise.zeros(n), sigma=sigma, expected=sigma)
+        return cls.from_readings(readings, machine, noise)
 
     # What is read --------------------------------------------------------------------------
 
@@ -119,7 +127,7 @@ class Factor:
         return self.readings.setup
 
     @cached_property
-    def point(self) -> Ints:
+    def visit_number(self) -> Ints:
         """Number of the visit at which each row was read ``(n,)``: coordinates of one point of the
         tool are wrong together.
         """
@@ -130,12 +138,12 @@ class Factor:
     @cached_property
     def station(self) -> Ints:
         """Number of the station of each row ``(n,)``: visits that differ in nothing share one."""
-        return numbered(self.readings.stations)
+        return group_ids(self.readings.stations)
 
     @cached_property
     def place_number(self) -> Ints:
         """Number of the place of each row ``(n,)``: setup and command, whatever the approach."""
-        return numbered(self.readings.places)
+        return group_ids(self.readings.places)
 
     def setups_of(self, effect: Effect) -> tuple[str, ...]:
         """Return the setups of which an instrument's effect has parameters."""
@@ -149,16 +157,16 @@ class Factor:
 
     def with_table(self, readings: Readings) -> Factor:
         """Return the same with a changed table of as many rows."""
-        more = len(readings.setups) - len(self.stands)
-        stands = (*self.stands, *(Stand(),) * more)
-        return replace(self, readings=readings, stands=stands)
+        more = len(readings.setups) - len(self.instrument_poses)
+        stands = (*self.instrument_poses, *(InstrumentPose(),) * more)
+        return replace(self, readings=readings, instrument_poses=stands)
 
     def subset(self, rows: NDArray[Any]) -> Factor:
         """Return some of the rows, by indices or booleans ``(n,)``."""
         used = np.unique(self.setup[rows])
         return replace(
-            self, readings=self.readings.subset(rows), noise=self.noise.of(rows),
-            stands=tuple(self.stands[k] for k in used), place=self.place[rows],
+            self, readings=self.readings.subset(rows), noise=self.noise.subset(rows),
+            instrument_poses=tuple(self.instrument_poses[k] for k in used), normalized_plate_xy=self.normalized_plate_xy[rows],
             outlier_height=self.outlier_height[rows],
         )  # fmt: skip
 
@@ -168,64 +176,68 @@ class Factor:
 
     def without_weight(self, rows: NDArray[np.bool_]) -> Factor:
         """Return the factor with the visits of some rows ``(n,)`` without weight."""
-        visits = np.isin(self.point, self.point[rows])
+        visits = np.isin(self.visit_number, self.visit_number[rows])
         return replace(self, noise=self.noise.without_weight(visits))
 
-    def about(self, seen: Seen, start: bool = False) -> Factor:
+    def with_instrument_poses(self, seen: ReadingPoses, initial: bool = False) -> Factor:
         """Return the same with instruments standing where a machine has them.
 
         Args:
             seen: where it takes the readings.
-            start: whether nothing is known of the stands yet; else they are near.
+            initial: whether nothing is known of the stands yet; else they are near.
         """
-        r, known, stands = self.readings, self.noise.weighted, list(self.stands)
+        r, known, stands = self.readings, self.noise.weighted, list(self.instrument_poses)
         for k, setup in enumerate(r.setups):
             rows = np.flatnonzero((self.setup == k) & known)
             read = np.isfinite(r.reading[rows])
             rows = rows[read] if read.any() else rows
             if not len(rows):
                 continue
-            taken = Taken(
-                seen.p[rows], seen.swung[rows], r.axis[rows], r.sign[rows] * r.reading[rows],
+            taken = SetupReadings(
+                seen.p[rows], seen.offset_from_tool[rows], r.axis[rows], r.sign[rows] * r.reading[rows],
                 self.sigma[rows],
             )  # fmt: skip
-            found = setup.observation.stand(taken, None if start else stands[k], self.beliefs)
-            if not found.near(stands[k]):
+            found = setup.observation.estimate_pose(
+                taken, None if initial else stands[k], self.instrument_priors
+            )
+            if not found.is_close_to(stands[k]):
                 stands[k] = found
-        same = all(new is old for new, old in zip(stands, self.stands, strict=True))
-        return self if same else replace(self, stands=tuple(stands))
+        same = all(new is old for new, old in zip(stands, self.instrument_poses, strict=True))
+        return self if same else replace(self, instrument_poses=tuple(stands))
 
     # What a machine makes of them ----------------------------------------------------------
 
     @cached_property
-    def observed(self) -> Observed:
+    def measurement_model(self) -> MeasurementModel:
         """The readings with their instruments in place."""
-        return Observed(self.readings, self.stands, self.place)
+        return MeasurementModel(self.readings, self.instrument_poses, self.normalized_plate_xy)
 
     def conditions(self) -> Conditions:
         """Return conditions of every row, then of the second commands."""
-        return self.observed.conditions()
+        return self.measurement_model.conditions()
 
     def predict(self, model: Model, values: Mapping[str, float]) -> Array:
         """Return the rows ``(n,)`` to expect, nuisances apart."""
-        return self.observed.predict(model, values)
+        return self.measurement_model.predict(model, values)
 
     def linearise(
         self, model: Model, values: Mapping[str, float], names: Sequence[str]
     ) -> LinearRows:
         """Return the rows and their derivatives by parameters."""
-        return self.observed.linearise(model, values, names)
+        return self.measurement_model.linearise(model, values, names)
 
-    def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
+    def joint_response(self, model: Model, values: Mapping[str, float]) -> JointResponse:
         """Return how the rows follow virtual joints that move as functions of the conditions."""
-        return self.observed.by_joints(model, values)
+        return self.measurement_model.joint_response(model, values)
 
     def nuisance_sd(self, setup: int) -> Array:
         """Return standard deviations of a setup's nuisances ``(K,)``."""
         own = self.readings.setups[setup]
-        return own.observation.known(own, self.readings.axis[self.setup == setup], self.beliefs)
+        return own.observation.nuisance_sds(
+            own, self.readings.axis[self.setup == setup], self.instrument_priors
+        )
 
-    def nuisances(self, seen: Seen) -> Block:
+    def nuisances(self, seen: ReadingPoses) -> NuisanceBlock:
         """Return what each setup's instrument brings, setup by setup for each of its numbers, and
         once what setups have together.
         """
@@ -238,18 +250,18 @@ class Factor:
                     continue
                 column = np.zeros(n)
                 rows = self.setup == k
-                column[rows] = seen.by_nuisance[rows, j]
+                column[rows] = seen.nuisance_jacobian[rows, j]
                 if np.abs(column).max(initial=0.0) == 0:  # what no row shows is no nuisance
                     continue
                 setup = self.readings.setups[k]
-                if name := setup.observation.shared(setup, j):
+                if name := setup.observation.shared_nuisance_name(setup, j):
                     at = together.setdefault((j, name), len(columns))
                     if at < len(columns):
                         columns[at] = columns[at] + column
                         continue
                 columns.append(column)
                 sd.append(float(own[j]))
-        return Block(np.array(columns).reshape(-1, n).T, np.array(sd))
+        return NuisanceBlock(np.array(columns).reshape(-1, n).T, np.array(sd))
 
     # Its noise -----------------------------------------------------------------------------
 
@@ -263,8 +275,8 @@ class Factor:
             if not setup.observation.touches:
                 continue
             height = p[rows, 2] - r.reading[rows]
-            rough, off = roughness(self.place[rows], height, r.approach[rows])
-            most = np.minimum(rough, LOUD * self.noise.expected[rows])
+            rough, off = roughness(self.normalized_plate_xy[rows], height, r.approach[rows])
+            most = np.minimum(rough, MAX_NOISE_RATIO * self.noise.expected[rows])
             rougher = ~np.isfinite(r.sigma[rows]) & (most > sigma[rows])
             sigma[rows], shown[rows] = np.where(rougher, most, sigma[rows]), shown[rows] | rougher
             if np.bincount(self.station[rows]).max(initial=0) <= 1:
@@ -291,7 +303,7 @@ class Factor:
                 f"touch is, and does not count: {'clean' if above else 'look at'} the plate and "
                 f"probe again"
             )
-        return replace(self.subset(kept), left_out=tuple(said))
+        return replace(self.subset(kept), exclusion_sentences=tuple(said))
 
     def noise_and_expected(self, setup: int) -> tuple[float, float]:
         """Return the noise of a setup's readings, and what is usual of them: root mean squares."""
@@ -312,7 +324,7 @@ class Factor:
             yield kind, self.noise.total[rows], where
 
     @cached_property
-    def repeated(self) -> tuple[tuple[int, int], ...]:
+    def repeat_dof(self) -> tuple[tuple[int, int], ...]:
         """How many readings have their noise from repeats, by kind, and the degrees of freedom
         behind it.
         """
@@ -322,14 +334,16 @@ class Factor:
         of = self.readings
         each = (repeat_variance([of.subset(of.of_kind(kind))]) for kind, _ in kinds)
         found = zip(kinds, each, strict=True)
-        return tuple((n, dof) for (_, n), (_, dof) in found if dof >= FEWEST_REPEATS)
+        return tuple((n, dof) for (_, n), (_, dof) in found if dof >= MIN_REPEAT_DOF)
 
     @property
     def noise_capped(self) -> NDArray[np.bool_]:
         """Readings ``(n,)`` whose noise is the largest roughness that is assumed of a plate, as
         their heights scatter by more.
         """
-        return np.asarray(self.readings.touching & (self.sigma == LOUD * self.noise.expected))
+        return np.asarray(
+            self.readings.touching & (self.sigma == MAX_NOISE_RATIO * self.noise.expected)
+        )
 
     def approach_known(self, setup: int) -> bool:
         """Return whether it is known from which side a setup's places were come to, on every axis;
@@ -339,12 +353,12 @@ class Factor:
         return self.readings.setups[setup].observation.paired or bool(approach.all())
 
 
-def beliefs_of(machine: Machine, frame: Frame = "rigid") -> Beliefs:
+def machine_instrument_priors(machine: Machine, frame: Frame = "rigid") -> InstrumentPriors:
     """Return what a machine file says of how instruments stand."""
-    return Beliefs(machine.spec.dial.placement, machine.spec.surface_slope or 0.0, frame)
+    return InstrumentPriors(machine.spec.dial.placement, machine.spec.surface_slope or 0.0, frame)
 
 
-def _on_plates(readings: Readings, p: Array) -> Array:
+def _normalized_plate_xy(readings: Readings, p: Array) -> Array:
     """Places over the largest measured radius of each plate, along axes that turn with it."""
     place = p[:, :2].copy()
     for k, setup in enumerate(readings.setups):

@@ -16,11 +16,11 @@ import numpy as np
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
-from orthoglide.ordering import EQUAL, canonical_basis, largest, ranked
-from orthoglide.prediction import Seen
+from orthoglide.ordering import RELATIVE_MARGIN, canonical_basis, largest, ranked
+from orthoglide.prediction import ReadingPoses
 from orthoglide.result.fits import WeakDirection
 
-_SPANNED = 1e-10
+_RANK_TOLERANCE = 1e-10
 """Share of a column that is orthogonal to all others, below which it is rounding."""
 
 
@@ -31,16 +31,18 @@ class Linearised:
     x: Array  # unknowns (P,), SI
     value: Array  # rows (n,), nuisances apart, metres
     jacobian: Array  # (n, P)
-    seen: tuple[Seen, ...]  # for each factor, what its instruments need to know of the poses
+    reading_poses: tuple[
+        ReadingPoses, ...
+    ]  # for each factor, what its instruments need to know of the poses
 
 
 def linearise(problem: Problem, x: Array) -> Linearised:
     """Predicted rows of all factors and their derivatives, by the general mechanism."""
     found = []
     for k, factor in enumerate(problem.factors):
-        names, matrix = problem.elementary(k)
+        names, matrix = problem.elementary_parameters(k)
         linear = factor.linearise(problem.machine.model, problem.values(k, x), names)
-        found.append((linear.value, linear.jacobian @ matrix, linear.seen))
+        found.append((linear.value, linear.jacobian @ matrix, linear.reading_poses))
     values, jacobians, seen = zip(*found, strict=True)
     return Linearised(x, np.concatenate(values), np.concatenate(jacobians), seen)
 
@@ -53,28 +55,29 @@ def predict(problem: Problem, x: Array) -> Array:
     )
 
 
-def about_machine(problem: Problem, at: Linearised) -> Problem:
+def update_instrument_poses(problem: Problem, at: Linearised) -> Problem:
     """The problem with instruments' frames brought to a machine; itself where they are there."""
     factors = tuple(
-        f if f.on_legs else f.about(seen) for f, seen in zip(problem.factors, at.seen, strict=True)
+        f if f.on_legs else f.with_instrument_poses(seen)
+        for f, seen in zip(problem.factors, at.reading_poses, strict=True)
     )
     if all(new is old for new, old in zip(factors, problem.factors, strict=True)):
         return problem
     return replace(problem, factors=factors)
 
 
-def past(basis: Array, rows: Array) -> Array:
+def project_out(basis: Array, rows: Array) -> Array:
     """Rows ``(m, ...)`` without their part along orthonormal columns ``(m, q)``."""
     return np.asarray(rows - basis @ (basis.T @ rows))
 
 
-def whitened(weighing: Weighing, basis: Array, rows: Array) -> Array:
+def whiten_and_project(weighing: Weighing, basis: Array, rows: Array) -> Array:
     """Rows ``(n, ...)``, metres, in units of their noise, past orthonormal columns ``(m, q)`` that
     have more rows, of what is known before: ``(m, ...)``.
     """
     padded = np.zeros((len(basis), *rows.shape[1:]))
     padded[: len(rows)] = weighing.whiten(rows)
-    return past(basis, padded)
+    return project_out(basis, padded)
 
 
 @dataclass(frozen=True, repr=False)
@@ -101,21 +104,21 @@ class Nuisances:
         return self.columns.shape[1]
 
     @property
-    def free(self) -> int:
+    def unconstrained_count(self) -> int:
         """Number of linearly independent nuisance parameters without a prior."""
         return self.basis.shape[1] - int(np.sum(self.precision > 0))
 
     def project(self, rows: Array) -> Array:
         """Return rows ``(n, ...)``, whitened and projected past the nuisances ``(n + k, ...)``."""
-        return whitened(self.weighing, self.basis, rows)
+        return whiten_and_project(self.weighing, self.basis, rows)
 
-    def fitted(self, rest: Array) -> Array:
+    def explained_residual(self, rest: Array) -> Array:
         """Return the part of residuals ``(n, ...)`` that the nuisances explain, metres."""
         basis = self.basis[: len(rest)]
         return self.weighing.metres(basis @ (basis.T @ self.weighing.whiten(rest)))
 
 
-def nuisances(problem: Problem, seen: tuple[Seen, ...]) -> Nuisances:
+def nuisances(problem: Problem, seen: tuple[ReadingPoses, ...]) -> Nuisances:
     """Nuisances of all factors, by what a linearisation saw; they are frozen for a fit."""
     blocks = [f.nuisances(s) for f, s in zip(problem.factors, seen, strict=True)]
     widths = np.cumsum([0, *(b.columns.shape[1] for b in blocks)])
@@ -124,15 +127,15 @@ def nuisances(problem: Problem, seen: tuple[Seen, ...]) -> Nuisances:
         blocks, problem.factor_rows, widths[:-1], widths[1:], strict=True
     ):
         columns[rows, first:end] = block.columns
-    if problem.curves is not None:
-        columns = np.hstack([columns, problem.curves.columns])
-        blocks.append(problem.curves)
+    if problem.free_form_errors is not None:
+        columns = np.hstack([columns, problem.free_form_errors.columns])
+        blocks.append(problem.free_form_errors)
     precision = np.concatenate([b.sd for b in blocks]) ** -2.0
     return Nuisances(columns, precision, problem.weighing)
 
 
 @dataclass(frozen=True)
-class Normal:
+class NormalEquations:
     """Projected and whitened problem at one point."""
 
     residual: Array  # (n + k,), dimensionless
@@ -167,7 +170,7 @@ class Normal:
         return np.asarray(self.jacobian.T @ self.jacobian + self.prior.T @ self.prior)
 
     @property
-    def shares(self) -> Array:
+    def hat_eigenvalues(self) -> Array:
         """Eigenvalues of the hat matrix ``(P,)``: how far the data determine the unknowns."""
         scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
         full = self.information / scale / scale[:, None]
@@ -176,14 +179,14 @@ class Normal:
         return np.asarray(np.clip(np.linalg.eigvals(hat).real, 0.0, 1.0))
 
 
-def normal(problem: Problem, at: Linearised, nuisance: Nuisances) -> Normal:
+def normal_equations(problem: Problem, at: Linearised, nuisance: Nuisances) -> NormalEquations:
     """The projected problem at a linearisation."""
     residual = nuisance.project(problem.measured - at.value)
     jacobian = nuisance.project(at.jacobian)
-    return Normal(residual, jacobian, *problem.prior_rows, at.x)
+    return NormalEquations(residual, jacobian, *problem.prior_rows, at.x)
 
 
-def known_rows(problem: Problem, nuisance: Nuisances) -> Array:
+def joint_prior_rows(problem: Problem, nuisance: Nuisances) -> Array:
     """Rows of what is known before, of unknowns and nuisances ``(q + k, P + k)``."""
     from scipy.linalg import block_diag
 
@@ -197,7 +200,9 @@ def fitted_basis(problem: Problem, nuisance: Nuisances, at: Linearised) -> Array
     The first ``n`` rows are those of the readings: their squares sum to the leverage.
     """
     every = np.hstack([at.jacobian, nuisance.columns])
-    return orthonormal(np.vstack([nuisance.weighing.whiten(every), known_rows(problem, nuisance)]))
+    return orthonormal(
+        np.vstack([nuisance.weighing.whiten(every), joint_prior_rows(problem, nuisance)])
+    )
 
 
 def orthonormal(columns: Array) -> Array:
@@ -210,7 +215,7 @@ def orthonormal(columns: Array) -> Array:
     scale = np.linalg.norm(columns, axis=0)
     columns /= np.where(scale > 0, scale, 1.0)
     basis, triangle = np.linalg.qr(columns)
-    new = np.abs(np.diag(triangle)) > _SPANNED
+    new = np.abs(np.diag(triangle)) > _RANK_TOLERANCE
     return basis if new.all() else np.linalg.qr(columns[:, new])[0]
 
 
@@ -238,12 +243,12 @@ def covariance(jacobian: Array, prior: Array) -> tuple[Array, Array]:
 
 
 # An unknown whose sigma is ten times what it would be alone hides behind others.
-_WEAK = 0.1
-_SHARE = 0.05
+_WEAK_SINGULAR_VALUE = 0.1
+_REPORTED_SHARE = 0.05
 # Of what the unknown seen best shows at its tolerance: less is rounding.
-_ROUNDING = 1e-9
+_ROUNDING_SHARE = 1e-9
 # Singular value of unit columns below which a direction shows nothing but rounding.
-_UNSEEN = 1e-6
+_UNSEEN_SINGULAR_VALUE = 1e-6
 
 
 def weak_directions(
@@ -264,17 +269,17 @@ def weak_directions(
     norm = np.linalg.norm(jacobian, axis=0)
     # An unknown of which only rounding shows is not seen at all.
     shown = norm * problem.tolerance
-    norm = np.where(shown > _ROUNDING * shown.max(initial=0.0), norm, 0.0)
+    norm = np.where(shown > _ROUNDING_SHARE * shown.max(initial=0.0), norm, 0.0)
     seen = np.where(norm > 0, norm, 1.0)
     # Rows of zeros let fewer readings than unknowns span all directions.
     columns = np.where(norm > 0, jacobian, 0.0) / seen
     padded = np.vstack([columns, np.zeros((len(names), len(names)))])
     _, singular, right = np.linalg.svd(padded, full_matrices=False)
-    weak = singular < _WEAK
+    weak = singular < _WEAK_SINGULAR_VALUE
     if not weak.any():
         return ()
     # In SI, where the basis has the fewest unknowns a direction, so that legs stand apart.
-    blind = singular < _UNSEEN
+    blind = singular < _UNSEEN_SINGULAR_VALUE
     found = []
     for k, direction in enumerate(canonical_basis(right[weak] / seen, right[blind] / seen)):
         left = float(np.linalg.norm(columns @ (direction * seen)))
@@ -282,12 +287,12 @@ def weak_directions(
         with_priors = float(np.sqrt(max(direction @ covariance @ direction, 0.0)))
         size = np.abs(direction)
         unit = problem.machine.catalogue.effect_of(names[largest(size)]).unit
-        kept = np.flatnonzero(size >= _SHARE * size.max())
+        kept = np.flatnonzero(size >= _REPORTED_SHARE * size.max())
         sign = np.sign(direction[kept[0]])
         shares: dict[str, float] = {names[k]: float(sign * direction[k]) for k in kept}
         found.append(WeakDirection(shares, sigma / unit.si, with_priors / unit.si, unit.name))
     # Sigmas range over decades: equal are those of nearly equal logarithm.
-    return tuple(ranked(found, lambda d: float(np.log(d.sigma)), EQUAL))
+    return tuple(ranked(found, lambda d: float(np.log(d.sigma)), RELATIVE_MARGIN))
 
 
 def explained_by_two(

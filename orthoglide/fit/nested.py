@@ -12,18 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.errors import ClosureError, SolverError
-from orthoglide.fit.least_squares import Linearised, Normal, Nuisances, linearise, normal, predict
+from orthoglide.fit.least_squares import (
+    Linearised,
+    NormalEquations,
+    Nuisances,
+    linearise,
+    normal_equations,
+    predict,
+)
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
 
-_MOST_STEPS = 60
+_MAX_STEPS = 60
 # Steps, in standard deviations of what the readings leave of each unknown: digits that are printed
 # do not depend on where a fit started.
-_SETTLED = 1e-10
-_CLOSE = 1e-7  # steps from which second derivatives are not worth their time
-_ROUNDING = 1e-4  # steps that no longer shrink are rounding of the closures: times the misfit
-_FLAT = 1e-9  # of the cost: less is lost in its rounding, and so are steps along weak directions
-_SLOW = 0.3  # Gauss-Newton that shrinks its steps less than this is worth second derivatives
+_STEP_TOLERANCE = 1e-10
+_NEWTON_THRESHOLD = 1e-7  # steps from which second derivatives are not worth their time
+_ROUNDING_STEP = 1e-4  # steps that no longer shrink are rounding of the closures: times the misfit
+_COST_TOLERANCE = (
+    1e-9  # of the cost: less is lost in its rounding, and so are steps along weak directions
+)
+_SLOW_RATIO = 0.3  # Gauss-Newton that shrinks its steps less than this is worth second derivatives
 
 
 def solve_nested(
@@ -41,8 +50,8 @@ def solve_nested(
         SolverError: where the steps do not settle.
     """
     at, previous, cost = start, np.inf, np.inf
-    for iteration in range(_MOST_STEPS):
-        here = normal(problem, at, nuisance)
+    for iteration in range(_MAX_STEPS):
+        here = normal_equations(problem, at, nuisance)
         # On its bound and pushed outward an unknown stays; the others settle among themselves.
         free = np.flatnonzero(~(problem.on_bound(at.x) & (here.gradient * at.x < 0)))
         scale = 1 / np.sqrt(np.maximum(np.diag(here.information), 1e-300))[free]
@@ -52,15 +61,15 @@ def solve_nested(
         right = -here.gradient[free] * scale
         step[free] = scale * np.linalg.lstsq(inner, right, rcond=1e-14)[0]
         size = float(np.max(np.abs(step[free]) / scale, initial=0.0))
-        if slope > _CLOSE and size > _CLOSE and size > _SLOW * previous:
+        if slope > _NEWTON_THRESHOLD and size > _NEWTON_THRESHOLD and size > _SLOW_RATIO * previous:
             step[free] = _newton_step(problem, nuisance, here, free, scale)
             size = float(np.max(np.abs(step[free]) / scale))
         misfit = max(1.0, float(np.sqrt(here.cost / len(problem.measured))))
-        flat = slope <= _CLOSE and here.cost > cost * (1 - _FLAT)
-        stalled = size >= previous / 2 and (flat or size <= _ROUNDING * misfit)
-        if size <= _SETTLED or stalled:
+        flat = slope <= _NEWTON_THRESHOLD and here.cost > cost * (1 - _COST_TOLERANCE)
+        stalled = size >= previous / 2 and (flat or size <= _ROUNDING_STEP * misfit)
+        if size <= _STEP_TOLERANCE or stalled:
             return at, iteration
-        at = linearise(problem, _search(problem, nuisance, here, step))
+        at = linearise(problem, _line_search(problem, nuisance, here, step))
         previous, cost = size, here.cost
     raise SolverError(
         "the identification did not settle; free fewer parameters, or keep the priors",
@@ -69,7 +78,11 @@ def solve_nested(
 
 
 def _newton_step(
-    problem: Problem, nuisance: Nuisances, here: Normal, free: NDArray[np.intp], scale: Array
+    problem: Problem,
+    nuisance: Nuisances,
+    here: NormalEquations,
+    free: NDArray[np.intp],
+    scale: Array,
 ) -> Array:
     hessian = np.empty((len(free), len(free)))
     for column, k in enumerate(free):
@@ -79,7 +92,7 @@ def _newton_step(
         for side in (1, -1):
             x = here.x.copy()
             x[k] += side * width
-            ends.append(normal(problem, linearise(problem, x), nuisance).gradient[free])
+            ends.append(normal_equations(problem, linearise(problem, x), nuisance).gradient[free])
         hessian[:, column] = (ends[0] - ends[1]) / (2 * width)
     hessian = (hessian + hessian.T) / 2 * scale * scale[:, None]
     values, vectors = np.linalg.eigh(hessian)
@@ -88,9 +101,11 @@ def _newton_step(
     return scale * (vectors @ (turned / np.maximum(np.abs(values), 1e-8)))
 
 
-def _search(problem: Problem, nuisance: Nuisances, here: Normal, step: Array) -> Array:
+def _line_search(
+    problem: Problem, nuisance: Nuisances, here: NormalEquations, step: Array
+) -> Array:
     """Halve the step until the cost falls; unknowns stay within their bounds."""
-    allowed = here.cost + _FLAT * max(here.cost, 1.0)
+    allowed = here.cost + _COST_TOLERANCE * max(here.cost, 1.0)
     factor = min(1.0, float(np.min(problem.bound / np.maximum(np.abs(step), 1e-300))))
     for _ in range(30):
         x = np.clip(here.x + factor * step, -problem.bound, problem.bound)

@@ -19,8 +19,8 @@ from orthoglide.fit.least_squares import Nuisances
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
-from orthoglide.instruments import POSE
-from orthoglide.mechanism.six_bars import OUTPUTS
+from orthoglide.instruments import POSE_SIZE
+from orthoglide.mechanism.six_bars import OUTPUT_SIZE
 from orthoglide.mechanism.symbolic_closure import closure_functions
 from orthoglide.prediction import Model
 
@@ -40,7 +40,7 @@ _OPTIONS: dict[str, Any] = {
     "ipopt.warm_start_init_point": "yes",
 }
 # Up to here one flat expression is built as fast as a mapped one, and evaluates ten times faster.
-_EXPANDED = 64
+_MAX_EXPANDED_POSTURES = 64
 
 
 @dataclass(frozen=True)
@@ -62,43 +62,45 @@ class Nlp:
     """
 
     def __init__(self, problem: Problem, nuisance: Nuisances, scale: Array) -> None:
-        self._scale = scale
-        self._unit = float(np.median(problem.sigma))  # of readings, datums and closures
-        self._turn = self._unit / problem.machine.geometry.L  # of angles
+        self._unknown_scale = scale
+        self._length_unit = float(np.median(problem.sigma))  # of readings, datums and closures
+        self._angle_unit = self._length_unit / problem.machine.geometry.L  # of angles
         # Distinct postures of each factor, and where its rows (or points) find theirs.
         model, tree = problem.machine.model, problem.machine.model.mechanism.tree
         self._postures = [
-            model.merged(f.conditions(), [*problem.elementary(k)[0], *problem.held[k]])
+            model.merged(f.conditions(), [*problem.elementary_parameters(k)[0], *problem.held[k]])
             for k, f in enumerate(problem.factors)
         ]
-        self._functions = closure_functions(tree)
+        self._closure_functions = closure_functions(tree)
         self.postures = sum(len(conditions) for conditions, _ in self._postures)
         x = ca.MX.sym("x", len(problem.unknowns))
         joints = ca.MX.sym("joints", 21, self.postures)
         z = ca.MX.sym("z", nuisance.count)
         measured = ca.MX.sym("measured", len(problem.measured))
-        closure, predicted = self._model(problem, x * self._scale, joints * self._turn)
+        closure, predicted = self._symbolic_model(
+            problem, x * self._unknown_scale, joints * self._angle_unit
+        )
         known = nuisance.precision > 0
-        columns = np.full(nuisance.count, self._unit)
+        columns = np.full(nuisance.count, self._length_unit)
         columns[known] = nuisance.precision[known] ** -0.5
         fitted = predicted + ca.DM(nuisance.columns * columns) @ z
-        left = _weighed(measured - fitted, nuisance.weighing)
+        left = _whitened(measured - fitted, nuisance.weighing)
         matrix, target = problem.prior_rows
-        prior = ca.DM(matrix * self._scale) @ x - ca.DM(target)
+        prior = ca.DM(matrix * self._unknown_scale) @ x - ca.DM(target)
         placed = z * (columns * np.sqrt(nuisance.precision))
         cost = (ca.sumsqr(left) + ca.sumsqr(prior) + ca.sumsqr(placed)) / 2
         programme = {
             "x": ca.vertcat(x, ca.vec(joints), z),
             "p": measured,
             "f": cost,
-            "g": ca.vec(closure) / self._unit,
+            "g": ca.vec(closure) / self._length_unit,
         }
-        options = {**_OPTIONS, "expand": self.postures <= _EXPANDED}
+        options = {**_OPTIONS, "expand": self.postures <= _MAX_EXPANDED_POSTURES}
         self._solver = ca.nlpsol("identify", "ipopt", programme, options)
         free = np.full(21 * self.postures + nuisance.count, np.inf)
         self._upper = np.concatenate([problem.bound / scale, free])
 
-    def _model(self, problem: Problem, x: Any, joints: Any) -> tuple[Any, Any]:
+    def _symbolic_model(self, problem: Problem, x: Any, joints: Any) -> tuple[Any, Any]:
         """Closures of all postures, and predicted rows of all factors, as MX."""
         model = problem.machine.model
         closures, rows, first = [], [], 0
@@ -107,13 +109,19 @@ class Nlp:
             count = len(conditions)
             values = _values(problem, k, x)
             theta = ca.vertcat(*[values.get(n, ca.MX(0)) for n in model.catalogue.parameters])
-            displacement = model.moving.function.map("displacements", "serial", count, [0, 1], [])
-            moves = displacement(ca.DM(model.moving.size), theta, ca.DM(model.seen(conditions).T))
+            displacement = model.displacement_model.function.map(
+                "displacements", "serial", count, [0, 1], []
+            )
+            moves = displacement(
+                ca.DM(model.displacement_model.dimensions),
+                theta,
+                ca.DM(model.condition_vectors(conditions).T),
+            )
             travel = ca.DM((conditions.command - model.geometry.zero).T)
             given = ca.vertcat(travel, moves)
             own = joints[:, first : first + count]
-            closures.append(self._functions.residual.map(count)(own, given))
-            outputs = self._functions.outputs.map(count)(own, given)
+            closures.append(self._closure_functions.residual.map(count)(own, given))
+            outputs = self._closure_functions.outputs.map(count)(own, given)
             rows.append(_rows(model, factor, ca.vec(outputs), place, values))
             first += count
         return ca.horzcat(*closures), ca.vertcat(*rows)
@@ -130,10 +138,10 @@ class Nlp:
             SolverError: where IPOPT itself says that it failed.
         """
         count = 21 * self.postures
-        angles = np.zeros(count) if joints is None else joints.ravel() / self._turn
+        angles = np.zeros(count) if joints is None else joints.ravel() / self._angle_unit
         nuisances = np.zeros(len(self._upper) - len(x) - count)
         answer = self._solver(
-            x0=np.concatenate([x / self._scale, angles, nuisances]),
+            x0=np.concatenate([x / self._unknown_scale, angles, nuisances]),
             p=measured,
             lbx=-self._upper,
             ubx=self._upper,
@@ -143,14 +151,14 @@ class Nlp:
         stats = self._solver.stats()
         status = str(stats["return_status"])
         found = answer["x"].full().ravel()
-        closure = float(np.abs(answer["g"].full()).max(initial=0.0)) * self._unit
+        closure = float(np.abs(answer["g"].full()).max(initial=0.0)) * self._length_unit
         if not stats["success"]:
             raise SolverError(
                 f"the programme did not converge (IPOPT: {status}); check the readings, or free "
                 f"fewer parameters",
                 evidence={"status": status, "closure": closure},
             )
-        return NlpResult(found[: len(x)] * self._scale, closure, int(stats["iter_count"]))
+        return NlpResult(found[: len(x)] * self._unknown_scale, closure, int(stats["iter_count"]))
 
     def start_joints(self, problem: Problem, x: Array) -> Array:
         """Free joints ``(K, 21)`` with which Pinocchio closes every posture at ``x``."""
@@ -163,7 +171,7 @@ class Nlp:
         return np.array(found)
 
 
-def _weighed(rows: Any, weighing: Weighing) -> Any:
+def _whitened(rows: Any, weighing: Weighing) -> Any:
     """Rows ``(n, 1)`` as MX in units of their noise."""
     n, station = len(weighing.station), weighing.station
     shared = np.flatnonzero(np.bincount(station)[station] > 1)
@@ -175,7 +183,7 @@ def _weighed(rows: Any, weighing: Weighing) -> Any:
 
 def _values(problem: Problem, factor: int, x: Any) -> dict[str, Any]:
     """Return all parameters of the machine and dials of a factor as MX."""
-    names, matrix = problem.elementary(factor)
+    names, matrix = problem.elementary_parameters(factor)
     values = {name: ca.MX(value) for name, value in problem.held[factor].items()}
     free = ca.DM(matrix) @ x
     for k, name in enumerate(names):
@@ -193,25 +201,25 @@ def _rows(model: Model, factor: Factor, outputs: Any, place: Any, values: Any) -
         place: posture of every condition ``(N,)``.
         values: all parameters of machine and instruments, as MX.
     """
-    observed = factor.observed
+    observed = factor.measurement_model
     n, second = len(factor.readings), np.array(place[: len(factor.readings)])
     second[observed.paired] = place[n:]
-    start = {"pose": observed.start + OUTPUTS * place[:n], "other": OUTPUTS * second}
+    start = {"pose": observed.first_output + OUTPUT_SIZE * place[:n], "other": OUTPUT_SIZE * second}
     found, order = [], []
-    for part in observed.parts(model, {}):
+    for part in observed.by_kind(model, {}):
         k, count = part.rows, len(part.rows)
 
         def poses(which: str, k: Any = k, count: int = count) -> Any:
-            flat = (start[which][k, None] + np.arange(POSE)).ravel()
-            return ca.reshape(outputs[flat.tolist()], POSE, count)
+            flat = (start[which][k, None] + np.arange(POSE_SIZE)).ravel()
+            return ca.reshape(outputs[flat.tolist()], POSE_SIZE, count)
 
-        width = part.values.shape[1]
+        width = part.effect_parameters.shape[1]
         by_setup = []
-        for names in part.names:
+        for names in part.parameter_names:
             own = [values.get(name, ca.MX(0)) for name in names]
             by_setup.append(ca.vertcat(*own, *(ca.MX(0) for _ in range(width - len(own)))))
         effects = ca.horzcat(*by_setup)[:, factor.setup[k].tolist()]
-        given = ca.DM(part.mounting.T), ca.DM(part.nuisance.T), effects
+        given = ca.DM(part.mounting_values.T), ca.DM(part.nuisance.T), effects
         reading = part.formula.function.map(count)(poses("pose"), poses("other"), *given)
         found.append(reading.T)
         order.append(k)

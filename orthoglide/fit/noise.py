@@ -15,22 +15,22 @@ from numpy.typing import NDArray
 
 from orthoglide.errors import InputError
 from orthoglide.fit.repeats import (
-    FEWEST_REPEATS,
-    OFF_GRID,
+    GRID_TOLERANCE,
+    MIN_REPEAT_DOF,
+    apparent_step,
     common_rounding,
     dial_steps,
-    finest_of,
     off_grid,
+    readings_of_finest_step,
     repeat_variance,
-    shown_step,
     total_variance,
 )
 from orthoglide.geometry import Array
 from orthoglide.instruments import LegDial, Observation
 from orthoglide.machine_file import Instrument, MachineFile
 from orthoglide.observations import Readings
-from orthoglide.observations.arrays import numbered
-from orthoglide.units import NOISE
+from orthoglide.observations.arrays import group_ids
+from orthoglide.units import NOISE_LIMITS
 
 NoiseSource = Literal["declared", "machine", "repeats"]
 """Where a standard deviation comes from; ``machine``: the machine file, or what is usual."""
@@ -41,10 +41,12 @@ NO_WEIGHT = 1e6
 PUBLISHED_REPEATABILITY = LegDial.repeatability
 """Metres: the repeatability stated in 2008, section 4.1; used where nothing better is known."""
 
-_COUNTS = 0.01  # share of a variance below which a part of it is not kept apart
-_QUIET = 4.0  # sigmas within a step of the dial: no scatter makes two digits of one value
-_RANGE = 2 / np.sqrt(np.pi)  # sigmas that two readings are apart, in the mean
-_OFTENER = 0.25  # share of stations at such edges that is no chance, beside what scatter makes
+_NEGLIGIBLE_SHARE = 0.01  # share of a variance below which a part of it is not kept apart
+_SIGMAS_PER_STEP = 4.0  # sigmas within a step of the dial: no scatter makes two digits of one value
+_MEAN_RANGE = 2 / np.sqrt(np.pi)  # sigmas that two readings are apart, in the mean
+_MAX_EDGE_SHARE = (
+    0.25  # share of stations at such edges that is no chance, beside what scatter makes
+)
 
 
 @dataclass(frozen=True, repr=False)
@@ -67,7 +69,7 @@ class RowNoise:
         return np.hypot(self.sigma, self.common)
 
     @classmethod
-    def unknown(cls, n: int) -> RowNoise:
+    def zeros(cls, n: int) -> RowNoise:
         """Return the noise of ``n`` readings of which nothing is known yet: zeros, to be filled."""
         sigma, common, step, expected = np.zeros((4, n))
         no = np.zeros(n, dtype=bool)
@@ -84,7 +86,7 @@ class RowNoise:
         changed.fill(rows, noise)
         return changed
 
-    def of(self, rows: NDArray[Any]) -> RowNoise:
+    def subset(self, rows: NDArray[Any]) -> RowNoise:
         """Return the noise of some rows, by indices or booleans ``(n,)``."""
         return RowNoise(*(values[rows] for values in vars(self).values()))
 
@@ -96,7 +98,7 @@ class RowNoise:
 
 
 @dataclass(frozen=True)
-class Level:
+class NoiseLevel:
     """Standard deviation of one reading of a kind."""
 
     total: float  # standard deviation, rounding to `step` counted, metres or radians
@@ -104,7 +106,7 @@ class Level:
     source: NoiseSource  # where it comes from
     dof: float = float("inf")  # degrees of freedom behind it; infinite where it was not estimated
 
-    def at(self, step: Array) -> Array:
+    def for_step(self, step: Array) -> Array:
         """Return the standard deviation of readings of instruments with other steps."""
         scatter = max(self.total**2 - self.step**2 / 12, 0.0)
         return np.where(step == self.step, self.total, np.sqrt(scatter + step**2 / 12))
@@ -124,7 +126,7 @@ class Noise:
     resolution: float  # the commonest step of the first kind, which `typical` counts
     dof: float = float("inf")  # degrees of freedom behind the level of the first kind
     declared: float = float("nan")  # declared standard deviation before rounding; nan if none
-    levels: Mapping[str, Level] = field(default_factory=dict)  # by kind of reading
+    levels: Mapping[str, NoiseLevel] = field(default_factory=dict)  # by kind of reading
     # kinds of reading whose assumed noise is replaced by the larger one that their repeats show
     refuted: frozenset[str] = frozenset()
 
@@ -162,9 +164,9 @@ def noise_of(
     Raises:
         InputError: where ``declared`` is nothing that an instrument scatters by.
     """
-    each = tuple(RowNoise.unknown(len(one)) for one in given)
+    each = tuple(RowNoise.zeros(len(one)) for one in given)
     on_legs = any(one.on_legs.any() for one in given)
-    levels, noises = dict[str, Level](), dict[str, Noise]()
+    levels, noises = dict[str, NoiseLevel](), dict[str, Noise]()
     of_kind = dict.fromkeys(o for one in given for o, _ in one.observations)
     for observation in of_kind:
         found = [(k, one.of_kind(observation.kind)) for k, one in enumerate(given)]
@@ -172,26 +174,26 @@ def noise_of(
         tables = [given[k].subset(own) for k, own in found]
         told = None if on_legs and not observation.on_leg else declared
         known = None if steps is None else [steps[k][own] for k, own in found]
-        of = _Kind(observation, instrument_of(spec, observation), tables, told, known)
+        of = _KindNoise(observation, instrument_of(spec, observation), tables, told, known)
         noises[observation.kind], levels[observation.kind] = of.summary, of.level
         for (k, own), one in zip(found, of.rows(), strict=True):
             each[k].fill(own, one)
     first = next(iter(noises.values()), Noise(float("nan"), "machine", 0.0))
     if not on_legs:
-        first = _of_tool(given, each, noises, first)
+        first = _tool_noise(given, each, noises, first)
     return replace(first, levels=levels), each
 
 
-def _of_tool(
+def _tool_noise(
     given: Sequence[Readings], rows: Sequence[RowNoise], noises: Mapping[str, Noise], first: Noise
 ) -> Noise:
     """The one figure of readings of the tool alone."""
-    typical = overall(given, [r.total for r in rows]) if rows else first.typical
+    typical = rms_noise(given, [r.total for r in rows]) if rows else first.typical
     told = all(one.source == "declared" for one in noises.values())
     return replace(first, typical=typical, source="declared" if told else "machine")
 
 
-def overall(given: Sequence[Readings], sigma: Sequence[Array]) -> float:
+def rms_noise(given: Sequence[Readings], sigma: Sequence[Array]) -> float:
     """Return the root mean square of the noise of lengths, or of turns where there are none.
 
     Args:
@@ -203,7 +205,7 @@ def overall(given: Sequence[Readings], sigma: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(of**2)))
 
 
-class _Kind:
+class _KindNoise:
     """Readings of one kind in all tables."""
 
     def __init__(
@@ -214,50 +216,58 @@ class _Kind:
         declared: float | None,
         steps: Sequence[Array] | None,
     ) -> None:
-        self._observation, self._own, self._declared = observation, instrument, declared
+        self._observation, self._instrument, self._declared = observation, instrument, declared
         self._tables = tables
         resolution = instrument.resolution or 0.0
-        self._steps = [_steps(one, resolution) for one in tables] if steps is None else steps
+        self._steps = (
+            [_instrument_steps(one, resolution) for one in tables] if steps is None else steps
+        )
         every = np.concatenate([np.zeros(0), *self._steps])
         sizes, count = np.unique(every, return_counts=True)
-        self._commonest = float(sizes[np.argmax(count)]) if len(sizes) else resolution
-        fine, finest = finest_of(tables, self._steps) if len(sizes) else (tables, resolution)
-        self.level = _level(fine, observation, replace(instrument, resolution=finest), declared)
+        self._commonest_step = float(sizes[np.argmax(count)]) if len(sizes) else resolution
+        fine, finest = (
+            readings_of_finest_step(tables, self._steps) if len(sizes) else (tables, resolution)
+        )
+        self.level = _noise_level(
+            fine, observation, replace(instrument, resolution=finest), declared
+        )
         # A declared noise may refer to averaged or unrounded readings: rounding is added to it only
         # if the instrument is known to round, and the readings lie on its grid.
-        self._told = self.level.source == "declared"
+        self._is_declared = self.level.source == "declared"
         # Steps of tables whose readings all are multiples of them, else 0; readings that were not
         # taken yet count as such.
         rounds = resolution > 0
-        self._shown = [
-            s * bool(rounds and s.all() and not (off_grid(one.reading, s) > OFF_GRID).any())
+        self._counted_steps = [
+            s * bool(rounds and s.all() and not (off_grid(one.reading, s) > GRID_TOLERANCE).any())
             for one, s in zip(tables, self._steps, strict=True)
         ]
 
     @property
     def summary(self) -> Noise:
         """Noise of all readings of the kind as one figure."""
-        counted = any(s.any() for s in self._shown)
-        step = self._commonest if not self._told or counted else 0.0
-        typical = float(self.level.at(np.array([step]))[0])
-        told = self.level.total if self._told else float("nan")
-        return Noise(typical, self.level.source, self._commonest, self.level.dof, told)
+        counted = any(s.any() for s in self._counted_steps)
+        step = self._commonest_step if not self._is_declared or counted else 0.0
+        typical = float(self.level.for_step(np.array([step]))[0])
+        told = self.level.total if self._is_declared else float("nan")
+        return Noise(typical, self.level.source, self._commonest_step, self.level.dof, told)
 
     def rows(self) -> Iterator[RowNoise]:
         """Yield the noise of the rows of each table."""
         # Whether any station is visited twice from the same side.
         again = any(len(np.unique(one.stations, axis=0)) < len(one) for one in self._tables)
-        usual = self._own.repeatability or self._observation.repeatability
-        for table, size, own in zip(self._tables, self._steps, self._shown, strict=True):
+        usual = self._instrument.repeatability or self._observation.repeatability
+        for table, size, own in zip(self._tables, self._steps, self._counted_steps, strict=True):
             given = np.isfinite(table.sigma) & (self._declared is None)
-            rounding = np.where(given | self._told, own, size)
-            total = self.level.at(rounding)
-            common = _common(total, rounding) if again else np.zeros(len(table))
+            rounding = np.where(given | self._is_declared, own, size)
+            total = self.level.for_step(rounding)
+            common = _common_rounding(total, rounding) if again else np.zeros(len(table))
             declared = np.hypot(table.sigma, rounding / np.sqrt(12))
             total = np.where(given, declared, total)
             if common.any():
-                part = np.sqrt(np.maximum(total**2 - common**2, _COUNTS * total**2))
-                total = np.where(common > 0, _at_edges(table, part, common, rounding), total)
+                part = np.sqrt(np.maximum(total**2 - common**2, _NEGLIGIBLE_SHARE * total**2))
+                total = np.where(
+                    common > 0, _widen_at_rounding_edges(table, part, common, rounding), total
+                )
             expected = np.hypot(usual, size / np.sqrt(12))
             told = given if self._declared is None else np.ones(len(table), dtype=bool)
             repeats = ~told & (self.level.source == "repeats")
@@ -276,35 +286,37 @@ def expected_sigma(given: Readings, spec: MachineFile) -> Array:
     return np.where(np.isfinite(given.sigma), given.sigma, found)
 
 
-def _steps(given: Readings, resolution: float) -> Array:
+def _instrument_steps(given: Readings, resolution: float) -> Array:
     """Step of every reading's instrument ``(n,)``: of a resolution that is known, or a coarser one
     that readings show; else what all readings are multiples of.
     """
     if resolution > 0:
         return dial_steps(given, resolution)
-    shown = 0.0 if given.on_legs.any() else shown_step(given.reading)
+    shown = 0.0 if given.on_legs.any() else apparent_step(given.reading)
     return np.full(len(given), shown)
 
 
-def _common(total: Array, step: Array) -> Array:
+def _common_rounding(total: Array, step: Array) -> Array:
     """Rounding that repeats have in common ``(n,)``, metres; 0 where it is too small to matter."""
     found = np.zeros(len(total))
     for size in np.unique(step):
         rows = step == size
         common = float(common_rounding(total[rows][0], size))
-        if common**2 >= _COUNTS * total[rows][0] ** 2:
+        if common**2 >= _NEGLIGIBLE_SHARE * total[rows][0] ** 2:
             found[rows] = common
     return found
 
 
-def _at_edges(campaign: Readings, sigma: Array, common: Array, resolution: Array) -> Array:
+def _widen_at_rounding_edges(
+    campaign: Readings, sigma: Array, common: Array, resolution: Array
+) -> Array:
     """Sigmas ``(n,)`` of dials, half a step where a station's visits show two neighbouring digits.
 
     There the true value stands at the edge between them, and a quiet dial shows one or the other:
     a whole step apart, which to its scatter elsewhere would be a slip, or a drift. Where more
     stations than these show several digits, the dial is not as quiet as it was declared.
     """
-    station = numbered(campaign.stations)
+    station = group_ids(campaign.stations)
     visits = np.bincount(station)
     low = np.full(len(visits), np.inf)
     high = -low
@@ -312,48 +324,52 @@ def _at_edges(campaign: Readings, sigma: Array, common: Array, resolution: Array
     np.maximum.at(high, station, campaign.reading)
     apart = (high - low)[station]
     scatter = np.sqrt(np.maximum(sigma**2 + common**2 - resolution**2 / 12, 0.0))
-    chance = _RANGE * (visits[station] - 1) * scatter / resolution
+    chance = _MEAN_RANGE * (visits[station] - 1) * scatter / resolution
     again = visits[station] > 1
-    if again.any() and np.mean(apart[again] > 0.5 * resolution[again]) > _OFTENER + np.mean(
+    if again.any() and np.mean(apart[again] > 0.5 * resolution[again]) > _MAX_EDGE_SHARE + np.mean(
         chance[again]
     ):
         return sigma
-    edge = (apart > 0.5 * resolution) & (apart < 1.5 * resolution) & (resolution > _QUIET * sigma)
+    edge = (
+        (apart > 0.5 * resolution)
+        & (apart < 1.5 * resolution)
+        & (resolution > _SIGMAS_PER_STEP * sigma)
+    )
     return np.where(edge, np.maximum(sigma, resolution / 2), sigma)
 
 
-def check_noise(noise: float, least: float = NOISE[0]) -> float:
+def check_noise(noise: float, least: float = NOISE_LIMITS[0]) -> float:
     """The noise, a zero without its sign; refuses what no instrument scatters by, such as
     millimetres taken for metres.
 
     Raises:
         InputError: saying what is possible.
     """
-    if not isinstance(noise, Real) or not least <= noise <= NOISE[1]:
+    if not isinstance(noise, Real) or not least <= noise <= NOISE_LIMITS[1]:
         raise InputError(
-            f"the noise must be a standard deviation in metres, from {least:g} to {NOISE[1]:g}, "
+            f"the noise must be a standard deviation in metres, from {least:g} to {NOISE_LIMITS[1]:g}, "
             f"not {noise!r}"
         )
     return noise + 0.0
 
 
-def _level(
+def _noise_level(
     given: Sequence[Readings],
     observation: Observation,
     instrument: Instrument,
     declared: float | None,
-) -> Level:
+) -> NoiseLevel:
     step = instrument.resolution or 0.0
     rounding = step**2 / 12
     if declared is not None:
-        return Level(check_noise(declared), 0.0, "declared")
+        return NoiseLevel(check_noise(declared), 0.0, "declared")
     told = np.concatenate([np.zeros(0), *(one.sigma for one in given)])
     if len(told) and np.isfinite(told).all():
-        return Level(float(np.sqrt(np.mean(told**2))), 0.0, "declared")
+        return NoiseLevel(float(np.sqrt(np.mean(told**2))), 0.0, "declared")
     if instrument.repeatability is not None:
-        return Level(float(np.sqrt(instrument.repeatability**2 + rounding)), step, "machine")
+        return NoiseLevel(float(np.sqrt(instrument.repeatability**2 + rounding)), step, "machine")
     variance, dof = repeat_variance(given)
-    if dof >= FEWEST_REPEATS and (variance > 0 or (step > 0 and observation.on_leg)):
+    if dof >= MIN_REPEAT_DOF and (variance > 0 or (step > 0 and observation.on_leg)):
         total = float(np.sqrt(total_variance(variance, step)))
-        return Level(max(total, observation.quietest), step, "repeats", dof)
-    return Level(float(np.sqrt(observation.repeatability**2 + rounding)), step, "machine")
+        return NoiseLevel(max(total, observation.least_noise), step, "repeats", dof)
+    return NoiseLevel(float(np.sqrt(observation.repeatability**2 + rounding)), step, "machine")

@@ -27,22 +27,26 @@ from orthoglide.observations.repetition import repeat_steps
 
 _CHANCE = 1e-3  # probability of a note on readings whose noise is what a test takes it to be
 # Degrees of freedom that a test needs: noise alone leaves a tenth of itself once in 4e8 such setups
-_FEWEST = 10.0
+_MIN_DOF = 10.0
 
 # Repeats that scatter by more than declared
-_SUSPICIOUS = 0.01  # probability under which other setups are taken to be noisier than declared too
-_FEW = 2  # setups that are named one by one: more of them have a common cause
-_TIMES = 1.2  # smallest ratio to the declared noise that is reported
+_SUSPICIOUS_CHANCE = (
+    0.01  # probability under which other setups are taken to be noisier than declared too
+)
+_MAX_NAMED_SETUPS = 2  # setups that are named one by one: more of them have a common cause
+_MIN_RATIO = 1.2  # smallest ratio to the declared noise that is reported
 
 # Residuals that scatter by less than assumed. Inches are 25 times too small and degrees 57 times,
 # but unmodelled errors of the machine remain in the residual, so the limit is a tenth; a fifth for
 # noise that was declared, which is not as wrong as a usual figure.
-_SMALL, _SMALL_OF_DECLARED = 0.1, 0.2
-_EXACT = 1e-8  # metres or radians: readings of smaller declared noise are computed, not measured
-_HALF = 2.0  # factor by which the declared noise may be too large without a note
-_MOST = 1e3  # ratio above which its value is not reported
+_SMALL_RATIO, _SMALL_RATIO_DECLARED = 0.1, 0.2
+_COMPUTED_NOISE = (
+    1e-8  # metres or radians: readings of smaller declared noise are computed, not measured
+)
+_ALLOWED_RATIO = 2.0  # factor by which the declared noise may be too large without a note
+_MAX_REPORTED_RATIO = 1e3  # ratio above which its value is not reported
 _DECLARED, _FROM_REPEATS = "as declared", "from their repeats"
-_FROM_FILE, _IN_FILE = "as the machine file has it", " in the machine file, "
+_FROM_MACHINE_FILE, _IN_MACHINE_FILE = "as the machine file has it", " in the machine file, "
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,7 @@ def noise_scales(estimate: Estimate) -> tuple[NoiseScale, ...]:
     return tuple(found)
 
 
-def together(several: Iterable[NoiseScale]) -> NoiseScale:
+def pool_noise_scales(several: Iterable[NoiseScale]) -> NoiseScale:
     """Return the noise of several setups of one table as one."""
     each = list(several)
     rows = np.concatenate([one.rows for one in each])
@@ -104,8 +108,8 @@ def together(several: Iterable[NoiseScale]) -> NoiseScale:
 class _Repeats:
     """Repeat differences of the residuals of one setup."""
 
-    where: str  # file and setup, for people
-    steps: Array  # each repeat minus the visit before (k,), metres
+    label: str  # file and setup, for people
+    differences: Array  # each repeat minus the visit before (k,), metres
     sigma: float  # declared standard deviation of one reading, rounding included, metres
     resolution: float  # of the dial, metres
 
@@ -126,7 +130,9 @@ def noisy_dials(estimate: Estimate) -> Iterator[Note]:
     noisy = [one for one in every if _is_noisy([one], _CHANCE / len(every))]
     others = [one for one in every if one not in noisy]
     have_common_cause = (
-        2 * len(noisy) >= len(every) > 1 or len(noisy) > _FEW or _is_noisy(others, _SUSPICIOUS, 1.0)
+        2 * len(noisy) >= len(every) > 1
+        or len(noisy) > _MAX_NAMED_SETUPS
+        or _is_noisy(others, _SUSPICIOUS_CHANCE, 1.0)
     )
     if have_common_cause or (not noisy and _is_noisy(every)):
         yield Note(
@@ -137,7 +143,7 @@ def noisy_dials(estimate: Estimate) -> Iterator[Note]:
         return
     for one in noisy:
         yield Note(
-            f"{one.where}: repeats scatter by {compact(_scatter([one]) * 1e3, 2)} mm, where "
+            f"{one.label}: repeats scatter by {compact(_scatter([one]) * 1e3, 2)} mm, where "
             f"{figure}, which those of other setups agree with: look for what is loose on this "
             f"dial, its stand and its leg, and read the setup again",
             "scatter",
@@ -149,7 +155,7 @@ def noisy_instruments(estimate: Estimate) -> Iterator[Note]:
     repeatability in the machine file.
     """
     problem = estimate.problem
-    for k, factor, number, setup in problem.mounted:
+    for k, factor, number, setup in problem.tool_setups:
         chosen, rows = factor.setup == number, problem.factor_rows[k]
         declared = problem.machine.spec.instruments.get(setup.kind, Instrument()).repeatability
         if declared is None or np.isfinite(factor.readings.sigma[chosen]).any():
@@ -158,7 +164,7 @@ def noisy_instruments(estimate: Estimate) -> Iterator[Note]:
         one = _repeats_of_setup(residuals, number, factor.noise.expected, problem.step[rows])
         if _is_noisy([one]):
             yield Note(
-                f"{one.where}: repeats scatter by {compact(_scatter([one]) * 1e3, 2)} "
+                f"{one.label}: repeats scatter by {compact(_scatter([one]) * 1e3, 2)} "
                 f"{setup.observation.unit}, where the machine file says "
                 f"{compact(declared * 1e3, 2)}: correct repeatability under "
                 f"[instrument.{setup.kind}], or look for what is loose",
@@ -176,12 +182,12 @@ def _declared_dial_noise(problem: Problem) -> float | None:
 def _dial_repeats(estimate: Estimate) -> list[_Repeats]:
     """Return the repeats of every dial setup that has any."""
     problem, found = estimate.problem, []
-    total = np.concatenate([f.noise.expected for f in problem.on_legs])
-    for campaign, rows in zip(problem.campaigns, problem.rows, strict=True):
+    total = np.concatenate([f.noise.expected for f in problem.leg_factors])
+    for campaign, rows in zip(problem.campaigns, problem.leg_rows, strict=True):
         residuals = campaign.with_readings(estimate.residuals[rows])
         for k in np.unique(campaign.setup).tolist():
             one = _repeats_of_setup(residuals, k, total[rows], problem.step[rows])
-            if len(one.steps):
+            if len(one.differences):
                 found.append(one)
     return found
 
@@ -204,25 +210,27 @@ def _repeats_of_setup(residuals: Readings, number: int, sigma: Array, step: Arra
     )
 
 
-def _is_noisy(several: Sequence[_Repeats], chance: float = _CHANCE, times: float = _TIMES) -> bool:
+def _is_noisy(
+    several: Sequence[_Repeats], chance: float = _CHANCE, times: float = _MIN_RATIO
+) -> bool:
     """Return whether the repeats scatter by more than ``times`` the declared noise, and noise as
     declared would scatter as much with a probability below ``chance``.
     """
     from scipy.special import chdtrc
 
-    count = sum(len(one.steps) for one in several)
+    count = sum(len(one.differences) for one in several)
     dof = 2 * count / 3  # successive differences share readings
-    if dof < _FEWEST:
+    if dof < _MIN_DOF:
         return False
-    square = sum(float(np.sum(one.steps**2)) / 2 / one.sigma**2 for one in several) / count
+    square = sum(float(np.sum(one.differences**2)) / 2 / one.sigma**2 for one in several) / count
     return bool(square > times**2 and chdtrc(dof, dof * square) < chance)
 
 
 def _scatter(several: Sequence[_Repeats]) -> float:
     """Return the standard deviation of one reading without its rounding, metres."""
-    count = [len(one.steps) for one in several]
+    count = [len(one.differences) for one in several]
     resolution = np.array([one.resolution for one in several])
-    total = [total_variance(np.mean(one.steps**2) / 2, one.resolution) for one in several]
+    total = [total_variance(np.mean(one.differences**2) / 2, one.resolution) for one in several]
     mean = float(np.average(total - resolution**2 / 12, weights=count))
     return float(np.sqrt(max(mean, 0.0)))
 
@@ -245,12 +253,12 @@ def _small_by_instrument(estimate: Estimate) -> Iterator[Note]:
     for table, several in groupby(noise_scales(estimate), key=lambda one: one.readings):
         setups = list(several)
         dials = bool(table.on_legs.all())
-        for noise in [together(setups)] if dials else setups:
+        for noise in [pool_noise_scales(setups)] if dials else setups:
             origin = _noise_origin(problem, noise)
-            limit = _SMALL_OF_DECLARED if origin else _SMALL
+            limit = _SMALL_RATIO_DECLARED if origin else _SMALL_RATIO
             # Dials with declared noise are tested by `_small_overall`.
             tested_overall = dials and problem.noise.source == "declared"
-            testable = noise.sigma >= _EXACT and noise.dof >= _FEWEST
+            testable = noise.sigma >= _COMPUTED_NOISE and noise.dof >= _MIN_DOF
             if not tested_overall and testable and noise.scale < limit:
                 yield Note(_small_sentence(noise, origin), "quiet")
 
@@ -260,10 +268,12 @@ def _small_overall(estimate: Estimate) -> Iterator[Note]:
     from scipy.special import chdtr
 
     problem, scores = estimate.problem, estimate.scores
-    all_declared = all(np.isfinite(f.readings.sigma).all() for f in problem.tool if problem.on_legs)
+    all_declared = all(
+        np.isfinite(f.readings.sigma).all() for f in problem.tool_factors if problem.leg_factors
+    )
     if problem.noise.source != "declared" or not all_declared or estimate.sigma_scale > 1:
         return
-    if chdtr(max(scores.dof, 1e-9), _HALF**2 * scores.chi2) < _CHANCE:
+    if chdtr(max(scores.dof, 1e-9), _ALLOWED_RATIO**2 * scores.chi2) < _CHANCE:
         times = np.sqrt(scores.dof / max(scores.chi2, 1e-300))
         yield Note(
             f"the readings scatter {compact(times, 2)} times less than the noise that was declared "
@@ -278,15 +288,22 @@ def _small_sentence(noise: NoiseScale, origin: str) -> str:
     """Return the sentence on readings with small residuals, and what to do about them."""
     table, setup = noise.readings, noise.setup
     unit, other = ("mrad", "degrees") if setup.observation.angular else ("mm", "inches")
-    times = 1 / max(noise.scale, 1 / _MOST)
-    count = f"more than {_MOST:.0f}" if times >= _MOST else compact(times, 2)
+    times = 1 / max(noise.scale, 1 / _MAX_REPORTED_RATIO)
+    count = (
+        f"more than {_MAX_REPORTED_RATIO:.0f}"
+        if times >= _MAX_REPORTED_RATIO
+        else compact(times, 2)
+    )
     where = source(table)
     if table.on_legs.all():
-        place = f"{_IN_FILE}[dial_mm]"
+        place = f"{_IN_MACHINE_FILE}[dial_mm]"
     elif table.by_point:
         place = " in a column sigma_mm"
     else:
-        where, place = f"{where}, setup {setup.name!r}", f"{_IN_FILE}[instrument.{setup.kind}]"
+        where, place = (
+            f"{where}, setup {setup.name!r}",
+            f"{_IN_MACHINE_FILE}[instrument.{setup.kind}]",
+        )
     return (
         f"{where}: the readings are {count} times quieter than the noise assumed of them "
         f"({compact(noise.sigma * 1e3, 2)} {unit}, {origin or 'the usual figure'}): are they in "
@@ -302,11 +319,11 @@ def _noise_origin(problem: Problem, noise: NoiseScale) -> str:
     if noise.readings.on_legs.all():
         if problem.noise.source == "repeats":
             return _FROM_REPEATS
-        return _FROM_FILE if spec.dial.repeatability else ""
+        return _FROM_MACHINE_FILE if spec.dial.repeatability else ""
     table, kind = noise.readings, noise.setup.kind
     of_kind = np.array([s.kind == kind for s in table.setups])[table.setup]
     declared = problem.noise.source == "declared" and not problem.campaigns
     if declared or np.isfinite(table.sigma[of_kind]).all():
         return _DECLARED
     instrument = spec.instruments.get(kind)
-    return _FROM_FILE if instrument is not None and instrument.repeatability else ""
+    return _FROM_MACHINE_FILE if instrument is not None and instrument.repeatability else ""

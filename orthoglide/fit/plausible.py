@@ -15,24 +15,24 @@ import numpy as np
 
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.factors import beliefs_of
+from orthoglide.fit.factors import machine_instrument_priors
 from orthoglide.fit.problem import Problem
-from orthoglide.fit.repeats import OFF_GRID, off_grid, on_grid
+from orthoglide.fit.repeats import GRID_TOLERANCE, off_grid, on_grid
 from orthoglide.fit.solving import solve
 from orthoglide.geometry import Array
-from orthoglide.instruments import Beliefs, Frame, Taken
+from orthoglide.instruments import Frame, InstrumentPriors, SetupReadings
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial
 from orthoglide.numerals import compact
 from orthoglide.observations import Readings, source
 from orthoglide.units import INCH
 
-_TOUCHES = 5  # of a plate: a plane goes through three
-_FLAT, _TOUCHED = 1e-3, 1e-4
+_MIN_TOUCHES = 5  # of a plate: a plane goes through three
+_PLATE_FLATNESS, _TOUCH_NOISE = 1e-3, 1e-4
 """Metres: a bed that somebody prints on is as flat, and touches are hardly better."""
 
-_WORSE = 10.0  # times by which touches are off as they are counted
-_FEWEST = 8  # different readings: by chance one in eight is on the grid
+_MIN_MISFIT_RATIO = 10.0  # times by which touches are off as they are counted
+_MIN_READINGS = 8  # different readings: by chance one in eight is on the grid
 
 
 def check_plausible(given: Sequence[Readings], machine: Machine, frame: Frame = "rigid") -> None:
@@ -46,22 +46,26 @@ def check_plausible(given: Sequence[Readings], machine: Machine, frame: Frame = 
     Raises:
         InputError: naming the file, the setup, what the readings seem to be and what to do.
     """
-    beliefs = beliefs_of(machine, frame)
+    beliefs = machine_instrument_priors(machine, frame)
     for readings in given:
         if readings.of_tool:
-            _check_counting(readings, machine)
-            _check_meant(readings, machine, beliefs)
+            _check_travel_sign(readings, machine)
+            _check_unit_and_frame(readings, machine, beliefs)
         else:
-            _check_units(readings, machine.spec.dial)
+            _check_dial_unit(readings, machine.spec.dial)
 
 
-def _check_units(campaign: Readings, dial: Dial) -> None:
+def _check_dial_unit(campaign: Readings, dial: Dial) -> None:
     """Refuse readings of which only the inches, or only the millimetres, are what a dial shows.
 
     A dial shows multiples of its step. Multiplied by 25.4 they hardly ever are any more.
     """
     shown, step = np.unique(campaign.reading), dial.resolution
-    if step <= 0 or len(shown) < _FEWEST or np.mean(off_grid(shown, step) < OFF_GRID) > 0.5:
+    if (
+        step <= 0
+        or len(shown) < _MIN_READINGS
+        or np.mean(off_grid(shown, step) < GRID_TOLERANCE) > 0.5
+    ):
         return
     for factor, meant, taken in ((1 / INCH, "millimetres", "inches"),
                                  (INCH, "inches", "millimetres")):  # fmt: skip
@@ -74,16 +78,16 @@ def _check_units(campaign: Readings, dial: Dial) -> None:
             )
 
 
-def _check_counting(readings: Readings, machine: Machine) -> None:
+def _check_travel_sign(readings: Readings, machine: Machine) -> None:
     """Refuse touches of a plate that lie in a plane only with travel counted the other way."""
     for k, setup in enumerate(readings.setups):
         rows = (readings.setup == k) & ~readings.paired
-        if not setup.observation.touches or rows.sum() < _TOUCHES:
+        if not setup.observation.touches or rows.sum() < _MIN_TOUCHES:
             continue
         own, zero = readings.subset(rows), machine.geometry.zero
-        now, other = (_off_plane(own, command, machine)
+        now, other = (_plane_residual(own, command, machine)
                       for command in (own.command, 2 * zero - own.command))  # fmt: skip
-        if other < _FLAT and now > _WORSE * max(other, _TOUCHED):
+        if other < _PLATE_FLATNESS and now > _MIN_MISFIT_RATIO * max(other, _TOUCH_NOISE):
             found = "those of no plane" if np.isfinite(now) else "out of the machine's reach"
             raise InputError(
                 f"{source(readings)}, setup {setup.name!r}: the heights are {found}; with travel "
@@ -92,7 +96,7 @@ def _check_counting(readings: Readings, machine: Machine) -> None:
             )
 
 
-def _off_plane(readings: Readings, command: Array, machine: Machine) -> float:
+def _plane_residual(readings: Readings, command: Array, machine: Machine) -> float:
     """Root mean square of touches about the plane through them, metres; infinite where the machine
     does not reach some.
     """
@@ -106,7 +110,7 @@ def _off_plane(readings: Readings, command: Array, machine: Machine) -> float:
     return float(np.sqrt(np.sum(rest**2) / max(len(rest) - 3, 1)))
 
 
-def _check_meant(readings: Readings, machine: Machine, beliefs: Beliefs) -> None:
+def _check_unit_and_frame(readings: Readings, machine: Machine, beliefs: InstrumentPriors) -> None:
     """Refuse setups whose readings fit only in another unit or another frame.
 
     A machine that its owner can run stands within millimetres of the nominal one. Readings that are
@@ -118,41 +122,45 @@ def _check_meant(readings: Readings, machine: Machine, beliefs: Beliefs) -> None
     for k, setup in enumerate(readings.setups):
         rows = readings.setup == k
         value = readings.sign[rows] * readings.reading[rows]
-        taken = Taken(p[rows], np.zeros_like(p[rows]), readings.axis[rows], value, value)
+        taken = SetupReadings(p[rows], np.zeros_like(p[rows]), readings.axis[rows], value, value)
         apart = np.linalg.norm(second[rows] - p[rows], axis=1)
-        if said := setup.observation.doubts(taken, apart, beliefs):
+        if said := setup.observation.find_unit_or_frame_error(taken, apart, beliefs):
             where = "" if readings.by_point else f", setup {setup.name!r}"
             raise InputError(f"{source(readings)}{where}: {said}")
 
 
 # After a fit ---------------------------------------------------------------------------------
 
-_FAR = 20.0
+_MIN_SIGMA_SCALE = 20.0
 """Times the noise by which an exchange is off, and more: a machine's own errors are rarely."""
 
-_BETTER = 10.0  # times nearer by which the readings must fit with the commands put right
-_ALIKE = 2.0  # times as far off as the best: one dial alone need not tell which exchange it was
+_MIN_IMPROVEMENT = 10.0  # times nearer by which the readings must fit with the commands put right
+_TIE_RATIO = 2.0  # times as far off as the best: one dial alone need not tell which exchange it was
 
 
-def check_columns(estimate: Estimate) -> None:
+def check_drive_order(estimate: Estimate) -> None:
     """Refuse campaigns whose readings fit only with the commands of drives exchanged.
 
     Raises:
         InputError: naming the files, and the drives.
     """
     problem, now = estimate.problem, estimate.sigma_scale
-    if now < _FAR or not problem.campaigns:
+    if now < _MIN_SIGMA_SCALE or not problem.campaigns:
         return
     names, several = problem.machine.geometry.leg_names, range(len(problem.campaigns))
     which = [tuple(several), *((k,) for k in several if len(several) > 1)]
     orders = [order for order in permutations(range(3)) if order != (0, 1, 2)]
-    tried = [(_off(problem, some, order), some, order) for some in which for order in orders]
+    tried = [
+        (_scale_with_exchanged_drives(problem, some, order), some, order)
+        for some in which
+        for order in orders
+    ]
     best, some, order = min(tried)
-    if best * _BETTER < now:
+    if best * _MIN_IMPROVEMENT < now:
         files = ", ".join(source(problem.campaigns[k]) for k in some)
         moved = [f"of drive {names[k]} under {names[order[k]]}" for k in range(3) if order[k] != k]
         told = f"with the commands {' and '.join(moved)}"
-        if sum(some == s and off < _ALIKE * best for off, s, _ in tried) > 1:
+        if sum(some == s and off < _TIE_RATIO * best for off, s, _ in tried) > 1:
             told = "with the commands in another order of drives, which they cannot tell"
         raise InputError(
             f"{files}: the readings fit {now / best:.0f} times better {told}: "
@@ -160,15 +168,17 @@ def check_columns(estimate: Estimate) -> None:
         )
 
 
-def _off(problem: Problem, some: tuple[int, ...], order: tuple[int, ...]) -> float:
+def _scale_with_exchanged_drives(
+    problem: Problem, some: tuple[int, ...], order: tuple[int, ...]
+) -> float:
     """Times the noise by which readings are off with some campaigns' drives exchanged."""
-    factors, at = list(problem.on_legs), list(order)
+    factors, at = list(problem.leg_factors), list(order)
     for k in some:
         c = factors[k].readings
         moves = replace(c.moves, command=c.moves.command[:, at])
         c = replace(c, command=c.command[:, at], approach=c.approach[:, at], moves=moves)
         factors[k] = factors[k].with_table(c)
     try:
-        return solve(problem.with_factors(factors), method="nested").sigma_scale
+        return solve(problem.with_leg_factors(factors), method="nested").sigma_scale
     except NumericsError:
         return np.inf

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.fit.factors import Block, Factor
+from orthoglide.fit.factors import Factor, NuisanceBlock
 from orthoglide.fit.noise import Noise, NoiseSource
-from orthoglide.fit.unknown import Unknown, rows_about, weight_matrix
+from orthoglide.fit.unknowns import Unknown, posterior_rows, weight_matrix
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -22,7 +22,7 @@ from orthoglide.numerals import ByUnit
 from orthoglide.observations import Readings, Setup
 from orthoglide.parameters import Parameter
 
-FAR = 3.0
+MAX_TOLERANCES = 3.0
 """Tolerances from which a parameter is called far off, as the definition of *adequate* has it: one
 parameter in 370 of a machine as it is expected to be."""
 
@@ -43,53 +43,53 @@ class Problem:
     held: tuple[Mapping[str, float], ...]  # for each factor, parameters that are not free, SI
     # what has a value of its own in each campaign, free or not yet: effects and parameters; with
     # `@` and a file's stem, from that campaign on
-    own: tuple[str, ...] = ()
-    earlier: Posterior | None = None  # what an earlier calibration says
+    per_campaign: tuple[str, ...] = ()
+    earlier_posterior: Posterior | None = None  # what an earlier calibration says
     # rows and target `|W x - t|^2` in place of the tolerances and what was earlier
-    prior: tuple[Array, Array] | None = None
+    prior_override: tuple[Array, Array] | None = None
     # rows by what stands out and has no parameters: free functions, as nuisances
-    curves: Block | None = None
+    free_form_errors: NuisanceBlock | None = None
 
     @cached_property
-    def on_legs(self) -> tuple[Factor, ...]:
+    def leg_factors(self) -> tuple[Factor, ...]:
         """Readings of legs, which come first."""
         return tuple(f for f in self.factors if f.on_legs)
 
     @property
-    def tool(self) -> tuple[Factor, ...]:
+    def tool_factors(self) -> tuple[Factor, ...]:
         """Readings of the tool."""
-        return self.factors[len(self.on_legs) :]
+        return self.factors[len(self.leg_factors) :]
 
     @property
     def campaigns(self) -> tuple[Readings, ...]:
         """Tables of the readings of legs."""
-        return tuple(f.readings for f in self.on_legs)
+        return tuple(f.readings for f in self.leg_factors)
 
     @property
-    def calibrated(self) -> bool:
+    def has_earlier_calibration(self) -> bool:
         """Whether an earlier calibration is known, from which the machine may have changed."""
-        return self.earlier is not None and not self.machine.spec.is_measured
+        return self.earlier_posterior is not None and not self.machine.spec.is_measured
 
     @property
-    def legs_alone(self) -> bool:
+    def legs_only(self) -> bool:
         """Whether all readings are taken on legs."""
-        return not self.tool
+        return not self.tool_factors
 
-    def with_factors(self, on_legs: Sequence[Factor]) -> Problem:
+    def with_leg_factors(self, on_legs: Sequence[Factor]) -> Problem:
         """Return the same problem with other readings of legs, as many tables."""
-        return replace(self, factors=(*on_legs, *self.tool))
+        return replace(self, factors=(*on_legs, *self.tool_factors))
 
-    def padded(self, x: Array) -> Array:
+    def zero_padded(self, x: Array) -> Array:
         """Unknowns ``x`` of a problem that this one extends, its further ones at nothing behind."""
         return np.pad(x, (0, len(self.unknowns) - len(x)))
 
     @property
-    def mounted(self) -> Iterator[tuple[int, Factor, int, Setup]]:
+    def tool_setups(self) -> Iterator[tuple[int, Factor, int, Setup]]:
         """Setups of the tool's instruments: place of the factor, itself, number of the setup in it,
         and the setup.
         """
-        first = len(self.on_legs)
-        for k, factor in enumerate(self.tool, first):
+        first = len(self.leg_factors)
+        for k, factor in enumerate(self.tool_factors, first):
             for number, setup in enumerate(factor.readings.setups):
                 yield k, factor, number, setup
 
@@ -105,9 +105,9 @@ class Problem:
         return tuple(slice(first, end) for first, end in pairwise(ends))
 
     @property
-    def rows(self) -> tuple[slice, ...]:
+    def leg_rows(self) -> tuple[slice, ...]:
         """Place of the readings of legs among the stacked rows, table by table."""
-        return self.factor_rows[: len(self.on_legs)]
+        return self.factor_rows[: len(self.leg_factors)]
 
     @cached_property
     def measured(self) -> Array:
@@ -115,7 +115,7 @@ class Problem:
         return np.concatenate([f.measured for f in self.factors])
 
     @cached_property
-    def turned(self) -> NDArray[np.bool_]:
+    def angular(self) -> NDArray[np.bool_]:
         """Which rows are inclinations, radians ``(n,)``; all others are lengths, metres."""
         return np.concatenate([f.readings.angular for f in self.factors])
 
@@ -137,32 +137,32 @@ class Problem:
     @property
     def one_reading(self) -> ByUnit:
         """Standard deviation of a single reading: of a length, and of an inclination."""
-        length = float("nan") if self.turned.all() else self.noise.typical
-        turns = np.hypot(self.sigma, self.common)[self.turned]
+        length = float("nan") if self.angular.all() else self.noise.typical
+        turns = np.hypot(self.sigma, self.common)[self.angular]
         return ByUnit(length, float(np.sqrt(np.mean(turns**2))) if len(turns) else float("nan"))
 
     @property
-    def told_noise(self) -> float:
+    def declared_noise(self) -> float:
         """Declared standard deviation of a length without rounding, else that of one reading."""
         declared = self.noise.declared
         return declared if np.isfinite(declared) else self.one_reading.length
 
     @cached_property
-    def noises(self) -> dict[str, tuple[float, NoiseSource]]:
+    def noise_by_instrument(self) -> dict[str, tuple[float, NoiseSource]]:
         """By instrument, ``leg``, ``tcp``, ``plate`` ... or ``points``, in the order they were
         given: standard deviation of one reading, metres or radians, root mean square, and its
         source.
         """
         found: dict[str, tuple[float, NoiseSource]] = {}
-        for kind in dict.fromkeys(k for f in self.on_legs for k in f.readings.kind):
+        for kind in dict.fromkeys(k for f in self.leg_factors for k in f.readings.kind):
             level = self.noise.levels.get(kind) if found else None
             found[kind] = (
                 (self.noise.typical, self.noise.source)
                 if level is None
                 else (level.total, level.source)
             )
-        told = self.noise.source == "declared" and not self.on_legs
-        rated = [one for factor in self.tool for one in factor.noise_by_kind()]
+        told = self.noise.source == "declared" and not self.leg_factors
+        rated = [one for factor in self.tool_factors for one in factor.noise_by_kind()]
         for kind in dict.fromkeys(kind for kind, _, _ in rated):
             sigma = np.concatenate([own for k, own, _ in rated if k == kind])
             sources = [source for k, _, source in rated if k == kind]
@@ -178,17 +178,17 @@ class Problem:
         """Where the noise comes from: that of the dials, where there are any, else of the first
         instrument.
         """
-        return next(iter(self.noises.values()))[1]
+        return next(iter(self.noise_by_instrument.values()))[1]
 
     @property
-    def repeated(self) -> tuple[tuple[int, int], ...]:
+    def repeat_dof(self) -> tuple[tuple[int, int], ...]:
         """Readings of the tool whose noise is from repeats, by instrument, and the degrees of
         freedom behind each.
         """
-        return tuple(one for factor in self.tool for one in factor.repeated)
+        return tuple(one for factor in self.tool_factors for one in factor.repeat_dof)
 
     @cached_property
-    def repeats(self) -> int:
+    def repeat_count(self) -> int:
         """Number of readings beyond the first of each station, which show the noise alone."""
         weighted = np.concatenate([f.noise.weighted for f in self.factors])
         return int(weighted.sum()) - len(np.unique(self.station[weighted]))
@@ -198,8 +198,8 @@ class Problem:
         """Degrees of freedom behind the noise of all readings together: each instrument's by its
         share of them (Satterthwaite); infinite where none has it from repeats.
         """
-        legs = sum(len(f.measured) for f in self.on_legs)
-        each = ((legs, self.noise.dof), *self.repeated)
+        legs = sum(len(f.measured) for f in self.leg_factors)
+        each = ((legs, self.noise.dof), *self.repeat_dof)
         unsure = sum((n / len(self.measured)) ** 2 / dof for n, dof in each)
         return 1 / unsure if unsure > 0 else float("inf")
 
@@ -216,14 +216,14 @@ class Problem:
     @property
     def prior_sd(self) -> Array:
         """Prior standard deviations ``(P,)``, SI; infinite where tolerances do not act."""
-        width = np.array([u.width if self.priors else np.inf for u in self.unknowns])
+        width = np.array([u.prior_width if self.priors else np.inf for u in self.unknowns])
         return np.asarray(self.tolerance * width)
 
-    def far(self, x: Array) -> NDArray[np.bool_]:
+    def is_implausible(self, x: Array) -> NDArray[np.bool_]:
         """Return which unknowns ``x`` ``(P,)`` are implausible by their tolerances."""
-        return np.asarray(np.abs(self.past_entered(x)) > FAR * self.tolerance)
+        return np.asarray(np.abs(self.without_entered_mean(x)) > MAX_TOLERANCES * self.tolerance)
 
-    def past_entered(self, x: Array) -> Array:
+    def without_entered_mean(self, x: Array) -> Array:
         """Return the unknowns ``x`` ``(P,)`` past what parts of one set have in common, where an
         owner entered that: it is weighed among the causes, and no tolerance of a part.
         """
@@ -237,12 +237,12 @@ class Problem:
     @cached_property
     def prior_rows(self) -> tuple[Array, Array]:
         """The prior ``|W x - t|^2``: matrix ``(k, P)`` and target ``(k,)``."""
-        if self.prior is not None:
-            return self.prior
+        if self.prior_override is not None:
+            return self.prior_override
         tolerances = np.diag(1 / self.prior_sd)
-        if self.earlier is None:
+        if self.earlier_posterior is None:
             return tolerances, np.zeros(len(tolerances))
-        matrix, target, spoken = rows_about(self.earlier, self.unknowns)
+        matrix, target, spoken = posterior_rows(self.earlier_posterior, self.unknowns)
         rest = tolerances[~spoken]
         return np.vstack([rest, matrix]), np.concatenate([np.zeros(len(rest)), target])
 
@@ -260,30 +260,30 @@ class Problem:
         """Return which unknowns ``x`` ``(P,)`` are on their bounds."""
         return np.asarray(np.abs(x) >= self.bound * (1 - 1e-6))
 
-    def elementary(self, factor: int) -> tuple[tuple[str, ...], Array]:
+    def elementary_parameters(self, factor: int) -> tuple[tuple[str, ...], Array]:
         """Parameters that the unknowns set for a factor, and the matrix ``(E, P)`` to them."""
-        parts = [u.parts[factor] for u in self.unknowns]
+        parts = [u.weights[factor] for u in self.unknowns]
         names = tuple(dict.fromkeys(n for weights in parts for n in weights))
         return names, weight_matrix(names, parts)
 
-    def of_machine(self, factor: int) -> tuple[tuple[str, ...], Array]:
+    def machine_parameters(self, factor: int) -> tuple[tuple[str, ...], Array]:
         """Return the machine parameters that the unknowns set, and the matrix ``(E, P)``."""
-        names, matrix = self.elementary(factor)
+        names, matrix = self.elementary_parameters(factor)
         kept = [k for k, n in enumerate(names) if not self.machine.catalogue.effect_of(n).of_dial]
         return tuple(names[k] for k in kept), matrix[kept]
 
     def values(self, factor: int, x: Array) -> dict[str, float]:
         """Return all parameters of a factor's machine and dials at unknowns ``x`` ``(P,)``, SI."""
-        names, matrix = self.elementary(factor)
+        names, matrix = self.elementary_parameters(factor)
         found = dict(self.held[factor])
         for name, value in zip(names, matrix @ x, strict=True):
             found[name] = found.get(name, 0.0) + float(value)
         return found
 
     @property
-    def last(self) -> int:
+    def last_factor(self) -> int:
         """The factor whose machine is the one as it is now: the last campaign, or the last file."""
-        return (len(self.on_legs) or len(self.factors)) - 1
+        return (len(self.leg_factors) or len(self.factors)) - 1
 
     @cached_property
     def setup_of_row(self) -> NDArray[np.int64]:
@@ -304,19 +304,19 @@ class Problem:
         """Numbers of the mountings on legs, which come first."""
         return range(sum(len(c.setups) for c in self.campaigns))
 
-    def of_dials(self, column: str) -> NDArray[Any]:
+    def dial_column(self, column: str) -> NDArray[Any]:
         """A column of all readings of dials, such as ``command``, stacked ``(n, ...)``."""
         return np.concatenate([getattr(c, column) for c in self.campaigns])
 
     @cached_property
     def station(self) -> NDArray[np.int64]:
         """Station of each row ``(n,)``: visits that differ in nothing share one."""
-        return _behind([f.station for f in self.factors])
+        return _consecutive_numbers([f.station for f in self.factors])
 
     @cached_property
-    def place(self) -> NDArray[np.int64]:
+    def place_number(self) -> NDArray[np.int64]:
         """Place of each row ``(n,)``: one for each setup and command, whatever the approach."""
-        return _behind([f.place_number for f in self.factors])
+        return _consecutive_numbers([f.place_number for f in self.factors])
 
     @property
     def elastic(self) -> bool:
@@ -325,30 +325,35 @@ class Problem:
         return any(model.is_elastic(factor.conditions()) for factor in self.factors)
 
     @cached_property
-    def representable(self) -> bool:
+    def reduction_applies(self) -> bool:
         """Whether the six parameters of the reduction cover all unknowns and held values."""
         plain = all(s.observation.dials == 1 for s in self.setups)
-        if not plain or self.earlier is not None or self.machine.spec.urdf or self.elastic:
+        if (
+            not plain
+            or self.earlier_posterior is not None
+            or self.machine.spec.urdf
+            or self.elastic
+        ):
             return False
-        named = [n for k in range(len(self.factors)) for n in self.elementary(k)[0]]
+        named = [n for k in range(len(self.factors)) for n in self.elementary_parameters(k)[0]]
         held = [n for values in self.held for n, v in values.items() if v]
         catalogue = self.machine.catalogue
         return all(catalogue.effect_of(n).name in catalogue.base for n in [*named, *held])
 
-    def at_tolerance(self) -> Problem:
+    def with_prior_widths_reset(self) -> Problem:
         """Return this problem with the width of every prior reset to its tolerance."""
-        narrow = tuple(replace(u, width=1.0) for u in self.unknowns)
+        narrow = tuple(replace(u, prior_width=1.0) for u in self.unknowns)
         return self if narrow == self.unknowns else replace(self, unknowns=narrow)
 
     def with_readings(self, readings: Array) -> Problem:
         """Return the same problem for other readings of legs, the first rows of those given
         ``(n,)``, metres; those of the tool stay.
         """
-        each = zip(self.on_legs, self.rows, strict=True)
-        return self.with_factors([f.with_readings(readings[rows]) for f, rows in each])
+        each = zip(self.leg_factors, self.leg_rows, strict=True)
+        return self.with_leg_factors([f.with_readings(readings[rows]) for f, rows in each])
 
 
-def _behind(numbers: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+def _consecutive_numbers(numbers: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
     """Return numbers of several tables, each behind those of the one before."""
     ends = np.cumsum([0, *(int(number.max(initial=-1)) + 1 for number in numbers)])
     return np.concatenate([n + first for n, first in zip(numbers, ends, strict=False)])

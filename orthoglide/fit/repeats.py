@@ -11,19 +11,21 @@ from orthoglide.geometry import Array
 from orthoglide.observations import Readings
 from orthoglide.observations.repetition import repeat_steps
 
-OFF_GRID = 0.06
+GRID_TOLERANCE = 0.06
 """Steps by which six decimals of a millimetre, in metres or inches, miss a multiple of a dial's."""
 
-_STEPS = 2.0  # scatter, in steps of a dial, from which its rounding is spread out evenly
-_GRIDS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6, 1e-6)  # steps of instruments
-_INCHES = (25.4e-6, 12.7e-6)  # a thousandth and half of it: steps of dials
-_EXACT = 1e-3  # of a step, by which a figure that is printed in it may be off
+_MAX_SCATTER_STEPS = (
+    2.0  # scatter, in steps of a dial, from which its rounding is spread out evenly
+)
+_METRIC_STEPS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6, 1e-6)  # steps of instruments
+_INCH_STEPS = (25.4e-6, 12.7e-6)  # a thousandth and half of it: steps of dials
+_DISPLAY_TOLERANCE = 1e-3  # of a step, by which a figure that is printed in it may be off
 _CHANCE = 1e-3  # of readings that all fall on a coarser step than their dial has
-_FEWEST_ON_GRID = 8  # readings: of a finer grid one in two or more is on the next by chance
-FEWEST_REPEATS = 6  # degrees of freedom below which repeats say too little of the noise
+_MIN_READINGS_ON_GRID = 8  # readings: of a finer grid one in two or more is on the next by chance
+MIN_REPEAT_DOF = 6  # degrees of freedom below which repeats say too little of the noise
 
 
-def finest_of(
+def readings_of_finest_step(
     campaigns: Sequence[Readings], step: Sequence[Array]
 ) -> tuple[Sequence[Readings], float]:
     """Readings of the dials of the smallest step, which show best what readings scatter by, and
@@ -52,15 +54,20 @@ def dial_steps(campaign: Readings, resolution: float) -> Array:
     found = np.full(len(campaign), resolution)
     if resolution <= 0:
         return found
-    apart = [_off_datum(campaign.reading[campaign.setup == k]) for k in range(len(campaign.setups))]
-    whole = _coarser(np.concatenate(apart), resolution)
+    apart = [
+        _datum_differences(campaign.reading[campaign.setup == k])
+        for k in range(len(campaign.setups))
+    ]
+    whole = _coarser_step(np.concatenate(apart), resolution)
     for k, readings in enumerate(apart):
-        rows, larger = campaign.setup == k, _coarser(readings, whole)
-        found[rows] = larger if _is_coarse(campaign, rows, whole, larger) else whole
+        rows, larger = campaign.setup == k, _coarser_step(readings, whole)
+        found[rows] = larger if _has_coarser_dial(campaign, rows, whole, larger) else whole
     return found
 
 
-def _is_coarse(campaign: Readings, rows: NDArray[np.bool_], step: float, larger: float) -> bool:
+def _has_coarser_dial(
+    campaign: Readings, rows: NDArray[np.bool_], step: float, larger: float
+) -> bool:
     """Whether repeats in some rows ``(n,)`` scatter less, in steps, than the rest does in its own:
     else these are readings of the same dial in a smaller unit.
     """
@@ -69,17 +76,17 @@ def _is_coarse(campaign: Readings, rows: NDArray[np.bool_], step: float, larger:
     own, dof = repeat_variance([campaign.subset(rows)])
     rest, _ = repeat_variance([campaign.subset(~rows)])
     less = own / larger**2 < rest / step**2 * np.sqrt(step / larger)
-    return bool(less and dof >= FEWEST_REPEATS)
+    return bool(less and dof >= MIN_REPEAT_DOF)
 
 
-def _off_datum(readings: Array) -> Array:
+def _datum_differences(readings: Array) -> Array:
     """Different readings of a setup less the first of them, metres; itself left out."""
     read = readings[np.isfinite(readings)]
     apart = np.unique(np.round(read - read[:1], 9))
     return np.asarray(apart[apart != 0])
 
 
-def _coarser(apart: Array, step: float) -> float:
+def _coarser_step(apart: Array, step: float) -> float:
     """The largest step that different readings are multiples of; a smaller one where that may be
     by chance, which is of k readings ``(smaller / larger)^k``.
 
@@ -87,9 +94,13 @@ def _coarser(apart: Array, step: float) -> float:
         apart: readings off their datum, all different in a setup ``(k,)``, metres.
         step: that the dial has, metres.
     """
-    for larger in sorted((*_GRIDS, *_INCHES)):
+    for larger in sorted((*_METRIC_STEPS, *_INCH_STEPS)):
         few = larger <= step or (step / larger) ** len(apart) >= _CHANCE
-        if not few and np.abs(apart).min() > larger / 2 and on_grid(apart, larger, _EXACT):
+        if (
+            not few
+            and np.abs(apart).min() > larger / 2
+            and on_grid(apart, larger, _DISPLAY_TOLERANCE)
+        ):
             step = larger
     return step
 
@@ -99,17 +110,17 @@ def off_grid(readings: Array, step: float | Array) -> Array:
     return np.abs(readings / step - np.round(readings / step))
 
 
-def on_grid(readings: Array, step: float | Array, miss: float = OFF_GRID) -> bool:
+def on_grid(readings: Array, step: float | Array, miss: float = GRID_TOLERANCE) -> bool:
     """Return whether readings ``(n,)`` are multiples of the step within ``miss`` steps."""
     return bool((off_grid(readings, step) < miss).all())
 
 
-def shown_step(readings: Array) -> float:
+def apparent_step(readings: Array) -> float:
     """The step that readings ``(n,)`` are multiples of, metres or radians; 0 where there is none,
     or they are too few to tell.
     """
-    for step in _GRIDS if len(readings) >= _FEWEST_ON_GRID else ():
-        if on_grid(readings, step, _EXACT) and np.ptp(readings) > step / 2:
+    for step in _METRIC_STEPS if len(readings) >= _MIN_READINGS_ON_GRID else ():
+        if on_grid(readings, step, _DISPLAY_TOLERANCE) and np.ptp(readings) > step / 2:
             return step
     return 0.0
 
@@ -147,7 +158,7 @@ def total_variance(within: ArrayLike, resolution: float) -> Array:
     """
     if resolution <= 0:
         return np.asarray(within, dtype=float)
-    scatter = np.concatenate([[0.0], np.geomspace(1e-3, _STEPS, 400)])
+    scatter = np.concatenate([[0.0], np.geomspace(1e-3, _MAX_SCATTER_STEPS, 400)])
     total = (scatter**2 + 1 / 12) * resolution**2
     shown = np.maximum.accumulate(total - common_rounding(np.sqrt(total), resolution) ** 2)
     seen = np.asarray(within, dtype=float)

@@ -8,7 +8,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.fit.least_squares import Linearised, Normal, Nuisances, fitted_basis, normal, past
+from orthoglide.fit.least_squares import (
+    Linearised,
+    NormalEquations,
+    Nuisances,
+    fitted_basis,
+    normal_equations,
+    project_out,
+)
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
 from orthoglide.numerals import ByUnit
@@ -17,7 +24,7 @@ from orthoglide.result.fits import Scores
 LACK_OF_FIT = 0.01
 """Significance level of the lack-of-fit test that widens the standard deviations."""
 
-_SPREAD = 2.0  # degrees of freedom below which stations have no standard error
+_MIN_DOF = 2.0  # degrees of freedom below which stations have no standard error
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -29,19 +36,19 @@ class FittedRows:
     predicted: Array  # nuisances included (n,), metres or radians
     leverage: Array  # share of each reading in its own prediction (n,)
     residual_left_out: Array  # of readings whose station is left out (n,); nan where none predicts
-    station_shares: Array  # eigenvalues of the hat matrix of the station means (r,)
+    station_hat_eigenvalues: Array  # eigenvalues of the hat matrix of the station means (r,)
 
     @classmethod
-    def of(cls, problem: Problem, nuisance: Nuisances, at: Linearised) -> FittedRows:
+    def from_fit(cls, problem: Problem, nuisance: Nuisances, at: Linearised) -> FittedRows:
         """Return the rows of a fit, by the linearisation there."""
-        predicted = at.value + nuisance.fitted(problem.measured - at.value)
+        predicted = at.value + nuisance.explained_residual(problem.measured - at.value)
         basis = fitted_basis(problem, nuisance, at)
         fitted = basis[: len(predicted)]
         # Fitted columns may vary within a station: only what they do to its mean counts.
-        means = nuisance.weighing.along(fitted)
+        means = nuisance.weighing.station_components(fitted)
         return cls(
             problem, nuisance, predicted, np.einsum("nr,nr->n", fitted, fitted),
-            _left_out(problem, nuisance, fitted, _at_optimum(problem, nuisance, at, basis)),
+            _left_out_residuals(problem, nuisance, fitted, _residuals_at_optimum(problem, nuisance, at, basis)),
             np.asarray(np.linalg.eigvalsh(means.T @ means), dtype=np.float64),
         )  # fmt: skip
 
@@ -50,7 +57,7 @@ class FittedRows:
         """Readings less predicted ``(n,)``, metres or radians."""
         return self.problem.measured - self.predicted
 
-    def lack_of_fit(self, here: Normal) -> float:
+    def lack_of_fit(self, here: NormalEquations) -> float:
         """Probability of a chi2 this large were the model complete; nan without degrees of freedom.
 
         Two tests are made, of all readings and of the station means, which show better what comes
@@ -59,22 +66,27 @@ class FittedRows:
         test), or if visits share a rounding error, as single readings are then not normal.
         """
         problem, weighing = self.problem, self.nuisance.weighing
-        known, rows, stations = problem.noise_dof, len(problem.measured), len(weighing.first)
-        rest = weighing.along(weighing.whiten(self.residual))
-        means = tail(float(rest @ rest), stations, self.station_shares, known)
+        known, rows, stations = problem.noise_dof, len(problem.measured), len(weighing.first_rows)
+        rest = weighing.station_components(weighing.whiten(self.residual))
+        means = chi2_p_value(float(rest @ rest), stations, self.station_hat_eigenvalues, known)
         if rows == stations or np.isfinite(known) or problem.common.any():
             return means
-        return smaller(means, tail(here.chi2, rows - self.nuisance.free, here.shares))
+        return smaller_p_value(
+            means,
+            chi2_p_value(here.chi2, rows - self.nuisance.unconstrained_count, here.hat_eigenvalues),
+        )
 
 
 def score(rows: FittedRows, at: Linearised) -> Scores:
     """Score a fit, by the linearisation there."""
     problem, residual = rows.problem, rows.residual
-    here = normal(problem, at, rows.nuisance)
+    here = normal_equations(problem, at, rows.nuisance)
     # The trace of the hat matrix is how many unknowns the data determine.
-    dof = max(len(residual) - rows.nuisance.free - float(np.sum(here.shares)), 0.0)
+    dof = max(
+        len(residual) - rows.nuisance.unconstrained_count - float(np.sum(here.hat_eigenvalues)), 0.0
+    )
     dof = round(dof, 6)  # what is left behind is rounding
-    turned, largest = problem.turned, np.abs(residual)
+    turned, largest = problem.angular, np.abs(residual)
     left = rms_by_unit(residual, turned)
     left_out = rms_by_unit(rows.residual_left_out, turned)
     return Scores(
@@ -92,7 +104,7 @@ def score(rows: FittedRows, at: Linearised) -> Scores:
     )
 
 
-def improvement(before: FittedRows, after: FittedRows) -> tuple[float, float]:
+def cross_validation_improvement(before: FittedRows, after: FittedRows) -> tuple[float, float]:
     """Return by how much the squared residuals of stations that are left out fall from one fit to
     another of the same readings, in variances of a reading: the mean over the stations, and its
     standard error, infinite where the first fit leaves less than two degrees of freedom.
@@ -103,11 +115,13 @@ def improvement(before: FittedRows, after: FittedRows) -> tuple[float, float]:
     known = np.isfinite(fall)
     if not known.any():
         return float("nan"), float("nan")
-    _, station = np.unique(problem.place[known], return_inverse=True)
+    _, station = np.unique(problem.place_number[known], return_inverse=True)
     mean = np.bincount(station, fall[known]) / np.bincount(station)
     # With one degree of freedom the residuals of all stations are one number.
-    independent = len(before.nuisance.weighing.first) - float(np.sum(before.station_shares))
-    error = float(np.std(mean, ddof=1)) if independent >= _SPREAD else float("inf")
+    independent = len(before.nuisance.weighing.first_rows) - float(
+        np.sum(before.station_hat_eigenvalues)
+    )
+    error = float(np.std(mean, ddof=1)) if independent >= _MIN_DOF else float("inf")
     return float(mean.mean()), error / np.sqrt(len(mean))
 
 
@@ -123,7 +137,7 @@ def rms_by_unit(rows: Array, turned: NDArray[np.bool_]) -> ByUnit:
     return ByUnit(*(float(np.sqrt(np.mean(p**2))) if len(p) else float("nan") for p in parts))
 
 
-def smaller(one: float, other: float) -> float:
+def smaller_p_value(one: float, other: float) -> float:
     """Probability 1 - (1 - p)^2 that the smaller of two p-values is no larger than it is (Sidak
     1967); p itself where the other is nan.
     """
@@ -131,7 +145,7 @@ def smaller(one: float, other: float) -> float:
     return p if np.isnan([one, other]).any() else p * (2 - p)  # exact where p is tiny
 
 
-def tail(chi2: float, count: int, shares: Array, known: float = np.inf) -> float:
+def chi2_p_value(chi2: float, count: int, shares: Array, known: float = np.inf) -> float:
     """Probability of a chi2 this large of ``count`` rows, of which unknowns took their shares.
 
     What a prior holds back is left in part: with the eigenvalues h of the hat matrix chi2 is a sum
@@ -154,13 +168,13 @@ def deviation_rms(problem: Problem, residual: Array) -> float:
 
     Readings without a datum are compared with zero.
     """
-    dials = slice(0, problem.rows[-1].stop) if problem.rows else slice(0, 0)
-    place, setup = problem.place[dials], problem.setup_of_row[dials]
+    dials = slice(0, problem.leg_rows[-1].stop) if problem.leg_rows else slice(0, 0)
+    place, setup = problem.place_number[dials], problem.setup_of_row[dials]
     if not len(place):
         return float("nan")
     count = np.bincount(place)
     average = np.bincount(place, residual[dials]) / count
-    row = np.lexsort((problem.of_dials("order"), setup))
+    row = np.lexsort((problem.dial_column("order"), setup))
     present, index = np.unique(setup[row], return_index=True)  # a setup may have lost all rows
     first = place[row[index]]  # of each setup
     home = np.zeros(len(count), dtype=np.int64)
@@ -171,7 +185,9 @@ def deviation_rms(problem: Problem, residual: Array) -> float:
     return float(np.sqrt(np.mean(apart**2))) if len(apart) else float("nan")
 
 
-def _at_optimum(problem: Problem, nuisance: Nuisances, at: Linearised, basis: Array) -> Array:
+def _residuals_at_optimum(
+    problem: Problem, nuisance: Nuisances, at: Linearised, basis: Array
+) -> Array:
     """Return the whitened residuals ``(n,)`` at the optimum of the linear problem.
 
     A posterior averaged over several priors is not at the optimum of their average. Its own
@@ -182,10 +198,12 @@ def _at_optimum(problem: Problem, nuisance: Nuisances, at: Linearised, basis: Ar
     count = len(problem.measured)
     rest[:count] = nuisance.weighing.whiten(problem.measured - at.value)
     rest[count:][: len(target)] = target - matrix @ at.x
-    return past(basis, rest)[:count]
+    return project_out(basis, rest)[:count]
 
 
-def _left_out(problem: Problem, nuisance: Nuisances, fitted: Array, whitened: Array) -> Array:
+def _left_out_residuals(
+    problem: Problem, nuisance: Nuisances, fitted: Array, whitened: Array
+) -> Array:
     """Residuals ``(n,)`` of readings predicted with every visit to their station left out; nan
     where nothing predicts them.
 
@@ -198,7 +216,7 @@ def _left_out(problem: Problem, nuisance: Nuisances, fitted: Array, whitened: Ar
         fitted: orthonormal columns of everything fitted, the rows of the readings ``(n, r)``.
         whitened: residuals at the optimum ``(n,)``, in sigmas.
     """
-    station = problem.place
+    station = problem.place_number
     left_out = np.full(len(whitened), np.nan)
     order, size = np.argsort(station, kind="stable"), np.bincount(station)
     first = np.cumsum(size) - size

@@ -13,13 +13,13 @@ from orthoglide.fit.crosscheck import CrossCheck, cross_check, reduction_fit
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.least_squares import (
     Linearised,
-    Normal,
+    NormalEquations,
     Nuisances,
-    about_machine,
     covariance,
     linearise,
-    normal,
+    normal_equations,
     nuisances,
+    update_instrument_poses,
     weak_directions,
 )
 from orthoglide.fit.nested import solve_nested
@@ -39,11 +39,16 @@ NLP_POSTURES = 200
 NLP_UNKNOWNS = 30
 """Up to this many unknowns: the time to build its exact Hessian grows with their square."""
 
-_OPTIMAL = 1e-4  # sigmas that a Newton step may still make where a solver says it is done
+_OPTIMALITY_TOLERANCE = (
+    1e-4  # sigmas that a Newton step may still make where a solver says it is done
+)
 
-_ROUNDS = 3  # of a fit about the instruments as the last one has them
-_WORTH = 0.5  # share of chi2 that a round may leave for another to be worth its time
-_WIDENINGS, _WIDER = 8, 1.2  # rounds, and the growth of a value that asks for one more
+_PLACEMENT_ROUNDS = 3  # of a fit about the instruments as the last one has them
+_MAX_CHI2_RATIO = 0.5  # share of chi2 that a round may leave for another to be worth its time
+_WIDENING_ROUNDS, _WIDENING_RATIO = (
+    8,
+    1.2,
+)  # rounds, and the growth of a value that asks for one more
 
 
 def solve(
@@ -57,54 +62,54 @@ def solve(
     value was bent by what the model lacks, and the tolerances hold. So they do with
     ``widen=False``, where readings are still in doubt themselves.
     """
-    first = _fitted(problem, method, start)
-    wide = widened(first, method) if widen else first
+    first = _fit_and_place(problem, method, start)
+    wide = widen_priors(first, method) if widen else first
     return wide if wide.sigma_scale == 1.0 else first
 
 
-def _fitted(problem: Problem, method: Method, start: Array | None) -> Estimate:
+def _fit_and_place(problem: Problem, method: Method, start: Array | None) -> Estimate:
     """A fit, and again with instruments' frames brought to the machine found.
 
     Their turns are fitted linearly, and the squares of some milliradians are more than such
     instruments' noise.
     """
     found = _solve(problem, method, start)
-    for _ in range(_ROUNDS):
-        near = about_machine(found.problem, found.at)
+    for _ in range(_PLACEMENT_ROUNDS):
+        near = update_instrument_poses(found.problem, found.at)
         if near is found.problem:
             break
         last, found = found, _solve(near, method, found.x)
-        if found.scores.chi2 > _WORTH * last.scores.chi2:
+        if found.scores.chi2 > _MAX_CHI2_RATIO * last.scores.chi2:
             break  # not the instruments' place is what these readings have wrong, if anything
     return found
 
 
-def widened(found: Estimate, method: Method = "auto") -> Estimate:
+def widen_priors(found: Estimate, method: Method = "auto") -> Estimate:
     """A fit again with the priors of values beyond their tolerances as wide as these are far; the
     same where none is, or where there are no priors.
 
     From a fit so near a few Gauss-Newton steps take less than a programme takes to be built.
     """
     method = "nested" if method == "auto" else method
-    for _ in range(_WIDENINGS if found.problem.priors else 0):
+    for _ in range(_WIDENING_ROUNDS if found.problem.priors else 0):
         problem = found.problem
-        width = np.array([u.width for u in problem.unknowns])
-        size = np.abs(problem.past_entered(found.x)) / problem.tolerance
-        wider = problem.far(found.x) & (size > _WIDER * width)
+        width = np.array([u.prior_width for u in problem.unknowns])
+        size = np.abs(problem.without_entered_mean(found.x)) / problem.tolerance
+        wider = problem.is_implausible(found.x) & (size > _WIDENING_RATIO * width)
         if not wider.any():
             break
         unknowns = [
-            replace(u, width=float(w)) if more else u
+            replace(u, prior_width=float(w)) if more else u
             for u, w, more in zip(problem.unknowns, size, wider, strict=True)
         ]
         try:
-            found = _fitted(replace(problem, unknowns=tuple(unknowns)), method, found.x)
+            found = _fit_and_place(replace(problem, unknowns=tuple(unknowns)), method, found.x)
         except NumericsError:
             break
     return found
 
 
-def tempered(found: Estimate) -> Estimate:
+def refit_with_residual_noise(found: Estimate) -> Estimate:
     """The values where readings are as noisy as the fit leaves them; scores by their own noise. A
     fit that leaves nothing significant is returned as it is.
 
@@ -121,21 +126,21 @@ def tempered(found: Estimate) -> Estimate:
     if found.sigma_scale == 1.0 or not problem.prior_rows[0].any():
         return found
     # Everything that is known before is known so many times better.
-    times, earlier, nuisance = found.sigma_scale, problem.earlier, found.nuisance
+    times, earlier, nuisance = found.sigma_scale, problem.earlier_posterior, found.nuisance
     if earlier is not None:
         earlier = replace(earlier, covariance=earlier.covariance / times**2)
-    unknowns = tuple(replace(u, width=u.width / times) for u in problem.unknowns)
-    heavier = replace(problem, unknowns=unknowns, earlier=earlier)
+    unknowns = tuple(replace(u, prior_width=u.prior_width / times) for u in problem.unknowns)
+    heavier = replace(problem, unknowns=unknowns, earlier_posterior=earlier)
     at, more = solve_nested(heavier, nuisance, found.at)
     check = cross_check(heavier, nuisance, at)
-    again = assessed(
+    again = make_estimate(
         problem, nuisance, at, found.method, found.iterations + more, found.optimality, check
     )
     return replace(again, changes=found.changes)
 
 
 def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
-    if method == "reduction" and not problem.representable:
+    if method == "reduction" and not problem.reduction_applies:
         others = dict.fromkeys(s.kind for s in problem.setups if s.observation.dials != 1)
         if others:
             raise InputError(
@@ -143,49 +148,49 @@ def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
                 f"kind {', '.join(others)}, or take another method"
             )
         raise InputError("the reduction has joint offsets and leg lengths only: free nothing else")
-    begin = _begin(problem, method) if start is None else start
+    begin = _initial_values(problem, method) if start is None else start
     first = linearise(problem, begin)
     # Slopes at a first Gauss-Newton step: nearer to the fitted machine than the nominal one.
-    nuisance = nuisances(problem, first.seen)
-    began = normal(problem, first, nuisance)
-    _determined(problem, began)
+    nuisance = nuisances(problem, first.reading_poses)
+    began = normal_equations(problem, first, nuisance)
+    _check_determined(problem, began)
     known = np.vstack([began.prior, np.diag(1 / problem.tolerance)])
     x = begin - covariance(began.jacobian, known)[0] @ began.gradient
     near = linearise(problem, np.clip(x, -problem.bound, problem.bound))
-    if start is not None and normal(problem, near, nuisance).cost > began.cost:
+    if start is not None and normal_equations(problem, near, nuisance).cost > began.cost:
         near = first  # from a fit nearby the step went too far
-    nuisance = nuisances(problem, near.seen)
-    began = normal(problem, first, nuisance)
-    at, iterations, used = _solved(problem, nuisance, began, near, method)
-    optimality = _verified(problem, nuisance, at, began)
+    nuisance = nuisances(problem, near.reading_poses)
+    began = normal_equations(problem, first, nuisance)
+    at, iterations, used = _run_method(problem, nuisance, began, near, method)
+    optimality = _check_solution(problem, nuisance, at, began)
     if used == "nlp":
         # IPOPT stops where its own tolerances are met, which is not the same place on every
         # processor; what was verified is brought to the minimum by the steps that are left.
         with suppress(SolverError):
             settled = solve_nested(problem, nuisance, at)[0]
-            at, optimality = settled, _verified(problem, nuisance, settled, began)
+            at, optimality = settled, _check_solution(problem, nuisance, settled, began)
     check = cross_check(problem, nuisance, at)
-    return assessed(problem, nuisance, at, used, iterations, optimality, check)
+    return make_estimate(problem, nuisance, at, used, iterations, optimality, check)
 
 
-def _begin(problem: Problem, method: Method) -> Array:
+def _initial_values(problem: Problem, method: Method) -> Array:
     """Return the initial values ``(P,)``; of very many readings, a fit to a subset."""
     count = sum(map(len, problem.campaigns))
     if count < _MANY or method == "reduction":
         return problem.start
     every = count // _SOME
     thinned = []
-    for factor in problem.on_legs:
+    for factor in problem.leg_factors:
         some = [np.flatnonzero(factor.setup == s)[::every] for s in range(len(factor.setup_names))]
         thinned.append(factor.subset(np.sort(np.concatenate(some))))
-    thin = problem.with_factors(thinned)
+    thin = problem.with_leg_factors(thinned)
     try:
         return solve(thin, method="nested", widen=False).x
     except (NumericsError, InputError):
         return problem.start
 
 
-def _determined(problem: Problem, here: Normal) -> None:
+def _check_determined(problem: Problem, here: NormalEquations) -> None:
     """Refuse what these readings cannot determine, by directions of as few unknowns as can be."""
     _, unseen = covariance(here.jacobian, here.prior)
     if not len(unseen):
@@ -207,12 +212,12 @@ def _determined(problem: Problem, here: Normal) -> None:
     )
 
 
-def _solved(
-    problem: Problem, nuisance: Nuisances, began: Normal, near: Linearised, method: Method
+def _run_method(
+    problem: Problem, nuisance: Nuisances, began: NormalEquations, near: Linearised, method: Method
 ) -> tuple[Linearised, int, str]:
     """Where a method ends, linearised by ourselves; ``near`` is one step on from ``began``."""
     if method == "reduction":
-        x, iterations = _reduced(problem, nuisance)
+        x, iterations = _solve_by_reduction(problem, nuisance)
         return linearise(problem, x), iterations, "reduction"
     if method == "pinocchio":
         reference = replace(problem, machine=problem.machine.by_pinocchio())
@@ -224,7 +229,7 @@ def _solved(
     postures = sum(len(np.unique(f.conditions().command, axis=0)) for f in problem.factors)
     large = postures > NLP_POSTURES or len(problem.names) > NLP_UNKNOWNS
     # A programme is worth its time where the reduction checks it too.
-    other = not problem.legs_alone
+    other = not problem.legs_only
     if method == "nested" or (method == "auto" and (large or elastic or other)):
         at, steps = solve_nested(problem, nuisance, near)
         return at, steps + 1, "nested"
@@ -236,7 +241,7 @@ def _solved(
     return linearise(problem, result.x), result.iterations, "nlp"
 
 
-def _reduced(problem: Problem, nuisance: Nuisances) -> tuple[Array, int]:
+def _solve_by_reduction(problem: Problem, nuisance: Nuisances) -> tuple[Array, int]:
     """The reduction's fit; unknowns that leave their bounds are held there, and the rest again."""
     x, iterations = problem.start, 0
     held = np.zeros(len(x), dtype=bool)
@@ -249,13 +254,15 @@ def _reduced(problem: Problem, nuisance: Nuisances) -> tuple[Array, int]:
         x, held = np.clip(x, -problem.bound, problem.bound), held | beyond
 
 
-def _verified(problem: Problem, nuisance: Nuisances, at: Linearised, began: Normal) -> float:
+def _check_solution(
+    problem: Problem, nuisance: Nuisances, at: Linearised, began: NormalEquations
+) -> float:
     """Our own word on the solver's success: loops closed, no better than where it began, settled.
 
     The linearisation has closed every posture by itself, or raised. What is left of a Gauss-Newton
     step is measured in sigmas; unknowns on a bound cannot move further.
     """
-    here = normal(problem, at, nuisance)
+    here = normal_equations(problem, at, nuisance)
     if not here.cost <= began.cost * (1 + 1e-9) + 1e-9:
         raise SolverError(
             "the solver ended with a worse fit than it started from",
@@ -266,7 +273,7 @@ def _verified(problem: Problem, nuisance: Nuisances, at: Linearised, began: Norm
     # In sigmas of each unknown alone: the gradient itself, the weak directions left out of account.
     left = np.abs(here.gradient * scale)[inside]
     optimality = float(left.max(initial=0.0))
-    if optimality > _OPTIMAL * max(1.0, float(np.sqrt(here.cost))):
+    if optimality > _OPTIMALITY_TOLERANCE * max(1.0, float(np.sqrt(here.cost))):
         raise SolverError(
             f"the solver stopped {optimality:.2g} sigmas before the minimum; check the readings",
             evidence={"optimality": optimality},
@@ -274,7 +281,7 @@ def _verified(problem: Problem, nuisance: Nuisances, at: Linearised, began: Norm
     return optimality
 
 
-def assessed(
+def make_estimate(
     problem: Problem,
     nuisance: Nuisances,
     at: Linearised,
@@ -284,8 +291,8 @@ def assessed(
     check: CrossCheck | None = None,
 ) -> Estimate:
     """An estimate from where a method ended: scores, covariance, warnings."""
-    here = normal(problem, at, nuisance)
-    rows = FittedRows.of(problem, nuisance, at)
+    here = normal_equations(problem, at, nuisance)
+    rows = FittedRows.from_fit(problem, nuisance, at)
     scores = score(rows, at)
     scale = 1.0
     if scores.dof > 0 and scores.lack_of_fit_p < LACK_OF_FIT:

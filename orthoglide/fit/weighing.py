@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
-from orthoglide.observations.arrays import numbered
+from orthoglide.observations.arrays import group_ids
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -29,9 +29,9 @@ class Weighing:
     common: Array  # of each row, what its station has in common (n,), metres; one figure a station
     station: NDArray[np.int64]  # of each row (n,)
 
-    def part(self, rows: NDArray[Any]) -> Weighing:
+    def subset(self, rows: NDArray[Any]) -> Weighing:
         """Return the weighing of some rows, given as indices or booleans ``(n,)``."""
-        return Weighing(self.sigma[rows], self.common[rows], numbered(self.station[rows]))
+        return Weighing(self.sigma[rows], self.common[rows], group_ids(self.station[rows]))
 
     @cached_property
     def weight(self) -> Array:
@@ -55,13 +55,13 @@ class Weighing:
         square = np.bincount(self.station, self.weight**2)[self.station]
         return np.sqrt(1 + self.common**2 * square)
 
-    def along(self, rows: Array) -> Array:
+    def station_components(self, rows: Array) -> Array:
         """Part of whitened rows ``(n, ...)`` along each station's direction ``(stations, ...)``."""
         order, starts = self._sorted
         return np.add.reduceat((rows.T * self.direction).T[order], starts, axis=0)
 
     @cached_property
-    def first(self) -> NDArray[np.int64]:
+    def first_rows(self) -> NDArray[np.int64]:
         """The first row of each station ``(stations,)``."""
         order, starts = self._sorted
         return order[starts]
@@ -70,7 +70,7 @@ class Weighing:
     def mean_sigma(self) -> Array:
         """Standard deviation of each station's mean ``(stations,)``, metres."""
         own = 1 / np.bincount(self.station, self.weight**2)
-        return np.sqrt(own + self.common[self.first] ** 2)
+        return np.sqrt(own + self.common[self.first_rows] ** 2)
 
     def means(self, rows: Array) -> Array:
         """Mean of rows ``(n, ...)`` over each station ``(stations, ...)``, by their weights."""
@@ -82,7 +82,7 @@ class Weighing:
         """Rows with their part along each station's direction multiplied by ``factor (n,)``."""
         if not self.common.any():
             return rows
-        part = self.along(rows)[self.station]
+        part = self.station_components(rows)[self.station]
         return np.asarray(rows + (part.T * (self.direction * (factor - 1))).T)
 
     def whiten(self, rows: Array) -> Array:

@@ -5,27 +5,33 @@
 from orthoglide.instruments.leg_dial import LegDial as LegDial
 from orthoglide.instruments.tcp import Coordinate as Coordinate
 from orthoglide.instruments.plate import PlateTouch as PlateTouch
-from orthoglide.instruments.distance import PRINTED as PRINTED, SIZES as SIZES, Distance as Distance
+from orthoglide.instruments.distance import (
+    PRINTED as PRINTED,
+    SHRINKAGE_BY_MATERIAL as SHRINKAGE_BY_MATERIAL,
+    Distance as Distance,
+)
 from orthoglide.instruments.ball_bar import BallBar as BallBar
 from orthoglide.instruments.inclination import Inclination as Inclination
 from orthoglide.instruments.parallelism import Parallelism as Parallelism
 
 # isort: on
 from orthoglide.instruments.observation import (
-    BESIDE as BESIDE,
-    MATERIAL as MATERIAL,
+    MATERIAL_COLUMN as MATERIAL_COLUMN,
     OBSERVATIONS as OBSERVATIONS,
-    POSE as POSE,
-    TURNED as TURNED,
-    Beliefs as Beliefs,
+    PLATE_TURN_COLUMN as PLATE_TURN_COLUMN,
+    POSE_SIZE as POSE_SIZE,
+    TOOL_OFFSET_COLUMNS as TOOL_OFFSET_COLUMNS,
     Frame as Frame,
+    InstrumentPose as InstrumentPose,
+    InstrumentPriors as InstrumentPriors,
+    MountingContext as MountingContext,
     Observation as Observation,
-    Row as Row,
+    ReadingVariables as ReadingVariables,
     Setup as Setup,
-    Site as Site,
-    Stand as Stand,
-    Taken as Taken,
+    SetupReadings as SetupReadings,
 )
 
-AT_TOOL: dict[str, Observation] = {k: one for k, one in OBSERVATIONS.items() if not one.on_leg}
+TOOL_OBSERVATIONS: dict[str, Observation] = {
+    k: one for k, one in OBSERVATIONS.items() if not one.on_leg
+}
 """Kinds of readings of the tool, by what files call them."""

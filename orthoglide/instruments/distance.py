@@ -10,32 +10,32 @@ from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
 from orthoglide.geometry import Array
-from orthoglide.instruments.meant import wrong_unit
 from orthoglide.instruments.observation import (
-    BESIDE,
-    MATERIAL,
-    Beliefs,
+    MATERIAL_COLUMN,
+    TOOL_OFFSET_COLUMNS,
+    InstrumentPriors,
     Ints,
+    MountingContext,
     Observation,
-    Row,
+    ReadingVariables,
     Setup,
-    Site,
+    SetupReadings,
     Table,
-    Taken,
     add,
     length,
-    place_of,
+    reading_point,
     vector,
 )
+from orthoglide.instruments.unit_and_frame_checks import wrong_unit
 
 PRINTED = "printed"
-SIZES = {"": (0.0, 0.01), PRINTED: (0.003, 0.003), "metal": (0.0, 2e-4)}
+SHRINKAGE_BY_MATERIAL = {"": (0.0, 0.01), PRINTED: (0.003, 0.003), "metal": (0.0, 2e-4)}
 """By material, by how much a part is smaller than it was commanded, and the standard deviation of
 that, over its length. Where the material is not known it may be anything; a print of usual plastics
 shrinks by 0.2 to 0.5 per cent as it cools; a rule, a jig or a milled part is true to two hundredths
 of a millimetre on 100 mm."""
 
-OFFSET_SD = 2e-4
+DISTANCE_OFFSET_SD = 2e-4
 """Metres: the width of pillars or holes of a setup, and the nozzle's own track on a print."""
 
 
@@ -43,48 +43,54 @@ class Distance(Observation):
     """Lengths between the tool's places at two commands."""
 
     kind = "distance"
-    words = "distances between holes or pillars"
-    reads = "distances"
-    fill = "reading_mm is the distance between the two places of the row"
-    how = " around the rim and across it, each with its own width and the part's shrinkage"
-    fitted = "scale, by its `material`, and offset (sd 0.2 mm)"
+    instrument_phrase = "distances between holes or pillars"
+    quantity_phrase = "distances"
+    sheet_instruction = "reading_mm is the distance between the two places of the row"
+    suggestion_suffix = (
+        " around the rim and across it, each with its own width and the part's shrinkage"
+    )
+    nuisance_summary = "scale, by its `material`, and offset (sd 0.2 mm)"
     repeatability = 5e-5  # a calliper's, as owners of linear deltas repeat it
     paired = True
-    of_setup = (*BESIDE, MATERIAL)
-    nuisances = 2
+    setup_columns = (*TOOL_OFFSET_COLUMNS, MATERIAL_COLUMN)
+    nuisance_count = 2
 
-    def takes(self, effect: Effect) -> bool:
+    def is_affected_by(self, effect: Effect) -> bool:
         """Return whether an effect changes the size of a part."""
         return effect.part is not None
 
-    def may_have(self, setup: Setup, effect: Effect) -> bool:
+    def allows_effect(self, setup: Setup, effect: Effect) -> bool:
         """Return whether a part may be off in size by more than its material is: a printed one."""
         return setup.material == PRINTED
 
-    def shared(self, setup: Setup, number: int) -> str:
+    def shared_nuisance_name(self, setup: Setup, number: int) -> str:
         """Return that the printed parts of a file are one part."""
         return PRINTED if number == 0 and setup.material == PRINTED else ""
 
-    def formula(self, row: Row, effects: Sequence[Effect]) -> Any:
+    def formula(self, row: ReadingVariables, effects: Sequence[Effect]) -> Any:
         """Return the length between both places, times a scale and with an offset."""
         beside = vector(row.mounting)
-        apart = add((1, place_of(row.pose, beside)), (-1, place_of(row.other, beside)))
+        apart = add(
+            (1, reading_point(row.pose, beside)), (-1, reading_point(row.second_pose, beside))
+        )
         shown = length(apart) * (1 - row.mounting[3])
-        for effect, value in zip(effects, row.values, strict=True):
+        for effect, value in zip(effects, row.effect_parameters, strict=True):
             if effect.part is not None:
                 shown = effect.part(shown, value)
         return shown * (1 + row.nuisance[0]) + row.nuisance[1]
 
-    def mountings(self, table: Table, rows: NDArray[np.intp], site: Site) -> Array:
+    def mounting_values(self, table: Table, rows: NDArray[np.intp], site: MountingContext) -> Array:
         """Return where the places are beside the tool, and by how much parts are smaller."""
-        smaller = np.array([SIZES[setup.material][0] for setup in table.setups])
+        smaller = np.array([SHRINKAGE_BY_MATERIAL[setup.material][0] for setup in table.setups])
         return np.column_stack([table.beside[rows], smaller[table.setup[rows]]])
 
-    def known(self, setup: Setup, axis: Ints, beliefs: Beliefs) -> Array:
+    def nuisance_sds(self, setup: Setup, axis: Ints, beliefs: InstrumentPriors) -> Array:
         """Return what is known of the scale and the offset."""
-        return np.array([SIZES[setup.material][1], OFFSET_SD])
+        return np.array([SHRINKAGE_BY_MATERIAL[setup.material][1], DISTANCE_OFFSET_SD])
 
-    def doubts(self, taken: Taken, apart: Array, beliefs: Beliefs) -> str:
+    def find_unit_or_frame_error(
+        self, taken: SetupReadings, apart: Array, beliefs: InstrumentPriors
+    ) -> str:
         """Return which other unit the distances seem to have."""
         return wrong_unit(taken.value, apart)
 

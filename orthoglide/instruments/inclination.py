@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from orthoglide.effects import Effect
 from orthoglide.geometry import Array
 from orthoglide.instruments.observation import (
-    Beliefs,
+    InstrumentPriors,
     Ints,
+    MountingContext,
     Observation,
-    Row,
+    ReadingVariables,
     Setup,
-    Site,
     Table,
     add,
-    counted,
     dot,
+    signed_axes,
     vector,
 )
 
@@ -29,28 +29,30 @@ class Inclination(Observation):
     """Turns of the platform, right-handed about an axis."""
 
     kind = "incline"
-    words = "a level at the tool"
-    reads = "the tool's turn about {}"
-    fill = "reading_mrad is the tool's turn about the direction, right-handed: 1 mm a metre"
-    how = ", read about x and y around the rim"
-    fitted = "datum of each direction"
+    instrument_phrase = "a level at the tool"
+    quantity_phrase = "the tool's turn about {}"
+    sheet_instruction = (
+        "reading_mrad is the tool's turn about the direction, right-handed: 1 mm a metre"
+    )
+    suggestion_suffix = ", read about x and y around the rim"
+    nuisance_summary = "datum of each direction"
     repeatability = 2e-5
     angular = True
-    of_setup = ()
+    setup_columns = ()
     axes = (0, 1)
-    nuisances = 3
+    nuisance_count = 3
 
-    def formula(self, row: Row, effects: Sequence[Effect]) -> Any:
+    def formula(self, row: ReadingVariables, effects: Sequence[Effect]) -> Any:
         """Return the turn about the axis, the sine of the angle times the axis, past a datum."""
         R = [vector(row.pose, 3 + 3 * k) for k in range(3)]
         twice = [R[2][1] - R[1][2], R[0][2] - R[2][0], R[1][0] - R[0][1]]
         return dot(vector(row.mounting), add((0.5, twice), (1, vector(row.nuisance))))
 
-    def mountings(self, table: Table, rows: NDArray[np.intp], site: Site) -> Array:
+    def mounting_values(self, table: Table, rows: NDArray[np.intp], site: MountingContext) -> Array:
         """Return the axis that is read, with its sign."""
-        return counted(table, rows)
+        return signed_axes(table, rows)
 
-    def known(self, setup: Setup, axis: Ints, beliefs: Beliefs) -> Array:
+    def nuisance_sds(self, setup: Setup, axis: Ints, beliefs: InstrumentPriors) -> Array:
         """Return that nothing is known of a datum an axis."""
         return np.full(3, np.inf)
 

@@ -15,48 +15,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
-from orthoglide.errors import InputError, check_word
+from orthoglide.errors import InputError, check_choice
 from orthoglide.geometry import LEGS, Array, Geometry
 
 Ints = NDArray[np.int64]
 
-POSE = 12
+POSE_SIZE = 12
 """Numbers of a closed posture that a reading follows: the tool's place and rotation, or the ends of
 one leg's bars."""
 
 
 @dataclass(frozen=True)
-class Row:
+class ReadingVariables:
     """Symbols or numbers of one reading."""
 
     # place of the tool and rotation of the platform row by row, or ends of the bars of the leg that
     # is read (bar, end, xyz), metres (12,)
     pose: Any
-    other: Any  # the same at the second command of a reading between two (12,)
+    second_pose: Any  # the same at the second command of a reading between two (12,)
     mounting: Any  # numbers of the instrument in its place, see `Observation.mountings` (M,)
     nuisance: Any  # numbers that a setup's readings contain besides the machine (K,)
-    values: Sequence[Any]  # of the parameters of the instrument's effects (D,)
+    effect_parameters: Sequence[Any]  # of the parameters of the instrument's effects (D,)
 
 
 @dataclass(frozen=True)
-class Stand:
+class InstrumentPose:
     """Place of one setup's instrument, estimated from its readings.
 
     A tracker has a ``turn``, a ball bar a ``ball``, a probe a ``lift``.
     """
 
-    turn: Array = field(default_factory=lambda: np.eye(3))  # its frame's axes in the base (3, 3)
-    ball: Array = field(default_factory=lambda: np.zeros(3))  # centre of its ball (3,), metres
+    rotation: Array = field(
+        default_factory=lambda: np.eye(3)
+    )  # its frame's axes in the base (3, 3)
+    ball_centre: Array = field(
+        default_factory=lambda: np.zeros(3)
+    )  # centre of its ball (3,), metres
     # by how much places beside or below the tool are higher than at a platform that is level, in
     # the mean of the readings, metres
-    lift: float = 0.0
+    mean_lift: float = 0.0
 
-    def near(self, other: Stand) -> bool:
+    def is_close_to(self, other: InstrumentPose) -> bool:
         """Return whether both are equal as far as second orders of their difference matter."""
         return bool(
-            np.abs(self.turn - other.turn).max() <= SMALL
-            and np.abs(self.ball - other.ball).max() <= NEAR
-            and abs(self.lift - other.lift) <= NEAR
+            np.abs(self.rotation - other.rotation).max() <= SMALL_ROTATION
+            and np.abs(self.ball_centre - other.ball_centre).max() <= SMALL_SHIFT
+            and abs(self.mean_lift - other.mean_lift) <= SMALL_SHIFT
         )
 
 
@@ -66,41 +70,43 @@ translation and a turn."""
 
 
 @dataclass(frozen=True)
-class Beliefs:
+class InstrumentPriors:
     """Prior knowledge of the places of instruments."""
 
-    placement: float = 0.0  # standard deviation of a dial's place along its leg, metres; 0: exact
+    dial_placement_sd: float = (
+        0.0  # standard deviation of a dial's place along its leg, metres; 0: exact
+    )
     # standard deviation of the slope of the surface that two dials were set to zero against; 0:
     # exact, radians
-    surface_slope: float = 0.0
-    frame: Frame = "rigid"  # of a tracker
+    surface_slope_sd: float = 0.0
+    tracker_frame: Frame = "rigid"  # of a tracker
 
 
 @dataclass(frozen=True)
-class Site:
+class MountingContext:
     """What the mounting numbers of a formula depend on."""
 
     geometry: Geometry  # of the machine
-    stands: Sequence[Stand]  # of every setup
+    instrument_poses: Sequence[InstrumentPose]  # of every setup
     # places of all readings on their plates over the largest measured radius, along axes that turn
     # with the plate (n, 2)
-    place: Array
+    normalized_plate_xy: Array
     effects: Sequence[Effect] = ()  # of the instrument, those that it takes
 
 
-BESIDE = ("beside_x_mm", "beside_y_mm", "beside_z_mm")
+TOOL_OFFSET_COLUMNS = ("beside_x_mm", "beside_y_mm", "beside_z_mm")
 """Columns of where a probe touches or a tip stands, from the tool on the platform."""
 
-MATERIAL = "material"
+MATERIAL_COLUMN = "material"
 """Column of what a measured part is made of, which says how well its size is known."""
 
-TURNED = "turned_deg"
+PLATE_TURN_COLUMN = "turned_deg"
 """Column of how far a plate was turned on its seat, counter-clockwise from above."""
 
-SMALL = 1e-3
+SMALL_ROTATION = 1e-3
 """Radians: the square of a smaller turn moves no more than parts of a micrometre."""
 
-NEAR = 1e-5
+SMALL_SHIFT = 1e-5
 """Metres: the square of a smaller shift over a machine's size is below a nanometre."""
 
 
@@ -149,7 +155,7 @@ class Setup:
     material: str = ""
 
     def __post_init__(self) -> None:
-        check_word("kind of reading", self.kind, OBSERVATIONS)
+        check_choice("kind of reading", self.kind, OBSERVATIONS)
         if self.leg in OBSERVATIONS:
             raise InputError(f"setup {self.name!r}: name what is its kind: kind={self.leg!r}")
         if trouble := self.observation.check(self):
@@ -162,7 +168,9 @@ class Setup:
 
     def takes(self, effect: Effect) -> bool:
         """Return whether an effect of instruments changes its readings."""
-        return self.observation.takes(effect) and self.observation.may_have(self, effect)
+        return self.observation.is_affected_by(effect) and self.observation.allows_effect(
+            self, effect
+        )
 
     @property
     def gauges(self) -> tuple[float, ...]:
@@ -176,22 +184,24 @@ class Setup:
 
 
 @dataclass(frozen=True)
-class Taken:
+class SetupReadings:
     """Readings of one setup that say where its instrument stands."""
 
     p: Array  # where a machine has the tool, or the place beside it (m, 3), metres
-    swung: Array  # what of it is the place beside the tool, turned with the platform (m, 3), metres
+    offset_from_tool: (
+        Array  # what of it is the place beside the tool, turned with the platform (m, 3), metres
+    )
     axis: Ints  # base axis that is read (m,)
     value: Array  # readings, counted along that axis (m,); all nan where none is taken yet
     sigma: Array  # standard deviation of each (m,)
 
     @property
-    def open(self) -> bool:
+    def is_unread(self) -> bool:
         """Whether the readings are still to be taken."""
         return bool(np.isnan(self.value).all())
 
 
-_QUIETEST = 0.05  # share of the usual noise
+_LEAST_NOISE_RATIO = 0.05  # share of the usual noise
 
 
 class Observation(ABC):
@@ -215,20 +225,20 @@ class Observation(ABC):
         touches: whether it touches a plate.
         paired: whether it reads between two commands.
         about_ball: whether it reads about a fixed ball.
-        of_setup: columns of files that a mounting has besides its name.
+        setup_columns: columns of files that a mounting has besides its name.
         postures: distinct postures that a setup needs.
         nuisances: how many numbers a setup's readings contain besides the machine, `K`.
     """
 
     kind: ClassVar[str]
-    words: ClassVar[str]
-    reads: ClassVar[str]
-    fill: ClassVar[str]
-    fitted: ClassVar[str]
-    fill_place: ClassVar[str] = ""
-    how: ClassVar[str] = ""
+    instrument_phrase: ClassVar[str]
+    quantity_phrase: ClassVar[str]
+    sheet_instruction: ClassVar[str]
+    nuisance_summary: ClassVar[str]
+    sheet_instruction_place: ClassVar[str] = ""
+    suggestion_suffix: ClassVar[str] = ""
     repeatability: ClassVar[float]
-    quietest: ClassVar[float]
+    least_noise: ClassVar[float]
     angular: ClassVar[bool] = False
     dials: ClassVar[int] = 0
     protocol: ClassVar[Literal["sweep", "parallelism"]]
@@ -236,13 +246,13 @@ class Observation(ABC):
     touches: ClassVar[bool] = False
     paired: ClassVar[bool] = False
     about_ball: ClassVar[bool] = False
-    of_setup: ClassVar[tuple[str, ...]] = BESIDE
-    postures: ClassVar[int] = 1
-    nuisances: ClassVar[int]
+    setup_columns: ClassVar[tuple[str, ...]] = TOOL_OFFSET_COLUMNS
+    min_postures: ClassVar[int] = 1
+    nuisance_count: ClassVar[int]
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        cls.quietest = 0.0 if cls.dials else _QUIETEST * cls.repeatability
+        cls.least_noise = 0.0 if cls.dials else _LEAST_NOISE_RATIO * cls.repeatability
         OBSERVATIONS[cls.kind] = cls()
 
     @property
@@ -253,18 +263,18 @@ class Observation(ABC):
     @property
     def from_datum(self) -> bool:
         """Whether its readings say something only against others of their setup."""
-        return self.postures > 1
+        return self.min_postures > 1
 
     @property
     def unit(self) -> str:
         """Unit of its readings in files and texts."""
         return "mrad" if self.angular else "mm"
 
-    def takes(self, effect: Effect) -> bool:
+    def is_affected_by(self, effect: Effect) -> bool:
         """Return whether an effect of instruments changes its readings."""
         return False
 
-    def may_have(self, setup: Setup, effect: Effect) -> bool:
+    def allows_effect(self, setup: Setup, effect: Effect) -> bool:
         """Return whether a setup may have an effect that this kind takes."""
         return True
 
@@ -273,7 +283,7 @@ class Observation(ABC):
         return "" if setup.leg < 0 else f"a setup of kind {self.kind} touches no leg"
 
     @abstractmethod
-    def formula(self, row: Row, effects: Sequence[Effect]) -> Any:
+    def formula(self, row: ReadingVariables, effects: Sequence[Effect]) -> Any:
         """Return the reading to expect of one row.
 
         Args:
@@ -282,7 +292,7 @@ class Observation(ABC):
         """
 
     @abstractmethod
-    def mountings(self, table: Table, rows: NDArray[np.intp], site: Site) -> Array:
+    def mounting_values(self, table: Table, rows: NDArray[np.intp], site: MountingContext) -> Array:
         """Return the numbers of instruments in their places that the formula uses ``(m, M)``.
 
         Args:
@@ -292,7 +302,7 @@ class Observation(ABC):
         """
 
     @abstractmethod
-    def known(self, setup: Setup, axis: Ints, beliefs: Beliefs) -> Array:
+    def nuisance_sds(self, setup: Setup, axis: Ints, beliefs: InstrumentPriors) -> Array:
         """Return standard deviations of the nuisances about zero ``(K,)``: infinite where nothing
         is known, 0 of those that the setup has not.
 
@@ -302,13 +312,15 @@ class Observation(ABC):
             beliefs: of how instruments stand.
         """
 
-    def shared(self, setup: Setup, number: int) -> str:
+    def shared_nuisance_name(self, setup: Setup, number: int) -> str:
         """Return what the nuisance of a number is called where all setups of a file that call it so
         have it together; empty of one that the setup has for itself.
         """
         return ""
 
-    def stand(self, taken: Taken, near: Stand | None, beliefs: Beliefs) -> Stand:
+    def estimate_pose(
+        self, taken: SetupReadings, near: InstrumentPose | None, beliefs: InstrumentPriors
+    ) -> InstrumentPose:
         """Return where a setup's instrument stands by its readings.
 
         Args:
@@ -316,15 +328,19 @@ class Observation(ABC):
             near: about where it stands, if that is known.
             beliefs: of how instruments stand.
         """
-        return near or Stand()
+        return near or InstrumentPose()
 
-    def off_place(self, stand: Stand, nuisance: Array) -> tuple[Stand, Array]:
+    def apply_pose_nuisances(
+        self, stand: InstrumentPose, nuisance: Array
+    ) -> tuple[InstrumentPose, Array]:
         """Return where an instrument stands that is off its place by some of its nuisances, and
         what of these is left ``(K,)``: all where they say it to any order.
         """
         return stand, nuisance
 
-    def doubts(self, taken: Taken, apart: Array, beliefs: Beliefs) -> str:
+    def find_unit_or_frame_error(
+        self, taken: SetupReadings, apart: Array, beliefs: InstrumentPriors
+    ) -> str:
         """Return what a setup's readings seem to be that cannot be meant as they stand, as a
         sentence; empty where they can.
 
@@ -335,7 +351,9 @@ class Observation(ABC):
         """
         return ""
 
-    def remarks(self, stand: Stand, p: Array, axis: Ints) -> Iterator[tuple[str, str]]:
+    def placement_warnings(
+        self, stand: InstrumentPose, p: Array, axis: Ints
+    ) -> Iterator[tuple[str, str]]:
         """Yield what is odd in where a setup's instrument stands: sentences, each with its kind.
 
         Args:
@@ -379,11 +397,11 @@ def length(along: Vector) -> Any:
     return dot(along, along) ** 0.5
 
 
-def place_of(pose: Any, beside: Vector) -> Vector:
+def reading_point(pose: Any, beside: Vector) -> Vector:
     """Return where a reading is taken, ``beside`` the tool on the platform."""
     return add((1, vector(pose)), (1, [dot(vector(pose, 3 + 3 * k), beside) for k in range(3)]))
 
 
-def counted(table: Table, rows: NDArray[np.intp]) -> Array:
+def signed_axes(table: Table, rows: NDArray[np.intp]) -> Array:
     """Return the axis that each row counts along, with its sign ``(m, 3)``."""
     return np.asarray(table.sign[rows, None] * np.eye(3)[table.axis[rows]])

@@ -9,5 +9,5 @@ from orthoglide.layout.leg import Layout as Layout, Leg as Leg, LegNames as LegN
 from orthoglide.layout.linear_delta import LinearDelta as LinearDelta
 from orthoglide.layout.orthoglide import ORTHOGLIDE as ORTHOGLIDE, Orthoglide as Orthoglide
 
-DIRECTIONS: frozenset[str] = frozenset(Orthoglide.names.every | LinearDelta.names.every)
+DIRECTIONS: frozenset[str] = frozenset(Orthoglide.names.directions | LinearDelta.names.directions)
 """All words for directions across a leg."""

@@ -12,17 +12,17 @@ import numpy as np
 from orthoglide.errors import InputError
 from orthoglide.layout.leg import Array, Leg, LegNames, Triple, triple
 from orthoglide.parameters import MEMBERS
-from orthoglide.text import brief
+from orthoglide.text import abbreviated
 
-_TOUCHING = 1.6e-4
+_SMALLEST_BAR_DISTANCE = 1.6e-4
 """Share of the bars' length by which lengths of a machine may be off: where the circles of bars and
 platform touch to within that, they touch. Of what is missing, or too much, the place beside the
 line of their centres would be the root: with bars of 300 mm a millimetre of 0.02 mm."""
 
-_SQUARE = 1e-6
+_PERPENDICULAR_TOLERANCE = 1e-6
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,19}")  # parts of joints' and parameters' names
-_ALONG = 1e-9
-_WAYS = (("back", "backward along the slide"), ("on", "onward along the slide"))
+_PARALLEL_TOLERANCE = 1e-9
+_SLIDE_END_WORDS = (("back", "backward along the slide"), ("on", "onward along the slide"))
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class FreeLeg:
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
             raise InputError(
-                f"layout: a leg cannot be called {brief(self.name)!r}: take up to 20 letters and "
+                f"layout: a leg cannot be called {abbreviated(self.name)!r}: take up to 20 letters and "
                 f"digits"
             )
         if self.name in MEMBERS:
@@ -64,10 +64,10 @@ class FreeLeg:
             InputError: where slide and link are no two directions at right angles.
         """
         a, c = np.array(self.slide), np.array(self.link)
-        if min(np.linalg.norm(a), np.linalg.norm(c)) < _SQUARE:
+        if min(np.linalg.norm(a), np.linalg.norm(c)) < _PERPENDICULAR_TOLERANCE:
             raise InputError(f"leg {self.name}: slide and link must be directions, not 0")
         a, c = a / np.linalg.norm(a), c / np.linalg.norm(c)
-        if abs(a @ c) > _SQUARE:
+        if abs(a @ c) > _PERPENDICULAR_TOLERANCE:
             raise InputError(
                 f"leg {self.name}: its link must lie across its slide, and they are "
                 f"{np.rad2deg(np.arccos(np.clip(a @ c, -1, 1))):.4g} degrees apart"
@@ -109,13 +109,13 @@ class FreeLegs:
         """Of legs as given; directions are ``b`` and ``c``, each leg's own."""
         one, two, three = (leg.name for leg in self.free)
         held = ("zero", "bar_length", "place") if self.hanging else ("zero", "bar_length")
-        return LegNames((one, two, three), (("b", "c"),) * 3, held, _WAYS)
+        return LegNames((one, two, three), (("b", "c"),) * 3, held, _SLIDE_END_WORDS)
 
     @cached_property
     def hanging(self) -> bool:
         """Whether all slides are parallel."""
         slides = np.stack([leg.axes[:, 0] for leg in self.free])
-        return bool((slides @ slides[0] > 1 - _ALONG).all())
+        return bool((slides @ slides[0] > 1 - _PARALLEL_TOLERANCE).all())
 
     def legs(self, L: float, r: float) -> tuple[Leg, Leg, Leg]:
         """The three legs for bars of length ``L`` and a platform of radius ``r``, metres."""
@@ -129,12 +129,12 @@ class FreeLegs:
         a, b, c = (carriage - middle) @ given.axes
         apart, radius = float(np.hypot(a, b)), float(np.sqrt(max(r**2 - c**2, 0.0)))
         along = (apart**2 + radius**2 - L**2) / (2 * apart) if apart > 0 else np.inf
-        if abs(c) > r or not -radius <= along <= radius + _TOUCHING * L:
+        if abs(c) > r or not -radius <= along <= radius + _SMALLEST_BAR_DISTANCE * L:
             raise InputError(
                 f"leg {given.name}: bars of {L * 1e3:g} mm do not reach from its origin to a joint "
                 f"{r * 1e3:g} mm from the platform's middle across its link: correct one of them"
             )
-        touches = along > radius - _TOUCHING * L
+        touches = along > radius - _SMALLEST_BAR_DISTANCE * L
         along, across = (apart - L, 0.0) if touches else (along, np.sqrt(radius**2 - along**2))
         # In the leg's plane (a, b): toward the carriage, and to either side of that.
         places = [

@@ -9,7 +9,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.errors import InputError, numbers
+from orthoglide.errors import InputError, as_float_array
 
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -21,7 +21,7 @@ def triple(what: str, given: object) -> Triple:
     Raises:
         InputError: where they are not.
     """
-    array = numbers(what, given)
+    array = as_float_array(what, given)
     if array.shape != (3,) or not np.isfinite(array).all():
         raise InputError(f"{what} must be three finite numbers")
     one, two, three = array.tolist()
@@ -37,24 +37,24 @@ class LegNames:
     across: tuple[tuple[str, str], tuple[str, str], tuple[str, str]]
     # numbers that the machine's own controller or firmware holds; with the effects that these are
     # every identification starts
-    held: tuple[str, ...]
+    controller_entries: tuple[str, ...]
     # in words where a carriage stands that went too far down and up its slide, and which way that
     # is
-    ways: tuple[tuple[str, str], tuple[str, str]]
+    slide_end_words: tuple[tuple[str, str], tuple[str, str]]
     command: str = "travel"  # how commands are called, in columns of files
     travel: str = "travel from mechanical zero"  # how travel from mechanical zero is called
     axis: str = "axis"  # how a drive with its slide is called: an axis or a tower
     bar: str = "bar"  # how a bar is called: a bar or a rod
     # what its parts are called in place of an Orthoglide's: patterns, each with what replaces it
-    nouns: tuple[tuple[str, str], ...] = ()
+    noun_replacements: tuple[tuple[str, str], ...] = ()
 
     @property
-    def every(self) -> frozenset[str]:
+    def directions(self) -> frozenset[str]:
         """All names of directions."""
         return frozenset(name for pair in self.across for name in pair)
 
     @property
-    def alike(self) -> bool:
+    def same_directions(self) -> bool:
         """Whether the legs' directions have the same names, each leg's own meant."""
         return self.across[0] == self.across[1]
 
@@ -62,16 +62,20 @@ class LegNames:
         """0, 1 or 2."""
         return self.legs.index(leg)
 
-    def spoken(self, text: str) -> str:
+    def in_layout_words(self, text: str) -> str:
         """Words of an Orthoglide's parts in the words of this layout."""
-        for pattern, noun in self.nouns:
+        for pattern, noun in self.noun_replacements:
             text = re.sub(pattern, noun, text)
         return text
 
     def effect_words(self, name: str) -> str:
         """Name of an effect in the words of this layout: a leg's length is that of its bars."""
         words = name.replace("_", " ")
-        return self.spoken(words.replace("leg length", "bar length")) if self.nouns else words
+        return (
+            self.in_layout_words(words.replace("leg length", "bar length"))
+            if self.noun_replacements
+            else words
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,13 +7,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from orthoglide.errors import InputError, numbers
+from orthoglide.errors import InputError, as_float_array
 from orthoglide.layout.leg import Array, Leg, LegNames, Triple, triple
 
 _ACROSS = ("radial", "tangential")
-_WAYS = (("down", "downward"), ("up", "upward"))
-_HELD = ("zero", "bar_length", "place")
-_NOUNS = (
+_SLIDE_END_WORDS = (("down", "downward"), ("up", "upward"))
+_CONTROLLER_ENTRIES = ("zero", "bar_length", "place")
+_NOUN_REPLACEMENTS = (
     (r"\bjoint offset", "carriage offset"),
     (r"\baxis offset", "tower offset"),
     (r"\baxis tilt", "carriage path tilt"),
@@ -50,13 +50,13 @@ class LinearDelta:
 
     kind: ClassVar[str] = "linear-delta"
     names: ClassVar[LegNames] = LegNames(
-        ("a", "b", "c"), (_ACROSS, _ACROSS, _ACROSS), _HELD, _WAYS,
-        axis="tower", bar="rod", nouns=_NOUNS,
+        ("a", "b", "c"), (_ACROSS, _ACROSS, _ACROSS), _CONTROLLER_ENTRIES, _SLIDE_END_WORDS,
+        axis="tower", bar="rod", noun_replacements=_NOUN_REPLACEMENTS,
     )  # fmt: skip
     hanging: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        radius = numbers("layout: radius", self.radius)
+        radius = as_float_array("layout: radius", self.radius)
         given = {
             "radius": radius if radius.ndim else np.full(3, radius),
             "angles_deg": self.angles_deg,

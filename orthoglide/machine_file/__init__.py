@@ -9,7 +9,10 @@ from orthoglide.machine_file.model import (
     ParameterValue as ParameterValue,
     Stiffness as Stiffness,
 )
-from orthoglide.machine_file.posterior import Posterior as Posterior, root_of as root_of
+from orthoglide.machine_file.posterior import (
+    Posterior as Posterior,
+    symmetric_root as symmetric_root,
+)
 from orthoglide.machine_file.reading import (
     AnyMachine as AnyMachine,
     machine_file_of as machine_file_of,
@@ -17,7 +20,7 @@ from orthoglide.machine_file.reading import (
     read_machine_file as read_machine_file,
 )
 from orthoglide.machine_file.writing import (
-    machine_files as machine_files,
+    machine_file_contents as machine_file_contents,
     machine_text as machine_text,
     write_machine_file as write_machine_file,
 )

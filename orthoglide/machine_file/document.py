@@ -14,10 +14,10 @@ from typing import Any, NoReturn
 
 from orthoglide.errors import FileError, InputError
 from orthoglide.quantities import Kind
-from orthoglide.text import brief, leaves, nearest, unseen_in
+from orthoglide.text import abbreviated, leaves, nearest, unprintable_problem
 
-_LONGEST_REASON = 120
-_MOST_BITS = 1024  # of a whole number: as far as floats go
+_MAX_REASON_LENGTH = 120
+_MAX_BITS = 1024  # of a whole number: as far as floats go
 
 
 class Document:
@@ -35,10 +35,10 @@ class Document:
         self.text, self.file = text, file
         try:
             self.data = tomllib.loads(text, parse_float=Decimal)
-            if any(type(v) is int and v.bit_length() > _MOST_BITS for v in leaves(self.data)):
+            if any(type(v) is int and v.bit_length() > _MAX_BITS for v in leaves(self.data)):
                 raise OverflowError
         except tomllib.TOMLDecodeError as error:
-            reason, line = _toml_trouble(str(error), text)
+            reason, line = _toml_error(str(error), text)
             raise FileError(
                 f"is not TOML, {reason}: mend this line", file=file, line=line
             ) from None
@@ -46,7 +46,7 @@ class Document:
             raise FileError(
                 "holds a number or nesting out of all range: remove it", file=file
             ) from None
-        if trouble := unseen_in(self.data):
+        if trouble := unprintable_problem(self.data):
             raise FileError(trouble, file=file)
 
     def fail(self, message: str, *path: str) -> NoReturn:
@@ -62,7 +62,7 @@ class Document:
             self.fail(f"{'.'.join(path)} must be a table, not a single value", *path)
         return found
 
-    def plain(self, name: str) -> dict[str, Any]:
+    def plain_table(self, name: str) -> dict[str, Any]:
         """Return a table of any keys with ordinary floats in place of decimals."""
         return tomllib.loads(self.text).get(name, {}) if self.table(name) else {}
 
@@ -71,7 +71,9 @@ class Document:
         for key in self.table(*path):
             if key not in names:
                 place = f"[{path[0]}]" if path else "the machine file"
-                self.fail(f"{place} has no key {brief(key)!r}: {advice(key, names)}", *path, key)
+                self.fail(
+                    f"{place} has no key {abbreviated(key)!r}: {key_hint(key, names)}", *path, key
+                )
 
     def value(self, parse: Callable[[Any], Any], *path: str) -> Any:
         """Return the value at a path as ``parse`` makes it, whose ValueError names a remedy."""
@@ -85,17 +87,19 @@ class Document:
             self.fail(f"{'.'.join(path)} {error}", *path)
 
 
-def advice(key: str, names: Collection[str]) -> str:
+def key_hint(key: str, names: Collection[str]) -> str:
     """Return what to write in place of an unknown key."""
     near = nearest(key, names)
     return f"did you mean {near!r}?" if near else f"it takes {', '.join(names)}"
 
 
-def _toml_trouble(message: str, text: str) -> tuple[str, int]:
+def _toml_error(message: str, text: str) -> tuple[str, int]:
     reason, _, place = message.partition(" (at ")
     line = re.match(r"line (\d+)", place)
     lines = len(text.rstrip("\n").split("\n"))
-    return brief(reason[:1].lower() + reason[1:], _LONGEST_REASON), int(line[1]) if line else lines
+    return abbreviated(reason[:1].lower() + reason[1:], _MAX_REASON_LENGTH), int(
+        line[1]
+    ) if line else lines
 
 
 _KEY = r"(?:\"[^\"]*\"|'[^']*'|[\w-]+)"
@@ -108,9 +112,9 @@ def _key_line(text: str, path: tuple[str, ...]) -> int | None:
     best: tuple[int, int | None] = (0, None)
     for number, line in enumerate(text.split("\n"), start=1):
         if found := re.match(rf"\s*\[({_DOTTED})\]", line):
-            header = full = _split(found[1])
+            header = full = _split_dotted_key(found[1])
         elif found := re.match(rf"\s*({_DOTTED})\s*=", line):
-            full = header + _split(found[1])
+            full = header + _split_dotted_key(found[1])
         else:
             continue
         if full == path[: len(full)] and len(full) > best[0]:
@@ -118,7 +122,7 @@ def _key_line(text: str, path: tuple[str, ...]) -> int | None:
     return best[1]
 
 
-def _split(dotted: str) -> tuple[str, ...]:
+def _split_dotted_key(dotted: str) -> tuple[str, ...]:
     return tuple(key.strip("\"'") for key in re.findall(_KEY, dotted))
 
 
@@ -141,7 +145,7 @@ class Key:
     attribute: str | None = ""
 
     @property
-    def held(self) -> str | None:
+    def field_name(self) -> str | None:
         """Return the name of the attribute that holds the value in Python."""
         return self.name.removesuffix("_mm") if self.attribute == "" else self.attribute
 
@@ -158,7 +162,7 @@ class Section:
     """
 
     name: str
-    record: type
+    record_class: type
     keys: tuple[Key, ...]
     tables: tuple[str, ...] = ()
 
@@ -173,10 +177,10 @@ class Section:
         found = {}
         for key in self.keys:
             if key.required or key.name in document.table(*path):
-                found[key.held] = document.value(key.kind.read, *path, key.name)
+                found[key.field_name] = document.value(key.kind.read, *path, key.name)
         return {name: value for name, value in found.items() if name is not None}
 
-    def build(self, document: Document, *path: str, **further: Any) -> Any:
+    def build_record(self, document: Document, *path: str, **further: Any) -> Any:
         """Return the record of a table, with further values; arguments as for `read`.
 
         Raises:
@@ -184,12 +188,12 @@ class Section:
         """
         values = self.read(document, *path)
         try:
-            return self.record(**values, **further)
+            return self.record_class(**values, **further)
         except InputError as error:
             document.fail(str(error), *(path or (self.name,)))
 
     def write(self, record: Any) -> dict[str, Any]:
         """Return a table of the file from the attributes of a record, without those of None."""
         values = record if isinstance(record, Mapping) else vars(record)
-        given = ((key, values.get(key.held)) for key in self.keys)
+        given = ((key, values.get(key.field_name)) for key in self.keys)
         return {key.name: key.kind.write(value) for key, value in given if value is not None}

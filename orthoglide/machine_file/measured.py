@@ -12,13 +12,15 @@ from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.parameters import Parameter
 
-TRAVEL = 0.1
+MEASURED_TRAVEL = 0.1
 """Metres that a carriage is told to go for the measurement of its travel: a rule's length."""
 
-_BELTS = 1e-3
+_DRIVE_SCALE_SD = 1e-3
 """Ratio by which drives of one kind differ: pulleys are alike, and belts stretch."""
 
-_HALF = 0.5  # of the nominal length: what differs by more is in another unit, or of another part
+_MAX_RELATIVE_DEVIATION = (
+    0.5  # of the nominal length: what differs by more is in another unit, or of another part
+)
 
 Pair = tuple[float, float]
 
@@ -46,7 +48,7 @@ class Measured:
                     f"correct it to [length, sigma]"
                 )
 
-    def known(
+    def parameter_priors(
         self, catalogue: Catalogue, geometry: Geometry, tolerance: Mapping[str, float]
     ) -> Iterator[tuple[tuple[Parameter, ...], float, Array]]:
         """Yield parameters, the measured deviation of their mean, and their covariance ``(3, 3)``,
@@ -58,17 +60,17 @@ class Measured:
         """
         for key, pair, held, nominal, scale in (
             ("rods_mm", self.rods, "bar_length", geometry.L, 1.0),
-            ("travel_of_100_mm", self.travel, "scale", TRAVEL, 1 / TRAVEL),
+            ("travel_of_100_mm", self.travel, "scale", MEASURED_TRAVEL, 1 / MEASURED_TRAVEL),
         ):
             if pair is None:
                 continue
-            if abs(pair[0] / nominal - 1) > _HALF:
+            if abs(pair[0] / nominal - 1) > _MAX_RELATIVE_DEVIATION:
                 raise InputError(
                     f"{key} is {pair[0] * 1e3:g} mm, where the machine has {nominal * 1e3:g} mm by "
                     f"its other numbers: correct one of them, in millimetres"
                 )
-            (name,) = (effect for effect in catalogue.held_as(held))
-            each = tolerance[name] if held == "bar_length" else _BELTS
+            (name,) = (effect for effect in catalogue.correctable_by(held))
+            each = tolerance[name] if held == "bar_length" else _DRIVE_SCALE_SD
             value, sigma = (pair[0] - nominal) * scale, pair[1] * scale
             covariance = np.full((3, 3), sigma**2) + each**2 * np.eye(3)
             yield catalogue[name].parameters(), value, covariance

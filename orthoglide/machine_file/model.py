@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.add_ons import MARK, Kinematics, Printer, add_on, table_of
+from orthoglide.add_ons import MARK_KEY, Kinematics, Printer, add_on, firmware_table
 from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
@@ -22,7 +22,7 @@ from orthoglide.reduction.spheres import intersect_spheres
 
 Triple = tuple[float, float, float]
 
-SCHEMA = 1
+SCHEMA_VERSION = 1
 """Version of the machine file that this package reads and writes."""
 
 
@@ -73,7 +73,7 @@ class Controller:
         return np.array(self.zero) + np.array(self.sign) * travel
 
 
-_STIFF_LEG = 1e4
+_STIFF_LEG_TORSION = 1e4
 """Torsional stiffness of a leg, N m/rad, from which it matters: at ten times that, a mismatch of
 the bars shows by half (elastic equilibrium of bars of EA/L = 5e7 N/m)."""
 
@@ -103,7 +103,7 @@ class Stiffness:
         if self.torsion is None:
             return ()
         return (
-            f"{file}: torsion_Nmm_per_rad is no longer modelled. Below {_STIFF_LEG / 1e-3:.0e} "
+            f"{file}: torsion_Nmm_per_rad is no longer modelled. Below {_STIFF_LEG_TORSION / 1e-3:.0e} "
             f"N mm/rad a leg's torsion changes results by less than 5 %; this file has "
             f"{self.torsion / 1e-3:.3g}",
         )
@@ -124,15 +124,15 @@ class DeltaKinematics:
 
     # where the tool stood if an arm hung straight down from its carriage at mechanical zero, and
     # had no length (3, 3), metres, by leg
-    joints: Array
-    arm: Array  # length of each leg's arm (3,), metres
+    sphere_centres_at_zero: Array
+    arm_lengths: Array  # length of each leg's arm (3,), metres
 
     def travel(self, p: Array) -> Array:
         """Travel of the carriages from mechanical zero ``(n, 3)`` for places ``(n, 3)``, metres;
         nan where an arm does not reach.
         """
-        apart = p[:, None] - self.joints
-        square = self.arm**2 - np.sum(apart[:, :, :2] ** 2, axis=-1)
+        apart = p[:, None] - self.sphere_centres_at_zero
+        square = self.arm_lengths**2 - np.sum(apart[:, :, :2] ** 2, axis=-1)
         return np.asarray(apart[:, :, 2] + np.sqrt(np.where(square > 0, square, np.nan)))
 
     def places(self, travel: Array) -> Array:
@@ -141,11 +141,11 @@ class DeltaKinematics:
         Raises:
             UnreachableError: where the arms do not meet.
         """
-        centres = self.joints + travel[:, :, None] * np.array([0.0, 0.0, 1.0])
-        return intersect_spheres(centres, self.arm)
+        centres = self.sphere_centres_at_zero + travel[:, :, None] * np.array([0.0, 0.0, 1.0])
+        return intersect_spheres(centres, self.arm_lengths)
 
     @classmethod
-    def of(cls, geometry: Geometry) -> DeltaKinematics:
+    def from_geometry(cls, geometry: Geometry) -> DeltaKinematics:
         """Return the kinematics of the nominal machine."""
         joints = [leg.carriage - leg.platform for leg in geometry.legs]
         return cls(np.array(joints), np.full(3, geometry.L))
@@ -214,15 +214,15 @@ class MachineFile:
         mean = np.array([entry.value for entry in known.values()])
         covariance = np.diag(np.square([entry.sigma for entry in known.values()]))
         place = {name: k for k, name in enumerate(known)}
-        for names, _, among in self._measured:
+        for names, _, among in self._measured_priors:
             at = [place[name] for name in names if name in place]
             if len(at) == len(names):
                 covariance[np.ix_(at, at)] = among
         return Posterior(tuple(known), mean, covariance)
 
     @property
-    def _measured(self) -> list[tuple[tuple[Parameter, ...], float, Array]]:
-        return [*self.measured.known(self.catalogue, self.geometry, self.tolerance)]
+    def _measured_priors(self) -> list[tuple[tuple[Parameter, ...], float, Array]]:
+        return [*self.measured.parameter_priors(self.catalogue, self.geometry, self.tolerance)]
 
     @property
     def is_measured(self) -> bool:
@@ -235,7 +235,7 @@ class MachineFile:
         """Return the same with what was measured among its parameters."""
         known = {
             str(name): ParameterValue(value, float(np.sqrt(among[k, k])), effect.unit.name)
-            for names, value, among in self._measured
+            for names, value, among in self._measured_priors
             for k, name in enumerate(names)
             if (effect := self.catalogue.effect_of(name))
             and (name not in self.parameters or not self.parameters[name].sigma)
@@ -245,12 +245,12 @@ class MachineFile:
     @property
     def firmware(self) -> str:
         """Mark of the firmware's numbers that travel was computed with; empty of others."""
-        return str(table_of(self.provenance)[1].get(MARK, ""))
+        return str(firmware_table(self.provenance)[1].get(MARK_KEY, ""))
 
     @cached_property
     def printer(self) -> Printer | None:
         """The numbers of the firmware that the machine was imported from; ``None`` of others."""
-        name, table = table_of(self.provenance)
+        name, table = firmware_table(self.provenance)
         return add_on(name).stored(table) if name else None
 
     @property
@@ -261,19 +261,19 @@ class MachineFile:
         if not isinstance(self.geometry.layout, LinearDelta):
             return None
         if self.printer is None:
-            return DeltaKinematics.of(self.geometry)
+            return DeltaKinematics.from_geometry(self.geometry)
         return self.printer.kinematics
 
     def __post_init__(self) -> None:
         if self.name == MachineFile.name and self.geometry.layout != ORTHOGLIDE:
-            object.__setattr__(self, "name", name_of(self.geometry))
-        object.__setattr__(self, "catalogue", self.catalogue.of_layout(self.geometry.layout))
+            object.__setattr__(self, "name", default_machine_name(self.geometry))
+        object.__setattr__(self, "catalogue", self.catalogue.for_layout(self.geometry.layout))
         known = self.catalogue
-        expected = known.of_belts if self._of_belts else known.default_tolerance
+        expected = known.belt_tolerance if self._has_belts else known.default_tolerance
         object.__setattr__(self, "tolerance", {**expected, **self.tolerance})
 
     @property
-    def _of_belts(self) -> bool:
+    def _has_belts(self) -> bool:
         """Whether it is of the class of belts."""
         hanging = isinstance(self.geometry.layout, LinearDelta)
         return self.build == "belts" or (not self.build and hanging)
@@ -284,7 +284,7 @@ class MachineFile:
         their tolerances, because an owner entered it, SI; at least as much as the entered values of
         parts that are alike differ by.
         """
-        found = dict(self.catalogue.entered) if self._of_belts else {}
+        found = dict(self.catalogue.common_tolerance) if self._has_belts else {}
         for name, sd in found.items():
             own = (
                 v for k, v in self.parameters.items() if self.catalogue.effect_of(k).name == name
@@ -293,7 +293,7 @@ class MachineFile:
         return found
 
 
-def name_of(geometry: Geometry) -> str:
+def default_machine_name(geometry: Geometry) -> str:
     """Return what a machine of given dimensions is called until somebody names it."""
     if geometry == Geometry():
         return MachineFile().name

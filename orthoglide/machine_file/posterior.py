@@ -14,10 +14,10 @@ import numpy as np
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array
 
-_CONTENT = ("names", "mean", "covariance", "sha256")
+_ARRAY_NAMES = ("names", "mean", "covariance", "sha256")
 
 
-def root_of(covariance: Array) -> Array:
+def symmetric_root(covariance: Array) -> Array:
     """A matrix ``(P, P)`` whose product with its transpose is a covariance.
 
     In units of the standard deviations it is symmetric: eigenvectors alone would leave signs, and
@@ -40,7 +40,7 @@ class Posterior:
     # variance of each as the readings have it were it off as far as its tolerance lets expect, all
     # others as they are (P,), SI: that most are small says little of one that the readings did not
     # see; 0 of what is as free already, `None` of all
-    alone: Array | None = None
+    conditional_variance: Array | None = None
 
     def __post_init__(self) -> None:
         count = (len(self.names),)
@@ -49,7 +49,7 @@ class Posterior:
                 f"{count[0]} names need as many values, and a covariance of that many rows and "
                 f"columns"
             )
-        if self.alone is not None and self.alone.shape != count:
+        if self.conditional_variance is not None and self.conditional_variance.shape != count:
             raise InputError("each parameter has one variance of its own")
         if not (np.isfinite(self.mean).all() and np.isfinite(self.covariance).all()):
             raise InputError("a mean and a covariance are finite numbers")
@@ -61,7 +61,7 @@ class Posterior:
             tuple(self.names[k] for k in kept),
             self.mean[kept],
             self.covariance[np.ix_(kept, kept)],
-            None if self.alone is None else self.alone[kept],
+            None if self.conditional_variance is None else self.conditional_variance[kept],
         )
 
     @property
@@ -71,21 +71,21 @@ class Posterior:
         return dict(zip(self.names, spread.tolist(), strict=True))
 
     @property
-    def root(self) -> Array:
+    def covariance_root(self) -> Array:
         """A matrix ``(P, P)`` whose product with its transpose is the covariance."""
-        return root_of(self.covariance)
+        return symmetric_root(self.covariance)
 
-    def mapped(self, names: Sequence[str], matrix: Array) -> Posterior:
+    def transformed(self, names: Sequence[str], matrix: Array) -> Posterior:
         """Of linear combinations: ``matrix`` ``(Q, P)`` gives the parameters ``names``."""
         spread = matrix @ self.covariance @ matrix.T
         return Posterior(tuple(names), matrix @ self.mean, spread)
 
-    def about(self, values: Mapping[str, float]) -> Posterior:
+    def recentred(self, values: Mapping[str, float]) -> Posterior:
         """The same about other values, whose distance from the mean counts as variance."""
         centre = np.array([values.get(n, 0.0) for n in self.names])
         apart = self.mean - centre
         spread = self.covariance + np.outer(apart, apart)
-        return Posterior(self.names, centre, spread, self.alone)
+        return Posterior(self.names, centre, spread, self.conditional_variance)
 
     def joined(self, other: Posterior) -> Posterior:
         """With the parameters of another that are not in this, taken for independent of these."""
@@ -112,7 +112,11 @@ def posterior_bytes(posterior: Posterior, digest: str) -> bytes:
         "mean": posterior.mean,
         "covariance": posterior.covariance,
         "sha256": np.array(digest),
-        **({} if posterior.alone is None else {"alone": posterior.alone}),
+        **(
+            {}
+            if posterior.conditional_variance is None
+            else {"alone": posterior.conditional_variance}
+        ),
     }
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
@@ -133,7 +137,7 @@ def parse_posterior(content: bytes, digest: str, file: str) -> Posterior:
     """
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-            names, mean, covariance, belongs_to = (stored[key] for key in _CONTENT)
+            names, mean, covariance, belongs_to = (stored[key] for key in _ARRAY_NAMES)
             alone = stored["alone"].astype(float) if "alone" in stored else None
         found = Posterior(
             tuple(map(str, names)), mean.astype(float), covariance.astype(float), alone

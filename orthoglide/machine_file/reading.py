@@ -9,20 +9,20 @@ from typing import Protocol, cast
 
 from orthoglide import files
 from orthoglide.effects import CATALOGUE, Catalogue
-from orthoglide.effects.catalogue import OWN
-from orthoglide.effects.single_places import with_places
+from orthoglide.effects.bumps_and_jumps import with_free_forms
+from orthoglide.effects.catalogue import CUSTOM_EFFECTS_HINT
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
 from orthoglide.layout import ORTHOGLIDE, FreeLegs, Layout
 from orthoglide.machine_file import schema
-from orthoglide.machine_file.document import Document, advice
-from orthoglide.machine_file.model import MachineFile, ParameterValue, name_of
+from orthoglide.machine_file.document import Document, key_hint
+from orthoglide.machine_file.model import MachineFile, ParameterValue, default_machine_name
 from orthoglide.machine_file.posterior import parse_posterior, posterior_path
 from orthoglide.parameters import effect_name
-from orthoglide.text import brief, shown
+from orthoglide.text import abbreviated, printable_path
 
 
-class _Specified(Protocol):
+class _HasSpec(Protocol):
     """A machine, which a layer above defines."""
 
     @property
@@ -30,7 +30,7 @@ class _Specified(Protocol):
         """Return the content of its file."""
 
 
-AnyMachine = MachineFile | _Specified | Geometry | str | os.PathLike[str]
+AnyMachine = MachineFile | _HasSpec | Geometry | str | os.PathLike[str]
 """A machine, its file as read, the path of that, or dimensions with all else as usual."""
 
 
@@ -44,7 +44,7 @@ def machine_file_of(given: AnyMachine | None) -> MachineFile:
     if isinstance(given, str | os.PathLike):
         return read_machine_file(given)
     if isinstance(given, Geometry):
-        return MachineFile(name=name_of(given), geometry=given)
+        return MachineFile(name=default_machine_name(given), geometry=given)
     found = MachineFile() if given is None else getattr(given, "spec", given)
     if not isinstance(found, MachineFile):
         raise InputError(
@@ -69,15 +69,15 @@ def read_machine_file(
     Raises:
         FileError: naming the line and what would be right, or a covariance of another file.
     """
-    path = files.inside(path, "calibrated.toml")
-    content = files.read_bytes(path, files.TEXT)
-    machine = parse_machine_file(files.decode(content, path), shown(path), catalogue)
+    path = files.result_file(path, "calibrated.toml")
+    content = files.read_bytes(path, files.TEXT_LIMIT)
+    machine = parse_machine_file(files.decode(content, path), printable_path(path), catalogue)
     if machine.urdf:
         machine = replace(machine, urdf=str((Path(path).parent / machine.urdf).resolve()))
     digest = files.sha256(content)
     beside, posterior = posterior_path(path), None
     if beside.exists():
-        posterior = parse_posterior(files.read_bytes(beside), digest, shown(beside))
+        posterior = parse_posterior(files.read_bytes(beside), digest, printable_path(beside))
     warnings = machine.stiffness.warnings(machine.file)
     if (
         posterior is None
@@ -85,12 +85,12 @@ def read_machine_file(
         and any(entry.sigma for entry in machine.parameters.values())
     ):
         warnings += (
-            f"{machine.file}: there is no {shown(beside.name)} beside it with the covariance of "
+            f"{machine.file}: there is no {printable_path(beside.name)} beside it with the covariance of "
             f"its parameters: their sigmas are taken as independent",
         )
     # An explanation that the file does not take may have a place in the covariance all the same.
     names = posterior.names if posterior else ()
-    catalogue = with_places(machine.catalogue, names, machine.geometry)
+    catalogue = with_free_forms(machine.catalogue, names, machine.geometry)
     return replace(
         machine, sha256=digest, posterior=posterior, warnings=warnings, catalogue=catalogue
     )
@@ -101,22 +101,24 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
     document = Document(text, file)
     top = schema.TOP.read(document)
     geometry = _geometry(document)
-    catalogue, named = catalogue.of_layout(geometry.layout), document.table("parameters")
-    catalogue = with_places(catalogue, named, geometry)
+    catalogue, named = catalogue.for_layout(geometry.layout), document.table("parameters")
+    catalogue = with_free_forms(catalogue, named, geometry)
     tolerance = schema.tolerances(catalogue).read(document)
     document.check_keys(schema.INSTRUMENT_KINDS, "instrument")
     found = MachineFile(
         **{"name": "", **top, **schema.DRIVE.read(document), **schema.CLASS.read(document)},
-        **{name: part.build(document) for name, part in schema.PARTS.items()},
+        **{
+            name: part.build_record(document) for name, part in schema.SECTIONS_BY_ATTRIBUTE.items()
+        },
         geometry=geometry,
         instruments={
-            kind: schema.INSTRUMENT.build(document, "instrument", kind)
+            kind: schema.INSTRUMENT.build_record(document, "instrument", kind)
             for kind in document.table("instrument")
         },
         surface_slope=tolerance.pop("surface_slope", None),
         tolerance=tolerance,
         parameters={name: _parameter(document, name, catalogue) for name in named},
-        provenance=document.plain("provenance"),
+        provenance=document.plain_table("provenance"),
         catalogue=catalogue,
         file=file,
     )
@@ -127,9 +129,9 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
 
 def _geometry(document: Document) -> Geometry:
     values, layout = schema.GEOMETRY.read(document), _layout(document)
-    elsewhere = schema.R.name in document.table("layout")
+    elsewhere = schema.LAYOUT_R.name in document.table("layout")
     r = document.value(
-        schema.R.kind.read, *(("layout", "r_mm") if elsewhere else ("geometry_mm", "r"))
+        schema.LAYOUT_R.kind.read, *(("layout", "r_mm") if elsewhere else ("geometry_mm", "r"))
     )
     if values.setdefault("r", r) != r:
         document.fail("r_mm is not the r of [geometry_mm]: keep one", "layout", "r_mm")
@@ -154,14 +156,14 @@ def _layout(document: Document) -> Layout:
     if not document.table("layout"):
         return ORTHOGLIDE
     section = schema.LAYOUTS[document.value(schema.KIND.kind.read, "layout", "kind")]
-    if section.record is not FreeLegs:
-        return cast(Layout, section.build(document))
+    if section.record_class is not FreeLegs:
+        return cast(Layout, section.build_record(document))
     section.read(document)  # an unknown key is what hides a leg
     names, path = document.table("layout", "leg"), ("layout", "leg")
     if len(names) != 3:
         document.fail(f"has {len(names)} legs: give three tables, [layout.leg.NAME]", *path)
-    legs = tuple(schema.LEG.build(document, *path, name, name=name) for name in names)
-    return cast(Layout, section.build(document, free=legs))
+    legs = tuple(schema.LEG.build_record(document, *path, name, name=name) for name in names)
+    return cast(Layout, section.build_record(document, free=legs))
 
 
 def _parameter(document: Document, name: str, catalogue: Catalogue) -> ParameterValue:
@@ -169,11 +171,14 @@ def _parameter(document: Document, name: str, catalogue: Catalogue) -> Parameter
     effect = effect_name(name)
     allowed = [other for other, entry in catalogue.items() if not entry.of_dial]
     if effect not in allowed:
-        told = advice(effect, allowed)
-        document.fail(f"there is no parameter {brief(name)!r}: {told} (effects of {OWN})", *path)
-    if name not in catalogue[effect].motions and name not in catalogue.structured(effect):
+        told = key_hint(effect, allowed)
         document.fail(
-            f"{brief(name)!r} names no parameter of {effect}: correct what follows it", *path
+            f"there is no parameter {abbreviated(name)!r}: {told} (effects of {CUSTOM_EFFECTS_HINT})",
+            *path,
         )
-    found: ParameterValue = schema.parameter(catalogue[effect].unit).build(document, *path)
+    if name not in catalogue[effect].motions and name not in catalogue.structured_members(effect):
+        document.fail(
+            f"{abbreviated(name)!r} names no parameter of {effect}: correct what follows it", *path
+        )
+    found: ParameterValue = schema.parameter(catalogue[effect].unit).build_record(document, *path)
     return found

@@ -7,26 +7,26 @@ from them.
 from __future__ import annotations
 
 from orthoglide.effects import Catalogue
-from orthoglide.effects.catalogue import CLASSES
+from orthoglide.effects.catalogue import MACHINE_CLASSES
 from orthoglide.geometry import Geometry
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta, Orthoglide
 from orthoglide.machine_file import model
 from orthoglide.machine_file.document import Key, Section
 from orthoglide.machine_file.measured import Measured
-from orthoglide.quantities import TEXT, one_of, quantity, several
-from orthoglide.units import MM, NOISE, ONE, RAD, Unit
+from orthoglide.quantities import TEXT, list_of, one_of, quantity
+from orthoglide.units import MM, NOISE_LIMITS, ONE, RAD, Unit
 
 INSTRUMENT_KINDS = tuple(kind for kind, one in OBSERVATIONS.items() if one.dials != 1)
 """Kinds of readings that may have a table; one dial on a leg has ``[dial_mm]``."""
 
 _LENGTH = quantity(MM, -1e4, 1e4, closed=True)
-_POINT = several(_LENGTH, 3)
-_DIRECTION = several(quantity(ONE, -1e6, 1e6, closed=True), 3)
+_POINT = list_of(_LENGTH, 3)
+_DIRECTION = list_of(quantity(ONE, -1e6, 1e6, closed=True), 3)
 _ANGLE = quantity(Unit("deg", 1.0), -3600, 3600, closed=True)
-_PLATFORM = quantity(MM, 1)
-_SIZE = quantity(MM, 0, 1e4)
-_STIFFEST = 1e15  # in the file's units: beyond any part
+_PLATFORM_RADIUS = quantity(MM, 1)
+_POSITIVE_LENGTH = quantity(MM, 0, 1e4)
+_MAX_STIFFNESS = 1e15  # in the file's units: beyond any part
 
 TABLES = {
     "geometry_mm": "Nominal dimensions.",
@@ -57,7 +57,7 @@ def _check_stroke(low: float, high: float) -> None:
 
 # fmt: off
 TOP = Section("", model.MachineFile, (
-    Key("schema", one_of((model.SCHEMA,), "this program reads no other version"),
+    Key("schema", one_of((model.SCHEMA_VERSION,), "this program reads no other version"),
         "Version of the format.", required=True, attribute=None),
     Key("name", TEXT, "Name of the machine, for people."),
     Key("urdf", TEXT, "Folder, seen from this file, with `orthoglide.urdf` and "
@@ -66,14 +66,14 @@ TOP = Section("", model.MachineFile, (
 GEOMETRY = Section("geometry_mm", Geometry, (
     Key("L", quantity(MM, 5), "Length of the long bars.", required=True),
     Key("d", quantity(MM, 1), "Length of the short links.", required=True),
-    Key("r", _PLATFORM, "Distance from the TCP, or the platform's middle, to the legs' last "
+    Key("r", _PLATFORM_RADIUS, "Distance from the TCP, or the platform's middle, to the legs' last "
         "revolutes. It is required here or as `r_mm` of `[layout]`."),
-    Key("stroke", several(_LENGTH, 2, check=_check_stroke),
+    Key("stroke", list_of(_LENGTH, 2, check=_check_stroke),
         "Lower and upper limit of travel, from mechanical zero.", required=True),
 ))
 DIAL = Section("dial_mm", model.Dial, (
     Key("resolution", quantity(MM, 5e-5, 10), "Step of the display."),
-    Key("repeatability", quantity(MM, 1e-7, NOISE[1] / MM.si), "Standard deviation of one reading. "
+    Key("repeatability", quantity(MM, 1e-7, NOISE_LIMITS[1] / MM.si), "Standard deviation of one reading. "
         "If absent, it is estimated from the repeats."),
     Key("placement", quantity(MM, 0, 100, closed=True), "Standard deviation of `gauge_mm`."),
 ))
@@ -88,43 +88,43 @@ DRIVE = Section("drive", model.MachineFile, (
 ))
 CONTROLLER = Section("controller", model.Controller, (
     Key("zero_mm", _POINT, "What the controller shows at mechanical zero, by leg."),
-    Key("sign", several(one_of((1, -1)), 3), "1 where the controller counts away from the origin, "
+    Key("sign", list_of(one_of((1, -1)), 3), "1 where the controller counts away from the origin, "
         "-1 where it counts toward the origin, by leg."),
 ))
 CLASS = Section("class", model.MachineFile, (
-    Key("kind", one_of(CLASSES), "`laboratory`, of ground steel, or `belts` on extrusions. If "
+    Key("kind", one_of(MACHINE_CLASSES), "`laboratory`, of ground steel, or `belts` on extrusions. If "
         "absent, a linear delta has belts, and other machines are of a laboratory.",
         attribute="build"),
 ))
 MEASURED = Section("measured", Measured, (
-    Key("rods_mm", several(_SIZE, 2), "Length of the bars between their pivots, in the mean "
+    Key("rods_mm", list_of(_POSITIVE_LENGTH, 2), "Length of the bars between their pivots, in the mean "
         "of all: `[272.1, 0.1]`."),
-    Key("travel_of_100_mm", several(_SIZE, 2), "How far a carriage went that was told to go "
+    Key("travel_of_100_mm", list_of(_POSITIVE_LENGTH, 2), "How far a carriage went that was told to go "
         "100 mm, in the mean of all: `[100.2, 0.05]`.", attribute="travel"),
 ))
 STIFFNESS = Section("stiffness", model.Stiffness, (
-    Key("torsion_Nmm_per_rad", quantity(Unit("N mm/rad", 1e-3), 0, _STIFFEST, closed=True),
+    Key("torsion_Nmm_per_rad", quantity(Unit("N mm/rad", 1e-3), 0, _MAX_STIFFNESS, closed=True),
         "Torsional stiffness of a leg. It is no longer modelled: a warning says from which value "
         "it matters.", attribute="torsion"),
-    Key("bar_N_per_mm", quantity(Unit("N/mm", 1e3), 0, _STIFFEST), "Axial stiffness of a bar. If "
+    Key("bar_N_per_mm", quantity(Unit("N/mm", 1e3), 0, _MAX_STIFFNESS), "Axial stiffness of a bar. If "
         "absent, bars are rigid.", attribute="bar"),
 ))
 KIND = Key("kind", one_of((Orthoglide.kind, LinearDelta.kind, FreeLegs.kind)),
            "Kind of the layout.", required=True, attribute=None)
-R = Key("r_mm", _PLATFORM, "The `r` of `[geometry_mm]`, if it is not given there.", attribute=None)
+LAYOUT_R = Key("r_mm", _PLATFORM_RADIUS, "The `r` of `[geometry_mm]`, if it is not given there.", attribute=None)
 _TOOL = Key("tool_mm", _POINT, "The tool's tip from the middle of the platform's joints.")
 LAYOUTS = {
     Orthoglide.kind: Section("layout", Orthoglide, (KIND,)),
     LinearDelta.kind: Section("layout", LinearDelta, (
         KIND,
-        Key("radius_mm", several(quantity(MM, 1), 3, alike=True), "Horizontal distance of the "
+        Key("radius_mm", list_of(quantity(MM, 1), 3, single_allowed=True), "Horizontal distance of the "
             "towers' joints from the centre.", required=True),
-        Key("angles_deg", several(_ANGLE, 3, alike=True),
+        Key("angles_deg", list_of(_ANGLE, 3, single_allowed=True),
             "Directions of the towers from the centre, counter-clockwise from +x."),
-        R,
+        LAYOUT_R,
         _TOOL,
     )),
-    FreeLegs.kind: Section("layout", FreeLegs, (KIND, R, _TOOL), ("leg",)),
+    FreeLegs.kind: Section("layout", FreeLegs, (KIND, LAYOUT_R, _TOOL), ("leg",)),
 }
 LEG = Section("layout.leg.NAME", FreeLeg, (
     Key("origin_mm", _POINT, "The carriage's joint at mechanical zero, with the tool at the "
@@ -134,7 +134,7 @@ LEG = Section("layout.leg.NAME", FreeLeg, (
 ))
 SURFACE_SLOPE = Key("surface_slope", quantity(RAD, 0, 1), "Slope of the reference surface in "
                     "readings of kind `parallelism`. If absent, the surface is taken as exact.")
-PARTS = {
+SECTIONS_BY_ATTRIBUTE = {
     "dial": DIAL, "controller": CONTROLLER, "measured": MEASURED, "stiffness": STIFFNESS,
 }  # by attribute
 # fmt: on

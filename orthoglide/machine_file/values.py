@@ -7,15 +7,15 @@ from collections.abc import Mapping
 import numpy as np
 
 from orthoglide.effects import Catalogue
-from orthoglide.errors import FileError, InputError, check_by_name
+from orthoglide.errors import FileError, InputError, check_mapping
 from orthoglide.machine_file.model import MachineFile, ParameterValue
 from orthoglide.numerals import compact
 
-_ABSURD = 500.0  # tolerances: so large is a value in another unit, a thousandth of SI
-_LONG = 0.1  # of a bar: no length is off by so much
+_MAX_TOLERANCES = 500.0  # tolerances: so large is a value in another unit, a thousandth of SI
+_MAX_LENGTH_RATIO = 0.1  # of a bar: no length is off by so much
 
 
-def check_sizes(spec: MachineFile, values: Mapping[str, float]) -> None:
+def check_magnitudes(spec: MachineFile, values: Mapping[str, float]) -> None:
     """Refuse values of parameters that must be in another unit.
 
     Args:
@@ -25,12 +25,12 @@ def check_sizes(spec: MachineFile, values: Mapping[str, float]) -> None:
     Raises:
         InputError: naming the parameter.
     """
-    check_by_name("parameters", values)
+    check_mapping("parameters", values)
     for name, value in values.items():
         effect = spec.catalogue.effect_of(name)
         unit, tolerance = effect.unit, spec.tolerance[effect.name]
-        length = _LONG * spec.geometry.L if unit.name == "mm" else np.inf
-        if abs(value) > min(_ABSURD * tolerance, length):
+        length = _MAX_LENGTH_RATIO * spec.geometry.L if unit.name == "mm" else np.inf
+        if abs(value) > min(_MAX_TOLERANCES * tolerance, length):
             raise InputError(
                 f"{name} = {compact(value / unit.si, 6)}{unit.behind} is "
                 f"{abs(value) / tolerance:.0f} times "
@@ -45,8 +45,8 @@ def check_sigmas(values: Mapping[str, float], sigmas: Mapping[str, float]) -> No
     Raises:
         InputError: naming the parameter.
     """
-    check_by_name("parameters", values)
-    check_by_name("standard deviations", sigmas)
+    check_mapping("parameters", values)
+    check_mapping("standard deviations", sigmas)
     for name, sigma in sigmas.items():
         if name not in values:
             raise InputError(f"a standard deviation is given of {name}, which is not set: set both")
@@ -54,7 +54,7 @@ def check_sigmas(values: Mapping[str, float], sigmas: Mapping[str, float]) -> No
             raise InputError(f"the standard deviation of {name} must be 0 or more, not {sigma}")
 
 
-def entries_of(
+def parameter_entries(
     catalogue: Catalogue, values: Mapping[str, float], sigmas: Mapping[str, float]
 ) -> dict[str, ParameterValue]:
     """Return single parameters of a machine; structured members are spelt out and summed.
@@ -72,7 +72,7 @@ def entries_of(
         if not np.isfinite(value):
             raise InputError(f"{name} must be a finite number, not {value}")
         sigma, unit = sigmas.get(name, 0.0), catalogue.effect_of(name).unit.name
-        for part, weight in catalogue.elementary(name).items():
+        for part, weight in catalogue.elementary_weights(name).items():
             parameter = catalogue.parameter(part)
             if parameter.campaign:
                 raise InputError(
@@ -85,7 +85,7 @@ def entries_of(
     return given
 
 
-def check_single(spec: MachineFile) -> None:
+def refuse_structured_members(spec: MachineFile) -> None:
     """Refuse structured members in a machine file, which spells out single parameters.
 
     Raises:

@@ -11,10 +11,10 @@ from typing import Any
 
 from orthoglide import files
 from orthoglide.effects import catalogue_of
-from orthoglide.errors import InputError, path_of
+from orthoglide.errors import InputError, as_path
 from orthoglide.layout import ORTHOGLIDE, FreeLegs
 from orthoglide.machine_file import schema
-from orthoglide.machine_file.model import SCHEMA, MachineFile
+from orthoglide.machine_file.model import SCHEMA_VERSION, MachineFile
 from orthoglide.machine_file.posterior import posterior_bytes, posterior_path
 from orthoglide.machine_file.reading import parse_machine_file
 
@@ -35,23 +35,23 @@ def write_machine_file(
         FileError: where a file stands already and may not be replaced, or none can be written.
         InputError: where the machine holds what no machine file can.
     """
-    target = path_of(path)
+    target = as_path(path)
     if machine.urdf:  # seen from the file, so that both may move together
         seen = os.path.relpath(machine.urdf, target.resolve().parent)
         machine = replace(machine, urdf=Path(seen).as_posix())
-    contents = machine_files(machine, str(path))
+    contents = machine_file_contents(machine, str(path))
     beside = posterior_path(target)
     if not overwrite:
         files.check_new(target)
         files.check_new(beside)  # it would be taken for this machine's
     elif machine.posterior is None:
-        with files.writing(beside):
+        with files.as_file_errors(beside):
             beside.unlink(missing_ok=True)
     for name, content in reversed(contents.items()):
-        files.write_whole(target.with_name(name), content, overwrite=overwrite)
+        files.write_file(target.with_name(name), content, overwrite=overwrite)
 
 
-def machine_files(machine: MachineFile, path: str) -> dict[str, str | bytes]:
+def machine_file_contents(machine: MachineFile, path: str) -> dict[str, str | bytes]:
     """Return a machine file and, where its covariance is known, the file of that, by name.
 
     Raises:
@@ -75,7 +75,11 @@ def machine_text(machine: MachineFile, file: str = "") -> str:
     import tomli_w
 
     try:
-        text = _remark(machine) + tomli_w.dumps(_tables(machine)) + _parameter_lines(machine)
+        text = (
+            _averaging_comment(machine)
+            + tomli_w.dumps(_toml_tables(machine))
+            + _parameter_lines(machine)
+        )
     except TypeError as error:
         raise InputError(f"a machine file cannot hold this provenance: {error}") from None
     # What could not be read back is never written.
@@ -85,7 +89,7 @@ def machine_text(machine: MachineFile, file: str = "") -> str:
     return text
 
 
-def _tables(machine: MachineFile) -> dict[str, Any]:
+def _toml_tables(machine: MachineFile) -> dict[str, Any]:
     catalogue, layout = machine.catalogue, machine.geometry.layout
     tolerance = {
         name: value
@@ -93,7 +97,9 @@ def _tables(machine: MachineFile) -> dict[str, Any]:
         # Without need of it, a file that names a user's effect could not be read alone.
         if name in catalogue_of(catalogue.legs) or value != catalogue.default_tolerance.get(name)
     }
-    tables = {p.name: p.write(getattr(machine, name)) for name, p in schema.PARTS.items()} | {
+    tables = {
+        p.name: p.write(getattr(machine, name)) for name, p in schema.SECTIONS_BY_ATTRIBUTE.items()
+    } | {
         "geometry_mm": schema.GEOMETRY.write(machine.geometry),
         "instrument": {k: schema.INSTRUMENT.write(one) for k, one in machine.instruments.items()},
         "drive": schema.DRIVE.write(machine),
@@ -109,10 +115,10 @@ def _tables(machine: MachineFile) -> dict[str, Any]:
         tables["layout"]["leg"] = {leg.name: schema.LEG.write(leg) for leg in layout.free}
     written = {name: tables[name] for name in schema.TABLES if tables.get(name)}
     top = schema.TOP.write(vars(machine) | {"urdf": machine.urdf or None})
-    return {"schema": SCHEMA, **top, **written}
+    return {"schema": SCHEMA_VERSION, **top, **written}
 
 
-def _remark(machine: MachineFile) -> str:
+def _averaging_comment(machine: MachineFile) -> str:
     """What a reader of the values must know first, as a comment; empty where it is nothing."""
     rivals = machine.provenance.get("averaged_over")
     if not isinstance(rivals, list | tuple) or not rivals:
@@ -132,12 +138,12 @@ def _parameter_lines(machine: MachineFile) -> str:
     lines = ["", "[parameters]"] if machine.parameters else []
     for name, value in machine.parameters.items():
         table = schema.parameter(machine.catalogue.effect_of(name).unit).write(value)
-        cells = ", ".join(f"{key} = {_literal(cell)}" for key, cell in table.items())
+        cells = ", ".join(f"{key} = {_toml_literal(cell)}" for key, cell in table.items())
         lines.append(f'"{name}" = {{ {cells} }}')
     return "".join(f"{line}\n" for line in lines)
 
 
-def _literal(value: str | Decimal) -> str:
+def _toml_literal(value: str | Decimal) -> str:
     """Return a value as TOML has it: text in quotes, or a number with its point."""
     if isinstance(value, str):
         return f'"{value}"'

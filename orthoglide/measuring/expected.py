@@ -19,18 +19,18 @@ from orthoglide.machine import Machine
 from orthoglide.numerals import plain
 from orthoglide.observations import Readings
 from orthoglide.observations.checks import DIAL_RANGE
-from orthoglide.planning.designs import shown_names
+from orthoglide.planning.designs import observable_names
 from orthoglide.planning.linear import LinearReadings
 
-_WIDE = 3.0
+_PRIOR_TOLERANCES = 3.0
 """Tolerances: the prior of everything; a machine this far off is one to be measured."""
 
-_BEYOND = 5.0
+_IMPLAUSIBLE_SIGMAS = 5.0
 """Standard deviations from which a reading is asked for again: one in a million by chance."""
 
 
 @dataclass(frozen=True, eq=False)
-class Expected:
+class ExpectedReadings:
     """What the readings of a sheet are likely to be."""
 
     sheet: Readings  # the readings to take
@@ -41,9 +41,13 @@ class Expected:
     @classmethod
     def of(cls, sheet: Readings, machine: Machine) -> Self:
         """Return the readings of a machine within some tolerances of what its file states."""
-        linear = LinearReadings.of(machine, sheet, shown_names(machine, sheet, ()))
+        linear = LinearReadings.of(machine, sheet, observable_names(machine, sheet, ()))
         noise = machine.spec.dial.resolution**2 * np.eye(len(sheet))
-        spread = _WIDE**2 * linear.columns @ linear.columns.T + linear.scatter() + noise
+        spread = (
+            _PRIOR_TOLERANCES**2 * linear.columns @ linear.columns.T
+            + linear.visit_covariance()
+            + noise
+        )
         return cls(sheet, linear.station, machine.readings(sheet), np.asarray(spread))
 
     def objection(self, row: int, reading: float, taken: Mapping[int, float]) -> tuple[str, bool]:
@@ -71,7 +75,7 @@ class Expected:
         weights = np.linalg.solve(self.covariance[np.ix_(done, done)], across)
         mean = self.mean[row] + weights @ (np.array([*taken.values()]) - self.mean[done])
         sd = float(np.sqrt(self.covariance[row, row] - weights @ across))
-        if abs(reading - mean) <= _BEYOND * sd:
+        if abs(reading - mean) <= _IMPLAUSIBLE_SIGMAS * sd:
             return "", True
         if before := [value for k, value in same.items() if self.station[k] == self.station[row]]:
             listed = ", ".join(plain(value * 1e3, 3) for value in before)
@@ -79,7 +83,7 @@ class Expected:
                 f"it is out of step with its repeats: this dial showed {listed} here before",
                 True,
             )
-        low, high = ((mean + side * _BEYOND * sd) * 1e3 for side in (-1, 1))
+        low, high = ((mean + side * _IMPLAUSIBLE_SIGMAS * sd) * 1e3 for side in (-1, 1))
         return (
             f"after the readings before it, and with the tolerances of this machine, it should lie "
             f"between {plain(low, 2)} and {plain(high, 2)}"

@@ -19,16 +19,16 @@ from orthoglide.observations import Readings
 from orthoglide.observations.reading import readings_of_table
 from orthoglide.observations.table import rows_table
 from orthoglide.observations.writing import Row, campaign_rows, command_columns
-from orthoglide.text import csv_text, shown
+from orthoglide.text import csv_text, printable_path
 
-AGAIN = "again"
+RETURN_POSTURE = "again"
 """Posture of a move that leads back to where a reading is to be taken after an interruption."""
 
-SKIPPED = "skipped"
+SKIPPED_POSTURE = "skipped"
 """Posture of a place that was gone to and not read."""
 
-_BEFORE = ("kind", "setup", "leg", "direction", "posture")
-_AFTER = ("gauge_mm", "bar", "repeat", "order", "load_N", "time_s", "reading_mm")
+_COLUMNS_BEFORE_COMMANDS = ("kind", "setup", "leg", "direction", "posture")
+_COLUMNS_AFTER_COMMANDS = ("gauge_mm", "bar", "repeat", "order", "load_N", "time_s", "reading_mm")
 
 
 class Record:
@@ -57,7 +57,11 @@ class Record:
     def plan(self, sheet: Readings) -> list[Row]:
         """Return the rows of a sheet as this file has them, in the order they are gone through."""
         planned = campaign_rows(sheet.with_readings(np.full(len(sheet), np.nan)), self.machine_file)
-        columns = (*_BEFORE, *command_columns(planned[0]), *_AFTER)
+        columns = (
+            *_COLUMNS_BEFORE_COMMANDS,
+            *command_columns(planned[0]),
+            *_COLUMNS_AFTER_COMMANDS,
+        )
         return [
             {name: ({"kind": LegDial.kind} | row).get(name, "") for name in columns}
             for row in planned
@@ -79,12 +83,12 @@ class Record:
         if tuple(head) != self._columns:
             problem = "was not begun by this command with this machine file"
             raise FileError(
-                f"{problem}: choose another name for --out", file=shown(self.path), line=1
+                f"{problem}: choose another name for --out", file=printable_path(self.path), line=1
             )
         for number, cells in enumerate(lines, start=2):
             if len(cells) != len(head):
                 text = "has another number of columns than the first line: restore it"
-                raise FileError(text, file=shown(self.path), line=number)
+                raise FileError(text, file=printable_path(self.path), line=number)
         self.rows = [dict(zip(head, cells, strict=True)) for cells in lines]
         self.idle = max(time.time() - self.path.stat().st_mtime, 0.0)
         if whole != text:
@@ -94,7 +98,7 @@ class Record:
     def append(self, row: Row) -> None:
         """Add a row, numbered, and see it on the disk."""
         full = row | {"order": str(len(self.rows))}
-        with files.writing(self.path), open(self.path, "ab") as stream:
+        with files.as_file_errors(self.path), open(self.path, "ab") as stream:
             stream.write(csv_text(list(full.values()), ()).encode())
             stream.flush()
             os.fsync(stream.fileno())
@@ -110,7 +114,7 @@ class Record:
 
     def _write(self, *, overwrite: bool = True) -> None:
         text = csv_text(self._columns, [row.values() for row in self.rows])
-        files.write_whole(self.path, text, overwrite=overwrite)
+        files.write_file(self.path, text, overwrite=overwrite)
 
     def campaign(self, rows: Sequence[Row]) -> Readings:
         """Return some of the rows as a campaign, with mountings that were read at one station only
@@ -126,5 +130,5 @@ class Record:
                 stations.setdefault(row["setup"], set()).add(here)
         unused = {"kind": "move", "reading_mm": ""}
         used = [row if len(stations.get(row["setup"], ())) > 1 else row | unused for row in rows]
-        table = rows_table(used, shown(self.path))
+        table = rows_table(used, printable_path(self.path))
         return readings_of_table(table, self.path.stem, self.machine_file)[0]

@@ -9,23 +9,23 @@ from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from typing import Literal
 
-from orthoglide.closing import close, filled
+from orthoglide.closing import build_result, compute_outcome
 from orthoglide.errors import FileError, InputError
 from orthoglide.machine import Machine
-from orthoglide.measuring.expected import Expected
-from orthoglide.measuring.program import MOST, SETTLED, following, opening
-from orthoglide.measuring.record import AGAIN, SKIPPED, Record
+from orthoglide.measuring.expected import ExpectedReadings
+from orthoglide.measuring.record import RETURN_POSTURE, SKIPPED_POSTURE, Record
+from orthoglide.measuring.schedule import MAX_READINGS, SETTLED_CRITERION, next_step, opening_sheet
 from orthoglide.observations import Moves, Readings
 from orthoglide.observations.writing import Row, command_columns
-from orthoglide.report.sheet import counted, dial_words, mounted_together
-from orthoglide.text import brief, shown
-from orthoglide.verdict import Verdict, requested
+from orthoglide.report.sheet import command_convention, dial_words, mounted_together
+from orthoglide.text import abbreviated, printable_path
+from orthoglide.verdict import Verdict, build_request
 
 # --- What is typed, or sent by a dial -------------------------------------------------------------
 
-Word = Literal["skip", "undo", "quit", "help"]
+AnswerWord = Literal["skip", "undo", "quit", "help"]
 
-_WORDS: dict[str, Word] = {
+_ANSWER_WORDS: dict[str, AnswerWord] = {
     "skip": "skip", "s": "skip", "undo": "undo", "u": "undo", "back": "undo", "b": "undo",
     "quit": "quit", "q": "quit", "exit": "quit", "?": "help", "help": "help", "h": "help",
 }  # fmt: skip
@@ -38,27 +38,27 @@ HELP = """\
   ?       this help"""
 
 _NUMBER = re.compile(r"([+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+))\s*(mm|um|µm|μm)?", re.IGNORECASE)
-_LARGEST = Decimal(1000)  # millimetres: no dial shows more
+_LARGEST_READING = Decimal(1000)  # millimetres: no dial shows more
 
 
-def understood(answer: str) -> Decimal | Word:
+def parse_answer(answer: str) -> Decimal | AnswerWord:
     """Return a reading in millimetres, exactly as it was given, or what a word asks for.
 
     Raises:
         InputError: if the answer is neither.
     """
     text = answer.strip().replace("−", "-")
-    if text.lower() in _WORDS:
-        return _WORDS[text.lower()]
+    if text.lower() in _ANSWER_WORDS:
+        return _ANSWER_WORDS[text.lower()]
     found = _NUMBER.fullmatch(text)
     if found is None:
         raise InputError(
-            f"{brief(text)!r} is no reading: type a number such as 12.34, or ? for help"
+            f"{abbreviated(text)!r} is no reading: type a number such as 12.34, or ? for help"
         )
     in_mm = (found[2] or "mm").lower() == "mm"
     value = Decimal(found[1].replace(",", ".")).scaleb(0 if in_mm else -3)
-    if abs(value) > _LARGEST:
-        raise InputError(f"{brief(text)} is more than any dial shows: give millimetres")
+    if abs(value) > _LARGEST_READING:
+        raise InputError(f"{abbreviated(text)} is more than any dial shows: give millimetres")
     return value
 
 
@@ -66,7 +66,7 @@ def understood(answer: str) -> Decimal | Word:
 
 
 @dataclass(frozen=True)
-class End:
+class SessionEnd:
     """Outcome of a measuring session."""
 
     verdict: Verdict  # of all readings
@@ -76,13 +76,13 @@ class End:
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
+class _SheetProgress:
     """A sheet that the session goes through."""
 
     sheet: Readings
     rows: list[Row]  # as the file has them, moves included
     first_row: int  # number of rows of all sheets before it
-    expected: Expected  # readings of the sheet
+    expected: ExpectedReadings  # readings of the sheet
 
     @property
     def end(self) -> int:
@@ -100,16 +100,18 @@ class Session:
     ask: Callable[[str], str]
     tell: Callable[[str], None]  # says something
     sheet: Readings | None = None  # to read first; the program's own where absent
-    most: int = MOST  # readings after which no more are asked for
+    max_readings: int = MAX_READINGS  # readings after which no more are asked for
     clock: Callable[[], float] = time.time  # seconds; only differences count
-    _began: float = field(default=0.0, init=False)
-    _parts: list[_Part] = field(default_factory=list, init=False)  # up to the row that is next
+    _start_time: float = field(default=0.0, init=False)
+    _parts: list[_SheetProgress] = field(
+        default_factory=list, init=False
+    )  # up to the row that is next
     # True if this session moved the machine to the last row of the file
-    _live: bool = field(default=False, init=False)
-    _mounted: str = field(default="", init=False)  # dials that were told last
-    _place: str = field(default="", init=False)  # position that was told last
+    _machine_in_place: bool = field(default=False, init=False)
+    _announced_dials: str = field(default="", init=False)  # dials that were told last
+    _announced_position: str = field(default="", init=False)  # position that was told last
 
-    def run(self) -> End | None:
+    def run(self) -> SessionEnd | None:
         """Ask until the verdict is settled, or no more is to be read.
 
         Returns:
@@ -118,82 +120,84 @@ class Session:
         Raises:
             InputError: if the file or the sheet cannot be used.
         """
-        first, name = self.sheet or opening(self.machine), shown(self.record.path)
+        first, name = self.sheet or opening_sheet(self.machine), printable_path(self.record.path)
         first = first if len(first.moves) else first.with_moves()
         if self.record.open(first):
             self.tell(f"{name} holds {self.record.readings} readings: going on after them.")
         else:
             self.tell(f"Readings go to {name}, each as soon as it is given. Answers:\n{HELP}")
         last = max((float(row["time_s"] or 0) for row in self.record.rows), default=0.0)
-        self._began = self.clock() - last - self.record.idle
-        self._begin(first)
+        self._start_time = self.clock() - last - self.record.idle
+        self._begin_sheet(first)
         while True:
-            while self._done < self._parts[-1].first_row:  # a reading was taken back
+            while self._rows_done < self._parts[-1].first_row:  # a reading was taken back
                 self._parts.pop()
             part = self._parts[-1]
-            if self._done < part.end:
+            if self._rows_done < part.end:
                 if not self._read_next(part):
                     return None
                 continue
-            rows = self.record.rows[: int(self._answers[part.end - 1]["order"]) + 1]
+            rows = self.record.rows[: int(self._sheet_rows[part.end - 1]["order"]) + 1]
             self.tell("\nComputing the verdict.")
-            closed = close(requested(self.record.campaign(rows), self.machine))
-            room = self.most - sum(bool(row["reading_mm"]) for row in rows)
-            step = following(closed, len(self._parts), room)
+            closed = compute_outcome(build_request(self.record.campaign(rows), self.machine))
+            room = self.max_readings - sum(bool(row["reading_mm"]) for row in rows)
+            step = next_step(closed, len(self._parts), room)
             if step.sheet is None:
-                verdict = filled(closed, Verdict)
-                return End(verdict, step.settled, step.reason, self.record.readings)
+                verdict = build_result(closed, Verdict)
+                return SessionEnd(verdict, step.settled, step.reason, self.record.readings)
             self.tell(f"\nNot settled yet, {step.reason}: {len(step.sheet)} readings more.")
-            self._begin(step.sheet)
+            self._begin_sheet(step.sheet)
 
     @property
-    def _answers(self) -> list[Row]:
+    def _sheet_rows(self) -> list[Row]:
         """Rows of the file, without those that lead back, in the order of the sheets."""
-        return [row for row in self.record.rows if row["posture"] != AGAIN]
+        return [row for row in self.record.rows if row["posture"] != RETURN_POSTURE]
 
     @property
-    def _done(self) -> int:
-        return len(self._answers)
+    def _rows_done(self) -> int:
+        return len(self._sheet_rows)
 
-    def _begin(self, sheet: Readings) -> None:
+    def _begin_sheet(self, sheet: Readings) -> None:
         """Go on with a sheet, of which the file may contain rows already.
 
         Raises:
             FileError: if these are rows of another sheet.
         """
         start, rows = self._parts[-1].end if self._parts else 0, self.record.plan(sheet)
-        for row, planned in zip(self._answers[start:], rows, strict=False):
+        for row, planned in zip(self._sheet_rows[start:], rows, strict=False):
             if any(row[name] != planned[name] for name in ("setup", *command_columns(planned))):
                 raise FileError(
                     "was not measured with this machine file and sheet: choose another name for "
                     "--out",
-                    file=shown(self.record.path),
+                    file=printable_path(self.record.path),
                     line=int(row["order"]) + 2,
                 )
-        self._parts.append(_Part(sheet, rows, start, Expected.of(sheet, self.machine)))
+        self._parts.append(
+            _SheetProgress(sheet, rows, start, ExpectedReadings.of(sheet, self.machine))
+        )
 
-    def _read_next(self, part: _Part) -> bool:
+    def _read_next(self, part: _SheetProgress) -> bool:
         """Go to the next place of a sheet and read it; return False if somebody asks to stop."""
-        before = part.rows[: self._done - part.first_row]
+        before = part.rows[: self._rows_done - part.first_row]
         planned, reading = part.rows[len(before)], sum(row["kind"] != "move" for row in before)
-        self._mount(part, planned["setup"])
+        self._announce_mounting(part, planned["setup"])
         if planned["kind"] == "move":
             self._move_without_reading(planned)
             return True
-        if not self._live and self.record.rows:
+        if not self._machine_in_place and self.record.rows:
             self._lead_back(part.sheet, reading)
         self._tell_position(planned, "go to", f"posture {planned['posture']}")
-        return self._question(part, planned, reading)
+        return self._ask_reading(part, planned, reading)
 
-    def _question(self, part: _Part, planned: Row, reading: int) -> bool:
+    def _ask_reading(self, part: _SheetProgress, planned: Row, reading: int) -> bool:
         """Ask for one reading until it is given, skipped, or the one before is taken back."""
-        answers = zip(part.rows, self._answers[part.first_row :], strict=False)
+        answers = zip(part.rows, self._sheet_rows[part.first_row :], strict=False)
         taken = [row["reading_mm"] for asked, row in answers if asked["kind"] != "move"]
         known = {k: float(value) * 1e-3 for k, value in enumerate(taken) if value}
         doubted = None
         while True:
             try:
-                answer = understood(self.ask(f"{planned['setup']} shows: "))
+                answer = parse_answer(self.ask(f"{planned['setup']} shows: "))
             except InputError as error:
                 self.tell(f"  {error}")
                 continue
@@ -202,19 +206,21 @@ class Session:
             if answer == "quit":
                 return False
             if answer == "help":
-                self.tell(f"{HELP}\n{SETTLED}")
+                self.tell(f"{HELP}\n{SETTLED_CRITERION}")
             elif answer == "skip":
-                self._append_row(planned | {"kind": "move", "posture": SKIPPED, "repeat": ""})
+                self._append_row(
+                    planned | {"kind": "move", "posture": SKIPPED_POSTURE, "repeat": ""}
+                )
                 return True
             elif answer == "undo":
                 if self.record.take_back():
-                    self._live, self._place = False, ""
+                    self._machine_in_place, self._announced_position = False, ""
                     return True
                 self.tell("  there is no reading to take back")
             else:
                 wrong, possible = part.expected.objection(reading, float(answer) * 1e-3, known)
                 if not wrong or (possible and answer == doubted):
-                    now = f"{max(self.clock() - self._began, 0.0):.0f}"
+                    now = f"{max(self.clock() - self._start_time, 0.0):.0f}"
                     self._append_row(planned | {"reading_mm": f"{answer:f}", "time_s": now})
                     return True
                 doubted, judged = answer, "is implausible" if possible else "cannot be"
@@ -224,21 +230,21 @@ class Session:
 
     def _append_row(self, row: Row) -> None:
         self.record.append(row)
-        self._live = True
+        self._machine_in_place = True
 
-    def _mount(self, part: _Part, setup: str) -> None:
+    def _announce_mounting(self, part: _SheetProgress, setup: str) -> None:
         """Say where the dials of a mounting stand, once."""
         names = mounted_together(part.rows)[setup]
-        if self._mounted == " and ".join(names):
+        if self._announced_dials == " and ".join(names):
             return
-        self._mounted, self._place = " and ".join(names), ""
-        self.tell(f"\nMount {'dials' if len(names) > 1 else 'a dial'}: {self._mounted}")
+        self._announced_dials, self._announced_position = " and ".join(names), ""
+        self.tell(f"\nMount {'dials' if len(names) > 1 else 'a dial'}: {self._announced_dials}")
         for one in part.sheet.setups:
             if one.name in names:
                 otherwise = "give all its numbers with the other sign"
                 words = "\n    ".join(dial_words(one, self.machine, otherwise))
                 self.tell(f"  {one.name}\n    {words}")
-        self.tell(f"  {counted(self.machine)}")
+        self.tell(f"  {command_convention(self.machine)}")
 
     def _move_without_reading(self, row: Row) -> None:
         """Send the machine to a place where nothing is read."""
@@ -247,15 +253,15 @@ class Session:
 
     def _lead_back(self, sheet: Readings, reading: int) -> None:
         """Lead the machine back, so that it comes to the next place from the prescribed side."""
-        back = sheet.command[reading] - sheet.moves.beyond * sheet.approach[reading]
+        back = sheet.command[reading] - sheet.moves.overshoot * sheet.approach[reading]
         alone = replace(sheet.subset([reading]), command=back[None], moves=Moves())
         self._move_without_reading(
-            self.record.plan(alone)[0] | {"kind": "move", "posture": AGAIN, "repeat": ""}
+            self.record.plan(alone)[0] | {"kind": "move", "posture": RETURN_POSTURE, "repeat": ""}
         )
 
     def _tell_position(self, planned: Row, what: str, why: str) -> None:
         cells = {name.split("_")[1]: planned[name] for name in command_columns(planned)}
         place = "  ".join(f"{axis} {float(cell):.3f}" for axis, cell in cells.items())
-        if self._place != place:
+        if self._announced_position != place:
             self.tell(f"{what:<7}  {place}  {why}")
-        self._place = place
+        self._announced_position = place

@@ -79,17 +79,21 @@ def library(
         return None
     try:
         digest = _digest(
-            "\n".join([content, command, *flags, _target(command, tuple(flags))]).encode()
+            "\n".join([content, command, *flags, _compiler_target(command, tuple(flags))]).encode()
         )
-        folder = _own_folder()
-        found = _library(folder, digest)
-        return found if found or not build else _build(command, flags, source(), folder, digest)
+        folder = _cache_folder()
+        found = _cached_library(folder, digest)
+        return (
+            found
+            if found or not build
+            else _build_library(command, flags, source(), folder, digest)
+        )
     except (OSError, subprocess.SubprocessError):
         return None
 
 
 @cache
-def _target(command: str, flags: tuple[str, ...]) -> str:
+def _compiler_target(command: str, flags: tuple[str, ...]) -> str:
     """What the compiler says of the computer that these flags compile for."""
     asked = [command, *flags, "-dM", "-E", "-x", "c", "-"]
     return subprocess.run(asked, check=True, input="", capture_output=True, text=True).stdout
@@ -99,7 +103,7 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:24]
 
 
-def _own_folder() -> Path:
+def _cache_folder() -> Path:
     """Where compiled functions are kept, made where it is missing, and nobody but the user can
     write: ``$ORTHOGLIDE_CACHE``, else in the user's cache folder.
 
@@ -118,7 +122,7 @@ def _own_folder() -> Path:
     return folder
 
 
-def _library(folder: Path, digest: str) -> Path | None:
+def _cached_library(folder: Path, digest: str) -> Path | None:
     """The compiled library of a source, whose name tells its content: a damaged one is removed."""
     for library in sorted(folder.glob(f"closure-{digest}-*.so")):
         if library.stem.rpartition("-")[2] == _digest(library.read_bytes()):
@@ -127,7 +131,9 @@ def _library(folder: Path, digest: str) -> Path | None:
     return None
 
 
-def _build(command: str, flags: Sequence[str], source: str, folder: Path, digest: str) -> Path:
+def _build_library(
+    command: str, flags: Sequence[str], source: str, folder: Path, digest: str
+) -> Path:
     with tempfile.TemporaryDirectory(dir=folder) as made:
         code, out = Path(made) / "closure.c", Path(made) / "closure.so"
         code.write_text(source, encoding="utf-8")

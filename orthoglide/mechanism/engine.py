@@ -21,19 +21,19 @@ from orthoglide.errors import ClosureError, InputError
 from orthoglide.geometry import Array
 from orthoglide.mechanism import six_bars
 from orthoglide.mechanism.mechanism import CLOSED, Mechanism, Posture
-from orthoglide.mechanism.perfect_legs import FLAT
-from orthoglide.mechanism.rows import Functions, Single
-from orthoglide.mechanism.six_bars import GIVEN, LINES, OUTPUTS, ROTATION, TCP
+from orthoglide.mechanism.perfect_legs import SIDE_ROUNDING
+from orthoglide.mechanism.rows import CompilableFunctions, InPlaceFunction
+from orthoglide.mechanism.six_bars import INPUT_SIZE, LINES, OUTPUT_SIZE, ROTATION, TCP
 
 # Bars off by less than this share of their length are closed to rounding.
 _ROUNDING = 3e-15
 # Trace of a rotation by 60 degrees: a platform that turned by more is in another assembly mode.
-_TURNED = 2.0
+_SMALLEST_TRACE = 2.0
 # Rounds of Newton's steps for postures that the first did not close: errors of centimetres.
-_ROUNDS = 5
+_MAX_NEWTON_ROUNDS = 5
 # Postures near mechanical zero, within that share of a bar's length from it, at which six bars are
 # held against Pinocchio before they are used: any would show another machine.
-_TRIED, _NEAR = 2, 0.01
+_CHECKED_POSTURES, _CHECKED_REGION = 2, 0.01
 # Interpreted closures that take as long as compiling does.
 _WORTH_COMPILING = 50_000
 
@@ -86,12 +86,12 @@ class Engine(Protocol):
         ...
 
 
-def place_in(shape: tuple[int, ...], index: tuple[int, ...]) -> tuple[int, ...]:
+def batch_index(shape: tuple[int, ...], index: tuple[int, ...]) -> tuple[int, ...]:
     """Return the place in a batch of ``shape`` of a posture numbered after flattening it."""
     return tuple(int(k) for k in np.unravel_index(index[0], shape)) if index else ()
 
 
-class ByPinocchio:
+class PinocchioEngine:
     """Closes postures one by one with Pinocchio's constraint Jacobian: slow, and the definition.
 
     Args:
@@ -103,32 +103,37 @@ class ByPinocchio:
 
     def __init__(self, mechanism: Mechanism) -> None:
         self.mechanism = mechanism
-        self.worst = dict.fromkeys(mechanism.tree.rows, 0.0)
+        self.largest_residual = dict.fromkeys(mechanism.tree.rows, 0.0)
 
     def outputs(self, travel: Array, moves: Array) -> Outputs:
         """See :class:`Engine`."""
-        return self._each(travel, moves, tangents=False)[0]
+        return self._close_each(travel, moves, tangents=False)[0]
 
     def tangent(self, travel: Array, moves: Array) -> tuple[Outputs, Array]:
         """See :class:`Engine`."""
-        return self._each(travel, moves, tangents=True)
+        return self._close_each(travel, moves, tangents=True)
 
-    def _each(self, travel: Array, moves: Array, tangents: bool) -> tuple[Outputs, Array]:
+    def _close_each(self, travel: Array, moves: Array, tangents: bool) -> tuple[Outputs, Array]:
         n = len(travel)
-        values, by_given = np.empty((n, OUTPUTS)), np.empty((n if tangents else 0, OUTPUTS, GIVEN))
+        values, by_given = (
+            np.empty((n, OUTPUT_SIZE)),
+            np.empty((n if tangents else 0, OUTPUT_SIZE, INPUT_SIZE)),
+        )
         zero = self.mechanism.geometry.zero
         for k in range(n):
             with self.mechanism.lock:  # what is shown is read off Pinocchio's scratch data
-                with _numbered(k, n):
+                with _number_posture_in_errors(k, n):
                     posture = self.mechanism.close(zero + travel[k], moves[k].reshape(3, -1))
-                values[k] = self._shown(posture)
+                values[k] = self._posture_outputs(posture)
                 if tangents:
-                    by_given[k] = self._moved(posture)
-            self.worst = {loop: max(v, posture.residual[loop]) for loop, v in self.worst.items()}
+                    by_given[k] = self._posture_tangent(posture)
+            self.largest_residual = {
+                loop: max(v, posture.residual[loop]) for loop, v in self.largest_residual.items()
+            }
         return Outputs(values), by_given
 
     @cached_property
-    def _ends(self) -> list[tuple[bool, int]]:
+    def _bar_ends(self) -> list[tuple[bool, int]]:
         """Whether each bar end is a frame, and its number or the joint's, in the order of LINES."""
         tree, found = self.mechanism.tree, list[tuple[bool, int]]()
         for leg in tree.leg_names:
@@ -138,22 +143,22 @@ class ByPinocchio:
             found += [(False, j) for j in joints] + [(True, tree.frame(f"{leg}_bar2_tip"))]
         return found
 
-    def _shown(self, posture: Posture) -> Array:
+    def _posture_outputs(self, posture: Posture) -> Array:
         """Outputs ``(48,)`` of the posture that was closed last."""
         model, data = self.mechanism.tree.model, self.mechanism.constraints.data
         places = [
             (pin.updateFramePlacement(model, data, k) if framed else data.oMi[k]).translation
-            for framed, k in self._ends
+            for framed, k in self._bar_ends
         ]
         return np.concatenate([posture.p, posture.R.ravel(), *places])
 
-    def _moved(self, posture: Posture) -> Array:
+    def _posture_tangent(self, posture: Posture) -> Array:
         """Derivative ``(48, 33)`` of the outputs by travel and displacements."""
         tree, constraints = self.mechanism.tree, self.mechanism.constraints
         rates = self.mechanism.joint_rates(posture, np.concatenate([tree.drive, tree.virtual]))
         model, data, axes = tree.model, constraints.data, pin.LOCAL_WORLD_ALIGNED
         tool = pin.getFrameJacobian(model, data, self.mechanism.tool, axes) @ rates
-        turned = np.cross(tool[3:].T[:, :, None], posture.R[None], axis=1).reshape(GIVEN, 9).T
+        turned = np.cross(tool[3:].T[:, :, None], posture.R[None], axis=1).reshape(INPUT_SIZE, 9).T
         ends = [
             (
                 pin.getFrameJacobian(model, data, k, axes)
@@ -161,13 +166,13 @@ class ByPinocchio:
                 else pin.getJointJacobian(model, data, k, axes)
             )[:3]
             @ rates
-            for framed, k in self._ends
+            for framed, k in self._bar_ends
         ]
         return np.concatenate([tool[:3], turned, *ends])
 
 
 @contextmanager
-def _numbered(index: int, count: int) -> Iterator[None]:
+def _number_posture_in_errors(index: int, count: int) -> Iterator[None]:
     """Let an error of one posture say which of a batch it is."""
     try:
         yield
@@ -189,14 +194,14 @@ class SixBars:
     def __init__(self, mechanism: Mechanism, *, compile: bool | None = None) -> None:
         self.mechanism = mechanism
         self.constants = six_bars.constants(mechanism.tree)
-        self._exact = _ROUNDING * float(mechanism.spheres.lengths.max())
+        self._rounding = _ROUNDING * float(mechanism.spheres.lengths.max())
         worth = -1 if compile is False else _WORTH_COMPILING
         # Apart, as most runs need the closure first, and the tangent takes longest to compile.
-        self._close = Functions(
-            ("close", "close_from"), _key("close"), six_bars.closing_functions, 1, worth
+        self._close = CompilableFunctions(
+            ("close", "close_from"), _library_key("close"), six_bars.closing_functions, 1, worth
         )
-        self._tangent = Functions(
-            ("tangent",), _key("tangent"), lambda: [six_bars.tangent_function()], 1, worth
+        self._tangent = CompilableFunctions(
+            ("tangent",), _library_key("tangent"), lambda: [six_bars.tangent_function()], 1, worth
         )
         if compile:
             self._close.compile()
@@ -211,13 +216,13 @@ class SixBars:
         """
         draws = np.random.default_rng(0)
         within = min(map(abs, self.mechanism.geometry.stroke)) / 2
-        reach = min(_NEAR * float(self.mechanism.spheres.lengths.max()), within)
-        travel = reach * draws.uniform(-1, 1, (_TRIED, 3))
-        moves = np.zeros((_TRIED, GIVEN - 3))
+        reach = min(_CHECKED_REGION * float(self.mechanism.spheres.lengths.max()), within)
+        travel = reach * draws.uniform(-1, 1, (_CHECKED_POSTURES, 3))
+        moves = np.zeros((_CHECKED_POSTURES, INPUT_SIZE - 3))
         try:
             apart = (
                 self.outputs(travel, moves).values
-                - ByPinocchio(self.mechanism).outputs(travel, moves).values
+                - PinocchioEngine(self.mechanism).outputs(travel, moves).values
             )
         except ClosureError as error:
             raise InputError(
@@ -237,27 +242,27 @@ class SixBars:
         """Whether closures run compiled."""
         return self._close.compiled
 
-    def single(self) -> Single:
+    def single(self) -> InPlaceFunction:
         """Return the closure of one posture as an object that is evaluated in place, unchecked.
 
         Constants ``(106,)``, travel ``(3,)`` and displacements ``(30,)`` in, outputs ``(48,)`` and
         check ``(3,)`` out.
         """
-        single = Single(self._close.rows("close").function)
-        single.given[0][:] = self.constants
+        single = InPlaceFunction(self._close.rows("close").function)
+        single.arguments[0][:] = self.constants
         return single
 
     def outputs(self, travel: Array, moves: Array) -> Outputs:
         """See :class:`Engine`."""
-        if travel.shape != (len(moves), 3) or moves.shape[1:] != (GIVEN - 3,):
+        if travel.shape != (len(moves), 3) or moves.shape[1:] != (INPUT_SIZE - 3,):
             raise InputError(
-                f"travel (n, 3) and displacements (n, {GIVEN - 3}) are needed, not "
+                f"travel (n, 3) and displacements (n, {INPUT_SIZE - 3}) are needed, not "
                 f"{travel.shape} and {moves.shape}"
             )
         values, check = self._close("close", self.constants, travel, moves)
         # All postures are closed if the worst are; comparisons with NaN are false.
-        off, side, turned = check[0] if len(check) == 1 else _worst(check)
-        if not (off <= self._exact and side < -FLAT and turned > _TURNED):
+        off, side, turned = check[0] if len(check) == 1 else _worst_check(check)
+        if not (off <= self._rounding and side < -SIDE_ROUNDING and turned > _SMALLEST_TRACE):
             self._close_remaining(values, check, travel, moves)
         return Outputs(values)
 
@@ -266,21 +271,26 @@ class SixBars:
 
         What six bars close to ``CLOSED`` is taken. The rest is closed, or refused, by Pinocchio.
         """
-        for _ in range(_ROUNDS):
-            rows = np.flatnonzero(~_is_closed(check, self._exact) & np.isfinite(values).all(axis=1))
+        for _ in range(_MAX_NEWTON_ROUNDS):
+            rows = np.flatnonzero(
+                ~_is_closed(check, self._rounding) & np.isfinite(values).all(axis=1)
+            )
             if not rows.size:
                 break
             values[rows], check[rows] = self._close(
                 "close_from", self.constants, travel[rows], moves[rows], values[rows, :12]
             )
-        reference = ByPinocchio(self.mechanism)
+        reference = PinocchioEngine(self.mechanism)
         for row in np.flatnonzero(~_is_closed(check, CLOSED)):
-            with _numbered(int(row), len(travel)), self._counted_from_zero(travel[row]):
+            with (
+                _number_posture_in_errors(int(row), len(travel)),
+                self._hint_at_travel(travel[row]),
+            ):
                 part = slice(row, row + 1)
                 values[row] = reference.outputs(travel[part], moves[part]).values[0]
 
     @contextmanager
-    def _counted_from_zero(self, travel: Array) -> Iterator[None]:
+    def _hint_at_travel(self, travel: Array) -> Iterator[None]:
         """Let an error hint at commands that would be within the stroke if they were travel."""
         geometry = self.mechanism.geometry
         try:
@@ -303,10 +313,12 @@ class SixBars:
 
 def _is_closed(check: Array, most: float) -> NDArray[np.bool_]:
     """Return which postures ``(n,)`` are closed in the machine's assembly mode."""
-    return np.asarray((check[:, 0] <= most) & (check[:, 1] < -FLAT) & (check[:, 2] > _TURNED))
+    return np.asarray(
+        (check[:, 0] <= most) & (check[:, 1] < -SIDE_ROUNDING) & (check[:, 2] > _SMALLEST_TRACE)
+    )
 
 
-def _worst(check: Array) -> tuple[float, float, float]:
+def _worst_check(check: Array) -> tuple[float, float, float]:
     """Return the largest misfit, the side nearest to the other mode and the smallest trace."""
     if not len(check):
         return 0.0, -1.0, 3.0
@@ -315,7 +327,7 @@ def _worst(check: Array) -> tuple[float, float, float]:
 
 
 @cache
-def _key(name: str) -> str:
+def _library_key(name: str) -> str:
     """Key of a compiled library: the functions depend on the text of their module alone."""
     text = Path(six_bars.__file__).read_bytes()
     return f"{name} {hashlib.sha256(text).hexdigest()}"

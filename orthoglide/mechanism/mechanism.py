@@ -13,11 +13,17 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dgesv
 
-from orthoglide.errors import ClosureError, InputError, check_word, numbers
+from orthoglide.errors import ClosureError, InputError, as_float_array, check_choice
 from orthoglide.geometry import Array, Geometry
 from orthoglide.mechanism.constraints import Constraints
 from orthoglide.mechanism.mobility import Mobility, mobility
-from orthoglide.mechanism.perfect_legs import Mode, Spheres, free_joints, mode_of, tool
+from orthoglide.mechanism.perfect_legs import (
+    Mode,
+    Spheres,
+    assembly_mode,
+    free_joints,
+    tool_position,
+)
 from orthoglide.mechanism.tree import (
     RELIEF_NAMES,
     VIRTUAL_NAMES,
@@ -35,7 +41,7 @@ _RELIEF_LIMIT = float(np.deg2rad(1.0))
 """Angle of a relief joint, radians, beyond which a real leg would rather jam or bend: four times
 what errors of every kind at their tolerances turn the most twisted leg by (rms)."""
 
-_STEPS = 30  # four to eight do in the stroke; far beyond it Newton ends or never does
+_MAX_STEPS = 30  # four to eight do in the stroke; far beyond it Newton ends or never does
 _LONGEST_STEP = 0.5  # radians; keeps a cold start from jumping over to the other assembly mode
 
 
@@ -78,9 +84,9 @@ class Mechanism:
     ) -> None:
         self.geometry = geometry or Geometry()
         self.looped = load(urdf or self.geometry)
-        self._set(general_tree(self.looped))
+        self._set_tree(general_tree(self.looped))
 
-    def _set(self, tree: Tree) -> None:
+    def _set_tree(self, tree: Tree) -> None:
         self.tree = tree
         self.constraints = Constraints(tree)
         self.lock = RLock()  # of Pinocchio's scratch data
@@ -109,12 +115,12 @@ class Mechanism:
         tree = nominal_tree(found.looped)
         if tool:
             tree = replace(tree, tool=tool)
-        found._set(tree)
+        found._set_tree(tree)
         return found
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Constraint objects do not pickle: another process builds its own.
-        return _rebuilt, (self.geometry, self.looped, self.tree)
+        return _rebuild_mechanism, (self.geometry, self.looped, self.tree)
 
     def __repr__(self) -> str:
         model, rows = self.tree.model, sum(loop.rows for loop in self.tree.loops)
@@ -131,10 +137,10 @@ class Mechanism:
     @cached_property
     def spheres(self) -> Spheres:
         """Legs without errors, of which closure in a given assembly mode starts."""
-        return Spheres.of_tree(self.tree, self._zero)
+        return Spheres.of_tree(self.tree, self._command_at_zero)
 
     @property
-    def _zero(self) -> Array:
+    def _command_at_zero(self) -> Array:
         """Command where the drives' joints are at zero."""
         return self.geometry.zero if self.has_legs else np.zeros(len(self.tree.drive))
 
@@ -162,12 +168,14 @@ class Mechanism:
             ClosureError: where the loops do not close, with the residual by loop.
             InputError: where the arguments have the wrong shape or are not finite.
         """
-        check_word("assembly mode", mode, get_args(Mode))
-        check_word("kind of legs", legs, ("relieved", "rigid"))
+        check_choice("assembly mode", mode, get_args(Mode))
+        check_choice("kind of legs", legs, ("relieved", "rigid"))
         if mode != "machine" and not self.has_legs:
             raise InputError("only three PRPaR legs have modes by name: give a guess to start from")
         with self.lock:
-            return self._close(self._start(command, displacements, guess), mode, legs, guess)
+            return self._close(
+                self._start_configuration(command, displacements, guess), mode, legs, guess
+            )
 
     def _close(
         self, q: Array, mode: Mode, legs: Literal["relieved", "rigid"], guess: Posture | None
@@ -175,26 +183,26 @@ class Mechanism:
         moving = self.tree.passive if legs == "rigid" else self.tree.free
         if mode == "machine" or guess is not None:
             try:
-                return self._checked(*self._newton(q, moving), mode, legs)
+                return self._check_posture(*self._newton(q, moving), mode, legs)
             except ClosureError:
                 if guess is not None or not self.has_legs:
                     raise
         # Where Newton fails from neutral, and in the other mode, start from legs without errors.
         travel = q[None, self.tree.drive]
-        p = tool(self.spheres, travel, mode)
+        p = tool_position(self.spheres, travel, mode)
         if np.isfinite(p).all():
             q[self.tree.free] = free_joints(self.tree, self.spheres, travel, p)[0]
-        return self._checked(*self._newton(q, moving), mode, legs)
+        return self._check_posture(*self._newton(q, moving), mode, legs)
 
     def _newton(self, q: Array, moving: np.ndarray[Any, np.dtype[np.intp]]) -> tuple[Array, int]:
         """Return the configuration where Newton's method ends, and its steps."""
         step = np.zeros(self.tree.model.nv)
         steps = 0
-        while steps < _STEPS:
+        while steps < _MAX_STEPS:
             steps += 1
             residual = self.constraints.residual(q)
             jacobian = self.constraints.newton_matrix()[:, moving]
-            change = _solved(jacobian, residual)
+            change = _solve_least_squares(jacobian, residual)
             largest = float(np.abs(change).max(initial=0.0))
             if not np.isfinite(largest):
                 break
@@ -204,16 +212,16 @@ class Mechanism:
                 break
         return q, steps
 
-    def _start(
+    def _start_configuration(
         self, command: ArrayLike, displacements: ArrayLike | None, guess: Posture | None
     ) -> Array:
-        tree, given = self.tree, numbers("the command", command)
+        tree, given = self.tree, as_float_array("the command", command)
         if given.shape != tree.drive.shape or not np.isfinite(given).all():
             raise InputError(f"close takes one command {tree.drive.shape} of finite numbers")
         if guess is not None and not (isinstance(guess, Posture) and len(guess.q) == tree.model.nq):
             raise InputError("a guess must be a posture of this mechanism")
         q = pin.neutral(tree.model) if guess is None else guess.q.copy()
-        for joint, position in zip(self._drives, given - self._zero, strict=True):
+        for joint, position in zip(self._drives, given - self._command_at_zero, strict=True):
             # A joint without limits is held as cosine and sine.
             turning = joint.nq == 2
             part = slice(joint.idx_q, joint.idx_q + joint.nq)
@@ -222,20 +230,20 @@ class Mechanism:
             raise InputError("this machine has no virtual joints, so it takes no displacements")
         if self.has_legs:
             moves = np.zeros((3, len(VIRTUAL_NAMES))) if displacements is None else displacements
-            moves = numbers("displacements", moves)
+            moves = as_float_array("displacements", moves)
             if moves.shape != (3, len(VIRTUAL_NAMES)) or not np.isfinite(moves).all():
                 raise InputError("displacements must be finite numbers of shape (3, 10)")
             q[tree.virtual] = moves.ravel()
         return q
 
-    def _checked(self, q: Array, iterations: int, mode: Mode, legs: str) -> Posture:
+    def _check_posture(self, q: Array, iterations: int, mode: Mode, legs: str) -> Posture:
         residual = self.constraints.residual(q)
         by_loop = self.tree.by_loop(residual)
         if not float(np.abs(residual).max(initial=0.0)) <= CLOSED:
             worst, size = max(by_loop.items(), key=lambda item: np.nan_to_num(item[1], nan=np.inf))
             reason = (
                 "rigid PRPaR legs cannot take up these errors of the parts"
-                if legs == "rigid" and iterations < _STEPS
+                if legs == "rigid" and iterations < _MAX_STEPS
                 else "the legs do not reach each other"
                 if self.has_legs
                 else "they cannot, or a nearer guess is needed"
@@ -248,7 +256,7 @@ class Mechanism:
         placement = pin.updateFramePlacement(self.tree.model, self.constraints.data, self.tool)
         p, R = placement.translation.copy(), placement.rotation.copy()
         if self.has_legs:
-            found = mode_of(self.spheres, q[self.tree.drive], p)
+            found = assembly_mode(self.spheres, q[self.tree.drive], p)
             if found != mode:
                 where = (
                     f"in the {found} assembly mode" if found else "where the assembly modes meet"
@@ -257,9 +265,9 @@ class Mechanism:
                     f"the loops close {where}, not in the {mode} assembly mode",
                     residuals=by_loop,
                 )
-        return Posture(q, p, R, by_loop, iterations, self._twists(q))
+        return Posture(q, p, R, by_loop, iterations, self._relief_warnings(q))
 
-    def _twists(self, q: Array) -> tuple[str, ...]:
+    def _relief_warnings(self, q: Array) -> tuple[str, ...]:
         """What must be said of legs whose relief joints turn further than legs give."""
         angles = np.abs(q[self.tree.relief]).reshape(-1, len(RELIEF_NAMES)).max(axis=1)
         return tuple(
@@ -300,7 +308,7 @@ class Mechanism:
         rows, free = self.constraints.jacobian(posture.q), self.tree.free
         rates = np.zeros((self.tree.model.nv, len(by)))
         rates[by, np.arange(len(by))] = 1.0
-        rates[free] = -_solved(rows[:, free], rows[:, by])
+        rates[free] = -_solve_least_squares(rows[:, free], rows[:, by])
         return rates
 
     def mobility(self, command: ArrayLike) -> Mobility:
@@ -315,14 +323,14 @@ class Mechanism:
         return mobility(Constraints(nominal), q)
 
 
-def _rebuilt(geometry: Geometry, looped: LoopedModel, tree: Tree) -> Mechanism:
+def _rebuild_mechanism(geometry: Geometry, looped: LoopedModel, tree: Tree) -> Mechanism:
     found = Mechanism.__new__(Mechanism)
     found.geometry, found.looped = geometry, looped
-    found._set(tree)
+    found._set_tree(tree)
     return found
 
 
-def _solved(matrix: Array, right: Array) -> Array:
+def _solve_least_squares(matrix: Array, right: Array) -> Array:
     """Return the least-squares solution of a linear system, by elimination where it is square.
 
     Rows of a rigid mechanism repeat each other (a planar loop closed in space), so the system is

@@ -18,13 +18,13 @@ from orthoglide.mechanism.tree import PASSIVE_NAMES, RELIEF_NAMES, Tree
 Mode = Literal["machine", "other"]
 """The machine's own assembly mode, or its mirror image in the plane of the carriages."""
 
-FLAT = 1e-15
-"""Dimensionless side of the carriages' plane (see `mode_of`) below which its sign is rounding. At a
+SIDE_ROUNDING = 1e-15
+"""Dimensionless side of the carriages' plane (see `assembly_mode`) below which its sign is rounding. At a
 thousandth of a bar's length from the plane it is of the order of 1e-6 or more.
 """
 
 _FAR = 10.0  # bars' lengths: points so far away were perhaps given in other units
-UNITS = "give metres in Python, millimetres on the command line and in files"
+UNITS_REMEDY = "give metres in Python, millimetres on the command line and in files"
 """What to do about a point so far away."""
 
 
@@ -49,7 +49,7 @@ class Spheres:
     names: tuple[str, ...]
 
     @classmethod
-    def of(cls, geometry: Geometry) -> Spheres:
+    def of_geometry(cls, geometry: Geometry) -> Spheres:
         """Return the spheres of nominal dimensions."""
         lengths, names = np.full(3, geometry.L), geometry.leg_names
         hanging = geometry.layout.hanging
@@ -63,7 +63,7 @@ class Spheres:
         centres, slides, lengths = nominal_spheres(constants(tree))
         return cls(centres, slides, lengths, zero, tree.hanging, tree.leg_names)
 
-    def at(self, travel: Array) -> Array:
+    def centres_at(self, travel: Array) -> Array:
         """Return the centres ``(N, leg, 3)`` for carriages at ``travel`` ``(N, 3)``, metres."""
         return np.asarray(self.centres + travel[:, :, None] * self.slides)
 
@@ -84,8 +84,8 @@ def free_joints(tree: Tree, spheres: Spheres, travel: Array, p: Array) -> Array:
         Free joints ``(N, n)`` in the order of ``tree.free``. Where a leg is out of reach its
         angles are clipped: closure then says by how much.
     """
-    spans = p[:, None] - spheres.at(travel)
-    passive = [_angles(tree, spheres.lengths[leg], leg, spans[:, leg]) for leg in range(3)]
+    spans = p[:, None] - spheres.centres_at(travel)
+    passive = [_passive_angles(tree, spheres.lengths[leg], leg, spans[:, leg]) for leg in range(3)]
     relief = np.zeros((len(p), 3 * len(RELIEF_NAMES) if len(tree.relief) else 0))
     return np.concatenate([*passive, relief], axis=1)
 
@@ -97,7 +97,7 @@ def commands(spheres: Spheres, p: Array) -> Array:
         UnreachableError: naming the leg that is too short, and the point that it misses most; or
             the point that lies farthest beyond the plane of the carriages.
     """
-    reach = p[:, None] - spheres.at(np.zeros((1, 3)))  # from each leg's sphere at zero
+    reach = p[:, None] - spheres.centres_at(np.zeros((1, 3)))  # from each leg's sphere at zero
     along = np.einsum("nli,li->nl", reach, spheres.slides)
     # Far points overflow a square.
     across = np.hypot.reduce(np.cross(reach, spheres.slides), axis=-1)
@@ -108,20 +108,24 @@ def commands(spheres: Spheres, p: Array) -> Array:
         size = float(excess[worst, leg])
         shown = f"{size * 1e3:.3f}" if size < 1e3 else f"{size * 1e3:g}"
         away = float(np.hypot.reduce(p[worst]))
-        far = f" for a point {away:g} m away: {UNITS}" if away > _FAR * spheres.lengths[leg] else ""
+        far = (
+            f" for a point {away:g} m away: {UNITS_REMEDY}"
+            if away > _FAR * spheres.lengths[leg]
+            else ""
+        )
         raise UnreachableError(
-            f"{_which(worst, p)}leg {spheres.names[leg]} is {shown} mm too short{far}",
+            f"{_point_prefix(worst, p)}leg {spheres.names[leg]} is {shown} mm too short{far}",
             leg=spheres.names[leg],
             excess=size,
             index=(worst,),
         )
     travel = along + np.sqrt(spheres.lengths**2 - across**2)
-    normal, offset = _carriage_plane(spheres, spheres.at(travel))
+    normal, offset = _carriage_plane(spheres, spheres.centres_at(travel))
     beyond = np.sum(normal * p, axis=1) - offset
     if (beyond >= 0).any():
         worst = int(np.argmax(beyond))
         raise UnreachableError(
-            f"{_which(worst, p)}the machine does not come to the far side of its carriages: the "
+            f"{_point_prefix(worst, p)}the machine does not come to the far side of its carriages: the "
             f"tool would stand {beyond[worst] * 1e3:.3f} mm beyond their plane, in the other "
             f"assembly mode",
             excess=float(beyond[worst]),
@@ -130,11 +134,11 @@ def commands(spheres: Spheres, p: Array) -> Array:
     return np.asarray(spheres.zero + travel)
 
 
-def _which(point: int, p: Array) -> str:
+def _point_prefix(point: int, p: Array) -> str:
     return f"point {point + 1}: " if len(p) > 1 else ""
 
 
-def _angles(tree: Tree, length: float, leg: int, span: Array) -> Array:
+def _passive_angles(tree: Tree, length: float, leg: int, span: Array) -> Array:
     model, name = tree.model, tree.leg_names[leg]
     slide, pivot = (
         model.jointPlacements[model.getJointId(f"{name}_{j}")] for j in ("slide", "theta")
@@ -147,7 +151,7 @@ def _angles(tree: Tree, length: float, leg: int, span: Array) -> Array:
     return np.stack([by_name[name] for name in PASSIVE_NAMES], axis=1)
 
 
-def tool(spheres: Spheres, travel: Array, mode: Mode = "machine") -> Array:
+def tool_position(spheres: Spheres, travel: Array, mode: Mode = "machine") -> Array:
     """Return the TCP ``(N, 3)`` of legs without errors, where the three spheres meet, metres.
 
     Args:
@@ -158,7 +162,7 @@ def tool(spheres: Spheres, travel: Array, mode: Mode = "machine") -> Array:
     Returns:
         NaN where the legs do not meet, or the carriages stand in one line.
     """
-    centres, squares = spheres.at(travel), spheres.lengths**2
+    centres, squares = spheres.centres_at(travel), spheres.lengths**2
     u, v = centres[:, 1] - centres[:, 0], centres[:, 2] - centres[:, 0]
     w = np.cross(u, v)
     along_u = (np.sum(u * u, axis=1, keepdims=True) + squares[0] - squares[1]) / 2
@@ -171,7 +175,7 @@ def tool(spheres: Spheres, travel: Array, mode: Mode = "machine") -> Array:
     return np.asarray(centres[:, 0] + foot + height * normal * (-1 if mode == "machine" else 1))
 
 
-def mode_of(spheres: Spheres, travel: Array, p: Array) -> Mode | None:
+def assembly_mode(spheres: Spheres, travel: Array, p: Array) -> Mode | None:
     """Return the assembly mode in which a machine stands with its TCP at ``p`` ``(3,)``.
 
     Far from any plausible error of the parts the plane of the carriages without errors will do.
@@ -180,11 +184,11 @@ def mode_of(spheres: Spheres, travel: Array, p: Array) -> Mode | None:
         ``None`` where only rounding would tell the modes apart: the carriages stand in one line, or
         in one plane with the tool or the origin.
     """
-    (centres,), length = spheres.at(travel[None]), float(spheres.lengths.max())
+    (centres,), length = spheres.centres_at(travel[None]), float(spheres.lengths.max())
     normal = np.cross(centres[1] - centres[0], centres[2] - centres[0]) / length**2
     far = spheres.slides[0] if spheres.hanging else centres[0] / length
     side = float(normal @ (p - centres[0])) / length * float(normal @ far)
-    return None if abs(side) <= FLAT else "machine" if side < 0 else "other"
+    return None if abs(side) <= SIDE_ROUNDING else "machine" if side < 0 else "other"
 
 
 def _carriage_plane(spheres: Spheres, centres: Array) -> tuple[Array, Array]:

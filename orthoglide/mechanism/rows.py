@@ -12,16 +12,16 @@ import numpy as np
 from orthoglide.geometry import Array
 from orthoglide.mechanism.compiled import compiled
 
-_CHUNK = 256
+_ROWS_PER_CALL = 256
 
 
-def blocks(count: int, size: int = _CHUNK) -> Iterator[slice]:
+def blocks(count: int, size: int = _ROWS_PER_CALL) -> Iterator[slice]:
     """Yield slices of rows, by default as many as one mapped call takes and the cache holds."""
     for start in range(0, count, size):
         yield slice(start, min(start + size, count))
 
 
-class Single:
+class InPlaceFunction:
     """A CasADi function evaluated in place: write to ``given``, evaluate, read ``results``.
 
     Args:
@@ -34,16 +34,16 @@ class Single:
     """
 
     def __init__(self, function: Any) -> None:
-        self.given = [np.zeros(function.numel_in(k)) for k in range(function.n_in())]
+        self.arguments = [np.zeros(function.numel_in(k)) for k in range(function.n_in())]
         self.results = [np.zeros(function.numel_out(k)) for k in range(function.n_out())]
         self._buffer, self.evaluate = function.buffer()
-        for k, array in enumerate(self.given):
+        for k, array in enumerate(self.arguments):
             self._buffer.set_arg(k, memoryview(array))  # type: ignore[arg-type]
         for k, array in enumerate(self.results):
             self._buffer.set_res(k, memoryview(array))  # type: ignore[arg-type]
 
 
-class Rows:
+class RowFunction:
     """A CasADi function of vectors, for rows of them.
 
     It holds buffers that a lock guards.
@@ -60,7 +60,7 @@ class Rows:
             (function.size2_out(k), function.size1_out(k)) for k in range(function.n_out())
         ]
         self._buffers: dict[int, tuple[Any, Any]] = {}
-        self._turn = Lock()
+        self._lock = Lock()
 
     def __call__(self, *arguments: Array) -> list[Array]:
         """Return results ``(n, rows)``, or ``(n, rows, columns)`` where they are matrices.
@@ -68,10 +68,14 @@ class Rows:
         Args:
             arguments: ``(k,)`` the shared ones, ``(n, k)`` the others; the last sets n.
         """
-        with self._turn:
-            return self._one(*arguments) if len(arguments[-1]) == 1 else self._many(*arguments)
+        with self._lock:
+            return (
+                self._evaluate_row(*arguments)
+                if len(arguments[-1]) == 1
+                else self._evaluate_rows(*arguments)
+            )
 
-    def _many(self, *arguments: Array) -> list[Array]:
+    def _evaluate_rows(self, *arguments: Array) -> list[Array]:
         n, shared = len(arguments[-1]), self._shared
         values = [np.ascontiguousarray(a, dtype=float) for a in arguments]
         results = [np.empty((n, *shape)) for shape in self._shapes]
@@ -84,10 +88,10 @@ class Rows:
             evaluate()
         return [r[:, 0] if r.shape[1] == 1 else np.swapaxes(r, 1, 2) for r in results]
 
-    def _one(self, *arguments: Array) -> list[Array]:
+    def _evaluate_row(self, *arguments: Array) -> list[Array]:
         """Results of one row, for which arguments are copied to where the function reads them."""
         single = self.single
-        for array, value in zip(single.given, arguments, strict=True):
+        for array, value in zip(single.arguments, arguments, strict=True):
             array[:] = value if value.ndim == 1 else value[0]
         single.evaluate()
         return [
@@ -96,9 +100,9 @@ class Rows:
         ]
 
     @cached_property
-    def single(self) -> Single:
+    def single(self) -> InPlaceFunction:
         """The function for one row, evaluated where its arguments lie."""
-        return Single(self.function)
+        return InPlaceFunction(self.function)
 
     def _buffer(self, size: int) -> tuple[Any, Any]:
         if size not in self._buffers:
@@ -107,7 +111,7 @@ class Rows:
         return self._buffers[size]
 
 
-class Functions:
+class CompilableFunctions:
     """Functions of rows that are interpreted until it pays to compile them.
 
     Args:
@@ -127,33 +131,33 @@ class Functions:
         worth: int,
     ) -> None:
         self._names, self._key, self._build = tuple(names), key, build
-        self._shared, self._worth, self._asked = shared, worth, 0
-        self._rows: dict[str, Rows] = {}
-        self.compiled = worth >= 0 and self._take(compiled(self._names, key, None))
+        self._shared, self._compile_after, self._rows_evaluated = shared, worth, 0
+        self._rows: dict[str, RowFunction] = {}
+        self.compiled = worth >= 0 and self._use_functions(compiled(self._names, key, None))
 
-    def _take(self, found: list[Any] | None) -> bool:
+    def _use_functions(self, found: list[Any] | None) -> bool:
         if found is None:
             return False
         self._rows = {
-            name: Rows(function, self._shared)
+            name: RowFunction(function, self._shared)
             for name, function in zip(self._names, found, strict=True)
         }
         return True
 
     def __call__(self, name: str, *arguments: Array) -> list[Array]:
-        """Return what function ``name`` gives for rows of arguments, as :class:`Rows` does."""
-        self._asked += len(arguments[-1])
-        if not self.compiled and 0 <= self._worth <= self._asked:
+        """Return what function ``name`` gives for rows of arguments, as :class:`RowFunction` does."""
+        self._rows_evaluated += len(arguments[-1])
+        if not self.compiled and 0 <= self._compile_after <= self._rows_evaluated:
             self.compile()
         return self.rows(name)(*arguments)
 
-    def rows(self, name: str) -> Rows:
+    def rows(self, name: str) -> RowFunction:
         """Return a function as it is now, compiled or not."""
         if not self._rows:
-            self._take(self._build())
+            self._use_functions(self._build())
         return self._rows[name]
 
     def compile(self) -> None:
         """Compile the functions now, where there is a compiler."""
-        self.compiled = self._take(compiled(self._names, self._key, self._build))
-        self._worth = -1  # tried once
+        self.compiled = self._use_functions(compiled(self._names, self._key, self._build))
+        self._compile_after = -1  # tried once

@@ -37,22 +37,22 @@ from orthoglide.mechanism.tree import PASSIVE_NAMES, RELIEF_NAMES, VIRTUAL_NAMES
 TCP, ROTATION, LINES = slice(0, 3), slice(3, 12), slice(12, 48)
 """Parts of an output vector: p, the platform's rotation row by row, and the ends of the bars
 indexed (leg, bar, end, xyz), the carriage's end first."""
-OUTPUTS = 48
+OUTPUT_SIZE = 48
 
-MOVES = len(VIRTUAL_NAMES)
-GIVEN = 3 + 3 * MOVES
+VIRTUAL_PER_LEG = len(VIRTUAL_NAMES)
+INPUT_SIZE = 3 + 3 * VIRTUAL_PER_LEG
 """Length of what is given of a posture: travel of the drives, then virtual joints leg by leg."""
 
 _START, _AXES, _SLIDE, _ROOTS, _POINTS, _WIDTHS, _LENGTHS, _SIZE = 0, 3, 12, 15, 21, 27, 33, 35
-CONSTANTS = 3 * _SIZE + 1
+CONSTANTS_SIZE = 3 * _SIZE + 1
 """Length of a machine's constants: 35 a leg, and whether the platform hangs below its rails."""
 
 # The start is some milliradians off. Three quadratic steps leave (5e-3)^8 < 1e-18. A fourth step
 # with the matrix of the third (a chord step, at a third of the cost) removes its rounding error.
 _NEWTON, _CHORD = 3, 1
-_LONGEST = 10.0  # metres: longer bars were given in millimetres
+_MAX_BAR_LENGTH = 10.0  # metres: longer bars were given in millimetres
 # Metres a bar's end may move with the passive joints: rounding of a chain of five joints.
-_FIXED = 1e-12
+_BAR_END_TOLERANCE = 1e-12
 
 
 def constants(tree: Tree) -> Array:
@@ -62,7 +62,7 @@ def constants(tree: Tree) -> Array:
         InputError: where the end of a bar moves with a passive joint (its pivots do not meet in a
             point), so that the legs are no bars between ball joints.
     """
-    values = np.zeros(CONSTANTS)
+    values = np.zeros(CONSTANTS_SIZE)
     for leg, name in enumerate(tree.leg_names):
         values[leg * _SIZE : (leg + 1) * _SIZE] = _leg_constants(tree, name)
     values[-1] = float(tree.hanging)
@@ -107,14 +107,14 @@ def _leg_constants(tree: Tree, leg: str) -> Array:
             ("carriage end", "platform end", "length"), rest[1:], turned, strict=True
         ):
             change = float(np.abs(np.array(at_rest) - np.array(moved)).max())
-            if change > _FIXED:
+            if change > _BAR_END_TOLERANCE:
                 raise InputError(
                     f"leg {leg}: the {what} of a bar changes by {change * 1e3:.3g} mm as the leg's "
                     f"pivots turn, so they do not meet in one point: correct the joint origins in "
                     f"the URDF"
                 )
     base_from_carriage, roots, points, lengths = rest
-    if not all(0 < length < _LONGEST for length in lengths):
+    if not all(0 < length < _MAX_BAR_LENGTH for length in lengths):
         raise InputError(
             f"leg {leg}: the URDF has bars of {lengths[0]:.4g} and {lengths[1]:.4g} m: give their "
             f"lengths in metres"
@@ -147,7 +147,7 @@ class _Leg:
     def __init__(self, c: Any, travel: Any, v: Any) -> None:
         self.axes = ca.reshape(c[_AXES:_SLIDE], 3, 3).T
         self.slide = c[_SLIDE:_ROOTS]
-        turn_a, turn_b, turn_c = (_turn(axis, v[3 + axis]) for axis in range(3))
+        turn_a, turn_b, turn_c = (_axis_rotation(axis, v[3 + axis]) for axis in range(3))
         turned = turn_a @ turn_b
         # Axes about which the three turns act, seen from the carriage before it is turned.
         self.spins = (ca.SX([1, 0, 0]), turn_a[:, 1], turned[:, 2])
@@ -163,7 +163,7 @@ class _Leg:
         self.tip = (c[_POINTS : _POINTS + 3] + c[_POINTS + 3 : _POINTS + 6]) / 2
 
 
-def _turn(axis: int, angle: Any) -> Any:
+def _axis_rotation(axis: int, angle: Any) -> Any:
     """Rotation about axis 0, 1 or 2."""
     cosine, sine = ca.cos(angle), ca.sin(angle)
     R = ca.SX.eye(3)
@@ -176,13 +176,13 @@ class _Symbols:
     """Inputs of the functions, and the legs that they make."""
 
     def __init__(self) -> None:
-        self.constants = ca.SX.sym("constants", CONSTANTS)
-        self.travel, self.moves = ca.SX.sym("travel", 3), ca.SX.sym("moves", 3 * MOVES)
+        self.constants = ca.SX.sym("constants", CONSTANTS_SIZE)
+        self.travel, self.moves = ca.SX.sym("travel", 3), ca.SX.sym("moves", 3 * VIRTUAL_PER_LEG)
         self.legs = [
             _Leg(
                 self.constants[leg * _SIZE : (leg + 1) * _SIZE],
                 self.travel[leg],
-                self.moves[leg * MOVES : (leg + 1) * MOVES],
+                self.moves[leg * VIRTUAL_PER_LEG : (leg + 1) * VIRTUAL_PER_LEG],
             )
             for leg in range(3)
         ]
@@ -197,7 +197,7 @@ class _Symbols:
 
         Below parallel rails the far side is up the rails; else it is away from the origin.
         """
-        first, hanging = self.legs[0], self.constants[CONSTANTS - 1]
+        first, hanging = self.legs[0], self.constants[CONSTANTS_SIZE - 1]
         along_rail, outward = first.axes @ first.slide, centres[0] / first.lengths[0]
         return ca.dot(normal, hanging * along_rail + (1 - hanging) * outward)
 
@@ -238,12 +238,12 @@ def _spheres(symbols: _Symbols) -> Any:
 
 def _closed(symbols: _Symbols, p: Any, R: Any) -> list[Any]:
     """Outputs and check after Newton's steps from a pose."""
-    blocks = _blocks(_rows(symbols, p, R)[0])
+    blocks = _blocks(_newton_rows(symbols, p, R)[0])
     for step in range(_NEWTON + _CHORD):
-        rows, misses = _rows(symbols, p, R)
+        rows, misses = _newton_rows(symbols, p, R)
         if step < _NEWTON:
             blocks = _blocks(rows)
-        dp, dw = _solve(blocks, misses)
+        dp, dw = _solve_newton_rows(blocks, misses)
         p, half = p + dp, dw / 2
         # Cayley's map of a small turn, column by column: R + 2 / (1 + h.h) h x (R + h x R).
         factor, old = 2 / (1 + ca.sumsqr(half)), ca.horzsplit(R)
@@ -262,7 +262,7 @@ def _closed(symbols: _Symbols, p: Any, R: Any) -> list[Any]:
     return ca.cse([outputs, ca.vertcat(off, side, ca.trace(R))])
 
 
-def _rows(symbols: _Symbols, p: Any, R: Any) -> tuple[list[list[Any]], list[Any]]:
+def _newton_rows(symbols: _Symbols, p: Any, R: Any) -> tuple[list[list[Any]], list[Any]]:
     """Rows of the Newton system ``[e, R point x e]`` of the six bars, and their right sides."""
     rows, misses = [], []
     for leg in symbols.legs:
@@ -274,7 +274,7 @@ def _rows(symbols: _Symbols, p: Any, R: Any) -> tuple[list[list[Any]], list[Any]
     return rows, misses
 
 
-def _solve(blocks: _Blocks, right: list[Any]) -> tuple[Any, Any]:
+def _solve_newton_rows(blocks: _Blocks, right: list[Any]) -> tuple[Any, Any]:
     """(dp, dw) that solve six rows of which the blocks are given."""
     shared, differences, inverse_sums, inverse_schur = blocks
     r_sum = ca.vertcat(*[right[2 * leg] + right[2 * leg + 1] for leg in range(3)])
@@ -329,7 +329,7 @@ def tangent_function() -> Any:
     """
     symbols, pose = _Symbols(), ca.SX.sym("pose", 12)
     p, R = pose[0:3], ca.reshape(pose[3:12], 3, 3).T
-    rows, _ = _rows(symbols, p, R)
+    rows, _ = _newton_rows(symbols, p, R)
     shared, differences, inverse_sums, inverse_schur = _blocks(rows)
     # Columns of the inverse of all six rows, by the sum and the difference of each leg's.
     turn_by_sum = -inverse_schur @ differences @ inverse_sums
@@ -340,7 +340,7 @@ def tangent_function() -> Any:
         inverse_schur,
     )
     arms = [[R @ point for point in leg.points] for leg in symbols.legs]
-    columns: list[Any] = [None] * GIVEN
+    columns: list[Any] = [None] * INPUT_SIZE
     for number in range(3):
         for place, column in _leg_columns(symbols, number, R, arms, rows, solution).items():
             columns[place] = column
@@ -363,7 +363,7 @@ def _leg_columns(
 ) -> dict[int, Any]:
     """Derivative of the outputs by one drive and its leg's virtual joints, by place in given."""
     leg, zero = symbols.legs[number], ca.SX(3, 1)
-    virtual = 3 + MOVES * number
+    virtual = 3 + VIRTUAL_PER_LEG * number
     # By place: how the bars' roots move (base frame), their points (turned), their lengths.
     moved: dict[int, tuple[list[Any], list[Any], list[Any]]] = {
         number: ([leg.axes @ leg.slide] * 2, [zero] * 2, [0, 0])

@@ -21,19 +21,19 @@ from numpy.typing import NDArray
 
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array, Geometry
-from orthoglide.text import shown
+from orthoglide.text import printable_path
 from orthoglide.urdf import Closure, read_looped_urdf, shipped_folder, write
 
-Joint = Callable[[], Any]
+JointFactory = Callable[[], Any]
 """Makes the Pinocchio model of a joint that the URDF lacks."""
 
 
-def _slide(x: float, y: float, z: float) -> Joint:
+def _slide(x: float, y: float, z: float) -> JointFactory:
     return lambda: pin.JointModelPrismaticUnaligned(np.array([x, y, z]))
 
 
 # Joints that follow a URDF joint and carry all that is behind it; the leg's a, b, c = x, y, z.
-BEHIND: dict[str, dict[str, Joint]] = {
+JOINTS_AFTER: dict[str, dict[str, JointFactory]] = {
     "slide": {
         "travel": pin.JointModelPX, "lateral_b": pin.JointModelPY, "lateral_c": pin.JointModelPZ,
         "turn_a": pin.JointModelRX, "turn_b": pin.JointModelRY, "turn_c": pin.JointModelRZ,
@@ -45,14 +45,16 @@ BEHIND: dict[str, dict[str, Joint]] = {
 
 # Relief joints stand before a URDF joint: the bar's torsion at bar 1's tip, and a revolute about
 # the short link at bar 2's root. A torsion placed nearer to the carriage gives another machine.
-BEFORE: dict[str, tuple[str, Joint]] = {
+JOINTS_BEFORE: dict[str, tuple[str, JointFactory]] = {
     "knuckle": ("relief_bar", pin.JointModelRX),
     "bar2": ("relief_link", pin.JointModelRZ),
 }
 
 # A joint between a body and one of its frames: here the short link's far end, so that the platform
 # keeps to the middle of a link that is too wide.
-BEFORE_FRAME: dict[str, tuple[str, Joint]] = {"knuckle_tip": ("width2", _slide(0, 0, -1))}
+JOINTS_BEFORE_FRAMES: dict[str, tuple[str, JointFactory]] = {
+    "knuckle_tip": ("width2", _slide(0, 0, -1))
+}
 
 VIRTUAL_NAMES: tuple[str, ...] = (
     "travel", "lateral_b", "lateral_c", "turn_a", "turn_b", "turn_c",
@@ -175,20 +177,21 @@ def load(source: Geometry | str | os.PathLike[str] | None = None) -> LoopedModel
     except (ValueError, RuntimeError):
         raise FileError(
             "Pinocchio finds no tree of links and joints in it, and prints why: correct it",
-            file=shown(found.path),
+            file=printable_path(found.path),
         ) from None
-    model = _replaced(model, found.replaced)
+    model = _replace_joints(model, found.replaced)
     for motor in found.motors:
         if not model.existJointName(motor) or model.joints[model.getJointId(motor)].nv != 1:
             raise FileError(
-                f"{motor} is driven and no joint of one degree of freedom", file=shown(found.path)
+                f"{motor} is driven and no joint of one degree of freedom",
+                file=printable_path(found.path),
             )
     return LoopedModel(model, found.closures, found.motors, found.urdf)
 
 
 def nominal_tree(looped: LoopedModel) -> Tree:
     """Return the tree as its URDF has it; of three PRPaR legs 18 joints, the legs rigid."""
-    return _sorted(looped, looped.model)
+    return _classify_joints(looped, looped.model)
 
 
 def general_tree(looped: LoopedModel) -> Tree:
@@ -205,10 +208,10 @@ def general_tree(looped: LoopedModel) -> Tree:
         raise InputError(
             f"a machine of this package has three PRPaR legs, and this URDF has {what}"
         )
-    return _sorted(looped, _with_extras(looped.model))
+    return _classify_joints(looped, _insert_extra_joints(looped.model))
 
 
-def _sorted(looped: LoopedModel, model: pin.Model) -> Tree:
+def _classify_joints(looped: LoopedModel, model: pin.Model) -> Tree:
     legs = [motor.removesuffix("_slide") for motor in looped.motors]
 
     def places(names: tuple[str, ...]) -> list[int]:
@@ -227,7 +230,7 @@ def _sorted(looped: LoopedModel, model: pin.Model) -> Tree:
     return Tree(model, looped.loops, looped.motors, drives, loose, reliefs, virtuals, tool)
 
 
-def _replaced(source: pin.Model, replaced: Mapping[str, str]) -> pin.Model:
+def _replace_joints(source: pin.Model, replaced: Mapping[str, str]) -> pin.Model:
     """Return the model with some joints made spherical or fixed."""
     fixed = [source.getJointId(name) for name, kind in replaced.items() if kind == "FIXED"]
     if fixed:
@@ -247,7 +250,7 @@ def _replaced(source: pin.Model, replaced: Mapping[str, str]) -> pin.Model:
     return model
 
 
-def _with_extras(source: pin.Model) -> pin.Model:
+def _insert_extra_joints(source: pin.Model) -> pin.Model:
     """Copy the model joint by joint, putting the extra joints where the tables say."""
     model = pin.Model()
     model.name = source.name
@@ -261,12 +264,12 @@ def _with_extras(source: pin.Model) -> pin.Model:
     for j in range(1, source.njoints):
         leg, _, name = source.names[j].partition("_")
         parent, placement = carrier[source.parents[j]], source.jointPlacements[j]
-        if name in BEFORE:
-            extra, joint = BEFORE[name]
+        if name in JOINTS_BEFORE:
+            extra, joint = JOINTS_BEFORE[name]
             parent = add(parent, joint(), placement, f"{leg}_{extra}")
             placement = pin.SE3.Identity()
         here = add(parent, source.joints[j], placement, source.names[j])
-        for extra, joint in BEHIND.get(name, {}).items():
+        for extra, joint in JOINTS_AFTER.get(name, {}).items():
             here = add(here, joint(), pin.SE3.Identity(), f"{leg}_{extra}")
         carrier[j] = here
         model.appendBodyToJoint(here, source.inertias[j], pin.SE3.Identity())
@@ -275,8 +278,8 @@ def _with_extras(source: pin.Model) -> pin.Model:
         parent = carrier[frame.parentJoint]
         if frame.type != pin.FrameType.BODY:
             continue
-        if name in BEFORE_FRAME:
-            extra, joint = BEFORE_FRAME[name]
+        if name in JOINTS_BEFORE_FRAMES:
+            extra, joint = JOINTS_BEFORE_FRAMES[name]
             parent = add(parent, joint(), pin.SE3.Identity(), f"{leg}_{extra}")
         model.addFrame(pin.Frame(frame.name, parent, 0, frame.placement, pin.FrameType.OP_FRAME))
     return model

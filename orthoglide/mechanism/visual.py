@@ -18,8 +18,10 @@ from orthoglide.geometry import Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES, LoopedModel, Tree
 
 _PIECES = 24  # of a rail: a bow of a tenth of its length bends by 2 degrees from piece to piece
-_LONG = 0.4  # of the stroke: a solid of the base at least as long can be a rail
-_ALONG = 0.999  # cosine of the angle between an edge of a solid and the slide that count as equal
+_RAIL_SHARE_OF_STROKE = 0.4  # of the stroke: a solid of the base at least as long can be a rail
+_PARALLEL_COSINE = (
+    0.999  # cosine of the angle between an edge of a solid and the slide that count as equal
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,17 +38,17 @@ class RailPath:
     origin: Array
     slide: Array
     travel: Array
-    aside: Array
+    lateral: Array
 
-    def at(self, travel: float) -> tuple[Array, Array]:
+    def displacement_and_direction(self, travel: float) -> tuple[Array, Array]:
         """Return displacement ``(3,)``, metres, and direction ``(3,)`` of the path at a travel.
 
         Beyond the stroke the path goes on straight.
         """
         within = float(np.clip(travel, self.travel[0], self.travel[-1]))
-        slopes = np.gradient(self.aside, self.travel, axis=0)
+        slopes = np.gradient(self.lateral, self.travel, axis=0)
         slope = np.array([np.interp(within, self.travel, column) for column in slopes.T])
-        aside = np.array([np.interp(within, self.travel, column) for column in self.aside.T])
+        aside = np.array([np.interp(within, self.travel, column) for column in self.lateral.T])
         return aside + (travel - within) * slope, self.slide + slope
 
 
@@ -80,14 +82,14 @@ def fit_bars(visual: Any, tree: Tree, displacements: Array) -> None:
         length = float(np.linalg.norm(tree.model.jointPlacements[knuckle].translation))
         for bar in ("1", "2"):
             by = float(of[f"stretch{bar}"][leg])
-            for item in _carried(visual, tree, f"{name}_stretch{bar}"):
+            for item in _solids_of_joint(visual, tree, f"{name}_stretch{bar}"):
                 share = -float(item.placement.translation[0]) / length
                 if 0.1 < share < 0.9:  # the bar itself, and not the bearing at one of its ends
                     _scale(item, 0, 1 + by / length)
                 # The joint carries all of them as far as the bar's outer end goes.
                 _shift(item, [(1 - share) * by, 0.0, 0.0])
         first, second = float(of["width1"][leg]), float(of["width2"][leg])
-        for item in _carried(visual, tree, f"{name}_width1"):
+        for item in _solids_of_joint(visual, tree, f"{name}_width1"):
             width = 2 * abs(float(item.placement.translation[2]))
             if width > 0:
                 _scale(item, 2, 1 + (first + second) / width)
@@ -112,7 +114,7 @@ def bend_rails(visual: Any, paths: Sequence[RailPath], near: float) -> list[str]
     # Copies, for the model moves its solids where one is removed.
     for item in [pin.GeometryObject(o) for o in visual.geometryObjects if o.parentJoint == 0]:
         path = next((one for one in paths if _rail_length(item, one, near) > 0), None)
-        if path is None or not path.aside.any():
+        if path is None or not path.lateral.any():
             continue
         replaced.append(str(item.name))
         visual.removeGeometryObject(item.name)
@@ -127,7 +129,7 @@ def _pieces(item: Any, path: RailPath, length: float) -> list[Any]:
     pieces = []
     for k in range(_PIECES):
         step = length * ((k + 0.5) / _PIECES - 0.5)
-        aside, along = path.at(centre + step)
+        aside, along = path.displacement_and_direction(centre + step)
         turn = pin.Quaternion.FromTwoVectors(path.slide, along).matrix()
         piece = pin.GeometryObject(item)
         piece.name = f"{item.name}_piece{k}"
@@ -150,11 +152,11 @@ def _rail_length(item: Any, path: RailPath, near: float) -> float:
     axis, offset = int(np.argmax(edges)), item.placement.translation - path.origin
     across = float(np.linalg.norm(offset - (offset @ path.slide) * path.slide))
     length = 2 * float(half[axis])
-    long_enough = length >= _LONG * float(path.travel[-1] - path.travel[0])
-    return length if edges[axis] > _ALONG and across < near and long_enough else 0.0
+    long_enough = length >= _RAIL_SHARE_OF_STROKE * float(path.travel[-1] - path.travel[0])
+    return length if edges[axis] > _PARALLEL_COSINE and across < near and long_enough else 0.0
 
 
-def _carried(visual: Any, tree: Tree, joint: str) -> list[Any]:
+def _solids_of_joint(visual: Any, tree: Tree, joint: str) -> list[Any]:
     """Return the solids that a joint carries."""
     number = tree.model.getJointId(joint)
     return [item for item in visual.geometryObjects if item.parentJoint == number]

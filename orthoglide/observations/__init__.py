@@ -4,7 +4,7 @@ from orthoglide.observations.approach import Moves as Moves, derive_approach as 
 from orthoglide.observations.checks import check_given as check_given
 from orthoglide.observations.protocols import protocol as protocol
 from orthoglide.observations.reading import (
-    Given as Given,
+    ReadingsOrPath as ReadingsOrPath,
     read_campaign as read_campaign,
     read_readings as read_readings,
     read_tcp as read_tcp,
@@ -19,8 +19,8 @@ from orthoglide.observations.readings import (
 from orthoglide.observations.tables import (
     concatenated as concatenated,
     from_points as from_points,
-    in_sequence as in_sequence,
-    parts as parts,
+    renumber_orders as renumber_orders,
+    split_legs_and_tool as split_legs_and_tool,
 )
 from orthoglide.observations.writing import (
     campaign_rows as campaign_rows,

@@ -13,15 +13,17 @@ from orthoglide.geometry import Array
 
 Ints = NDArray[np.int64]
 
-MOVED = 1e-6
+MIN_MOVE = 1e-6
 """An axis counts as moved beyond this, in metres: sheets are rounded, encoders count microns."""
 
-SIDES_UNTOLD = "the side of approach is not recorded (approach_* is empty)"
-TELL_SIDES = "fill it in, or leave these columns out of a file that was gone through row by row"
+APPROACH_NOT_RECORDED = "the side of approach is not recorded (approach_* is empty)"
+APPROACH_REMEDY = (
+    "fill it in, or leave these columns out of a file that was gone through row by row"
+)
 """What is lacking where nobody knows how a place was come to, and what to do, as clauses."""
 
 _OVERSHOOT = 1e-3  # metres
-_SHARE = 4  # of the way to the nearer end: sheets go there in as many steps, or fewer
+_STROKE_DIVISOR = 4  # of the way to the nearer end: sheets go there in as many steps, or fewer
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +37,7 @@ class Moves:
     # line in the file (m,), header line 1
     line: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     # how far moves that are planned go beyond a command to reach it from a side, metres
-    beyond: float = _OVERSHOOT
+    overshoot: float = _OVERSHOOT
 
     def __post_init__(self) -> None:
         for values in (self.command, self.order, self.line):
@@ -45,7 +47,7 @@ class Moves:
         return len(self.order)
 
 
-def overshoot(stroke: tuple[float, float]) -> float:
+def stroke_overshoot(stroke: tuple[float, float]) -> float:
     """How far beyond a command a machine goes to reach it from a side, metres.
 
     On a short stroke it is less than elsewhere: else there would be no room for it.
@@ -54,11 +56,11 @@ def overshoot(stroke: tuple[float, float]) -> float:
         stroke: travel limits of the machine, metres.
     """
     low, high = stroke
-    return min(_OVERSHOOT, min(-low, high) / _SHARE)
+    return min(_OVERSHOOT, min(-low, high) / _STROKE_DIVISOR)
 
 
 def derive_approach(
-    command: ArrayLike, order: ArrayLike, moves: Moves | None = None, moved: float = MOVED
+    command: ArrayLike, order: ArrayLike, moves: Moves | None = None, min_move: float = MIN_MOVE
 ) -> Array:
     """Direction of each axis' last move, from the sequence of commands.
 
@@ -69,7 +71,7 @@ def derive_approach(
         command: commands of the readings ``(n, 3)``, metres.
         order: place in the sequence ``(n,)``; equal places are one visit.
         moves: commands gone through between the readings.
-        moved: beyond what an axis counts as moved, metres.
+        min_move: beyond what an axis counts as moved, metres.
 
     Returns:
         +1 or -1, shape ``(n, 3)``.
@@ -82,14 +84,14 @@ def derive_approach(
     for k, places in enumerate(rho[sequence].T.tolist()):
         found, way, at = [], 1.0, places[0] if places else 0.0
         for place in places:  # a creep by less than it counts as moved adds up
-            if abs(place - at) > moved:
+            if abs(place - at) > min_move:
                 way, at = math.copysign(1.0, place - at), place
             found.append(way)
         approach[sequence, k] = found
     return approach[len(moves) :]
 
 
-def built_up(
+def built_up_lost_motion(
     command: ArrayLike, order: ArrayLike, lengths: Sequence[float], moves: Moves | None = None
 ) -> Array:
     """Lost motion of each drive that builds up over a length after it turns round (Dahl 1968, *A
@@ -147,7 +149,7 @@ def impossible_approach(
             direction = np.zeros(3)
         else:
             step = rho[row] - rho[before]
-            direction = np.where(np.abs(step) > MOVED, np.sign(step), direction)
+            direction = np.where(np.abs(step) > MIN_MOVE, np.sign(step), direction)
         wrong[row] = recorded[row] * direction < 0
         direction = np.where(direction == 0, recorded[row], direction)
         before = row
@@ -178,7 +180,7 @@ def planned_moves(
     order: list[int] = []
     for row, first in enumerate(np.asarray(begins, dtype=bool).tolist()):
         step = command[row] - before
-        reached = np.where(np.abs(step) > MOVED, np.sign(step), direction)
+        reached = np.where(np.abs(step) > MIN_MOVE, np.sign(step), direction)
         if first or ((reached != approach[row]) & (approach[row] != 0)).any():
             places.append(len(order) + len(places))
             gone.append(command[row] - beyond * approach[row])

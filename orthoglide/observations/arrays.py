@@ -13,42 +13,42 @@ from orthoglide.geometry import Array
 from orthoglide.observations.approach import Ints
 
 
-class Kind(NamedTuple):
+class ArraySpec(NamedTuple):
     """What an array holds."""
 
-    of: type = np.float64  # its type of numbers
+    dtype: type = np.float64  # its type of numbers
     shape: tuple[int, ...] = ()  # of one entry
-    empty: bool = False  # whether an entry may be nan
+    allows_nan: bool = False  # whether an entry may be nan
     default: float | None = None  # every entry of an array that is not given; None: it must be
 
-    def filled(self, n: int) -> Array:
+    def default_array(self, n: int) -> Array:
         """Return the array of ``n`` entries that stands for one that is not given."""
         return np.full((n, *self.shape), self.default, dtype=float)
 
 
-WHOLE, VECTOR = Kind(np.int64), Kind(shape=(3,))
-MAYBE = Kind(empty=True, default=np.nan)
+INTEGER, VECTOR = ArraySpec(np.int64), ArraySpec(shape=(3,))
+OPTIONAL_NUMBER = ArraySpec(allows_nan=True, default=np.nan)
 
-OF_READINGS: Mapping[str, Kind] = {
-    "setup": WHOLE,
+READING_ARRAYS: Mapping[str, ArraySpec] = {
+    "setup": INTEGER,
     "command": VECTOR,
-    "reading": MAYBE,
+    "reading": OPTIONAL_NUMBER,
     "approach": VECTOR._replace(default=0),
-    "time": MAYBE,
-    "temperature": MAYBE,
-    "load": Kind(default=0),
-    "repeat": WHOLE._replace(default=1),
-    "order": WHOLE,
-    "sigma": MAYBE,
-    "line": WHOLE,
-    "axis": WHOLE._replace(default=0),
-    "sign": Kind(default=1),
-    "second": VECTOR._replace(empty=True, default=np.nan),
+    "time": OPTIONAL_NUMBER,
+    "temperature": OPTIONAL_NUMBER,
+    "load": ArraySpec(default=0),
+    "repeat": INTEGER._replace(default=1),
+    "order": INTEGER,
+    "sigma": OPTIONAL_NUMBER,
+    "line": INTEGER,
+    "axis": INTEGER._replace(default=0),
+    "sign": ArraySpec(default=1),
+    "second": VECTOR._replace(allows_nan=True, default=np.nan),
 }
 """Arrays of a table of readings, with one entry a reading."""
 
 
-def numbered(table: Array | Ints) -> Ints:
+def group_ids(table: Array | Ints) -> Ints:
     """Numbers from 0 of equal rows of a table, or of equal entries ``(n,)``."""
     found = np.zeros(len(table), dtype=np.int64)
     for column in np.atleast_2d(np.transpose(table)):
@@ -58,7 +58,7 @@ def numbered(table: Array | Ints) -> Ints:
     return found
 
 
-def hold(owner: Any, what: str, kinds: Mapping[str, Kind], counted: str) -> None:
+def freeze_arrays(owner: Any, what: str, kinds: Mapping[str, ArraySpec], counted: str) -> None:
     """Put arrays of their kind in place of what a frozen value was made with, as many entries as
     the array ``counted`` has; ``what`` it is stands in messages.
 
@@ -73,14 +73,14 @@ def hold(owner: Any, what: str, kinds: Mapping[str, Kind], counted: str) -> None
                 f"{what}: {name} must have shape {(n, *kind.shape)} as there are {n} readings, "
                 f"not {given.shape}"
             )
-        wrong = np.flatnonzero(_wrong(given, kind).any(axis=tuple(range(1, given.ndim))))
+        wrong = np.flatnonzero(_invalid_entries(given, kind).any(axis=tuple(range(1, given.ndim))))
         if len(wrong):
-            number = "a whole number" if kind.of is np.int64 else "a finite number"
+            number = "a whole number" if kind.dtype is np.int64 else "a finite number"
             raise InputError(
                 f"{what}: {name} of row {wrong[0]} (counted from 0) is "
                 f"{given[wrong[0]].tolist()}, not {number}: correct it"
             )
-        values: NDArray[Any] = given.astype(kind.of)
+        values: NDArray[Any] = given.astype(kind.dtype)
         values.setflags(write=False)
         object.__setattr__(owner, name, values)
     if not np.isin(owner.approach, (-1.0, 0.0, 1.0)).all():
@@ -92,7 +92,7 @@ def source(given: Any) -> str:
     return str(given.file.rpartition("/")[2] or given.name)
 
 
-def _wrong(given: Array, kind: Kind) -> NDArray[np.bool_]:
-    if kind.of is np.int64:
+def _invalid_entries(given: Array, kind: ArraySpec) -> NDArray[np.bool_]:
+    if kind.dtype is np.int64:
         return np.asarray(given != np.round(given))
-    return np.asarray(np.isinf(given) if kind.empty else ~np.isfinite(given))
+    return np.asarray(np.isinf(given) if kind.allows_nan else ~np.isfinite(given))

@@ -14,15 +14,20 @@ from numpy.typing import NDArray
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
-from orthoglide.instruments import AT_TOOL, BESIDE, OBSERVATIONS, TURNED
+from orthoglide.instruments import (
+    OBSERVATIONS,
+    PLATE_TURN_COLUMN,
+    TOOL_OBSERVATIONS,
+    TOOL_OFFSET_COLUMNS,
+)
 from orthoglide.machine_file import MachineFile
 from orthoglide.notes import Note
 from orthoglide.numerals import compact, plain
-from orthoglide.observations.approach import MOVED, Ints
-from orthoglide.observations.notices import HARDLY, NO_READING, NOTICES, hardly
+from orthoglide.observations.approach import MIN_MOVE, Ints
+from orthoglide.observations.notices import MIN_AXIS_MOTION, NOTICES, ZERO_READING, min_axis_motion
 from orthoglide.observations.readings import Readings
-from orthoglide.observations.schema import MOVE, READINGS, TURNS
-from orthoglide.units import NOISE
+from orthoglide.observations.schema import MAX_ROTATION_SD, MOVE, READINGS
+from orthoglide.units import NOISE_LIMITS
 
 Fail = Callable[[str, int | None], NoReturn]
 """Raises the error for a row, counted from 0."""
@@ -97,7 +102,7 @@ def check_layout(kinds: Sequence[str], machine: MachineFile, fail: Fail) -> None
     fail(
         f"dials on the legs are read on an Orthoglide only, and this machine's layout is "
         f"{machine.geometry.layout.kind}: name the kind of the reading in column kind "
-        f"({', '.join(AT_TOOL)})",
+        f"({', '.join(TOOL_OBSERVATIONS)})",
         next((k for k in on_leg if kinds[k] != MOVE), 0),
     )
 
@@ -142,7 +147,7 @@ def check_points(command: Array, p: Array, fail: Fail) -> None:
         fail("all of p_x_mm, p_y_mm, p_z_mm are empty: remove the row", int(np.argmax(missing)))
     commanded = np.ptp(command, axis=0).max()
     measured = max(np.ptp(q[np.isfinite(q)]) if np.isfinite(q).any() else 0.0 for q in p.T)
-    if commanded > HARDLY and not commanded / 100 <= measured <= 100 * commanded:
+    if commanded > MIN_AXIS_MOTION and not commanded / 100 <= measured <= 100 * commanded:
         other = "millimetres, not metres" if measured < commanded else "a thousandth of each"
         fail(
             f"the points lie within {measured * 1e3:.3g} mm while the commands span "
@@ -156,7 +161,7 @@ def check_sequence(command: Array, order: Ints, lines: Sequence[int], fail: Fail
     first: dict[int, int] = {}
     for row, place in enumerate(order.tolist()):
         before = first.setdefault(place, row)
-        if np.abs(command[row] - command[before]).max() > MOVED:
+        if np.abs(command[row] - command[before]).max() > MIN_MOVE:
             fail(
                 f"order {place} stands for another command on line {lines[before]}: "
                 "number the postures in the sequence the machine took",
@@ -180,34 +185,41 @@ def check_readings(given: Readings, machine: MachineFile, fail: Fail) -> tuple[N
         for check in _CHECKS:
             check(campaign, machine, fail_leg)
         found = [note for notice in NOTICES for note in notice(campaign, machine)]
-    for rule in (_noise, _places, _distances, _bars, _duplicates):
+    for rule in (_check_noise, _check_places, _check_distances, _check_bars, _check_duplicates):
         rule(given, fail)
     return tuple(found)
 
 
-def _noise(given: Readings, fail: Fail) -> None:
-    most = np.where(given.angular, TURNS, NOISE[1])
-    wrong = np.isfinite(given.sigma) & ((given.sigma < NOISE[0]) | (given.sigma > most))
+def _check_noise(given: Readings, fail: Fail) -> None:
+    most = np.where(given.angular, MAX_ROTATION_SD, NOISE_LIMITS[1])
+    wrong = np.isfinite(given.sigma) & ((given.sigma < NOISE_LIMITS[0]) | (given.sigma > most))
     if wrong.any():
         row = int(np.argmax(wrong))
         fail(
             f"sigma is {given.sigma[row]:g}: give a standard deviation in metres from "
-            f"{NOISE[0]:g} to {most[row]:g}, or nan",
+            f"{NOISE_LIMITS[0]:g} to {most[row]:g}, or nan",
             row,
         )
 
 
-def _places(given: Readings, fail: Fail) -> None:
+def _check_places(given: Readings, fail: Fail) -> None:
     for place, setup in enumerate(given.setups):
-        has, row = setup.observation.of_setup, int(np.argmax(given.setup == place))
-        if any(setup.beside) and not set(BESIDE) & set(has) and not setup.observation.on_leg:
-            empty = ", ".join(BESIDE)
+        has, row = setup.observation.setup_columns, int(np.argmax(given.setup == place))
+        if (
+            any(setup.beside)
+            and not set(TOOL_OFFSET_COLUMNS) & set(has)
+            and not setup.observation.on_leg
+        ):
+            empty = ", ".join(TOOL_OFFSET_COLUMNS)
             fail(f"a level shows the same wherever it stands: leave {empty} empty", row)
-        if setup.turned and TURNED not in has:
-            fail(f"only a plate is turned on its seat ({TURNED}), nothing of a {setup.kind}", row)
+        if setup.turned and PLATE_TURN_COLUMN not in has:
+            fail(
+                f"only a plate is turned on its seat ({PLATE_TURN_COLUMN}), nothing of a {setup.kind}",
+                row,
+            )
 
 
-def _distances(given: Readings, fail: Fail) -> None:
+def _check_distances(given: Readings, fail: Fail) -> None:
     paired = given.paired & np.isfinite(given.reading)
     near = (np.abs(given.second - given.command) < 1e-6).all(axis=1)
     same = np.flatnonzero(paired & near & (given.reading > 0))
@@ -220,7 +232,7 @@ def _distances(given: Readings, fail: Fail) -> None:
         fail("all distances are below 1 mm: give millimetres, not metres", 0)
 
 
-def _bars(given: Readings, fail: Fail) -> None:
+def _check_bars(given: Readings, fail: Fail) -> None:
     bars = np.flatnonzero(given.about_ball & np.isfinite(given.reading))
     # Lengths, not deviations: these are of any sign and near zero.
     length = np.abs(given.reading[bars])
@@ -230,10 +242,10 @@ def _bars(given: Readings, fail: Fail) -> None:
         fail("this length has another sign than the others: correct it", int(bars[wrong][0]))
 
 
-def _motion(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
-    if np.ptp(campaign.command, axis=0).max() <= MOVED:
+def _check_motion(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
+    if np.ptp(campaign.command, axis=0).max() <= MIN_MOVE:
         return  # one posture throughout: its own check says it better
-    if np.ptp(campaign.command, axis=0).max() <= (least := hardly(machine)):
+    if np.ptp(campaign.command, axis=0).max() <= (least := min_axis_motion(machine)):
         fail(
             f"no axis moves by more than {least * 1e3:g} mm: give the commands in millimetres, not "
             f"metres",
@@ -241,7 +253,7 @@ def _motion(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
         )
 
 
-def _gauges(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
+def _check_gauges(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     tip = campaign.command[np.arange(len(campaign)), campaign.leg]
 
     def on_leg(place: Array) -> NDArray[np.bool_]:
@@ -249,7 +261,7 @@ def _gauges(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
 
     last = np.array([s.gauges[-1] for s in campaign.setups])[campaign.setup]
     for column, gauge in (("gauge_mm", campaign.gauge), ("gauge2_mm", last)):
-        metres = on_leg(gauge * 1e3) & (np.abs(gauge) < HARDLY)
+        metres = on_leg(gauge * 1e3) & (np.abs(gauge) < MIN_AXIS_MOTION)
         off = np.flatnonzero(~on_leg(gauge) | metres)
         if len(off) and metres[off[0]]:
             fail(f"{column} is in metres: give millimetres", int(off[0]))
@@ -263,10 +275,13 @@ def _gauges(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
             )
 
 
-def _postures(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
+def _check_postures(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     for place, setup in enumerate(campaign.setups):
         rows = np.flatnonzero(campaign.setup == place)
-        if setup.observation.from_datum and np.ptp(campaign.command[rows], axis=0).max() <= MOVED:
+        if (
+            setup.observation.from_datum
+            and np.ptp(campaign.command[rows], axis=0).max() <= MIN_MOVE
+        ):
             fail(
                 f"setup {setup.name!r} has a single posture and its datum is free: measure a "
                 "second one or remove the setup",
@@ -274,7 +289,7 @@ def _postures(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
             )
 
 
-def _duplicates(given: Readings, fail: Fail) -> None:
+def _check_duplicates(given: Readings, fail: Fail) -> None:
     """Refuse a reading of a visit that was read already. An instrument at the tool is visited as
     often as column order says, a dial on a leg as often as column repeat does.
     """
@@ -294,7 +309,7 @@ def _duplicates(given: Readings, fail: Fail) -> None:
             )
 
 
-def _clock(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
+def _check_clock(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     rows = np.lexsort((campaign.time, campaign.order))
     rows = rows[np.isfinite(campaign.time[rows])]
     back = np.flatnonzero(np.diff(campaign.time[rows]) < 0)
@@ -307,9 +322,9 @@ def _clock(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
         )
 
 
-def _dial(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
+def _check_dial(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     size = np.nanmax(np.abs(campaign.reading), initial=0.0)
-    if NO_READING < size < machine.dial.resolution:
+    if ZERO_READING < size < machine.dial.resolution:
         fail(
             f"all readings are below one step of the dial ({machine.dial.resolution * 1e3:g} mm): "
             "give millimetres, not metres, or correct resolution in the machine file",
@@ -335,7 +350,7 @@ def _dial(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
             )
 
 
-_CHECKS = (_motion, _gauges, _postures, _clock, _dial)
+_CHECKS = (_check_motion, _check_gauges, _check_postures, _check_clock, _check_dial)
 
 
 def check_given(given: Readings, machine: MachineFile) -> None:

@@ -17,7 +17,7 @@ from orthoglide.machine_file import MachineFile
 from orthoglide.observations.approach import Ints
 from orthoglide.observations.checks import check_commands
 from orthoglide.observations.schema import (
-    AXES,
+    AXIS_AND_SIGN,
     COLUMNS,
     COMMANDS,
     DIRECTION,
@@ -30,25 +30,25 @@ from orthoglide.observations.schema import (
 )
 from orthoglide.observations.table import Table
 
-_OWN_NAME = (
+_UNIQUE_NAME_REMEDY = (
     "give each mounting of a dial a name of its own",
     "give each instrument, each probe or tip, and each state of a plate its own setup",
 )
 """What to do about one name of two setups, of dials and of the tool."""
 
-_ROUNDED = 2e-9  # metres: commands that were rounded to a nanometre
-_PLACED = 1e-8  # metres: the same of commands and places, each rounded to a nanometre
-_HEIGHT = replace(PLACE, empty=NAN)  # empty of a place that is to be touched
+_COMMAND_TOLERANCE = 2e-9  # metres: commands that were rounded to a nanometre
+_PLACE_TOLERANCE = 1e-8  # metres: the same of commands and places, each rounded to a nanometre
+_PLACE_WITHOUT_HEIGHT = replace(PLACE, empty_value=NAN)  # empty of a place that is to be touched
 
 
-def own_commands(names: LegNames) -> Column:
+def native_command_column(names: LegNames) -> Column:
     """Return the columns of a layout's commands: joint coordinates, or travel."""
     return RHO if RHO.name.startswith(names.command) else TRAVEL
 
 
-def of_commands(names: LegNames) -> tuple[str, ...]:
+def native_command_names(names: LegNames) -> tuple[str, ...]:
     """Return the names of the three columns of a layout's commands."""
-    return own_commands(names).names(names.legs)
+    return native_command_column(names).names(names.legs)
 
 
 def stated_commands(table: Table, machine: MachineFile | None = None) -> Column:
@@ -69,7 +69,7 @@ def stated_commands(table: Table, machine: MachineFile | None = None) -> Column:
         return own
     if not stated[0]:
         return other
-    if machine is None or not _agree(table, machine, legs):
+    if machine is None or not _commands_agree(table, machine, legs):
         table.fail(
             f"has {own.names(legs)[0]} and {other.names(legs)[0]}, and they disagree: keep those "
             f"of one kind"
@@ -79,15 +79,15 @@ def stated_commands(table: Table, machine: MachineFile | None = None) -> Column:
     return own  # as `compensate` writes them
 
 
-def _agree(table: Table, machine: MachineFile, legs: tuple[str, str, str]) -> bool:
+def _commands_agree(table: Table, machine: MachineFile, legs: tuple[str, str, str]) -> bool:
     """Return whether the commands of a table are the same in both ways in which it states them."""
     if machine.geometry.dialled and not {*RHO.names(), *TRAVEL.names()} <= set(table.names):
         return False
     travelled = machine.controller.to_rho(table.array(TRAVEL, legs), machine.geometry)
     if machine.geometry.dialled or machine.kinematics is None:
-        other, within = table.array(RHO), _ROUNDED
+        other, within = table.array(RHO), _COMMAND_TOLERANCE
     else:
-        other, within = machine.kinematics.travel(table.array(PLACE)), _PLACED
+        other, within = machine.kinematics.travel(table.array(PLACE)), _PLACE_TOLERANCE
     return bool(np.abs(travelled - other).max(initial=0.0) <= within)
 
 
@@ -102,7 +102,7 @@ def commands(table: Table, column: Column, machine: MachineFile) -> Array:
         given = table.array(column, machine.geometry.leg_names)
         travelled = column in (TRAVEL, COMMANDS[TRAVEL])
         return check_commands(given, travelled, machine, table.fail)
-    each = (column, column, _HEIGHT if column is PLACE else column)
+    each = (column, column, _PLACE_WITHOUT_HEIGHT if column is PLACE else column)
     cells = [table.values(c, n) for c, n in zip(each, column.names(), strict=True)]
     travel = kinematics.travel(np.nan_to_num(np.array(cells, dtype=float).T))
     far = np.flatnonzero(np.isnan(travel).any(axis=1))
@@ -113,20 +113,22 @@ def commands(table: Table, column: Column, machine: MachineFile) -> Array:
     return check_commands(shown, True, machine, table.fail)
 
 
-def untouched(table: Table, column: Column) -> NDArray[np.bool_]:
+def awaiting_touch(table: Table, column: Column) -> NDArray[np.bool_]:
     """Return which rows state where to go down and not yet at what height it touched ``(n,)``."""
     if column is not PLACE:
         return np.zeros(len(table.rows), dtype=bool)
     return np.array([not cell for cell in table.cells(PLACE.names()[2])])
 
 
-def which(kinds: Sequence[str], test: Callable[[Observation], Any]) -> NDArray[np.bool_]:
+def rows_of_kinds(kinds: Sequence[str], test: Callable[[Observation], Any]) -> NDArray[np.bool_]:
     """Return which rows are of a kind that passes a test ``(n,)``, booleans; moves never are."""
     passed = {kind for kind, one in OBSERVATIONS.items() if test(one)}
     return np.array([kind in passed for kind in kinds], dtype=bool)
 
 
-def column_cells(table: Table, column: Column, own: NDArray[np.bool_], name: str = "") -> list[Any]:
+def column_values(
+    table: Table, column: Column, own: NDArray[np.bool_], name: str = ""
+) -> list[Any]:
     """Return a column's values in the rows that have it, and None elsewhere."""
     if own.all():
         return table.values(column, name)
@@ -137,28 +139,30 @@ def column_cells(table: Table, column: Column, own: NDArray[np.bool_], name: str
     return found
 
 
-def mountings(table: Table, kinds: Sequence[str]) -> tuple[tuple[Setup, ...], Ints]:
+def read_setups(table: Table, kinds: Sequence[str]) -> tuple[tuple[Setup, ...], Ints]:
     """Return the mountings in order of appearance, and the place in them of each row's.
 
     Raises:
         FileError: for a mounting that cannot be, and a name of two.
     """
     cells = {
-        name: column_cells(table, column, own, name)
+        name: column_values(table, column, own, name)
         for column in COLUMNS
-        if (own := which(kinds, column.fixed)).any()
+        if (own := rows_of_kinds(kinds, column.is_fixed_in_setup)).any()
         for name in column.names()
     }
     keys = list(zip(*cells.values(), strict=True))
     first: dict[tuple[Any, ...], int] = {}
     for row, key in enumerate(keys):
         first.setdefault(key, row)
-    found = {k: _setup(table, row, dict(zip(cells, k, strict=True))) for k, row in first.items()}
+    found = {
+        k: _make_setup(table, row, dict(zip(cells, k, strict=True))) for k, row in first.items()
+    }
     before: dict[str, tuple[Any, ...]] = {}
     for key, setup in found.items():
         if (other := before.setdefault(setup.name, key)) is not key:
             differing = next(n for n, a, b in zip(cells, key, other, strict=True) if a != b)
-            remedy = _OWN_NAME[int(which(kinds, at_tool).any())]
+            remedy = _UNIQUE_NAME_REMEDY[int(rows_of_kinds(kinds, at_tool).any())]
             table.fail(
                 f"setup {setup.name!r} has another {differing} here than on line "
                 f"{table.lines[first[other]]}: {remedy}",
@@ -168,15 +172,15 @@ def mountings(table: Table, kinds: Sequence[str]) -> tuple[tuple[Setup, ...], In
     return tuple(found.values()), np.array([places[key] for key in keys])
 
 
-def _setup(table: Table, row: int, cells: Mapping[str, Any]) -> Setup:
+def _make_setup(table: Table, row: int, cells: Mapping[str, Any]) -> Setup:
     """Return a mounting from its cells by column."""
     values: dict[str, Any] = {}
     for column in COLUMNS:
         own = tuple(cells[name] for name in column.names() if cells.get(name) is not None)
         if column is DIRECTION and own:
-            values["axis"], values["sign"] = AXES[own[0]]
+            values["axis"], values["sign"] = AXIS_AND_SIGN[own[0]]
         elif own:
-            values[column.attribute] = own if column.spread else own[0]
+            values[column.attribute] = own if column.is_triple else own[0]
     try:
         return Setup(**values)
     except InputError as error:

@@ -14,32 +14,32 @@ from orthoglide.observations.approach import impossible_approach
 from orthoglide.observations.readings import Readings
 from orthoglide.observations.schema import APPROACH, SIGMAS, TEMPERATURE, TIME
 
-HARDLY = 1e-3
+MIN_AXIS_MOTION = 1e-3
 """An axis that moves by no more than this hardly moves, metres; on a stroke of less than ten times
 as much, a tenth of that counts."""
 
-STILL = 2 - 1e-6
+STILL_DIAL_STEPS = 2 - 1e-6
 """Steps of the dial: readings that spread by less, in every setup, hardly move."""
 
-NO_READING = 1e-8
+ZERO_READING = 1e-8
 """Readings all below this are a simulated perfect machine's zeros, metres."""
 
-_USUAL = (0.5, 0.25)
+_USUAL_GAUGES = (0.5, 0.25)
 """Where dials stand, in lengths of the leg, whose owner measures from the tool's centre too."""
 
-_RULED = 1e-4
+_RULER_TOLERANCE = 1e-4
 """How well a place is measured with a ruler or a drawing, metres."""
 
-_SHOWN = 5  # lines named in a warning
+_MAX_LINES_NAMED = 5  # lines named in a warning
 
 
-def hardly(machine: MachineFile) -> float:
+def min_axis_motion(machine: MachineFile) -> float:
     """Return by how much an axis moves that hardly moves, metres."""
     low, high = machine.geometry.stroke
-    return min(HARDLY, (high - low) / 10)
+    return min(MIN_AXIS_MOTION, (high - low) / 10)
 
 
-def _approaches(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
+def _note_impossible_approaches(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
     if np.array_equal(campaign.approach, campaign.derived_approach):
         return
     wrong = impossible_approach(campaign.command, campaign.approach, campaign.order, campaign.moves)
@@ -47,7 +47,9 @@ def _approaches(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
         return
     columns = " and ".join(np.array(APPROACH.names())[wrong.any(axis=0)])
     lines = tuple(campaign.line[wrong.any(axis=1)].tolist())
-    shown = ", ".join(map(str, lines[:_SHOWN])) + (" ..." if len(lines) > _SHOWN else "")
+    shown = ", ".join(map(str, lines[:_MAX_LINES_NAMED])) + (
+        " ..." if len(lines) > _MAX_LINES_NAMED else ""
+    )
     yield Note(
         f"{columns} cannot come from the order of the rows ({len(lines)} rows: line {shown}): if "
         "the machine made further moves enter them as rows of kind move, else correct the columns",
@@ -56,10 +58,10 @@ def _approaches(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
     )
 
 
-def _still_legs(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
+def _note_still_legs(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
     for leg in np.unique(campaign.leg[campaign.which(lambda s: s.observation.from_datum)]):
         span = np.ptp(campaign.command[campaign.leg == leg, leg])
-        if span <= hardly(machine):
+        if span <= min_axis_motion(machine):
             yield Note(
                 f"leg {LEGS[leg]} moves by only {span * 1e3:.3g} mm along its own axis in its "
                 "setups: they say little about its length and axis",
@@ -67,11 +69,11 @@ def _still_legs(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
             )
 
 
-def _gauges_with_r(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
+def _note_gauges_with_r(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
     length, r = machine.geometry.L, machine.geometry.r
     gauge = np.array([place for s in campaign.setups for place in s.gauges])
-    beyond = gauge[:, None] - np.multiply(_USUAL, length)
-    if r > _RULED and (np.abs(beyond - r) <= _RULED).any(axis=1).all():
+    beyond = gauge[:, None] - np.multiply(_USUAL_GAUGES, length)
+    if r > _RULER_TOLERANCE and (np.abs(beyond - r) <= _RULER_TOLERANCE).any(axis=1).all():
         places = " and ".join(compact(place * 1e3, 6) for place in np.unique(gauge))
         yield Note(
             f"gauge_mm is {places} mm, which is half or a quarter of L with r = {r * 1e3:g} mm "
@@ -81,7 +83,7 @@ def _gauges_with_r(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
         )
 
 
-def _still_dial(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
+def _note_still_dial(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
     read = np.isfinite(campaign.reading) & campaign.which(lambda s: s.observation.from_datum)
     if not read.any():
         return
@@ -90,7 +92,7 @@ def _still_dial(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
         for place in np.unique(campaign.setup[read])
     ]
     # Two steps of the dial are what rounding and a trembling finger make of a standing one.
-    if max(spans) < max(STILL * machine.dial.resolution, NO_READING):
+    if max(spans) < max(STILL_DIAL_STEPS * machine.dial.resolution, ZERO_READING):
         yield Note(
             f"no setup's readings move by more than {max(spans) * 1e3:.3g} mm: is the dial "
             "touching the leg? Unless the machine is as good as that, such readings say nothing",
@@ -98,7 +100,7 @@ def _still_dial(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
         )
 
 
-def _partly_recorded(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
+def _note_partly_recorded(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
     consequences = {
         TIME: "these count as taken at the start",
         TEMPERATURE: "these count as no warmer than the first",
@@ -111,4 +113,10 @@ def _partly_recorded(campaign: Readings, machine: MachineFile) -> Iterator[Note]
             yield Note(text, column.name, tuple(campaign.line[absent].tolist()))
 
 
-NOTICES = (_approaches, _still_legs, _gauges_with_r, _still_dial, _partly_recorded)
+NOTICES = (
+    _note_impossible_approaches,
+    _note_still_legs,
+    _note_gauges_with_r,
+    _note_still_dial,
+    _note_partly_recorded,
+)

@@ -12,23 +12,23 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.errors import InputError, check_word
+from orthoglide.errors import InputError, check_choice
 from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.instruments import Parallelism, Setup
 from orthoglide.numerals import compact
-from orthoglide.observations.approach import Moves, derive_approach, overshoot
+from orthoglide.observations.approach import Moves, derive_approach, stroke_overshoot
 from orthoglide.observations.readings import Readings
-from orthoglide.text import MACHINE
+from orthoglide.text import MACHINE_OPTION
 
-Kind = Literal["standard", "sweep", "two-gauges", "parallelism"]
+ProtocolName = Literal["standard", "sweep", "two-gauges", "parallelism"]
 
 REPEATS = 3
 """How often every posture is visited; the scatter of the repeats is the noise."""
 
-VISIT = 20.0
+VISIT_SECONDS = 20.0
 """Time planned for a posture and its readings, seconds."""
 
-MOUNTING = 600.0
+MOUNTING_SECONDS = 600.0
 """Time planned from the last posture of a mounting to the first of the next, seconds."""
 
 
@@ -41,20 +41,20 @@ _GAUGES: dict[str, tuple[tuple[float, ...], ...]] = {
 """Where the dials stand, as fractions of the leg: those of one mounting, one mounting after the
 other."""
 
-_UP = (0.33, 0.63, 1.0)
-_DOWN = (0.27, 0.55, 0.84, 1.0)
+_SWEEP_UP = (0.33, 0.63, 1.0)
+_SWEEP_DOWN = (0.27, 0.55, 0.84, 1.0)
 """Stations of a sweep, as parts of the upper and of the lower half stroke. Their distances differ,
 so that a wave shorter than they are draws no smooth curve: of steps of 16 to 30 mm on the default
 stroke, these leave most of a wave of any period from 6 to 60 mm beside the best parabola, 0.23 of
 it at least; equal steps leave 0.02."""
 
-_LABELLED = 9  # decimals of a metre: a posture's label says where it is
+_LABEL_DECIMALS = 9  # decimals of a metre: a posture's label says where it is
 
 Posture = tuple[str, float]
 """A label and the travel from mechanical zero, metres."""
 
 
-def check_dials(geometry: Geometry) -> None:
+def require_dial_layout(geometry: Geometry) -> None:
     """Refuse a machine against whose legs no dial is set.
 
     Raises:
@@ -66,12 +66,12 @@ def check_dials(geometry: Geometry) -> None:
         raise InputError(
             f"dials are set against an Orthoglide's legs, and this machine's layout is "
             f"{geometry.layout.kind}: give readings of its tool (kind plate, distance, incline, "
-            f"tcp or ballbar), for which orthoglide design --owns plate{MACHINE} --out SHEET.csv "
+            f"tcp or ballbar), for which orthoglide design --owns plate{MACHINE_OPTION} --out SHEET.csv "
             f"writes a sheet, and orthoglide.tool_sheets(machine, ['plate']) gives it in Python"
         )
 
 
-def protocol(kind: Kind, geometry: Geometry | None = None) -> Readings:
+def protocol(kind: ProtocolName, geometry: Geometry | None = None) -> Readings:
     """A campaign without readings, to be measured in its order.
 
     Args:
@@ -91,16 +91,16 @@ def protocol(kind: Kind, geometry: Geometry | None = None) -> Readings:
     Raises:
         InputError: for an unknown kind, and a stroke over which a leg moves past a dial.
     """
-    check_word("protocol", kind, get_args(Kind))
+    check_choice("protocol", kind, get_args(ProtocolName))
     geometry = geometry or Geometry()
-    check_dials(geometry)
+    require_dial_layout(geometry)
     low, high = geometry.stroke
     named = [("zero", 0.0), ("max", high), ("min", low)]
-    postures = named if kind in ("standard", "parallelism") else _swept(geometry)
-    return along_legs(geometry, kind, _GAUGES[kind], postures, REPEATS)
+    postures = named if kind in ("standard", "parallelism") else _sweep_postures(geometry)
+    return leg_dial_campaign(geometry, kind, _GAUGES[kind], postures, REPEATS)
 
 
-def along_legs(
+def leg_dial_campaign(
     geometry: Geometry,
     name: str,
     gauges: Sequence[tuple[float, ...]],
@@ -132,7 +132,7 @@ def along_legs(
         for posture in postures
     ]
     setups = tuple(
-        dial_at(geometry, leg, axis, shares[0], bar, shares[1] if shares[1:] else None)
+        dial_setup(geometry, leg, axis, shares[0], bar, shares[1] if shares[1:] else None)
         for leg in range(3)
         for shares in gauges
         for axis in range(3)
@@ -141,20 +141,20 @@ def along_legs(
     visit = np.repeat(np.arange(len(visits)), 2)  # two dials read at each
     mounting = visit // (repeats * len(postures))
     command = [geometry.command_on_axis(leg, travel) for leg, _, (_, travel) in visits]
-    sheet = unread(
+    sheet = unread_campaign(
         geometry,
         name,
         setups,
         2 * mounting + np.arange(len(visit)) % 2,
-        np.round(command, _LABELLED)[visit],  # what fits on a sheet
+        np.round(command, _LABEL_DECIMALS)[visit],  # what fits on a sheet
         posture=[visits[k][2][0] for k in visit],
         repeat=np.array([repeat for _, repeat, _ in visits])[visit],
-        time=visit * VISIT + mounting * (MOUNTING - VISIT),
+        time=visit * VISIT_SECONDS + mounting * (MOUNTING_SECONDS - VISIT_SECONDS),
     )
     return sheet.with_moves()
 
 
-def dial_at(
+def dial_setup(
     geometry: Geometry, leg: int, axis: int, share: float, bar: int = 0, second: float | None = None
 ) -> Setup:
     """A mounting at a share of the leg, or of two dials at two shares, named after where it stands;
@@ -168,7 +168,7 @@ def dial_at(
     return Setup(f"{name}-{second:g}", leg, axis, 1, gauge, bar, kind, other)
 
 
-def unread(
+def unread_campaign(
     geometry: Geometry,
     name: str,
     setups: Sequence[Setup],
@@ -207,7 +207,7 @@ def unread(
         load=np.full(n, load),
         repeat=np.broadcast_to(np.asarray(repeat), n),
         posture=tuple(posture),
-        moves=Moves(beyond=overshoot(geometry.stroke)),
+        moves=Moves(overshoot=stroke_overshoot(geometry.stroke)),
     )
 
 
@@ -225,16 +225,16 @@ def _check_on_leg(
         )
 
 
-def _swept(geometry: Geometry) -> list[Posture]:
+def _sweep_postures(geometry: Geometry) -> list[Posture]:
     """Return the way from zero to one end and back, then to the other, without the last zero."""
     low, high = geometry.stroke
-    up, down = high * np.array([0.0, *_UP]), low * np.array(_DOWN)
-    return steps(np.concatenate([up, up[-2::-1], down, down[-2::-1]]))
+    up, down = high * np.array([0.0, *_SWEEP_UP]), low * np.array(_SWEEP_DOWN)
+    return labelled_postures(np.concatenate([up, up[-2::-1], down, down[-2::-1]]))
 
 
-def steps(travel: ArrayLike) -> list[Posture]:
+def labelled_postures(travel: ArrayLike) -> list[Posture]:
     """Return postures at travels from mechanical zero ``(n,)``, metres, each with its label."""
     return [
         (f"{s * 1e3:+.6g}", s)
-        for s in np.round(np.asarray(travel, dtype=float), _LABELLED).tolist()
+        for s in np.round(np.asarray(travel, dtype=float), _LABEL_DECIMALS).tolist()
     ]

@@ -17,7 +17,7 @@ from orthoglide.foreign import refuse_foreign
 from orthoglide.geometry import Array
 from orthoglide.machine_file import AnyMachine, Controller, MachineFile, machine_file_of
 from orthoglide.notes import Note
-from orthoglide.observations.approach import Moves, derive_approach, overshoot
+from orthoglide.observations.approach import Moves, derive_approach, stroke_overshoot
 from orthoglide.observations.checks import (
     check_filled,
     check_firmware,
@@ -27,17 +27,17 @@ from orthoglide.observations.checks import (
     check_sequence,
 )
 from orthoglide.observations.columns import (
-    column_cells,
+    awaiting_touch,
+    column_values,
     commands,
-    mountings,
+    read_setups,
+    rows_of_kinds,
     stated_commands,
-    untouched,
-    which,
 )
 from orthoglide.observations.readings import Readings
 from orthoglide.observations.schema import (
     APPROACH,
-    AXES,
+    AXIS_AND_SIGN,
     COLUMNS,
     COMMANDS,
     DIRECTION,
@@ -54,15 +54,15 @@ from orthoglide.observations.schema import (
     TRAVEL,
     Column,
     at_tool,
-    columns_with,
-    names_of,
+    column_names,
+    columns_for_command,
 )
 from orthoglide.observations.table import Table, frame_table, read_table, rows_table
 from orthoglide.observations.tables import concatenated, from_points
 
-_BEGINNING = 2**16  # bytes of a file that say what wrote it
+_HEAD_BYTES = 2**16  # bytes of a file that say what wrote it
 
-Given = Readings | str | os.PathLike[str]
+ReadingsOrPath = Readings | str | os.PathLike[str]
 """Readings, or the path of their file."""
 
 
@@ -115,7 +115,7 @@ def read_readings(
         # What is no table of readings may be what a firmware wrote, which has a command of its own.
         if Path(path).is_file():  # a pipe is read once
             with suppress(OSError), Path(path).open("rb") as stream:
-                refuse_foreign(Path(path), stream.read(_BEGINNING), own=("archive",))
+                refuse_foreign(Path(path), stream.read(_HEAD_BYTES), accepted=("archive",))
         raise
 
 
@@ -134,7 +134,7 @@ def read_tcp(path: str | os.PathLike[str], machine_file: AnyMachine | None = Non
         FileError: naming the line and what would be right.
     """
     table = read_table(path)
-    return _points(table, Path(table.file).stem, machine_file_of(machine_file))
+    return _points_of_table(table, Path(table.file).stem, machine_file_of(machine_file))
 
 
 def readings_from_rows(
@@ -208,19 +208,19 @@ def readings_of_table(
     machine = machine_file_of(machine_file)
     of_points = set(POINT.names()) & set(table.names)
     if of_points and not {SETUP.name, READINGS["mm"].name} & set(table.names):
-        return (_points(table, name, machine),)
+        return (_points_of_table(table, name, machine),)
     kinds = table.values(KIND)
-    tool = which(kinds, at_tool)
+    tool = rows_of_kinds(kinds, at_tool)
     if not tool.any() or all(kinds[k] == MOVE for k in np.flatnonzero(~tool)):
-        return (_readings(table, name, machine, require_readings, kinds),)
+        return (_one_table(table, name, machine, require_readings, kinds),)
     halves = ((~tool, name), (tool, f"{name}-tool"))
     return tuple(
-        _readings(table.part(np.flatnonzero(rows)), called, machine, require_readings, kinds)
+        _one_table(table.part(np.flatnonzero(rows)), called, machine, require_readings, kinds)
         for rows, called in halves
     )
 
 
-def _readings(
+def _one_table(
     table: Table, name: str, machine: MachineFile, require_readings: bool, every: Sequence[str]
 ) -> Readings:
     """Return the readings of a table; ``every`` has the kinds of rows of its whole file."""
@@ -229,17 +229,19 @@ def _readings(
     check_layout(named, machine, table.fail)
     command = stated_commands(table, machine)
     warnings = table.check_names(
-        [*names_of(_known(every, command), legs), *names_of((RHO, TRAVEL), legs)],
-        names_of(_needed(kinds, command, require_readings), legs),
+        [*column_names(_allowed_columns(every, command), legs), *column_names((RHO, TRAVEL), legs)],
+        column_names(_required_columns(kinds, command, require_readings), legs),
     )
     if moved.all():
         table.fail("has moves only: add rows with readings", 0)
     check_firmware(table.values(FIRMWARE), machine, table.fail)
-    read, sequence = _in_sequence(table, moved, command, machine)
-    setups, setup = mountings(read, kinds)
-    sequence["second"] = _second(read, which(kinds, COMMANDS[command].of), command, machine)
-    fields = _values(read, kinds)
-    fields["reading"] = np.where(untouched(read, command), np.nan, fields["reading"])
+    read, sequence = _read_sequence(table, moved, command, machine)
+    setups, setup = read_setups(read, kinds)
+    sequence["second"] = _second_commands(
+        read, rows_of_kinds(kinds, COMMANDS[command].applies_to), command, machine
+    )
+    fields = _row_values(read, kinds)
+    fields["reading"] = np.where(awaiting_touch(read, command), np.nan, fields["reading"])
     made = Readings(
         name=name, setups=setups, setup=setup, line=np.array(read.lines), file=read.file,
         sha256=read.sha256, legs=machine.geometry.layout.names,
@@ -248,19 +250,25 @@ def _readings(
     if require_readings:
         check_filled(made, read.fail)
     noticed = check_readings(made, machine, read.fail)
-    unread = _moves_with_readings(table.part(np.flatnonzero(moved)))
+    unread = _note_moves_with_readings(table.part(np.flatnonzero(moved)))
     return replace(made, warnings=(*warnings, *unread, *noticed))
 
 
-def _known(kinds: Sequence[str], command: Column) -> list[Column]:
+def _allowed_columns(kinds: Sequence[str], command: Column) -> list[Column]:
     """Return the columns that a file may have; any of the schema where the tool is read."""
-    known = columns_with(command)
-    if which(kinds, at_tool).any():
+    known = columns_for_command(command)
+    if rows_of_kinds(kinds, at_tool).any():
         return known
-    return [column for column in known if column is KIND or which(kinds, column.of).any()]
+    return [
+        column
+        for column in known
+        if column is KIND or rows_of_kinds(kinds, column.applies_to).any()
+    ]
 
 
-def _needed(kinds: Sequence[str], command: Column, require_readings: bool) -> list[Column]:
+def _required_columns(
+    kinds: Sequence[str], command: Column, require_readings: bool
+) -> list[Column]:
     """Return the columns that a file must have."""
 
     def needed(column: Column) -> bool:
@@ -268,12 +276,12 @@ def _needed(kinds: Sequence[str], command: Column, require_readings: bool) -> li
             return require_readings
         return column.required and column is not ORDER
 
-    named = [KIND] if which(kinds, at_tool).any() else []
-    found = [column for column in columns_with(command) if needed(column)]
-    return named + [column for column in found if which(kinds, column.of).any()]
+    named = [KIND] if rows_of_kinds(kinds, at_tool).any() else []
+    found = [column for column in columns_for_command(command) if needed(column)]
+    return named + [column for column in found if rows_of_kinds(kinds, column.applies_to).any()]
 
 
-def _in_sequence(
+def _read_sequence(
     table: Table, gone: NDArray[np.bool_], command: Column, machine: MachineFile
 ) -> tuple[Table, dict[str, Any]]:
     """Return the rows with readings, and what depends on the sequence that all rows share.
@@ -286,7 +294,7 @@ def _in_sequence(
     if ORDER.name in table.names:
         order = np.array(table.values(ORDER))
     check_sequence(rho, order, table.lines, table.fail)
-    beyond = overshoot(machine.geometry.stroke)
+    beyond = stroke_overshoot(machine.geometry.stroke)
     moves = Moves(rho[gone], order[gone], np.array(table.lines)[gone], beyond)
     rho, order, read = rho[~gone], order[~gone], table.part(np.flatnonzero(~gone))
     approach, given = read.array(APPROACH, legs), [n in read.names for n in APPROACH.names(legs)]
@@ -295,23 +303,25 @@ def _in_sequence(
     return read, {"command": rho, "order": order, "moves": moves, "approach": approach}
 
 
-def _values(table: Table, kinds: Sequence[str]) -> dict[str, Any]:
+def _row_values(table: Table, kinds: Sequence[str]) -> dict[str, Any]:
     """Return what each row has for itself, by attribute of `Readings`."""
     found: dict[str, Any] = {}
     for column in COLUMNS:
-        if column.of_setup or column.spread or not column.attribute:
+        if column.per_setup or column.is_triple or not column.attribute:
             continue
-        own = which(kinds, column.of)
+        own = rows_of_kinds(kinds, column.applies_to)
         given = not column.required or own.all()
-        values = table.values(column) if given else column_cells(table, column, own)
+        values = table.values(column) if given else column_values(table, column, own)
         before = found.get(column.attribute)
         found[column.attribute] = values if before is None else np.where(own, values, before)
-    axes = [AXES.get(cell, (0, 1)) for cell in found.pop(DIRECTION.attribute)]
+    axes = [AXIS_AND_SIGN.get(cell, (0, 1)) for cell in found.pop(DIRECTION.attribute)]
     axis, sign = np.array(axes).T
     return found | {"posture": tuple(found[POSTURE.attribute]), "axis": axis, "sign": sign}
 
 
-def _second(table: Table, own: NDArray[np.bool_], command: Column, machine: MachineFile) -> Array:
+def _second_commands(
+    table: Table, own: NDArray[np.bool_], command: Column, machine: MachineFile
+) -> Array:
     """Return the second commands ``(n, 3)`` of rows that have one, metres; nan elsewhere."""
     found = np.full((len(own), 3), np.nan)
     if own.any():
@@ -319,7 +329,7 @@ def _second(table: Table, own: NDArray[np.bool_], command: Column, machine: Mach
     return found
 
 
-def _moves_with_readings(moves: Table) -> tuple[Note, ...]:
+def _note_moves_with_readings(moves: Table) -> tuple[Note, ...]:
     cells = zip(moves.lines, moves.cells(READINGS["mm"].name), strict=True)
     lines = tuple(line for line, cell in cells if cell)
     told = (
@@ -329,10 +339,10 @@ def _moves_with_readings(moves: Table) -> tuple[Note, ...]:
     return (Note(told, "reading", lines),) if lines else ()
 
 
-def _points(table: Table, name: str, machine: MachineFile) -> Readings:
+def _points_of_table(table: Table, name: str, machine: MachineFile) -> Readings:
     column, legs = stated_commands(table, machine), machine.geometry.leg_names
     known = (column, RHO, TRAVEL, APPROACH, POINT, SIGMAS["mm"])
-    warnings = table.check_names(names_of(known, legs), names_of((column, POINT), legs))
+    warnings = table.check_names(column_names(known, legs), column_names((column, POINT), legs))
     p = table.array(POINT)
     command = commands(table, column, machine)
     check_points(command, p, table.fail)

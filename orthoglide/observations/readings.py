@@ -18,8 +18,19 @@ from orthoglide.frames import html_table
 from orthoglide.geometry import LEGS, Array
 from orthoglide.instruments import Observation, Setup
 from orthoglide.layout import ORTHOGLIDE, LegNames
-from orthoglide.observations.approach import Ints, Moves, built_up, derive_approach, planned_moves
-from orthoglide.observations.arrays import OF_READINGS, hold, numbered, source as source
+from orthoglide.observations.approach import (
+    Ints,
+    Moves,
+    built_up_lost_motion,
+    derive_approach,
+    planned_moves,
+)
+from orthoglide.observations.arrays import (
+    READING_ARRAYS,
+    freeze_arrays,
+    group_ids,
+    source as source,
+)
 
 
 @dataclass(frozen=True)
@@ -115,7 +126,7 @@ class Readings:
         if n and setup.shape == (n,) and not ((setup > -1) & (setup < len(names))).all():
             raise InputError(f"{self.name}: setup must index one of the {len(names)} setups")
         self._fill(n, setup)
-        hold(self, self.name, OF_READINGS, "reading")
+        freeze_arrays(self, self.name, READING_ARRAYS, "reading")
         if len(self.posture) != n:
             raise InputError(f"{self.name}: {n} readings need {n} posture labels")
 
@@ -123,7 +134,11 @@ class Readings:
         """Take axes and signs from setups that have them, and defaults of what is not given."""
         found: dict[str, Any] = {"order": np.arange(n), "posture": ("",) * n}
         found["line"] = np.arange(n) + 2
-        found |= {name: kind.filled(n) for name, kind in OF_READINGS.items() if name not in found}
+        found |= {
+            name: kind.default_array(n)
+            for name, kind in READING_ARRAYS.items()
+            if name not in found
+        }
         for name, values in found.items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, values)
@@ -269,12 +284,14 @@ class Readings:
         """Lost motion of each drive that builds up over some lengths, metres: ``(K, n, 3)``."""
         asked = tuple(lengths)
         if asked not in self._built_up:  # row by row in Python: half a second for 100 000 readings
-            self._built_up[asked] = built_up(self.command, self.order, asked, self.moves)
+            self._built_up[asked] = built_up_lost_motion(
+                self.command, self.order, asked, self.moves
+            )
         return self._built_up[asked]
 
     @cached_property
     def _built_up(self) -> dict[tuple[float, ...], Array]:
-        """What was asked of :meth:`built_up` so far."""
+        """What was asked of :meth:`built_up_lost_motion` so far."""
         return {}
 
     # Other tables -------------------------------------------------------------------------
@@ -290,7 +307,7 @@ class Readings:
         kind = bool if np.asarray(rows).dtype == bool else np.int64  # an empty list is of floats
         chosen = np.arange(len(self))[np.asarray(rows, dtype=kind)]
         used, setup = np.unique(self.setup[chosen], return_inverse=True)
-        arrays = {name: getattr(self, name)[chosen] for name in OF_READINGS}
+        arrays = {name: getattr(self, name)[chosen] for name in READING_ARRAYS}
         return replace(
             self,
             **(arrays | {"setup": setup.reshape(-1)}),
@@ -312,7 +329,7 @@ class Readings:
         other = ~self.which(lambda s: s.observation.axes and not s.observation.on_leg)
         if (other | self.angular).any():
             raise InputError(f"{self.name} holds readings that are no coordinates of the tool")
-        of = numbered(np.column_stack([self.setup, self.order]))
+        of = group_ids(np.column_stack([self.setup, self.order]))
         first = np.unique(of, return_index=True)[1]
         p = np.full((len(first), 3), np.nan)
         p[of, self.axis] = self.sign * self.reading
@@ -329,7 +346,7 @@ class Readings:
         begins = np.zeros(len(self), dtype=bool)
         begins[np.unique(self.setup, return_index=True)[1]] = True
         begins[1:] &= (np.diff(self.command, axis=0) != 0).any(axis=1)
-        moves, order = planned_moves(self.command, self.approach, begins, self.moves.beyond)
+        moves, order = planned_moves(self.command, self.approach, begins, self.moves.overshoot)
         return replace(self, moves=moves, order=order, line=order + 2)
 
     def in_order(self) -> Readings:
@@ -351,7 +368,7 @@ class Readings:
         )  # fmt: skip
         known = ~(self.touching | self.paired)
         approach = approach[first[visit.reshape(-1)]] * known[:, None]
-        moves, order = planned_moves(self.command, approach, begins & known, self.moves.beyond)
+        moves, order = planned_moves(self.command, approach, begins & known, self.moves.overshoot)
         approach[self.touching] = -1.0
         return replace(
             self, order=order + 1, approach=approach, moves=replace(moves, order=moves.order + 1),
@@ -366,7 +383,7 @@ class Readings:
             and np.array_equal(self.moves.order, other.moves.order)
             and all(
                 np.array_equal(getattr(self, name), getattr(other, name), equal_nan=True)
-                for name in OF_READINGS
+                for name in READING_ARRAYS
                 if name != "line"
             )
         )

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from orthoglide.geometry import Array
 from orthoglide.observations.readings import Readings
 
-_FEWEST = 6  # equal repeats: fewer may be equal by chance
+_MIN_EQUAL_REPEATS = 6  # equal repeats: fewer may be equal by chance
 
 
-def repeated(campaign: Readings) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def repeat_rows(campaign: Readings) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the rows of all repeat readings, station by station, and the row of the visit before
     each, both ``(k,)``.
     """
@@ -25,14 +25,14 @@ def repeated(campaign: Readings) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 def repeat_steps(campaign: Readings) -> Array:
     """Return each repeat reading minus the reading of the visit before ``(k,)``, metres."""
-    later, before = repeated(campaign)
+    later, before = repeat_rows(campaign)
     return np.asarray(campaign.reading[later] - campaign.reading[before])
 
 
 def count_copied_repeats(campaign: Readings) -> int:
     """Return the number of repeats if each equals the visit before to the last digit, else 0."""
     equal = repeat_steps(campaign) == 0
-    return len(equal) if len(equal) >= _FEWEST and equal.all() else 0
+    return len(equal) if len(equal) >= _MIN_EQUAL_REPEATS and equal.all() else 0
 
 
 def copied_point_lines(table: Readings) -> tuple[int, ...]:

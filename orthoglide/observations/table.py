@@ -20,14 +20,14 @@ from orthoglide.geometry import LEGS, Array
 from orthoglide.notes import Note
 from orthoglide.numerals import MINUS
 from orthoglide.observations.schema import NUMBER, Column
-from orthoglide.text import brief, cell_text, shown, unseen
+from orthoglide.text import abbreviated, cell_text, printable_path, unprintable
 
 _DELIMITERS = ",;\t"
 _SEPARATOR = re.compile(rf'"?sep=([{_DELIMITERS}])"?', re.IGNORECASE)
 _SCHEMA = re.compile(r"^schema\b", re.MULTILINE)  # of machine files, after any comments
-_MOST_COLUMNS = 200
+_MAX_COLUMNS = 200
 _MISSING = ("nan", "NaN", "None", "<NA>", "NaT")  # how data frames spell an empty cell
-_SIGN = re.compile(rf"^{MINUS}(?=[.,]?[0-9])")  # as this package prints it
+_PRINTED_MINUS = re.compile(rf"^{MINUS}(?=[.,]?[0-9])")  # as this package prints it
 
 
 @dataclass(frozen=True)
@@ -59,13 +59,13 @@ class Table:
         """
         name = name or column.name
         if name not in self.names:
-            return [column.empty] * len(self.rows)
+            return [column.empty_value] * len(self.rows)
         cells, found = self.cells(name), dict[str, Any]()
         for cell in dict.fromkeys(cells):
             try:
-                found[cell] = column.kind.read(cell) if cell else column.empty
+                found[cell] = column.kind.read(cell) if cell else column.empty_value
             except ValueError as error:
-                self.fail(f"{name} is {brief(cell)!r}, {error}", cells.index(cell))
+                self.fail(f"{name} is {abbreviated(cell)!r}, {error}", cells.index(cell))
             if not cell and column.required:
                 self.fail(f"{name} is empty: fill it in or remove the row", cells.index(cell))
         return [found[cell] for cell in cells]
@@ -89,12 +89,12 @@ class Table:
         for name in unknown:
             close = get_close_matches(name, known, n=1, cutoff=0.75)
             if close and close[0] not in self.names:
-                self.fail(f"there is no column {brief(name)!r}: did you mean {close[0]!r}?")
+                self.fail(f"there is no column {abbreviated(name)!r}: did you mean {close[0]!r}?")
         missing = [name for name in needed if name not in self.names]
         if missing:
             self.fail(f"has no column {', '.join(missing)}: add what is missing to the first line")
         return tuple(
-            Note(f"column {brief(name)!r} is not known and was ignored", "column")
+            Note(f"column {abbreviated(name)!r} is not known and was ignored", "column")
             for name in unknown
             if name
         )
@@ -121,14 +121,14 @@ def read_table(path: str | os.PathLike[str]) -> Table:
     header = next((line for line in text.splitlines() if line.strip()), "")
     if header.lstrip()[:1] in ("{", "[") or _SCHEMA.search(text):
         raise FileError("is no CSV, but a result or a machine file: give the campaign's own file",
-                        file=shown(path))  # fmt: skip
+                        file=printable_path(path))  # fmt: skip
     if told := _SEPARATOR.fullmatch(header):  # as a spreadsheet begins a file, for itself
         text = text.replace(header, "", 1)
     delimiter = told[1] if told else max(_DELIMITERS, key=header.count)
-    names, rows, lines = _cells(text, delimiter, shown(path))
+    names, rows, lines = _parse_cells(text, delimiter, printable_path(path))
     if delimiter != ",":
         rows = [[_decimal_point(cell) for cell in row] for row in rows]
-    return _table(names, rows, lines, shown(path), files.sha256(content))
+    return _checked_table(names, rows, lines, printable_path(path), files.sha256(content))
 
 
 def frame_table(df: Any, name: str) -> Table:
@@ -153,7 +153,7 @@ def frame_table(df: Any, name: str) -> Table:
     if len({len(column) for column in columns}) > 1:
         raise FileError("has columns of unequal length: pad them", file=name)
     rows = [list(row) for row in zip(*columns, strict=True)]
-    return _table(names, rows, list(range(2, len(rows) + 2)), name)
+    return _checked_table(names, rows, list(range(2, len(rows) + 2)), name)
 
 
 def rows_table(
@@ -169,10 +169,12 @@ def rows_table(
     """
     names = list(rows[0]) if rows else []
     cells = [[str(row.get(name, "")).strip() for name in names] for row in rows]
-    return _table(names, cells, list(lines or range(2, len(rows) + 2)), file, sha256)
+    return _checked_table(names, cells, list(lines or range(2, len(rows) + 2)), file, sha256)
 
 
-def _cells(text: str, delimiter: str, file: str) -> tuple[list[str], list[list[str]], list[int]]:
+def _parse_cells(
+    text: str, delimiter: str, file: str
+) -> tuple[list[str], list[list[str]], list[int]]:
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
     marked = "'" in text or MINUS in text  # marks of a spreadsheet, and of printed numbers
     rows, lines = [], []
@@ -180,7 +182,7 @@ def _cells(text: str, delimiter: str, file: str) -> tuple[list[str], list[list[s
         for row in reader:
             cells = [cell.strip() for cell in row]
             if marked:
-                cells = [_SIGN.sub("-", cell_text(cell)) for cell in cells]
+                cells = [_PRINTED_MINUS.sub("-", cell_text(cell)) for cell in cells]
             if any(cells):
                 rows.append(cells)
                 lines.append(reader.line_num)
@@ -201,17 +203,17 @@ def _cells(text: str, delimiter: str, file: str) -> tuple[list[str], list[list[s
     return rows[0], rows[1:], lines[1:]
 
 
-def _table(
+def _checked_table(
     names: list[str], rows: list[list[str]], lines: list[int], file: str, digest: str = ""
 ) -> Table:
-    if len(names) > _MOST_COLUMNS:
+    if len(names) > _MAX_COLUMNS:
         raise FileError(
-            f"names {len(names)} columns: give a sheet of {_MOST_COLUMNS} at most",
+            f"names {len(names)} columns: give a sheet of {_MAX_COLUMNS} at most",
             file=file,
             line=1,
         )
     for row, line in zip((names, *rows), (1, *lines), strict=True):
-        if found := unseen("".join(row)):
+        if found := unprintable("".join(row)):
             raise FileError(
                 f"holds the character {found}, which cannot be shown: remove it",
                 file=file, line=line,
@@ -225,7 +227,9 @@ def _table(
 def _check_distinct(names: Sequence[str], file: str) -> None:
     for name in names:
         if name and names.count(name) > 1:
-            raise FileError(f"names column {brief(name)!r} twice: remove one", file=file, line=1)
+            raise FileError(
+                f"names column {abbreviated(name)!r} twice: remove one", file=file, line=1
+            )
 
 
 def _decimal_point(cell: str) -> str:

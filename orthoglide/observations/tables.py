@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from orthoglide.errors import InputError
 from orthoglide.instruments import Coordinate, Setup
 from orthoglide.observations.approach import Moves
-from orthoglide.observations.arrays import OF_READINGS
+from orthoglide.observations.arrays import READING_ARRAYS
 from orthoglide.observations.readings import Readings
 
 
@@ -86,11 +86,11 @@ def concatenated(several: Sequence[Readings], name: str = "") -> Readings:
             "one table is of one machine, and these call their legs otherwise: keep readings of "
             "different machines apart"
         )
-    given = _numbered_on(in_sequence(several))
+    given = _renumber_lines(renumber_orders(several))
     first = np.cumsum([0, *(len(one.setups) for one in given)])
     each = zip(given, first, strict=False)
     arrays: dict[str, Any] = {
-        key: np.concatenate([getattr(one, key) for one in given]) for key in OF_READINGS
+        key: np.concatenate([getattr(one, key) for one in given]) for key in READING_ARRAYS
     }
     arrays["setup"] = np.concatenate([one.setup + shift for one, shift in each])
     gone: dict[str, Any] = {
@@ -113,7 +113,7 @@ def concatenated(several: Sequence[Readings], name: str = "") -> Readings:
 Readings.concatenated = staticmethod(concatenated)
 
 
-def in_sequence(given: Sequence[Readings]) -> list[Readings]:
+def renumber_orders(given: Sequence[Readings]) -> list[Readings]:
     """Return the same readings, the order of each behind that of the one before."""
     found, last = list[Readings](), 0
     for one in given:
@@ -125,7 +125,7 @@ def in_sequence(given: Sequence[Readings]) -> list[Readings]:
     return found
 
 
-def _numbered_on(given: Sequence[Readings]) -> list[Readings]:
+def _renumber_lines(given: Sequence[Readings]) -> list[Readings]:
     """Return the same readings, the lines of those that are of no file behind all before them."""
     found, last = list[Readings](), 0
     for one in given:
@@ -137,7 +137,7 @@ def _numbered_on(given: Sequence[Readings]) -> list[Readings]:
     return found
 
 
-def parts(given: Readings) -> tuple[Readings, ...]:
+def split_legs_and_tool(given: Readings) -> tuple[Readings, ...]:
     """Return readings of legs and of the tool apart, the latter called ``NAME-tool`` where there
     are both; the moves go with those of legs.
     """

@@ -20,7 +20,7 @@ from orthoglide.instruments import LegDial
 from orthoglide.layout import LegNames
 from orthoglide.machine_file import AnyMachine, Controller, MachineFile, machine_file_of
 from orthoglide.observations.checks import DECIMALS
-from orthoglide.observations.columns import own_commands
+from orthoglide.observations.columns import native_command_column
 from orthoglide.observations.readings import Readings
 from orthoglide.observations.schema import (
     APPROACH,
@@ -41,10 +41,10 @@ from orthoglide.observations.schema import (
     TIME,
     TRAVEL,
     Column,
-    columns_with,
-    names_of,
+    column_names,
+    columns_for_command,
 )
-from orthoglide.observations.tables import concatenated, in_sequence, parts
+from orthoglide.observations.tables import concatenated, renumber_orders, split_legs_and_tool
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -55,8 +55,8 @@ Row = dict[str, str]
 Columns = dict[str, Sequence[str]]
 """Cells by column."""
 
-_TEXTS = {column.name for column in COLUMNS if column.text}
-_PLACED = 9  # decimals of a metre, of where a tool is sent
+_TEXT_COLUMNS = {column.name for column in COLUMNS if column.is_text}
+_PLACE_DECIMALS = 9  # decimals of a metre, of where a tool is sent
 
 
 def campaign_text(campaign: Readings, machine_file: AnyMachine | None = None) -> str:
@@ -78,8 +78,8 @@ def campaign_rows(
     campaign: Readings,
     machine_file: AnyMachine | None = None,
     *,
-    places: bool = False,
-    approaches: bool = False,
+    commands_as_places: bool = False,
+    write_approaches: bool = False,
 ) -> list[Row]:
     """The rows of a file of readings, moves included, or a row a point of points of the tool;
     optional columns only where they say something.
@@ -89,9 +89,9 @@ def campaign_rows(
         machine_file: the machine as whose controller shows them commands are written, or its file.
             Where none is given, or it counts as the layout does, they are the campaign's own: joint
             coordinates of an Orthoglide, travel of others.
-        places: commands are where the tool is sent, where the machine file knows how its controller
+        commands_as_places: commands are where the tool is sent, where the machine file knows how its controller
             sends it there.
-        approaches: give the approach even where it follows from the order.
+        write_approaches: give the approach even where it follows from the order.
 
     Returns:
         From column to text; all rows have the same columns, in the order of the schema.
@@ -99,34 +99,42 @@ def campaign_rows(
     if campaign.by_point:
         return tcp_rows(campaign, machine_file)
     machine = None if machine_file is None else machine_file_of(machine_file)
-    names = _names(campaign.legs, machine)
+    names = _leg_names(campaign.legs, machine)
     plain = machine is None or machine.controller == Controller()
-    command = own_commands(names) if plain else TRAVEL
-    if places and machine is not None and machine.kinematics is not None:
+    command = native_command_column(names) if plain else TRAVEL
+    if commands_as_places and machine is not None and machine.kinematics is not None:
         command = PLACE
     on_legs, columns = bool(campaign.on_legs.all()), Columns()
-    for column in _written(campaign, command, on_legs, approaches):
-        own = np.array([column.of(s.observation) for s in campaign.setups])[campaign.setup]
+    for column in _columns_to_write(campaign, command, on_legs, write_approaches):
+        own = np.array([column.applies_to(s.observation) for s in campaign.setups])[campaign.setup]
         if own.any():
-            columns |= _cells(column, _held(campaign, column, machine), names.legs, own)
+            columns |= _cells_of_column(
+                column, _values_of_column(campaign, column, machine), names.legs, own
+            )
     if np.isfinite(campaign.time).any():  # the time of a reading not taken yet is none
         taken = np.isfinite(campaign.reading)
-        columns |= _cells(TIME, campaign.time, own=taken, always=True)
+        columns |= _cells_of_column(
+            TIME, campaign.time, rows_with_column=taken, always_written=True
+        )
     if machine is not None and machine.firmware and not on_legs:
         columns[FIRMWARE.name] = [machine.firmware] * len(campaign)
     if command is PLACE:
-        columns |= _touches(campaign, columns)
-    gone = _cells(command, _shown(campaign.moves.command, command, machine), names.legs)
-    leads = [c for c in COLUMNS if c is SETUP or (on_legs and (c.of_setup or c is DIRECTION))]
-    return _with_moves(rows_of(columns), campaign, rows_of(gone), names_of(leads))
+        columns |= _blank_pending_touches(campaign, columns)
+    gone = _cells_of_column(
+        command, _commands_for_file(campaign.moves.command, command, machine), names.legs
+    )
+    leads = [c for c in COLUMNS if c is SETUP or (on_legs and (c.per_setup or c is DIRECTION))]
+    return _insert_moves(
+        rows_from_columns(columns), campaign, rows_from_columns(gone), column_names(leads)
+    )
 
 
-def _names(own: LegNames, machine: MachineFile | None) -> LegNames:
+def _leg_names(own: LegNames, machine: MachineFile | None) -> LegNames:
     """Names of a machine's legs; readings' ``own`` where none is given."""
     return own if machine is None else machine.geometry.layout.names
 
 
-def _written(
+def _columns_to_write(
     campaign: Readings, command: Column, on_legs: bool, approaches: bool
 ) -> Iterator[Column]:
     """Yield the columns that a file may have; one of dials on legs alone leaves out a kind that is
@@ -137,24 +145,28 @@ def _written(
         left_out.add(KIND)
     if on_legs and not approaches and np.array_equal(campaign.approach, campaign.derived_approach):
         left_out.add(APPROACH)
-    yield from (c for c in columns_with(command) if c not in left_out and c.attribute)
+    yield from (c for c in columns_for_command(command) if c not in left_out and c.attribute)
 
 
-def _held(campaign: Readings, column: Column, machine: MachineFile | None) -> Any:
+def _values_of_column(campaign: Readings, column: Column, machine: MachineFile | None) -> Any:
     """Return the values of a column, of each reading."""
-    if column.of_setup:
+    if column.per_setup:
         values = [getattr(setup, column.attribute) for setup in campaign.setups]
         return [values[place] for place in campaign.setup.tolist()]
     held = getattr(campaign, column.attribute)
-    return _shown(held, column, machine) if column in (*COMMANDS, *COMMANDS.values()) else held
+    return (
+        _commands_for_file(held, column, machine)
+        if column in (*COMMANDS, *COMMANDS.values())
+        else held
+    )
 
 
-def _cells(
+def _cells_of_column(
     column: Column,
     values: Any,
     legs: tuple[str, str, str] = LEGS,
-    own: NDArray[np.bool_] | None = None,
-    always: bool = False,
+    rows_with_column: NDArray[np.bool_] | None = None,
+    always_written: bool = False,
 ) -> Columns:
     """Return the cells of a column, or of those of three, that state something.
 
@@ -162,31 +174,34 @@ def _cells(
         column: of the schema.
         values: ``(n,)``, or ``(n, 3)`` of three columns.
         legs: names of the machine's legs.
-        own: which rows have it ``(n,)``; all if None. The cells of others are empty.
-        always: whether it is given even where it states nothing.
+        rows_with_column: which rows have it ``(n,)``; all if None. The cells of others are empty.
+        always_written: whether it is given even where it states nothing.
     """
     found = Columns()
-    each = np.asarray(values).T if column.spread else [values]
+    each = np.asarray(values).T if column.is_triple else [values]
     for name, one in zip(column.names(legs), each, strict=True):
         given = one.tolist() if isinstance(one, np.ndarray) else list(one)
-        if own is not None and not own.all():
-            given = [value if has else None for value, has in zip(given, own.tolist(), strict=True)]
+        if rows_with_column is not None and not rows_with_column.all():
+            given = [
+                value if has else None
+                for value, has in zip(given, rows_with_column.tolist(), strict=True)
+            ]
         distinct = dict.fromkeys(given)
         texts = {v: "" if v is None else column.kind.write(v) for v in distinct}
-        stated = any(v is not None and v == v and v != column.empty for v in distinct)
-        if stated or always or column.always or column.required:
+        stated = any(v is not None and v == v and v != column.empty_value for v in distinct)
+        if stated or always_written or column.always_written or column.required:
             found[name] = [texts[value] for value in given]
     return found
 
 
-def _shown(command: Array, column: Column, machine: MachineFile | None) -> Array:
+def _commands_for_file(command: Array, column: Column, machine: MachineFile | None) -> Array:
     """Return commands ``(n, 3)`` as columns state them: joint coordinates, what the controller of a
     machine shows, or where it sends the tool.
     """
     places = column in (PLACE, COMMANDS[PLACE])
     if places and machine is not None and machine.kinematics is not None:
         shown, known = np.full(command.shape, np.nan), np.isfinite(command).all(axis=1)
-        shown[known] = np.round(machine.kinematics.places(command[known]), _PLACED) + 0.0
+        shown[known] = np.round(machine.kinematics.places(command[known]), _PLACE_DECIMALS) + 0.0
         return shown
     if column in (RHO, COMMANDS[RHO]):
         return command
@@ -194,7 +209,7 @@ def _shown(command: Array, column: Column, machine: MachineFile | None) -> Array
     return np.asarray(np.round(shown, DECIMALS) + 0.0)
 
 
-def _touches(campaign: Readings, columns: Columns) -> Columns:
+def _blank_pending_touches(campaign: Readings, columns: Columns) -> Columns:
     """Heights and readings where a plate is still to be touched: the height is what is read."""
     waiting = campaign.touching & np.isnan(campaign.reading)
     height, read = PLACE.names()[2], READINGS["mm"].name
@@ -213,23 +228,25 @@ def tcp_rows(given: Readings, machine_file: AnyMachine | None = None) -> list[Ro
         InputError: where there are readings of another kind than coordinates of the tool.
     """
     machine = None if machine_file is None else machine_file_of(machine_file)
-    points, names = given.points(), _names(given.legs, machine)
-    command = own_commands(names)
-    approach = _cells(APPROACH, points.approach, names.legs) if points.approach.any() else {}
-    return rows_of(
-        _cells(command, _shown(points.command, command, machine), names.legs)
-        | _cells(POINT, points.p, always=True)
+    points, names = given.points(), _leg_names(given.legs, machine)
+    command = native_command_column(names)
+    approach = (
+        _cells_of_column(APPROACH, points.approach, names.legs) if points.approach.any() else {}
+    )
+    return rows_from_columns(
+        _cells_of_column(command, _commands_for_file(points.command, command, machine), names.legs)
+        | _cells_of_column(POINT, points.p, always_written=True)
         | approach
-        | _cells(SIGMAS["mm"], points.sigma)
+        | _cells_of_column(SIGMAS["mm"], points.sigma)
     )
 
 
-def rows_of(columns: Mapping[str, Sequence[str]]) -> list[Row]:
+def rows_from_columns(columns: Mapping[str, Sequence[str]]) -> list[Row]:
     """Rows of columns of equal length."""
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
-def _with_moves(
+def _insert_moves(
     rows: list[Row], campaign: Readings, shown: Sequence[Row], told: Sequence[str]
 ) -> list[Row]:
     """Moves among the readings by line, each with the columns ``told`` of the mounting that it
@@ -249,12 +266,18 @@ def _with_moves(
 
 
 def readings_text(
-    given: Sequence[Readings], machine_file: AnyMachine | None = None, *, places: bool = False
+    given: Sequence[Readings],
+    machine_file: AnyMachine | None = None,
+    *,
+    commands_as_places: bool = False,
 ) -> str:
     """The CSV text of one file of readings of several kinds, with a row for each reading; arguments
     as for `campaign_rows`.
     """
-    said = {"places": places, "approaches": len(given) > 1}  # empty is unknown, if one gives them
+    said = {
+        "commands_as_places": commands_as_places,
+        "write_approaches": len(given) > 1,
+    }  # empty is unknown, if one gives them
     every = (replace(one, by_point=False) for one in given)
     rows = [row for one in every for row in campaign_rows(one, machine_file, **said)]
     names = dict.fromkeys(name for row in rows for name in row)
@@ -286,7 +309,7 @@ def write_campaign(
     several = campaign if isinstance(campaign, Sequence) else (campaign,)
     if not several or not all(isinstance(one, Readings) and len(one) for one in several):
         raise InputError("give a campaign with readings, or a list of such, to write")
-    given = [part for one in several for part in parts(one)]
+    given = [part for one in several for part in split_legs_and_tool(one)]
     if sum(bool(one.on_legs.any()) for one in given) > 1:
         raise InputError("one file has one campaign of dials: write the others to their own files")
     # Dials take all moves of a file for theirs: those behind their readings are nothing to them.
@@ -295,8 +318,8 @@ def write_campaign(
     if len(several) == 1 and several[0].by_point:
         text = campaign_text(several[0], machine_file)
     else:
-        text = readings_text(in_sequence(ordered), machine_file)
-    files.write_whole(path, text, overwrite=overwrite)
+        text = readings_text(renumber_orders(ordered), machine_file)
+    files.write_file(path, text, overwrite=overwrite)
 
 
 def readings_frame(campaign: Readings, machine_file: AnyMachine | None = None) -> pd.DataFrame:
@@ -306,10 +329,10 @@ def readings_frame(campaign: Readings, machine_file: AnyMachine | None = None) -
     Raises:
         InputError: where pandas is not installed.
     """
-    rows = campaign_rows(campaign, machine_file, approaches=True)
+    rows = campaign_rows(campaign, machine_file, write_approaches=True)
 
     def value(name: str, cell: str) -> Any:
-        return cell if name in _TEXTS else float(cell or "nan")
+        return cell if name in _TEXT_COLUMNS else float(cell or "nan")
 
     names = list(rows[0]) if rows else []
     return data_frame({name: [value(name, row[name]) for row in rows] for name in names})

@@ -17,21 +17,26 @@ from orthoglide.planning.detectable import (
     detectable_rows as detectable_rows,
     smallest_effects as smallest_effects,
 )
-from orthoglide.planning.instruments import deciding_instruments as deciding_instruments
-from orthoglide.planning.linear import foreseen as foreseen
+from orthoglide.planning.instrument_choice import (
+    suggest_instruments_for_causes as suggest_instruments_for_causes,
+)
+from orthoglide.planning.linear import predicted_problem as predicted_problem
 from orthoglide.planning.pool import reading_pool as reading_pool
-from orthoglide.planning.rivals import next_measurements as next_measurements, parting as parting
+from orthoglide.planning.rivals import (
+    next_measurements as next_measurements,
+    suggest_separating_places as suggest_separating_places,
+)
 from orthoglide.planning.sheets import (
-    TAKEN_BY as TAKEN_BY,
-    sheets_of as sheets_of,
-    to_fill_in as to_fill_in,
+    INSTRUMENT_WORDS as INSTRUMENT_WORDS,
+    blank_tool_sheets as blank_tool_sheets,
+    sheets_by_kind as sheets_by_kind,
     tool_sheets as tool_sheets,
 )
 from orthoglide.planning.suggestions import (
-    DECIDES as DECIDES,
+    DECISIVE_SIGMAS as DECISIVE_SIGMAS,
     Suggestion as Suggestion,
-    deciding_visits as deciding_visits,
     next_sheet as next_sheet,
-    repeating as repeating,
-    tracing as tracing,
+    suggest_deciding_visits as suggest_deciding_visits,
+    suggest_repeating as suggest_repeating,
+    suggest_tracing as suggest_tracing,
 )

@@ -8,14 +8,14 @@ from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings
 
-_SHORTEST = 5e-3
+_SHORTEST_WAVE = 5e-3
 """Metres: the shortest wave that matters where the machine file states no lead of the screws; it is
 the smallest common lead of a ball screw."""
 
-_SMOOTH = 2  # degree of the polynomial that a wave is taken for: a bow
-_FEWEST = _SMOOTH + 3  # stations: fewer show no curve that could be compensated
-_SEEN = 0.05  # of a wave's size: 5 um of a wave of 0.1 mm are the noise of a dial
-_PER_CYCLE = 10  # periods that are tried while the stroke takes one more cycle
+_CURVE_DEGREE = 2  # degree of the polynomial that a wave is taken for: a bow
+_MIN_STATIONS = _CURVE_DEGREE + 3  # stations: fewer show no curve that could be compensated
+_MIN_VISIBLE_SHARE = 0.05  # of a wave's size: 5 um of a wave of 0.1 mm are the noise of a dial
+_PERIODS_PER_CYCLE = 10  # periods that are tried while the stroke takes one more cycle
 
 
 def aliasing(machine: MachineSource, sheet: Readings) -> tuple[str, ...]:
@@ -29,13 +29,13 @@ def aliasing(machine: MachineSource, sheet: Readings) -> tuple[str, ...]:
         sheet: readings of dials on legs; their values do not count.
     """
     machine, found = Machine.of(machine), list[str]()
-    shortest = machine.spec.screw_pitch or _SHORTEST
+    shortest = machine.spec.screw_pitch or _SHORTEST_WAVE
     for leg, name in enumerate(machine.geometry.leg_names):
         travel = np.unique(np.round(sheet.command[sheet.on_legs & (sheet.leg == leg), leg], 6))
-        if len(travel) < _FEWEST:
+        if len(travel) < _MIN_STATIONS:
             continue
         period, seen = hidden_wave(travel, shortest)
-        if seen < _SEEN:
+        if seen < _MIN_VISIBLE_SHARE:
             found.append(
                 f"at the {len(travel)} stations of drive {name} a wave of {period * 1e3:.3g} mm "
                 f"looks like a smooth curve, so that a compensation from this sheet may make the "
@@ -59,9 +59,9 @@ def hidden_wave(travel: Array, shortest: float) -> tuple[float, float]:
     span, longest = float(np.ptp(travel)), 2 * float(np.diff(np.sort(travel)).max())
     if longest <= shortest * (1 + _ROUNDING):
         return longest, 1.0
-    cycles = np.arange(span / longest, span / shortest, 1 / _PER_CYCLE)
+    cycles = np.arange(span / longest, span / shortest, 1 / _PERIODS_PER_CYCLE)
     u = (travel - travel.min()) / span
-    smooth, _ = np.linalg.qr(np.polynomial.legendre.legvander(2 * u - 1, _SMOOTH))
+    smooth, _ = np.linalg.qr(np.polynomial.legendre.legvander(2 * u - 1, _CURVE_DEGREE))
     turn = 2 * np.pi * cycles[:, None] * u
     waves = np.stack([np.sin(turn), np.cos(turn)], axis=2)
     beside = waves - smooth @ (smooth.T @ waves)

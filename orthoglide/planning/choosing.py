@@ -21,9 +21,9 @@ from orthoglide.ordering import largest
 from orthoglide.planning.linear import LinearReadings, Steps
 
 _PASSES = 2  # of exchange over all mountings: a third gained nothing on the machines tried
-_MOST = 500  # readings of a sheet: a day's work, and some minutes to choose
-_BETTER = 1e-6  # of a criterion's value: an exchange that gains less is none
-_NOTHING = 1e-9  # gain below which a step is not worth a reading
+_MAX_READINGS = 500  # readings of a sheet: a day's work, and some minutes to choose
+_MIN_RELATIVE_GAIN = 1e-6  # of a criterion's value: an exchange that gains less is none
+_MIN_GAIN = 1e-9  # gain below which a step is not worth a reading
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Criterion(ABC):
     def gains(self, steps: Steps) -> Array:
         """Return how much better each step would make the value ``(k,)``."""
 
-    def after(self, steps: Steps, k: int) -> Self:
+    def with_step(self, steps: Steps, k: int) -> Self:
         """Return the criterion once step ``k`` has been taken."""
         d = steps.columns[k]
         return replace(self, information=self.information + np.outer(d, d) / steps.variance[k])
@@ -57,7 +57,7 @@ class Criterion(ABC):
 
 
 @dataclass(frozen=True)
-class Narrowing(Criterion):
+class CombinationPrecision(Criterion):
     """How closely combinations A of the unknowns are known: ``-log det(A' C A)`` with their
     covariance C.
 
@@ -73,14 +73,14 @@ class Narrowing(Criterion):
         return np.asarray(np.linalg.inv(self.information))
 
     @cached_property
-    def spread(self) -> Array:
+    def combination_covariance(self) -> Array:
         """Covariance of the combinations ``(m, m)``."""
         return np.asarray(self.combinations.T @ self.covariance @ self.combinations)
 
     @property
     def value(self) -> float:
         """Minus the logarithm of the determinant of the combinations' covariance."""
-        return -float(np.linalg.slogdet(self.spread)[1])
+        return -float(np.linalg.slogdet(self.combination_covariance)[1])
 
     def gains(self, steps: Steps) -> Array:
         """Return ``-log(1 - d C A (A' C A)^-1 A' C d' / (s2 + d C d'))``: matrix determinant
@@ -89,7 +89,7 @@ class Narrowing(Criterion):
         toward = steps.columns @ self.covariance
         variance = steps.variance + np.sum(toward * steps.columns, axis=1)
         along = toward @ self.combinations
-        shared = np.sum(along * np.linalg.solve(self.spread, along.T).T, axis=1)
+        shared = np.sum(along * np.linalg.solve(self.combination_covariance, along.T).T, axis=1)
         # Rounding must not make a step tell everything.
         return np.asarray(-np.log1p(-np.minimum(shared / variance, 1 - 1e-12)))
 
@@ -103,33 +103,40 @@ class RivalSeparation(Criterion):
     ``(d (x_a - x_b) expected)^2 / (s2 + d C_b d')``.
     """
 
-    spread: Array  # covariance of the unknowns under each rival before any step (K, P, P)
+    prior_covariances: (
+        Array  # covariance of the unknowns under each rival before any step (K, P, P)
+    )
     pairs: Array  # of rivals (q, 2); both ways round count
-    enough: float = np.inf  # chi2 beyond which no more is wanted
+    required_chi2: float = np.inf  # chi2 beyond which no more is wanted
 
     @classmethod
-    def between(cls, spread: Array, pairs: Array, enough: float = np.inf) -> Self:
+    def between(cls, prior_covariances: Array, pairs: Array, required_chi2: float = np.inf) -> Self:
         """Return the criterion before any step."""
-        return cls(np.zeros((sum(spread.shape[:2]),) * 2), spread, np.asarray(pairs), enough)
+        return cls(
+            np.zeros((sum(prior_covariances.shape[:2]),) * 2),
+            prior_covariances,
+            np.asarray(pairs),
+            required_chi2,
+        )
 
     @cached_property
-    def _ordered(self) -> Array:
+    def _ordered_pairs(self) -> Array:
         return np.concatenate([self.pairs, self.pairs[:, ::-1]])
 
     @cached_property
-    def _refitted(self) -> Array:
+    def _refitted_covariances(self) -> Array:
         """Covariance of the unknowns under each rival once fitted again ``(K, P, P)``."""
-        size = self.spread.shape[1]
-        known = np.eye(size) + self.information[:size, :size] @ self.spread
+        size = self.prior_covariances.shape[1]
+        known = np.eye(size) + self.information[:size, :size] @ self.prior_covariances
         # (C^-1 + W)^-1 = C (1 + W C)^-1, whatever C's rank.
-        return np.asarray(self.spread @ np.linalg.inv(known))
+        return np.asarray(self.prior_covariances @ np.linalg.inv(known))
 
     @cached_property
     def chi2(self) -> Array:
         """Expected chi2 of the second rival where the first is true, then exchanged ``(2 q,)``."""
-        size, W = self.spread.shape[1], self.information
-        left = W[size:, size:] - W[size:, :size] @ self._refitted @ W[:size, size:]
-        a, b = self._ordered.T
+        size, W = self.prior_covariances.shape[1], self.information
+        left = W[size:, size:] - W[size:, :size] @ self._refitted_covariances @ W[:size, size:]
+        a, b = self._ordered_pairs.T
         return np.maximum(left[b, a, a] + left[b, b, b] - left[b, a, b] - left[b, b, a], 0.0)
 
     @property
@@ -146,18 +153,18 @@ class RivalSeparation(Criterion):
     @property
     def reached(self) -> bool:
         """True if the least separated pair is far enough apart."""
-        return bool(self.chi2.min() >= self.enough)
+        return bool(self.chi2.min() >= self.required_chi2)
 
     def gains(self, steps: Steps) -> Array:
         """Return the rise of ``value``."""
-        size = self.spread.shape[1]
+        size = self.prior_covariances.shape[1]
         unknowns, predicted = steps.columns[:, :size], steps.columns[:, size:]
-        raised = np.empty((len(unknowns), len(self._ordered)))
-        for rival, covariance in enumerate(self._refitted):
-            mine = self._ordered[:, 1] == rival
+        raised = np.empty((len(unknowns), len(self._ordered_pairs)))
+        for rival, covariance in enumerate(self._refitted_covariances):
+            mine = self._ordered_pairs[:, 1] == rival
             fitted = unknowns @ covariance
             expected = predicted - fitted @ self.information[:size, size:]
-            left = expected[:, self._ordered[mine, 0]] - expected[:, [rival]]
+            left = expected[:, self._ordered_pairs[mine, 0]] - expected[:, [rival]]
             variance = np.sum(fitted * unknowns, axis=1) + steps.variance
             raised[:, mine] = left**2 / variance[:, None]
         return np.asarray(-_log_mean_exp(-(self.chi2 + raised) / 2) - self.value)
@@ -171,7 +178,7 @@ def choose(
     start: C,
     count: int,
     *,
-    mounting: float = 2.0,
+    mounting_cost: float = 2.0,
     exchange: bool = False,
 ) -> tuple[tuple[int, ...], C]:
     """Return the readings that serve a criterion best.
@@ -180,7 +187,7 @@ def choose(
         readings: to choose from.
         start: the criterion before any is taken.
         count: how many readings at most.
-        mounting: what it costs to mount a dial and take its first two readings, in readings.
+        mounting_cost: what it costs to mount a dial and take its first two readings, in readings.
         exchange: whether to try again mounting by mounting, until nothing improves.
 
     Returns:
@@ -190,39 +197,41 @@ def choose(
         InputError: for a number of readings that is not whole, below two, or more than anybody
             reads.
     """
-    if count != int(count) or not 2 <= count <= _MOST:
+    if count != int(count) or not 2 <= count <= _MAX_READINGS:
         raise InputError(
-            f"ask for 2 readings, as the datum of a setup is free, to {_MOST}, not {count}"
+            f"ask for 2 readings, as the datum of a setup is free, to {_MAX_READINGS}, not {count}"
         )
-    rows, best = _grow(readings, start, [], count, mounting)
+    rows, best = _add_greedily(readings, start, [], count, mounting_cost)
     for _ in range(_PASSES if exchange else 0):
         before = best.value
         for setup in dict.fromkeys(int(readings.campaign.setup[k]) for k in rows):
             kept = [k for k in rows if readings.campaign.setup[k] != setup]
-            again, found = _grow(readings, start.with_rows(readings, kept), kept, count, mounting)
-            if found.value > best.value + _BETTER * abs(best.value):
+            again, found = _add_greedily(
+                readings, start.with_rows(readings, kept), kept, count, mounting_cost
+            )
+            if found.value > best.value + _MIN_RELATIVE_GAIN * abs(best.value):
                 rows, best = again, found
-        if best.value - before <= _BETTER * abs(before):
+        if best.value - before <= _MIN_RELATIVE_GAIN * abs(before):
             break
     return tuple(rows), best
 
 
-def _grow(
+def _add_greedily(
     readings: LinearReadings, criterion: C, rows: Sequence[int], count: int, mounting: float
 ) -> tuple[list[int], C]:
     """Take the step of most gain for its cost until the readings are used up."""
     taken = list(rows)
     while len(taken) < count and not (taken and criterion.reached):
-        steps = readings.steps(taken, count - len(taken))
+        steps = readings.next_steps(taken, count - len(taken))
         if not len(steps.rows):
             break
         gains = criterion.gains(steps)
-        worth = gains / np.where(steps.opening, mounting, 1.0)
+        worth = gains / np.where(steps.opens_mounting, mounting, 1.0)
         k = largest(worth)
-        if not gains[k] > _NOTHING:
+        if not gains[k] > _MIN_GAIN:
             break
-        criterion = criterion.after(steps, k)
-        taken += steps.taken(k)
+        criterion = criterion.with_step(steps, k)
+        taken += steps.rows_of_step(k)
     return taken, criterion
 
 

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from orthoglide.accuracy import tcp_slopes, without_place, workspace
+from orthoglide.accuracy import tcp_slopes, without_translation, workspace_grid
 from orthoglide.errors import InputError, check_list
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings
-from orthoglide.planning.choosing import Narrowing, choose
-from orthoglide.planning.linear import LinearReadings, in_tolerances
-from orthoglide.planning.pool import reading_pool, sheet
+from orthoglide.planning.choosing import CombinationPrecision, choose
+from orthoglide.planning.linear import LinearReadings, elementary_weights
+from orthoglide.planning.pool import reading_pool, sheet_from_pool
 from orthoglide.prediction import Conditions
-from orthoglide.report.text import console_text, table
+from orthoglide.report.terminal import console_text, table
 from orthoglide.threads import on_one_thread
 from orthoglide.units import MM, Unit
 
@@ -28,11 +28,13 @@ if TYPE_CHECKING:
 TCP = "TCP"
 """Stands for the TCP where a parameter's name might stand."""
 
-_LOOSE = 100.0  # tolerances: priors that keep a determinant finite and otherwise say nothing
-_UNSEEN = 1e-9  # of the largest singular value: rounding
-_MOST = 1000  # repeats: nobody visits a station more often
-_GRID = 4  # commands along each axis: enough for a mean over the workspace
-_EXACT = 1e-3  # of a reading's sigma: keeps the limit of many repeats finite
+_LOOSE_TOLERANCES = (
+    100.0  # tolerances: priors that keep a determinant finite and otherwise say nothing
+)
+_MIN_SINGULAR_RATIO = 1e-9  # of the largest singular value: rounding
+_MAX_REPEATS = 1000  # repeats: nobody visits a station more often
+_COMMANDS_PER_AXIS = 4  # commands along each axis: enough for a mean over the workspace
+_MIN_SIGMA_SHARE = 1e-3  # of a reading's sigma: keeps the limit of many repeats finite
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class Observability:
         singular = np.zeros(jacobian.shape[1])
         values = np.linalg.svd(jacobian, compute_uv=False)
         singular[: len(values)] = values
-        singular[singular < _UNSEEN * singular.max(initial=0.0)] = 0.0
+        singular[singular < _MIN_SINGULAR_RATIO * singular.max(initial=0.0)] = 0.0
         return cls(readings, tuple(singular.tolist()))
 
     @property
@@ -100,7 +102,7 @@ def observability(
     return Observability.of_jacobian(readings.whitened(), len(campaign))
 
 
-_INDICES = {
+_INDEX_WORDS = {
     "O1": "all unknowns", "O2": "evenness", "O3": "worst seen", "O4": "O2 times O3",
     "O5": "mean seen",
 }  # fmt: skip
@@ -113,7 +115,7 @@ def index_table(compared: Sequence[tuple[str, Observability]]) -> str:
         ("readings", *(str(one.readings) for one in several)),
         ("unknowns seen", *(f"{one.rank} of {one.unknowns}" for one in several)),
     ]
-    for index, words in _INDICES.items():
+    for index, words in _INDEX_WORDS.items():
         rows.append((f"{index}, {words}", *(f"{one.indices[index]:.2g}" for one in several)))
     return console_text(table(("the larger the better", *names), rows))
 
@@ -175,18 +177,18 @@ def design(
     check_list("free", free)
     machine = Machine.of(machine)
     pool = reading_pool(machine.geometry)
-    names = shown_names(machine, pool, machine.catalogue.base if free is None else free)
+    names = observable_names(machine, pool, machine.catalogue.base if free is None else free)
     readings = LinearReadings.of(machine, pool, names, noise)
-    start = Narrowing(np.eye(len(names)) / _LOOSE**2, np.eye(len(names)))
+    start = CombinationPrecision(np.eye(len(names)) / _LOOSE_TOLERANCES**2, np.eye(len(names)))
     rows, best = choose(readings, start, count, exchange=True)
     if not rows:
         raise InputError("through this noise no reading says anything: correct it")
-    campaign = sheet(pool, rows, "design")
+    campaign = sheet_from_pool(pool, rows, "design")
     seen = observability(machine, campaign, names, noise)
     return Design(names, campaign, best.value - start.value, seen)
 
 
-def shown_names(machine: Machine, pool: Readings, free: Sequence[str]) -> tuple[str, ...]:
+def observable_names(machine: Machine, pool: Readings, free: Sequence[str]) -> tuple[str, ...]:
     """Return the parameters of the machine that names stand for; all that a design can show where
     empty.
 
@@ -277,33 +279,35 @@ def repeats_needed(
     if what != TCP and what not in names:
         known = ", ".join(names)
         raise InputError(f"{what} is not identified here: it is TCP, or one of {known}")
-    slope, unit = _slope(machine, names, what), MM
+    slope, unit = _target_slopes(machine, names, what), MM
     if what != TCP:
         unit = machine.catalogue.effect_of(what).unit
     readings = LinearReadings.of(machine, once, names, noise)
 
     def sigma(repeats: float) -> float:
-        mean = readings.sigma * max(1 / np.sqrt(repeats), _EXACT)
+        mean = readings.sigma * max(1 / np.sqrt(repeats), _MIN_SIGMA_SHARE)
         information = replace(readings, sigma=mean).information()
         spread = slope @ np.linalg.inv(information + np.eye(len(names)))
         return float(np.sqrt(np.mean(np.sum(spread * slope, axis=1))))
 
-    if sigma(_MOST) > wanted:
+    if sigma(_MAX_REPEATS) > wanted:
         return Repeats(what, wanted, None, sigma(1), sigma(np.inf), unit)
-    few = 1 + bisect_left(range(1, _MOST), True, key=lambda n: sigma(n) <= wanted)
+    few = 1 + bisect_left(range(1, _MAX_REPEATS), True, key=lambda n: sigma(n) <= wanted)
     return Repeats(what, wanted, few, sigma(few), sigma(np.inf), unit)
 
 
-def _slope(machine: Machine, names: Sequence[str], what: str) -> Array:
+def _target_slopes(machine: Machine, names: Sequence[str], what: str) -> Array:
     """Return the derivatives ``(n, P)`` of a figure by names in tolerances: of the TCP's
     coordinates over the workspace after their mean, or of one parameter.
     """
     if what != TCP:
         return np.array([[machine.tolerance(n) if n == what else 0.0 for n in names]])
     moving = [n for n in names if not machine.catalogue.effect_of(n).of_dial]
-    parts, weights = in_tolerances(machine, moving)
-    where = Conditions.at(workspace(machine.geometry, _GRID, machine.spec.screw_pitch))
+    parts, weights = elementary_weights(machine, moving)
+    where = Conditions.from_commands(
+        workspace_grid(machine.geometry, _COMMANDS_PER_AXIS, machine.spec.screw_pitch)
+    )
     slope = np.zeros((3 * len(where), len(names)))
-    moved = without_place(tcp_slopes(machine, parts, where) @ weights)
+    moved = without_translation(tcp_slopes(machine, parts, where) @ weights)
     slope[:, [names.index(n) for n in moving]] = moved.reshape(len(slope), -1)
     return slope

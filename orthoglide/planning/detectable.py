@@ -11,9 +11,9 @@ import numpy as np
 
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import parameter_words
-from orthoglide.errors import InputError, check_list, check_whole
+from orthoglide.errors import InputError, check_integer, check_list
 from orthoglide.explanation.candidates import Candidate
-from orthoglide.explanation.change_model import CLASS_WIDTH
+from orthoglide.explanation.change_model import INDISTINGUISHABLE_CHI2
 from orthoglide.explanation.signatures import Scoring, Signatures, signatures
 from orthoglide.explanation.significance import DRAWS, noise_residuals
 from orthoglide.fit import solve
@@ -22,17 +22,17 @@ from orthoglide.geometry import Array
 from orthoglide.layout import LegNames
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings
-from orthoglide.ordering import EQUAL_ODDS, best_of, largest, ranked
+from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, largest, ranked
 from orthoglide.parameters import Parameter
-from orthoglide.planning.linear import foreseen
-from orthoglide.text import brief
+from orthoglide.planning.linear import predicted_problem
+from orthoglide.text import abbreviated
 from orthoglide.units import Unit
 
 POWER = 0.95
 """Probability with which an effect of the size stated is found, or named."""
 
-_SAME = 1e-3  # sine between signatures that no size of effect would tell apart
-_ALIKE = 2.0  # parameters of one effect found from sizes within this factor share a row
+_MIN_SINE = 1e-3  # sine between signatures that no size of effect would tell apart
+_ROW_FACTOR = 2.0  # parameters of one effect found from sizes within this factor share a row
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,8 @@ class Detectability(Framed):
         groups: list[list[SmallestEffect]] = []
         for members in self.by_effect.values():
             least = 0.0
-            for one in ranked(members, lambda s: -float(np.log(s.detectable)), EQUAL_ODDS):
-                if not least or one.detectable > _ALIKE * least:
+            for one in ranked(members, lambda s: -float(np.log(s.detectable)), LOG_ODDS_MARGIN):
+                if not least or one.detectable > _ROW_FACTOR * least:
                     least = one.detectable
                     groups.append([])
                 groups[-1].append(one)
@@ -134,7 +134,7 @@ def detectable_rows(found: Detectability, beyond: float = 0.0) -> list[str]:
         effect, unit, tolerance, size, named, hardest, nearest, parameters = row
         if max(size, named) <= beyond * tolerance:
             continue
-        words = brief(found.legs.effect_words(effect), 21)
+        words = abbreviated(found.legs.effect_words(effect), 21)
         shown = f"{named:.2g}" if np.isfinite(named) else "never"
         lines.append(f"{words:<22}{tolerance:>10.2g}{size:>11.2g}{shown:>11}  {unit}")
         if parameters:
@@ -184,18 +184,18 @@ def smallest_effects(
     machine = Machine.of(machine)
     check_list("names", names)
     machine.catalogue.expand(names)
-    seen = signatures(solve(foreseen(machine, campaign, noise), method="nested"))
-    scoring = Scoring.of(seen, seen.candidates)
-    threshold = _threshold(seen, scoring, level, seed)
+    seen = signatures(solve(predicted_problem(machine, campaign, noise), method="nested"))
+    scoring = Scoring.prepare(seen, seen.candidates)
+    threshold = _evidence_threshold(seen, scoring, level, seed)
     single = [c for c in scoring.candidates if c.size == 1]
-    length, cosine = _likeness(seen, single)
+    length, cosine = _signature_cosines(seen, single)
     found = []
     for k, candidate in enumerate(single):
         if names and not {candidate.effect, candidate.name} & set(names):
             continue
-        tolerance = float(np.abs(seen.scaled(candidate)).max())
+        tolerance = float(np.abs(seen.weights_at_tolerance(candidate)).max())
         closest = largest(cosine[k])
-        detectable, nameable = _sizes(length[k], float(cosine[k, closest]), threshold)
+        detectable, nameable = _smallest_sizes(length[k], float(cosine[k, closest]), threshold)
         found.append(
             SmallestEffect(
                 machine.catalogue.parameter(candidate.name),
@@ -213,20 +213,22 @@ def smallest_effects(
     return Detectability(tuple(found), tuple(hidden), threshold, machine.catalogue.legs)
 
 
-def _threshold(seen: Signatures, scoring: Scoring, level: float, seed: int) -> float:
+def _evidence_threshold(seen: Signatures, scoring: Scoring, level: float, seed: int) -> float:
     """Return the evidence that the best candidate exceeds on noise alone with a probability."""
     if not (isinstance(level, Real) and 0 < level < 1):
         raise InputError(f"level is a probability between 0 and 1, such as 0.01, not {level!r}")
-    drawn = noise_residuals(seen, np.random.default_rng(check_whole("seed", seed, 0)), DRAWS)
+    drawn = noise_residuals(seen, np.random.default_rng(check_integer("seed", seed, 0)), DRAWS)
     best = scoring.evidences(drawn).max(axis=0) if scoring.candidates else np.zeros(1)
     return float(np.quantile(best, 1 - level))
 
 
-def _likeness(seen: Signatures, single: Sequence[Candidate]) -> tuple[Array, Array]:
+def _signature_cosines(seen: Signatures, single: Sequence[Candidate]) -> tuple[Array, Array]:
     """Return the lengths of signatures ``(k,)``, and cosines ``(k, k)`` between those of
     different effects.
     """
-    columns = np.column_stack([np.zeros((len(seen.residual), 0)), *(seen.of(c) for c in single)])
+    columns = np.column_stack(
+        [np.zeros((len(seen.residual), 0)), *(seen.signature(c) for c in single)]
+    )
     length = np.linalg.norm(columns, axis=0)
     cosine = np.abs(columns.T @ columns) / np.multiply.outer(length, length)
     kinds = np.array([c.effect for c in single])
@@ -234,11 +236,11 @@ def _likeness(seen: Signatures, single: Sequence[Candidate]) -> tuple[Array, Arr
     return length, cosine
 
 
-def _sizes(length: float, cosine: float, threshold: float) -> tuple[float, float]:
+def _smallest_sizes(length: float, cosine: float, threshold: float) -> tuple[float, float]:
     """Return the sizes that are detected and named, in tolerances."""
     detected = np.sqrt(noncentrality(length**2, threshold)) / length
     sine = np.sqrt(max(1 - cosine**2, 0.0))
-    named = np.inf if sine < _SAME else separation() / (length * sine)
+    named = np.inf if sine < _MIN_SINE else required_separation() / (length * sine)
     return float(detected), float(max(detected, named))
 
 
@@ -252,7 +254,7 @@ def noncentrality(square: float, threshold: float) -> float:
     return float(chndtrinc(limit, 1, 1 - POWER)) if limit > 0 else 0.0
 
 
-def separation() -> float:
+def required_separation() -> float:
     """Return the distance in sigmas from which the wrong fit's chi2 is larger by the width of a
     class.
 
@@ -261,4 +263,4 @@ def separation() -> float:
     from scipy.special import ndtri
 
     z = float(ndtri(POWER))
-    return z + float(np.sqrt(z**2 + CLASS_WIDTH))
+    return z + float(np.sqrt(z**2 + INDISTINGUISHABLE_CHI2))

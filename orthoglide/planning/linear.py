@@ -27,16 +27,18 @@ from orthoglide.fit import (
     weight_matrix,
 )
 from orthoglide.geometry import Array
-from orthoglide.instruments.leg_dial import PLACE
+from orthoglide.instruments.leg_dial import PLACEMENT_INDEX
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations import Readings
-from orthoglide.observations.arrays import numbered
+from orthoglide.observations.arrays import group_ids
 from orthoglide.ordering import largest
 from orthoglide.simulation import simulate
 
-_DATUM = 1e-2  # metres: a dial's zero lies within its travel, which is as good as anywhere
-_LEAST = 0.1  # of a reading's sigma: what is left of it besides the rounding that repeats share
+_DATUM_SIGMA = 1e-2  # metres: a dial's zero lies within its travel, which is as good as anywhere
+_MIN_SIGMA_SHARE = (
+    0.1  # of a reading's sigma: what is left of it besides the rounding that repeats share
+)
 
 
 @dataclass(frozen=True)
@@ -49,11 +51,11 @@ class Steps:
     variance: Array  # `s2` (k,), square metres
 
     @property
-    def opening(self) -> NDArray[np.bool_]:
+    def opens_mounting(self) -> NDArray[np.bool_]:
         """True for steps that mount a dial ``(k,)``."""
         return np.asarray(self.rows[:, 0] >= 0)
 
-    def taken(self, k: int) -> list[int]:
+    def rows_of_step(self, k: int) -> list[int]:
         """Return the rows of the campaign that step ``k`` reads."""
         return [int(r) for r in self.rows[k] if r >= 0]
 
@@ -92,15 +94,15 @@ class LinearReadings:
                 f"and these are of kind {kinds}: smallest_effects says what they show"
             )
         setups = tuple(s.name for s in campaign.setups)
-        parts, weights = in_tolerances(machine, names, setups)
+        parts, weights = elementary_weights(machine, names, setups)
         at = machine.model.linearised(machine.values, campaign, parts)
-        _, (rows,) = noise_of([campaign], _careful(machine.spec), noise)
+        _, (rows,) = noise_of([campaign], _with_repeatability(machine.spec), noise)
         total = np.hypot(rows.sigma, rows.common)
-        slope = at.seen.by_nuisance[:, PLACE]
-        return cls.around(machine, campaign, at.jacobian @ weights, slope, total)
+        slope = at.reading_poses.nuisance_jacobian[:, PLACEMENT_INDEX]
+        return cls.from_columns(machine, campaign, at.jacobian @ weights, slope, total)
 
     @classmethod
-    def around(
+    def from_columns(
         cls, machine: Machine, campaign: Readings, columns: Array, slope: Array, total: ArrayLike
     ) -> LinearReadings:
         """Return readings whose derivatives are known.
@@ -116,13 +118,13 @@ class LinearReadings:
         dial = machine.spec.dial
         sd = np.broadcast_to(np.asarray(total, dtype=float), (len(campaign),))
         common = float(common_rounding(np.sqrt(np.mean(sd**2)), dial.resolution))
-        sigma = np.sqrt(np.maximum(sd**2 - common**2, (_LEAST * sd) ** 2))
+        sigma = np.sqrt(np.maximum(sd**2 - common**2, (_MIN_SIGMA_SHARE * sd) ** 2))
         return cls(campaign, columns, slope, sigma, common, dial.placement)
 
     @cached_property
     def station(self) -> NDArray[np.intp]:
         """Station of each row ``(n,)``."""
-        return numbered(self.campaign.stations)
+        return group_ids(self.campaign.stations)
 
     def covariance(self, one: ArrayLike, other: ArrayLike) -> Array:
         """Return the covariance ``(a, b)`` of visits in a mounting, parameters and datum given."""
@@ -131,26 +133,26 @@ class LinearReadings:
         shared = np.equal.outer(self.station[i], self.station[j]) * self.common**2
         return np.asarray(self.placement**2 * slopes + shared)
 
-    def scatter(self) -> Array:
+    def visit_covariance(self) -> Array:
         """Return the covariance of one visit to each row ``(n, n)``, parameters given, datums
         within a dial's travel.
         """
         rows = np.arange(len(self.campaign))
         together = np.equal.outer(self.campaign.setup, self.campaign.setup)
-        shared = np.where(together, self.covariance(rows, rows) + _DATUM**2, 0.0)
+        shared = np.where(together, self.covariance(rows, rows) + _DATUM_SIGMA**2, 0.0)
         return np.asarray(shared + np.diag(self.sigma**2))
 
     @cached_property
-    def of_setup(self) -> tuple[NDArray[np.intp], ...]:
+    def rows_by_setup(self) -> tuple[NDArray[np.intp], ...]:
         """Rows of each setup."""
         setups = range(len(self.campaign.setups))
         return tuple(np.flatnonzero(self.campaign.setup == k) for k in setups)
 
     @cached_property
-    def openings(self) -> Steps:
+    def opening_steps(self) -> Steps:
         """Pairs of readings to begin a mounting with: one at zero or an end, one anywhere else."""
         pairs = []
-        for rows in self.of_setup:
+        for rows in self.rows_by_setup:
             if len(rows) < 2:
                 continue
             leg = self.campaign.setups[self.campaign.setup[rows[0]]].leg
@@ -168,30 +170,30 @@ class LinearReadings:
             single + (self.placement * apart) ** 2,
         )
 
-    def continued(self, setup: int, chosen: Sequence[int]) -> Steps:
+    def continuing_steps(self, setup: int, chosen: Sequence[int]) -> Steps:
         """Return the steps of one more reading, at any station, in a mounting that stands."""
-        rows, done = self.of_setup[setup], np.asarray(chosen)
-        among = self.covariance(done, done) + _DATUM**2 + np.diag(self.sigma[done] ** 2)
-        across = self.covariance(rows, done) + _DATUM**2
+        rows, done = self.rows_by_setup[setup], np.asarray(chosen)
+        among = self.covariance(done, done) + _DATUM_SIGMA**2 + np.diag(self.sigma[done] ** 2)
+        across = self.covariance(rows, done) + _DATUM_SIGMA**2
         weights = np.linalg.solve(among, across.T).T
-        single = self.covariance(rows, rows).diagonal() + _DATUM**2 + self.sigma[rows] ** 2
+        single = self.covariance(rows, rows).diagonal() + _DATUM_SIGMA**2 + self.sigma[rows] ** 2
         return Steps(
             np.column_stack([np.full(len(rows), -1), rows]).astype(np.int64),
             self.columns[rows] - weights @ self.columns[done],
             single - np.sum(weights * across, axis=1),
         )
 
-    def steps(self, chosen: Sequence[int], room: int) -> Steps:
+    def next_steps(self, chosen: Sequence[int], room: int) -> Steps:
         """Return all steps that ``room`` further readings allow, after those chosen."""
         standing = dict.fromkeys(int(self.campaign.setup[k]) for k in chosen)
         parts = []
         if room >= 2:
-            every = self.openings
+            every = self.opening_steps
             new = ~np.isin(self.campaign.setup[every.rows[:, 0]], list(standing))
             parts.append(Steps(every.rows[new], every.columns[new], every.variance[new]))
         for setup in standing:
             parts.append(
-                self.continued(setup, [k for k in chosen if self.campaign.setup[k] == setup])
+                self.continuing_steps(setup, [k for k in chosen if self.campaign.setup[k] == setup])
             )
         return Steps(
             np.concatenate([p.rows for p in parts]),
@@ -218,19 +220,19 @@ class LinearReadings:
         return np.asarray(rows.T @ rows)
 
 
-def in_tolerances(
+def elementary_weights(
     machine: Machine, names: Sequence[str], setups: tuple[str, ...] = ()
 ) -> tuple[tuple[str, ...], Array]:
     """Return the elementary parameters that names stand for, and the matrix ``(E, P)`` from one
     tolerance of each name to them, SI.
     """
-    stands_for = [machine.catalogue.elementary(name, setups) for name in names]
+    stands_for = [machine.catalogue.elementary_weights(name, setups) for name in names]
     parts = tuple(dict.fromkeys(p for weights in stands_for for p in weights))
     tolerance = np.array([machine.tolerance(name) for name in names])
     return parts, weight_matrix(parts, stands_for) * tolerance
 
 
-def _careful(spec: MachineFile) -> MachineFile:
+def _with_repeatability(spec: MachineFile) -> MachineFile:
     """Return a machine file with the dial's repeatability, as published where it states none."""
     dial = spec.dial
     return replace(
@@ -238,11 +240,11 @@ def _careful(spec: MachineFile) -> MachineFile:
     )
 
 
-def foreseen(
+def predicted_problem(
     machine: Machine, sheet: Readings | Sequence[Readings], noise: float | None = None
 ) -> Problem:
     """Return the problem of zeros and lengths on the readings predicted for sheets."""
-    careful = replace(machine, spec=_careful(machine.spec))
+    careful = replace(machine, spec=_with_repeatability(machine.spec))
     # Exact, with their noise declared: repeats that agree are no witnesses of it.
     sheets = [sheet] if isinstance(sheet, Readings) else sheet
     several = [simulate(machine, one, exact=True) for one in sheets]

@@ -11,8 +11,8 @@ import numpy as np
 from orthoglide import reduction
 from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.observations import Readings, Setup
-from orthoglide.observations.approach import overshoot
-from orthoglide.observations.protocols import check_dials, dial_at, unread
+from orthoglide.observations.approach import stroke_overshoot
+from orthoglide.observations.protocols import dial_setup, require_dial_layout, unread_campaign
 
 GAUGES: tuple[float, ...] = (0.25, 0.35, 0.5, 0.65, 0.75)
 """Where the dials may stand, as fractions of the leg."""
@@ -25,9 +25,9 @@ DIAL_TRAVEL = 5e-3
 a machine of less than a workshop's size in proportion."""
 
 _STEPS_UP, _STEPS_DOWN = 3, 4  # of the upper and the lower half stroke
-_SIDEWAYS = 6e-3  # metres off the axis
+_OFF_AXIS = 6e-3  # metres off the axis
 _CLEARANCE = 5e-3  # metres that a dial keeps from either end of the leg
-_GRID = 9  # decimals of a metre that fit on a sheet
+_COMMAND_DECIMALS = 9  # decimals of a metre that fit on a sheet
 
 
 class Station(NamedTuple):
@@ -52,11 +52,11 @@ def stations(leg: int, geometry: Geometry) -> list[Station]:
             high * np.arange(_STEPS_UP + 1) / _STEPS_UP,
         ]
     )
-    found, sideways = [], _SIDEWAYS * dial_scale(geometry)
+    found, sideways = [], _OFF_AXIS * dial_scale(geometry)
     for travel in own:
         p = np.zeros(3)
         p[leg] = travel
-        found += _reached(f"{travel * 1e3:+.6g}", p, (1, -1), geometry)
+        found += _reachable_stations(f"{travel * 1e3:+.6g}", p, (1, -1), geometry)
     for travel in (low / 2, 0.0, high / 2):
         for axis in range(3):
             for side in (1, -1):
@@ -64,13 +64,15 @@ def stations(leg: int, geometry: Geometry) -> list[Station]:
                     p = np.zeros(3)
                     p[leg], p[axis] = travel, side * sideways
                     label = f"{travel * 1e3:+.6g} {LEGS[axis]}{side * sideways * 1e3:+.6g}"
-                    found += _reached(label, p, (1,), geometry)
+                    found += _reachable_stations(label, p, (1,), geometry)
     return found
 
 
-def _reached(label: str, p: Array, sides: Sequence[int], geometry: Geometry) -> list[Station]:
-    rho = np.round(reduction.inverse(p, geometry=geometry), _GRID)
-    beyond = overshoot(geometry.stroke)
+def _reachable_stations(
+    label: str, p: Array, sides: Sequence[int], geometry: Geometry
+) -> list[Station]:
+    rho = np.round(reduction.inverse(p, geometry=geometry), _COMMAND_DECIMALS)
+    beyond = stroke_overshoot(geometry.stroke)
     return [
         Station(label, rho, p, side)
         for side in sides
@@ -104,7 +106,7 @@ def reading_pool(geometry: Geometry, *, load: float = 0.0) -> Readings:
     Returns:
         A campaign with a setup for every leg, direction, place and bar, one row a station.
     """
-    check_dials(geometry)
+    require_dial_layout(geometry)
     setups: list[Setup] = []
     rows: list[tuple[int, Station]] = []
     for leg in range(3):
@@ -112,10 +114,10 @@ def reading_pool(geometry: Geometry, *, load: float = 0.0) -> Readings:
         for axis in map(LEGS.index, geometry.layout.names.across[leg]):
             for gauge in GAUGES:
                 for bar in BARS:
-                    setup = dial_at(geometry, leg, axis, gauge, bar)
+                    setup = dial_setup(geometry, leg, axis, gauge, bar)
                     rows += [(len(setups), s) for s in reach if visible(s, setup, geometry)]
                     setups.append(replace(setup, name=f"next-{setup.name}"))
-    return unread(
+    return unread_campaign(
         geometry,
         "next",
         setups,
@@ -127,7 +129,7 @@ def reading_pool(geometry: Geometry, *, load: float = 0.0) -> Readings:
     )
 
 
-def sheet(pool: Readings, chosen: Sequence[int], name: str = "next") -> Readings:
+def sheet_from_pool(pool: Readings, chosen: Sequence[int], name: str = "next") -> Readings:
     """Return chosen rows of a pool, mounting by mounting, visits numbered, with their moves.
 
     Args:

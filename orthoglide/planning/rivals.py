@@ -9,23 +9,23 @@ from itertools import combinations
 
 import numpy as np
 
-from orthoglide.accuracy import workspace
+from orthoglide.accuracy import workspace_grid
 from orthoglide.effects.wording import cause_short, parameter_words
 from orthoglide.errors import InputError
 from orthoglide.explanation import FullPosterior, Located
-from orthoglide.explanation.members import Members
-from orthoglide.fit import Estimate, linearise, normal
+from orthoglide.explanation.class_members import ClassMembers
+from orthoglide.fit import Estimate, linearise, normal_equations
 from orthoglide.fit.factors import Factor
 from orthoglide.geometry import Array
-from orthoglide.instruments.leg_dial import PLACE
+from orthoglide.instruments.leg_dial import PLACEMENT_INDEX
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings
-from orthoglide.ordering import EQUAL_ODDS, ranked
-from orthoglide.planning.choosing import Narrowing, RivalSeparation, choose
-from orthoglide.planning.instruments import parting_instruments
+from orthoglide.ordering import LOG_ODDS_MARGIN, ranked
+from orthoglide.planning.choosing import CombinationPrecision, RivalSeparation, choose
+from orthoglide.planning.instrument_choice import suggest_instruments_for_places
 from orthoglide.planning.linear import LinearReadings
 from orthoglide.planning.pool import reading_pool
-from orthoglide.planning.suggestions import DECIDES, Suggestion
+from orthoglide.planning.suggestions import DECISIVE_SIGMAS, Suggestion
 from orthoglide.prediction import Conditions
 from orthoglide.result.fits import WeakDirection
 from orthoglide.text import listed
@@ -34,18 +34,20 @@ Values = Mapping[str, float]
 Pair = tuple[int, int]
 """Two rivals, the smaller number first."""
 
-ENOUGH = 6.0
+ENOUGH_SIGMAS = 6.0
 """Sigmas of separation beyond which no further reading is proposed."""
 
-_NEVER = 2.0  # sigmas by the whole pool: rivals that no reading within reach tells apart
-_HINTS = 1.0  # sigmas: less is not worth taking readings for
-_WORTH = 0.9  # of a sigma before: readings that leave more are not worth taking
+_INSEPARABLE_SIGMAS = (
+    2.0  # sigmas by the whole pool: rivals that no reading within reach tells apart
+)
+_MIN_SIGMAS = 1.0  # sigmas: less is not worth taking readings for
+_MAX_SIGMA_RATIO = 0.9  # of a sigma before: readings that leave more are not worth taking
 _MOST_DIRECTIONS = 2  # weak directions of a fit: further ones are known well enough
-_MOUNTING = 4.0  # readings that mounting a dial, with its first two, is worth
-_NAMED = 3  # pairs of rivals in a sentence: the least separated ones
-_SAME = 0.02  # of the shift between two machines: less is no difference in shape
-_GRID = 3  # commands along each axis: enough to compare two machines
-_MOST_PLACES, _COUNT = 6, 12  # places that are parted, the likeliest; readings for them
+_MOUNTING_COST = 4.0  # readings that mounting a dial, with its first two, is worth
+_MAX_NAMED_PAIRS = 3  # pairs of rivals in a sentence: the least separated ones
+_MIN_SHAPE_RATIO = 0.02  # of the shift between two machines: less is no difference in shape
+_COMMANDS_PER_AXIS = 3  # commands along each axis: enough to compare two machines
+_MOST_PLACES, _PLACE_READINGS = 6, 12  # places that are parted, the likeliest; readings for them
 
 
 @dataclass(frozen=True)
@@ -71,19 +73,19 @@ class Rival:
         fit = found if isinstance(found, Estimate) else like
         problem, at = fit.problem, fit.at
         if not isinstance(found, Estimate):
-            parts = [dict(u.parts[problem.last]) for u in problem.unknowns]
-            at = linearise(problem, np.array([_value(p, found) for p in parts]))
-        here = normal(replace(problem, priors=True), at, fit.nuisance)
+            parts = [dict(u.weights[problem.last_factor]) for u in problem.unknowns]
+            at = linearise(problem, np.array([_fitted_unknown(p, found) for p in parts]))
+        here = normal_equations(replace(problem, priors=True), at, fit.nuisance)
         unit = problem.tolerance
         scaled = here.information * unit * unit[:, None] / scale**2
         covariance = np.linalg.inv(scaled) * unit * unit[:, None]
         catalogue = problem.machine.catalogue
-        values = catalogue.of_machine(problem.values(problem.last, at.x))
+        values = catalogue.machine_values(problem.values(problem.last_factor, at.x))
         with suppress(InputError):  # else it is a name for people
             name = f'"{cause_short(catalogue, name)}"'
-        return cls(name, values, *problem.of_machine(problem.last), covariance)
+        return cls(name, values, *problem.machine_parameters(problem.last_factor), covariance)
 
-    def weights_of(self, names: Sequence[str]) -> Array:
+    def weights_by_parameter(self, names: Sequence[str]) -> Array:
         """Return the weights of elementary parameters for each unknown ``(n, P)``; 0 where none
         sets one.
         """
@@ -91,13 +93,13 @@ class Rival:
         matrix[[names.index(part) for part in self.parts]] = self.weights
         return matrix
 
-    def spread(self, names: Sequence[str]) -> Array:
+    def parameter_covariance(self, names: Sequence[str]) -> Array:
         """Return the covariance of elementary parameters ``(n, n)``, SI."""
-        matrix = self.weights_of(names)
+        matrix = self.weights_by_parameter(names)
         return np.asarray(matrix @ self.covariance @ matrix.T)
 
 
-def _value(parts: Values, values: Values) -> float:
+def _fitted_unknown(parts: Values, values: Values) -> float:
     """Return the unknown that sets its parts to these values, in the least squares."""
     weight = np.array(list(parts.values()))
     given = np.array([values.get(p, 0.0) for p in parts])
@@ -135,24 +137,24 @@ def next_measurements(
     several = [Rival.of(name, found, fit, scale) for name, found in rivals]
     own = Rival.of("", fit, fit, scale)
     names = tuple(dict.fromkeys(p for e in (own, *several) for p in e.parts))
-    choice = reading_pool(machine.geometry, load=_usual_load(fit))
+    choice = reading_pool(machine.geometry, load=_median_load(fit))
     at = machine.model.linearised(own.values, choice, names)
     total = fit.problem.noise.typical * scale
-    readings = LinearReadings.around(
-        machine, choice, at.jacobian, at.seen.by_nuisance[:, PLACE], total
+    readings = LinearReadings.from_columns(
+        machine, choice, at.jacobian, at.reading_poses.nuisance_jacobian[:, PLACEMENT_INDEX], total
     )
     found: list[Suggestion] = []
     every = [*combinations(range(len(several)), 2)] if pairs is None else pairs
     if every:
         predicted = [machine.model.readings(e.values, choice) for e in several]
         both = replace(readings, columns=np.column_stack([at.jacobian, *predicted]))
-        found += _to_separate(machine, both, names, several, every, count)
+        found += _suggest_separating(machine, both, names, several, every, count)
     for direction in weak:
-        found.append(_to_narrow(readings, names, own, fit, direction, count))
+        found.append(_suggest_narrowing(readings, names, own, fit, direction, count))
     return tuple(found)
 
 
-def _usual_load(estimate: Estimate) -> float:
+def _median_load(estimate: Estimate) -> float:
     """Return the load at the TCP over the last campaign, newtons; 0 where none is known."""
     if not estimate.problem.campaigns:
         return 0.0
@@ -164,7 +166,7 @@ def _usual_load(estimate: Estimate) -> float:
 # -- rivals ----------------------------------------------------------------------------------------
 
 
-def _to_separate(
+def _suggest_separating(
     machine: Machine,
     readings: LinearReadings,
     names: tuple[str, ...],
@@ -175,15 +177,15 @@ def _to_separate(
     """Return readings between pairs of rivals, and the groups of rivals that none tells apart; the
     readings are by elementary parameters of these names, then as each rival predicts them.
     """
-    spread = np.stack([e.spread(names) for e in rivals])
+    spread = np.stack([e.parameter_covariance(names) for e in rivals])
     every = RivalSeparation.between(spread, np.array(pairs))
     apart = replace(every, information=readings.information()).sigmas
-    weak = {pair: sigmas for pair, sigmas in apart.items() if sigmas < _NEVER}
+    weak = {pair: sigmas for pair, sigmas in apart.items() if sigmas < _INSEPARABLE_SIGMAS}
     rows, end = tuple[int, ...](), None
     while left := [pair for pair in apart if pair not in weak]:
-        start = RivalSeparation.between(spread, np.array(left), ENOUGH**2)
-        rows, end = choose(readings, start, count, mounting=_MOUNTING)
-        if not (low := {pair: s for pair, s in end.sigmas.items() if s < _HINTS}):
+        start = RivalSeparation.between(spread, np.array(left), ENOUGH_SIGMAS**2)
+        rows, end = choose(readings, start, count, mounting_cost=_MOUNTING_COST)
+        if not (low := {pair: s for pair, s in end.sigmas.items() if s < _MIN_SIGMAS}):
             break
         weak, rows, end = weak | low, (), None
     found = []
@@ -193,27 +195,28 @@ def _to_separate(
         if again and len(rows) + len(again) <= count:
             rows = (*rows, *again)
             end = start.with_rows(readings, rows)
-        found.append(_separating(readings.campaign, rows, rivals, end.sigmas))
+        found.append(_separating_suggestion(readings.campaign, rows, rivals, end.sigmas))
     for group, sigmas in _inseparable_groups(weak):
-        text = _inseparable(machine, [rivals[k] for k in group], sigmas, readings)
+        text = _inseparable_reason(machine, [rivals[k] for k in group], sigmas, readings)
         found.append(Suggestion(text, "none", sigmas, readings.campaign))
     return found
 
 
-def _separating(
+def _separating_suggestion(
     pool: Readings, rows: tuple[int, ...], rivals: Sequence[Rival], apart: Mapping[Pair, float]
 ) -> Suggestion:
     """Return the suggestion of readings by the sigmas that they set pairs of rivals apart."""
-    least = ranked(apart.items(), lambda item: -float(np.log(item[1])), EQUAL_ODDS)
+    least = ranked(apart.items(), lambda item: -float(np.log(item[1])), LOG_ODDS_MARGIN)
     text = "; ".join(
-        f"{rivals[a].words} from {rivals[b].words} by {s:.1f} sigma" for (a, b), s in least[:_NAMED]
+        f"{rivals[a].words} from {rivals[b].words} by {s:.1f} sigma"
+        for (a, b), s in least[:_MAX_NAMED_PAIRS]
     )
-    more = len(least) - _NAMED
+    more = len(least) - _MAX_NAMED_PAIRS
     text += f" (and {more} further pairs by more)" if more > 0 else ""
     gain = least[0][1]
-    if gain < DECIDES:
+    if gain < DECISIVE_SIGMAS:
         text += ": too little to decide, but the most that so few readings can do"
-    reason = f"{_size(pool, rows)} expected to separate {text}"
+    reason = f"{_readings_and_setups(pool, rows)} expected to separate {text}"
     return Suggestion(reason, "separate", gain, pool, rows)
 
 
@@ -233,7 +236,7 @@ def _pairs(group: set[int]) -> list[Pair]:
     return [*combinations(sorted(group), 2)]
 
 
-def _inseparable(
+def _inseparable_reason(
     machine: Machine, rivals: Sequence[Rival], sigmas: float, readings: LinearReadings
 ) -> str:
     """Return why no reading is proposed for rivals, and what it means for the TCP.
@@ -244,7 +247,9 @@ def _inseparable(
         sigmas: the most that was found between two of them.
         readings: that they were judged by.
     """
-    conditions = Conditions.at(workspace(machine.geometry, _GRID, machine.spec.screw_pitch))
+    conditions = Conditions.from_commands(
+        workspace_grid(machine.geometry, _COMMANDS_PER_AXIS, machine.spec.screw_pitch)
+    )
     points = [machine.model.outputs(e.values, conditions).p for e in rivals]
     apart = [p - q for p in points for q in points]
     shift = max(float(np.linalg.norm(d.mean(axis=0))) for d in apart)
@@ -252,7 +257,7 @@ def _inseparable(
     level = float(readings.sigma.max())  # a smaller difference of the TCPs does not count
     if max(shift, rest) < level:
         tail = "their TCPs are the same, too"
-    elif rest < max(_SAME * shift, level):
+    elif rest < max(_MIN_SHAPE_RATIO * shift, level):
         tail = f"their TCPs are the same but for a shift of {shift * 1e3:.2g} mm"
     else:
         tail = (
@@ -265,40 +270,48 @@ def _inseparable(
     )
 
 
-def parting(posterior: FullPosterior, located: Located) -> tuple[Suggestion, ...]:
+def suggest_separating_places(posterior: FullPosterior, located: Located) -> tuple[Suggestion, ...]:
     """Return readings, a dozen at most, that would part the likeliest places of a class, and which
     of them none parts.
 
     Each is a rival with its own free function, which new readings narrow as they do all else.
     """
-    members = Members.of(posterior, located, _MOST_PLACES)
+    members = ClassMembers.from_posterior(posterior, located, _MOST_PLACES)
     machine, fit = posterior.machine, posterior.after
-    if len(members.each) < 2:
+    if len(members.members) < 2:
         return ()
     if not machine.geometry.dialled:
-        return parting_instruments(members)
-    pool = reading_pool(machine.geometry, load=_usual_load(fit))
-    rows, seen = members.rows(Factor.unread(pool.with_moves(), machine))
-    expected = rows @ np.stack([one.mean for one in members.each], axis=1)
+        return suggest_instruments_for_places(members)
+    pool = reading_pool(machine.geometry, load=_median_load(fit))
+    rows, seen = members.rows(Factor.from_planned(pool.with_moves(), machine))
+    expected = rows @ np.stack([one.mean for one in members.members], axis=1)
     total = fit.problem.noise.typical * max(fit.sigma_scale, 1.0)
     columns = np.hstack([rows, expected])
-    readings = LinearReadings.around(machine, pool, columns, seen.by_nuisance[:, PLACE], total)
-    names = tuple(str(k) for k in members.at)
+    readings = LinearReadings.from_columns(
+        machine, pool, columns, seen.nuisance_jacobian[:, PLACEMENT_INDEX], total
+    )
+    names = tuple(str(k) for k in members.coefficients)
     rivals = [
         Rival(f'"{one.words}"', one.machine, names, np.eye(len(names)), one.covariance)
-        for one in members.each
+        for one in members.members
     ]
     pairs = [*combinations(range(len(rivals)), 2)]
-    apart = [p for p in pairs if any(members.each[k].lasts for k in p)]
-    found = _to_separate(machine, readings, names, rivals, apart, _COUNT) if apart else []
-    gone = [rival.words for rival, one in zip(rivals, members.each, strict=True) if not one.lasts]
+    apart = [p for p in pairs if any(members.members[k].permanent for k in p)]
+    found = (
+        _suggest_separating(machine, readings, names, rivals, apart, _PLACE_READINGS)
+        if apart
+        else []
+    )
+    gone = [
+        rival.words for rival, one in zip(rivals, members.members, strict=True) if not one.permanent
+    ]
     if len(gone) > 1:
         reason = (
             f"no new readings tell {listed(gone)} apart: these belong to the session and to the "
             f"dials that were read; look at the parts themselves"
         )
         found.append(Suggestion(reason, "none", 0.0, pool))
-    if any(place.of_dial for place in members.places):
+    if any(place.of_dial for place in members.free_form_errors):
         other = "; take another dial for them than before"
         found = [replace(s, reason=s.reason + other) if s.chosen else s for s in found]
     return tuple(found)
@@ -307,7 +320,7 @@ def parting(posterior: FullPosterior, located: Located) -> tuple[Suggestion, ...
 # -- weak directions -------------------------------------------------------------------------------
 
 
-def _to_narrow(
+def _suggest_narrowing(
     readings: LinearReadings,
     names: tuple[str, ...],
     own: Rival,
@@ -321,26 +334,28 @@ def _to_narrow(
     shares, catalogue = direction.parameters, estimate.problem.machine.catalogue
     d = np.array([shares.get(n, 0.0) for n in estimate.problem.names])
     tolerance = estimate.problem.tolerance
-    here = replace(readings, columns=readings.columns @ (own.weights_of(names) * tolerance))
+    here = replace(
+        readings, columns=readings.columns @ (own.weights_by_parameter(names) * tolerance)
+    )
     information = np.linalg.inv(own.covariance / tolerance / tolerance[:, None])
-    start = Narrowing(np.asarray(information), (d * tolerance)[:, None])
-    rows, end = choose(here, start, count, mounting=_MOUNTING)
-    before, after = (float(np.sqrt(o.spread[0, 0])) for o in (start, end))
+    start = CombinationPrecision(np.asarray(information), (d * tolerance)[:, None])
+    rows, end = choose(here, start, count, mounting_cost=_MOUNTING_COST)
+    before, after = (float(np.sqrt(o.combination_covariance[0, 0])) for o in (start, end))
     words = listed(f"the {parameter_words(catalogue.parameter(n), catalogue.legs)}" for n in shares)
     together = "their weakest combination" if len(shares) > 1 else "it"
-    if not rows or after > _WORTH * before:
+    if not rows or after > _MAX_SIGMA_RATIO * before:
         reason = (
             f"no {count} readings of a dial on a leg determine {words} noticeably better: of "
             f"{together} they add hardly anything to what the tolerances say"
         )
         return Suggestion(reason, "none", before / after, here.campaign)
     reason = (
-        f"{_size(here.campaign, rows)} expected to determine {words} better: the standard "
+        f"{_readings_and_setups(here.campaign, rows)} expected to determine {words} better: the standard "
         f"deviation of {together} falls to {100 * after / before:.0f} % of what it is"
     )
     return Suggestion(reason, "narrow", before / after, here.campaign, rows)
 
 
-def _size(pool: Readings, rows: Sequence[int]) -> str:
+def _readings_and_setups(pool: Readings, rows: Sequence[int]) -> str:
     setups = len(np.unique(pool.setup[list(rows)]))
     return f"{len(rows)} readings in {setups} {'setup' if setups == 1 else 'setups'} are"

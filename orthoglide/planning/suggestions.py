@@ -14,16 +14,16 @@ from orthoglide.frames import Framed
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.observations import Readings, campaign_rows, source
-from orthoglide.observations.protocols import unread
-from orthoglide.planning.pool import reading_pool, sheet
+from orthoglide.observations.protocols import unread_campaign
+from orthoglide.planning.pool import reading_pool, sheet_from_pool
 from orthoglide.result import DataRival, SetupResidual
 
 Aim = Literal["separate", "narrow", "trace", "none"]
 
-DECIDES = 2.0  # sigmas: less leaves both in one class, which is a chi2 of 4 wide
-_TWICE = 2  # visits: a single one may be misread
-_NEIGHBOURS = 3  # distances from a posture: itself, and those next to it
-_MID = 0.5  # of the leg
+DECISIVE_SIGMAS = 2.0  # sigmas: less leaves both in one class, which is a chi2 of 4 wide
+_VISITS = 2  # visits: a single one may be misread
+_NEIGHBOUR_DISTANCES = 3  # distances from a posture: itself, and those next to it
+_GAUGE_FRACTION = 0.5  # of the leg
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,16 @@ class Suggestion(Framed):
     @property
     def campaign(self) -> Readings | None:
         """The readings without their values; ``None`` if no reading helps."""
-        return sheet(self.pool, self.chosen) if self.chosen and self.pool is not None else None
+        return (
+            sheet_from_pool(self.pool, self.chosen)
+            if self.chosen and self.pool is not None
+            else None
+        )
 
     @property
     def hopeless(self) -> bool:
         """True if no reading helps."""
-        return self.aim == "none" and self.gain < DECIDES
+        return self.aim == "none" and self.gain < DECISIVE_SIGMAS
 
     def __repr__(self) -> str:
         return f"<Suggestion, {len(self.chosen)} readings: {self.reason}>"
@@ -91,17 +95,21 @@ def next_sheet(suggestions: Sequence[Suggestion]) -> Readings | None:
             key = (*pool.setups, len(pool))
             pools.setdefault(key, pool)
             visits[key] = visits.get(key, Counter()) | Counter(suggestion.chosen)
-    sheets = [sheet(pools[key], tuple(wanted.elements())) for key, wanted in visits.items()]
+    sheets = [
+        sheet_from_pool(pools[key], tuple(wanted.elements())) for key, wanted in visits.items()
+    ]
     return Readings.concatenated(sheets) if sheets else None
 
 
-def _trace(reason: str, pool: Readings | None = None, rows: Sequence[int] = ()) -> Suggestion:
+def _trace_suggestion(
+    reason: str, pool: Readings | None = None, rows: Sequence[int] = ()
+) -> Suggestion:
     """Return a ``trace`` suggestion; rows of a pool that are given are visited twice."""
-    twice = np.repeat(np.asarray(rows, dtype=int), _TWICE)
+    twice = np.repeat(np.asarray(rows, dtype=int), _VISITS)
     return Suggestion(reason, "trace", float("nan"), pool, tuple(twice.tolist()))
 
 
-def tracing(rest: SetupResidual, geometry: Geometry) -> Suggestion:
+def suggest_tracing(rest: SetupResidual, geometry: Geometry) -> Suggestion:
     """Return a sheet for the dial whose residual is largest; no rival explanation is needed.
 
     Both bars of the leg are touched along the direction in which most is left, at every step of its
@@ -109,7 +117,7 @@ def tracing(rest: SetupResidual, geometry: Geometry) -> Suggestion:
     bars a twist from a shift.
     """
     pool = reading_pool(geometry)
-    gauge = _MID * geometry.L
+    gauge = _GAUGE_FRACTION * geometry.L
     dials = [
         k
         for k, s in enumerate(pool.setups)
@@ -121,20 +129,20 @@ def tracing(rest: SetupResidual, geometry: Geometry) -> Suggestion:
     rows = np.flatnonzero(np.isin(pool.setup, dials) & on_axis)
     axis = LEGS[rest.axis]
     reason = (
-        f"the residual is largest on {rest.reads}, so take {len(rows) * _TWICE} readings of both "
+        f"the residual is largest on {rest.reads}, so take {len(rows) * _VISITS} readings of both "
         f"bars of the leg along {axis}, over its whole travel and from both sides, which "
         f"distinguish a bent part, a turned part, lost motion and a wrong bar"
     )
-    return _trace(reason, pool, rows.tolist())
+    return _trace_suggestion(reason, pool, rows.tolist())
 
 
-def repeating(rest: SetupResidual) -> Suggestion:
+def suggest_repeating(rest: SetupResidual) -> Suggestion:
     """Return the advice to repeat the readings of an instrument at the tool at the places where its
     residual is largest.
     """
     own = OBSERVATIONS[rest.kind]
     sides = "" if own.touches or own.paired else " and coming from either side"
-    return _trace(
+    return _trace_suggestion(
         f"the residual is largest in {rest.reads} ({rest.setup}), so read it again with the tool "
         f"at {'; '.join(rest.where)} mm, three times each{sides}. If the error repeats, the "
         f"machine or what the instrument stands on causes it; if not, look for a loose part, lost "
@@ -142,35 +150,35 @@ def repeating(rest: SetupResidual) -> Suggestion:
     )
 
 
-def deciding_visits(posterior: FullPosterior, fault: DataRival) -> Suggestion:
+def suggest_deciding_visits(posterior: FullPosterior, fault: DataRival) -> Suggestion:
     """Return the advice to read again what shows either a defect of the machine or a fault of the
     data: a posture of dials with its neighbours, else the reading itself.
 
     A defect comes again and is smaller beside the place; a wrong command or a slip does not come
     again.
     """
-    problem = posterior.about.problem
+    problem = posterior.linearised.problem
     tables = (f.readings for f in problem.factors if source(f.readings) == fault.file)
     table = next(t for t in tables if fault.rows[0] in t.line)
     own = np.flatnonzero(np.isin(table.line, fault.rows) & table.on_legs)
     if not len(own):
-        return _trace(
+        return _trace_suggestion(
             f"line {fault.rows[0]} of {fault.file} once more: a defect of the machine appears "
             f"again, a slip does not"
         )
     rows = np.flatnonzero(np.isin(table.setup, table.setup[own]))
     apart = np.linalg.norm(table.command[rows] - table.command[own[0]], axis=1).round(6)
-    near = rows[np.isin(apart, np.unique(apart)[:_NEIGHBOURS])]
+    near = rows[np.isin(apart, np.unique(apart)[:_NEIGHBOUR_DISTANCES])]
     visits = np.column_stack([table.stations[near], table.approach[near]])
     once = table.subset(np.sort(near[np.unique(visits, axis=0, return_index=True)[1]]))
     setups = [replace(s, name=f"{s.name}-line-{fault.rows[0]}") for s in once.setups]
-    pool = unread(
+    pool = unread_campaign(
         posterior.machine.geometry, "next", setups, once.setup, once.command, once.approach,
         posture=once.posture,
     )  # fmt: skip
     reason = (
         f"the posture of line {fault.rows[0]} and the nearest postures once more, "
-        f"{len(pool) * _TWICE} readings, each command entered anew: a defect of the machine "
+        f"{len(pool) * _VISITS} readings, each command entered anew: a defect of the machine "
         f"appears again, a slip or a wrong command does not"
     )
-    return _trace(reason, pool, range(len(pool)))
+    return _trace_suggestion(reason, pool, range(len(pool)))

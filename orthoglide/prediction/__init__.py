@@ -1,9 +1,9 @@
 """Conditions and parameters in, poses and readings out, with sensitivities."""
 
 from orthoglide.prediction.conditions import Conditions as Conditions
-from orthoglide.prediction.model import Model as Model
-from orthoglide.prediction.observed import (
+from orthoglide.prediction.measurement_model import (
     LinearRows as LinearRows,
-    Observed as Observed,
-    Seen as Seen,
+    MeasurementModel as MeasurementModel,
+    ReadingPoses as ReadingPoses,
 )
+from orthoglide.prediction.model import Model as Model

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orthoglide.errors import InputError, check_word
+from orthoglide.errors import InputError, check_choice
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
-from orthoglide.observations.arrays import numbered
+from orthoglide.observations.arrays import group_ids
 
-_PARTS: dict[str, int | slice] = {
+_COLUMNS: dict[str, int | slice] = {
     "command": slice(0, 3), "approach": slice(3, 6), "time": 6, "warming": 7, "load": 8,
 }  # fmt: skip
 
@@ -56,12 +56,12 @@ class Conditions:
         """Newtons along base -z at the TCP ``(n,)``."""
         return self.table[:, 8]
 
-    def some(self, rows: NDArray[np.intp] | slice) -> Conditions:
+    def subset(self, rows: NDArray[np.intp] | slice) -> Conditions:
         """Return some of the postures, by their numbers ``(k,)`` or as a slice."""
         return Conditions(self.table[rows])
 
     @classmethod
-    def at(cls, command: ArrayLike, **seen: ArrayLike) -> Conditions:
+    def from_commands(cls, command: ArrayLike, **seen: ArrayLike) -> Conditions:
         """Return conditions for commands ``(..., 3)``.
 
         Args:
@@ -77,8 +77,8 @@ class Conditions:
         table = np.zeros((rho.size // 3, 9))
         table[:, :3] = rho.reshape(-1, 3)
         for name, values in seen.items():
-            if name == "command" or name not in _PARTS:
-                check_word("condition", name, [known for known in _PARTS if known != "command"])
+            if name == "command" or name not in _COLUMNS:
+                check_choice("condition", name, [known for known in _COLUMNS if known != "command"])
             own = rho.shape[-1:] if name == "approach" else ()
             try:
                 spread = np.broadcast_to(np.asarray(values, float), (*rho.shape[:-1], *own))
@@ -89,7 +89,7 @@ class Conditions:
                 ) from None
             if not np.isfinite(spread).all():
                 raise InputError(f"{name} must be finite; leave out what is not known")
-            table[:, _PARTS[name]] = spread.reshape(len(table), *own)
+            table[:, _COLUMNS[name]] = spread.reshape(len(table), *own)
         side = table[:, 3:6]
         if "approach" in seen and (side * side * side != side).any():
             raise InputError(
@@ -99,7 +99,7 @@ class Conditions:
         return cls(table)
 
     @classmethod
-    def of(cls, readings: Readings) -> Conditions:
+    def from_readings(cls, readings: Readings) -> Conditions:
         """Return conditions of every reading; what was not recorded counts as 0."""
         parts = (
             readings.command, readings.approach, np.nan_to_num(readings.time),
@@ -116,5 +116,5 @@ class Conditions:
         """
         names = ("approach", "approach", "approach", "time", "temperature", "load")
         table = self.table * [1.0, 1.0, 1.0, *(name in needs for name in names)]
-        place = numbered(table)
+        place = group_ids(table)
         return Conditions(table[np.unique(place, return_index=True)[1]]), place

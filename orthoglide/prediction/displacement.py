@@ -12,15 +12,15 @@ import numpy as np
 from orthoglide.effects import Catalogue, LegConditions
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Array, Geometry
-from orthoglide.mechanism.rows import Functions, Rows
+from orthoglide.mechanism.rows import CompilableFunctions, RowFunction
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 
-CONDITIONS = 11
+CONDITION_COUNT = 11
 """Length of a vector of conditions: command (3), approach (3), time, warming, force (3), in the
 order rho_x, rho_y, rho_z, approach_x ... z, time, warming, force_x, force_y, force_z."""
 COMMAND, FORCE = slice(0, 3), slice(8, 11)
 
-DIMENSIONS = 5
+DIMENSION_COUNT = 5
 """Length of a vector of dimensions: bar length, lower and upper end of the stroke, command at
 mechanical zero, pitch of the screws; metres."""
 
@@ -44,9 +44,9 @@ def displacement_function(catalogue: Catalogue, has_pitch: bool) -> Any:
     Raises:
         InputError: where an effect moves a joint that does not exist.
     """
-    size = ca.SX.sym("dimensions", DIMENSIONS)
+    size = ca.SX.sym("dimensions", DIMENSION_COUNT)
     theta = ca.SX.sym("theta", len(catalogue.parameters))
-    seen = ca.SX.sym("conditions", CONDITIONS)
+    seen = ca.SX.sym("conditions", CONDITION_COUNT)
     joints: dict[tuple[int, str], Any] = {}
     for on_the_drive in (True, False):
         for k, (name, (leg, motions)) in enumerate(catalogue.motions.items()):
@@ -91,7 +91,7 @@ def leg_conditions(size: Any, seen: Any, leg: int, driven: Any, has_pitch: bool)
         driven: what the drive adds to the commanded travel; ``None`` for the drive's own effects.
         has_pitch: whether the pitch of the screws is known.
     """
-    length, low, high, zero, pitch = (size[k] for k in range(DIMENSIONS))
+    length, low, high, zero, pitch = (size[k] for k in range(DIMENSION_COUNT))
     command = seen[leg]
     return LegConditions(
         command=command,
@@ -109,7 +109,7 @@ def leg_conditions(size: Any, seen: Any, leg: int, driven: Any, has_pitch: bool)
 
 
 # Interpreted displacements that take as long as compiling them does.
-_WORTH_COMPILING = 200_000
+_COMPILATION_THRESHOLD = 200_000
 
 
 class Displacements:
@@ -130,8 +130,10 @@ class Displacements:
         self, catalogue: Catalogue, geometry: Geometry, pitch: float | None, compile: bool | None
     ) -> None:
         self.catalogue, self.has_pitch = catalogue, pitch is not None
-        self.size, self._compile = dimensions(geometry, pitch), compile
-        self.place: dict[str, int] = {name: k for k, name in enumerate(catalogue.parameters)}
+        self.dimensions, self._compile = dimensions(geometry, pitch), compile
+        self.parameter_index: dict[str, int] = {
+            name: k for k, name in enumerate(catalogue.parameters)
+        }
 
     @cached_property
     def function(self) -> Any:
@@ -139,47 +141,47 @@ class Displacements:
         return displacement_function(self.catalogue, self.has_pitch)
 
     @cached_property
-    def _rows(self) -> Functions:
-        worth = -1 if self._compile is False else _WORTH_COMPILING
+    def _compiled(self) -> CompilableFunctions:
+        worth = -1 if self._compile is False else _COMPILATION_THRESHOLD
         key, build = self.function.serialize(), lambda: [self.function]
-        found = Functions(("displacement",), key, build, 2, worth)
+        found = CompilableFunctions(("displacement",), key, build, 2, worth)
         if self._compile:
             found.compile()
         return found
 
     @cached_property
-    def _by_parameters(self) -> Rows:
-        return Rows(displacement_derivative(self.function, 1, "by_parameters"), 2)
+    def _parameter_jacobian(self) -> RowFunction:
+        return RowFunction(displacement_derivative(self.function, 1, "by_parameters"), 2)
 
     @cached_property
-    def _by_conditions(self) -> Rows:
-        return Rows(displacement_derivative(self.function, 2, "by_conditions"), 2)
+    def _condition_jacobian(self) -> RowFunction:
+        return RowFunction(displacement_derivative(self.function, 2, "by_conditions"), 2)
 
-    def vector(self, values: Mapping[str, float]) -> Array:
+    def parameter_vector(self, values: Mapping[str, float]) -> Array:
         """Return all parameters of the machine ``(P,)``, SI, zero where not named; dials are
         skipped.
 
         Raises:
             InputError: for a name that is no parameter.
         """
-        theta = np.zeros(len(self.place))
+        theta = np.zeros(len(self.parameter_index))
         for name, value in values.items():
-            if name in self.place:
-                theta[self.place[name]] = value
+            if name in self.parameter_index:
+                theta[self.parameter_index[name]] = value
             elif not (effect := self.catalogue.effect_of(name)).of_dial:
                 raise InputError(
                     f"there is no parameter {name!r}: {effect.name} has {', '.join(effect.motions)}"
                 )
         return theta
 
-    def at(self, theta: Array, seen: Array) -> Array:
+    def evaluate(self, theta: Array, seen: Array) -> Array:
         """Return displacements ``(n, 30)`` for parameters ``(P,)`` under conditions ``(n, 11)``."""
-        return self._rows("displacement", self.size, theta, seen)[0]
+        return self._compiled("displacement", self.dimensions, theta, seen)[0]
 
-    def by_parameters(self, theta: Array, seen: Array) -> Array:
+    def parameter_jacobian(self, theta: Array, seen: Array) -> Array:
         """Return the derivative ``(n, 30, P)`` of the displacements by the parameters."""
-        return self._by_parameters(self.size, theta, seen)[0]
+        return self._parameter_jacobian(self.dimensions, theta, seen)[0]
 
-    def by_conditions(self, theta: Array, seen: Array) -> Array:
+    def condition_jacobian(self, theta: Array, seen: Array) -> Array:
         """Return the derivative ``(n, 30, 11)`` of the displacements by the conditions."""
-        return self._by_conditions(self.size, theta, seen)[0]
+        return self._condition_jacobian(self.dimensions, theta, seen)[0]

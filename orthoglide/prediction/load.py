@@ -6,11 +6,11 @@ import numpy as np
 
 from orthoglide.geometry import Array
 from orthoglide.mechanism.engine import Engine, Outputs
-from orthoglide.mechanism.six_bars import LINES, MOVES, TCP
+from orthoglide.mechanism.six_bars import LINES, TCP, VIRTUAL_PER_LEG
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 
 _STRETCH = VIRTUAL_NAMES.index("stretch1")
-STRETCHES = [MOVES * leg + _STRETCH + bar for leg in range(3) for bar in range(2)]
+STRETCHES = [VIRTUAL_PER_LEG * leg + _STRETCH + bar for leg in range(3) for bar in range(2)]
 """Places of the bars' stretches among displacements ``(30,)``."""
 
 
@@ -26,7 +26,7 @@ def drive_forces(engine: Engine, travel: Array, load: Array) -> Array:
     """
     if not load.any():
         return np.zeros_like(travel)
-    _, by_given = engine.tangent(travel, np.zeros((len(travel), 3 * MOVES)))
+    _, by_given = engine.tangent(travel, np.zeros((len(travel), 3 * VIRTUAL_PER_LEG)))
     return np.asarray(-load[:, None] * by_given[:, 2, :3])
 
 
@@ -37,7 +37,7 @@ def drive_forces_by_command(engine: Engine, travel: Array, load: Array) -> Array
     slides ``s_i``. Once more by rho_k: ``b_i . d2p/drho_j drho_k = -d_ij . d_ik``, where
     ``d_ij = db_i/drho_j``.
     """
-    shown, by_given = engine.tangent(travel, np.zeros((len(travel), 3 * MOVES)))
+    shown, by_given = engine.tangent(travel, np.zeros((len(travel), 3 * VIRTUAL_PER_LEG)))
     bars = shown.lines[:, :, 0, 1] - shown.lines[:, :, 0, 0]
     by_command = by_given[:, :3, :3]
     moved = np.repeat(np.swapaxes(by_command, 1, 2)[:, None], 3, axis=1)  # (n, i, j, xyz)
@@ -58,13 +58,13 @@ def tensions(shown: Outputs, load: Array) -> Array:
     """
     wrench = np.zeros((len(load), 6, 1))
     wrench[:, 2, 0] = -load
-    return np.asarray(np.linalg.solve(_wrenches(shown), wrench)[..., 0])
+    return np.asarray(np.linalg.solve(_bar_wrenches(shown), wrench)[..., 0])
 
 
 def tensions_tangent(shown: Outputs, by_given: Array, tension: Array) -> Array:
     """Return the derivative of :func:`tensions` ``(n, 6, k)``, from that of the outputs."""
     n, k = len(tension), by_given.shape[2]
-    start, end = _ends(shown)
+    start, end = _bar_ends(shown)
     span = end - start
     length = np.linalg.norm(span, axis=2)[..., None]
     unit = span / length
@@ -77,17 +77,17 @@ def tensions_tangent(shown: Outputs, by_given: Array, tension: Array) -> Array:
     arm = end - shown.p[:, None]
     turning = np.cross(by_arm, unit[..., None], axis=2) + np.cross(arm[..., None], by_unit, axis=2)
     change = np.einsum("nb,nbxk->nxk", tension, np.concatenate([by_unit, turning], axis=2))
-    return np.asarray(-np.linalg.solve(_wrenches(shown), change))
+    return np.asarray(-np.linalg.solve(_bar_wrenches(shown), change))
 
 
-def _ends(shown: Outputs) -> tuple[Array, Array]:
+def _bar_ends(shown: Outputs) -> tuple[Array, Array]:
     lines = shown.lines.reshape(len(shown.values), 6, 2, 3)
     return lines[:, :, 0], lines[:, :, 1]
 
 
-def _wrenches(shown: Outputs) -> Array:
+def _bar_wrenches(shown: Outputs) -> Array:
     """Wrench on the platform's TCP of a unit pull in each bar, reversed: columns ``(n, 6, 6)``."""
-    start, end = _ends(shown)
+    start, end = _bar_ends(shown)
     unit = (end - start) / np.linalg.norm(end - start, axis=2)[..., None]
     both = np.concatenate([unit, np.cross(end - shown.p[:, None], unit)], axis=2)
     return np.swapaxes(both, 1, 2)

@@ -15,15 +15,15 @@ from orthoglide.errors import ClosureError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine_file.model import Stiffness
 from orthoglide.mechanism import Mechanism
-from orthoglide.mechanism.engine import ByPinocchio, Engine, Outputs, SixBars
+from orthoglide.mechanism.engine import Engine, Outputs, PinocchioEngine, SixBars
 from orthoglide.mechanism.rows import blocks
-from orthoglide.mechanism.six_bars import MOVES, OUTPUTS
+from orthoglide.mechanism.six_bars import OUTPUT_SIZE, VIRTUAL_PER_LEG
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings
 from orthoglide.prediction.conditions import Conditions
 from orthoglide.prediction.displacement import (
     COMMAND,
-    CONDITIONS,
+    CONDITION_COUNT,
     FORCE,
     Displacements,
     leg_conditions,
@@ -35,12 +35,12 @@ from orthoglide.prediction.load import (
     tensions,
     tensions_tangent,
 )
-from orthoglide.prediction.observed import Formulas, LinearRows, Observed
+from orthoglide.prediction.measurement_model import Formulas, LinearRows, MeasurementModel
 
 # Each round of stretching leaves of the last one's error the share of its length by which a bar
 # gives, a hundred-thousandth as a rule: three rounds, and some more where bars are of rubber.
-_ELASTIC_ROUNDS = 200
-_SETTLED = 1e-14  # metres by which bars still change: what is left is that share of it
+_MAX_ELASTIC_ROUNDS = 200
+_ELASTIC_TOLERANCE = 1e-14  # metres by which bars still change: what is left is that share of it
 
 
 class Model:
@@ -79,7 +79,7 @@ class Model:
         built = {n for n, v in vars(type(self)).items() if isinstance(v, cached_property)}
         return {n: v for n, v in vars(self).items() if n not in built}
 
-    def _like(self, **changes: Any) -> Model:
+    def _copy_with(self, **changes: Any) -> Model:
         """Return a model made as this one, but for some arguments."""
         made: dict[str, Any] = {
             "geometry": self.geometry, "pitch": self.pitch, "stiffness": self.stiffness,
@@ -90,11 +90,11 @@ class Model:
 
     def by_pinocchio(self) -> Model:
         """Return the same model, every posture closed by Pinocchio."""
-        return self._like(engine="pinocchio")
+        return self._copy_with(engine="pinocchio")
 
     def with_catalogue(self, catalogue: Catalogue) -> Model:
         """Return the same model moved by other effects, which shares the engine."""
-        found = self._like(catalogue=catalogue)
+        found = self._copy_with(catalogue=catalogue)
         found.__dict__.update(
             {n: vars(self)[n] for n in ("mechanism", "engine") if n in vars(self)}
         )
@@ -109,7 +109,7 @@ class Model:
     def engine(self) -> Engine:
         """The engine that closes postures."""
         if self._engine == "pinocchio":
-            return ByPinocchio(self.mechanism)
+            return PinocchioEngine(self.mechanism)
         return SixBars(self.mechanism, compile=self._compile)
 
     @property
@@ -124,21 +124,21 @@ class Model:
     def _travel(self, conditions: Conditions) -> Array:
         return conditions.command - self.geometry.zero
 
-    def moves(self, values: Mapping[str, float], conditions: Conditions) -> Array:
+    def loaded_displacements(self, values: Mapping[str, float], conditions: Conditions) -> Array:
         """Displacements of the virtual joints ``(n, 30)``, elastic bars included."""
-        return self._moved(self.vector(values), conditions)
+        return self._loaded_displacements(self.parameter_vector(values), conditions)
 
-    def _moved(self, theta: Array, conditions: Conditions) -> Array:
-        moves = self.displaced(theta, conditions)
+    def _loaded_displacements(self, theta: Array, conditions: Conditions) -> Array:
+        moves = self.displacements_of_vector(theta, conditions)
         if not self.is_elastic(conditions):
             return moves
         travel, loaded = self._travel(conditions), moves.copy()
-        for _ in range(_ELASTIC_ROUNDS):
+        for _ in range(_MAX_ELASTIC_ROUNDS):
             tension = tensions(self.engine.outputs(travel, loaded), conditions.load)
             stretched = moves[:, STRETCHES] + tension * self._compliance
             change = np.abs(stretched - loaded[:, STRETCHES]).max(axis=1)
             loaded[:, STRETCHES] = stretched
-            if change.max() <= _SETTLED * max(1.0, self.geometry.scale):
+            if change.max() <= _ELASTIC_TOLERANCE * max(1.0, self.geometry.scale):
                 return loaded
         worst, count = int(np.argmax(change)), len(moves)
         which = f"posture {worst + 1} of {count}: " if count > 1 else ""
@@ -150,7 +150,7 @@ class Model:
 
     def tangent(self, values: Mapping[str, float], conditions: Conditions) -> tuple[Outputs, Array]:
         """What postures show, and its derivative ``(n, 48, 33)`` by travel and displacements."""
-        moves = self.moves(values, conditions)
+        moves = self.loaded_displacements(values, conditions)
         shown, by_given = self.engine.tangent(self._travel(conditions), moves)
         if self.is_elastic(conditions):
             tension = tensions(shown, conditions.load)
@@ -162,7 +162,7 @@ class Model:
         return shown, by_given
 
     @cached_property
-    def moving(self) -> Displacements:
+    def displacement_model(self) -> Displacements:
         """Map from parameters and conditions to displacements of the virtual joints."""
         return Displacements(self.catalogue, self.geometry, self.pitch, self._compile)
 
@@ -171,13 +171,13 @@ class Model:
         """Formulas of all kinds of readings."""
         return Formulas(self.catalogue)
 
-    def vector(self, values: Mapping[str, float]) -> Array:
+    def parameter_vector(self, values: Mapping[str, float]) -> Array:
         """All parameters of the machine ``(P,)``, see :meth:`Displacements.vector`."""
-        return self.moving.vector(values)
+        return self.displacement_model.parameter_vector(values)
 
-    def seen(self, conditions: Conditions) -> Array:
+    def condition_vectors(self, conditions: Conditions) -> Array:
         """Conditions as the displacement function takes them ``(n, 11)``."""
-        seen = np.zeros((len(conditions), CONDITIONS))
+        seen = np.zeros((len(conditions), CONDITION_COUNT))
         seen[:, : FORCE.start] = conditions.table[:, : FORCE.start]
         if conditions.load.any():
             seen[:, FORCE] = drive_forces(self.engine, self._travel(conditions), conditions.load)
@@ -185,18 +185,20 @@ class Model:
 
     def displacements(self, values: Mapping[str, float], conditions: Conditions) -> Array:
         """Displacements of the virtual joints ``(n, 30)`` by parameters, metres and radians."""
-        return self.displaced(self.vector(values), conditions)
+        return self.displacements_of_vector(self.parameter_vector(values), conditions)
 
-    def displaced(self, theta: Array, conditions: Conditions) -> Array:
+    def displacements_of_vector(self, theta: Array, conditions: Conditions) -> Array:
         """Return displacements ``(n, 30)`` for all parameters ``(P,)`` of the machine."""
         if not len(conditions) or not theta.any():
-            return np.zeros((len(conditions), 3 * MOVES))
-        return self.moving.at(theta, self.seen(conditions))
+            return np.zeros((len(conditions), 3 * VIRTUAL_PER_LEG))
+        return self.displacement_model.evaluate(theta, self.condition_vectors(conditions))
 
     def jacobian(self, values: Mapping[str, float], conditions: Conditions) -> Array:
         """dp/drho ``(n, 3, 3)``; what rails and drives do moves along with the command."""
         _, by_given = self.tangent(values, conditions)
-        by_seen = self.moving.by_conditions(self.vector(values), self.seen(conditions))
+        by_seen = self.displacement_model.condition_jacobian(
+            self.parameter_vector(values), self.condition_vectors(conditions)
+        )
         moves = by_seen[:, :, COMMAND]
         if conditions.load.any():
             forces = drive_forces_by_command(self.engine, self._travel(conditions), conditions.load)
@@ -209,11 +211,13 @@ class Model:
         Raises:
             ClosureError: naming the first posture that does not close.
         """
-        return self.posed(self.vector(values), conditions)
+        return self.outputs_of_vector(self.parameter_vector(values), conditions)
 
-    def posed(self, theta: Array, conditions: Conditions) -> Outputs:
+    def outputs_of_vector(self, theta: Array, conditions: Conditions) -> Outputs:
         """Return poses and bars of closed postures for all parameters ``(P,)`` of the machine."""
-        return self.engine.outputs(self._travel(conditions), self._moved(theta, conditions))
+        return self.engine.outputs(
+            self._travel(conditions), self._loaded_displacements(theta, conditions)
+        )
 
     def sensitivities(
         self, values: Mapping[str, float], conditions: Conditions, names: Sequence[str]
@@ -221,14 +225,16 @@ class Model:
         """Poses and bars, and their derivative ``(n, 48, P)`` by parameters, loops closed; zero by
         those of dials.
         """
-        n, theta = len(conditions), self.vector(values)
+        n, theta = len(conditions), self.parameter_vector(values)
         machine = [k for k, name in enumerate(names) if not self.catalogue.effect_of(name).of_dial]
-        places = [self.moving.place[names[k]] for k in machine]
-        outputs, by_name = np.empty((n, OUTPUTS)), np.zeros((n, OUTPUTS, len(names)))
+        places = [self.displacement_model.parameter_index[names[k]] for k in machine]
+        outputs, by_name = np.empty((n, OUTPUT_SIZE)), np.zeros((n, OUTPUT_SIZE, len(names)))
         for part in blocks(n):  # small enough for the cache
-            some = conditions.some(part)
+            some = conditions.subset(part)
             shown, by_given = self.tangent(values, some)
-            by_theta = self.moving.by_parameters(theta, self.seen(some))
+            by_theta = self.displacement_model.parameter_jacobian(
+                theta, self.condition_vectors(some)
+            )
             outputs[part] = shown.values
             by_name[part][:, :, machine] = by_given[:, :, 3:] @ by_theta[:, :, places]
         return Outputs(outputs), by_name
@@ -242,9 +248,9 @@ class Model:
         Returns:
             The distinct ones, and the place among them of each ``(n,)``.
         """
-        return conditions.merged(self._needs(names))
+        return conditions.merged(self._needed_conditions(names))
 
-    def _needs(self, names: Iterable[str]) -> frozenset[str]:
+    def _needed_conditions(self, names: Iterable[str]) -> frozenset[str]:
         """What tells conditions apart besides the command."""
         used = {name: self.catalogue.effect_of(name) for name in names}
         needs = frozenset[str]().union(*(e.needs for e in used.values() if not e.of_dial))
@@ -253,21 +259,24 @@ class Model:
         return needs | soft
 
     @cached_property
-    def _prepared(self) -> WeakKeyDictionary[Readings, dict[Any, Any]]:
+    def _merged_cache(self) -> WeakKeyDictionary[Readings, dict[Any, Any]]:
         """What is the same for every set of parameters: merged conditions."""
         return WeakKeyDictionary()
 
-    def merged_for(
-        self, observed: Observed, names: Iterable[str]
+    def merged_conditions(
+        self, observed: MeasurementModel, names: Iterable[str]
     ) -> tuple[Conditions, NDArray[np.intp]]:
         """Return :meth:`merged` conditions of readings, kept for the next call."""
-        kept, needs = self._prepared.setdefault(observed.readings, {}), self._needs(names)
+        kept, needs = (
+            self._merged_cache.setdefault(observed.readings, {}),
+            self._needed_conditions(names),
+        )
         if needs not in kept:
             kept[needs] = observed.conditions().merged(needs)
         found: tuple[Conditions, NDArray[np.intp]] = kept[needs]
         return found
 
-    def by_joints(self, values: Mapping[str, float], conditions: Conditions) -> Array:
+    def joint_jacobian(self, values: Mapping[str, float], conditions: Conditions) -> Array:
         """Derivative of poses and bars by the virtual joints ``(n, 48, 30)``, loops closed."""
         return np.asarray(self.tangent(values, conditions)[1][:, :, 3:])
 
@@ -275,9 +284,12 @@ class Model:
         self, values: Mapping[str, float], conditions: Conditions
     ) -> tuple[LegConditions, ...]:
         """What the effects of each leg see in ``n`` postures, as arrays."""
-        seen = self.seen(conditions).T
+        seen = self.condition_vectors(conditions).T
         moves = self.displacements(values, conditions)
-        size, drives = self.moving.size, range(0, moves.shape[1], len(VIRTUAL_NAMES))
+        size, drives = (
+            self.displacement_model.dimensions,
+            range(0, moves.shape[1], len(VIRTUAL_NAMES)),
+        )
         return tuple(
             leg_conditions(size, seen, leg, moves[:, k], self.pitch is not None)
             for leg, k in enumerate(drives)
@@ -285,7 +297,7 @@ class Model:
 
     def readings(self, values: Mapping[str, float], readings: Readings) -> Array:
         """Return readings ``(n,)`` to expect of instruments in the base frame, nuisances apart."""
-        return Observed(readings).predict(self, values)
+        return MeasurementModel(readings).predict(self, values)
 
     def linearised(
         self, values: Mapping[str, float], readings: Readings, names: Sequence[str]
@@ -293,4 +305,4 @@ class Model:
         """Return the same with their derivative by parameters; arguments as of
         :meth:`Observed.linearise`.
         """
-        return Observed(readings).linearise(self, values, names)
+        return MeasurementModel(readings).linearise(self, values, names)

@@ -6,7 +6,7 @@ same without linearising; ``intersect_spheres`` the general form, with carriages
 derivation of its own: nothing here knows the general mechanism.
 """
 
-from orthoglide.reduction.deviations import observe as observe
+from orthoglide.reduction.deviations import predict_readings as predict_readings
 from orthoglide.reduction.fit import ReadingFit as ReadingFit, fit_readings as fit_readings
 from orthoglide.reduction.kinematics import (
     CONFIGURATIONS as CONFIGURATIONS,

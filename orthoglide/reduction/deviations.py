@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
-from orthoglide.reduction.kinematics import NOMINAL, meet, row_inverse, vectors
+from orthoglide.reduction.kinematics import NOMINAL, intersect_legs, row_inverse, vectors
 
 Indices = NDArray[np.intp]
 
@@ -48,7 +48,7 @@ class Dials:
 
 
 @dataclass(frozen=True)
-class Observed:
+class PredictedReadings:
     """Readings of one machine, with all that their derivatives need."""
 
     values: Array  # (N,), metres
@@ -85,7 +85,7 @@ class Observed:
         return np.asarray(total)
 
 
-def observed(dials: Dials, six: Array, length: float) -> Observed:
+def predicted(dials: Dials, six: Array, length: float) -> PredictedReadings:
     """Readings and gradient of a machine with offsets and lengths ``six``, ``(6,)`` or ``(N, 6)``.
 
     Args:
@@ -98,7 +98,7 @@ def observed(dials: Dials, six: Array, length: float) -> Observed:
     """
     carriage = dials.commands + six[..., :3]
     bars = np.broadcast_to(length + six[..., 3:], carriage.shape)
-    p = meet(carriage, np.zeros(3), bars)
+    p = intersect_legs(carriage, np.zeros(3), bars)
     inverse = row_inverse(p, carriage)
     tcp = np.concatenate([inverse * (p - carriage)[:, None, :], inverse * bars[:, None, :]], axis=2)
     rows, i, j = np.arange(len(p)), dials.legs, dials.axes
@@ -111,10 +111,10 @@ def observed(dials: Dials, six: Array, length: float) -> Observed:
     by_tcp[rows, j] = ahead / reach
     gradient = (by_tcp[:, None, :] @ tcp)[:, 0, :]
     gradient[rows, i] += (across - values) / reach
-    return Observed(values, gradient, inverse, tcp, (i, j, reach, ahead, across, by_tcp))
+    return PredictedReadings(values, gradient, inverse, tcp, (i, j, reach, ahead, across, by_tcp))
 
 
-def observe(
+def predict_readings(
     commands: ArrayLike,
     legs: ArrayLike,
     axes: ArrayLike,
@@ -123,7 +123,7 @@ def observe(
     lengths: ArrayLike = 0.0,
     *,
     geometry: Geometry = NOMINAL,
-) -> Observed:
+) -> PredictedReadings:
     """``y = p_j (R_i - g) / (R_i - p_i)``: what dials read on a machine with these parameters.
 
     Not linearised (2008, section 3.2). The gradient is system (11) for any list of readings: its
@@ -147,4 +147,4 @@ def observe(
     """
     pair = np.broadcast_arrays(vectors(offsets, "offsets"), vectors(lengths, "lengths"))
     dials = Dials.checked(commands, legs, axes, gauges)
-    return observed(dials, np.concatenate(pair, axis=-1), geometry.L)
+    return predicted(dials, np.concatenate(pair, axis=-1), geometry.L)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from orthoglide.errors import InputError, NumericsError, UnreachableError
 from orthoglide.geometry import Array, Geometry
-from orthoglide.reduction.deviations import Dials, Indices, Observed, observed
+from orthoglide.reduction.deviations import Dials, Indices, PredictedReadings, predicted
 from orthoglide.reduction.kinematics import NOMINAL
 
 RANK_TOLERANCE = 1e-9
@@ -28,7 +28,7 @@ TOLERANCE = 1e-13
 LONGEST_STEP = 5e-3
 """Metres: along weak directions a longer one can end in a minimum far from any machine."""
 
-_MOST_STEPS = 60
+_MAX_STEPS = 60
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class ReadingFit:
     """Result of ``fit_readings``."""
 
     values: Array  # parameters (P,), metres; those held keep their start value
-    six: Array  # offsets and lengths of each campaign (G, 6), metres
+    offsets_and_lengths: Array  # offsets and lengths of each campaign (G, 6), metres
     nuisance: Array  # z (k,)
     readings: Array  # fitted readings s f + U z (N,), metres
     residuals: Array  # readings minus fitted (N,), metres
@@ -47,7 +47,7 @@ class ReadingFit:
     iterations: int  # steps taken
 
 
-_Parts = tuple[tuple[slice | Indices, Array], ...]
+_CampaignMaps = tuple[tuple[slice | Indices, Array], ...]
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class _State:
     values: Array
     residual: Array
     cost: float
-    observed: Observed
+    observed: PredictedReadings
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,8 @@ class _Problem:
 
     dials: Dials
     length: float
-    nominal: Observed | None
-    parts: _Parts
+    nominal: PredictedReadings | None
+    campaign_maps: _CampaignMaps
     target: Array
     weight: Array
     prior: Array
@@ -86,12 +86,12 @@ class _Problem:
         padded[: len(rows)] = rows
         return np.asarray(padded - self.basis @ (self.basis.T @ padded))
 
-    def at(self, x: Array) -> _State:
+    def evaluate(self, x: Array) -> _State:
         six = np.empty((len(self.weight), 6))
-        for rows, six_from_x in self.parts:
+        for rows, six_from_x in self.campaign_maps:
             six[rows] = six_from_x @ x
         if self.nominal is None:
-            seen = observed(self.dials, six, self.length)
+            seen = predicted(self.dials, six, self.length)
             values = seen.values
         else:
             seen = self.nominal
@@ -104,7 +104,7 @@ class _Problem:
         """Augmented rows: readings, nuisances' priors, parameters' priors; free columns."""
         gradient = state.observed.gradient * self.weight[:, None]
         columns = np.empty((len(self.weight), len(self.free)))
-        for rows, six_from_x in self.parts:
+        for rows, six_from_x in self.campaign_maps:
             columns[rows] = gradient[rows] @ six_from_x[:, self.free]
         return np.concatenate([self.project(columns), np.diag(self.prior)[:, self.free]])
 
@@ -114,7 +114,7 @@ class _Problem:
         if self.nominal is not None:
             return total
         bend = state.observed.curvature(state.residual[: len(self.weight)] * self.weight)
-        for rows, six_from_x in self.parts:
+        for rows, six_from_x in self.campaign_maps:
             columns = six_from_x[:, self.free]
             total += columns.T @ bend[rows].sum(axis=0) @ columns
         return total
@@ -138,7 +138,7 @@ class _Problem:
             trial = state.x.copy()
             trial[self.free] += step * share
             try:
-                moved = self.at(trial)
+                moved = self.evaluate(trial)
             except (UnreachableError, NumericsError):
                 continue
             if moved.cost <= state.cost - 1e-4 * share * gain + slack:
@@ -147,11 +147,11 @@ class _Problem:
 
     def solve(self, start: Array) -> tuple[_State, Array, bool, int]:
         """Where Newton's method ends, its last map, whether it converged and after how many."""
-        state, iterations = self.at(start), 0
+        state, iterations = self.evaluate(start), 0
         while True:
             step, gain, unwhiten = self.step(state)
             longest = float(np.max(np.abs(step), initial=0.0))
-            if longest <= TOLERANCE or iterations == _MOST_STEPS:
+            if longest <= TOLERANCE or iterations == _MAX_STEPS:
                 return state, unwhiten, longest <= TOLERANCE, iterations
             reach = min(1.0, LONGEST_STEP / longest)
             moved = self.search(state, reach * step, reach * gain)
@@ -167,7 +167,7 @@ class _Problem:
         left = signs * (left - self.columns @ z)
         covariance = np.zeros((len(start), len(start)))
         covariance[np.ix_(self.free, self.free)] = unwhiten @ unwhiten.T
-        six = np.array([six_from_x @ state.x for _, six_from_x in self.parts])
+        six = np.array([six_from_x @ state.x for _, six_from_x in self.campaign_maps])
         return ReadingFit(
             state.x, six, z, signs * self.target - left, left, state.cost, covariance,
             unwhiten.shape[1], converged, iterations,
@@ -190,7 +190,7 @@ def _positive(value: ArrayLike, shape: int, name: str) -> Array:
     return array
 
 
-def _parts(maps: ArrayLike | None, group: ArrayLike | None, count: int) -> _Parts:
+def _campaign_maps(maps: ArrayLike | None, group: ArrayLike | None, count: int) -> _CampaignMaps:
     """Each campaign's readings and its map ``(6, P)``."""
     found = np.eye(6)[None] if maps is None else np.asarray(maps, dtype=float)
     groups = np.zeros(count, np.intp) if group is None else np.asarray(group, dtype=np.intp)
@@ -203,7 +203,7 @@ def _parts(maps: ArrayLike | None, group: ArrayLike | None, count: int) -> _Part
     return tuple((np.flatnonzero(groups == k), one) for k, one in enumerate(found))
 
 
-def _measured(
+def _check_measured(
     measured: ArrayLike, sigma: ArrayLike, nuisance: ArrayLike | None, count: int
 ) -> tuple[Array, Array, Array]:
     """Readings, their weights and the columns U, checked."""
@@ -269,13 +269,13 @@ def fit_readings(
     """
     dials = Dials.checked(commands, legs, axes, gauges)
     counted = np.broadcast_to(np.asarray(signs, dtype=float), dials.legs.shape)
-    y, weight, columns = _measured(measured, sigma, nuisance, len(counted))
+    y, weight, columns = _check_measured(measured, sigma, nuisance, len(counted))
     columns = counted[:, None] * columns  # s y = f + s U z: the dials' signs are gone
-    parts = _parts(maps, group, len(counted))
+    parts = _campaign_maps(maps, group, len(counted))
     start = np.array(np.broadcast_to(np.asarray(x0, dtype=float), parts[0][1].shape[1:]))
     prior = 1.0 / _positive(prior_sd, len(start), "prior_sd")
     moving = np.flatnonzero(np.broadcast_to(np.asarray(free, dtype=bool), start.shape))
-    nominal = observed(dials, np.zeros(6), geometry.L) if linear else None
+    nominal = predicted(dials, np.zeros(6), geometry.L) if linear else None
     problem = _Problem(
         dials, geometry.L, nominal, parts, counted * y, weight, prior, moving, columns,
         *_basis(columns * weight[:, None], precision),

@@ -13,7 +13,14 @@ from numpy.typing import ArrayLike
 
 from orthoglide.errors import InputError, NumericsError, UnreachableError
 from orthoglide.geometry import LEGS, Array, Geometry
-from orthoglide.reduction.spheres import DEGENERATE, TOUCH, Mode, check_mode, explain_miss, place
+from orthoglide.reduction.spheres import (
+    DEGENERATE,
+    TOUCH_TOLERANCE,
+    Mode,
+    batch_position,
+    check_mode,
+    unreachable_error,
+)
 
 NOMINAL = Geometry()
 """The prototype's dimensions, the default of every function here."""
@@ -85,7 +92,7 @@ def out_of_reach(excess: Array) -> Exception:
     index = tuple(int(i) for i in np.argwhere(failed)[0])
     leg = int(np.argmax(excess[index]))
     amount = float(excess[index][leg])
-    where = place(index, int(failed.sum()))
+    where = batch_position(index, int(failed.sum()))
     if not np.isfinite(excess[index]).all():
         return InputError(f"the pose{where} is not finite: give numbers in metres")
     return UnreachableError(
@@ -127,10 +134,10 @@ def forward(
             values that are not finite.
     """
     commands, shifts = vectors(rho, "rho"), vectors(offsets, "offsets")
-    return meet(commands, shifts, geometry.L + vectors(lengths, "lengths"), mode)
+    return intersect_legs(commands, shifts, geometry.L + vectors(lengths, "lengths"), mode)
 
 
-def meet(rho: Array, offsets: Array, bars: Array, mode: Mode = "machine") -> Array:
+def intersect_legs(rho: Array, offsets: Array, bars: Array, mode: Mode = "machine") -> Array:
     """``forward`` on arrays ``(..., 3)``, with the bars' lengths themselves."""
     check_mode(mode)
     shape = np.broadcast_shapes(rho.shape, offsets.shape, bars.shape)
@@ -146,7 +153,7 @@ def meet(rho: Array, offsets: Array, bars: Array, mode: Mode = "machine") -> Arr
         carriages, lengths = (np.broadcast_to(x, p.shape) for x in (flat[0] + flat[1], flat[2]))
         index = tuple(int(i) for i in np.unravel_index(missed[0], shape[:-1] or (1,)))
         place = index if shape[:-1] else ()
-        raise _no_meeting(carriages[missed[0]], lengths[missed[0]], place, len(missed))
+        raise _unreachable_error(carriages[missed[0]], lengths[missed[0]], place, len(missed))
     return p.reshape(shape)
 
 
@@ -172,7 +179,7 @@ def _solve_block(rho: Array, offsets: Array, bars: Array, mode: Mode, p: Array) 
         square = half_b * half_b
         root = square - leading * constant
         if not root.min(initial=0.0) >= 0:
-            missed = np.flatnonzero(~(root >= -TOUCH * square))
+            missed = np.flatnonzero(~(root >= -TOUCH_TOLERANCE * square))
             if missed.size:
                 return missed.tolist()
             np.maximum(root, 0.0, out=root)
@@ -184,9 +191,11 @@ def _solve_block(rho: Array, offsets: Array, bars: Array, mode: Mode, p: Array) 
     return []
 
 
-def _no_meeting(carriage: Array, bars: Array, index: tuple[int, ...], total: int) -> InputError:
+def _unreachable_error(
+    carriage: Array, bars: Array, index: tuple[int, ...], total: int
+) -> InputError:
     """The error of the first pose that fails, one of ``total``."""
-    where = place(index, total)
+    where = batch_position(index, total)
     if not np.isfinite(carriage + bars).all():
         return InputError(f"the command{where} is not finite: give numbers in metres")
     if np.any(carriage == 0):
@@ -195,7 +204,7 @@ def _no_meeting(carriage: Array, bars: Array, index: tuple[int, ...], total: int
             f"carriage {leg} stands at the origin{where}, where the quadratic has no "
             "coefficients: use intersect_spheres"
         )
-    return explain_miss(np.diag(carriage), bars, index, total)
+    return unreachable_error(np.diag(carriage), bars, index, total)
 
 
 def row_inverse(p: Array, carriage: Array) -> Array:

@@ -20,7 +20,7 @@ Mode = Literal["machine", "other"]
 DEGENERATE = 1e-9
 """Carriage triangles and TCP tetrahedra flatter than this (relative) count as singular."""
 
-TOUCH = 4e-15
+TOUCH_TOLERANCE = 4e-15
 """Legs that just touch give a discriminant of rounding size, of either sign (relative)."""
 
 
@@ -30,7 +30,7 @@ def check_mode(mode: str) -> None:
         raise InputError(f"there is no assembly mode {mode!r}: it is 'machine' or 'other'")
 
 
-def place(index: tuple[int, ...], total: int) -> str:
+def batch_position(index: tuple[int, ...], total: int) -> str:
     """Words for the first pose of a batch that fails, one of ``total``."""
     where = f" at index {index}" if index else ""
     return f"{where} ({total} of the batch fail)" if total > 1 else where
@@ -57,7 +57,7 @@ def _gap(centres: Array, lengths: Array, leg: int) -> float:
     return max(short, 0.0) if short >= long else -max(long, 0.0)
 
 
-def explain_miss(
+def unreachable_error(
     centres: Array, lengths: Array, index: tuple[int, ...], total: int
 ) -> UnreachableError:
     """The error for legs that do not meet: names the leg that lacks least.
@@ -71,7 +71,7 @@ def explain_miss(
     Returns:
         The error to raise; ``leg`` is empty where no two legs meet.
     """
-    where = place(index, total)
+    where = batch_position(index, total)
     gaps = [_gap(centres, lengths, leg) for leg in range(3)]
     leg = int(np.argmin(np.abs(gaps)))
     if np.isinf(gaps[leg]):
@@ -129,11 +129,11 @@ def intersect_spheres(centres: ArrayLike, lengths: ArrayLike, mode: Mode = "mach
     foot = along_u[..., None] * np.cross(v, w) + along_v[..., None] * np.cross(w, u)
     foot = foot / ww[..., None]
     height2 = squares[..., 0] - np.sum(foot * foot, axis=-1)
-    missed = height2 < -TOUCH * squares[..., 0]
+    missed = height2 < -TOUCH_TOLERANCE * squares[..., 0]
     if np.any(missed):
         index = tuple(int(i) for i in np.argwhere(missed)[0])
         centre = np.broadcast_to(c, (*shape, 3))[index]
-        raise explain_miss(centre, bars[index], index, int(missed.sum()))
+        raise unreachable_error(centre, bars[index], index, int(missed.sum()))
     height = np.sqrt(np.maximum(height2, 0.0) / ww) * (-1.0 if mode == "machine" else 1.0)
     return np.asarray(c[..., 0, :] + foot + height[..., None] * w)
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 from orthoglide import __version__
 from orthoglide.errors import FileError
-from orthoglide.files import read_bytes, sha256, write_whole, writing
+from orthoglide.files import as_file_errors, read_bytes, sha256, write_file
 from orthoglide.machine_file.writing import machine_text
 from orthoglide.observations import readings_text
-from orthoglide.rehearsal.drawing import Scope
 from orthoglide.rehearsal.outcome import Outcome
-from orthoglide.text import shown
+from orthoglide.rehearsal.random_machines import Scope
+from orthoglide.text import printable_path
 
 
 def request_digests(scope: Scope, seed: int) -> dict[str, str]:
@@ -44,23 +44,23 @@ class Journal:
     def __init__(self, folder: Path, request: Mapping[str, str], campaigns: int) -> None:
         self.path = folder / "campaigns.jsonl"
         self.finished: dict[int, Outcome] = {}
-        with writing(folder):
+        with as_file_errors(folder):
             folder.mkdir(exist_ok=True)
             begun = self.path.exists()
             if not begun and any(folder.iterdir()):
                 raise FileError(
                     "is not empty and holds no earlier rehearsal: name a new or empty folder",
-                    file=shown(folder),
+                    file=printable_path(folder),
                 )
         if not begun:
-            write_whole(self.path, json.dumps(dict(request)) + "\n", overwrite=False)
+            write_file(self.path, json.dumps(dict(request)) + "\n", overwrite=False)
             return
         self._read(request)
         if (count := max(self.finished, default=-1) + 1) > campaigns:
             raise FileError(
                 f"holds a rehearsal of {count} campaigns, and its table is not replaced by one "
                 f"of {campaigns}: ask for {count} or more, or name another folder",
-                file=shown(folder),
+                file=printable_path(folder),
             )
 
     def _read(self, request: Mapping[str, str]) -> None:
@@ -72,25 +72,26 @@ class Journal:
             self.finished = {r["number"]: Outcome.from_dict(r) for r in rest}
         except (ValueError, TypeError, KeyError, AttributeError):
             raise FileError(
-                "holds no campaigns of a rehearsal: name another folder", file=shown(self.path)
+                "holds no campaigns of a rehearsal: name another folder",
+                file=printable_path(self.path),
             ) from None
         if differs:
             raise FileError(
                 f"holds campaigns of another rehearsal, as {' and '.join(differs)} "
                 f"{'is' if len(differs) == 1 else 'are'} not the same: name another folder",
-                file=shown(self.path),
+                file=printable_path(self.path),
             )
         if len(whole) < len(content):  # stopped while a line was written
-            with writing(self.path):
+            with as_file_errors(self.path):
                 os.truncate(self.path, len(whole))
 
     def add(self, outcome: Outcome) -> None:
         """Keep one more, at once."""
         self.finished[outcome.number] = outcome
         line = json.dumps(outcome.as_dict(), allow_nan=False) + "\n"
-        with writing(self.path), self.path.open("a", encoding="utf-8") as file:
+        with as_file_errors(self.path), self.path.open("a", encoding="utf-8") as file:
             file.write(line)
 
     def conclude(self, table: str) -> None:
         """Write the table of all campaigns beside it, in place of an earlier one."""
-        write_whole(self.path.with_name("rehearsal.txt"), table, overwrite=True)
+        write_file(self.path.with_name("rehearsal.txt"), table, overwrite=True)

@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 
 from orthoglide.accuracy import expected_error
-from orthoglide.closing import Closed, close
+from orthoglide.closing import RunOutcome, compute_outcome
 from orthoglide.errors import OrthoglideError
-from orthoglide.parameters import plain_and_campaign
-from orthoglide.rehearsal.drawing import Drawn, Scope, draw, kind_of
+from orthoglide.parameters import split_campaign
+from orthoglide.rehearsal.random_machines import DrawnMachine, Scope, draw_machine, kind_of_campaign
 from orthoglide.result import Result
 from orthoglide.simulation import simulate, simulate_tcp
 from orthoglide.threads import on_one_thread
-from orthoglide.verdict import requested
+from orthoglide.verdict import build_request
 
-_BEYOND = 2.0
+_ACTIVE_SHARES = 2.0
 """Times its share by which an effect is off that stands out of the others: one in twenty is."""
 
 
@@ -69,19 +69,19 @@ class Outcome:
 
 
 @on_one_thread
-def outcome_of(scope: Scope, number: int, seed: int) -> Outcome:
+def run_campaign(scope: Scope, number: int, seed: int) -> Outcome:
     """Return the outcome of one campaign; its number and the seed determine every draw, and a
     failure is an outcome as well.
     """
-    kind, began = kind_of(scope, number), time.perf_counter()
+    kind, began = kind_of_campaign(scope, number), time.perf_counter()
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
     about: dict[str, Any] = {"number": number, "kind": kind.name}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what libraries tell programmers, in every process
-            drawn = draw(scope, kind, rng)
+            drawn = draw_machine(scope, kind, rng)
             about |= {"cause": drawn.cause, "size": round(drawn.size, 2), "words": drawn.words}
-            about |= _closed(scope, drawn, rng)
+            about |= _measure_and_calibrate(scope, drawn, rng)
     except OrthoglideError as error:
         about["failed"] = f"{type(error).__name__}: {error}"
     except Exception as error:  # a crash is a result too: it is counted and shown
@@ -89,11 +89,13 @@ def outcome_of(scope: Scope, number: int, seed: int) -> Outcome:
     return Outcome(**about, seconds=round(time.perf_counter() - began, 1))
 
 
-def _closed(scope: Scope, drawn: Drawn, rng: np.random.Generator) -> dict[str, Any]:
+def _measure_and_calibrate(
+    scope: Scope, drawn: DrawnMachine, rng: np.random.Generator
+) -> dict[str, Any]:
     measured = [simulate(drawn.machine, sheet, seed=rng) for sheet in scope.sheets]
     points = simulate_tcp(drawn.machine, seed=rng)
-    closed = close(requested(measured, scope.machine, tcp=points))
-    named, located, false = claims(closed, drawn)
+    closed = compute_outcome(build_request(measured, scope.machine, tcp=points))
+    named, located, false = judge_claims(closed, drawn)
     errors = dict(closed.tcp or {})["translation"]
     stated = expected_error(closed.machine, closed.machine.values).shape
     figures = (errors.nominal_mean, errors.before_mean, errors.after_mean, stated)
@@ -105,14 +107,16 @@ def _closed(scope: Scope, drawn: Drawn, rng: np.random.Generator) -> dict[str, A
     }  # fmt: skip
 
 
-def claims(verdict: Closed | Result, drawn: Drawn) -> tuple[list[str], list[str], list[str]]:
+def judge_claims(
+    verdict: RunOutcome | Result, drawn: DrawnMachine
+) -> tuple[list[str], list[str], list[str]]:
     """Return what a verdict claims: causes and places that are there, and what is not there.
 
     On a machine of which everything is off, a cause is there if it is off by twice its share.
     """
     named, located, false = list[str](), list[str](), list[str]()
     for cause in verdict.effects:
-        there = any(_is_there(one.name, one.parameters, drawn) for one in cause.explanations)
+        there = any(_is_true_cause(one.name, one.parameters, drawn) for one in cause.explanations)
         (named if there else false).append(cause.name)
     for found in verdict.located:
         places = [curve.name for curve in found.members]
@@ -122,22 +126,22 @@ def claims(verdict: Closed | Result, drawn: Drawn) -> tuple[list[str], list[str]
     return named, located, false
 
 
-def _is_there(name: str, parameters: Sequence[str], drawn: Drawn) -> bool:
+def _is_true_cause(name: str, parameters: Sequence[str], drawn: DrawnMachine) -> bool:
     """Return whether a named cause is the true one, or a block of its family that contains it."""
     # A machine is drawn whole: what a file has for itself goes by its plain name.
-    name, *parameters = (plain_and_campaign(n)[0] for n in (name, *parameters))
-    if drawn.kind.extra == "effect":
+    name, *parameters = (split_campaign(n)[0] for n in (name, *parameters))
+    if drawn.kind.extra_error == "effect":
         family = drawn.machine.catalogue.effect_of(drawn.cause).name
         block = len(parameters) > 1 and name.startswith(f"{family}.") and drawn.cause in parameters
         return name in (drawn.cause, family) or block
-    least = _BEYOND * drawn.kind.share
-    return any(abs(_size(n, drawn)) > least for n in parameters if drawn.sizes)
+    least = _ACTIVE_SHARES * drawn.kind.share
+    return any(abs(_true_size(n, drawn)) > least for n in parameters if drawn.sizes)
 
 
-def _size(name: str, drawn: Drawn) -> float:
+def _true_size(name: str, drawn: DrawnMachine) -> float:
     """Return the true size of a parameter or of a structured member, in tolerances."""
     catalogue = drawn.machine.catalogue
     setups = dict.fromkeys(n.setup for n in map(catalogue.parameter, drawn.sizes) if n.setup)
-    weights = catalogue.elementary(name, list(setups))
+    weights = catalogue.elementary_weights(name, list(setups))
     along = sum(w * drawn.sizes.get(str(n), 0.0) for n, w in weights.items())
     return along / sum(w**2 for w in weights.values())

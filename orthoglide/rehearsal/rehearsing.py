@@ -9,23 +9,23 @@ from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import get_args
 
-from orthoglide.errors import InputError, NumericsError, check_whole
+from orthoglide.errors import InputError, NumericsError, check_integer
 from orthoglide.instruments import LegDial, PlateTouch
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings, protocol, read_readings
-from orthoglide.observations.protocols import Kind
-from orthoglide.planning import aliasing, detectable_rows, sheets_of, smallest_effects
-from orthoglide.progress import Progress, Step, silent
-from orthoglide.rehearsal.drawing import Scope
+from orthoglide.observations.protocols import ProtocolName
+from orthoglide.planning import aliasing, detectable_rows, sheets_by_kind, smallest_effects
+from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.rehearsal.journal import Journal, request_digests
-from orthoglide.rehearsal.outcome import Outcome, outcome_of
+from orthoglide.rehearsal.outcome import Outcome, run_campaign
+from orthoglide.rehearsal.random_machines import Scope
 from orthoglide.rehearsal.table import Rehearsal
-from orthoglide.simulation import lacks
+from orthoglide.simulation import missing_conditions
 
 CAMPAIGNS = 90
-"""Ten of each turn of :data:`orthoglide.rehearsal.drawing.TURNS`."""
+"""Ten of each turn of :data:`orthoglide.rehearsal.random_machines.TURNS`."""
 
-HARDLY = 3.0
+WEAK_TOLERANCES = 3.0
 """Tolerances: an effect that must be larger to be found, or named, is a weak spot of the sheet."""
 
 
@@ -65,16 +65,16 @@ def rehearse(
             of more campaigns.
         NumericsError: where a process is ended from outside.
     """
-    progress = progress or silent
-    campaigns, seed = check_whole("campaigns", campaigns, 1), check_whole("seed", seed, 0)
+    progress = progress or no_progress
+    campaigns, seed = check_integer("campaigns", campaigns, 1), check_integer("seed", seed, 0)
     if jobs == 0:
         raise InputError("jobs must be a number of processes, or -1 for all processors, not 0")
     machine = Machine.of(machine).with_only({})
     progress(Step("computing", "what the sheet can see"))
-    scope = Scope.of(machine, *_sheets(machine, sheet, owns))
+    scope = Scope.of(machine, *_sheets_to_read(machine, sheet, owns))
     kept = None if out is None else Journal(Path(out), request_digests(scope, seed), campaigns)
     weak = weak_spots(scope, seed)
-    tried = _all(scope, campaigns, seed, jobs, kept, progress)
+    tried = _run_campaigns(scope, campaigns, seed, jobs, kept, progress)
     readings = sum(len(sheet) for sheet in scope.sheets)
     found = Rehearsal(machine.spec.title, readings, seed, tried, weak)
     if kept is not None:
@@ -82,17 +82,17 @@ def rehearse(
     return found
 
 
-def _sheets(
+def _sheets_to_read(
     machine: Machine, sheet: Readings | str | os.PathLike[str] | None, owns: Sequence[str]
 ) -> tuple[Readings, ...]:
     if sheet is not None and owns:
         raise InputError("sheet and owns exclude each other: each instrument has its own sheet")
     if sheet is None:
         kinds = owns or ((LegDial.kind,) if machine.geometry.dialled else (PlateTouch.kind,))
-        return tuple(sheets_of(machine, kinds).values())
+        return tuple(sheets_by_kind(machine, kinds).values())
     if isinstance(sheet, Readings):
         return (sheet,)
-    if sheet in get_args(Kind):
+    if sheet in get_args(ProtocolName):
         return (protocol(sheet, machine.geometry),)  # type: ignore[arg-type]
     return read_readings(sheet, machine.spec, require_readings=False)
 
@@ -113,15 +113,15 @@ def weak_spots(scope: Scope, seed: int = 0) -> tuple[str, ...]:
     for effect in catalogue.values():
         of_others = effect.instead_of or effect.of_body or (effect.of_dial and not dials)
         if effect.name not in judged and not of_others:
-            missing.setdefault(lacks(effect.needs), []).append(effect.name)
+            missing.setdefault(missing_conditions(effect.needs), []).append(effect.name)
     return (
-        *detectable_rows(seen, HARDLY),
+        *detectable_rows(seen, WEAK_TOLERANCES),
         *(f"not shown, as {reason}: {', '.join(effects)}" for reason, effects in missing.items()),
         *(warning for sheet in scope.sheets for warning in aliasing(machine, sheet)),
     )
 
 
-def _all(
+def _run_campaigns(
     scope: Scope, campaigns: int, seed: int, jobs: int | None, kept: Journal | None, show: Progress
 ) -> tuple[Outcome, ...]:
     """Return all campaigns in their order, those of an earlier run as they were."""
@@ -139,7 +139,7 @@ def _all(
         show(Step("computing", text, 100 * count / campaigns))
 
     progress(0)
-    tasks = (delayed(outcome_of)(scope, k, seed) for k in missing)
+    tasks = (delayed(run_campaign)(scope, k, seed) for k in missing)
     try:
         parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
         for fresh, tried in enumerate(parallel(tasks) if missing else (), start=1):

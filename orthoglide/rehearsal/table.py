@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from orthoglide.frames import Framed, data_frame
-from orthoglide.rehearsal.drawing import KINDS, OUTSIDE, Kind
 from orthoglide.rehearsal.outcome import Outcome
-from orthoglide.report.text import console_text, table
+from orthoglide.rehearsal.random_machines import KINDS, OUTSIDE, Kind
+from orthoglide.report.terminal import console_text, table
 from orthoglide.text import wrapped
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_LISTED = 12  # campaigns that went against the wish, in the text
+_MAX_LISTED = 12  # campaigns that went against the wish, in the text
 
-_SAID = ("named", "located", "missed", "false", "failed")
-_TOOL = ("nominal_mm", "before_mm", "after_mm", "stated_mm", "inside")
+_COUNT_FIELDS = ("named", "located", "missed", "false", "failed")
+_TOOL_ERROR_FIELDS = ("nominal_mm", "before_mm", "after_mm", "stated_mm", "inside")
 
 
 @dataclass(frozen=True)
@@ -57,11 +57,15 @@ class Rehearsal(Framed):
         rows = []
         for kind in KINDS:
             tried = self.of(kind)
-            counts = [sum(bool(getattr(t, name)) for t in tried) for name in _SAID]
-            tool = [[getattr(t, name) for name in _TOOL] for t in tried if not t.failed]
-            mean = np.mean(tool, axis=0).tolist() if tool else [float("nan")] * len(_TOOL)
+            counts = [sum(bool(getattr(t, name)) for t in tried) for name in _COUNT_FIELDS]
+            tool = [
+                [getattr(t, name) for name in _TOOL_ERROR_FIELDS] for t in tried if not t.failed
+            ]
+            mean = (
+                np.mean(tool, axis=0).tolist() if tool else [float("nan")] * len(_TOOL_ERROR_FIELDS)
+            )
             rows.append((kind.name, len(tried), *counts, *mean))
-        titles = ("wrong", "campaigns", *_SAID, *_TOOL)
+        titles = ("wrong", "campaigns", *_COUNT_FIELDS, *_TOOL_ERROR_FIELDS)
         return dict(zip(titles, map(list, zip(*rows, strict=True)), strict=True))
 
     def to_frame(self) -> pd.DataFrame:
@@ -76,7 +80,7 @@ class Rehearsal(Framed):
     @property
     def line(self) -> str:
         """Counts over all campaigns, in one line."""
-        counts = [f"{n} {sum(bool(getattr(t, n)) for t in self.campaigns)}" for n in _SAID]
+        counts = [f"{n} {sum(bool(getattr(t, n)) for t in self.campaigns)}" for n in _COUNT_FIELDS]
         return ", ".join([f"campaigns {len(self.campaigns)}", *counts])
 
     def __repr__(self) -> str:
@@ -84,28 +88,28 @@ class Rehearsal(Framed):
 
     def __str__(self) -> str:
         rows = [*zip(*self.columns.values(), strict=True)]
-        last = 2 + len(_SAID)
+        last = 2 + len(_COUNT_FIELDS)
         said = [[row[0], *map(str, row[1:last])] for row in rows]
         judged = [row for row in rows if np.isfinite(row[last])]
         tool = [[row[0], *(f"{value:.4f}" for value in row[last:])] for row in judged]
-        head = ["what is wrong", *(name.removesuffix("_mm") for name in _TOOL)]
+        head = ["what is wrong", *(name.removesuffix("_mm") for name in _TOOL_ERROR_FIELDS)]
         parts = [
             f"{len(self.campaigns)} campaigns of {self.readings} readings on machines like "
             f"{self.machine!r}, seed {self.seed}",
-            console_text(table(["what is wrong", "tried", *_SAID], said)),
+            console_text(table(["what is wrong", "tried", *_COUNT_FIELDS], said)),
             "Mean TCP error after the best translation, mm; share of coordinates inside their "
             "95 % interval:",
             console_text(table(head, tool)),
         ]
-        if went := list(self._against_the_wish()):
-            more = [f"and {len(went) - _LISTED} more"] if len(went) > _LISTED else []
-            parts += ["\nWhat went wrong:", *(f"  {line}" for line in [*went[:_LISTED], *more])]
+        if went := list(self._failure_sentences()):
+            more = [f"and {len(went) - _MAX_LISTED} more"] if len(went) > _MAX_LISTED else []
+            parts += ["\nWhat went wrong:", *(f"  {line}" for line in [*went[:_MAX_LISTED], *more])]
         if self.weak:
             title = "\nWeak spots of the sheet, where nothing else is wrong:"
             parts += [title, *self.weak]
         return wrapped("\n".join(parts))
 
-    def _against_the_wish(self) -> Iterator[str]:
+    def _failure_sentences(self) -> Iterator[str]:
         """Yield a sentence for each campaign that did not go as it should."""
         for tried in self.campaigns:
             found, about = list[str](), f"campaign {tried.number}, {tried.kind}"

@@ -5,20 +5,20 @@ Everything here reads a `Result` and computes nothing of its own.
 
 from __future__ import annotations
 
-from orthoglide.progress import Progress, Step, silent
+from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.report.folder import check_folder as check_folder, write_folder as write_folder
 from orthoglide.report.tables import result_text as result_text
-from orthoglide.report.text import summary as summary
+from orthoglide.report.terminal import summary as summary
 from orthoglide.result import Result
 
 
-def report_files(result: Result, progress: Progress = silent) -> dict[str, str | bytes]:
+def report_files(result: Result, progress: Progress = no_progress) -> dict[str, str | bytes]:
     """Return all files of a result's folder by name, in the order to write them.
 
     Nothing in them depends on when or where they are made.
     """
     from orthoglide.figures.draw import draw
-    from orthoglide.machine_file import machine_files
+    from orthoglide.machine_file import machine_file_contents
     from orthoglide.observations import campaign_text
     from orthoglide.report.page import page
     from orthoglide.report.sheet import sheet_page
@@ -35,7 +35,7 @@ def report_files(result: Result, progress: Progress = silent) -> dict[str, str |
     drawings = draw(result)
     progress(Step("writing"))
     return {
-        **machine_files(calibrated_machine(result), "calibrated.toml"),
+        **machine_file_contents(calibrated_machine(result), "calibrated.toml"),
         "residuals.csv": residual_table(result),
         **sheets,
         **{f"figures/{d.name}.svg": d.svg for d in drawings},

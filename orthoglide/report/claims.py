@@ -7,17 +7,17 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
-from orthoglide.numerals import SIDES, with_sigma
+from orthoglide.numerals import SIGMAS_95, with_sigma
 from orthoglide.ordering import ranked
 from orthoglide.result import Cause, Change, Curve, DataRival, Explanation, Located, Result
 from orthoglide.text import sentence
-from orthoglide.units import spoken as spoken_unit
+from orthoglide.units import display_unit as spoken_unit
 
-BESIDES = "Something else is wrong as well."
+SOMETHING_ELSE_WRONG = "Something else is wrong as well."
 """Behind what was found, where it does not explain all."""
 
 _CERTAIN, _SURE = 0.995, 0.9
-_CLEARLY = 50.0  # log odds: beyond, exp would overflow
+_MAX_LOG_ODDS = 50.0  # log odds: beyond, exp would overflow
 _MOST_RIVALS = 2  # alternatives that a headline names; the report lists all
 _NO_OPTION = -1  # of what no drawing shows
 
@@ -46,8 +46,8 @@ class Claim:
 def claims(result: Result) -> list[Claim]:
     """Return causes, free-form errors and changes, each with its alternatives."""
     option = itertools.count()
-    found = [_of_cause(cause, option) for cause in result.effects]
-    found += [_of_located(one, option) for one in result.located]
+    found = [_cause_claim(cause, option) for cause in result.effects]
+    found += [_located_claim(one, option) for one in result.located]
     if result.word == "partial":
         found = [
             replace(
@@ -55,22 +55,22 @@ def claims(result: Result) -> list[Claim]:
             )
             for c in found
         ]
-    return [*found, *(_of_change(change, option) for change in result.moved)]
+    return [*found, *(_change_claim(change, option) for change in result.moved)]
 
 
-def spoken(several: Iterable[Claim]) -> str:
+def claims_text(several: Iterable[Claim]) -> str:
     """Return claims as sentences, each with its most probable alternatives and the number of
     others.
     """
     told: list[str] = []
     for k, claim in enumerate(several):
         first = claim.first.brief or claim.first.words
-        told.append(f"Besides, {lowered(first)}" if k else first)
+        told.append(f"Besides, {lower_first(first)}" if k else first)
         told += (
-            f"Equivalently, {lowered(one.words)[:-1]}: readings and tool are equal."
+            f"Equivalently, {lower_first(one.words)[:-1]}: readings and tool are equal."
             for one in claim.same
         )
-        told += (f"Or {lowered(one.brief or one.words)}" for one in claim.rivals[:_MOST_RIVALS])
+        told += (f"Or {lower_first(one.brief or one.words)}" for one in claim.rivals[:_MOST_RIVALS])
         if (more := len(claim.rivals) - _MOST_RIVALS) > 0:
             told.append(
                 f"Or one of {more} more, named below." if more > 1 else "Or one more, below."
@@ -81,35 +81,39 @@ def spoken(several: Iterable[Claim]) -> str:
     return " ".join(told)
 
 
-def sure_words(p: float) -> str:
+def probability_words(p: float) -> str:
     """Return a probability in words: ``97 % sure``, ``51 % likely``."""
     if p >= _CERTAIN:
         return "more than 99 % sure"
     return f"{100 * p:.0f} % {'sure' if p >= _SURE else 'likely'}"
 
 
-def lowered(text: str) -> str:
+def lower_first(text: str) -> str:
     """Return a sentence with a small first letter, to follow another word."""
     return text[:1].lower() + text[1:]
 
 
-def _of_cause(cause: Cause, option: Iterator[int]) -> Claim:
+def _cause_claim(cause: Cause, option: Iterator[int]) -> Claim:
     """Return the claim of a cause; an alternative that is more probable comes first."""
     first = _statement(cause.chosen, cause.together, next(option))
     same, rivals = (
         tuple(_statement(e, e.probability, next(option)) for e in part)
         for part in (cause.same, cause.rivals)
     )
-    others = (*rivals, *_of_places(cause.places, option), *_of_data(cause.data))
+    others = (
+        *rivals,
+        *_place_statements(cause.places, option),
+        *_data_fault_statements(cause.data),
+    )
     likeliest, *rest = ranked((first, *others), lambda one: one.probability)
     if likeliest is first:
         return Claim(first, same, tuple(rest))
     return Claim(likeliest, (), tuple(ranked((*rest, *same), lambda one: one.probability)))
 
 
-def _of_located(found: Located, option: Iterator[int]) -> Claim:
+def _located_claim(found: Located, option: Iterator[int]) -> Claim:
     """Return the claim of a free-form error; a data fault that is more probable comes first."""
-    every = (*_of_places(found.members, option), *_of_data(found.data))
+    every = (*_place_statements(found.members, option), *_data_fault_statements(found.data))
     first, *others = ranked(every, lambda one: one.probability)
     note = ""
     if found.resembling_words:
@@ -117,7 +121,7 @@ def _of_located(found: Located, option: Iterator[int]) -> Claim:
     return Claim(first, (), tuple(others), note)
 
 
-def _of_places(curves: Iterable[Curve], option: Iterator[int]) -> tuple[Statement, ...]:
+def _place_statements(curves: Iterable[Curve], option: Iterator[int]) -> tuple[Statement, ...]:
     """Return each place once, with the summed probability of the functions that describe it."""
     once: dict[str, tuple[Curve, float, int]] = {}
     for curve in curves:
@@ -125,17 +129,17 @@ def _of_places(curves: Iterable[Curve], option: Iterator[int]) -> tuple[Statemen
         first, p, shown = once.get(curve.description, (curve, 0.0, number))
         once[curve.description] = first, p + curve.probability, shown
     return tuple(
-        Statement(sentence(curve.words_with_measure), sure_words(min(p, 1.0)), shown, p)
+        Statement(sentence(curve.words_with_measure), probability_words(min(p, 1.0)), shown, p)
         for curve, p, shown in once.values()
     )
 
 
-def _of_data(several: Iterable[DataRival]) -> Iterator[Statement]:
+def _data_fault_statements(several: Iterable[DataRival]) -> Iterator[Statement]:
     """Yield data faults, which the drawing does not show."""
     for d in several:
         yield Statement(
             sentence(d.words),
-            sure_words(d.probability),
+            probability_words(d.probability),
             _NO_OPTION,
             d.probability,
             sentence(d.brief),
@@ -143,16 +147,16 @@ def _of_data(several: Iterable[DataRival]) -> Iterator[Statement]:
 
 
 def _statement(one: Explanation, probability: float, option: int) -> Statement:
-    sure = sure_words(probability)
+    sure = probability_words(probability)
     if one.half_width:
         factor, unit = spoken_unit(one.unit)
-        size = with_sigma(abs(one.value) * factor, SIDES * one.sigma * factor, most=9)
+        size = with_sigma(abs(one.value) * factor, SIGMAS_95 * one.sigma * factor, most=9)
         sure += f", its size {size} {unit} (95 %)"
     return Statement(sentence(one.words), sure, option, probability)
 
 
-def _of_change(change: Change, option: Iterator[int]) -> Claim:
-    sure = sure_words(1 / (1 + math.exp(-min(change.evidence, _CLEARLY))))
+def _change_claim(change: Change, option: Iterator[int]) -> Claim:
+    sure = probability_words(1 / (1 + math.exp(-min(change.evidence, _MAX_LOG_ODDS))))
     first, *rivals = (Statement(sentence(words), "", next(option)) for words in change.each)
     which = " that one of them changed" if rivals else ""
     return Claim(replace(first, sure=f"{sure}{which}"), (), tuple(rivals))

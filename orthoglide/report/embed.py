@@ -12,20 +12,20 @@ _HREF = f"{{{_LINK}}}href"
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 
 
-def whole(drawing: Drawing) -> str:
+def inline_svg(drawing: Drawing) -> str:
     """Return a drawing as one inline ``<svg>``."""
-    root = _prepared(drawing)
+    root = _parsed_svg(drawing)
     _, _, width, height = (float(v) for v in root.get("viewBox", "").split())
     body = [child for child in root if _tag(child) in ("g", "defs")]
     return _inline(body, (0.0, 0.0, width, height), drawing.title)
 
 
-def panels(drawing: Drawing) -> list[str]:
+def inline_panels(drawing: Drawing) -> list[str]:
     """Return each panel of a drawing as an inline ``<svg>``, so that a page can arrange them.
 
     Marks that several panels share are defined in the first, to which the others refer.
     """
-    root = _prepared(drawing)
+    root = _parsed_svg(drawing)
     figure = next(child for child in root if _tag(child) == "g")
     axes = [child for child in figure if (child.get("class") == "axes")]
     shared = [child for child in root if _tag(child) == "defs"]
@@ -36,7 +36,7 @@ def panels(drawing: Drawing) -> list[str]:
     ]
 
 
-def _prepared(drawing: Drawing) -> ET.Element:
+def _parsed_svg(drawing: Drawing) -> ET.Element:
     """Return the parsed file without what a page has itself; only ids that are used remain."""
     root = ET.fromstring(re.sub(r"<!DOCTYPE[^>]*>", "", drawing.svg))
     for child in list(root):

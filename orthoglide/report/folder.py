@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import NoReturn
 
 from orthoglide.errors import FileError
-from orthoglide.files import waiting_name, writing
-from orthoglide.text import shown
+from orthoglide.files import as_file_errors, temporary_path
+from orthoglide.text import printable_path
 
-_REPORT = {
+_REPORT_FILES = {
     "calibrated.npz", "calibrated.toml", "figures", "next_measurements.csv",
     "next_measurements.html", "report.html", "residuals.csv", "result.json",
 }  # fmt: skip
@@ -34,9 +34,9 @@ def check_folder(out: Path, overwrite: bool = False) -> Path:
     """
 
     def refuse(why: str) -> NoReturn:
-        raise FileError(why, file=shown(out))
+        raise FileError(why, file=printable_path(out))
 
-    with writing(out):
+    with as_file_errors(out):
         target = Path(os.path.realpath(out))
         if out.is_symlink() and not target.exists():
             refuse("is a link to nothing: name a new folder")
@@ -47,8 +47,8 @@ def check_folder(out: Path, overwrite: bool = False) -> Path:
         names = {path.name for path in target.iterdir()} if target.is_dir() else set()
         if names and not overwrite:
             refuse("is not empty and results are never overwritten: name a new or empty folder")
-        if names - _REPORT:
-            part = sorted(names - _REPORT)[0]
+        if names - _REPORT_FILES:
+            part = sorted(names - _REPORT_FILES)[0]
             refuse(f"holds {part}, which is no part of a report: name another folder")
         if not target.parent.is_dir():
             refuse("cannot be made where there is no folder to hold it: make that first")
@@ -73,23 +73,23 @@ def write_folder(
         FileError: where the folder cannot be written.
     """
     target = check_folder(out, overwrite)
-    with writing(out):
-        made = waiting_name(target)
+    with as_file_errors(out):
+        made = temporary_path(target)
         try:
             made.mkdir()
             for name, content in files.items():
                 if ".." in Path(name).parts or Path(name).is_absolute():
-                    raise FileError("is no place within the folder", file=shown(name))
+                    raise FileError("is no place within the folder", file=printable_path(name))
                 path = made / name
                 path.parent.mkdir(exist_ok=True)
                 path.write_bytes(content.encode() if isinstance(content, str) else content)
-            _put(made, target, overwrite)
+            _move_into_place(made, target, overwrite)
         except BaseException:
             shutil.rmtree(made, ignore_errors=True)
             raise
 
 
-def _put(made: Path, target: Path, overwrite: bool) -> None:
+def _move_into_place(made: Path, target: Path, overwrite: bool) -> None:
     """Rename a folder to a name that may exist; the earlier folder is removed only afterwards.
 
     What another process put there a moment ago is not replaced: the system refuses to.

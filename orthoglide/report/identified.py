@@ -7,29 +7,29 @@ from collections.abc import Iterable, Sequence
 
 from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.effects.wording import parameter_words
-from orthoglide.numerals import compact, decimals_for, signed, told_apart
+from orthoglide.numerals import compact, decimals_for, distinct_figures, signed
 from orthoglide.ordering import best_of
 from orthoglide.parameters import Parameter
 from orthoglide.result import Result, WeakDirection
 from orthoglide.text import listed
 
-_ALONE = "one sigma of the readings alone, without priors"
-_HARDLY = 0.95  # ratio of deviations above which they "hardly change"
-_UNSEEN = 0.9  # ratio of a sigma to the tolerance above which the readings add nothing
+_SIGMA_WITHOUT_PRIORS = "one sigma of the readings alone, without priors"
+_HARDLY_CHANGED_RATIO = 0.95  # ratio of deviations above which they "hardly change"
+_UNINFORMED_RATIO = 0.9  # ratio of a sigma to the tolerance above which the readings add nothing
 _MOST_NAMED = 2  # parameters beyond the base model, or weak directions, that are named one by one
 _MOST_NAMED_WEAK = 4  # parameters that a sentence names which the readings confuse
 
 
 def identified_words(result: Result) -> str:
     """Return the values with what they gain, and what remains against the noise, in sentences."""
-    return f"{_found(result)} {_gain(result)}. {_rest(result)}"
+    return f"{_identified_values(result)} {_deviation_change(result)}. {_residual_text(result)}"
 
 
-def _found(result: Result) -> str:
+def _identified_values(result: Result) -> str:
     """Return the identified values as the subject of the sentence."""
     catalogue = result.catalogue
     names = [catalogue.parameter(name) for name in result.identified]
-    parts = [text for effect in catalogue.base for text in _by_leg(result, names, effect)]
+    parts = [text for effect in catalogue.base for text in _campaign_phrases(result, names, effect)]
     others = [name for name in names if name.effect not in catalogue.base]
     parts += [
         f"{parameter_words(n, catalogue.legs)} {_value(result, n)}" for n in others[:_MOST_NAMED]
@@ -40,19 +40,19 @@ def _found(result: Result) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _gain(result: Result) -> str:
+def _deviation_change(result: Result) -> str:
     """Return what the fit does to the deviations, a predicate."""
     parts, last = [], ""
     before, after = result.nominal.reported.shown, result.after.scores.reported.shown
     for unit, now in after.items():
-        verb = "hardly change" if now > _HARDLY * before[unit] else "reduce"
+        verb = "hardly change" if now > _HARDLY_CHANGED_RATIO * before[unit] else "reduce"
         what = f"{verb} {'them' if last else 'the deviations'} " if verb != last else ""
-        parts.append(f"{what}from {' to '.join(told_apart(before[unit], now))} {unit}")
+        parts.append(f"{what}from {' to '.join(distinct_figures(before[unit], now))} {unit}")
         last = verb
     return ", and ".join(parts)
 
 
-def _rest(result: Result) -> str:
+def _residual_text(result: Result) -> str:
     """Return the residual compared with the noise, in sentences."""
     noise, fit = result.noise.single_reading.said(), result.after
     if fit.scores.dof <= 0:
@@ -60,7 +60,7 @@ def _rest(result: Result) -> str:
     if fit.sigma_scale > 1:
         return (
             f"The residual is {fit.sigma_scale:.2g} times the noise of a reading ({noise}). The "
-            f"machine, or the measurement, has an error that {effects_named(result)} cannot "
+            f"machine, or the measurement, has an error that {base_effects(result)} cannot "
             f"explain."
         )
     return (
@@ -69,21 +69,21 @@ def _rest(result: Result) -> str:
     )
 
 
-def effects_named(result: Result) -> str:
+def base_effects(result: Result) -> str:
     """Return the effects of the base model in the plural, or that they were calibrated before."""
     if result.calibrated_before:
         return "errors calibrated before"
-    return _effects(result.before.names, result.catalogue)
+    return _effect_plurals(result.before.names, result.catalogue)
 
 
-def _effects(names: Iterable[str], catalogue: Catalogue) -> str:
+def _effect_plurals(names: Iterable[str], catalogue: Catalogue) -> str:
     """Return the effects of parameters in the plural, each once."""
     called = catalogue.legs.effect_words
     words = dict.fromkeys(called(catalogue.effect_of(name).name) for name in names)
     return listed(f"{n}es" if n.endswith(("sh", "ch", "ss", "x")) else f"{n}s" for n in words)
 
 
-def _by_leg(result: Result, every: Sequence[Parameter], effect: str) -> list[str]:
+def _campaign_phrases(result: Result, every: Sequence[Parameter], effect: str) -> list[str]:
     """Return a phrase for each campaign: ``joint offsets x -0.51, y +0.56 mm``."""
     groups: dict[str, list[Parameter]] = {}
     for name in every:
@@ -113,7 +113,7 @@ def _near_nominal(result: Result, names: Sequence[Parameter]) -> str:
     within = half if math.isnan(noise) else noise
     if max(abs(fit.values[name]) for name in names) > within:
         return ""
-    if all(fit.sigmas[n] > _UNSEEN * result.request.machine.tolerance(n) for n in names):
+    if all(fit.sigmas[n] > _UNINFORMED_RATIO * result.request.machine.tolerance(n) for n in names):
         return "not seen by these readings"
     return f"nominal to {compact(max(within, half) * 1e3, 1)} mm"
 
@@ -129,16 +129,20 @@ def _value(result: Result, name: Parameter, with_unit: bool = True) -> str:
 def weak_sentences(weak: Iterable[WeakDirection], catalogue: Catalogue = CATALOGUE) -> list[str]:
     """Return weak directions in sentences; similar ones share a sentence."""
     every = list(weak)
-    legs = [_offset_and_length(w, catalogue) for w in every]
+    legs = [_leg_with_weak_length(w, catalogue) for w in every]
     similar = [w for w, leg in zip(every, legs, strict=True) if leg]
     others = [w for w, leg in zip(every, legs, strict=True) if not leg]
-    said = [_together(similar, sorted(leg for leg in legs if leg))] if similar else []
+    said = (
+        [_offset_and_length_sentence(similar, sorted(leg for leg in legs if leg))]
+        if similar
+        else []
+    )
     if len(others) > _MOST_NAMED:
-        return [*said, _several(others, catalogue)]
-    return [*said, *(_general(w, catalogue) for w in others)]
+        return [*said, _many_directions_sentence(others, catalogue)]
+    return [*said, *(_direction_sentence(w, catalogue) for w in others)]
 
 
-def _offset_and_length(weak: WeakDirection, catalogue: Catalogue) -> str:
+def _leg_with_weak_length(weak: WeakDirection, catalogue: Catalogue) -> str:
     """Return the leg (and campaign) whose offset and length change together; empty for others."""
     names = [catalogue.parameter(name) for name in weak.parameters]
     same = len({(n.leg, n.campaign) for n in names}) == 1 and bool(names[0].leg)
@@ -148,28 +152,28 @@ def _offset_and_length(weak: WeakDirection, catalogue: Catalogue) -> str:
     return f"{names[0].leg} of {names[0].campaign}" if names[0].campaign else names[0].leg
 
 
-def _together(weak: list[WeakDirection], legs: list[str]) -> str:
+def _offset_and_length_sentence(weak: list[WeakDirection], legs: list[str]) -> str:
     widest = best_of(weak, lambda w: w.sigma)
     text = (
         f"The readings cannot tell the joint offset from the leg length of leg {listed(legs)}: "
         f"where both grow by the same amount, by as much as {compact(widest.sigma, 2)} "
-        f"{widest.unit} ({_ALONE}), hardly a reading changes. Their difference is what is seen."
+        f"{widest.unit} ({_SIGMA_WITHOUT_PRIORS}), hardly a reading changes. Their difference is what is seen."
     )
-    return text + _narrowed(widest)
+    return text + _prior_sentence(widest)
 
 
-def _several(weak: list[WeakDirection], catalogue: Catalogue) -> str:
+def _many_directions_sentence(weak: list[WeakDirection], catalogue: Catalogue) -> str:
     widest = best_of(weak, lambda w: w.sigma)
-    effects = _effects((name for one in weak for name in one.parameters), catalogue)
-    size = f"{compact(widest.sigma, 2)} {widest.unit} ({_ALONE})"
+    effects = _effect_plurals((name for one in weak for name in one.parameters), catalogue)
+    size = f"{compact(widest.sigma, 2)} {widest.unit} ({_SIGMA_WITHOUT_PRIORS})"
     return (
         f"The readings hardly see {len(weak)} combinations of {effects}: along one of them the "
         f"values may change by {'any amount' if math.isinf(widest.sigma) else size}, and hardly a "
-        f"reading changes.{_narrowed(widest)}"
+        f"reading changes.{_prior_sentence(widest)}"
     )
 
 
-def _general(weak: WeakDirection, catalogue: Catalogue) -> str:
+def _direction_sentence(weak: WeakDirection, catalogue: Catalogue) -> str:
     names = [parameter_words(catalogue.parameter(name), catalogue.legs) for name in weak.parameters]
     if len(names) > _MOST_NAMED_WEAK:
         names[_MOST_NAMED_WEAK - 1 :] = [f"{len(names) - _MOST_NAMED_WEAK + 1} more"]
@@ -177,14 +181,14 @@ def _general(weak: WeakDirection, catalogue: Catalogue) -> str:
     if not names[1:]:
         text = f"The readings hardly see the {names[0]}: it"
     if math.isinf(weak.sigma):
-        return f"{text} may change by any amount, and no reading changes.{_narrowed(weak)}"
+        return f"{text} may change by any amount, and no reading changes.{_prior_sentence(weak)}"
     return (
-        f"{text} may change by {compact(weak.sigma, 2)} {weak.unit} ({_ALONE}), and "
-        f"hardly a reading changes.{_narrowed(weak)}"
+        f"{text} may change by {compact(weak.sigma, 2)} {weak.unit} ({_SIGMA_WITHOUT_PRIORS}), and "
+        f"hardly a reading changes.{_prior_sentence(weak)}"
     )
 
 
-def _narrowed(weak: WeakDirection) -> str:
+def _prior_sentence(weak: WeakDirection) -> str:
     if not weak.sigma_with_priors < 0.5 * weak.sigma:
         return ""
     size = f"{compact(weak.sigma_with_priors, 2)} {weak.unit}"

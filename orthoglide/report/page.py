@@ -14,11 +14,17 @@ from typing import TYPE_CHECKING, Any
 
 import orthoglide.report.sections as sections
 from orthoglide import __version__
-from orthoglide.control import withheld
+from orthoglide.control import withholding_reason
 from orthoglide.figures.style import Drawing
 from orthoglide.numerals import compact, plain, probability, signed, with_sigma
-from orthoglide.report.claims import BESIDES, claims
-from orthoglide.report.words import evidence, gain_words, meaning, standing, warnings_besides
+from orthoglide.report.claims import SOMETHING_ELSE_WRONG, claims
+from orthoglide.report.sentences import (
+    evidence,
+    finding_text,
+    further_warnings,
+    gain_words,
+    meaning,
+)
 from orthoglide.result import Result
 from orthoglide.text import listed, sentence
 
@@ -29,10 +35,10 @@ if TYPE_CHECKING:
 
 Data = dict[str, Any]
 
-_JUDGES = {"holdout": "held out to judge by", "tcp": "measured at the TCP to judge by"}
+_VALIDATION_ROLES = {"holdout": "held out to judge by", "tcp": "measured at the TCP to judge by"}
 
 
-_OPEN = ("finding", "left", "firmware", "controller", "changes")
+_UNFOLDED = ("finding", "left", "firmware", "controller", "changes")
 
 
 @dataclass(frozen=True)
@@ -46,7 +52,7 @@ class Section:
     @property
     def folded(self) -> bool:
         """Whether a reader unfolds it first: all but what is wrong, what is left and numbers."""
-        return self.template not in _OPEN
+        return self.template not in _UNFOLDED
 
 
 def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
@@ -54,7 +60,7 @@ def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
     nothing is proposed.
     """
     searches = result.searches
-    return rendered(
+    return render_template(
         "page.html.j2",
         result=result,
         title="What is wrong with this machine" if searches else "Calibration report",
@@ -71,22 +77,22 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
     if result.blunders:
         yield Section("faults", "Faults of the data", sections.faults(result))
     if searches and not result.stands:
-        yield Section("left", "What is left", sections.left(result))
+        yield Section("left", "What is left", sections.residual_data(result))
     if result.firmware is not None and result.firmware.corrections is not None:
         yield Section("firmware", "Numbers for the firmware", sections.firmware(result))
     controller = {"drives": ()} if result.firmware else sections.controller(result)
     if controller["drives"]:
         yield Section("controller", "Numbers for the controller", controller)
-    yield Section("judged", "Before and after", sections.judged(result, figures))
+    yield Section("judged", "Before and after", sections.score_data(result, figures))
     if searches:
         yield Section("causes", "Causes, and how sure they are", sections.causes(result))
     if result.located:
         yield Section("located", "Where it is", sections.located(result, figures))
     if result.effects:
-        apart = sections.apart(result, figures)
+        apart = sections.prediction_data(result, figures)
         yield Section("apart", "What each cause predicts", apart)
     if searches:
-        yield Section("next", "What to measure next", sections.following(result, sheet))
+        yield Section("next", "What to measure next", sections.next_readings_data(result, sheet))
     if result.budget:
         yield Section("budget", "Error budget", sections.budget(result))
     if result.workspace is not None:
@@ -104,7 +110,9 @@ def _subtitle(result: Result) -> str:
     request = result.request
     files = listed(i["file"] for i in request.inputs if i.get("role", "fit_tcp") == "fit_tcp")
     judges = [
-        f"{i['file']} {_JUDGES[i['role']]}" for i in request.inputs if i.get("role") in _JUDGES
+        f"{i['file']} {_VALIDATION_ROLES[i['role']]}"
+        for i in request.inputs
+        if i.get("role") in _VALIDATION_ROLES
     ]
     count, read = sum(map(len, request.campaigns)), []
     if count:
@@ -121,7 +129,7 @@ def _subtitle(result: Result) -> str:
 
 # --- The first screen -----------------------------------------------------------------------
 
-MOST = 5
+MAX_LISTED = 5
 """Rivals that are named before the rest is folded away."""
 
 _STAGES = {
@@ -130,7 +138,7 @@ _STAGES = {
     "zeros_and_lengths": "And {bar} lengths entered",
     "compensated": "With commands compensated",
 }
-_NUMBERS = ("With the firmware's numbers", "With the new ones")
+_FIRMWARE_STAGES = ("With the firmware's numbers", "With the new ones")
 
 
 @dataclass(frozen=True)
@@ -154,8 +162,8 @@ def finding(result: Result) -> Data:
         "drawing": result.picture.svg(),
         "options": len(result.picture.options),
         "dials": bool(result.picture.dials),
-        "text": "" if result.found else standing(result),
-        "more": BESIDES if result.word == "partial" else "",
+        "text": "" if result.found else finding_text(result),
+        "more": SOMETHING_ELSE_WRONG if result.word == "partial" else "",
         "evidence": evidence(result) if searches else "",
         "averaged": any(cause.rivals for cause in result.effects),
         "tiles": tiles(result),
@@ -165,9 +173,9 @@ def finding(result: Result) -> Data:
         "loses": result.loses,
         "actions": result.actions,
         "sheet": result.next_sheet is not None,
-        "most": MOST,
+        "most": MAX_LISTED,
         "cautions": result.further_cautions,
-        "warnings": [sentence(w) for w in warnings_besides(result)],
+        "warnings": [sentence(w) for w in further_warnings(result)],
     }
 
 
@@ -178,9 +186,9 @@ def tiles(result: Result) -> list[Tile]:
     if result.firmware is not None and (found := result.firmware.corrections) is not None:
         told = [
             Tile(what, f"{size * 1e3:.3f}", ("of the heights", "that were read, rms"))
-            for what, size in zip(_NUMBERS, found.height, strict=True)
+            for what, size in zip(_FIRMWARE_STAGES, found.height, strict=True)
         ]
-        enter = result.stands and not found.keep and not withheld(result.machine)
+        enter = result.stands and not found.keep and not withholding_reason(result.machine)
         return told if enter else told[:1]
     expected = result.numbers.expected
     stages = ("now", "zeros") if not result.stands and result.searches else _STAGES
@@ -202,10 +210,10 @@ def _tile(what: str, error: ExpectedError) -> Tile:
 
 # --- Templates ------------------------------------------------------------------------------
 
-_WORDS = (sentence, listed, gain_words, compact, plain, signed, probability, with_sigma)
+_FILTERS = (sentence, listed, gain_words, compact, plain, signed, probability, with_sigma)
 
 
-def rendered(template: str, **data: Any) -> str:
+def render_template(template: str, **data: Any) -> str:
     """A template in the folder ``templates`` with the data that it names; one that is missing is an
     error. Filters there are the functions that put numbers and clauses into words, and ``fixed``.
     """
@@ -225,5 +233,5 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters.update({word.__name__: word for word in _WORDS}, fixed="{:.{}f}".format)
+    environment.filters.update({word.__name__: word for word in _FILTERS}, fixed="{:.{}f}".format)
     return environment

@@ -11,8 +11,8 @@ from orthoglide.numerals import compact, decimals_for, hundredths, probability, 
 from orthoglide.result import CandidateScore, Result
 from orthoglide.text import sentence
 
-_SHOWN = 0.005  # probability that two decimals show
-_LEFT_OVER = 0.5  # degrees of freedom: less is no test
+_MIN_SHOWN_PROBABILITY = 0.005  # probability that two decimals show
+_MIN_DOF = 0.5  # degrees of freedom: less is no test
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ _ALIGNMENTS = {
 }
 
 
-POSSIBLE = ("probability", "possible cause", "residual, rms", "stations left out, rms")
+POSSIBLE_TITLES = ("probability", "possible cause", "residual, rms", "stations left out, rms")
 """Titles of the rows by :func:`possible_rows`."""
 
 
@@ -88,7 +88,7 @@ def possible_rows(result: Result) -> list[tuple[str, str, str, str]]:
     return rows
 
 
-def if_it_were_so(result: Result) -> list[str]:
+def possible_cause_sentences(result: Result) -> list[str]:
     """Return the most probable causes where nothing was found, a sentence each."""
     averaged = math.isfinite(result.before.scores.deviation_rms)
     what = "averaged deviations" if averaged else "residuals"
@@ -99,9 +99,9 @@ def if_it_were_so(result: Result) -> list[str]:
     ]
 
 
-def weighed(result: Result) -> list[CandidateScore]:
+def probable_candidates(result: Result) -> list[CandidateScore]:
     """Return candidates whose probability two decimals show."""
-    return [one for one in result.candidates if one.probability >= _SHOWN]
+    return [one for one in result.candidates if one.probability >= _MIN_SHOWN_PROBABILITY]
 
 
 def score_rows(result: Result) -> list[ScoreRow]:
@@ -138,7 +138,7 @@ def score_rows(result: Result) -> list[ScoreRow]:
         ScoreRow("degrees of freedom", *(compact(s.dof, 4) for s in stages)),
         ScoreRow(
             "probability that noise alone leaves as much",
-            *(probability(s.lack_of_fit_p) if s.dof >= _LEFT_OVER else "–" for s in stages),
+            *(probability(s.lack_of_fit_p) if s.dof >= _MIN_DOF else "–" for s in stages),
         ),
     ]
     return rows

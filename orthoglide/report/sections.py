@@ -11,26 +11,26 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from orthoglide.control import RULE, withheld
+from orthoglide.control import RULE, withholding_reason
 from orthoglide.effects.words import toward
-from orthoglide.figures.causes import drawn
-from orthoglide.figures.readings import MOST_DRAWN
+from orthoglide.figures.causes import drawn_explanations
+from orthoglide.figures.readings import MAX_DRAWN
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile
 from orthoglide.numerals import compact
 from orthoglide.observations import Setup
-from orthoglide.report.embed import panels, whole
-from orthoglide.report.identified import effects_named, weak_sentences
+from orthoglide.report.embed import inline_panels, inline_svg
+from orthoglide.report.identified import base_effects, weak_sentences
 from orthoglide.report.rows import (
-    POSSIBLE,
+    POSSIBLE_TITLES,
     millimetres,
     parameter_rows,
     possible_rows,
+    probable_candidates,
     score_rows,
-    weighed,
 )
-from orthoglide.report.words import unshown_effects, unvaried_effects, unvaried_words
+from orthoglide.report.sentences import undetected_effects, unvaried_effects, unvaried_words
 from orthoglide.result import BudgetItem, Result, SetupResidual, Workspace
 from orthoglide.text import listed, sentence
 
@@ -38,7 +38,7 @@ Data = dict[str, Any]
 Figures = Mapping[str, Drawing]
 
 _MOST_ITEMS = 12
-_LEAST = 0.01  # of the tool's error: an item of the budget that gains less is not shown
+_MIN_SHARE = 0.01  # of the tool's error: an item of the budget that gains less is not shown
 _MOST_SHAPES = 5  # known causes named as ruled out
 
 _FAULTS = {
@@ -63,37 +63,37 @@ def faults(result: Result) -> Data:
     return {"rows": [(_FAULTS[b.kind], b) for b in result.blunders]}
 
 
-def left(result: Result) -> Data:
+def residual_data(result: Result) -> Data:
     """Return residuals of every mounting, and the most probable causes if nothing was found."""
     return {
-        "rows": [(rest, _most(rest)) for rest in result.left.mountings],
-        "titles": POSSIBLE,
+        "rows": [(rest, _largest_residual(rest)) for rest in result.left.mountings],
+        "titles": POSSIBLE_TITLES,
         "possible": possible_rows(result),
     }
 
 
-def _most(rest: SetupResidual) -> str:
+def _largest_residual(rest: SetupResidual) -> str:
     if rest.leg < 0 or not rest.posture:
         return f"{compact(rest.most * 1e3, 2)} {rest.unit}"
     way = toward(LEGS[rest.axis], rest.most)
     return f"{compact(abs(rest.most) * 1e3, 2)} mm toward {way}"
 
 
-def judged(result: Result, figures: Figures) -> Data:
+def score_data(result: Result, figures: Figures) -> Data:
     """Return figures of merit of the nominal machine, before and after."""
     inside = result.tcp["translation"].inside if result.tcp else math.nan
     return {
         "rows": score_rows(result),
-        "figure": whole(figures["residuals"]),
+        "figure": inline_svg(figures["residuals"]),
         "own": listed([n.replace("_", " ") + "s" for n in result.request.own]),
         "inside": f"{inside:.0%}" if math.isfinite(inside) else "",
-        "base": effects_named(result),
+        "base": base_effects(result),
     }
 
 
 def causes(result: Result) -> Data:
     """Return the candidates and how probable they are."""
-    near = weighed(result)
+    near = probable_candidates(result)
     return {
         "added": {c.name for c in result.effects} | {f.name for f in result.located},
         "weighed": near,
@@ -104,7 +104,7 @@ def causes(result: Result) -> Data:
 def located(result: Result, figures: Figures) -> Data:
     """Return free-form errors with their curves and the causes that they resemble."""
     places = [
-        (one.words, one, panels(figures[f"located-{k}"]))
+        (one.words, one, inline_panels(figures[f"located-{k}"]))
         for k, one in enumerate(result.located, start=1)
     ]
     return {"places": places, "most": _MOST_SHAPES}
@@ -116,26 +116,27 @@ def budget(result: Result) -> Data:
     classes = [one for one in result.located if len(one.members) > 1]
     several |= {one.in_budget for one in classes}
     named = {item.cause for item in result.budget if not item.rest}
-    shown = [item for item in result.budget if item.share >= _LEAST or not item.rest]
+    shown = [item for item in result.budget if item.share >= _MIN_SHARE or not item.rest]
     shown = shown[:_MOST_ITEMS]
     return {
-        "rows": [(item, item.words + _counted(item, named, several)) for item in shown],
+        "rows": [(item, item.words + _budget_note(item, named, several)) for item in shown],
         "others": len(result.budget) - len(shown),
     }
 
 
-def _counted(item: BudgetItem, named: Collection[str], several: Collection[str]) -> str:
+def _budget_note(item: BudgetItem, named: Collection[str], several: Collection[str]) -> str:
     """Return what a row of the budget contains besides its name, behind the name."""
     if item.rest:
         return ": the others of its kind" if item.cause in named else ""
     return ", or a cause that these readings cannot tell from it" if item.cause in several else ""
 
 
-def apart(result: Result, figures: Figures) -> Data:
+def prediction_data(result: Result, figures: Figures) -> Data:
     """Return what each cause and its rivals predict of the readings."""
     every = enumerate(result.effects, start=1)
     causes = [
-        (c.chosen.words, drawn(c), c.others, panels(figures[f"signatures-{k}"])) for k, c in every
+        (c.chosen.words, drawn_explanations(c), c.others, inline_panels(figures[f"signatures-{k}"]))
+        for k, c in every
     ]
     return {"causes": causes}
 
@@ -143,13 +144,13 @@ def apart(result: Result, figures: Figures) -> Data:
 def readings(result: Result, figures: Figures) -> Data:
     """Return readings and fit, setup by setup."""
     most = max(len(one.rows) for one in result.readings.mountings)
-    thinned = MOST_DRAWN if most > MOST_DRAWN else 0
-    return {"panels": panels(figures["readings"]), "thinned": thinned}
+    thinned = MAX_DRAWN if most > MAX_DRAWN else 0
+    return {"panels": inline_panels(figures["readings"]), "thinned": thinned}
 
 
 def controller(result: Result) -> Data:
     """Return numbers for the controller; withheld where the verdict does not support them."""
-    spec, numbers, why = result.machine.spec, result.numbers, withheld(result.machine)
+    spec, numbers, why = result.machine.spec, result.numbers, withholding_reason(result.machine)
     effects = result.catalogue
     zeros = any(effects.effect_of(name).controller == "zero" for name in spec.parameters)
     places = [found.members[0] for found in result.located]
@@ -157,14 +158,14 @@ def controller(result: Result) -> Data:
         "drives": numbers.drives if zeros else (),
         "withheld": " ".join(result.cautions) or (sentence(why) if why else ""),
         "rule": RULE,
-        "counts": numbers.names.ways[1][1],
+        "counts": numbers.names.slide_end_words[1][1],
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
         # What a calibrated machine does not hold.
         "beyond": listed(one.description for one in places if not one.of_machine),
     }
 
 
-def too_early(result: Result) -> tuple[str, str]:
+def reason_not_to_enter(result: Result) -> tuple[str, str]:
     """Return what to do instead of entering numbers, and why, a clause each; empty if they may be
     entered.
     """
@@ -182,7 +183,7 @@ def too_early(result: Result) -> tuple[str, str]:
 
 def firmware(result: Result) -> Data:
     """Return numbers for a firmware, old and new, and what its model cannot hold."""
-    return {"early": too_early(result)}
+    return {"early": reason_not_to_enter(result)}
 
 
 _AIMS = {
@@ -192,7 +193,7 @@ _AIMS = {
 }
 
 
-def following(result: Result, sheet: str) -> Data:
+def next_readings_data(result: Result, sheet: str) -> Data:
     """Return what to measure next, with the sheet as a link."""
     suggested, by_aim = result.next_measurements, dict[str, list[str]]()
     for one in suggested:
@@ -209,7 +210,7 @@ def following(result: Result, sheet: str) -> Data:
 
 def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
     """Return the TCP's error over the workspace and its uncertainty."""
-    every = panels(figures["workspace"])
+    every = inline_panels(figures["workspace"])
     rows = [
         ("predicted error without corrections", space.nominal),
         ("predicted error with offsets and lengths corrected", space.before),
@@ -233,7 +234,7 @@ def values(result: Result, figures: Figures) -> Data:
     others = dict.fromkeys(called(name) for name in held if name not in freed)
     return {
         "rows": parameter_rows(result),
-        "figure": whole(figures["parameters"]) if "parameters" in figures else "",
+        "figure": inline_svg(figures["parameters"]) if "parameters" in figures else "",
         "others": listed(others),
         "dials": any(of(n).of_dial for n in result.identified),
         "scale": f"{fit.sigma_scale:.2g}" if fit.sigma_scale > 1 else "",
@@ -244,7 +245,7 @@ def unseen(result: Result) -> Data:
     """Return what the readings cannot distinguish, and what they cannot detect."""
     return {
         "sentences": weak_sentences(result.weak, result.catalogue),
-        "effects": unshown_effects(result),
+        "effects": undetected_effects(result),
         "unexcited": unvaried_effects(result),
         "sides": sentence(one) if (one := unvaried_words(result)) else "",
         # Not where it is said above that no more readings of a dial on a leg help.
@@ -279,18 +280,18 @@ def method(result: Result) -> Data:
     """Return how the result was computed, from which files, and how to repeat it."""
     setups = result.request.setups
     return {
-        "base": effects_named(result),
+        "base": base_effects(result),
         "machine": Path(result.request.machine.spec.file).name or "the nominal Orthoglide",
-        "mechanism": result.catalogue.legs.spoken(
+        "mechanism": result.catalogue.legs.in_layout_words(
             "the platform on three pairs of bars, each pair on a carriage"
         ),
         "method": _METHODS[result.before.method],
         "source": _SOURCES[result.noise.source],
-        "of_setups": " ".join(_of_setups(setups, result.request.machine.spec)),
+        "of_setups": " ".join(_setup_sentences(setups, result.request.machine.spec)),
     }
 
 
-def _of_setups(setups: Sequence[Setup], spec: MachineFile) -> Iterator[str]:
+def _setup_sentences(setups: Sequence[Setup], spec: MachineFile) -> Iterator[str]:
     """Yield what was fitted with every setup, a sentence each."""
     if any(s.observation.from_datum for s in setups):
         placement = compact(spec.dial.placement * 1e3, 2)

@@ -12,7 +12,7 @@ from orthoglide.machine_file import Controller
 from orthoglide.observations import Readings, Setup
 from orthoglide.observations.writing import Row, campaign_rows, command_columns
 from orthoglide.pictures import dials
-from orthoglide.report.page import rendered
+from orthoglide.report.page import render_template
 from orthoglide.scene import drawing
 
 
@@ -20,19 +20,19 @@ def sheet_page(sheet: Readings, machine: Machine, file: str) -> str:
     """Return a measuring sheet as HTML, to be printed and filled in; ``file`` is the name of the
     CSV with the same rows.
     """
-    return rendered(
+    return render_template(
         "sheet.html.j2",
         file=file,
         machine=machine.spec.title,
         axes=machine.geometry.leg_names,
-        counted=counted(machine),
+        counted=command_convention(machine),
         readings=len(sheet),
         pages=list(_pages(sheet, machine)),
         pairs=any(len(s.gauges) > 1 for s in sheet.setups),
     )
 
 
-def counted(machine: Machine) -> str:
+def command_convention(machine: Machine) -> str:
     """Return how the commands of a sheet are counted, a sentence."""
     if machine.spec.controller != Controller():
         return "Positions are millimetres as the controller shows them."

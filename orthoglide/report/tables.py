@@ -13,17 +13,17 @@ from orthoglide import __version__
 from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations import Readings
-from orthoglide.observations.columns import of_commands
-from orthoglide.report.words import headline
+from orthoglide.observations.columns import native_command_names
+from orthoglide.report.sentences import headline
 from orthoglide.result import Result
 from orthoglide.text import csv_text
 
-_FIGURES = (
+_VALUE_COLUMNS = (
     "reading_{}", "sigma_{}",
     "predicted_nominal_{}", "predicted_before_{}", "predicted_after_{}",
     "residual_nominal_{}", "residual_before_{}", "residual_after_{}",
 )  # fmt: skip
-_IN_MM, _IN_MRAD = (tuple(name.format(unit) for name in _FIGURES) for unit in ("mm", "mrad"))
+_IN_MM, _IN_MRAD = (tuple(name.format(unit) for name in _VALUE_COLUMNS) for unit in ("mm", "mrad"))
 
 
 def calibrated_machine(result: Result) -> MachineFile:
@@ -52,7 +52,7 @@ def residual_table(result: Result) -> str:
     predicted, turned = (shown.nominal, shown.before, shown.after), shown.turned
     columns = [shown.measured, shown.sigma, *predicted, *(shown.measured - p for p in predicted)]
     figures, rows = np.column_stack(columns), list[list[Any]]()
-    none, several = [""] * len(_FIGURES), bool(turned.any())
+    none, several = [""] * len(_VALUE_COLUMNS), bool(turned.any())
     both = any(s.observation.dials > 1 for read in given for s in read.setups)
     directions = [read.direction for read in given]
     places = zip(shown.file.tolist(), shown.row.tolist(), shown.setups, strict=True)
@@ -60,7 +60,7 @@ def residual_table(result: Result) -> str:
         read, cells = given[file], [*map(_mm, figures[k])]
         kind = read.setups[read.setup[row]].kind
         mm, mrad = (none, cells) if turned[k] else (cells, none)
-        place = _cells(read, row, name, directions[file][row], both)
+        place = _reading_cells(read, row, name, directions[file][row], both)
         rows.append([*place, *mm, "", kind, *(mrad if several else ())])
     for blunder in result.blunders:
         for file, row in blunder.rows_in_request if blunder.excluded else ():
@@ -69,18 +69,18 @@ def residual_table(result: Result) -> str:
             cells = [_mm(read.reading[row]), *none[1:]]
             mm, mrad = (none, cells) if setup.observation.angular else (cells, none)
             name = "" if read.by_point else setup.name
-            place = _cells(read, row, name, directions[file][row], both)
+            place = _reading_cells(read, row, name, directions[file][row], both)
             rows.append([*place, *mm, blunder.kind, setup.kind, *(mrad if several else ())])
     titles = (
         "campaign", "line", "setup", "leg", "direction", "posture",
-        *of_commands(result.machine.geometry.layout.names),
+        *native_command_names(result.machine.geometry.layout.names),
         "gauge_mm", *(("gauge2_mm",) if both else ()), "repeat", "order",
     )  # fmt: skip
     last = ("set_aside", "kind", *(_IN_MRAD if several else ()))
     return csv_text((*titles, *_IN_MM, *last), rows)
 
 
-def _cells(read: Readings, row: int, name: str, direction: str, both: bool) -> list[Any]:
+def _reading_cells(read: Readings, row: int, name: str, direction: str, both: bool) -> list[Any]:
     """Return the cells that say what was read where.
 
     Args:
@@ -110,10 +110,10 @@ def _mm(metres: float) -> str:
 
 def result_text(result: Result) -> str:
     """Return the text of ``result.json``: the same bytes for the same result."""
-    return f"{_text(result.as_dict(headline(result)))}\n"
+    return f"{_json_text(result.as_dict(headline(result)))}\n"
 
 
-def _text(value: Any, margin: str = "") -> str:
+def _json_text(value: Any, margin: str = "") -> str:
     """Return JSON with a line for each key and element.
 
     A list of numbers or words is one line, as is an object of them that is an element of a list,
@@ -121,15 +121,15 @@ def _text(value: Any, margin: str = "") -> str:
     """
     inner = f"{margin} "
     if isinstance(value, dict) and value:
-        each = (f"{inner}{json.dumps(key)}: {_text(one, inner)}" for key, one in value.items())
+        each = (f"{inner}{json.dumps(key)}: {_json_text(one, inner)}" for key, one in value.items())
         return "{\n" + ",\n".join(each) + f"\n{margin}}}"
     if _is_flat(value):
-        return _line(value)
-    each = (inner + (_line(one) if _is_flat(one) else _text(one, inner)) for one in value)
+        return _json_line(value)
+    each = (inner + (_json_line(one) if _is_flat(one) else _json_text(one, inner)) for one in value)
     return "[\n" + ",\n".join(each) + f"\n{margin}]"
 
 
-def _line(value: Any) -> str:
+def _json_line(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
 

@@ -9,16 +9,13 @@ results are to be read without it, a default.
 """
 
 from orthoglide.result.codec import decoded as decoded, encoded as encoded
-from orthoglide.result.fits import (
-    CrossCheck as CrossCheck,
-    Fit as Fit,
-    HoldOut as HoldOut,
-    Scores as Scores,
-    TcpErrors as TcpErrors,
-    Verification as Verification,
-    WeakDirection as WeakDirection,
+from orthoglide.result.display import (
+    Mounting as Mounting,
+    Picture as Picture,
+    ReadingsShown as ReadingsShown,
+    Workspace as Workspace,
 )
-from orthoglide.result.found import (
+from orthoglide.result.findings import (
     Action as Action,
     BudgetItem as BudgetItem,
     CandidateScore as CandidateScore,
@@ -34,7 +31,16 @@ from orthoglide.result.found import (
     Suspect as Suspect,
     Withheld as Withheld,
 )
-from orthoglide.result.reading import read_result as read_result, request_of as request_of
+from orthoglide.result.fits import (
+    CrossCheck as CrossCheck,
+    Fit as Fit,
+    HoldOut as HoldOut,
+    Scores as Scores,
+    TcpErrors as TcpErrors,
+    Verification as Verification,
+    WeakDirection as WeakDirection,
+)
+from orthoglide.result.loading import read_result as read_result, request_of as request_of
 from orthoglide.result.request import COMMANDS as COMMANDS, Command as Command, Request as Request
 from orthoglide.result.residuals import (
     Change as Change,
@@ -46,9 +52,3 @@ from orthoglide.result.residuals import (
     SetupResidual as SetupResidual,
 )
 from orthoglide.result.result import Result as Result, Unseen as Unseen, Word as Word
-from orthoglide.result.shown import (
-    Mounting as Mounting,
-    Picture as Picture,
-    ReadingsShown as ReadingsShown,
-    Workspace as Workspace,
-)

@@ -24,12 +24,12 @@ from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.numerals import ByUnit
 from orthoglide.result.request import Request
-from orthoglide.text import brief
+from orthoglide.text import abbreviated
 
 DIGITS = 10
 """Significant digits of a number; further digits are rounding."""
 
-SHORT = 6
+SHORT_DIGITS = 6
 """Significant digits of probabilities and of estimates from random draws."""
 
 CONTEXT_TYPES = (Geometry, LegNames, Machine, Request)
@@ -77,19 +77,19 @@ class Key:
 _MM = 1e-3  # and a milliradian
 
 Metres = Annotated[float, Key(suffix="_mm", si=_MM)]
-SampledMetres = Annotated[float, Key(suffix="_mm", si=_MM, digits=SHORT)]
-Share = Annotated[float, Key(digits=SHORT)]
+SampledMetres = Annotated[float, Key(suffix="_mm", si=_MM, digits=SHORT_DIGITS)]
+Share = Annotated[float, Key(digits=SHORT_DIGITS)]
 in_mm = Key(si=_MM).number
 """Returns metres in millimetres, or radians in milliradians, as the file has them."""
 
-in_mm_short = Key(si=_MM, digits=SHORT).number
+in_mm_short = Key(si=_MM, digits=SHORT_DIGITS).number
 """Like `in_mm`, with the digits of probabilities and estimates from random draws."""
 
-MetresField = Annotated[Array, Key(suffix="_mm", si=_MM, digits=SHORT)]
+MetresField = Annotated[Array, Key(suffix="_mm", si=_MM, digits=SHORT_DIGITS)]
 
 
 @cache
-def _hints(cls: type) -> dict[str, tuple[Any, Key]]:
+def _field_keys(cls: type) -> dict[str, tuple[Any, Key]]:
     """Return the type and the key of every field of a dataclass that is in the file."""
     found = {}
     every = get_type_hints(cls, include_extras=True)
@@ -109,7 +109,7 @@ def required_keys(cls: type) -> set[str]:
     plain = {field.name for field in fields(cls) if field.default is MISSING}
     return {
         key.key(name)
-        for name, (hint, key) in _hints(cls).items()
+        for name, (hint, key) in _field_keys(cls).items()
         if name in plain and not (key.inline or key.omit_if_nan or hint is ByUnit)
     }
 
@@ -153,7 +153,7 @@ def _nested(flat: list[Any], shape: tuple[int, ...]) -> Any:
 
 def _encoded_fields(value: Any) -> Any:
     cls: Any = type(value)
-    for name, (_, key) in _hints(cls).items():
+    for name, (_, key) in _field_keys(cls).items():
         one, called = getattr(value, name), key.key(name)
         if isinstance(one, ByUnit):
             yield from _encoded_units(one, key, name)
@@ -225,7 +225,7 @@ def decoded(hint: Any, data: Any, shared: Mapping[type, Any], key: Key = Key()) 
 
 def _checked(data: Any, right: bool, what: str) -> Any:
     if not right:
-        raise TypeError(f"{brief(repr(data))} is no {what}")
+        raise TypeError(f"{abbreviated(repr(data))} is no {what}")
     return data
 
 
@@ -240,7 +240,7 @@ def _decoded_fields(cls: Any, data: Any, shared: Mapping[type, Any]) -> Any:
     found: dict[str, Any] = {}
     every = get_type_hints(cls)
     for field in fields(cls):
-        hint, key = _hints(cls).get(field.name, (every[field.name], None))
+        hint, key = _field_keys(cls).get(field.name, (every[field.name], None))
         if key is None:
             if hint in shared:
                 found[field.name] = shared[hint]

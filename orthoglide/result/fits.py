@@ -12,12 +12,12 @@ import numpy as np
 from orthoglide.geometry import Array
 from orthoglide.notes import Note
 from orthoglide.numerals import ByUnit, signed
-from orthoglide.result.codec import SHORT, Key, Metres, encoded
+from orthoglide.result.codec import SHORT_DIGITS, Key, Metres, encoded
 
-_FEW = 3  # digits of figures that are rounding themselves
+_FEW_DIGITS = 3  # digits of figures that are rounding themselves
 _MM = 1e-3
 
-_AGREEMENT = 1e-9
+_LINEAR_ROUNDING = 1e-9
 """Metres: what rounding may add to the bound of the linear system."""
 
 
@@ -82,7 +82,7 @@ class Fit:
     method: str  # `nlp`, `nested`, `pinocchio`, `reduction` or `posterior`
     iterations: int  # of the solver
     # step that a Newton iteration would still make, in sigmas
-    optimality: Annotated[float, Key("last_step_in_sigmas", digits=_FEW)]
+    optimality: Annotated[float, Key("last_step_in_sigmas", digits=_FEW_DIGITS)]
     warnings: tuple[Note, ...]  # what a user should know, in sentences
 
     @property
@@ -119,7 +119,7 @@ class TcpErrors:
     after_mean: Metres  # of the extended model
     after_max: Metres
     # share of the coordinates within the 95 % interval stated for `after`; nan where none is
-    inside: Annotated[float, Key("inside_95", digits=SHORT, omit_if_nan=True)] = math.nan
+    inside: Annotated[float, Key("inside_95", digits=SHORT_DIGITS, omit_if_nan=True)] = math.nan
 
     @property
     def nominal(self) -> tuple[float, float]:
@@ -142,12 +142,12 @@ class WeakDirection:
     """A direction in the parameters that the readings hardly determine."""
 
     # their shares along the direction; squares sum to one
-    parameters: Annotated[Mapping[str, float], Key(digits=SHORT)]
+    parameters: Annotated[Mapping[str, float], Key(digits=SHORT_DIGITS)]
     # how far the readings alone leave the machine free along it, in `unit`; infinite where nothing
     # is seen
-    sigma: Annotated[float, Key(digits=SHORT, null=math.inf)]
+    sigma: Annotated[float, Key(digits=SHORT_DIGITS, null=math.inf)]
     # the same with the tolerances as priors; equal without priors
-    sigma_with_priors: Annotated[float, Key(digits=SHORT, null=math.inf)]
+    sigma_with_priors: Annotated[float, Key(digits=SHORT_DIGITS, null=math.inf)]
     unit: str  # of both
 
     def __str__(self) -> str:
@@ -164,13 +164,13 @@ class CrossCheck:
     """Differences of the independent derivations, metres."""
 
     # parameters, mechanism against the reduction's nonlinear fit, largest difference
-    reduction: Annotated[float, Key("reduction_max_difference", "_mm", _MM, _FEW)]
+    reduction: Annotated[float, Key("reduction_max_difference", "_mm", _MM, _FEW_DIGITS)]
     # fitted readings, mechanism against system (11), largest difference
-    linear: Annotated[float, Key("linear_system_max_difference", "_mm", _MM, _FEW)]
+    linear: Annotated[float, Key("linear_system_max_difference", "_mm", _MM, _FEW_DIGITS)]
     # what second-order terms allow of `linear`, root mean square over the noise
-    linear_bound: Annotated[float, Key("linear_system_rms_bound", "_mm", _MM, _FEW)]
+    linear_bound: Annotated[float, Key("linear_system_rms_bound", "_mm", _MM, _FEW_DIGITS)]
     # the same norm of the difference itself
-    linear_size: Annotated[float, Key("linear_system_rms_difference", "_mm", _MM, _FEW)]
+    linear_size: Annotated[float, Key("linear_system_rms_difference", "_mm", _MM, _FEW_DIGITS)]
     # parameters that the linear system gives (P,); not in the file
     linear_values: Annotated[Array, Key(in_file=False)] = field(
         default_factory=lambda: np.zeros(0), repr=False, compare=False
@@ -179,7 +179,7 @@ class CrossCheck:
     @property
     def second_order(self) -> bool:
         """Whether the linear system differs by no more than its neglected second-order terms."""
-        return self.linear_size <= self.linear_bound * (1 + 1e-6) + _AGREEMENT
+        return self.linear_size <= self.linear_bound * (1 + 1e-6) + _LINEAR_ROUNDING
 
 
 @dataclass(frozen=True)
@@ -187,12 +187,12 @@ class Verification:
     """Differences of Pinocchio's closed postures and those of the fit."""
 
     # largest closure residual by loop, metres or radians
-    closure: Annotated[Mapping[str, float], Key("closure_residual_m", digits=_FEW)]
+    closure: Annotated[Mapping[str, float], Key("closure_residual_m", digits=_FEW_DIGITS)]
     # largest difference of the TCP, metres
-    tcp: Annotated[float, Key("tcp_max_difference", "_mm", _MM, _FEW)]
+    tcp: Annotated[float, Key("tcp_max_difference", "_mm", _MM, _FEW_DIGITS)]
     # largest difference of a derivative by travel or a virtual joint, relative to the largest
     # derivative of the same output, or to a thousandth
-    sensitivity: Annotated[float, Key("sensitivity_max_relative_difference", digits=_FEW)]
+    sensitivity: Annotated[float, Key("sensitivity_max_relative_difference", digits=_FEW_DIGITS)]
     postures: int  # how many were closed
 
     def as_dict(self) -> dict[str, Any]:

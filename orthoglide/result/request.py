@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from orthoglide.effects import CATALOGUE
-from orthoglide.errors import check_whole
+from orthoglide.errors import check_integer
 from orthoglide.files import sha256
 from orthoglide.instruments import Frame
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, machine_text
 from orthoglide.machine_file.posterior import posterior_bytes
 from orthoglide.observations import Readings, Setup, campaign_rows, csv_text
-from orthoglide.text import MACHINE
+from orthoglide.text import MACHINE_OPTION
 from orthoglide.urdf import urdf_digests
 
 Command = Literal["identify", "close-loop", "diagnose", "demo"]
@@ -49,7 +49,7 @@ class Request:
 
     def __post_init__(self) -> None:
         if self.searches:  # else nothing is drawn
-            object.__setattr__(self, "seed", check_whole("seed", self.seed, 0))
+            object.__setattr__(self, "seed", check_integer("seed", self.seed, 0))
 
     @property
     def searches(self) -> bool:
@@ -67,7 +67,7 @@ class Request:
         file stands without its folder.
         """
         spec = self.machine.spec
-        file = f" --machine {shlex.quote(Path(spec.file).name)}" if spec.file else MACHINE
+        file = f" --machine {shlex.quote(Path(spec.file).name)}" if spec.file else MACHINE_OPTION
         return ("" if spec == MachineFile() else file) + self.effects_option
 
     @property
@@ -81,8 +81,8 @@ class Request:
         }
         if self.effects_file:
             found["effects_file"] = self.effects_file
-        if self._fitted:
-            found |= {"fit_tcp": [name_of(p) for p in self._fitted], "frame": self.frame}
+        if self._fitted_points:
+            found |= {"fit_tcp": [name_of(p) for p in self._fitted_points], "frame": self.frame}
         if self.searches:
             held, points = self.holdout, self.tcp
             judges = {"holdout": name_of(held[0]) if held else None}
@@ -91,7 +91,7 @@ class Request:
         return found | options
 
     @property
-    def _fitted(self) -> tuple[Readings, ...]:
+    def _fitted_points(self) -> tuple[Readings, ...]:
         return tuple(p for p in self.points if p.by_point)
 
     @property
@@ -134,13 +134,13 @@ class Request:
             "machine": {
                 "file": Path(spec.file).name or None,
                 "sha256": spec.sha256 or None,
-                **machine_kept(spec),
+                **stored_machine(spec),
                 **({"urdf": urdf_digests(spec.urdf)} if spec.urdf else {}),
             },
         }
 
 
-def machine_kept(spec: MachineFile) -> dict[str, str | None]:
+def stored_machine(spec: MachineFile) -> dict[str, str | None]:
     """Return a machine as ``result.json`` keeps it: the text of its file, and its covariance."""
     if (known := spec.posterior) is None:
         return {"toml": machine_text(spec), "npz": None}

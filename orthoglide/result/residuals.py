@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from orthoglide.geometry import LEGS, Array
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.numerals import ByUnit
-from orthoglide.result.codec import SHORT, Key, Metres, Share, in_mm
+from orthoglide.result.codec import SHORT_DIGITS, Key, Metres, Share, in_mm
 
 _MM = 1e-3
 
@@ -23,9 +23,9 @@ class SetupResidual:
     leg: int  # 0, 1 or 2: leg that the dial touches; -1 at the tool
     axis: int  # 0, 1 or 2: base axis along or about which it reads
     share: Share  # of the sum of all squared residuals, each divided by its variance
-    rms: Annotated[float, Key(digits=SHORT)]  # root mean square, metres or radians
+    rms: Annotated[float, Key(digits=SHORT_DIGITS)]  # root mean square, metres or radians
     # largest mean over one station along +axis, with its sign
-    most: Annotated[float, Key(digits=SHORT)]
+    most: Annotated[float, Key(digits=SHORT_DIGITS)]
     # label of that station; empty if it has none, or another station's residual is as large
     posture: str
     command: Array  # at that station (3,), metres
@@ -36,7 +36,7 @@ class SetupResidual:
     @property
     def reads(self) -> str:
         """The quantity that is read, in words."""
-        return OBSERVATIONS[self.kind].reads.format(LEGS[self.axis], LEGS[self.leg])
+        return OBSERVATIONS[self.kind].quantity_phrase.format(LEGS[self.axis], LEGS[self.leg])
 
     @property
     def unit(self) -> str:
@@ -49,13 +49,13 @@ class LackOfFit:
     """The residuals of the last fit: whether they exceed the noise, and where they are largest."""
 
     # probability that noise alone leaves residuals this large; nan where it was not computed
-    p_value: Annotated[float, Key("lack_of_fit_p", digits=SHORT)]
+    p_value: Annotated[float, Key("lack_of_fit_p", digits=SHORT_DIGITS)]
     # typical size of the effects that are not reported, as a share of their tolerances; nan after
     # `identify`
     background: Share
     # probability that the machine exceeds all tolerances, or that the noise is larger than the
     # repeats show
-    rare: Annotated[float, Key("rare_probability", digits=SHORT)]
+    rare: Annotated[float, Key("rare_probability", digits=SHORT_DIGITS)]
     shaped: Share  # `p_value` if probed plates may have shapes that no effect describes
     with_unreported: Share  # `p_value` if causes count that are not probable enough to be reported
     stopped: str  # why the search ended, a clause
@@ -115,7 +115,7 @@ class SetupNoise:
     file: str  # name of the file, or of the campaign where there is none
     kind: str  # of its readings
     # standard deviation of one reading that was assumed, root mean square, metres or radians
-    sigma: Annotated[float, Key(suffix="_mm", si=_MM, digits=SHORT)]
+    sigma: Annotated[float, Key(suffix="_mm", si=_MM, digits=SHORT_DIGITS)]
     # ratio of what the residuals show to that; nan where nothing is left to show it
     scale: Share
     scale_sigma: Share  # standard deviation of `scale`
@@ -131,7 +131,7 @@ class DataFault:
     setups: tuple[str, ...]  # names of the setups concerned
     message: str  # file, lines, the likely reason, and the remedy
     # decrease of chi2 by this fault, after the faults before it in the list
-    improvement: Annotated[float, Key("chi2_less", digits=SHORT)]
+    improvement: Annotated[float, Key("chi2_less", digits=SHORT_DIGITS)]
     rms_with: Metres  # of the residuals with the faulty readings
     rms_without: Metres  # of the residuals without them
     # pairs of the number of the readings within the request and the row within them

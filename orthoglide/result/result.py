@@ -10,12 +10,12 @@ from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 from orthoglide import __version__
-from orthoglide.accuracy import Map, tcp_map
+from orthoglide.accuracy import TcpMap, tcp_map
 from orthoglide.add_ons import Corrections, Section
 from orthoglide.control import ControllerNumbers
 from orthoglide.effects import Catalogue, Effect
-from orthoglide.errors import FileError, path_of
-from orthoglide.files import inside
+from orthoglide.errors import FileError, as_path
+from orthoglide.files import result_file
 from orthoglide.frames import Framed
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
@@ -23,16 +23,8 @@ from orthoglide.notes import Note
 from orthoglide.observations import Readings
 from orthoglide.observations.reading import readings_of_table, rows_table
 from orthoglide.result.codec import Key, Metres, decoded, encoded, required_keys
-from orthoglide.result.fits import (
-    CrossCheck,
-    Fit,
-    HoldOut,
-    Scores,
-    TcpErrors,
-    Verification,
-    WeakDirection,
-)
-from orthoglide.result.found import (
+from orthoglide.result.display import Picture, ReadingsShown, Workspace
+from orthoglide.result.findings import (
     Action,
     BudgetItem,
     CandidateScore,
@@ -43,27 +35,35 @@ from orthoglide.result.found import (
     Possible,
     Proposal,
     Withheld,
-    advised,
+    advice_rows,
 )
-from orthoglide.result.reading import (
-    EDITED,
-    as_edited,
+from orthoglide.result.fits import (
+    CrossCheck,
+    Fit,
+    HoldOut,
+    Scores,
+    TcpErrors,
+    Verification,
+    WeakDirection,
+)
+from orthoglide.result.loading import (
+    EDITED_FILE_ERRORS,
+    edited_file_error,
     machine_of,
     read_result,
     request_of,
-    writer_of,
+    version_text,
 )
-from orthoglide.result.request import Request, machine_kept
+from orthoglide.result.request import Request, stored_machine
 from orthoglide.result.residuals import Change, DataFault, LackOfFit, Noise, SetupNoise
-from orthoglide.result.shown import Picture, ReadingsShown, Workspace
 
 SCHEMA = 2
 
 Word = Literal["adequate", "diffuse", "explained", "ambiguous", "located", "partial", "unexplained"]
 
-_NAMED = 3  # keys that a message names
-_HARDLY = 0.95  # ratio of residuals above which a fit is reported as no improvement
-_NOTHING = 1e-6  # millimetres or milliradians: smaller residuals are rounding
+_MAX_NAMED_KEYS = 3  # keys that a message names
+_IMPROVED_RATIO = 0.95  # ratio of residuals above which a fit is reported as no improvement
+_NEGLIGIBLE_RMS = 1e-6  # millimetres or milliradians: smaller residuals are rounding
 
 
 @dataclass(frozen=True)
@@ -193,21 +193,21 @@ class Result(Framed):
         Raises:
             FileError: if there is no such file, or it was edited or is of an earlier version.
         """
-        file, own = inside(path_of(path), "result.json"), tuple(effects or ())
+        file, own = result_file(as_path(path), "result.json"), tuple(effects or ())
         found = read_result(file)
         request = request_of(found, str(file), own)
         if lacking := (required_keys(cls) | {"calibrated_machine"}) - found.keys():
             raise FileError(
-                f"lacks {', '.join(sorted(lacking)[:_NAMED])}: an earlier state of the package, "
-                f"{writer_of(found)}, wrote it, or it was edited; run it again with orthoglide "
+                f"lacks {', '.join(sorted(lacking)[:_MAX_NAMED_KEYS])}: an earlier state of the package, "
+                f"{version_text(found)}, wrote it, or it was edited; run it again with orthoglide "
                 f"rerun {shlex.quote(str(file))} --out DIR",
                 file=str(file),
             )
         try:
             kept = {"file": None, "sha256": None, **found["calibrated_machine"]}
             return cls.read(found, request, machine_of(kept, own))
-        except EDITED as error:
-            raise as_edited(error, str(file)) from None
+        except EDITED_FILE_ERRORS as error:
+            raise edited_file_error(error, str(file)) from None
 
     @classmethod
     def read(cls, found: Mapping[str, Any], request: Request, machine: Machine) -> Self:
@@ -228,7 +228,7 @@ class Result(Framed):
     def as_dict(self, summary: str) -> dict[str, Any]:
         """Return all keys of ``result.json``; ``summary`` is the result in a few sentences."""
         head = {"schema": SCHEMA, "version": __version__, **self.request.as_dict()}
-        kept = {"calibrated_machine": machine_kept(self.machine.spec)}
+        kept = {"calibrated_machine": stored_machine(self.machine.spec)}
         every: dict[str, Any] = encoded(self)
         return head | {"summary": summary} | every | kept
 
@@ -243,7 +243,7 @@ class Result(Framed):
             "sigma_scale": Key().number(self.after.sigma_scale),
             "calibrated": values,
             "tool": {name: one.as_dict() for name, one in self.numbers.expected.items()},
-            "advice": advised(self.actions),
+            "advice": advice_rows(self.actions),
             "method": {
                 "name": self.after.method,
                 "iterations": self.after.iterations,
@@ -290,7 +290,8 @@ class Result(Framed):
         """Whether a cause was found, or the full model reduces the residuals by 5 % or more."""
         before, after = (fit.scores.left.shown for fit in (self.before, self.after))
         return self.found or any(
-            after[unit] < _HARDLY * was and was > _NOTHING for unit, was in before.items()
+            after[unit] < _IMPROVED_RATIO * was and was > _NEGLIGIBLE_RMS
+            for unit, was in before.items()
         )
 
     @property
@@ -346,7 +347,7 @@ class Result(Framed):
         return sheet_of(self.sheet, self.request.machine) if self.sheet else None
 
     @cached_property
-    def map(self) -> Map | None:
+    def map(self) -> TcpMap | None:
         """Predicted TCP over the workspace with its uncertainty; ``None`` after ``identify``."""
         return tcp_map(self.machine) if self.searches else None
 

@@ -10,12 +10,12 @@ from html import escape
 import numpy as np
 
 from orthoglide.geometry import Array
-from orthoglide.scene.marks import arrow, marked
-from orthoglide.scene.paper import HEIGHT, WIDTH, Paper, around, box_of, lettering
+from orthoglide.scene.marks import arrow, mark_svg
+from orthoglide.scene.paper import HEIGHT, WIDTH, Paper, circle_box, lettering, text_box
 from orthoglide.scene.parts import Dial, Option, Posed
 
-_MARGIN, _FACE = 34.0, 4.5  # on the paper
-_SPACE = 'xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" '
+_MARGIN, _DIAL_RADIUS = 34.0, 4.5  # on the paper
+_NAMESPACE = 'xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" '
 _STYLE = (
     "--m-rail:#98a4ad;--m-body:#c3ccd3;--m-bar:#7b8790;--m-ink:#1f2a33;--m-dial:#0072b2;"
     "--m-mark:#d55e00;--m-paper:#ffffff"
@@ -68,12 +68,12 @@ def drawing(
     dials: Sequence[Dial] = (),
     *,
     title: str = "The machine",
-    shown: Sequence[int] = (0,),
-    alone: bool = False,
+    first_shown: Sequence[int] = (0,),
+    standalone: bool = False,
 ) -> str:
     """Return the machine as one inline ``<svg>``.
 
-    Each option is a group of class ``option`` and ``option-k``; those in ``shown`` are of class
+    Each option is a group of class ``option`` and ``option-k``; those in ``first_shown`` are of class
     ``first`` too, and the only ones that show where no style sheet says otherwise.
 
     Args:
@@ -81,42 +81,44 @@ def drawing(
         options: what may be wrong.
         dials: where dials stand.
         title: what a reader who cannot see the drawing is told first; the options follow.
-        shown: which options show at first.
-        alone: as a file of its own; else as part of a page.
+        first_shown: which options show at first.
+        standalone: as a file of its own; else as part of a page.
     """
     ends = [end for leg in range(3) for end in posed.rail(leg)]
     points = np.array([*ends, *posed.lines.reshape(-1, 3), posed.p])
     project = projection(posed, points)
     bodies = sorted(_bodies(posed, project), key=lambda body: body[0])
-    paper = _occupied(posed, dials, project)
-    names = "".join(lettering(*at, name, "ink", 3) for name, at in _named(posed, project))
+    paper = _paper_with_machine(posed, dials, project)
+    names = "".join(
+        lettering(*at, name, "ink", 3) for name, at in _placed_leg_names(posed, project)
+    )
     groups = []
     for k, option in enumerate(options):
         # Those shown together keep off each other's words.
-        own = paper if k in shown else paper.another()
-        drawn = "".join(marked(mark, posed, dials, own) for mark in option.marks)
+        own = paper if k in first_shown else paper.copy()
+        drawn = "".join(mark_svg(mark, posed, dials, own) for mark in option.marks)
         groups.append(
-            f'<g class="option option-{k}{" first" if k in shown else ""}"'
-            f"{'' if k in shown else ' style=' + chr(34) + 'display:none' + chr(34)}>"
+            f'<g class="option option-{k}{" first" if k in first_shown else ""}"'
+            f"{'' if k in first_shown else ' style=' + chr(34) + 'display:none' + chr(34)}>"
             f"<title>{escape(option.words)}</title>{drawn}</g>"
         )
     told = "; or ".join(option.words for option in options)
     return (
         f'<svg class="machine" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" '
-        f'{_SPACE if alone else ""}style="{_STYLE}" font-size="13">'
-        f"<title>{escape(title)}</title><desc>{escape(_told(posed, dials, told))}</desc>"
+        f'{_NAMESPACE if standalone else ""}style="{_STYLE}" font-size="13">'
+        f"<title>{escape(title)}</title><desc>{escape(_description(posed, dials, told))}</desc>"
         f"{''.join(text for _, text in bodies)}"
         f'<g class="dials">{"".join(_dial(dial, paper) for dial in dials)}</g>'
         f"{''.join(groups)}{names}</svg>"
     )
 
 
-def _told(posed: Posed, dials: Sequence[Dial], options: str) -> str:
+def _description(posed: Posed, dials: Sequence[Dial], options: str) -> str:
     names = ", ".join(posed.geometry.leg_names)
     where = f" Dials: {', '.join(dict.fromkeys(dial.name for dial in dials))}." if dials else ""
     said = f" Marked: {options}." if options else ""
     legs = f"Three legs {names}, each a carriage on its rail and two bars to the platform."
-    return f"{posed.geometry.layout.names.spoken(legs)}{where}{said}"
+    return f"{posed.geometry.layout.names.in_layout_words(legs)}{where}{said}"
 
 
 def _bodies(posed: Posed, project: Projection) -> list[tuple[float, str]]:
@@ -188,12 +190,12 @@ def _dial(dial: Dial, paper: Paper) -> str:
     return (
         f"<g><title>dial {escape(dial.name)}</title>"
         f"{arrow(face, dial.tip(paper.unit), paper, 'dial', 1.3)}"
-        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{_FACE:g}" fill="var(--m-paper)" '
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{_DIAL_RADIUS:g}" fill="var(--m-paper)" '
         f'stroke="var(--m-dial)" stroke-width="1.3"/></g>'
     )
 
 
-def _named(posed: Posed, project: Projection) -> list[tuple[str, tuple[float, float]]]:
+def _placed_leg_names(posed: Posed, project: Projection) -> list[tuple[str, tuple[float, float]]]:
     """Return names of the legs, each with the middle of its base line beyond its rail."""
     found = []
     for leg, name in enumerate(posed.geometry.leg_names):
@@ -203,15 +205,15 @@ def _named(posed: Posed, project: Projection) -> list[tuple[str, tuple[float, fl
     return found
 
 
-def _occupied(posed: Posed, dials: Sequence[Dial], project: Projection) -> Paper:
+def _paper_with_machine(posed: Posed, dials: Sequence[Dial], project: Projection) -> Paper:
     """Return the paper with names, dials, rails and bars on it."""
     paper = Paper(project, 1 / project.scale)
-    paper.taken += [box_of(*at, name) for name, at in _named(posed, project)]
+    paper.occupied += [text_box(*at, name) for name, at in _placed_leg_names(posed, project)]
     for dial in dials:
-        paper.taken.append(around(*project(dial.face(paper.unit)), _FACE))
-        paper.line([dial.face(paper.unit), dial.tip(paper.unit)])
+        paper.occupied.append(circle_box(*project(dial.face(paper.unit)), _DIAL_RADIUS))
+        paper.add_line([dial.face(paper.unit), dial.tip(paper.unit)])
     for leg in range(3):
-        paper.line(posed.rail(leg))
+        paper.add_line(posed.rail(leg))
         for ends in posed.lines[leg]:
-            paper.line(ends)
+            paper.add_line(ends)
     return paper

@@ -12,18 +12,18 @@ from orthoglide.ordering import largest
 from orthoglide.scene.paper import Paper
 from orthoglide.scene.parts import Dial, Mark, Posed
 
-_LENGTH = 46.0  # of an arrow, on the paper
-_BOW = 34.0  # to which the largest error of a path is drawn
+_ARROW_LENGTH = 46.0  # of an arrow, on the paper
+_MAX_BOW = 34.0  # to which the largest error of a path is drawn
 
 
-def marked(mark: Mark, posed: Posed, dials: Sequence[Dial], paper: Paper) -> str:
+def mark_svg(mark: Mark, posed: Posed, dials: Sequence[Dial], paper: Paper) -> str:
     """Return one mark as SVG."""
     draw = {
         "drive": _drive, "rail": _rail, "carriage": _turn, "bar": _bar, "link": _link,
-        "platform": _end, "plate": _plate,
+        "platform": _platform_end, "plate": _plate,
     }  # fmt: skip
     if mark.part == "dial":
-        return "".join(_dialled(mark, d, paper) for d in dials if mark.setup in ("", d.name))
+        return "".join(_dial_mark(mark, d, paper) for d in dials if mark.setup in ("", d.name))
     return draw[mark.part](mark, posed, paper)
 
 
@@ -46,7 +46,7 @@ def arrow(a: Array, b: Array, paper: Paper, colour: str, width: float = 2.6) -> 
     )
 
 
-def _pointing(at: Array, way: Array, mark: Mark, paper: Paper) -> str:
+def _direction_arrows(at: Array, way: Array, mark: Mark, paper: Paper) -> str:
     """Return an arrow from a point along a direction, and against it if the mark has both."""
     one = arrow(at, at + way, paper, "mark")
     return one + (arrow(at, at - way, paper, "mark") if mark.both else "")
@@ -54,7 +54,7 @@ def _pointing(at: Array, way: Array, mark: Mark, paper: Paper) -> str:
 
 def _stroke(points: Sequence[Array], paper: Paper, width: float, dash: str = "") -> str:
     at = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(paper.project, points))
-    paper.line(points)
+    paper.add_line(points)
     return (
         f'<polyline points="{at}" fill="none" stroke="var(--m-mark)" stroke-width="{width:g}" '
         f'stroke-linecap="round" stroke-linejoin="round"{dash}/>'
@@ -66,19 +66,19 @@ def _drive(mark: Mark, posed: Posed, paper: Paper) -> str:
     low, high = posed.geometry.stroke
     along = [posed.path(mark.leg, low), posed.path(mark.leg, high)]
     start = at + 0.5 * posed.geometry.d * mark.way
-    way = _LENGTH * paper.unit * mark.way
+    way = _ARROW_LENGTH * paper.unit * mark.way
     return (
         _stroke(along, paper, 2.0, ' stroke-dasharray="2 5"')
         + _stroke([at, at], paper, 11.0)
-        + _pointing(start, way, mark, paper)
-        + paper.words(start + 1.1 * way, mark.label, start)
+        + _direction_arrows(start, way, mark, paper)
+        + paper.place_text(start + 1.1 * way, mark.label, start)
     )
 
 
 def _rail(mark: Mark, posed: Posed, paper: Paper) -> str:
     curve = np.array([[mark.at, 1.0]]) if mark.curve is None else mark.curve
     straight = [posed.path(mark.leg, float(s)) for s in curve[:, 0]]
-    way = _BOW * paper.unit * mark.way
+    way = _MAX_BOW * paper.unit * mark.way
     wrong = [p + float(v) * way for p, v in zip(straight, curve[:, 1], strict=True)]
     at = posed.path(mark.leg, mark.at)
     ends = posed.rail(mark.leg)
@@ -86,8 +86,8 @@ def _rail(mark: Mark, posed: Posed, paper: Paper) -> str:
         _stroke(ends, paper, 5.0)
         + _stroke(straight, paper, 1.2, ' stroke-dasharray="3 4"')
         + _stroke(wrong, paper, 2.2)
-        + _pointing(at, way, mark, paper)
-        + paper.words(at + way, mark.label, at)
+        + _direction_arrows(at, way, mark, paper)
+        + paper.place_text(at + way, mark.label, at)
     )
 
 
@@ -106,7 +106,7 @@ def _turn(mark: Mark, posed: Posed, paper: Paper) -> str:
         + _stroke(axis, paper, 1.2, ' stroke-dasharray="5 3"')
         + _stroke(points[:-2], paper, 2.6)
         + arrow(points[-3], points[-1], paper, "mark")
-        + paper.words(at + 0.95 * d * mark.way, mark.label)
+        + paper.place_text(at + 0.95 * d * mark.way, mark.label)
     )
 
 
@@ -117,33 +117,33 @@ def _bar(mark: Mark, posed: Posed, paper: Paper) -> str:
     found = [_stroke(list(line), paper, 5.0) for line in lines]
     grows = float(mark.way @ (posed.carriage(mark.leg) - posed.platform(mark.leg))) > 0
     for a, b in lines:
-        along = _LENGTH * paper.unit * (a - b) / np.linalg.norm(a - b)
+        along = _ARROW_LENGTH * paper.unit * (a - b) / np.linalg.norm(a - b)
         for end, out in ((a, along), (b, -along)):
             near, far = end + 0.1 * out, end + 0.7 * out
             found.append(arrow(*((near, far) if grows else (far, near)), paper, "mark"))
-    return "".join(found) + paper.words(middle, mark.label)
+    return "".join(found) + paper.place_text(middle, mark.label)
 
 
 def _link(mark: Mark, posed: Posed, paper: Paper) -> str:
     """Return the short link at the platform, wider or narrower along the direction."""
     ends = posed.lines[mark.leg, :, 1]
-    out = _LENGTH * paper.unit * (ends[0] - ends[1]) / np.linalg.norm(ends[0] - ends[1])
+    out = _ARROW_LENGTH * paper.unit * (ends[0] - ends[1]) / np.linalg.norm(ends[0] - ends[1])
     grows, found = float(mark.way @ out) > 0, [_stroke(list(ends), paper, 5.0)]
     for end, away in ((ends[0], out), (ends[1], -out)):
         tip = end + 0.6 * away
         found.append(arrow(*((end, tip) if grows else (tip, end)), paper, "mark"))
     top = ends[0] + 0.75 * out
-    return "".join(found) + paper.words(top, mark.label)
+    return "".join(found) + paper.place_text(top, mark.label)
 
 
-def _end(mark: Mark, posed: Posed, paper: Paper) -> str:
+def _platform_end(mark: Mark, posed: Posed, paper: Paper) -> str:
     """Return the leg's end at the platform."""
     at = posed.platform(mark.leg)
-    way = _LENGTH * paper.unit * mark.way
+    way = _ARROW_LENGTH * paper.unit * mark.way
     return (
         _stroke(list(posed.lines[mark.leg, :, 1]), paper, 5.0)
-        + _pointing(at, way, mark, paper)
-        + paper.words(at + 1.1 * way, mark.label, at)
+        + _direction_arrows(at, way, mark, paper)
+        + paper.place_text(at + 1.1 * way, mark.label, at)
     )
 
 
@@ -152,16 +152,16 @@ def _plate(mark: Mark, posed: Posed, paper: Paper) -> str:
     radius = 0.35 * posed.geometry.L
     turn = np.linspace(0, 2 * np.pi, 49)
     ring = [radius * np.array([math.cos(t), math.sin(t), 0.0]) for t in turn]
-    return _stroke(ring, paper, 3.0) + paper.words(ring[36], mark.label)
+    return _stroke(ring, paper, 3.0) + paper.place_text(ring[36], mark.label)
 
 
-def _dialled(mark: Mark, dial: Dial, paper: Paper) -> str:
+def _dial_mark(mark: Mark, dial: Dial, paper: Paper) -> str:
     x, y = paper.project(dial.face(paper.unit))
     found = (
         f'<circle cx="{x:.1f}" cy="{y:.1f}" r="7" fill="none" stroke="var(--m-mark)" '
         f'stroke-width="3"/>'
     )
-    way = _LENGTH * paper.unit * mark.way
+    way = _ARROW_LENGTH * paper.unit * mark.way
     if mark.way.any():
         found += arrow(dial.at, dial.at + way, paper, "mark")
-    return found + paper.words(dial.at + 1.1 * way, mark.label, dial.at)
+    return found + paper.place_text(dial.at + 1.1 * way, mark.label, dial.at)

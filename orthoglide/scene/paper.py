@@ -15,27 +15,27 @@ from orthoglide.geometry import Array
 WIDTH, HEIGHT = 440.0, 400.0
 """Of the drawing, in units in which its letters are 13 high: readable on a phone."""
 
-LETTER = 8.6
+LETTER_WIDTH = 8.6
 """Width of a bold letter, on the average of the wide faces."""
 
 _ABOVE, _BELOW, _EDGE = 11.0, 3.5, 3.0  # of a line of letters about its base; of the paper
 _GAPS = (4.0, 12.0, 22.0, 34.0, 50.0)
-_WAYS = 16
-_OVER_WORDS, _OVER_LINE, _AWAY = 1e3, 6.0, 0.6  # cost of covering; of a unit of distance
-_STEP = 5.0  # between the points that stand for a line
+_DIRECTIONS = 16
+_TEXT_COST, _LINE_COST, _DISTANCE_COST = 1e3, 6.0, 0.6  # cost of covering; of a unit of distance
+_LINE_STEP = 5.0  # between the points that stand for a line
 
 Point = tuple[float, float]
 Box = tuple[float, float, float, float]
 """Left, top, right and bottom."""
 
 
-def box_of(x: float, y: float, text: str) -> Box:
+def text_box(x: float, y: float, text: str) -> Box:
     """Return the room of a line of bold letters with the given middle and base."""
-    half = LETTER * len(text) / 2
+    half = LETTER_WIDTH * len(text) / 2
     return x - half, y - _ABOVE, x + half, y + _BELOW
 
 
-def around(x: float, y: float, radius: float) -> Box:
+def circle_box(x: float, y: float, radius: float) -> Box:
     """Return the room of a circle."""
     return x - radius, y - radius, x + radius, y + radius
 
@@ -55,36 +55,38 @@ class Paper:
 
     project: Callable[[Array], Point]  # paper coordinates of a point (3,)
     unit: float  # metres that are one unit of the paper
-    taken: list[Box] = field(default_factory=list)  # boxes that no words may cover
+    occupied: list[Box] = field(default_factory=list)  # boxes that no words may cover
     # points of lines that words had better not cover
     lines: list[Point] = field(default_factory=list)
 
-    def another(self) -> Paper:
+    def copy(self) -> Paper:
         """Return a copy that can be written on without changing this one."""
-        return Paper(self.project, self.unit, list(self.taken), list(self.lines))
+        return Paper(self.project, self.unit, list(self.occupied), list(self.lines))
 
-    def line(self, points: Iterable[Array]) -> None:
+    def add_line(self, points: Iterable[Array]) -> None:
         """Note a line through points ``(3,)``."""
         for (x1, y1), (x2, y2) in itertools.pairwise(map(self.project, points)):
-            count = max(int(math.hypot(x2 - x1, y2 - y1) / _STEP), 1)
+            count = max(int(math.hypot(x2 - x1, y2 - y1) / _LINE_STEP), 1)
             shares = [k / count for k in range(count + 1)]
             self.lines += [(x1 + s * (x2 - x1), y1 + s * (y2 - y1)) for s in shares]
 
-    def words(self, at: Array, text: str, tail: Array | None = None) -> str:
+    def place_text(self, at: Array, text: str, tail: Array | None = None) -> str:
         """Return words beside a point as SVG; beyond it if an arrow from a tail ends there."""
         if not text:
             return ""
         x, y = self.project(at)
         if tail is not None:
-            self.line([tail, at])
-        x, y = min(self._places(x, y, text), key=lambda p: self._cost(p, (x, y), text))
-        self.taken.append(box_of(x, y, text))
+            self.add_line([tail, at])
+        x, y = min(self._candidate_positions(x, y, text), key=lambda p: self._cost(p, (x, y), text))
+        self.occupied.append(text_box(x, y, text))
         return lettering(x, y, text, "mark", 3.5)
 
-    def _places(self, x: float, y: float, text: str) -> Sequence[Point]:
+    def _candidate_positions(self, x: float, y: float, text: str) -> Sequence[Point]:
         """Return middles of base lines around a point, all within the paper."""
-        half, found = LETTER * len(text) / 2, []
-        for gap, turn in itertools.product(_GAPS, np.arange(_WAYS) * 2 * math.pi / _WAYS):
+        half, found = LETTER_WIDTH * len(text) / 2, []
+        for gap, turn in itertools.product(
+            _GAPS, np.arange(_DIRECTIONS) * 2 * math.pi / _DIRECTIONS
+        ):
             px = x + (half + gap) * math.cos(turn)
             py = y + (_ABOVE + _BELOW) / 2 + (_ABOVE + gap) * math.sin(turn) - _BELOW
             px = min(max(px, half + _EDGE), WIDTH - half - _EDGE)
@@ -92,10 +94,10 @@ class Paper:
         return found
 
     def _cost(self, place: Point, at: Point, text: str) -> float:
-        left, top, right, bottom = box_of(*place, text)
+        left, top, right, bottom = text_box(*place, text)
         covered = sum(left < b[2] and b[0] < right and top < b[3] and b[1] < bottom
-                      for b in self.taken)  # fmt: skip
+                      for b in self.occupied)  # fmt: skip
         crossed = sum(left < x < right and top < y < bottom for x, y in self.lines)
         aside = max(left - at[0], at[0] - right, 0.0)
         away = math.hypot(aside, max(top - at[1], at[1] - bottom, 0.0))
-        return _OVER_WORDS * covered + _OVER_LINE * crossed + _AWAY * away
+        return _TEXT_COST * covered + _LINE_COST * crossed + _DISTANCE_COST * away

@@ -84,7 +84,7 @@ def to_mjcf(urdf: str, loops: Sequence[Closure], *, relief: bool = True, comment
         behind[_link(joint, "parent")].append(joint)
     carried = {_link(joint, "child") for several in behind.values() for joint in several}
     for name in links.keys() - carried:  # one: a tree has one root
-        _fill(world, links[name], links, behind, relief)
+        _add_link(world, links[name], links, behind, relief)
     equality = ET.SubElement(root, "equality")
     for loop in loops:
         frames = {"site1": loop.frame_1, "site2": loop.frame_2}
@@ -104,7 +104,7 @@ def _link(joint: ET.Element, end: str) -> str:
     return "" if found is None else found.get("link", "")
 
 
-def _fill(
+def _add_link(
     body: ET.Element,
     link: ET.Element,
     links: Mapping[str, ET.Element],
@@ -126,7 +126,7 @@ def _fill(
         if kind != "fixed":
             _add_joints(inner, joint, relief)
         ET.SubElement(inner, "site", name=child, size="0.002")
-        _fill(inner, links[child], links, behind, relief)
+        _add_link(inner, links[child], links, behind, relief)
 
 
 def _add_joints(body: ET.Element, joint: ET.Element, relief: bool) -> None:

@@ -22,7 +22,7 @@ from typing import Any, Literal
 from orthoglide import files
 from orthoglide.errors import FileError
 from orthoglide.geometry import Geometry
-from orthoglide.text import brief, shown
+from orthoglide.text import abbreviated, printable_path
 from orthoglide.urdf.tree import (
     CLOSURES_ENDING,
     CLOSURES_FILE,
@@ -87,8 +87,8 @@ def read_looped_urdf(folder: str | os.PathLike[str]) -> ParallelRobot:
     Raises:
         FileError: where a file is missing, or says what cannot be.
     """
-    theirs = not _own_files(folder)[0].exists() and (Path(folder) / ROBOT_URDF).exists()
-    return read_parallel_robot(folder) if theirs else _read_own(folder)
+    theirs = not _package_files(folder)[0].exists() and (Path(folder) / ROBOT_URDF).exists()
+    return read_parallel_robot(folder) if theirs else _read_package_files(folder)
 
 
 def urdf_digests(folder: str | os.PathLike[str]) -> dict[str, str]:
@@ -97,11 +97,11 @@ def urdf_digests(folder: str | os.PathLike[str]) -> dict[str, str]:
     Raises:
         FileError: where a file is missing.
     """
-    paths = _own_files(folder)
+    paths = _package_files(folder)
     return {str(path): files.sha256(files.read_bytes(path)) for path in paths}
 
 
-def _own_files(folder: str | os.PathLike[str]) -> tuple[Path, Path]:
+def _package_files(folder: str | os.PathLike[str]) -> tuple[Path, Path]:
     """The URDF and the closures of a folder: ``orthoglide.urdf``, or the one that has closures."""
     place = Path(folder)
     others = sorted(place.glob(f"*{CLOSURES_ENDING}"))
@@ -111,24 +111,27 @@ def _own_files(folder: str | os.PathLike[str]) -> tuple[Path, Path]:
     return place / f"{closed.name.removesuffix(CLOSURES_ENDING)}.urdf", closed
 
 
-def _read_own(folder: str | os.PathLike[str]) -> ParallelRobot:
+def _read_package_files(folder: str | os.PathLike[str]) -> ParallelRobot:
     """Read this package's own two files of a folder."""
-    urdf_path, toml_path = _own_files(folder)
+    urdf_path, toml_path = _package_files(folder)
     urdf = files.decode(files.read_bytes(urdf_path), urdf_path)
-    text, file = files.decode(files.read_bytes(toml_path, files.TEXT), toml_path), shown(toml_path)
-    names = _names(urdf, shown(urdf_path))
+    text, file = (
+        files.decode(files.read_bytes(toml_path, files.TEXT_LIMIT), toml_path),
+        printable_path(toml_path),
+    )
+    names = _names(urdf, printable_path(urdf_path))
     try:
         tables = tomllib.loads(text).get("closure", [])
     except tomllib.TOMLDecodeError as error:
-        raise FileError(f"is no TOML ({brief(str(error))}): correct it", file=file) from None
+        raise FileError(f"is no TOML ({abbreviated(str(error))}): correct it", file=file) from None
     loops = []
     for table in tables if isinstance(tables, list) else []:
         if not isinstance(table, dict):
             raise FileError("closure must be tables [[closure]]: write them so", file=file)
         frames = [table.get("frame_1"), table.get("frame_2")]
         name, kind = str(table.get("name", "")), table.get("kind")
-        if trouble := _trouble(frames, kind, _KINDS.values(), names):
-            raise FileError(f"closure {brief(name)!r} {trouble}", file=file)
+        if trouble := _closure_problem(frames, kind, _KINDS.values(), names):
+            raise FileError(f"closure {abbreviated(name)!r} {trouble}", file=file)
         loops.append(Closure(name, kind, *frames))  # type: ignore[arg-type]
     if not loops:
         raise FileError("has no table [[closure]], so no loop is closed: add them", file=file)
@@ -149,50 +152,54 @@ def read_parallel_robot(folder: str | os.PathLike[str]) -> ParallelRobot:
     """
     urdf_path, yaml_path = (Path(folder) / name for name in (ROBOT_URDF, ROBOT_YAML))
     urdf = files.decode(files.read_bytes(urdf_path), urdf_path)
-    names = _names(urdf, shown(urdf_path))
-    found = _Lists(files.decode(files.read_bytes(yaml_path, files.TEXT), yaml_path), yaml_path)
-    pairs, kinds, motors = (found.of(key) for key in ("closed_loop", "type", "name_mot"))
+    names = _names(urdf, printable_path(urdf_path))
+    found = _YamlLists(
+        files.decode(files.read_bytes(yaml_path, files.TEXT_LIMIT), yaml_path), yaml_path
+    )
+    pairs, kinds, motors = (found.list_of(key) for key in ("closed_loop", "type", "name_mot"))
     if len(kinds) != len(pairs):
         found.fail("type", f"has {len(kinds)} kinds for {len(pairs)} loops: give one for each")
     if not pairs:
         found.fail("closed_loop", "has no pair of frames, so no loop is closed: add them")
     loops = []
     for k, (pair, kind) in enumerate(zip(pairs, kinds, strict=True), start=1):
-        if trouble := _trouble(pair, str(kind).lower(), _KINDS, names):
+        if trouble := _closure_problem(pair, str(kind).lower(), _KINDS, names):
             found.fail("closed_loop" if "frames" in trouble else "type", trouble)
         loops.append(Closure(f"loop{k}", _KINDS[str(kind).lower()], pair[0], pair[1]))
     if not motors:
         found.fail("name_mot", "has no joint, so nothing drives the machine: add its motors")
     for k, motor in enumerate(motors):
         if motor in motors[:k]:
-            found.fail("name_mot", f"names {brief(str(motor))} twice: name each joint once")
+            found.fail("name_mot", f"names {abbreviated(str(motor))} twice: name each joint once")
         if not isinstance(motor, str) or motor not in names:
-            found.fail("name_mot", f"names {brief(str(motor))}, no joint of {ROBOT_URDF}")
-    replaced = _replaced(found, _joint_names(urdf))
+            found.fail("name_mot", f"names {abbreviated(str(motor))}, no joint of {ROBOT_URDF}")
+    replaced = _joint_replacements(found, _joint_names(urdf))
     return ParallelRobot(urdf_path, urdf, tuple(loops), tuple(motors), replaced)
 
 
-def _trouble(frames: Any, kind: Any, kinds: Collection[str], names: frozenset[str]) -> str:
+def _closure_problem(frames: Any, kind: Any, kinds: Collection[str], names: frozenset[str]) -> str:
     """Return what is wrong with the frames or the kind of a loop, as a clause; else nothing."""
     texts = isinstance(frames, list) and all(isinstance(n, str) and n in names for n in frames)
     if not texts or len(frames) != 2 or frames[0] == frames[1]:
-        return f"names {brief(str(frames))}, no two frames of the URDF: correct it"
+        return f"names {abbreviated(str(frames))}, no two frames of the URDF: correct it"
     if kind not in kinds:
-        return f"has {brief(str(kind))!r}, which is neither {' nor '.join(kinds)}: correct it"
+        return f"has {abbreviated(str(kind))!r}, which is neither {' nor '.join(kinds)}: correct it"
     return ""
 
 
-def _replaced(found: _Lists, names: frozenset[str]) -> dict[str, str]:
-    joints, kinds = found.of("joint_name"), found.of("joint_type")
+def _joint_replacements(found: _YamlLists, names: frozenset[str]) -> dict[str, str]:
+    joints, kinds = found.list_of("joint_name"), found.list_of("joint_type")
     if len(joints) != len(kinds):
         found.fail("joint_type", f"has {len(kinds)} kinds for {len(joints)} joints: give one each")
     for joint, kind in zip(joints, kinds, strict=True):
         if joint not in names:
-            found.fail("joint_name", f"names {brief(str(joint))}, no moving joint of {ROBOT_URDF}")
+            found.fail(
+                "joint_name", f"names {abbreviated(str(joint))}, no moving joint of {ROBOT_URDF}"
+            )
         if kind not in _REPLACEMENTS:
             found.fail(
                 "joint_type",
-                f"has {brief(str(kind))}, which is not read: it is {' or '.join(_REPLACEMENTS)}",
+                f"has {abbreviated(str(kind))}, which is not read: it is {' or '.join(_REPLACEMENTS)}",
             )
     return dict(zip(joints, kinds, strict=True))
 
@@ -207,15 +214,15 @@ def _names(urdf: str, file: str) -> frozenset[str]:
     try:
         root = ET.fromstring(urdf)
     except (ET.ParseError, ValueError) as error:
-        raise FileError(f"is no URDF ({brief(str(error))}): correct it", file=file) from None
+        raise FileError(f"is no URDF ({abbreviated(str(error))}): correct it", file=file) from None
     return frozenset(str(e.get("name")) for e in root if e.tag in ("link", "joint"))
 
 
-class _Lists:
+class _YamlLists:
     """Keys with lists in YAML's flow style, over several lines or one: all that such files hold."""
 
     def __init__(self, text: str, path: Path) -> None:
-        self.file = shown(path)
+        self.file = printable_path(path)
         self.lines: dict[str, int] = {}
         self.texts: dict[str, str] = {}
         key = ""
@@ -232,7 +239,7 @@ class _Lists:
         """Refuse the value of a key, or its absence."""
         raise FileError(f"{key} {message}", file=self.file, line=self.lines.get(key))
 
-    def of(self, key: str) -> list[Any]:
+    def list_of(self, key: str) -> list[Any]:
         """The list of a key; empty where an optional one is not there."""
         if key not in self.texts:
             return [] if key in _OPTIONAL else list(self.fail(key, "is missing: add it"))

@@ -16,27 +16,35 @@ from orthoglide.errors import FileError
 from orthoglide.foreign import refuse_foreign
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
-from orthoglide.text import shown
+from orthoglide.text import printable_path
 
-_SAVED = "#*#"
+_SAVED_MARK = "#*#"
 _HEADER = re.compile(r"#\*#\s*<-+ *SAVE_CONFIG *-+>")
 _SECTION = re.compile(r"\[([^\]]+)\]")
 _ENTRY = re.compile(r"([^\s:=#;\[][^:=]*?)\s*[:=]\s*(.*)$")
 _COMMENT = re.compile(r"#.*$|(?:^|\s);.*$")
 _ROW = re.compile(r"[-+.,\d\seE]+$")
 _TEMPERATURE = re.compile(r"(?:\w+_)?temp(?:erature)?(?:_c)?")
-_READ = ("printer", "stepper_a", "stepper_b", "stepper_c", "delta_calibrate", "bed_mesh", "probe")
-_DEEPEST = 8  # files that include one another
-_SECTIONS = (*_READ, "include", "bltouch", "smart_effector", "beacon", "cartographer")
-_PASTED = {0x200B: None, 0xFEFF: None, 0x2212: "-"}  # what web pages put into pasted text
-_KEYS = {  # by the kind of section in which alone SAVE_CONFIG writes them
+_READ_SECTIONS = (
+    "printer",
+    "stepper_a",
+    "stepper_b",
+    "stepper_c",
+    "delta_calibrate",
+    "bed_mesh",
+    "probe",
+)
+_MAX_INCLUDE_DEPTH = 8  # files that include one another
+_SECTIONS = (*_READ_SECTIONS, "include", "bltouch", "smart_effector", "beacon", "cartographer")
+_WEB_CHARACTERS = {0x200B: None, 0xFEFF: None, 0x2212: "-"}  # what web pages put into pasted text
+_SAVED_KEYS = {  # by the kind of section in which alone SAVE_CONFIG writes them
     "printer": re.compile("delta_radius"),
     "delta_calibrate": re.compile(r"(height|distance)\d+(_pos\d?)?"),
     "bed_mesh": re.compile(r"points|[xy]_count|mesh_[xy]_pps"),
 }
-_MOST = 1e6  # of anything that a printer's file counts
+_MAX_NUMBER = 1e6  # of anything that a printer's file counts
 
-BROKEN = "broken header"
+BROKEN_HEADER = "broken header"
 """Kind of a note on a section that is lost, as its header is missing or cannot be read."""
 
 Lines = Sequence[tuple[int, str]]
@@ -65,13 +73,15 @@ def _cell(text: str) -> float | str:
 
 
 @dataclass
-class Section:
+class ConfigSection:
     """A section of the file."""
 
     name: str  # between the brackets
     header: Entry  # where it stands
     entries: dict[str, Entry] = field(default_factory=dict)  # values by key, lower case
-    missing: Sequence[str] = ()  # included files that were not found and may have more of its keys
+    missing_includes: Sequence[
+        str
+    ] = ()  # included files that were not found and may have more of its keys
 
     def __contains__(self, key: str) -> bool:
         return key in self.entries
@@ -84,12 +94,16 @@ class Section:
     def text(self, key: str) -> str:
         """Return the value of a key that must be there."""
         if key not in self.entries:
-            remedy = f"add it, or take the file that the firmware saved{_elsewhere(self.missing)}"
+            remedy = f"add it, or take the file that the firmware saved{_include_hint(self.missing_includes)}"
             self.fail(key, f"is missing: {remedy}")
         return self.entries[key].text
 
     def number(
-        self, key: str, default: float | None = None, low: float = -_MOST, high: float = _MOST
+        self,
+        key: str,
+        default: float | None = None,
+        low: float = -_MAX_NUMBER,
+        high: float = _MAX_NUMBER,
     ) -> float:
         """Return a number between two limits, the limits themselves excluded."""
         if key not in self.entries and default is not None:
@@ -143,17 +157,17 @@ class Config:
     file: str  # its name
     sha256: str  # its digest
     folder: Path  # in which it stands: nothing outside it is read
-    sections: dict[str, Section] = field(default_factory=dict)  # in the order of the file
-    missing: list[str] = field(default_factory=list)  # included files that were not found
+    sections: dict[str, ConfigSection] = field(default_factory=dict)  # in the order of the file
+    missing_includes: list[str] = field(default_factory=list)  # included files that were not found
     notes: list[Note] = field(default_factory=list)  # of what was noticed on reading it
     # line, key and section of keys that stand there a second time
-    repeated: list[tuple[int, str, str]] = field(default_factory=list)
+    repeated_keys: list[tuple[int, str, str]] = field(default_factory=list)
 
     def note(self, kind: str, text: str) -> None:
         """Note something for the owner."""
         self.notes.append(Note(text, kind))
 
-    def usable(self, name: str, key: str, low: float, high: float) -> float:
+    def number_or_zero(self, name: str, key: str, low: float, high: float) -> float:
         """Return a number of a section, or 0 with a note where it is missing or of no use."""
         section = self.sections.get(name)
         try:
@@ -163,15 +177,15 @@ class Config:
             del self.sections[name].entries[key]
             return 0.0
 
-    def section(self, name: str) -> Section:
+    def section(self, name: str) -> ConfigSection:
         """Return a section that must be there.
 
         Raises:
             FileError: where it is not.
         """
         if name not in self.sections:
-            message = f"has no section [{name}]: add it{_elsewhere(self.missing)}"
-            if not any(one.split(" ")[0] in _READ for one in self.sections):
+            message = f"has no section [{name}]: add it{_include_hint(self.missing_includes)}"
+            if not any(one.split(" ")[0] in _READ_SECTIONS for one in self.sections):
                 message = (
                     f"has none of the sections of a printer.cfg, such as [{name}]: give the file "
                     f"as the firmware saved it, without marks before its lines"
@@ -179,11 +193,11 @@ class Config:
             raise FileError(message, file=self.file)
         return self.sections[name]
 
-    def optional(self, name: str) -> Section:
+    def section_or_empty(self, name: str) -> ConfigSection:
         """Return a section, empty where it is not there."""
-        return self.sections.get(name) or Section(name, Entry("", 1, self.file))
+        return self.sections.get(name) or ConfigSection(name, Entry("", 1, self.file))
 
-    def named(self, *kinds: str) -> Iterator[Section]:
+    def sections_of_kind(self, *kinds: str) -> Iterator[ConfigSection]:
         """Return sections whose first word is one of these, in the order of the file."""
         return (s for name, s in self.sections.items() if name.split(" ")[0] in kinds)
 
@@ -197,36 +211,37 @@ def read_config(path: str | os.PathLike[str]) -> Config:
         FileError: where it is missing, is another firmware's, or the firmware would not read what
             it saved.
     """
-    path = Path(files.inside(path, "printer.cfg"))
+    path = Path(files.result_file(path, "printer.cfg"))
     content = files.read_bytes(path)
-    refuse_foreign(path, content[: files.TEXT], own=("klipper",))
-    if len(content) > files.TEXT:
+    refuse_foreign(path, content[: files.TEXT_LIMIT], accepted=("klipper",))
+    if len(content) > files.TEXT_LIMIT:
         raise FileError(
-            f"is larger than {files.TEXT // 2**20} MB: give the right file", file=shown(path)
+            f"is larger than {files.TEXT_LIMIT // 2**20} MB: give the right file",
+            file=printable_path(path),
         )
-    config = Config(shown(path), files.sha256(content), path.parent)
+    config = Config(printable_path(path), files.sha256(content), path.parent)
     lines = _lines(content, path)
-    _parse(config, _own(lines), path, (path,))
+    _parse(config, _written_lines(lines), path, (path,))
     saved = Config(config.file, config.sha256, path.parent)
-    _parse(saved, _saved(lines, shown(path)), path, (path,))
+    _parse(saved, _saved_lines(lines, printable_path(path)), path, (path,))
     _add_saved(config, saved)
     for section in config.sections.values():
-        section.missing = config.missing
+        section.missing_includes = config.missing_includes
     return config
 
 
 def _lines(content: bytes, path: Path) -> Lines:
     """Return lines with their numbers; of comments in any alphabet, as only numbers are read."""
     text = files.decode(content, path, errors="replace")
-    return list(enumerate(re.split(r"\r\n|\r|\n", text.translate(_PASTED)), start=1))
+    return list(enumerate(re.split(r"\r\n|\r|\n", text.translate(_WEB_CHARACTERS)), start=1))
 
 
-def _own(lines: Lines) -> Lines:
+def _written_lines(lines: Lines) -> Lines:
     """Return the lines that SAVE_CONFIG did not write."""
-    return [(k, line) for k, line in lines if not line.lstrip().startswith(_SAVED)]
+    return [(k, line) for k, line in lines if not line.lstrip().startswith(_SAVED_MARK)]
 
 
-def _saved(lines: Lines, file: str) -> Lines:
+def _saved_lines(lines: Lines, file: str) -> Lines:
     """Return the lines that SAVE_CONFIG wrote, without their marks.
 
     Raises:
@@ -234,29 +249,31 @@ def _saved(lines: Lines, file: str) -> Lines:
     """
     headers = [k for k, line in lines if _HEADER.match(line.lstrip())]
     first = headers[0] if headers else 1
-    below = [k for k, line in _own(lines) if k > first and line.strip()]
-    for wrong, what in ((headers[1:], "a second header"), (below, f"a line without {_SAVED}")):
+    below = [k for k, line in _written_lines(lines) if k > first and line.strip()]
+    for wrong, what in ((headers[1:], "a second header"), (below, f"a line without {_SAVED_MARK}")):
         if headers and wrong:
             raise FileError(
                 f"{what} stands below the header of SAVE_CONFIG (line {first}), and the firmware "
-                f"then leaves the whole block out: put {_SAVED} before it if it belongs to the "
+                f"then leaves the whole block out: put {_SAVED_MARK} before it if it belongs to the "
                 f"block, else move it above the header or remove it",
                 file=file,
                 line=wrong[0],
             )
     return [
-        (k, line.lstrip().removeprefix(_SAVED).removeprefix(" "))
+        (k, line.lstrip().removeprefix(_SAVED_MARK).removeprefix(" "))
         for k, line in lines
-        if line.lstrip().startswith(_SAVED) and k >= first
+        if line.lstrip().startswith(_SAVED_MARK) and k >= first
     ]
 
 
-def _strayed(saved: Config) -> Iterator[Note]:
+def _lost_headers(saved: Config) -> Iterator[Note]:
     """Yield a note where a header was lost: below it a key stands twice in a section, or in a
     section of another kind than SAVE_CONFIG writes it in.
     """
-    found = [(line, f"{key} stands twice in [{name}]", "it") for line, key, name in saved.repeated]
-    for kind, keys in _KEYS.items():
+    found = [
+        (line, f"{key} stands twice in [{name}]", "it") for line, key, name in saved.repeated_keys
+    ]
+    for kind, keys in _SAVED_KEYS.items():
         found += [
             (entry.line, f"{key} stands in [{name}]", f"[{kind}]")
             for name, section in saved.sections.items() if name.partition(" ")[0] != kind
@@ -266,21 +283,21 @@ def _strayed(saved: Config) -> Iterator[Note]:
         yield Note(
             f"{saved.file}, line {line}: {what}, so the header above it was lost: write {header} "
             f"there, else what stands below it is left out",
-            BROKEN,
+            BROKEN_HEADER,
         )
 
 
 def _add_saved(config: Config, saved: Config) -> None:
     """Add what SAVE_CONFIG wrote where nothing else gives it, with a note of other values above."""
     twice = list[str]()
-    config.notes += [*saved.notes, *_strayed(saved)]
+    config.notes += [*saved.notes, *_lost_headers(saved)]
     for name, section in saved.sections.items():
         own = config.sections.setdefault(name, section)
         for key, below in section.entries.items():
             above = own.entries.setdefault(key, below)
             differs = above is not below and above.values != below.values
-            if differs and name.partition(" ")[0] in _READ:
-                values = f"{_value(above, config)}, below {_value(below, config)}"
+            if differs and name.partition(" ")[0] in _READ_SECTIONS:
+                values = f"{_value_text(above, config)}, below {_value_text(below, config)}"
                 twice.append(f"[{name}] {key}: {values}")
     if twice:
         config.notes.insert(0, Note(
@@ -291,12 +308,12 @@ def _add_saved(config: Config, saved: Config) -> None:
         ))  # fmt: skip
 
 
-def _value(entry: Entry, config: Config) -> str:
+def _value_text(entry: Entry, config: Config) -> str:
     file = f" of {entry.file}" if entry.file != config.file else ""
     return f"{' '.join(entry.text.split())[:40]} (line {entry.line}{file})"
 
 
-def _elsewhere(missing: Sequence[str]) -> str:
+def _include_hint(missing: Sequence[str]) -> str:
     if not missing:
         return ""
     names = ", ".join(map(repr, dict.fromkeys(missing)))
@@ -305,7 +322,7 @@ def _elsewhere(missing: Sequence[str]) -> str:
 
 def _parse(config: Config, lines: Lines, path: Path, within: tuple[Path, ...]) -> None:
     """Add the sections of lines to those of a file; ``within``: the files that led here."""
-    section: Section | None = None
+    section: ConfigSection | None = None
     key, level = "", 0
     for number, line in lines:
         bare = _COMMENT.sub("", line).rstrip()
@@ -320,8 +337,8 @@ def _parse(config: Config, lines: Lines, path: Path, within: tuple[Path, ...]) -
             continue
         level = indent
         if found := _SECTION.match(text):
-            name, key = _name(found[1]), ""
-            section = Section(name, Entry("", number, shown(path)))
+            name, key = _section_name(found[1]), ""
+            section = ConfigSection(name, Entry("", number, printable_path(path)))
             if name.startswith("include "):
                 _include(config, name.removeprefix("include "), path, within)
             else:
@@ -329,16 +346,16 @@ def _parse(config: Config, lines: Lines, path: Path, within: tuple[Path, ...]) -
         elif (found := _ENTRY.match(text)) and section is not None:
             key = found[1].strip().lower()
             if key in section.entries:
-                config.repeated.append((number, key, section.name))
-            section.entries[key] = Entry(found[2].strip(), number, shown(path))
+                config.repeated_keys.append((number, key, section.name))
+            section.entries[key] = Entry(found[2].strip(), number, printable_path(path))
         elif meant := _broken_header(text):  # what follows belongs to nothing
-            section, key = Section("", Entry("", number, shown(path))), ""
-            at = f"{shown(path)}, line {number}: {text[:40]!r}"
-            config.note(BROKEN, f"{at} is no '[section]' and is left out with all that follows up "
+            section, key = ConfigSection("", Entry("", number, printable_path(path))), ""
+            at = f"{printable_path(path)}, line {number}: {text[:40]!r}"
+            config.note(BROKEN_HEADER, f"{at} is no '[section]' and is left out with all that follows up "
                         f"to the next one: write [{meant[:40]}]")  # fmt: skip
-        elif (section and section.name.split(" ")[0] in _READ) or found:
+        elif (section and section.name.split(" ")[0] in _READ_SECTIONS) or found:
             why = "it is no 'key: value'" if section else "no section stands above it"
-            at = f"{shown(path)}, line {number}"
+            at = f"{printable_path(path)}, line {number}"
             config.note("line", f"{at}: {text[:40]!r} is left out, as {why}")
 
 
@@ -348,12 +365,12 @@ def _broken_header(text: str) -> str:
     A line is a broken header if it has one of the brackets, or only the name of a section that is
     read. Lines of 'key: value' are recognised before.
     """
-    inner = _name(text.strip("[](){}<> "))
+    inner = _section_name(text.strip("[](){}<> "))
     bracketed = text.startswith("[") or text.endswith("]")
     return inner if bracketed or inner.split(" ")[0] in _SECTIONS else ""
 
 
-def _name(text: str) -> str:
+def _section_name(text: str) -> str:
     """Return the name of a section; one that is read in small letters, as the firmware wants it."""
     kind, *rest = text.split() or [""]
     return " ".join((kind.lower() if kind.lower() in _SECTIONS else kind, *rest))
@@ -373,8 +390,8 @@ def _include(config: Config, pattern: str, path: Path, within: tuple[Path, ...])
     except (ValueError, OSError, NotImplementedError):  # no pattern that a folder has
         found = []
     if not found:
-        config.missing.append(pattern)
+        config.missing_includes.append(pattern)
     for other in found:
-        if other.is_file() and other not in within and len(within) < _DEEPEST:
-            lines = _lines(files.read_bytes(other, files.TEXT), other)
-            _parse(config, _own(lines), other, (*within, other))
+        if other.is_file() and other not in within and len(within) < _MAX_INCLUDE_DEPTH:
+            lines = _lines(files.read_bytes(other, files.TEXT_LIMIT), other)
+            _parse(config, _written_lines(lines), other, (*within, other))

@@ -10,41 +10,46 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.add_ons import MARK
+from orthoglide.add_ons import MARK_KEY
 from orthoglide.effects import catalogue_of
 from orthoglide.errors import FileError, InputError
-from orthoglide.firmware.imported import Imported, Row, readings_of, remark_few
-from orthoglide.firmware.klipper.config import BROKEN, Config, read_config
-from orthoglide.firmware.klipper.heights import CALIBRATE, CALIPER, probe_section, stored_readings
+from orthoglide.firmware.imported import Imported, Row, note_few_touches, readings_from_cells
+from orthoglide.firmware.klipper.config import BROKEN_HEADER, Config, read_config
+from orthoglide.firmware.klipper.heights import (
+    CALIBRATE_NOTE,
+    CALIPER_REPEATABILITY,
+    probe_section,
+    stored_readings,
+)
 from orthoglide.firmware.klipper.meshes import stored_meshes
 from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
-from orthoglide.firmware.klipper.printer import (
-    AGAIN,
-    ASSUMED,
+from orthoglide.firmware.klipper.provenance import (
+    ASSUMED_KEY,
+    CALIBRATE_AGAIN_KEY,
     CALIBRATION,
-    NAME,
-    RELATIVE,
-    WARNINGS,
+    FIRMWARE_NAME,
+    MESHES_RELATIVE_KEY,
+    WARNINGS_KEY,
     disagreements,
-    rods_words,
+    unequal_arms_warning,
 )
 from orthoglide.geometry import Array, Geometry
 from orthoglide.instruments import Distance, PlateTouch
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import Instrument, MachineFile, ParameterValue
 from orthoglide.observations import Readings
-from orthoglide.text import shown
+from orthoglide.text import printable_path
 
-PLATFORM, WIDTH, DROP = 0.032, 0.050, 0.040
+PLATFORM_RADIUS, ROD_DISTANCE, NOZZLE_DROP = 0.032, 0.050, 0.040
 """What the firmware does not store, metres: radius of the platform, distance of an arm's two rods,
 nozzle below the platform's joints. Typical ones; effects that turn the platform depend on them."""
 
-PROBE = 1.8e-5
+PROBE_REPEATABILITY = 1.8e-5
 """Repeatability of a touch, metres."""
 
-_OF_ONE_PLACE = ("zero_reference_position", "relative_reference_index")
-_DRAWN = 3e-3  # metres: standard deviation of a radius that no calibration has fitted
-_LEFT_OUT = ("line", "mesh", "readings", "rods")  # kinds of notes that a result says itself
+_ZERO_REFERENCE_KEYS = ("zero_reference_position", "relative_reference_index")
+_UNFITTED_RADIUS_SD = 3e-3  # metres: standard deviation of a radius that no calibration has fitted
+_UNREPEATED_NOTES = ("line", "mesh", "readings", "rods")  # kinds of notes that a result says itself
 
 
 def import_printer(
@@ -65,7 +70,7 @@ def import_printer(
     try:
         return _imported(config, turned or {})
     except InputError as error:
-        reasons = [note for note in config.notes if note.kind in ("twice", BROKEN)]
+        reasons = [note for note in config.notes if note.kind in ("twice", BROKEN_HEADER)]
         if not reasons:
             raise
         at = error if isinstance(error, FileError) else FileError(str(error), file=config.file)
@@ -79,36 +84,48 @@ def _imported(config: Config, turned: Mapping[str, float]) -> Imported:
     calibration, moved = stored_readings(config, numbers)
     rows = {CALIBRATION: calibration, **stored_meshes(config, numbers, turned, moved)}
     if not any(rows.values()):
-        raise _nothing(config)
+        raise _no_readings_error(config)
     machine = _machine(config, numbers, [row for each in rows.values() for row in each])
     campaigns = list(_campaigns(config, rows, machine))
     if not campaigns:
-        raise _nothing(config)
-    relative = any(key in config.optional("bed_mesh") for key in _OF_ONE_PLACE)
-    apart = list(disagreements(numbers, campaigns, relative=relative))
-    _remark(config, numbers, campaigns, relative)
+        raise _no_readings_error(config)
+    relative = any(key in config.section_or_empty("bed_mesh") for key in _ZERO_REFERENCE_KEYS)
+    apart = list(disagreements(numbers, campaigns, meshes_relative=relative))
+    _add_notes(config, numbers, campaigns, relative)
     notes = [*config.notes, *(note for _, _, note in apart)]
     ordered = sorted(dict.fromkeys(notes), key=lambda note: note.kind not in ("twice", "rods"))
-    words = [shown(note) for note in ordered if note.kind not in (*_LEFT_OUT, BROKEN)]
+    words = [
+        printable_path(note)
+        for note in ordered
+        if note.kind not in (*_UNREPEATED_NOTES, BROKEN_HEADER)
+    ]
     table: dict[str, Any] = {
         "file": Path(config.file).name,
         "sha256": config.sha256,
-        MARK: numbers.mark,
+        MARK_KEY: numbers.mark,
         **numbers.as_dict(),
-        RELATIVE: relative,
-        **({WARNINGS: words} if words else {}),
-        **({AGAIN: True} if any(note.kind == CALIBRATE for note in ordered) else {}),
-        ASSUMED: {"r": PLATFORM * 1e3, "d": WIDTH * 1e3, "tool_below": DROP * 1e3},
+        MESHES_RELATIVE_KEY: relative,
+        **({WARNINGS_KEY: words} if words else {}),
+        **(
+            {CALIBRATE_AGAIN_KEY: True}
+            if any(note.kind == CALIBRATE_NOTE for note in ordered)
+            else {}
+        ),
+        ASSUMED_KEY: {
+            "r": PLATFORM_RADIUS * 1e3,
+            "d": ROD_DISTANCE * 1e3,
+            "tool_below": NOZZLE_DROP * 1e3,
+        },
     }
-    machine = replace(machine, provenance={NAME: table})
+    machine = replace(machine, provenance={FIRMWARE_NAME: table})
     known, out = all(other == CALIBRATION for _, other, _ in apart), {name for name, *_ in apart}
     together = tuple(c.name for c in campaigns if known and c.name not in out)
     return Imported(machine, tuple(campaigns), tuple(ordered), together)
 
 
-def _nothing(config: Config) -> FileError:
+def _no_readings_error(config: Config) -> FileError:
     """Return the refusal of a file of which no readings remain, with what was left out."""
-    out = [str(note) for note in config.notes if note.kind in _LEFT_OUT]
+    out = [str(note) for note in config.notes if note.kind in _UNREPEATED_NOTES]
     why = f" ({'; '.join(out[:2])}{', and more' * (len(out) > 2)})" if out else ""
     return FileError(
         f"has no readings that can be used: run DELTA_CALIBRATE or BED_MESH_CALIBRATE and "
@@ -125,7 +142,7 @@ def _campaigns(
         if not own:
             continue
         try:
-            yield readings_of(name, [row.cells() for row in own], machine)
+            yield readings_from_cells(name, [row.cells() for row in own], machine)
         except FileError as error:
             config.note("mesh", f"left out: {name}.csv: {error.reason}")
 
@@ -134,14 +151,14 @@ def _machine(config: Config, numbers: Numbers, rows: Sequence[Row]) -> MachineFi
     """Return the nominal machine of the firmware's numbers, with all rows in its stroke."""
     arm = numbers.mean_arm
     ends = [end for row in rows for end in (row.travel, row.second) if end is not None]
-    every = np.concatenate([np.array(ends), _around(config, numbers) - numbers.zero])
+    every = np.concatenate([np.array(ends), _plate_rim_heights(config, numbers) - numbers.zero])
     low = min(np.floor((float(every.min()) - 1e-3) * 1e3) * 1e-3, -1e-3)
     high = max(float(every.max()), float((numbers.at_endstop - numbers.zero).max()))
     stroke = (round(float(low), 6), round(max(float(np.ceil(high * 1e3)) * 1e-3, 1e-3), 6))
-    radius = round(numbers.delta_radius + PLATFORM, 9)
-    layout = LinearDelta((radius,) * 3, numbers.angle, (0.0, 0.0, -DROP))
+    radius = round(numbers.delta_radius + PLATFORM_RADIUS, 9)
+    layout = LinearDelta((radius,) * 3, numbers.angle, (0.0, 0.0, -NOZZLE_DROP))
     try:
-        geometry = Geometry(arm, WIDTH, PLATFORM, stroke, layout)
+        geometry = Geometry(arm, ROD_DISTANCE, PLATFORM_RADIUS, stroke, layout)
     except InputError as error:
         config.section(f"stepper_{TOWERS[0]}").fail(
             "position_endstop",
@@ -152,17 +169,17 @@ def _machine(config: Config, numbers: Numbers, rows: Sequence[Row]) -> MachineFi
     length = next(e.name for e in catalogue.effects if e.controller == "bar_length")
     # Nobody has fitted what was taken from a drawing: the radius. Rods of one set are alike: where
     # a fit tells them apart, its other numbers are as far off.
-    belts, spread = catalogue.of_belts, float(np.ptp(numbers.arm))
+    belts, spread = catalogue.belt_tolerance, float(np.ptp(numbers.arm))
     drawn = {
-        name: _DRAWN if numbers.are_nominal else max(belts[name], spread)
-        for name in catalogue.held_as("place")
+        name: _UNFITTED_RADIUS_SD if numbers.are_nominal else max(belts[name], spread)
+        for name in catalogue.correctable_by("place")
     }
     return MachineFile(
         name=Path(config.file).stem,
         geometry=geometry,
         instruments={
-            PlateTouch.kind: Instrument(repeatability=PROBE),
-            Distance.kind: Instrument(repeatability=CALIPER),
+            PlateTouch.kind: Instrument(repeatability=PROBE_REPEATABILITY),
+            Distance.kind: Instrument(repeatability=CALIPER_REPEATABILITY),
         },
         tolerance=drawn,
         parameters={
@@ -173,28 +190,30 @@ def _machine(config: Config, numbers: Numbers, rows: Sequence[Row]) -> MachineFi
     )
 
 
-def _around(config: Config, numbers: Numbers) -> Array:
+def _plate_rim_heights(config: Config, numbers: Numbers) -> Array:
     """Return heights of the carriages ``(n, 3)`` around the plate, if the firmware says how far it
     is; above its middle where the arms do not reach so far.
     """
-    radius = config.usable("printer", "print_radius", -1, 5000) * 1e-3
+    radius = config.number_or_zero("printer", "print_radius", -1, 5000) * 1e-3
     angle = np.deg2rad(np.arange(0.0, 360.0, 5.0))
     ring = numbers.heights(radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1))
     return numbers.heights(np.zeros((1, 3))) if np.isnan(ring).any() else ring
 
 
-def _remark(config: Config, numbers: Numbers, stored: Sequence[Readings], relative: bool) -> None:
+def _add_notes(
+    config: Config, numbers: Numbers, stored: Sequence[Readings], relative: bool
+) -> None:
     """Note what an owner should know of the numbers and readings that are there."""
     meshes = any(c.name != CALIBRATION for c in stored)
-    if words := rods_words(numbers):
+    if words := unequal_arms_warning(numbers):
         config.note("rods", words)
-    config.notes += remark_few(max(int(c.touching.sum()) for c in stored))
+    config.notes += note_few_touches(max(int(c.touching.sum()) for c in stored))
     if not meshes:
         return
-    if config.missing and probe_section(config) is None:
+    if config.missing_includes and probe_section(config) is None:
         config.note(
             "probe",
-            f"{', '.join(map(repr, config.missing))} is not where it is included from: if it "
+            f"{', '.join(map(repr, config.missing_includes))} is not where it is included from: if it "
             f"describes the probe, put it there; the probe is taken to touch where the nozzle is",
         )
     if relative:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from orthoglide.errors import FileError, InputError
 from orthoglide.firmware.imported import Row, plain_name
-from orthoglide.firmware.klipper.config import Config, Section
-from orthoglide.firmware.klipper.heights import plane_of, probe_offset
+from orthoglide.firmware.klipper.config import Config, ConfigSection
+from orthoglide.firmware.klipper.heights import fit_plane, probe_offset
 from orthoglide.firmware.klipper.numbers import Numbers
 from orthoglide.geometry import Array
 from orthoglide.instruments import PlateTouch
@@ -34,7 +34,9 @@ def stored_meshes(
     Raises:
         InputError: where a mesh that is said to be of a turned plate is not stored.
     """
-    profiles = {s.name.partition(" ")[2]: s for s in config.named("bed_mesh") if "points" in s}
+    profiles = {
+        s.name.partition(" ")[2]: s for s in config.sections_of_kind("bed_mesh") if "points" in s
+    }
     profiles.pop("", None)
     if unknown := set(turned).difference(profiles):
         raise InputError(
@@ -44,7 +46,7 @@ def stored_meshes(
     found: dict[str, list[Row]] = {}
     known: dict[tuple[float, bytes], str] = {}
     for profile, section in profiles.items():
-        name = _name(profile, found)
+        name = _unique_name(profile, found)
         try:
             rows = list(_touches(config, numbers, section, name, turned.get(profile, 0.0)))
         except FileError as error:
@@ -61,7 +63,7 @@ def stored_meshes(
             continue
         if moved:
             reading = np.array([row.reading for row in rows])
-            higher, *_ = plane_of(numbers.points(command + numbers.zero), reading)
+            higher, *_ = fit_plane(numbers.points(command + numbers.zero), reading)
             rows = [replace(row, reading=row.reading + higher) for row in rows]
             config.note(
                 "mesh",
@@ -72,7 +74,7 @@ def stored_meshes(
     return found
 
 
-def _name(profile: str, taken: Mapping[str, object]) -> str:
+def _unique_name(profile: str, taken: Mapping[str, object]) -> str:
     """Return a profile's name as files and parameters may carry it, in capitals or not unlike
     those that are taken.
     """
@@ -87,7 +89,7 @@ def _name(profile: str, taken: Mapping[str, object]) -> str:
 def _touches(
     config: Config,
     numbers: Numbers,
-    section: Section,
+    section: ConfigSection,
     setup: str,
     turned: float,
 ) -> Iterator[Row]:
@@ -117,7 +119,7 @@ def _touches(
         spans.append(np.linspace(low, high, count) * 1e-3)
     height, beside = probe_offset(config)
     places, z = np.stack(np.meshgrid(*spans), axis=-1).reshape(-1, 2), np.array(table)
-    kept = np.flatnonzero(_probed(config, z, places, beside))
+    kept = np.flatnonzero(_touched_points(config, z, places, beside))
     p = np.column_stack([places - beside, height + z.ravel() * 1e-3])[kept]
     travel = numbers.heights(p) - numbers.zero
     if np.isnan(travel).any():
@@ -133,11 +135,11 @@ def _touches(
                   temperature=section.temperature)  # fmt: skip
 
 
-def _probed(config: Config, table: Array, place: Array, offset: Array) -> NDArray[np.bool_]:
+def _touched_points(config: Config, table: Array, place: Array, offset: Array) -> NDArray[np.bool_]:
     """Return which values of a mesh ``(rows, columns)`` at places ``(rows * columns, 2)`` the
     probe touched ``(rows * columns,)``: no padding, no faulty regions.
     """
-    general, (lines, columns) = config.optional("bed_mesh"), table.shape
+    general, (lines, columns) = config.section_or_empty("bed_mesh"), table.shape
     kept = np.ones(len(place), dtype=bool)
     stride = int(np.ceil(np.sqrt(len(place) / _MOST_TOUCHES)))
     if stride > 1:
@@ -148,7 +150,7 @@ def _probed(config: Config, table: Array, place: Array, offset: Array) -> NDArra
             f"a mesh of {lines} by {columns} is finer than any cause needs: of its rows and "
             f"columns one in {stride} is taken",
         )
-    radius = config.usable("bed_mesh", "mesh_radius", 0, 5000) * 1e-3
+    radius = config.number_or_zero("bed_mesh", "mesh_radius", 0, 5000) * 1e-3
     if radius:  # about the profile's own middle: mesh_origin may have been another one then
         middle = (place.min(axis=0) + place.max(axis=0)) / 2
         kept &= np.hypot(*(place - middle).T) <= radius * (1 + 1e-9) + 1e-5

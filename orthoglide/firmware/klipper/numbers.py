@@ -23,8 +23,8 @@ from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import DeltaKinematics
 
 TOWERS = LinearDelta.names.legs
-_ANGLES = (210.0, 330.0, 90.0)  # degrees at which the towers stand where nothing is given
-_UNEVEN = 0.05
+_DEFAULT_ANGLES = (210.0, 330.0, 90.0)  # degrees at which the towers stand where nothing is given
+_MAX_ARM_DIFFERENCE = 0.05
 """Share of the first arm by which another one is too far off to be a length of a rod: the arms that
 firmware found on owners' printers differ by half a per cent, by more after a wrong distance."""
 
@@ -59,7 +59,7 @@ class Numbers:
     @property
     def are_nominal(self) -> bool:
         """Whether no calibration has touched them: usual angles, endstops alike."""
-        return self.angle == _ANGLES and len(set(self.endstop)) == 1
+        return self.angle == _DEFAULT_ANGLES and len(set(self.endstop)) == 1
 
     def heights(self, p: Array) -> Array:
         """Return the heights of the carriages ``(n, 3)`` commanded for points ``(n, 3)``, metres;
@@ -88,9 +88,9 @@ class Numbers:
         turn, longer = np.rad2deg([*by[4:6], 0.0]), by[6:] if len(by) > 6 else np.zeros(3)
         return Numbers(
             self.delta_radius + float(by[3]),
-            _three(np.array(self.angle) + turn),
-            _three(np.array(self.arm) + longer),
-            _three(np.array(self.endstop) + by[:3]),
+            _triple(np.array(self.angle) + turn),
+            _triple(np.array(self.arm) + longer),
+            _triple(np.array(self.endstop) + by[:3]),
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -109,7 +109,7 @@ class Numbers:
         return f"klipper-{sha256(text.encode())[:8]}"
 
     @classmethod
-    def of(cls, table: Mapping[str, Any]) -> Numbers:
+    def from_table(cls, table: Mapping[str, Any]) -> Numbers:
         """Return the numbers that a machine file keeps.
 
         Raises:
@@ -117,9 +117,9 @@ class Numbers:
         """
         return cls(
             float(table["delta_radius_mm"]) * 1e-3,
-            _three(table["angle_deg"]),
-            _three(table["arm_length_mm"], 1e-3),
-            _three(table["position_endstop_mm"], 1e-3),
+            _triple(table["angle_deg"]),
+            _triple(table["arm_length_mm"], 1e-3),
+            _triple(table["position_endstop_mm"], 1e-3),
         )
 
     @classmethod
@@ -152,7 +152,7 @@ class Numbers:
                     f"is {ends[k] * 1e3:g} mm, and that of tower {TOWERS[0]} {ends[0] * 1e3:g}: "
                     f"carriages of one machine stop at about one height; give both in millimetres",
                 )
-            if abs(arms[k] / arms[0] - 1) > _UNEVEN:
+            if abs(arms[k] / arms[0] - 1) > _MAX_ARM_DIFFERENCE:
                 tower.fail(
                     "arm_length",
                     f"is {arms[k] * 1e3:g} mm, and that of tower {TOWERS[0]} {arms[0] * 1e3:g}: "
@@ -165,9 +165,9 @@ class Numbers:
                     f"is {arms[k] * 1e3:g}, not longer than delta_radius "
                     f"({radius * 1e3:g}): are they exchanged?",
                 )
-        each = zip(towers, _ANGLES, strict=True)
+        each = zip(towers, _DEFAULT_ANGLES, strict=True)
         angles = [tower.number("angle", angle, -720, 720) for tower, angle in each]
-        return cls(radius, _three(angles), _three(arms), _three(ends))
+        return cls(radius, _triple(angles), _triple(arms), _triple(ends))
 
     @property
     def values(self) -> dict[tuple[str, str], str]:
@@ -188,6 +188,6 @@ class Numbers:
         return found
 
 
-def _three(values: Iterable[Any], unit: float = 1.0) -> Triple:
+def _triple(values: Iterable[Any], unit: float = 1.0) -> Triple:
     a, b, c = (float(v) * unit for v in values)
     return a, b, c

@@ -12,41 +12,49 @@ from itertools import pairwise
 
 import numpy as np
 
-from orthoglide.explanation.faults import Fault, Rows, campaign_of, counting, places
+from orthoglide.explanation.faults import (
+    Fault,
+    Rows,
+    campaign_index,
+    factors_and_rows,
+    weighted_rows,
+)
 from orthoglide.fit import Problem
 from orthoglide.fit.least_squares import Linearised
 from orthoglide.geometry import LEGS, Array
 from orthoglide.observations import Readings
-from orthoglide.observations.arrays import numbered
-from orthoglide.prediction import Seen
+from orthoglide.observations.arrays import group_ids
+from orthoglide.prediction import ReadingPoses
 
-_SIZE = 5e-4
+_SLIP_UNIT = 5e-4
 """Unit of the coefficient of a slip, metres or radians. With the scales of the slab it covers a
 tenth of a millimetre to some millimetres, the range in which fingers and stands slip."""
 
-_COMMAND = 1e-3  # metres: mistyped commands are seldom off by less than a millimetre
-_STEP = 1e-5  # metres, of a difference quotient
+_COMMAND_UNIT = 1e-3  # metres: mistyped commands are seldom off by less than a millimetre
+_DIFFERENCE_STEP = 1e-5  # metres, of a difference quotient
 
-_EXPECTED = 0.5
+_EXPECTED_FAULTS = 0.5
 """Faults that are expected in some campaign, shared by the kinds that its readings may have."""
 
-_BESIDE = 2  # readings on either side of a knock: fewer are slips
-_ZEROS = 12  # times that a dial is set to zero anew
-_KNOCKS = 64  # moments at which a knock is tried; setups n times as long: at every n-th reading
+_FEWEST_BESIDE_KNOCK = 2  # readings on either side of a knock: fewer are slips
+_MOST_ZEROINGS = 12  # times that a dial is set to zero anew
+_MOST_KNOCKS = (
+    64  # moments at which a knock is tried; setups n times as long: at every n-th reading
+)
 
 
-Key = tuple[str, tuple[int, ...], tuple[tuple[int, int], ...]]
+FaultKey = tuple[str, tuple[int, ...], tuple[tuple[int, int], ...]]
 """A fault by its kind, drives, and table and line of every row."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Suspect:
+class FaultColumns:
     """A fault that the data may have."""
 
     fault: Fault  # its kind, rows and setups
-    shown: Array  # its rows by a unit of each of its coefficients (rows, q), metres or radians
+    columns: Array  # its rows by a unit of each of its coefficients (rows, q), metres or radians
     unit: float  # of a coefficient, metres or radians
-    expected: float = 0.0  # faults like it, before the readings are seen
+    expected_count: float = 0.0  # faults like it, before the readings are seen
 
     @property
     def name(self) -> str:
@@ -55,18 +63,18 @@ class Suspect:
         drive = "".join(LEGS[k] for k, _ in fault.commands)
         return f"!{fault.kind}.{'+'.join(map(str, fault.setups))}.{fault.rows[0]}{drive}"
 
-    def key(self, problem: Problem) -> Key:
+    def key(self, problem: Problem) -> FaultKey:
         """What it is, whichever other rows there are: kind, drives, and the lines of its rows."""
         lines = tuple((k, int(problem.factors[k].readings.line[row]))
-                      for k, row in places(problem, self.fault.rows))  # fmt: skip
+                      for k, row in factors_and_rows(problem, self.fault.rows))  # fmt: skip
         return self.fault.kind, tuple(drive for drive, _ in self.fault.commands), lines
 
     @property
-    def size(self) -> int:
+    def coefficient_count(self) -> int:
         """Number of coefficients."""
-        return self.shown.shape[1]
+        return self.columns.shape[1]
 
-    def sized(self, mean: Array) -> Fault:
+    def with_sizes(self, mean: Array) -> Fault:
         """The fault with coefficients of some means ``(q,)``."""
         sizes, fault = mean * self.unit, self.fault
         if fault.commands:
@@ -77,14 +85,16 @@ class Suspect:
         size = sizes[0] if len(sizes) == 1 else np.linalg.norm(sizes)
         return replace(fault, size=float(size))
 
-    def column(self, n: int) -> Array:
+    def full_columns(self, n: int) -> Array:
         """All readings by its coefficients ``(n, q)``."""
-        found = np.zeros((n, self.shown.shape[1]))
-        found[self.fault.rows] = self.shown
+        found = np.zeros((n, self.columns.shape[1]))
+        found[self.fault.rows] = self.columns
         return found
 
 
-def suspects(problem: Problem, here: Linearised, corrected: Sequence[Fault] = ()) -> list[Suspect]:
+def fault_columns(
+    problem: Problem, here: Linearised, corrected: Sequence[Fault] = ()
+) -> list[FaultColumns]:
     """Every fault that the readings could have.
 
     Args:
@@ -92,20 +102,20 @@ def suspects(problem: Problem, here: Linearised, corrected: Sequence[Fault] = ()
         here: where they are linearised.
         corrected: wrong commands that are put right there.
     """
-    by_command = slopes(problem, here.x, here.value)
+    by_command = command_derivatives(problem, here.x, here.value)
     kinds = (
-        list(_slips(problem)), list(_knocks(problem)), list(_zeroed(problem)),
-        list(_moved(problem, here.seen)), list(_commands(problem, by_command, corrected)),
+        list(_slips(problem)), list(_knocks(problem)), list(_zeroings(problem)),
+        list(_moved_instruments(problem, here.reading_poses)), list(_wrong_commands(problem, by_command, corrected)),
     )  # fmt: skip
     # Readings of dials may mean something else, too, which is a kind besides.
-    each = _EXPECTED / max(sum(map(bool, kinds)) + bool(problem.campaigns), 1)
-    return [replace(s, expected=each / len(kind)) for kind in kinds for s in kind]
+    each = _EXPECTED_FAULTS / max(sum(map(bool, kinds)) + bool(problem.campaigns), 1)
+    return [replace(s, expected_count=each / len(kind)) for kind in kinds for s in kind]
 
 
-def _slips(problem: Problem) -> Iterator[Suspect]:
+def _slips(problem: Problem) -> Iterator[FaultColumns]:
     """Every reading alone, of points of the tool all coordinates together."""
     for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
-        point = factor.point
+        point = factor.visit_number
         order = np.argsort(point, kind="stable")
         cuts = np.flatnonzero(np.diff(point[order])) + 1
         for rows in np.split(order, cuts):
@@ -113,60 +123,62 @@ def _slips(problem: Problem) -> Iterator[Suspect]:
                 continue
             own = rows + part.start
             setup = int(problem.setup_of_row[own[0]])
-            yield Suspect(Fault("outlier", own, (setup,)), np.eye(len(own)) * _SIZE, _SIZE)
+            yield FaultColumns(
+                Fault("outlier", own, (setup,)), np.eye(len(own)) * _SLIP_UNIT, _SLIP_UNIT
+            )
 
 
-def _knocks(problem: Problem) -> Iterator[Suspect]:
+def _knocks(problem: Problem) -> Iterator[FaultColumns]:
     """All readings of a dial from some moment on."""
     for setup in problem.leg_setups:
-        rows = counting(problem, setup)
-        places = range(_BESIDE, len(rows) - _BESIDE + 1)
-        step = max(len(places) // _KNOCKS, 1)
+        rows = weighted_rows(problem, setup)
+        places = range(_FEWEST_BESIDE_KNOCK, len(rows) - _FEWEST_BESIDE_KNOCK + 1)
+        step = max(len(places) // _MOST_KNOCKS, 1)
         for cut in places[::step]:
             after = rows[cut:]
-            shown = np.full((len(after), 1), _SIZE)
-            yield Suspect(Fault("knocked_stand", after, (setup,)), shown, _SIZE)
+            shown = np.full((len(after), 1), _SLIP_UNIT)
+            yield FaultColumns(Fault("knocked_stand", after, (setup,)), shown, _SLIP_UNIT)
 
 
-def _zeroed(problem: Problem) -> Iterator[Suspect]:
+def _zeroings(problem: Problem) -> Iterator[FaultColumns]:
     """A dial whose readings have another zero at each repeat, or all of a campaign."""
     first = 0
     for campaign in problem.campaigns:
         own = range(first, first + len(campaign.setups))
         first += len(campaign.setups)
-        each = [anew for s in own if (anew := _anew(problem, s)) is not None]
+        each = [anew for s in own if (anew := _zeroing_of_setup(problem, s)) is not None]
         yield from each
         if len(each) > 1:
             rows = np.concatenate([one.fault.rows for one in each])
-            widths = np.cumsum([0, *(one.shown.shape[1] for one in each)])
+            widths = np.cumsum([0, *(one.columns.shape[1] for one in each)])
             shown = np.zeros((len(rows), int(widths[-1])))
             at = 0
             for one, (a, b) in zip(each, pairwise(widths), strict=True):
-                shown[at : at + len(one.shown), a:b] = one.shown
-                at += len(one.shown)
+                shown[at : at + len(one.columns), a:b] = one.columns
+                at += len(one.columns)
             setups = tuple(s for one in each for s in one.fault.setups)
-            yield Suspect(Fault("zeroed", rows, setups), shown, _SIZE)
+            yield FaultColumns(Fault("zeroed", rows, setups), shown, _SLIP_UNIT)
 
 
-def _anew(problem: Problem, setup: int) -> Suspect | None:
+def _zeroing_of_setup(problem: Problem, setup: int) -> FaultColumns | None:
     """A dial whose readings have another zero at each repeat, where repeats follow each other."""
-    rows = counting(problem, setup)
-    repeat = problem.of_dials("repeat")[rows]
+    rows = weighted_rows(problem, setup)
+    repeat = problem.dial_column("repeat")[rows]
     starts = np.flatnonzero(np.diff(repeat)) + 1
     if not len(starts) or len(starts) != len(np.unique(repeat)) - 1:
         return None
     stations = len(np.unique(problem.station[rows]))
-    if 2 * len(starts) > len(rows) - stations or len(starts) > _ZEROS:
+    if 2 * len(starts) > len(rows) - stations or len(starts) > _MOST_ZEROINGS:
         return None  # too short for a datum of their own, or more resets than anybody makes
     later = rows[starts[0] :]
-    shown = (numbered(repeat[starts[0] :])[:, None] == np.arange(len(starts))) * _SIZE
-    return Suspect(Fault("zeroed", later, (setup,)), shown, _SIZE)
+    shown = (group_ids(repeat[starts[0] :])[:, None] == np.arange(len(starts))) * _SLIP_UNIT
+    return FaultColumns(Fault("zeroed", later, (setup,)), shown, _SLIP_UNIT)
 
 
-def _moved(problem: Problem, seen: tuple[Seen, ...]) -> Iterator[Suspect]:
+def _moved_instruments(problem: Problem, seen: tuple[ReadingPoses, ...]) -> Iterator[FaultColumns]:
     """An instrument at the tool that stands elsewhere from some moment on."""
     first = len(problem.leg_setups)
-    for number, (k, factor, setup, _) in enumerate(problem.mounted, first):
+    for number, (k, factor, setup, _) in enumerate(problem.tool_setups, first):
         readings, start = factor.readings, problem.factor_rows[k].start
         rows = np.flatnonzero((factor.setup == setup) & factor.noise.weighted)
         rows = rows[np.argsort(readings.order[rows], kind="stable")]
@@ -175,17 +187,17 @@ def _moved(problem: Problem, seen: tuple[Seen, ...]) -> Iterator[Suspect]:
         width = max(own.shape[1], 1)
         if not own.shape[1]:
             continue
-        own = own / np.abs(own).max(axis=0) * _SIZE
+        own = own / np.abs(own).max(axis=0) * _SLIP_UNIT
         places = [
             cut for cut in range(width + 1, len(rows) - width)
             if readings.order[rows[cut]] != readings.order[rows[cut - 1]]
         ]  # fmt: skip
-        for cut in places[:: max(len(places) // _KNOCKS, 1)]:
+        for cut in places[:: max(len(places) // _MOST_KNOCKS, 1)]:
             after = rows[cut:]
-            yield Suspect(Fault("moved", after + start, (number,)), own[after], _SIZE)
+            yield FaultColumns(Fault("moved", after + start, (number,)), own[after], _SLIP_UNIT)
 
 
-def postures(problem: Problem) -> Rows:
+def posture_of_reading(problem: Problem) -> Rows:
     """Posture of each reading ``(n,)``: one for each campaign, leg and command, as a leg is
     measured at a time; -1 where no dial is.
     """
@@ -193,12 +205,12 @@ def postures(problem: Problem) -> Rows:
     number = np.repeat(np.arange(len(campaigns)), [len(c) for c in campaigns])
     found = np.full(len(problem.measured), -1)
     if len(number):
-        told = [number, problem.of_dials("leg"), problem.of_dials("command")]
-        found[: len(number)] = numbered(np.column_stack(told))
+        told = [number, problem.dial_column("leg"), problem.dial_column("command")]
+        found[: len(number)] = group_ids(np.column_stack(told))
     return found
 
 
-def slopes(problem: Problem, x: Array, value: Array) -> Array:
+def command_derivatives(problem: Problem, x: Array, value: Array) -> Array:
     """Return the derivative of every reading of a dial by the commands of its posture ``(n, 3)``.
 
     Args:
@@ -207,25 +219,29 @@ def slopes(problem: Problem, x: Array, value: Array) -> Array:
         value: the readings there ``(n,)``, metres.
     """
     found = np.zeros((len(value), len(LEGS)))
-    for k, (campaign, rows) in enumerate(zip(problem.campaigns, problem.rows, strict=True)):
+    for k, (campaign, rows) in enumerate(zip(problem.campaigns, problem.leg_rows, strict=True)):
         values = problem.values(k, x)
         for drive in range(len(LEGS)):
-            moved = replace(campaign, command=campaign.command + _STEP * np.eye(3)[drive])
+            moved = replace(
+                campaign, command=campaign.command + _DIFFERENCE_STEP * np.eye(3)[drive]
+            )
             read = problem.machine.model.readings(values, moved)
-            found[rows, drive] = (read - value[rows]) / _STEP
+            found[rows, drive] = (read - value[rows]) / _DIFFERENCE_STEP
     return found
 
 
-def _commands(problem: Problem, by_command: Array, corrected: Sequence[Fault]) -> Iterator[Suspect]:
+def _wrong_commands(
+    problem: Problem, by_command: Array, corrected: Sequence[Fault]
+) -> Iterator[FaultColumns]:
     """Every posture's command on every drive; with one reading in a posture, a wrong command is the
     same as a slip.
     """
-    posture = postures(problem)
+    posture = posture_of_reading(problem)
     weighted = np.concatenate([f.noise.weighted for f in problem.factors])
     posture[~weighted] = -1
     for fault in corrected:
-        shown = by_command[fault.rows][:, [fault.commands[0][0]]] * _COMMAND
-        yield Suspect(fault, shown, _COMMAND)
+        shown = by_command[fault.rows][:, [fault.commands[0][0]]] * _COMMAND_UNIT
+        yield FaultColumns(fault, shown, _COMMAND_UNIT)
         posture[fault.rows] = -1
     order = np.argsort(posture, kind="stable")
     order = order[posture[order] >= 0]
@@ -236,10 +252,10 @@ def _commands(problem: Problem, by_command: Array, corrected: Sequence[Fault]) -
         setups = tuple(np.unique(problem.setup_of_row[rows]).tolist())
         for drive in range(len(LEGS)):
             fault = Fault("command", rows, setups, commands=((drive, 0.0),))
-            yield Suspect(fault, by_command[rows][:, [drive]] * _COMMAND, _COMMAND)
+            yield FaultColumns(fault, by_command[rows][:, [drive]] * _COMMAND_UNIT, _COMMAND_UNIT)
 
 
-def put_right(campaign: Readings, rows: Rows, drive: int, size: float) -> Readings:
+def with_command_corrected(campaign: Readings, rows: Rows, drive: int, size: float) -> Readings:
     """The campaign with another command in some rows, metres, and the approach that follows."""
     command = campaign.command.copy()
     command[rows, drive] += size
@@ -249,13 +265,13 @@ def put_right(campaign: Readings, rows: Rows, drive: int, size: float) -> Readin
     return replace(moved, approach=approach)
 
 
-def with_commands(problem: Problem, faults: Sequence[Fault]) -> Problem:
+def with_commands_corrected(problem: Problem, faults: Sequence[Fault]) -> Problem:
     """The problem with the likeliest commands in the rows of faults of that kind."""
-    factors = list(problem.on_legs)
+    factors = list(problem.leg_factors)
     for fault in faults:
         drive, size = fault.commands[0]
-        k = campaign_of(problem, fault.rows)
-        within = fault.rows - problem.rows[k].start
-        moved = put_right(factors[k].readings, within, drive, size)
+        k = campaign_index(problem, fault.rows)
+        within = fault.rows - problem.leg_rows[k].start
+        moved = with_command_corrected(factors[k].readings, within, drive, size)
         factors[k] = factors[k].with_table(moved)
-    return problem.with_factors(factors)
+    return problem.with_leg_factors(factors)

@@ -9,24 +9,28 @@ from orthoglide.effects.wording import cause_short
 from orthoglide.effects.words import toward
 from orthoglide.geometry import LEGS
 from orthoglide.notes import Note
-from orthoglide.numerals import ByUnit, compact, probability, told_apart, with_sigma
-from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
-from orthoglide.report.claims import BESIDES, claims, spoken
-from orthoglide.report.identified import effects_named, identified_words
+from orthoglide.numerals import ByUnit, compact, distinct_figures, probability, with_sigma
+from orthoglide.observations.approach import APPROACH_NOT_RECORDED, APPROACH_REMEDY
+from orthoglide.report.claims import SOMETHING_ELSE_WRONG, claims, claims_text
+from orthoglide.report.identified import base_effects, identified_words
 from orthoglide.result import Action, Change, Result, Scores
 from orthoglide.text import listed, sentence
 
-_SLIGHT = 0.9  # ratio of residuals above which they "hardly" fall
-_MATTERS = 1.5  # ratio of residuals without and with new zeros from which the zeros come first
-_NONE = 1e-9  # metres: no machine of metal is as good
-_CHANCE = 0.01  # probability above which residuals are attributed to noise alone
+_HARDLY_FALLS_RATIO = 0.9  # ratio of residuals above which they "hardly" fall
+_ZEROS_FIRST_RATIO = (
+    1.5  # ratio of residuals without and with new zeros from which the zeros come first
+)
+_NO_RESIDUAL = 1e-9  # metres: no machine of metal is as good
+_CHANCE_LEVEL = 0.01  # probability above which residuals are attributed to noise alone
 _MOST_ALONE = 8  # single causes that a sentence names
-_FEW = 2.0  # degrees of freedom below which nothing is tested
-_SOUND = 0.05  # probability of the residuals of the base model above which they are small
-_MANY = 0.1  # share of excluded readings from which their number is stated
-_ROUNDED = 1.05  # ratio of the noise of a reading to what was declared from which rounding counts
-_KNOWN = 0.1  # relative uncertainty of a gain from which it is stated
-_SHOWN = 5e-5  # millimetres: a smaller uncertainty is none that four decimals show
+_MIN_DOF = 2.0  # degrees of freedom below which nothing is tested
+_BASE_FITS_P = 0.05  # probability of the residuals of the base model above which they are small
+_MIN_EXCLUDED_SHARE = 0.1  # share of excluded readings from which their number is stated
+_ROUNDING_RATIO = (
+    1.05  # ratio of the noise of a reading to what was declared from which rounding counts
+)
+_MIN_RELATIVE_SIGMA = 0.1  # relative uncertainty of a gain from which it is stated
+_MIN_SIGMA = 5e-5  # millimetres: a smaller uncertainty is none that four decimals show
 
 NOTHING_SHOWN = (
     "These readings show no error at all: either they were computed from a machine without errors, "
@@ -44,7 +48,10 @@ MEANINGS: Mapping[str, str] = {
 }
 """What the verdict's words mean."""
 
-WHICHEVER, PLATE = "on average, whichever of these it is", "on average, nothing if it is the plate"
+MEAN_OVER_CAUSES, MEAN_WITH_PLATE = (
+    "on average, whichever of these it is",
+    "on average, nothing if it is the plate",
+)
 """Behind what it gains to put right one of several causes."""
 
 
@@ -53,53 +60,53 @@ def headline(result: Result) -> str:
     evidence.
     """
     if not result.searches:
-        return claim(result)
+        return claim_text(result)
     first = "" if result.firmware is None else result.firmware.first
-    parts = (result.contradicted, first, claim(result), evidence(result))
+    parts = (result.contradicted, first, claim_text(result), evidence(result))
     return " ".join(text for text in parts if text)
 
 
-def claim(result: Result) -> str:
+def claim_text(result: Result) -> str:
     """Return what is wrong with the machine, in sentences."""
-    changed, more = _changed(result.moved), standing(result)
+    changed, more = _change_sentences(result.moved), finding_text(result)
     return " ".join(text for text in ((more, changed) if result.found else (changed, more)) if text)
 
 
-def standing(result: Result) -> str:
+def finding_text(result: Result) -> str:
     """Return what is wrong apart from changes between files, in sentences."""
     if not result.searches:
         return identified_words(result)
     if result.found:
-        more = f" {BESIDES}" if result.word == "partial" else ""
+        more = f" {SOMETHING_ELSE_WRONG}" if result.word == "partial" else ""
         count = len(result.effects) + len(result.located)
-        return f"{spoken(claims(result)[:count])}{more}"
+        return f"{claims_text(claims(result)[:count])}{more}"
     if result.word == "unexplained":
-        text = f"{_nothing_explains(result)}{where_left(result)}"
+        text = f"{_unexplained_text(result)}{largest_residual_text(result)}"
         noisy = " ".join(map(sentence, result.scattering))
         against = f"Against what was declared, {text[:1].lower()}{text[1:]}"
         return f"{noisy} {against}" if noisy else text
-    if none_left_over(result):
+    if too_few_to_test(result):
         return (
-            f"These readings are too few to search for causes: the {effects_named(result)} take up "
+            f"These readings are too few to search for causes: the {base_effects(result)} take up "
             f"nearly all of their information."
         )
-    first = _to_enter(result)
-    if a_little(result):
+    first = _zeros_sentence(result)
+    if has_diffuse_errors(result):
         return (
             f"{first}No single cause stands out{' beyond that' if first else ''}: every part is "
             f"off by about {compact(result.left.background, 1)} of its tolerance."
         )
-    if result.nominal.rms < _NONE:
+    if result.nominal.rms < _NO_RESIDUAL:
         return NOTHING_SHOWN
     nothing = "Nothing else is" if result.changed or first else "Nothing is"
-    base = effects_named(result)
+    base = base_effects(result)
     return f"{first}{nothing} wrong that these readings could show beyond the {base}."
 
 
-def _to_enter(result: Result) -> str:
+def _zeros_sentence(result: Result) -> str:
     """Return the sentence that zeros or firmware numbers are off, if that is the finding."""
     of_base = [a for a in result.actions if a.kind == "zeros"]
-    if result.nominal.rms < _MATTERS * result.before.scores.rms or not of_base:
+    if result.nominal.rms < _ZEROS_FIRST_RATIO * result.before.scores.rms or not of_base:
         return ""
     if result.firmware is not None and result.firmware.corrections is not None:
         return f"The firmware's numbers are off, {result.firmware.corrections.words}. "
@@ -108,11 +115,13 @@ def _to_enter(result: Result) -> str:
 
 def evidence(result: Result) -> str:
     """Return the evidence for the claim of a closed loop, and the data faults, in sentences."""
-    changed = _changed([c for c in result.changed if c not in result.moved])
-    return " ".join(text for text in (_weighed(result), dealt_with(result), changed) if text)
+    changed = _change_sentences([c for c in result.changed if c not in result.moved])
+    return " ".join(
+        text for text in (_fit_evidence(result), data_faults_text(result), changed) if text
+    )
 
 
-def _changed(changes: Iterable[Change]) -> str:
+def _change_sentences(changes: Iterable[Change]) -> str:
     """Return a sentence for each pair of files between which parameters changed."""
     between: dict[str, list[str]] = {}
     for change in changes:
@@ -123,22 +132,22 @@ def _changed(changes: Iterable[Change]) -> str:
 # --- Of a closed loop -----------------------------------------------------------------------
 
 
-def _weighed(result: Result) -> str:
-    base = effects_named(result)
+def _fit_evidence(result: Result) -> str:
+    base = base_effects(result)
     corrected = f"With the {base} corrected"
     if result.word == "unexplained":
-        return f"{corrected}, {_fall(result)}."
+        return f"{corrected}, {_improvement_text(result)}."
     if result.word == "partial":
         return (
-            f"With it in the model, {_fall(result)}, and nothing known explains the rest. "
-            f"{_why_significant(result)}{where_left(result)}"
+            f"With it in the model, {_improvement_text(result)}, and nothing known explains the rest. "
+            f"{_why_significant(result)}{largest_residual_text(result)}"
         )
-    if none_left_over(result):
+    if too_few_to_test(result):
         given, before = corrected, result.nominal
         if result.found:
             given, before = "With this in the model", result.start
         after = result.after.scores if result.found else result.before.scores
-        return f"{given}, {_between(before, after)}. Too few readings are left over to judge that."
+        return f"{given}, {_improvement_between(before, after)}. Too few readings are left over to judge that."
     given = "With this in the model" if result.found else corrected
     besides = ["this" if result.found else f"the corrected {base}"]
     if result.improved and not result.found:
@@ -148,16 +157,18 @@ def _weighed(result: Result) -> str:
     head = ""
     if besides[1:]:
         head, given = f"The model contains {listed(besides)}. ", "With them"
-    return f"{head}{given}, {_fall(result)}{_against_noise(result)}.{_alone(result)}"
+    return f"{head}{given}, {_improvement_text(result)}{_comparison_with_noise(result)}.{_single_causes_text(result)}"
 
 
-def _against_noise(result: Result) -> str:
+def _comparison_with_noise(result: Result) -> str:
     """Whether what is left is the noise: the end of a sentence."""
     of, left = "the readings" if result.request.points else "the dial", ""
     noise, after = result.noise.single_reading, result.after.scores
     if math.isfinite(after.deviation_rms):  # which is no figure of single readings
-        left = f". Single readings have a residual of {_beside(after.left, noise)[0]} rms"
-    what = f"the noise of {of} ({_beside(after.left, noise)[1]})"
+        left = (
+            f". Single readings have a residual of {_residual_and_noise(after.left, noise)[0]} rms"
+        )
+    what = f"the noise of {of} ({_residual_and_noise(after.left, noise)[1]})"
     if any(w.kind == "side" for w in result.warnings):
         what = "the scatter of repeats, which is noise of the readings or lost motion"
     if result.after.sigma_scale > 1:
@@ -168,16 +179,18 @@ def _against_noise(result: Result) -> str:
     return f"{left}, consistent with {what}"
 
 
-def _beside(residual: ByUnit, noise: ByUnit) -> tuple[str, str]:
+def _residual_and_noise(residual: ByUnit, noise: ByUnit) -> tuple[str, str]:
     """Return a residual and the noise that it is compared with, with the same decimals."""
-    pairs = [(unit, told_apart(value, noise.shown[unit])) for unit, value in residual.shown.items()]
+    pairs = [
+        (unit, distinct_figures(value, noise.shown[unit])) for unit, value in residual.shown.items()
+    ]
     left, right = (" and ".join(f"{two[k]} {unit}" for unit, two in pairs) for k in (0, 1))
     return left, right
 
 
-def where_left(result: Result) -> str:
+def largest_residual_text(result: Result) -> str:
     """Return where the residual is largest: which leg, which direction, at which station."""
-    if result.left.shaped > _CHANCE > result.left.p_value:
+    if result.left.shaped > _CHANCE_LEVEL > result.left.p_value:
         return (
             " The plate's own shape would explain it, finer than a bowl or three lobes: touch it "
             "again, turned by 60 degrees (turned_deg of its setup); what turns with it is its own."
@@ -210,7 +223,7 @@ def _largest_part(result: Result, share: float, where: str, size: str) -> str:
     return f" The residual is largest {where} ({part}). There {size}."
 
 
-def _alone(result: Result) -> str:
+def _single_causes_text(result: Result) -> str:
     """Return the causes of which each could explain the residual alone, with their sizes."""
     if not result.alone:
         return ""
@@ -221,19 +234,19 @@ def _alone(result: Result) -> str:
     return f" If a single cause explains most of it, it is one of these. {' '.join(told)}"
 
 
-def _too_few(result: Result) -> bool:
+def _residual_within_chance(result: Result) -> bool:
     """Whether only tolerances that are not this machine's would explain so little that is left."""
-    return result.left.p_value > _CHANCE
+    return result.left.p_value > _CHANCE_LEVEL
 
 
-def _nothing_explains(result: Result) -> str:
+def _unexplained_text(result: Result) -> str:
     """Return that the model does not fit, by how much, and whether more could be said."""
     left = result.after.scores.left
     text = (
         f"The model does not fit: its residual is {left.said()} rms, and the noise of a reading is "
         f"{noise_words(result)}. No single cause explains the difference."
     )
-    if _too_few(result):
+    if _residual_within_chance(result):
         return f"{text} {len(result.readings)} readings are too few to say more."
     if result.possible:
         most = compact(result.possible[0].probability, 2)
@@ -257,23 +270,23 @@ def _why_significant(result: Result) -> str:
     )
 
 
-def _fall(result: Result) -> str:
-    return _between(result.start, result.after.scores)
+def _improvement_text(result: Result) -> str:
+    return _improvement_between(result.start, result.after.scores)
 
 
-def _between(before: Scores, after: Scores) -> str:
+def _improvement_between(before: Scores, after: Scores) -> str:
     averaged = math.isfinite(after.deviation_rms)
     of = "averaged readings and their prediction" if averaged else "readings and prediction"
-    return f"the difference between {of} {_falls(before, after)}"
+    return f"the difference between {of} {_rms_change(before, after)}"
 
 
-def _falls(before: Scores, after: Scores) -> str:
+def _rms_change(before: Scores, after: Scores) -> str:
     """Return ``falls from 0.3 to 0.01 mm rms``, for lengths and for inclinations."""
     parts, last = [], ""
     for unit, now in after.reported.shown.items():
         was = before.reported.shown[unit]
-        verb = "hardly falls" if now > _SLIGHT * was else "falls"
-        figures = told_apart(was, now)
+        verb = "hardly falls" if now > _HARDLY_FALLS_RATIO * was else "falls"
+        figures = distinct_figures(was, now)
         text = f"{verb if verb != last else ''} from {' to '.join(figures)} {unit} rms".strip()
         stays = now >= was or figures[0] == figures[1]
         parts.append(f"does not fall, at {figures[1]} {unit} rms" if stays else text)
@@ -284,11 +297,11 @@ def _falls(before: Scores, after: Scores) -> str:
 def noise_words(result: Result) -> str:
     """Return the noise of a reading, and whether rounding was added to the declared noise."""
     noise, declared = result.noise.single_reading, result.noise.declared
-    rounded = result.noise.source != "repeats" and noise.length > _ROUNDED * declared
+    rounded = result.noise.source != "repeats" and noise.length > _ROUNDING_RATIO * declared
     return f"{noise.said()}{' with the rounding of the readings' if rounded else ''}"
 
 
-def warnings_besides(result: Result) -> list[Note]:
+def further_warnings(result: Result) -> list[Note]:
     """Return the warnings that the claim does not already contain."""
     told = result.scattering if result.word == "unexplained" else ()
     return [w for w in result.warnings if w not in told]
@@ -304,18 +317,18 @@ def gain_words(action: Action, printer: bool) -> tuple[str, str]:
     if not math.isfinite(action.gain):
         return "", ""
     gain, sigma = max(action.gain, 0.0) * 1e3, action.gain_sigma * 1e3
-    uncertain = sigma > max(_KNOWN * gain, _SHOWN)  # not if it is unknown
+    uncertain = sigma > max(_MIN_RELATIVE_SIGMA * gain, _MIN_SIGMA)  # not if it is unknown
     size = with_sigma(gain, sigma) if uncertain else compact(gain, 2)
     if printer and action.kind == "zeros":
         return f"the residual of the heights falls by {size} mm", ""
-    mean = PLATE if action.plate else WHICHEVER
+    mean = MEAN_WITH_PLATE if action.plate else MEAN_OVER_CAUSES
     return f"gains {size} mm at the tool", f" {mean}" if action.whichever else ""
 
 
-def unshown_words(result: Result) -> str:
+def undetected_text(result: Result) -> str:
     """Return the effects that these readings would not show, in sentences; empty for none."""
     told = []
-    if hidden := unshown_effects(result):
+    if hidden := undetected_effects(result):
         taken = listed(result.instruments.values())
         several = "; ".join(f"that {words}" for words in hidden)
         told.append(f"Readings of {taken} cannot detect, at three times the tolerance, {several}.")
@@ -324,12 +337,12 @@ def unshown_words(result: Result) -> str:
     return " ".join(told).removesuffix(".")
 
 
-def unshown_effects(result: Result) -> list[str]:
+def undetected_effects(result: Result) -> list[str]:
     """Return the effects that these readings would not show, a clause each."""
-    return [f"{words}{_which(members)}" for words, members in result.unseen.effects]
+    return [f"{words}{_members_in_brackets(members)}" for words, members in result.unseen.effects]
 
 
-def _which(members: tuple[str, ...]) -> str:
+def _members_in_brackets(members: tuple[str, ...]) -> str:
     """Return which parameters of an effect are meant, in brackets; empty for all of them."""
     if not members:
         return ""
@@ -341,20 +354,22 @@ def unvaried_effects(result: Result) -> list[str]:
     each.
     """
     unseen, of = result.unseen, result.catalogue
-    names = (n for n in unseen.unexcited if not of[n].of_dial and n not in _one_sided(result))
+    names = (
+        n for n in unseen.unexcited if not of[n].of_dial and n not in _one_sided_effects(result)
+    )
     return [cause_short(of, name) for name in names]
 
 
-def _one_sided(result: Result) -> list[str]:
+def _one_sided_effects(result: Result) -> list[str]:
     """Return the names of effects that are hidden because all approaches were from one side."""
     needs = result.unseen.unvaried.items() if result.unseen.one_sided else ()
     return [name for name, conditions in needs if "approach" in conditions]
 
 
-_SIDES = {
+_SIDE_REASONS = {
     "fixed": "a probe always comes from above, and sides of distances are not known",
     "same": "every place was approached from the same side, so approach some from the other too",
-    "unknown": f"{SIDES_UNTOLD}: {TELL_SIDES}",
+    "unknown": f"{APPROACH_NOT_RECORDED}: {APPROACH_REMEDY}",
 }
 
 
@@ -362,11 +377,13 @@ def unvaried_words(result: Result) -> str:
     """Return why lost motion cannot be detected, a clause; empty if it can."""
     if not (why := result.unseen.one_sided):
         return ""
-    named = "; ".join(f"that {cause_short(result.catalogue, n)}" for n in _one_sided(result))
-    return f"nor can they detect {named}: {_SIDES[why]}"
+    named = "; ".join(
+        f"that {cause_short(result.catalogue, n)}" for n in _one_sided_effects(result)
+    )
+    return f"nor can they detect {named}: {_SIDE_REASONS[why]}"
 
 
-def dealt_with(result: Result) -> str:
+def data_faults_text(result: Result) -> str:
     """Return the number of data faults, and how many readings were excluded for them."""
     if not (count := len(result.blunders)):
         return ""
@@ -375,7 +392,7 @@ def dealt_with(result: Result) -> str:
         faults += f", and {stray} touch{' does' if stray == 1 else 'es do'} not count"
     aside = {row for one in result.blunders if one.excluded for row in one.rows_in_request}
     every = len(result.readings) + len(aside)
-    if len(aside) < _MANY * every:
+    if len(aside) < _MIN_EXCLUDED_SHARE * every:
         return f"{faults}."
     return (
         f"{faults}: {len(aside)} of {every} readings do not count, and nothing is said of what "
@@ -383,18 +400,18 @@ def dealt_with(result: Result) -> str:
     )
 
 
-def a_little(result: Result) -> bool:
+def has_diffuse_errors(result: Result) -> bool:
     """Whether the base alone leaves so much that something small is wrong with everything."""
-    return result.improved and result.before.scores.lack_of_fit_p < _SOUND
+    return result.improved and result.before.scores.lack_of_fit_p < _BASE_FITS_P
 
 
-def none_left_over(result: Result) -> bool:
+def too_few_to_test(result: Result) -> bool:
     """Whether what was fitted takes up all that the readings say."""
-    return result.before.scores.dof < _FEW or result.after.scores.dof < 1.0
+    return result.before.scores.dof < _MIN_DOF or result.after.scores.dof < 1.0
 
 
 def meaning(result: Result) -> str:
     """Return the meaning of the verdict, a clause; nothing is judged if too few readings remain."""
-    if result.word == "adequate" and none_left_over(result):
+    if result.word == "adequate" and too_few_to_test(result):
         return "no single cause was added, and too few readings are left over to judge what is left"
     return MEANINGS[result.word]

@@ -15,12 +15,12 @@ from orthoglide.control import ControllerNumbers, controller_numbers
 from orthoglide.effects import Catalogue
 from orthoglide.explanation import Cause, Explanation, FullPosterior, Located, budget
 from orthoglide.explanation.change import Change
-from orthoglide.explanation.data_faults import Blunder
+from orthoglide.explanation.data_faults import ReportedFault
 from orthoglide.explanation.residuals import residual_by_setup
-from orthoglide.explanation.significance import Left
+from orthoglide.explanation.significance import LackOfFitTest
 from orthoglide.fit import Estimate
 from orthoglide.machine import Machine
-from orthoglide.numerals import told_apart
+from orthoglide.numerals import distinct_figures
 from orthoglide.observations import Readings
 from orthoglide.result import (
     Action,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Closed:
+class RunOutcome:
     """A closed loop as the search left it."""
 
     request: Request  # what was asked
@@ -50,11 +50,11 @@ class Closed:
     effects: tuple[Cause, ...]  # active causes
     located: tuple[Located, ...]  # active free-form errors
     candidates: tuple[CandidateScore, ...]  # what was considered, most probable first
-    left: Left  # lack of fit of the last fit
+    residual_test: LackOfFitTest  # lack of fit of the last fit
     posterior: FullPosterior | None = None  # of everything; none after `identify`
-    blunders: tuple[Blunder, ...] = ()  # data faults
+    blunders: tuple[ReportedFault, ...] = ()  # data faults
     changed: tuple[Change, ...] = ()  # parameters that differ between campaigns
-    faulty: Estimate | None = None  # base fit with the faulty readings, if there are any
+    fit_with_faults: Estimate | None = None  # base fit with the faulty readings, if there are any
     hold_out: HoldOut | None = None  # scores on readings held out
     tcp: dict[str, TcpErrors] | None = None  # errors at measured TCP points by alignment
     # if nothing is active: causes that could each explain the residual alone
@@ -69,9 +69,9 @@ class Closed:
         return machine.catalogue
 
     @property
-    def first(self) -> Estimate:
+    def first_fit(self) -> Estimate:
         """The base fit to all readings, faulty ones included."""
-        return self.faulty or self.before
+        return self.fit_with_faults or self.before
 
     # --- The calibrated machine -------------------------------------------------------------
 
@@ -96,7 +96,7 @@ class Closed:
     def values_before(self) -> dict[str, float]:
         """Parameters of the base model's last campaign, dials included, SI."""
         problem = self.before.problem
-        return problem.values(problem.last, self.before.x)
+        return problem.values(problem.last_factor, self.before.x)
 
     @cached_property
     def machine(self) -> Machine:
@@ -116,7 +116,7 @@ class Closed:
             kept["cautions"] = list(self.cautions)
         if (printer := self.request.machine.spec.printer) is not None:
             kept |= printer.provenance(self.corrections)
-        return self._machine.with_provenance(kept)
+        return self._calibrated_machine.with_provenance(kept)
 
     @cached_property
     def corrections(self) -> Corrections | None:
@@ -126,10 +126,12 @@ class Closed:
         if (printer := self.request.machine.spec.printer) is None:
             return None
         fit = self.after if self.stands else self.before  # which the machine is of
-        return printer.corrections(self._machine, [f.readings for f in fit.problem.tool])
+        return printer.corrections(
+            self._calibrated_machine, [f.readings for f in fit.problem.tool_factors]
+        )
 
     @property
-    def _machine(self) -> Machine:
+    def _calibrated_machine(self) -> Machine:
         if self.posterior is None:
             return self.after.machine
         machine = self.posterior.machine
@@ -166,7 +168,7 @@ class Closed:
         """Error budget, largest gain first; empty after ``identify``."""
         if self.posterior is None:
             return ()
-        causes: dict[str, tuple[str, ...]] = {c.name: c.every for c in self.effects}
+        causes: dict[str, tuple[str, ...]] = {c.name: c.all_parameters for c in self.effects}
         causes |= {c.parameter: c.members for c in self.moved if c.is_cause}
         causes |= dict(one.in_machine(self.catalogue) for one in self.located)
         return budget(self.posterior, causes)
@@ -183,15 +185,15 @@ class Closed:
     @cached_property
     def lack_of_fit(self) -> LackOfFit:
         """The residuals of the last fit against the noise."""
-        left, known = self.left, self.posterior
+        left, known = self.residual_test, self.posterior
         stopped = "nothing else stands out of the noise and of the background of small errors"
         mountings = residual_by_setup(self.after)
         return LackOfFit(
             p_value=left.p_value,
-            background=float("nan") if known is None else known.share,
+            background=float("nan") if known is None else known.background_scale,
             rare=left.rare,
             shaped=left.shaped,
-            with_unreported=left.untold,
+            with_unreported=left.with_unreported,
             stopped="no cause was to be added" if known is None else stopped,
             mountings=tuple(sorted(mountings, key=lambda one: one.leg < 0)),
         )
@@ -259,7 +261,7 @@ class Closed:
         held, tool = self.hold_out, None if self.tcp is None else self.tcp["translation"]
         least = self.before.problem.noise.typical / 2  # what no reading would show
         if tool is not None and tool.after_mean > tool.before_mean + least:
-            before, after = told_apart(tool.before_mean * 1e3, tool.after_mean * 1e3)
+            before, after = distinct_figures(tool.before_mean * 1e3, tool.after_mean * 1e3)
             return (
                 f"The measured points contradict this result: the tool is {after} mm off with it "
                 f"and {before} mm without it, so do not act on it before it is confirmed."

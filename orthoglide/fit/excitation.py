@@ -19,23 +19,23 @@ def excited_effects(problem: Problem) -> tuple[Effect, ...]:
         effect
         for effect in catalogue.effects
         if effect.name not in catalogue.base
-        and not unmet(problem, effect)
-        and not (effect.instead_of and _MET[effect.instead_of](problem))
+        and not unmet_conditions(problem, effect)
+        and not (effect.instead_of and _CONDITION_TESTS[effect.instead_of](problem))
         and (not effect.of_dial or any(f.setups_of(effect) for f in problem.factors))
     )
 
 
-def unmet(problem: Problem, effect: Effect) -> tuple[str, ...]:
+def unmet_conditions(problem: Problem, effect: Effect) -> tuple[str, ...]:
     """Return the conditions that an effect needs and the readings do not vary."""
-    return tuple(sorted(need for need in effect.needs if not _MET[need](problem)))
+    return tuple(sorted(need for need in effect.needs if not _CONDITION_TESTS[need](problem)))
 
 
-def both_sides(approach: Array) -> NDArray[np.bool_]:
+def axes_approached_from_both_sides(approach: Array) -> NDArray[np.bool_]:
     """Return which axes ``(3,)`` readings ``(n, 3)`` approach from both sides, as booleans."""
     return np.asarray((approach > 0).any(axis=0) & (approach < 0).any(axis=0))
 
 
-def _varies(what: str) -> Callable[[Problem], bool]:
+def _column_varies(what: str) -> Callable[[Problem], bool]:
     def vary(problem: Problem) -> bool:
         for factor in problem.factors:
             values = getattr(factor.readings, what, None)
@@ -49,12 +49,12 @@ def _varies(what: str) -> Callable[[Problem], bool]:
     return vary
 
 
-_MET: Mapping[str, Callable[[Problem], bool]] = {
+_CONDITION_TESTS: Mapping[str, Callable[[Problem], bool]] = {
     "approach": lambda problem: any(
-        both_sides(f.conditions().approach).any() for f in problem.factors
+        axes_approached_from_both_sides(f.conditions().approach).any() for f in problem.factors
     ),
-    "time": _varies("time"),
-    "temperature": _varies("temperature"),
+    "time": _column_varies("time"),
+    "temperature": _column_varies("temperature"),
     "load": lambda problem: any(f.conditions().load.any() for f in problem.factors),
     "pitch": lambda problem: problem.machine.spec.screw_pitch is not None,
 }

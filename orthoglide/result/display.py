@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
-from orthoglide.result.codec import SHORT, Key, MetresField, in_mm_short
+from orthoglide.result.codec import SHORT_DIGITS, Key, MetresField, in_mm_short
 from orthoglide.scene import Dial, Option, Posed, drawing
 
 _PLACES = 12  # decimals of an SI unit: a picometre is rounding
@@ -32,7 +32,12 @@ class Picture:
         """Return the drawing as SVG; ``alone``: as a file of its own."""
         title = "The machine, what was found marked on it" if self.options else "The machine"
         return drawing(
-            self.posed, self.options, self.dials, title=title, shown=self.first, alone=alone
+            self.posed,
+            self.options,
+            self.dials,
+            title=title,
+            first_shown=self.first,
+            standalone=alone,
         )
 
 
@@ -83,7 +88,7 @@ class Mounting:
     label: str  # of the horizontal axis
     rows: Numbers  # rows of `ReadingsShown` that belong to it (m,)
     # travel of the touched leg's carriage in millimetres, or place in the file (m,)
-    x: Annotated[Array, Key(digits=SHORT)]
+    x: Annotated[Array, Key(digits=SHORT_DIGITS)]
     side: Annotated[Array, Key(digits=1)]  # of the approach of that leg's own axis (m,)
     unit: str  # unit for display: mm or mrad
 

@@ -12,58 +12,58 @@ from scipy.linalg import solve_triangular
 
 from orthoglide.geometry import Array
 
-SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+BACKGROUND_SCALES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Scales of the inactive effects of the catalogue, in tolerances."""
 
-STRANGE = 0.1
+FREE_FORM_PRIOR = 0.1
 """Prior probability of a free-form error, relative to a cause of the catalogue: known faults
 of machines are more frequent. Several forms of an error at one place share it equally."""
 
-EXPECTED = 3.0
+EXPECTED_CAUSES = 3.0
 """Prior mean number of active causes (Poisson): who measures a machine has a reason to."""
 
 _UNSEEN = 1e-6
 """Sigmas: a direction to which the largest slab adds less counts as invisible."""
 
-_UNNOTICED = 1e-2
+_LEAST_DIRECTION = 1e-2
 """Sigmas: directions of the readings that all coefficients together move by less are left out."""
 
-RARE = -3.0
+RARE_LOG_PRIOR = -3.0
 """Log prior weight of a background beyond all tolerances, and of noise larger than repeats show:
 one in twenty each."""
 
-FREE = (0.003, 0.03, 0.1, 0.3)
+FREE_FORM_SCALES = (0.003, 0.03, 0.1, 0.3)
 """Scales of the inactive free functions, in their units."""
 
-NOISE = (1.0, 1.7, 3.0, 5.0, 9.0, 16.0, 30.0)
+NOISE_SCALES = (1.0, 1.7, 3.0, 5.0, 9.0, 16.0, 30.0)
 """Scales of noise beyond the declared one: standard deviations of an independent error of each
 station, in sigmas of a reading. Steps of 1.7 lose at most 0.1 of ln Z on 50 readings."""
 
-_NOISY_SHARES = (0.003, 0.1, 0.3, 1.0, 3.0)
+_BACKGROUND_SCALES_WITH_NOISE = (0.003, 0.1, 0.3, 1.0, 3.0)
 """Scales of the catalogue that are combined with larger noise, under which small ones are equal."""
 
-SOUND = 0.03
+SOUND_BACKGROUND = 0.03
 """Tolerances: largest background scale of a machine that counts as sound."""
 
-SLABS = (0.3, 1.0, 3.0, 10.0)
+SLAB_SCALES = (0.3, 1.0, 3.0, 10.0)
 """Scales tau of active groups, in tolerances or units of the group."""
 
 
 @dataclass(frozen=True)
-class FreeNoise:
+class UnknownNoise:
     """Noise of unknown size: what remains unexplained shows it, down to a floor."""
 
     chi2: float  # of the readings where no group is active
     dof: float  # degrees of freedom: what noise of the declared size makes of it
     floor: float = 1.0  # least chi2 per degree of freedom
 
-    def support(self, explained: Array | float) -> Array:
+    def log_likelihood_gain(self, explained: Array | float) -> Array:
         """Return the log likelihood gained where so much of chi2 is explained ``(...)``."""
         share = (self.chi2 - np.append(np.asarray(explained), 0.0)) / (self.dof * self.floor)
         lack = self.dof / 2 * np.where(share > 1, 1 + np.log(np.maximum(share, 1)), share)
         return np.asarray(lack[-1] - lack[:-1].reshape(np.shape(explained)))
 
-    def scale(self, explained: float) -> float:
+    def variance(self, explained: float) -> float:
         """Return the variance of the noise where so much of chi2 is explained, as declared: 1."""
         return max(self.floor, (self.chi2 - explained) / self.dof)
 
@@ -73,10 +73,10 @@ class Group:
     """Coefficients that are active or inactive together."""
 
     name: str  # of the cause, free-form error or data fault
-    places: NDArray[np.intp]  # indices of the coefficients that it moves (q,)
+    coefficients: NDArray[np.intp]  # indices of the coefficients that it moves (q,)
     weights: Array  # from the group's k parameters to those coefficients (q, k)
-    free: bool  # whether it is a free function
-    chance: float = 1.0  # prior probability, relative to a single cause of the catalogue
+    free_form: bool  # whether it is a free function
+    relative_prior: float = 1.0  # prior probability, relative to a single cause of the catalogue
     unit: float = 1.0  # standard deviation of its slab at tau one, tolerances
     # prior mean number of a data fault or a change; None for errors of the machine, whose prior
     # follows from `chance`
@@ -90,79 +90,83 @@ class Group:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Linear:
+class LinearModel:
     """Whitened readings as a linear model of all coefficients."""
 
     columns: Array  # whitened, nuisances projected out, by coefficient in tolerances (m, C)
     residual: Array  # readings less the prediction at zero, whitened (m,)
-    fixed: Array  # prior sd of coefficients without background scale (C,); else nan
-    free: NDArray[np.bool_]  # which belong to free functions (C,)
+    fixed_sd: Array  # prior sd of coefficients without background scale (C,); else nan
+    free_form: NDArray[np.bool_]  # which belong to free functions (C,)
     # mask of plate shapes that no effect names (C,): they explain readings, but are not reported
-    unnamed: NDArray[np.bool_]
+    plate_shapes: NDArray[np.bool_]
     groups: tuple[Group, ...]  # that may be active
     stations: Array  # an error of one sigma at each station (m, s)
     # scales that the effects' background may have, in tolerances
-    shares: tuple[float, ...] = SHARES
-    slabs: tuple[float, ...] = SLABS  # scales of active groups
+    background_scales: tuple[float, ...] = BACKGROUND_SCALES
+    slab_scales: tuple[float, ...] = SLAB_SCALES  # scales of active groups
     # share beyond which a background is unlikely, and log of its weight
-    wide: tuple[float, float] = (max(SHARES), 0.0)
-    noise_weight: float = RARE  # log of the prior weight of noise larger than declared
+    wide_background: tuple[float, float] = (max(BACKGROUND_SCALES), 0.0)
+    noise_weight: float = RARE_LOG_PRIOR  # log of the prior weight of noise larger than declared
     # power of its ratio to the declared noise with which that weight falls: without repeats noise
     # is the less likely the larger it is
     noise_decay: float = 0.0
     # residual of station means orthogonal to all columns: its square, its degrees of freedom, and
     # visits per station; zero if no direction was dropped
-    beyond: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    station_remainder: tuple[float, float, float] = (0.0, 0.0, 1.0)
     # log prior odds of each slab, against all being as likely; none where they are
-    slab_odds: tuple[float, ...] = ()
-    most: int = 6  # active groups in one state
+    slab_log_odds: tuple[float, ...] = ()
+    max_active: int = 6  # active groups in one state
     # noise of unknown size; the search then has one background alone, of one tolerance
-    free_noise: FreeNoise | None = None
+    unknown_noise: UnknownNoise | None = None
 
     @cached_property
-    def odds_of(self) -> dict[float, float]:
+    def log_odds_by_slab(self) -> dict[float, float]:
         """Log prior odds of each slab, against all being as likely."""
-        return dict(zip(self.slabs, self.slab_odds or (0.0,) * len(self.slabs), strict=True))
+        return dict(
+            zip(self.slab_scales, self.slab_log_odds or (0.0,) * len(self.slab_scales), strict=True)
+        )
 
-    def support(self, explained: Array, before: Array) -> Array:
+    def log_likelihood_gain(self, explained: Array, before: Array) -> Array:
         """Return the log likelihood gained where more of chi2 is explained ``(scales, ...)``.
 
         Args:
             explained: by how much more ``(scales, ...)``.
             before: how much is explained already ``(scales,)``.
         """
-        if self.free_noise is None:
+        if self.unknown_noise is None:
             return explained / 2
         before = before.reshape(-1, *[1] * (explained.ndim - 1))
-        return self.free_noise.support(before + explained) - self.free_noise.support(before)
+        return self.unknown_noise.log_likelihood_gain(
+            before + explained
+        ) - self.unknown_noise.log_likelihood_gain(before)
 
     def spike(self, share: float, free_share: float) -> Array:
         """Return the prior variance of each inactive coefficient ``(C,)``."""
-        background = np.where(self.free, free_share, share)
-        return np.where(np.isfinite(self.fixed), self.fixed, background) ** 2
+        background = np.where(self.free_form, free_share, share)
+        return np.where(np.isfinite(self.fixed_sd), self.fixed_sd, background) ** 2
 
     @cached_property
-    def squares(self) -> tuple[Array, Array, Array, Array]:
+    def prior_covariances(self) -> tuple[Array, Array, Array, Array]:
         """Prior covariances of the readings at scale one, each ``(m, m)``.
 
         Of coefficients with a fixed prior, of free functions, of the background, and of station
         errors.
         """
-        fixed, A = np.isfinite(self.fixed), self.columns
-        known = A[:, fixed] * self.fixed[fixed]
-        some = (known, A[:, self.free & ~fixed], A[:, ~self.free & ~fixed], self.stations)
+        fixed, A = np.isfinite(self.fixed_sd), self.columns
+        known = A[:, fixed] * self.fixed_sd[fixed]
+        some = (known, A[:, self.free_form & ~fixed], A[:, ~self.free_form & ~fixed], self.stations)
         fixed_one, free, background, stations = (rows @ rows.T for rows in some)
         return fixed_one, free, background, stations
 
     @cached_property
-    def by_group(self) -> Array:
+    def group_columns(self) -> Array:
         """Visible columns of all groups side by side ``(m, K)``."""
         none = np.zeros((len(self.columns), 0))  # where nothing is seen through the noise
-        both = zip(self.groups, self.seen, strict=True)
-        return np.hstack([none, *(self.columns[:, g.places] @ seen for g, seen in both)])
+        both = zip(self.groups, self.visible_directions, strict=True)
+        return np.hstack([none, *(self.columns[:, g.coefficients] @ seen for g, seen in both)])
 
     @cached_property
-    def seen(self) -> tuple[Array, ...]:
+    def visible_directions(self) -> tuple[Array, ...]:
         """Combinations of coefficients of each group that the readings can see ``(q, r)``.
 
         The slab is isotropic in the group's parameters, so any rotation of them is equivalent.
@@ -171,9 +175,9 @@ class Linear:
         for group in self.groups:
             turned = np.eye(1)
             if group.size > 1:
-                shown = group.unit * self.columns[:, group.places] @ group.weights
+                shown = group.unit * self.columns[:, group.coefficients] @ group.weights
                 _, size, turn = np.linalg.svd(shown, full_matrices=False)
-                turned = turn[: max(1, int((size * max(self.slabs) > _UNSEEN).sum()))].T
+                turned = turn[: max(1, int((size * max(self.slab_scales) > _UNSEEN).sum()))].T
             found.append(group.unit * group.weights @ turned)
         return tuple(found)
 
@@ -193,19 +197,19 @@ class Basis:
         log_det: of the covariance without background.
     """
 
-    def __init__(self, linear: Linear, free_share: float, noise: float) -> None:
-        self.linear, self.free_share, self.noise = linear, free_share, noise
-        fixed, free, background, stations = linear.squares
+    def __init__(self, linear: LinearModel, free_share: float, noise: float) -> None:
+        self.linear, self.free_form_scale, self.noise = linear, free_share, noise
+        fixed, free, background, stations = linear.prior_covariances
         cov = fixed + free_share**2 * free + noise**2 * stations
         cov[np.diag_indices_from(cov)] += 1.0
         root = np.linalg.cholesky(cov)
         self.log_det = 2 * float(np.log(np.diag(root)).sum())
         whiten = solve_triangular(root, np.eye(len(root)), lower=True)
         grows, turn = np.linalg.eigh(whiten @ background @ whiten.T)
-        self.grows = np.maximum(grows, 0.0)
+        self.background_variance = np.maximum(grows, 0.0)
         self.whiten = turn.T @ whiten
         self.residual = self.whiten @ linear.residual
-        self.by_group = self.whiten @ linear.by_group
+        self.group_columns = self.whiten @ linear.group_columns
 
     @cached_property
     def columns(self) -> Array:
@@ -217,17 +221,17 @@ class Scale:
     """One point of the grid of scales: the linear model whitened by its background."""
 
     def __init__(self, basis: Basis, share: float) -> None:
-        self.basis, self.share = basis, share
-        self.free_share, self.noise = basis.free_share, basis.noise
-        self.spike = basis.linear.spike(share, basis.free_share)
-        self.weight = 1 / np.sqrt(1 + share**2 * basis.grows)
+        self.basis, self.background_scale = basis, share
+        self.free_form_scale, self.noise = basis.free_form_scale, basis.noise
+        self.spike = basis.linear.spike(share, basis.free_form_scale)
+        self.weight = 1 / np.sqrt(1 + share**2 * basis.background_variance)
         # Larger noise than declared is rare only if repeats determine the noise.
         self.rare = (share > 1) + (basis.noise > 0 and basis.linear.noise_weight < 0)
-        square, count, visits = basis.linear.beyond
-        beyond, weight = basis.linear.wide
+        square, count, visits = basis.linear.station_remainder
+        beyond, weight = basis.linear.wide_background
         alike = 1 + basis.noise**2 * visits
         self.log_z = (
-            RARE * (share > 1)
+            RARE_LOG_PRIOR * (share > 1)
             + basis.linear.noise_weight * (basis.noise > 0)
             - basis.linear.noise_decay * float(np.log1p(basis.noise**2)) / 2
             + weight * (share > beyond)
@@ -242,7 +246,7 @@ class Scale:
         """Whitened columns by coefficient ``(m, C)``."""
         return self.basis.columns * self.weight[:, None]
 
-    def along(self, rows: Array) -> Array:
+    def products_with_columns(self, rows: Array) -> Array:
         """Return inner products of rows ``(..., m)`` with all columns ``(..., C)``."""
         return np.asarray(((rows * self.weight) @ self.basis.whiten) @ self.basis.linear.columns)
 
@@ -251,36 +255,42 @@ class Scale:
         """Whitened residual ``(m,)``."""
         return self.basis.residual * self.weight
 
-    def of_groups(self, at: NDArray[np.intp]) -> Array:
+    def some_group_columns(self, at: NDArray[np.intp]) -> Array:
         """Return some of the whitened group columns ``(m, k)``."""
-        return self.basis.by_group[:, at] * self.weight[:, None]
+        return self.basis.group_columns[:, at] * self.weight[:, None]
 
 
-def scales(linear: Linear) -> tuple[Scale, ...]:
+def scale_grid(linear: LinearModel) -> tuple[Scale, ...]:
     """Return the grid of scales."""
-    if linear.free_noise is not None:
+    if linear.unknown_noise is not None:
         return (Scale(Basis(linear, 0.0, 0.0), 1.0),)
-    quiet = [Basis(linear, free, 0.0) for free in FREE]
-    noisy = [Basis(linear, FREE[0], noise) for noise in NOISE]
-    found = [Scale(basis, share) for share in linear.shares for basis in quiet]
-    shares = [share for share in linear.shares if share in _NOISY_SHARES]
+    quiet = [Basis(linear, free, 0.0) for free in FREE_FORM_SCALES]
+    noisy = [Basis(linear, FREE_FORM_SCALES[0], noise) for noise in NOISE_SCALES]
+    found = [Scale(basis, share) for share in linear.background_scales for basis in quiet]
+    shares = [share for share in linear.background_scales if share in _BACKGROUND_SCALES_WITH_NOISE]
     return (*found, *(Scale(basis, share) for share in shares for basis in noisy))
 
 
-def whole(
-    name: str, places: Sequence[int] | NDArray[np.intp], *, free: bool, chance: float = 1.0
+def identity_group(
+    name: str,
+    places: Sequence[int] | NDArray[np.intp],
+    *,
+    free_form: bool,
+    relative_prior: float = 1.0,
 ) -> Group:
     """Return a group whose parameters are the coefficients themselves."""
-    return Group(name, np.array(places, dtype=np.intp), np.eye(len(places)), free, chance)
+    return Group(
+        name, np.array(places, dtype=np.intp), np.eye(len(places)), free_form, relative_prior
+    )
 
 
-def reduced(linear: Linear) -> Linear:
+def drop_unseen_directions(linear: LinearModel) -> LinearModel:
     """The same in the few directions of the readings in which anything could show."""
     every = np.column_stack([linear.columns, linear.stations, linear.residual])
     if len(every) > every.shape[1]:
         every = np.asarray(np.linalg.qr(every, mode="r"))
     values, vectors = np.linalg.eigh(every[:, :-1] @ every[:, :-1].T)
-    every = vectors[:, values > _UNNOTICED**2].T @ every
+    every = vectors[:, values > _LEAST_DIRECTION**2].T @ every
     count = linear.columns.shape[1]
     return replace(
         linear, columns=every[:, :count], stations=every[:, count:-1], residual=every[:, -1]

@@ -9,24 +9,24 @@ from functools import partial
 from typing import Any
 
 from orthoglide.effects.catalogue import Catalogue
-from orthoglide.effects.kernels import Bump, Jump
-from orthoglide.effects.places import (
+from orthoglide.effects.free_form import (
+    FreeForm,
     Joints,
     Part,
-    Place,
     Range,
-    by_command,
-    by_travel,
-    places,
-    sized,
+    command_variable,
+    free_forms,
+    scaled_to_machine,
+    travel_variable,
 )
+from orthoglide.effects.kernels import Bump, Jump
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.layout import LegNames
 
 _UM = 1e-6
 
 
-def may_jump(place: Place) -> bool:
+def may_jump(place: FreeForm) -> bool:
     """Whether a place that changes with time may also jump.
 
     One bar snaps, or one drive loses steps; several parts do not jump at the same moment.
@@ -35,7 +35,7 @@ def may_jump(place: Place) -> bool:
     return place.against == "time" and one
 
 
-def jumping(place: Place, at: float, among: int) -> Place:
+def with_jump(place: FreeForm, at: float, among: int) -> FreeForm:
     """Return a place with a jump instead of a slow change.
 
     Args:
@@ -48,18 +48,18 @@ def jumping(place: Place, at: float, among: int) -> Place:
     return replace(place, kernel=jump, jump=at, chance=1 / among)
 
 
-_WIDTH = 0.008
+_BUMP_WIDTH = 0.008
 """Standard deviation of a bump along the travel, metres: typical of dirt, a dent or a joint between
 two rails. Its height is expected to be a few hundredths of a millimetre, because a bump of one
 millimetre would have been noticed."""
 
 
-def bumps(
+def travel_bumps(
     travel: Sequence[Collection[float]],
     names: LegNames,
     stroke: Range,
     scale: float = 1.0,
-) -> tuple[Place, ...]:
+) -> tuple[FreeForm, ...]:
     """Places that are wrong at one travel alone.
 
     Args:
@@ -69,32 +69,35 @@ def bumps(
         scale: of its size, that of a workshop being 1.
     """
     middle, half = (stroke[0] + stroke[1]) / 2, (stroke[1] - stroke[0]) / 2
-    found: list[Place] = []
+    found: list[FreeForm] = []
     for leg, several in enumerate(travel):
         across = dict(zip("bc", names.across[leg], strict=True))
         for at in several:
-            bump = Bump((at - middle) / half, _WIDTH * scale / half)
+            bump = Bump((at - middle) / half, _BUMP_WIDTH * scale / half)
             moved: list[tuple[Part, Joints, str, Any]] = [
-                ("drive", (("travel", 1.0),), "", partial(by_command, leg)),
-                *(("rail", ((f"lateral_{a}", 1.0),), way, by_travel) for a, way in across.items()),
+                ("drive", (("travel", 1.0),), "", partial(command_variable, leg)),
+                *(
+                    ("rail", ((f"lateral_{a}", 1.0),), way, travel_variable)
+                    for a, way in across.items()
+                ),
             ]
             for part, joints, way, variable in moved:
-                place = Place(part, leg, joints, way, "travel", 0, variable, bump, 30 * _UM,
+                place = FreeForm(part, leg, joints, way, "travel", 0, variable, bump, 30 * _UM,
                               bump=at, names=names, chance=1 / len(several))  # fmt: skip
-                found.append(sized(place, scale))
+                found.append(scaled_to_machine(place, scale))
     return tuple(found)
 
 
-DENTS = (0.03e-3, 0.1e-3)
+DIAL_BUMP_WIDTHS = (0.03e-3, 0.1e-3)
 """Metres: standard deviations of a bump over the readings of a dial: three graduations of a
 hundredth, a tooth of its rack or dirt on it, and as far as its smooth curve does not bend."""
 
-_DENT = 10 * _UM
+_DIAL_BUMP_HEIGHT = 10 * _UM
 """Metres: height of such a bump. A dial's standard (DIN 878) allows 17 um over all of its range; a
 tenth of a millimetre, which ten times this allows, stops the hand and is seen."""
 
 
-def dented(place: Place, at: float, width: float, among: int) -> Place:
+def with_dial_bump(place: FreeForm, at: float, width: float, among: int) -> FreeForm:
     """Return a dial's place that is wrong about one reading alone.
 
     Args:
@@ -106,7 +109,7 @@ def dented(place: Place, at: float, width: float, among: int) -> Place:
     low, high = place.span or (0.0, 1.0)
     half = (high - low) / 2
     bump = Bump((at - low) / half - 1, width / half)
-    return replace(place, kernel=bump, bump=at, unit=_DENT, chance=1 / among)
+    return replace(place, kernel=bump, bump=at, prior_sd=_DIAL_BUMP_HEIGHT, chance=1 / among)
 
 
 def _bump_travel(effects: Iterable[str]) -> set[float]:
@@ -119,12 +122,12 @@ def _bump_travel(effects: Iterable[str]) -> set[float]:
     return found
 
 
-def with_places(catalogue: Catalogue, names: Iterable[str], geometry: Geometry) -> Catalogue:
+def with_free_forms(catalogue: Catalogue, names: Iterable[str], geometry: Geometry) -> Catalogue:
     """A catalogue with the places of a machine to which some of the parameters belong."""
     wanted = {name.partition(".")[0] for name in names} - set(catalogue)
     if not wanted:
         return catalogue
-    every = places((), catalogue.legs, geometry.stroke, geometry.scale)
-    every += bumps([_bump_travel(wanted)] * len(LEGS), catalogue.legs, geometry.stroke,
+    every = free_forms((), catalogue.legs, geometry.stroke, geometry.scale)
+    every += travel_bumps([_bump_travel(wanted)] * len(LEGS), catalogue.legs, geometry.stroke,
                    geometry.scale)  # fmt: skip
     return catalogue.with_effects(p.effect for p in every if p.effect.name in wanted)

@@ -16,9 +16,15 @@ from numpy.typing import NDArray
 
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.geometry import Array
-from orthoglide.instruments import POSE, Observation, Row, Site, Stand
+from orthoglide.instruments import (
+    POSE_SIZE,
+    InstrumentPose,
+    MountingContext,
+    Observation,
+    ReadingVariables,
+)
 from orthoglide.mechanism.engine import Outputs
-from orthoglide.mechanism.rows import Rows, blocks
+from orthoglide.mechanism.rows import RowFunction, blocks
 from orthoglide.mechanism.six_bars import LINES
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings
@@ -30,21 +36,21 @@ if TYPE_CHECKING:
 _ROWS = 4096
 """Rows of a block, which bounds the memory for derivatives of their postures."""
 
-JOINTS = len(VIRTUAL_NAMES) * 3
+JOINT_COUNT = len(VIRTUAL_NAMES) * 3
 """Virtual joints of the three legs."""
 
-ByJoints = Callable[[Array, Array], Array]
+JointResponse = Callable[[Array, Array], Array]
 """From a direction of the virtual joints ``(30,)`` and functions of the conditions ``(N, K)`` to
 the derivative of the readings by the coefficient of each function ``(n, K)``."""
 
 
 @dataclass(frozen=True)
-class Seen:
+class ReadingPoses:
     """What instruments need to know of the poses in which they read."""
 
-    by_nuisance: Array  # derivative of the readings by the nuisances of their setups (n, K)
+    nuisance_jacobian: Array  # derivative of the readings by the nuisances of their setups (n, K)
     p: Array  # where the tool, or the place beside it, is (n, 3), metres
-    swung: Array  # the place beside the tool, turned with the platform (n, 3), metres
+    offset_from_tool: Array  # the place beside the tool, turned with the platform (n, 3), metres
 
 
 @dataclass(frozen=True)
@@ -53,7 +59,7 @@ class LinearRows:
 
     value: Array  # (n,), metres or radians
     jacobian: Array  # by the parameters asked for (n, P), SI
-    seen: Seen
+    reading_poses: ReadingPoses
 
 
 class Formula:
@@ -73,15 +79,17 @@ class Formula:
 
     def __init__(self, observation: Observation, effects: Sequence[Effect], numbers: int) -> None:
         count = sum(len(e.parameters(("",))) for e in effects)
-        sizes = (POSE, POSE, numbers, observation.nuisances, max(count, 1))
+        sizes = (POSE_SIZE, POSE_SIZE, numbers, observation.nuisance_count, max(count, 1))
         symbols = [ca.SX.sym(name, n) for name, n in zip("pomzv", sizes, strict=True)]
         pose, other, mounting, nuisance, values = (ca.vertsplit(s) for s in symbols)
-        row = Row(pose, other, mounting, nuisance, values[:count])
+        row = ReadingVariables(pose, other, mounting, nuisance, values[:count])
         reading = ca.SX(observation.formula(row, effects))
         self.function = ca.Function(observation.kind, symbols, [reading])
         by = [ca.densify(ca.gradient(reading, symbols[k])) for k in (0, 1, 3, 4)]
-        self.value = Rows(self.function)
-        self.tangent = Rows(ca.Function(f"{observation.kind}_tangent", symbols, [reading, *by]))
+        self.value = RowFunction(self.function)
+        self.tangent = RowFunction(
+            ca.Function(f"{observation.kind}_tangent", symbols, [reading, *by])
+        )
 
 
 @dataclass
@@ -89,56 +97,56 @@ class Formulas:
     """Formulas of all kinds for one catalogue, built when they are asked for."""
 
     catalogue: Catalogue
-    _built: dict[tuple[str, int], Formula] = field(default_factory=dict)
+    _formulas: dict[tuple[str, int], Formula] = field(default_factory=dict)
 
     def effects(self, observation: Observation) -> tuple[Effect, ...]:
         """Return the effects of a kind's instrument, in the order of its formula."""
-        return tuple(e for e in self.catalogue.of_instruments if observation.takes(e))
+        return tuple(e for e in self.catalogue.instrument_effects if observation.is_affected_by(e))
 
-    def names(self, observation: Observation, setup: str) -> list[str]:
+    def parameter_names(self, observation: Observation, setup: str) -> list[str]:
         """Return names of the parameters of a setup's instrument ``D``."""
         return [str(n) for e in self.effects(observation) for n in e.parameters((setup,))]
 
-    def of(self, observation: Observation, numbers: int) -> Formula:
+    def formula(self, observation: Observation, numbers: int) -> Formula:
         """Return a kind's formula for mountings of ``numbers`` numbers."""
         key = observation.kind, numbers
-        if key not in self._built:
-            self._built[key] = Formula(observation, self.effects(observation), numbers)
-        return self._built[key]
+        if key not in self._formulas:
+            self._formulas[key] = Formula(observation, self.effects(observation), numbers)
+        return self._formulas[key]
 
 
 @dataclass(frozen=True)
-class Part:
+class KindReadings:
     """Readings of one kind, ready for its formula."""
 
     formula: Formula
     rows: NDArray[np.intp]  # (m,)
-    mounting: Array  # (m, M)
-    values: Array  # of the instruments' effects (m, max(D, 1))
+    mounting_values: Array  # (m, M)
+    effect_parameters: Array  # of the instruments' effects (m, max(D, 1))
     nuisance: Array  # (m, K)
-    names: tuple[tuple[str, ...], ...]  # of the effects by setup of the table (setups, D)
+    parameter_names: tuple[tuple[str, ...], ...]  # of the effects by setup of the table (setups, D)
 
     def tangent(self, pose: Array, other: Array, rows: NDArray[np.intp]) -> list[Array]:
         """Return some readings and their derivatives by both poses, nuisances and effects."""
-        given = self.mounting[rows], self.nuisance[rows], self.values[rows]
+        given = self.mounting_values[rows], self.nuisance[rows], self.effect_parameters[rows]
         return self.formula.tangent(pose, other, *given)
 
 
 @dataclass(frozen=True)
-class Block:
+class RowDerivatives:
     """Derivatives of some rows of a table."""
 
     rows: NDArray[np.intp]  # (m,)
-    first: NDArray[np.intp]  # place of each row's posture among those shown (m,)
+    posture_index: NDArray[np.intp]  # place of each row's posture among those shown (m,)
     paired: NDArray[np.bool_]  # which rows have a second posture (m,)
-    shown: Outputs  # of the distinct postures
+    outputs: Outputs  # of the distinct postures
     # by kind: the part, its rows, and their readings with derivatives by nuisances and effects
-    parts: tuple[Any, ...]
-    along: Array  # derivative by what moves the posture (m, P)
-    along_second: Array  # the same for the second postures of paired rows (k, P)
+    derivatives_by_kind: tuple[Any, ...]
+    posture_jacobian: Array  # derivative by what moves the posture (m, P)
+    second_posture_jacobian: Array  # the same for the second postures of paired rows (k, P)
 
 
-class Observed:
+class MeasurementModel:
     """Readings of one table with their instruments in place.
 
     Args:
@@ -151,57 +159,61 @@ class Observed:
     def __init__(
         self,
         readings: Readings,
-        stands: Sequence[Stand] = (),
+        stands: Sequence[InstrumentPose] = (),
         place: Array | None = None,
         nuisances: Array | None = None,
     ) -> None:
         self.readings, self.nuisances = readings, nuisances
-        self.stands = tuple(stands) or (Stand(),) * len(readings.setups)
-        self.place = np.zeros((len(readings), 2)) if place is None else place
+        self.instrument_poses = tuple(stands) or (InstrumentPose(),) * len(readings.setups)
+        self.normalized_plate_xy = np.zeros((len(readings), 2)) if place is None else place
         self.paired = np.flatnonzero(readings.paired)
         on_leg = readings.leg >= 0
-        self.start = np.where(on_leg, LINES.start + POSE * readings.leg, 0)
+        self.first_output = np.where(on_leg, LINES.start + POSE_SIZE * readings.leg, 0)
 
     def conditions(self) -> Conditions:
         """Return the conditions of every reading, then those of the second commands ``(N,)``."""
         r, pairs = self.readings, self.paired
-        one = Conditions.of(r)
+        one = Conditions.from_readings(r)
         if not len(pairs):
             return one
         other = one.table[pairs].copy()
         other[:, :3], other[:, 3:6] = r.second[pairs], 0.0
         return Conditions(np.concatenate([one.table, other]))
 
-    def parts(self, model: Model, values: Mapping[str, float]) -> Iterator[Part]:
+    def by_kind(self, model: Model, values: Mapping[str, float]) -> Iterator[KindReadings]:
         """Yield the readings of each kind, ready for their formulas."""
         r, formulas = self.readings, model.formulas
         for observation, rows in r.observations:
             effects = formulas.effects(observation)
-            site = Site(model.geometry, self.stands, self.place, effects)
-            mounting = observation.mountings(r, rows, site)
+            site = MountingContext(
+                model.geometry, self.instrument_poses, self.normalized_plate_xy, effects
+            )
+            mounting = observation.mounting_values(r, rows, site)
             names = tuple(
-                tuple(formulas.names(observation, s.name)) if s.observation is observation else ()
+                tuple(formulas.parameter_names(observation, s.name))
+                if s.observation is observation
+                else ()
                 for s in r.setups
             )
             width = max(map(len, names))
             table = np.zeros((len(r.setups), max(width, 1)))
             for k, own in enumerate(names):
                 table[k, : len(own)] = [values.get(name, 0.0) for name in own]
-            formula, setup = formulas.of(observation, mounting.shape[1]), r.setup[rows]
-            nuisance = np.zeros((len(rows), observation.nuisances))
+            formula, setup = formulas.formula(observation, mounting.shape[1]), r.setup[rows]
+            nuisance = np.zeros((len(rows), observation.nuisance_count))
             if self.nuisances is not None:
-                nuisance = self.nuisances[setup, : observation.nuisances]
-            yield Part(formula, rows, mounting, table[setup], nuisance, names)
+                nuisance = self.nuisances[setup, : observation.nuisance_count]
+            yield KindReadings(formula, rows, mounting, table[setup], nuisance, names)
 
     def predict(self, model: Model, values: Mapping[str, float]) -> Array:
         """Return the predicted readings ``(n,)``, with the nuisances given to the constructor."""
-        conditions, at = model.merged_for(self, values)
-        rows, ends = np.arange(len(self.readings)), self._ends(at)
+        conditions, at = model.merged_conditions(self, values)
+        rows, ends = np.arange(len(self.readings)), self._posture_indices(at)
         pose, other = self._poses(model.outputs(values, conditions).values, rows, *ends)
         found = np.empty(len(rows))
-        for part in self.parts(model, values):
+        for part in self.by_kind(model, values):
             k = part.rows
-            given = pose[k], other[k], part.mounting, part.nuisance, part.values
+            given = pose[k], other[k], part.mounting_values, part.nuisance, part.effect_parameters
             found[k] = part.formula.value(*given)[0][:, 0]
         return found
 
@@ -215,43 +227,46 @@ class Observed:
             values: all parameters that are not zero, SI.
             names: the parameters to differentiate by ``P``.
         """
-        conditions, at = model.merged_for(self, [*values, *names])
-        n, parts = len(self.readings), list(self.parts(model, values))
-        columns = np.array([k for k, n in enumerate(names) if n in model.moving.place], dtype=int)
+        conditions, at = model.merged_conditions(self, [*values, *names])
+        n, parts = len(self.readings), list(self.by_kind(model, values))
+        columns = np.array(
+            [k for k, n in enumerate(names) if n in model.displacement_model.parameter_index],
+            dtype=int,
+        )
         machine = [names[k] for k in columns]
         value, jacobian = np.empty(n), np.zeros((n, len(names)))
         most = max((part.nuisance.shape[1] for part in parts), default=0)
-        seen = Seen(np.zeros((n, most)), np.empty((n, 3)), np.empty((n, 3)))
+        seen = ReadingPoses(np.zeros((n, most)), np.empty((n, 3)), np.empty((n, 3)))
 
         def moved(postures: NDArray[np.intp]) -> tuple[Outputs, Array]:
-            return model.sensitivities(values, conditions.some(postures), machine)
+            return model.sensitivities(values, conditions.subset(postures), machine)
 
-        for block in self._blocks(at, parts, moved):
-            for part, rows, reading, by_nuisance, by_value in block.parts:
+        for block in self._derivative_blocks(at, parts, moved):
+            for part, rows, reading, by_nuisance, by_value in block.derivatives_by_kind:
                 value[rows] = reading[:, 0]
-                seen.by_nuisance[rows, : by_nuisance.shape[1]] = by_nuisance
-                self._by_instruments(part, by_value, rows, names, jacobian)
-            along = block.along.copy()
-            along[block.paired] += block.along_second
+                seen.nuisance_jacobian[rows, : by_nuisance.shape[1]] = by_nuisance
+                self._fill_instrument_columns(part, by_value, rows, names, jacobian)
+            along = block.posture_jacobian.copy()
+            along[block.paired] += block.second_posture_jacobian
             jacobian[np.ix_(block.rows, columns)] = along
-            p, R = block.shown.p[block.first], block.shown.R[block.first]
+            p, R = block.outputs.p[block.posture_index], block.outputs.R[block.posture_index]
             swung = np.einsum("nij,nj->ni", R, self.readings.beside[block.rows])
-            seen.swung[block.rows], seen.p[block.rows] = swung, p + swung
+            seen.offset_from_tool[block.rows], seen.p[block.rows] = swung, p + swung
         return LinearRows(value, jacobian, seen)
 
-    def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
+    def joint_response(self, model: Model, values: Mapping[str, float]) -> JointResponse:
         """Return how the readings follow virtual joints that move as functions of conditions."""
-        conditions, at = model.merged_for(self, values)
-        n, parts, pairs = len(self.readings), list(self.parts(model, values)), self.paired
-        slopes, second = np.zeros((n, JOINTS)), np.zeros((n, JOINTS))
+        conditions, at = model.merged_conditions(self, values)
+        n, parts, pairs = len(self.readings), list(self.by_kind(model, values)), self.paired
+        slopes, second = np.zeros((n, JOINT_COUNT)), np.zeros((n, JOINT_COUNT))
 
         def moved(postures: NDArray[np.intp]) -> tuple[Outputs, Array]:
-            shown, by_given = model.tangent(values, conditions.some(postures))
-            return shown, by_given[:, :, by_given.shape[2] - JOINTS :]
+            shown, by_given = model.tangent(values, conditions.subset(postures))
+            return shown, by_given[:, :, by_given.shape[2] - JOINT_COUNT :]
 
-        for block in self._blocks(at, parts, moved):
-            slopes[block.rows] = block.along
-            second[block.rows[block.paired]] = block.along_second
+        for block in self._derivative_blocks(at, parts, moved):
+            slopes[block.rows] = block.posture_jacobian
+            second[block.rows[block.paired]] = block.second_posture_jacobian
 
         def follow(joints: Array, functions: Array) -> Array:
             found = (slopes @ joints)[:, None] * functions[:n]
@@ -262,7 +277,7 @@ class Observed:
 
     # Postures of the readings --------------------------------------------------------------
 
-    def _ends(self, at: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def _posture_indices(self, at: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Posture of each reading, and of its second command, each ``(n,)``: the same where there
         is none.
 
@@ -274,12 +289,12 @@ class Observed:
         second[self.paired] = at[n:]
         return at[:n], second
 
-    def _blocks(
+    def _derivative_blocks(
         self,
         at: NDArray[np.intp],
-        parts: Sequence[Part],
+        parts: Sequence[KindReadings],
         moved: Callable[[NDArray[np.intp]], tuple[Outputs, Array]],
-    ) -> Iterator[Block]:
+    ) -> Iterator[RowDerivatives]:
         """Yield the derivatives of the readings in blocks of rows.
 
         Args:
@@ -288,7 +303,7 @@ class Observed:
             moved: from numbers of distinct postures ``(k,)`` to their outputs and the derivative
                 of these ``(k, 48, P)``.
         """
-        firsts, seconds = self._ends(at)
+        firsts, seconds = self._posture_indices(at)
         order = np.argsort(firsts, kind="stable")
         for part in blocks(len(order), _ROWS):
             rows = order[part]
@@ -297,18 +312,18 @@ class Observed:
             first, second = np.split(place.reshape(-1), 2)
             shown, by = moved(postures)
             pose, other = self._poses(shown.values, rows, first, second)
-            by_pose, by_other = np.zeros((2, len(rows), POSE))
+            by_pose, by_other = np.zeros((2, len(rows), POSE_SIZE))
             found = []
-            for one, k, here in _within(parts, rows):
+            for one, k, here in _kinds_within(parts, rows):
                 reading, by_pose[here], by_other[here], *more = one.tangent(
                     pose[here], other[here], k
                 )
                 found.append((one, rows[here], reading, *more))
             paired = np.isin(rows, self.paired)
-            yield Block(
+            yield RowDerivatives(
                 rows, first, paired, shown, tuple(found),
-                self._along(by, by_pose, self.start[rows], first),
-                self._along(by, by_other[paired], 0, second[paired]),
+                self._chain_rule(by, by_pose, self.first_output[rows], first),
+                self._chain_rule(by, by_other[paired], 0, second[paired]),
             )  # fmt: skip
 
     def _poses(
@@ -319,12 +334,12 @@ class Observed:
         second: NDArray[np.intp],
     ) -> tuple[Array, Array]:
         """Return what rows follow of their postures and of their second ones, each ``(m, 12)``."""
-        columns = np.arange(POSE)
-        pose = outputs[first[:, None], self.start[rows, None] + columns]
+        columns = np.arange(POSE_SIZE)
+        pose = outputs[first[:, None], self.first_output[rows, None] + columns]
         return pose, outputs[second[:, None], columns]
 
     @staticmethod
-    def _along(
+    def _chain_rule(
         outputs: Array, slopes: Array, start: NDArray[np.int64] | int, at: NDArray[np.intp]
     ) -> Array:
         """Derivative of rows ``(m, P)`` by what moves their postures.
@@ -338,12 +353,12 @@ class Observed:
         start, found = np.broadcast_to(start, at.shape), np.empty((len(at), outputs.shape[2]))
         for k in np.unique(start):
             own = np.flatnonzero(start == k)
-            found[own] = (slopes[own, None] @ outputs[at[own], k : k + POSE])[:, 0]
+            found[own] = (slopes[own, None] @ outputs[at[own], k : k + POSE_SIZE])[:, 0]
         return found
 
-    def _by_instruments(
+    def _fill_instrument_columns(
         self,
-        part: Part,
+        part: KindReadings,
         by_value: Array,
         rows: NDArray[np.intp],
         names: Sequence[str],
@@ -351,16 +366,16 @@ class Observed:
     ) -> None:
         """Fill the columns of the instruments' parameters with derivatives ``(m, D)``."""
         setup = self.readings.setup[rows]
-        for k, own in enumerate(part.names):
+        for k, own in enumerate(part.parameter_names):
             for column, name in enumerate(own):
                 if name in names:
                     here = setup == k
                     jacobian[rows[here], list(names).index(name)] = by_value[here, column]
 
 
-def _within(
-    parts: Sequence[Part], rows: NDArray[np.intp]
-) -> Iterator[tuple[Part, NDArray[np.intp], NDArray[np.intp]]]:
+def _kinds_within(
+    parts: Sequence[KindReadings], rows: NDArray[np.intp]
+) -> Iterator[tuple[KindReadings, NDArray[np.intp], NDArray[np.intp]]]:
     """Yield the parts that have some of the rows, each with indices into the part and indices into
     ``rows``, both ``(k,)``.
     """

@@ -11,10 +11,10 @@ import numpy as np
 
 from orthoglide.geometry import Array
 from orthoglide.numerals import ByUnit
-from orthoglide.result.codec import SHORT, Key, SampledMetres, Share, encoded, in_mm_short
+from orthoglide.result.codec import SHORT_DIGITS, Key, SampledMetres, Share, encoded, in_mm_short
 from orthoglide.result.fits import Scores
 
-_BRIEF = {
+_FAULT_PHRASES = {
     "command": "another command than the one written",
     "outlier": "a slip of the reading",
     "knocked_stand": "a dial's stand that was knocked",
@@ -43,7 +43,7 @@ class Explanation:
     sigmas: Annotated[Mapping[str, float], Key("sigmas_si")]  # standard deviations of `values`
     # predicted contribution to the readings, datums fitted (n,), metres or radians; empty for a
     # cause that no figure shows
-    shown: Annotated[Array, Key("shown_si", digits=SHORT)]
+    shown: Annotated[Array, Key("shown_si", digits=SHORT_DIGITS)]
 
     def __repr__(self) -> str:
         return f"<{self.name}, probability {self.probability:.2f}: {self.words}>"
@@ -66,14 +66,16 @@ class Curve:
     unit: str  # unit for display: mm or mrad
     description: str  # the error without its size, a clause
     # SI; lost motion between the two directions of approach, else the root mean square
-    size: Annotated[float, Key("size_si", digits=SHORT)]
+    size: Annotated[float, Key("size_si", digits=SHORT_DIGITS)]
     size_words: str  # size with its unit, and whether it is a root mean square
     # arguments at which the function is evaluated (k,): metres or seconds
-    at: Annotated[Array, Key("at_si", digits=SHORT)]
+    at: Annotated[Array, Key("at_si", digits=SHORT_DIGITS)]
     # values there (k,), SI; without their mean unless it is lost motion, as a constant cannot be
     # distinguished from the zeros
-    value: Annotated[Array, Key("value_si", digits=SHORT)]
-    sigma: Annotated[Array, Key("sigma_si", digits=SHORT)]  # standard deviations of `value` (k,)
+    value: Annotated[Array, Key("value_si", digits=SHORT_DIGITS)]
+    sigma: Annotated[
+        Array, Key("sigma_si", digits=SHORT_DIGITS)
+    ]  # standard deviations of `value` (k,)
     of_dial: bool  # whether it belongs to a dial
     of_machine: bool  # whether the calibrated machine includes it
 
@@ -131,7 +133,7 @@ class DataRival:
     @property
     def brief(self) -> str:
         """The fault with its file and its first line, a clause."""
-        what = _BRIEF.get(self.data, "a fault of the data")
+        what = _FAULT_PHRASES.get(self.data, "a fault of the data")
         return f"{what} in {self.file}, line {min(self.rows)}"
 
 
@@ -197,7 +199,7 @@ class Located:
 
     members: Annotated[tuple[Curve, ...], Key("class")]  # most probable first
     # probability that it is one of the members, conditional on the other causes found
-    probability: Annotated[float, Key("class_probability", digits=SHORT)]
+    probability: Annotated[float, Key("class_probability", digits=SHORT_DIGITS)]
     resembling: tuple[str, ...]  # names of causes in the same credible set
     resembling_words: tuple[str, ...]  # the same causes as clauses without a size
     # causes that move the part of the first member and are not in the set, clauses without a size
@@ -228,7 +230,7 @@ class Located:
                                   first.sigma * 1e3])  # fmt: skip
         return {
             **encoded(first),
-            "curve": encoded(points, Key(digits=SHORT)),
+            "curve": encoded(points, Key(digits=SHORT_DIGITS)),
             "at_unit": "s" if timed else "mm",
             "words": self.words,
         }
@@ -263,7 +265,7 @@ class BudgetItem:
     tolerances: Share  # largest ratio of a parameter to its tolerance
     beyond_tolerance: Share  # probability that any parameter exceeds its tolerance
     # root mean square of its contribution to the readings, datums fitted
-    readings: Annotated[ByUnit, Key("readings_rms", digits=SHORT)]
+    readings: Annotated[ByUnit, Key("readings_rms", digits=SHORT_DIGITS)]
     tcp_mean: SampledMetres  # mean of its contribution to the TCP error
     tcp_sigma: SampledMetres  # standard deviation of `tcp_mean`
     gain: SampledMetres  # decrease of the mean TCP error if the fault is repaired
@@ -271,7 +273,9 @@ class BudgetItem:
     # decrease of the mean TCP error if the estimate is compensated and its uncertainty remains
     compensated: SampledMetres
     compensated_sigma: SampledMetres  # standard deviation of `compensated`
-    share: Annotated[float, Key("gain_share", digits=SHORT)]  # `gain` over the mean TCP error
+    share: Annotated[
+        float, Key("gain_share", digits=SHORT_DIGITS)
+    ]  # `gain` over the mean TCP error
     # whether it is an effect without the causes found, as against one of these causes
     rest: bool = False
 
@@ -292,7 +296,12 @@ class Identified:
 
 Kind = Literal["zeros", "confirm", "mend", "compensate", "measure"]
 
-_ADVISED = {"zeros": "zeros", "mend": "repair", "compensate": "compensate", "measure": "measure"}
+_ADVICE_NAMES = {
+    "zeros": "zeros",
+    "mend": "repair",
+    "compensate": "compensate",
+    "measure": "measure",
+}
 
 
 @dataclass(frozen=True)
@@ -329,15 +338,15 @@ class Withheld:
     reason: str  # a clause
 
 
-def advised(actions: tuple[Action, ...]) -> list[dict[str, Any]]:
+def advice_rows(actions: tuple[Action, ...]) -> list[dict[str, Any]]:
     """Return actions as the entries of ``advice`` in ``result.json``, without those to confirm."""
     return [
         {
-            "kind": _ADVISED[one.kind], "words": one.words,
+            "kind": _ADVICE_NAMES[one.kind], "words": one.words,
             "gain_mm": in_mm_short(one.gain), "gain_sigma_mm": in_mm_short(one.gain_sigma),
         }
         for one in actions
-        if one.kind in _ADVISED
+        if one.kind in _ADVICE_NAMES
     ]  # fmt: skip
 
 

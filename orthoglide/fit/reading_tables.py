@@ -12,15 +12,15 @@ from orthoglide.fit.problem import Problem
 from orthoglide.geometry import LEGS, Array
 from orthoglide.observations import Readings
 from orthoglide.result import Mounting, ReadingsShown
-from orthoglide.result.shown import Numbers
+from orthoglide.result.display import Numbers
 
 if TYPE_CHECKING:
     from orthoglide.fit.estimate import Estimate
 
-_MOVES = 1e-3  # metres of travel from which a setup is drawn over it
+_MIN_TRAVEL = 1e-3  # metres of travel from which a setup is drawn over it
 
 
-def readings_shown(
+def fitted_readings(
     fit: Estimate, base: Estimate, given: tuple[Readings, ...] = ()
 ) -> ReadingsShown:
     """Return measured and predicted readings, setup by setup.
@@ -32,7 +32,7 @@ def readings_shown(
     """
     problem = fit.problem
     tables = [factor.readings for factor in problem.factors]
-    rows = [rows_in(some, all_) for some, all_ in zip(tables, given or tables, strict=True)]
+    rows = [row_indices(some, all_) for some, all_ in zip(tables, given or tables, strict=True)]
     return ReadingsShown(
         mountings=tuple(_mountings(problem)),
         file=np.repeat(np.arange(len(tables)), [len(some) for some in tables]),
@@ -47,7 +47,7 @@ def readings_shown(
     )
 
 
-def rows_in(part: Readings, whole: Readings) -> Numbers:
+def row_indices(part: Readings, whole: Readings) -> Numbers:
     """Return the row of each reading of ``part`` within ``whole`` ``(n,)``, matched by line and
     axis; both are in the order of the file.
     """
@@ -72,14 +72,14 @@ def _mountings(problem: Problem) -> Iterator[Mounting]:
             if setup.leg >= 0:
                 leg = setup.leg
                 travel = read.command[there, leg] - problem.machine.geometry.zero[leg]
-                moves = np.ptp(travel) > _MOVES
-                name = _named(read.name, setup.name) if several else setup.name
+                moves = np.ptp(travel) > _MIN_TRAVEL
+                name = _setup_label(read.name, setup.name) if several else setup.name
                 title = f"{name}: leg {LEGS[leg]}, read along {setup.direction}"
                 label = f"travel of carriage {LEGS[leg]}, mm" if moves else "place in the file"
                 x = travel * 1e3 if moves else read.order[there].astype(float)
                 side = read.approach[there, leg].astype(float)
             else:
-                name, label = _named(read.name, setup.name), "reading"
+                name, label = _setup_label(read.name, setup.name), "reading"
                 title = f"{name}, {setup.kind}"
             rows = (part.start + there).astype(np.int64)
             unit = setup.observation.unit
@@ -87,6 +87,6 @@ def _mountings(problem: Problem) -> Iterator[Mounting]:
             yield Mounting(own, name, title, label, rows, x, side, unit)
 
 
-def _named(file: str, setup: str) -> str:
+def _setup_label(file: str, setup: str) -> str:
     """A setup by its file, whose name may have it already."""
     return file if setup in file else f"{file} · {setup}"

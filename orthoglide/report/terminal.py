@@ -7,17 +7,23 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from orthoglide.numerals import hundredths
-from orthoglide.report.claims import claims, lowered
+from orthoglide.report.claims import claims, lower_first
 from orthoglide.report.identified import weak_sentences
-from orthoglide.report.rows import POSSIBLE, parameter_rows, possible_rows, score_rows, weighed
-from orthoglide.report.sections import too_early
-from orthoglide.report.words import (
+from orthoglide.report.rows import (
+    POSSIBLE_TITLES,
+    parameter_rows,
+    possible_rows,
+    probable_candidates,
+    score_rows,
+)
+from orthoglide.report.sections import reason_not_to_enter
+from orthoglide.report.sentences import (
+    further_warnings,
     gain_words,
     headline,
     meaning,
-    unshown_words,
+    undetected_text,
     unvaried_words,
-    warnings_besides,
 )
 from orthoglide.result import Action, Result
 from orthoglide.text import is_terminal, sentence, text_width
@@ -28,23 +34,23 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 
-_MOST = 3  # of what may be looked at
-_IN_WORDS = ("cause", "if it is the only cause", "possible cause", "considered")  # columns
+_MAX_SUSPECTS = 3  # of what may be looked at
+_TEXT_COLUMNS = ("cause", "if it is the only cause", "possible cause", "considered")  # columns
 
 
 def summary(
     result: Result,
-    ranked: bool = False,
-    said: str = "",
-    placed: Callable[[str], str] = str,
+    all_candidates: bool = False,
+    omitted_kind: str = "",
+    with_paths: Callable[[str], str] = str,
 ) -> str:
     """Return the result for the terminal.
 
     Args:
         result: to be shown.
-        ranked: whether all candidates are shown.
-        said: kind of warnings that are left out.
-        placed: returns an advised command with the files where they are.
+        all_candidates: whether all candidates are shown.
+        omitted_kind: kind of warnings that are left out.
+        with_paths: returns an advised command with the files where they are.
     """
     from rich.text import Text
 
@@ -53,28 +59,28 @@ def summary(
         Text(f"Verdict {result.word}: {meaning(result)}.\n"),
     ]
     parts += [Text(f"- data: {b.message}") for b in result.blunders]
-    parts += _tables(result, ranked)
+    parts += _tables(result, all_candidates)
     remarks = [] if result.searches else weak_sentences(result.weak, result.catalogue)
-    hidden = (unshown_words(result), unvaried_words(result))
-    told = (*hidden, *(w for w in warnings_besides(result) if w.kind != said))
+    hidden = (undetected_text(result), unvaried_words(result))
+    told = (*hidden, *(w for w in further_warnings(result) if w.kind != omitted_kind))
     remarks += [sentence(w) for w in told if w]
     parts += [Text(f"- {line}") for line in remarks]
-    parts += [Text(placed(line)) for line in to_do(result)]
-    parts += _zeros(result)
+    parts += [Text(with_paths(line)) for line in action_lines(result)]
+    parts += _new_zeros(result)
     if result.firmware is not None and result.firmware.corrections is not None:
         found = result.firmware.corrections
         of, last = "residual of the firmware's equations, rms, mm", "tried" if found.keep else "new"
         if not found.keep:
             parts += table((found.file, "old", last), found.rows)
         parts += table((of, "old", last), found.left)
-        instead, why = too_early(result)
+        instead, why = reason_not_to_enter(result)
         if instead:
             parts.append(Text(f"{instead}: {why}.", style="bold"))
     parts += [Text(f"Warning: {caution}", style="bold") for caution in result.further_cautions]
     return console_text(parts)
 
 
-def _zeros(result: Result) -> Iterator[Text | Table]:
+def _new_zeros(result: Result) -> Iterator[Text | Table]:
     """Yield the new zeros with one worked example and one check, if they are to be entered."""
     from rich.text import Text
 
@@ -91,24 +97,24 @@ def _zeros(result: Result) -> Iterator[Text | Table]:
     )
 
 
-def to_do(result: Result) -> Iterator[str]:
+def action_lines(result: Result) -> Iterator[str]:
     """Yield the actions, a line each, with the parts to look at below."""
     for k, action in enumerate(result.actions, start=1):
-        yield f"{k}. {sentence(action.words)[:-1]}{_gain(result, action)}."
+        yield f"{k}. {sentence(action.words)[:-1]}{_gain_in_brackets(result, action)}."
         told = [(f"{one.words}: look at {one.look_at}", one.confirm) for one in action.options]
         lines = [" ".join(sentence(text) for text in one if text) for one in told]
-        yield from _first(lines, "Test the {} other causes above in the same way.")
+        yield from _shortened(lines, "Test the {} other causes above in the same way.")
 
 
-def _first(lines: Sequence[str], rest: str) -> Iterator[str]:
+def _shortened(lines: Sequence[str], rest: str) -> Iterator[str]:
     """Yield the first lines, and the number of the others in words."""
-    count = len(lines) if len(lines) <= _MOST + 1 else _MOST
+    count = len(lines) if len(lines) <= _MAX_SUSPECTS + 1 else _MAX_SUSPECTS
     yield from (f"   - {line}" for line in lines[:count])
     if lines[count:]:
         yield f"   - {rest.format(len(lines) - count)}"
 
 
-def _gain(result: Result, action: Action) -> str:
+def _gain_in_brackets(result: Result, action: Action) -> str:
     """Return the gain of an action in brackets; empty if there is none."""
     if not action.gain > 0:
         return ""
@@ -135,11 +141,15 @@ def _width() -> int:
 
 def _tables(result: Result, ranked: bool) -> Iterator[Table]:
     """Yield the tables of causes, candidates, parameters and scores that are not empty."""
-    yield from table(("share of this finding", "cause"), _found(result))
+    yield from table(("share of this finding", "cause"), _finding_rows(result))
     alone = ((hundredths(one.probability), one.words) for one in result.alone)
     yield from table(("probability", "if it is the only cause"), alone)
-    yield from table(POSSIBLE, possible_rows(result))
-    tried = ((hundredths(t.probability), t.words or t.name) for t in weighed(result) if ranked)
+    yield from table(POSSIBLE_TITLES, possible_rows(result))
+    tried = (
+        (hundredths(t.probability), t.words or t.name)
+        for t in probable_candidates(result)
+        if ranked
+    )
     yield from table(("probability of being active", "considered"), tried)
     identified = (
         (f"{one.name}, {one.unit}", one.value, one.sigma, f"{one.low} to {one.high}", one.tolerance)
@@ -170,7 +180,7 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Tab
         widths[slack.index(max(slack))] -= 1
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for k, title in enumerate(columns):
-        left = k == 0 or title in _IN_WORDS
+        left = k == 0 or title in _TEXT_COLUMNS
         made.add_column(
             title, justify="left" if left else "right", width=widths[k], overflow="fold"
         )
@@ -179,10 +189,10 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Tab
     yield made
 
 
-def _found(result: Result) -> Iterator[tuple[str, str]]:
+def _finding_rows(result: Result) -> Iterator[tuple[str, str]]:
     """Yield the causes and free-form errors with their alternatives, most probable first."""
     for claim in claims(result)[: len(result.effects) + len(result.located)]:
-        same = "".join(f"\nor {lowered(one.words)}" for one in claim.same)
+        same = "".join(f"\nor {lower_first(one.words)}" for one in claim.same)
         yield hundredths(claim.first.probability), f"{claim.first.words}{same}"
         for one in claim.rivals:
-            yield hundredths(one.probability), f"or {lowered(one.words)}"
+            yield hundredths(one.probability), f"or {lower_first(one.words)}"

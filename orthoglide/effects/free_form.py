@@ -22,31 +22,33 @@ from orthoglide.layout import LegNames, Orthoglide
 from orthoglide.numerals import compact
 from orthoglide.units import MM, RAD
 
-Against = Literal["travel", "approach", "reversal", "command", "time", "reading"]
+Dependence = Literal["travel", "approach", "reversal", "command", "time", "reading"]
 Part = Literal["drive", "rail", "carriage", "bar", "platform", "dial"]
 Joints = tuple[tuple[str, float], ...]
 Range = tuple[float, float]
-Functions = Kernel | BuildUp | Bump | Jump | Level
+FreeFunctions = Kernel | BuildUp | Bump | Jump | Level
 
 
 @dataclass(frozen=True)
-class Place:
+class FreeForm:
     """Where the machine may move as nothing in the catalogue does."""
 
     part: Part  # of the leg
     leg: int  # 0, 1 or 2; -1 of all dials together
     joints: Joints  # virtual joints that move, each with its share
     direction: str  # that it moves in or turns about, as a letter of the base; empty for none
-    against: Against  # what it depends on
-    by: int  # the drive whose command it depends on, with `against` `"command"`
+    against: Dependence  # what it depends on
+    command_drive: int  # the drive whose command it depends on, with `against` `"command"`
     variable: Callable[[LegConditions], Any]  # in [-1, 1], of the leg's conditions
-    kernel: Functions  # how smooth it is
-    unit: float  # standard deviation to expect of a place that is wrong, SI
+    kernel: FreeFunctions  # how smooth it is
+    prior_sd: float  # standard deviation to expect of a place that is wrong, SI
     # first and last of its variable, seconds or metres; `None`: the stroke
     span: Range | None = None
     setup: str = ""  # the dial's mounting; empty where it is all of them, or no dial
     names: LegNames = Orthoglide.names  # of legs and directions
-    short: bool = False  # whether it comes and goes over a few centimetres, however long the stroke
+    short_waves: bool = (
+        False  # whether it comes and goes over a few centimetres, however long the stroke
+    )
     bump: float | None = None  # travel, or a dial's reading, of a bump, metres; `None`: it is none
     jump: float | None = None  # second at which it jumps; `None`: it does not
     chance: float = 1.0  # how often it goes wrong, over other places
@@ -55,28 +57,32 @@ class Place:
     def name(self) -> str:
         """Unique, such as ``rail.x.y/travel``."""
         if self.bump is not None:
-            return f"{self.where}@{round(self.bump * 1e3, 2 if self.of_dial else 1):g}"
+            return f"{self.location_key}@{round(self.bump * 1e3, 2 if self.of_dial else 1):g}"
         if self.jump is not None:
-            return f"{self.where}@{self.jump:.0f}s"
-        return self.where.replace("/travel", "/waves") if self.short else self.where
+            return f"{self.location_key}@{self.jump:.0f}s"
+        return (
+            self.location_key.replace("/travel", "/waves")
+            if self.short_waves
+            else self.location_key
+        )
 
     @property
-    def where(self) -> str:
+    def location_key(self) -> str:
         """Key that short and long variants share, as only one of them can be the cause."""
         if self.of_dial:
             return f"dial{self.setup and '.'}{self.setup}/{self.against}"
         way = f".{self.direction}" if self.direction else ""
-        by = f".{self.names.legs[self.by]}" if self.against == "command" else ""
+        by = f".{self.names.legs[self.command_drive]}" if self.against == "command" else ""
         leg = f".{self.names.legs[self.leg]}" if self.leg >= 0 else ""
         return f"{self.part}{leg}{way}/{self.against}{by}"
 
     @property
-    def single(self) -> bool:
+    def is_local(self) -> bool:
         """Whether it is wrong at one place or moment alone."""
         return self.bump is not None or self.jump is not None
 
     @property
-    def turns(self) -> bool:
+    def is_rotation(self) -> bool:
         """Whether it rotates a part; else it moves or stretches one."""
         return self.part == "carriage"
 
@@ -95,10 +101,10 @@ class Place:
         """Whether the machine's own model can have it: it knows commands and conditions, not the
         way that led there, and no joints at the platform that move.
         """
-        return self.against != "reversal" and not (self.of_dial or self.moves_lines)
+        return self.against != "reversal" and not (self.of_dial or self.moves_bar_ends)
 
     @property
-    def moves_lines(self) -> bool:
+    def moves_bar_ends(self) -> bool:
         """Whether the bars of its leg move along with it, as a dial on them shows.
 
         The leg's end on the platform moves by as much as the joints, which are the carriage's, move
@@ -107,14 +113,14 @@ class Place:
         return self.part == "platform"
 
     @property
-    def two_sided(self) -> bool:
+    def depends_on_approach(self) -> bool:
         """Whether the way that led there decides: its level counts, none of it is of a zero."""
         return self.against in ("approach", "reversal")
 
     @property
     def loses(self) -> bool:
         """Whether it is lost motion: the same command ends elsewhere by the way that led there."""
-        return self.two_sided and not self.of_dial
+        return self.depends_on_approach and not self.of_dial
 
     def interval(self, stroke: Range) -> Range:
         """First and last of its variable, on a machine of some stroke, metres."""
@@ -123,12 +129,12 @@ class Place:
     @cached_property
     def effect(self) -> Effect:
         """The same as an effect, for a machine that has it: a parameter a coefficient."""
-        unit = RAD if self.turns else MM
+        unit = RAD if self.is_rotation else MM
         words = self.words
         return Effect(
             re.sub(r"\W", "_", self.name),  # a setup may be called anything
             unit,
-            self.unit / unit.si,
+            self.prior_sd / unit.si,
             because="what no known shape explains is a few hundredths",
             sentence=words,
             look_at=self.look_at,
@@ -156,10 +162,10 @@ class Place:
             return f"the dial of {self.setup} {what}"
         leg = self.names.legs[self.leg]
         how = {
-            "travel": self._by_travel,
+            "travel": self._travel_words,
             "approach": "by the side it is approached from",
             "reversal": "by the way gone since it turned round",
-            "command": f"by the command of drive {self.names.legs[self.by]}",
+            "command": f"by the command of drive {self.names.legs[self.command_drive]}",
             "time": "with time" if self.jump is None else f"at {self.jump:.0f} s, at once",
         }[self.against]
         what = {
@@ -173,13 +179,13 @@ class Place:
             "platform": f"the end of leg {leg} moves on the platform toward "
             f"{toward(self.direction, 1.0)}",
         }[self.part]
-        return self.names.spoken(f"{what} {how}")
+        return self.names.in_layout_words(f"{what} {how}")
 
     @property
-    def _by_travel(self) -> str:
+    def _travel_words(self) -> str:
         if self.bump is not None:
             return f"at travel {compact(self.bump * 1e3, 3)} mm and nowhere else"
-        return "in short waves along its travel" if self.short else "by its travel"
+        return "in short waves along its travel" if self.short_waves else "by its travel"
 
     @property
     def look_at(self) -> str:
@@ -196,7 +202,7 @@ class Place:
             "bar": f"the bars of leg {leg}, their pivots and their warmth",
             "platform": f"the joint of leg {leg} at the platform: its pins and their fit",
         }[self.part]
-        return self.names.spoken(part)
+        return self.names.in_layout_words(part)
 
     def functions(self, conditions: LegConditions, which: slice = slice(None)) -> list[Any]:
         """The free functions at some conditions, each for a coefficient of sd ``unit``."""
@@ -208,7 +214,7 @@ class Place:
         return values
 
 
-def _members(place: Place, leg: int) -> Mapping[str, tuple[Motion, ...]]:
+def _members(place: FreeForm, leg: int) -> Mapping[str, tuple[Motion, ...]]:
     """A place as the members of an effect: a parameter a coefficient."""
     if leg != place.leg:
         return {}
@@ -218,23 +224,23 @@ def _members(place: Place, leg: int) -> Mapping[str, tuple[Motion, ...]]:
     }
 
 
-def _basis(place: Place, k: int, share: float, conditions: LegConditions) -> Any:
+def _basis(place: FreeForm, k: int, share: float, conditions: LegConditions) -> Any:
     return share * place.functions(conditions, slice(k, k + 1))[0]
 
 
-def by_travel(c: LegConditions) -> Any:
+def travel_variable(c: LegConditions) -> Any:
     """Return where a carriage stands, from -1 to 1 over the stroke."""
     return c.u
 
 
-def by_command(leg: int, c: LegConditions) -> Any:
+def command_variable(leg: int, c: LegConditions) -> Any:
     """Return where a drive is told to stand, from -1 to 1 over the stroke."""
     low, high = c.stroke
     travel = c.commands[leg] - c.command + c.nominal_travel
     return (travel - (low + high) / 2) / ((high - low) / 2)
 
 
-def _time_between(start: float, end: float, c: LegConditions) -> Any:
+def _time_variable(start: float, end: float, c: LegConditions) -> Any:
     """Time within a session as -1 to 1, held outside it."""
     half = max((end - start) / 2, 1e-9)
     u = (c.time - start) / half - 1
@@ -256,7 +262,7 @@ _SHORT, _SHORT_FROM = 0.015, 1.5 * _LENGTH
 _PER_LENGTH, _MOST = 5, 96  # functions of half a stroke as long as a correlation length; in all
 # The leg's end does not know where the carriage stands, and a rail that is wrong shows
 # nearly the same.
-_OF_TRAVEL = 0.1
+_PLATFORM_PRIOR_WEIGHT = 0.1
 BUILD_UP = BuildUp((0.05, 0.1, 0.2, 0.4, 0.8))
 _CREEP, _DIAL = Kernel(0.5, 8, rough=1.0), Kernel(0.5, 6)
 _UM = 1e-6
@@ -271,17 +277,17 @@ class Session:
     leg: int | None = None  # whose dials were read; `None`: of the whole campaign
 
 
-def _waves(half: float) -> Kernel:
+def _short_wave_kernel(half: float) -> Kernel:
     """What comes and goes over some centimetres, on a stroke of twice ``half``, metres."""
     return Kernel(_SHORT / half, min(_MOST, math.ceil(_PER_LENGTH * half / _SHORT)))
 
 
-def places(
+def free_forms(
     sessions: Sequence[Session] = (),
     names: LegNames = Orthoglide.names,
     stroke: Range = (-_LENGTH, _LENGTH),
     scale: float = 1.0,
-) -> tuple[Place, ...]:
+) -> tuple[FreeForm, ...]:
     """Return all places of a machine.
 
     Args:
@@ -291,53 +297,69 @@ def places(
         scale: of its size, that of a workshop being 1.
     """
     half = (stroke[1] - stroke[0]) / 2
-    found: list[Place] = []
+    found: list[FreeForm] = []
     for leg in range(len(LEGS)):
         own = names.legs[leg]
         drive, across = (("travel", 1.0),), dict(zip("bc", names.across[leg], strict=True))
 
-        def add(part: Part, joints: Joints, direction: str, against: Against, variable: Any,
-                kernel: Functions, unit: float, by: int = 0, leg: int = leg) -> None:  # fmt: skip
+        def add(part: Part, joints: Joints, direction: str, against: Dependence, variable: Any,
+                kernel: FreeFunctions, unit: float, by: int = 0, leg: int = leg) -> None:  # fmt: skip
             rare = part == "platform" and against == "travel"
-            place = Place(part, leg, joints, direction, against, by, variable, kernel, unit,
-                          chance=_OF_TRAVEL if rare else 1.0)  # fmt: skip
+            place = FreeForm(part, leg, joints, direction, against, by, variable, kernel, unit,
+                          chance=_PLATFORM_PRIOR_WEIGHT if rare else 1.0)  # fmt: skip
             found.append(place)
             if part in ("rail", "carriage") and against == "travel" and half > _SHORT_FROM:
-                found.append(replace(place, kernel=_waves(half), short=True))
+                found.append(replace(place, kernel=_short_wave_kernel(half), short_waves=True))
             if part == "drive" and against == "travel":
-                found.append(replace(place, kernel=_SCREW, short=True))
+                found.append(replace(place, kernel=_SCREW, short_waves=True))
 
-        add("drive", drive, "", "travel", partial(by_command, leg), _DRIVE, 100 * _UM)
-        add("drive", drive, "", "approach", partial(by_command, leg), _LOST, 50 * _UM)
-        add("drive", drive, "", "reversal", _none, BUILD_UP, 50 * _UM)
+        add("drive", drive, "", "travel", partial(command_variable, leg), _DRIVE, 100 * _UM)
+        add("drive", drive, "", "approach", partial(command_variable, leg), _LOST, 50 * _UM)
+        add("drive", drive, "", "reversal", _no_variable, BUILD_UP, 50 * _UM)
         for other in range(len(LEGS)):
             if other != leg:
-                by = partial(by_command, other)
+                by = partial(command_variable, other)
                 add("drive", drive, "", "command", by, _ACROSS, 50 * _UM, other)
         for axis, letter in across.items():
             sideways = ((f"lateral_{axis}", 1.0),)
-            add("rail", sideways, letter, "travel", by_travel, _FINE, 50 * _UM)
-            add("rail", sideways, letter, "approach", by_travel, _COARSE, 50 * _UM)
+            add("rail", sideways, letter, "travel", travel_variable, _FINE, 50 * _UM)
+            add("rail", sideways, letter, "approach", travel_variable, _COARSE, 50 * _UM)
             end = ((f"lateral_{axis}", -1.0),)
-            add("platform", end, letter, "travel", by_travel, _FINE, 50 * _UM)
-            add("platform", end, letter, "approach", by_travel, _COARSE, 50 * _UM)
+            add("platform", end, letter, "travel", travel_variable, _FINE, 50 * _UM)
+            add("platform", end, letter, "approach", travel_variable, _COARSE, 50 * _UM)
         # A leg may be called as one of its directions: then its slide is, as its frame has it, a.
         slide = "a" if own in across.values() else own
         for axis, letter in {"a": slide, **across}.items():
-            add("carriage", ((f"turn_{axis}", 1.0),), letter, "travel", by_travel, _ACROSS, 1e-3)
+            add(
+                "carriage",
+                ((f"turn_{axis}", 1.0),),
+                letter,
+                "travel",
+                travel_variable,
+                _ACROSS,
+                1e-3,
+            )
         for bar in "12":
-            add("bar", ((f"stretch{bar}", 1.0),), bar, "approach", by_travel, _COARSE, 50 * _UM)
-    found += (place for session in sessions for place in _in_time(session))
-    return tuple(sized(replace(place, names=names), scale) for place in found)
+            add(
+                "bar",
+                ((f"stretch{bar}", 1.0),),
+                bar,
+                "approach",
+                travel_variable,
+                _COARSE,
+                50 * _UM,
+            )
+    found += (place for session in sessions for place in _time_dependent_forms(session))
+    return tuple(scaled_to_machine(replace(place, names=names), scale) for place in found)
 
 
-def _in_time(session: Session) -> Iterator[Place]:
+def _time_dependent_forms(session: Session) -> Iterator[FreeForm]:
     """What changes in a session: bars of the leg that is read, drives in the whole campaign."""
     span, whole = (session.start, session.end), session.leg is None
-    variable, kernel = partial(_time_between, *span), _DRIFT if whole else _OU
+    variable, kernel = partial(_time_variable, *span), _DRIFT if whole else _OU
 
-    def place(part: Part, leg: int, joints: Joints, way: str, unit: float) -> Place:
-        return Place(part, leg, joints, way, "time", 0, variable, kernel, unit, span)
+    def place(part: Part, leg: int, joints: Joints, way: str, unit: float) -> FreeForm:
+        return FreeForm(part, leg, joints, way, "time", 0, variable, kernel, unit, span)
 
     if session.leg is None:
         for leg in (-1, *range(len(LEGS))):
@@ -348,16 +370,16 @@ def _in_time(session: Session) -> Iterator[Place]:
         yield place("bar", session.leg, joints, way, 50 * _UM)
 
 
-def sized(place: Place, scale: float) -> Place:
+def scaled_to_machine(place: FreeForm, scale: float) -> FreeForm:
     """Return a place with what to expect of it on a machine of some size; parts of any size turn by
     the same angles.
     """
-    return place if place.turns else replace(place, unit=place.unit * scale)
+    return place if place.is_rotation else replace(place, prior_sd=place.prior_sd * scale)
 
 
-def dial_places(
+def dial_free_forms(
     setup: str, leg: int, time: Range | None, reading: Range, turns: bool, scale: float = 1.0
-) -> tuple[Place, ...]:
+) -> tuple[FreeForm, ...]:
     """Places of one mounting of a dial: its creep, its curve, and its reversal error.
 
     Args:
@@ -369,24 +391,26 @@ def dial_places(
         turns: whether its plunger came both ways.
         scale: of the machine's size, for which dials are chosen.
     """
-    every: tuple[tuple[Against, Functions, float, Range | None], ...] = (
+    every: tuple[tuple[Dependence, FreeFunctions, float, Range | None], ...] = (
         ("time", _CREEP, 20 * _UM, time),
         ("reading", _DIAL, 20 * _UM, reading),
         ("approach", Level(), 10 * _UM, reading if turns else None),
     )
     return tuple(
-        Place("dial", leg, (), "", against, 0, _none, kernel, unit * scale, span, setup)
+        FreeForm("dial", leg, (), "", against, 0, _no_variable, kernel, unit * scale, span, setup)
         for against, kernel, unit, span in every
         if span is not None
     )
 
 
-def all_dials(reading: Range, scale: float = 1.0) -> Place:
+def common_dial_form(reading: Range, scale: float = 1.0) -> FreeForm:
     """Dials of one make, which read by the way that their plungers came, all by as much, over some
     range of readings, metres, on a machine of some size.
     """
-    return Place("dial", -1, (), "", "approach", 0, _none, Level(), 10 * _UM * scale, reading)
+    return FreeForm(
+        "dial", -1, (), "", "approach", 0, _no_variable, Level(), 10 * _UM * scale, reading
+    )
 
 
-def _none(c: LegConditions) -> Any:
+def _no_variable(c: LegConditions) -> Any:
     raise TypeError("this place is a function of no variable of the leg")

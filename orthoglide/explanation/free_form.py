@@ -8,37 +8,54 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.effects.bumps_and_jumps import (
+    DIAL_BUMP_WIDTHS,
+    may_jump,
+    travel_bumps,
+    with_dial_bump,
+    with_jump,
+)
+from orthoglide.effects.free_form import (
+    BUILD_UP,
+    FreeForm,
+    Session,
+    common_dial_form,
+    dial_free_forms,
+    free_forms,
+)
 from orthoglide.effects.kernels import Level
-from orthoglide.effects.places import BUILD_UP, Place, Session, all_dials, dial_places, places
-from orthoglide.effects.plates import own_shapes
-from orthoglide.effects.single_places import DENTS, bumps, dented, jumping, may_jump
+from orthoglide.effects.plates import residual_plate_shapes
 from orthoglide.fit import Problem
-from orthoglide.fit.excited import both_sides
+from orthoglide.fit.excitation import axes_approached_from_both_sides
 from orthoglide.fit.problem import Factor
 from orthoglide.geometry import LEGS, Array
 from orthoglide.instruments import Observation
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings
-from orthoglide.ordering import EQUAL_ODDS, descending, largest
+from orthoglide.ordering import LOG_ODDS_MARGIN, descending, largest
 from orthoglide.prediction import Model
 
-_OFTEN = 0.2  # share of the readings at one travel of a leg, from which it is no single place
-_STATIONS = 40  # travels of a leg: of more, each is seen by too few readings to weigh a bump
-_DENTED = 2  # readings of a dial at which a bump is weighed: those that explain most
-_JUMPS = 8  # moments at which a part may jump: those that explain most
-_BESIDE = 6  # readings on either side of a jump: fewer are slips
-_SEES = 0.1  # sigmas of a reading that a place of its usual size shows
-_STILL = 1e-6  # metres: less moves no dial
-_CLEAR = 5e-6  # metres: of a move from which it is clear which way it went
-_APART = 3.0  # times their scatter, by which readings of both ways have to differ
+_LARGEST_BUMP_SHARE = (
+    0.2  # share of the readings at one travel of a leg, from which it is no single place
+)
+_MOST_BUMP_TRAVELS = (
+    40  # travels of a leg: of more, each is seen by too few readings to weigh a bump
+)
+_MOST_DIAL_BUMPS = 2  # readings of a dial at which a bump is weighed: those that explain most
+_MOST_JUMPS = 8  # moments at which a part may jump: those that explain most
+_LEAST_READINGS_BESIDE_JUMP = 6  # readings on either side of a jump: fewer are slips
+_LEAST_SIGNAL = 0.1  # sigmas of a reading that a place of its usual size shows
+_LEAST_DIAL_MOVE = 1e-6  # metres: less moves no dial
+_CLEAR_DIAL_MOVE = 5e-6  # metres: of a move from which it is clear which way it went
+_DIRECTION_SEPARATION = 3.0  # times their scatter, by which readings of both ways have to differ
 
 
-def one_surface(problem: Problem) -> bool:
+def only_surface_readings(problem: Problem) -> bool:
     """Whether plates and distances on them are all that was read."""
     return all(o.touches or o.paired for o in _observations(problem))
 
 
-def only_plates(problem: Problem) -> bool:
+def only_plate_readings(problem: Problem) -> bool:
     """Whether plates are all that was read."""
     return all(o.touches for o in _observations(problem))
 
@@ -47,16 +64,16 @@ def _observations(problem: Problem) -> list[Observation]:
     return [s.observation for f in problem.factors for s in f.readings.setups]
 
 
-def places_of(problem: Problem) -> tuple[Place, ...]:
+def visible_free_form_errors(problem: Problem) -> tuple[FreeForm, ...]:
     """Places of the machine that these readings could show.
 
     The tuple is empty if only plates, or distances on them, were measured: the shape of the plate
     is then unknown, and a free-form error of any part could produce the same readings.
     """
-    if one_surface(problem):
+    if only_surface_readings(problem):
         return ()
     sessions: list[Session] = []
-    if len(problem.campaigns) == 1 and not problem.tool:
+    if len(problem.campaigns) == 1 and not problem.tool_factors:
         (campaign,) = problem.campaigns
         for leg in (*range(len(LEGS)), None):
             time = campaign.time if leg is None else campaign.time[campaign.leg == leg]
@@ -64,17 +81,21 @@ def places_of(problem: Problem) -> tuple[Place, ...]:
                 sessions.append(Session(float(time.min()), float(time.max()), leg))
     machine = problem.machine
     geometry = machine.geometry
-    found = places(sessions, machine.catalogue.legs, geometry.stroke, geometry.scale)
+    found = free_forms(sessions, machine.catalogue.legs, geometry.stroke, geometry.scale)
     if len(problem.campaigns) < len(problem.factors):  # no other reading parts it from the carriage
-        found = tuple(p for p in found if not p.moves_lines)
-    found += bumps(stations(problem), machine.catalogue.legs, geometry.stroke, geometry.scale)
+        found = tuple(p for p in found if not p.moves_bar_ends)
+    found += travel_bumps(
+        bump_travels(problem), machine.catalogue.legs, geometry.stroke, geometry.scale
+    )
     approach = np.concatenate([f.conditions().approach for f in problem.factors])
-    one_sided = ~both_sides(approach)  # which shows no difference between sides
-    hidden = {"approach": one_sided, "reversal": one_sided | bool(problem.tool)}
+    one_sided = ~axes_approached_from_both_sides(
+        approach
+    )  # which shows no difference between sides
+    hidden = {"approach": one_sided, "reversal": one_sided | bool(problem.tool_factors)}
     return tuple(p for p in found if p.against not in hidden or not hidden[p.against][p.leg])
 
 
-def stations(problem: Problem) -> list[list[float]]:
+def bump_travels(problem: Problem) -> list[list[float]]:
     """Return the travels of each leg, metres, at which a bump is weighed.
 
     A travel at which the leg stands in many readings is left out, because an error there is no bump
@@ -82,21 +103,23 @@ def stations(problem: Problem) -> list[list[float]]:
     is the likelier explanation.
     """
     found: list[list[float]] = [[] for _ in LEGS]
-    if not problem.on_legs:
+    if not problem.leg_factors:
         return found
-    station = problem.station[: problem.rows[-1].stop]
+    station = problem.station[: problem.leg_rows[-1].stop]
     again = np.bincount(station)[station] > 1
-    legs = [problem.machine.model.leg_conditions({}, f.conditions()) for f in problem.on_legs]
+    legs = [problem.machine.model.leg_conditions({}, f.conditions()) for f in problem.leg_factors]
     for leg, own in enumerate(found):
         travel = np.round(np.concatenate([each[leg].nominal_travel for each in legs]), 4)
         at, count = np.unique(travel, return_counts=True)
-        few = at[(count <= _OFTEN * len(travel)) & np.isin(at, travel[again])]
-        if len(few) <= _STATIONS:
+        few = at[(count <= _LARGEST_BUMP_SHARE * len(travel)) & np.isin(at, travel[again])]
+        if len(few) <= _MOST_BUMP_TRAVELS:
             own += few.tolist()
     return found
 
 
-def curves(problem: Problem, x: Array, rest: Array) -> tuple[Iterator[Array], tuple[Place, ...]]:
+def free_form_columns(
+    problem: Problem, x: Array, rest: Array
+) -> tuple[Iterator[Array], tuple[FreeForm, ...]]:
     """Rows by the coefficients of each place ``(n, K)`` in its unit, and the places kept.
 
     Args:
@@ -104,23 +127,25 @@ def curves(problem: Problem, x: Array, rest: Array) -> tuple[Iterator[Array], tu
         x: its unknowns ``(P,)``, SI.
         rest: residuals of the readings there ``(n,)``, SI.
     """
-    kept = places_of(problem)
+    kept = visible_free_form_errors(problem)
     if not kept:
         return iter(()), ()
-    kept += tuple(_jumps(problem, x, rest, [p for p in kept if may_jump(p)]))
-    return _rows(problem, x, kept), kept
+    kept += tuple(_jump_candidates(problem, x, rest, [p for p in kept if may_jump(p)]))
+    return _columns_of_problem(problem, x, kept), kept
 
 
-def _rows(problem: Problem, x: Array, several: Sequence[Place]) -> Iterator[Array]:
+def _columns_of_problem(problem: Problem, x: Array, several: Sequence[FreeForm]) -> Iterator[Array]:
     """Yield rows of all readings by the coefficients of each place ``(n, K)`` in its unit."""
     model = problem.machine.model
-    each = [by_places(factor, model, problem.values(k, x), several)
+    each = [free_form_columns_of_factor(factor, model, problem.values(k, x), several)
             for k, factor in enumerate(problem.factors)]  # fmt: skip
     for rows in zip(*each, strict=True):
         yield np.vstack(rows)
 
 
-def _jumps(problem: Problem, x: Array, rest: Array, several: Sequence[Place]) -> Iterator[Place]:
+def _jump_candidates(
+    problem: Problem, x: Array, rest: Array, several: Sequence[FreeForm]
+) -> Iterator[FreeForm]:
     """Yield places with a jump, at the moments whose step explains most of the residuals.
 
     The gain of a step is its squared size over its variance, both by the readings before and after.
@@ -132,11 +157,14 @@ def _jumps(problem: Problem, x: Array, rest: Array, several: Sequence[Place]) ->
     time, off = time[order], (rest / problem.sigma)[order]
     cuts = np.flatnonzero(np.diff(time) > 0)
     levels = [replace(p, kernel=Level()) for p in several]
-    for place, rows in zip(several, _rows(problem, x, levels), strict=True):
+    for place, rows in zip(several, _columns_of_problem(problem, x, levels), strict=True):
         shown = (rows[:, 0] / problem.sigma)[order]
         met, square = np.cumsum(shown * off), np.cumsum(shown**2)
-        seen = np.cumsum(np.abs(shown) > _SEES)
-        inside = cuts[(seen[cuts] >= _BESIDE) & (seen[-1] - seen[cuts] >= _BESIDE)]
+        seen = np.cumsum(np.abs(shown) > _LEAST_SIGNAL)
+        inside = cuts[
+            (seen[cuts] >= _LEAST_READINGS_BESIDE_JUMP)
+            & (seen[-1] - seen[cuts] >= _LEAST_READINGS_BESIDE_JUMP)
+        ]
         if not len(inside):
             continue
         before, after = square[inside], square[-1] - square[inside]
@@ -145,37 +173,39 @@ def _jumps(problem: Problem, x: Array, rest: Array, several: Sequence[Place]) ->
         likeliest: dict[int, float] = {}  # of each second, by which a jump is named
         for moment in (time[inside] + time[inside + 1])[descending(gain)].tolist():
             likeliest.setdefault(round(moment / 2), moment / 2)
-        for moment in [*likeliest.values()][:_JUMPS]:
-            yield jumping(place, moment, len(likeliest))
+        for moment in [*likeliest.values()][:_MOST_JUMPS]:
+            yield with_jump(place, moment, len(likeliest))
 
 
-def by_places(
-    factor: Factor, model: Model, values: Mapping[str, float], several: Sequence[Place]
+def free_form_columns_of_factor(
+    factor: Factor, model: Model, values: Mapping[str, float], several: Sequence[FreeForm]
 ) -> Iterator[Array]:
     """Yield rows of one factor by the coefficients of each place ``(n, K)`` in its unit, linear
     about parameters of some values, SI.
     """
-    by_joints = factor.by_joints(model, values)
+    by_joints = factor.joint_response(model, values)
     legs = model.leg_conditions(values, factor.conditions())
     if factor.on_legs and any(p.against == "reversal" for p in several):
         half = np.ptp(model.geometry.stroke) / 2
         after = factor.readings.built_up([half * length for length in BUILD_UP.lengths])
         legs = tuple(replace(c, built_up=tuple(after[:, :, k])) for k, c in enumerate(legs))
     for place in several:
-        functions = place.unit * np.stack(place.functions(legs[place.leg]), axis=1)
-        rows = by_joints(_joints(place), functions)
-        if place.moves_lines and factor.on_legs:
-            rows += _touching(place, factor.readings)[:, None] * functions
+        functions = place.prior_sd * np.stack(place.functions(legs[place.leg]), axis=1)
+        rows = by_joints(_joint_shares(place), functions)
+        if place.moves_bar_ends and factor.on_legs:
+            rows += _carriage_shift_at_dials(place, factor.readings)[:, None] * functions
         yield rows
 
 
-def plates(problem: Problem) -> tuple[Array, Array]:
+def plate_shape_columns(problem: Problem) -> tuple[Array, Array]:
     """Rows ``(n, F)`` by the own shapes of every probed plate, and their standard deviations."""
     columns, sd = [np.zeros((len(problem.measured), 0))], list[float]()
-    for k, factor, number, setup in problem.mounted:
+    for k, factor, number, setup in problem.tool_setups:
         if setup.observation.touches:
             at = np.flatnonzero(factor.setup == number)
-            for shape, size in own_shapes(factor.place[at], problem.machine.geometry.scale):
+            for shape, size in residual_plate_shapes(
+                factor.normalized_plate_xy[at], problem.machine.geometry.scale
+            ):
                 column = np.zeros((len(problem.measured), 1))
                 column[problem.factor_rows[k].start + at, 0] = shape * size
                 columns.append(column)
@@ -183,7 +213,7 @@ def plates(problem: Problem) -> tuple[Array, Array]:
     return np.hstack(columns), np.array(sd)
 
 
-def _joints(place: Place) -> Array:
+def _joint_shares(place: FreeForm) -> Array:
     """Share of every virtual joint in a place ``(30,)``."""
     names = VIRTUAL_NAMES
     joints = np.zeros(len(LEGS) * len(names))
@@ -193,16 +223,16 @@ def _joints(place: Place) -> Array:
     return joints
 
 
-def _touching(place: Place, campaign: Readings) -> Array:
+def _carriage_shift_at_dials(place: FreeForm, campaign: Readings) -> Array:
     """What dials show ``(n,)`` of a leg that moves along a place's direction as a whole."""
     sees = [s.sign * (s.leg == place.leg and LEGS[s.axis] == place.direction)
             for s in campaign.setups]  # fmt: skip
     return np.take(np.asarray(sees, dtype=float), campaign.setup)
 
 
-def curves_of_dials(
+def dial_curve_columns(
     problem: Problem, value: Array, rest: Array
-) -> tuple[list[Array], tuple[Place, ...]]:
+) -> tuple[list[Array], tuple[FreeForm, ...]]:
     """Rows ``(n, K)`` by the coefficients of each of the dials' places in its unit, and the places.
 
     Args:
@@ -210,10 +240,10 @@ def curves_of_dials(
         value: predicted readings ``(n,)``, metres.
         rest: residuals of the readings that their bumps are to explain ``(n,)``, metres.
     """
-    columns, found = list[Array](), list[Place]()
+    columns, found = list[Array](), list[FreeForm]()
     ways, turning = np.zeros(len(value)), 0
     scale = problem.machine.geometry.scale
-    for campaign, part in zip(problem.campaigns, problem.rows, strict=True):
+    for campaign, part in zip(problem.campaigns, problem.leg_rows, strict=True):
         for k, setup in enumerate(campaign.setups):
             rows = part.start + np.flatnonzero(campaign.setup == k)
             time, shown = campaign.time[rows - part.start], value[rows]
@@ -222,20 +252,22 @@ def curves_of_dials(
             name = setup.name if len(problem.campaigns) == 1 else f"{setup.name}@{campaign.name}"
             timed = np.isfinite(time).all() and np.ptp(time) > 0
             span = (float(time.min()), float(time.max())) if timed else None
-            side = _side(campaign, rows - part.start, shown, problem.measured[rows] - shown)
+            side = _plunger_direction(
+                campaign, rows - part.start, shown, problem.measured[rows] - shown
+            )
             range_ = (float(shown.min()), float(shown.max()))
             turns = bool((side > 0).any() and (side < 0).any())
-            several = dial_places(name, setup.leg, span, range_, turns, scale)
+            several = dial_free_forms(name, setup.leg, span, range_, turns, scale)
             # As commands are written: a corrected one is no part of what a bump is to explain.
             written = problem.measured[rows] - rest[rows]
             dents = [d for p in several if p.against == "reading"
-                     for d in _dents(p, written, rest[rows] / problem.sigma[rows])]  # fmt: skip
+                     for d in _dial_bumps(p, written, rest[rows] / problem.sigma[rows])]  # fmt: skip
             for place in (*several, *dents):
                 low, high = place.span or (0.0, 1.0)
-                by = time if place.against == "time" else written if place.single else shown
+                by = time if place.against == "time" else written if place.is_local else shown
                 functions = place.kernel.functions(2 * (by - low) / (high - low) - 1)
                 block = np.zeros((len(value), len(functions)))
-                block[rows] = np.stack(functions, axis=1) * place.unit
+                block[rows] = np.stack(functions, axis=1) * place.prior_sd
                 if place.against == "approach":
                     block[rows] *= side[:, None] / 2
                     ways[rows], turning = side / 2, turning + 1
@@ -243,12 +275,12 @@ def curves_of_dials(
                 found.append(place)
     if turning > 1:
         read = value[ways != 0]
-        found.append(all_dials((float(read.min()), float(read.max())), scale))
-        columns.append((ways * found[-1].unit)[:, None])
+        found.append(common_dial_form((float(read.min()), float(read.max())), scale))
+        columns.append((ways * found[-1].prior_sd)[:, None])
     return columns, tuple(found)
 
 
-def _dents(place: Place, shown: Array, off: Array) -> Iterator[Place]:
+def _dial_bumps(place: FreeForm, shown: Array, off: Array) -> Iterator[FreeForm]:
     """Yield a dial's place with a bump, at the readings that explain most of the residuals.
 
     Args:
@@ -258,16 +290,18 @@ def _dents(place: Place, shown: Array, off: Array) -> Iterator[Place]:
     """
     at = np.unique(np.round(shown, 5))  # hundredths of a millimetre, by which a bump is named
     off = off - np.median(off)
-    gain = np.empty((len(at), len(DENTS)))
-    for k, width in enumerate(DENTS):
+    gain = np.empty((len(at), len(DIAL_BUMP_WIDTHS)))
+    for k, width in enumerate(DIAL_BUMP_WIDTHS):
         about = np.exp(-0.5 * ((shown - at[:, None]) / width) ** 2)
         gain[:, k] = (about @ off) ** 2 / np.maximum(np.sum(about**2, axis=1), 1.0)
-    for centre in descending(gain.max(axis=1), EQUAL_ODDS)[:_DENTED]:
-        width = DENTS[largest(gain[centre], EQUAL_ODDS)]
-        yield dented(place, float(at[centre]), width, len(at))
+    for centre in descending(gain.max(axis=1), LOG_ODDS_MARGIN)[:_MOST_DIAL_BUMPS]:
+        width = DIAL_BUMP_WIDTHS[largest(gain[centre], LOG_ODDS_MARGIN)]
+        yield with_dial_bump(place, float(at[centre]), width, len(at))
 
 
-def _side(campaign: Readings, rows: NDArray[np.int64], shown: Array, off: Array) -> Array:
+def _plunger_direction(
+    campaign: Readings, rows: NDArray[np.int64], shown: Array, off: Array
+) -> Array:
     """Which way a dial's plunger came to some readings ``(k,)``: 1 as the reading grew, -1 as it
     fell, as before where it did not move; 0 where that is not known.
 
@@ -283,19 +317,19 @@ def _side(campaign: Readings, rows: NDArray[np.int64], shown: Array, off: Array)
     """
     order = np.argsort(campaign.order[rows], kind="stable")
     moved = np.diff(shown[order], prepend=shown[order][:1])
-    way = np.where(np.abs(moved) > _STILL, np.sign(moved), 0.0)
+    way = np.where(np.abs(moved) > _LEAST_DIAL_MOVE, np.sign(moved), 0.0)
     last = np.maximum.accumulate(np.where(way != 0, np.arange(len(way)), 0))
     side, size = np.empty(len(way)), np.empty(len(way))
     side[order], size[order] = way[last], np.abs(moved)[last]
     # Moves that were not recorded came between.
     side *= (campaign.approach == campaign.derived_approach).all(axis=1)[rows]
-    clear = (side != 0) & (size > _CLEAR)
+    clear = (side != 0) & (size > _CLEAR_DIAL_MOVE)
     groups = [off[clear & (side == way)] for way in (1, -1)]
     if min(map(len, groups)) < 2:
         return side
     grown, fallen = map(np.mean, groups)
     scatter = np.sqrt(np.mean(np.concatenate([g - g.mean() for g in groups]) ** 2))
-    if abs(grown - fallen) <= _APART * scatter:
+    if abs(grown - fallen) <= _DIRECTION_SEPARATION * scatter:
         return side
     nearer = np.where(np.abs(off - grown) < np.abs(off - fallen), 1.0, -1.0)
     return np.where(clear, side, nearer)

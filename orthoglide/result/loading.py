@@ -20,7 +20,7 @@ from orthoglide.machine_file.posterior import parse_posterior
 from orthoglide.observations import Readings, readings_from_rows
 from orthoglide.result.codec import decoded
 from orthoglide.result.request import COMMANDS, Request
-from orthoglide.text import brief, shown, unseen_in
+from orthoglide.text import abbreviated, printable_path, unprintable_problem
 
 _LAST_LINE = 1_000_000
 _LONGEST_NAME = 255  # bytes
@@ -29,11 +29,11 @@ SCHEMAS = (1, 2)
 """Of results that can be run again."""
 
 
-EDITED = (FileError, KeyError, TypeError, ValueError, AttributeError, OverflowError)
+EDITED_FILE_ERRORS = (FileError, KeyError, TypeError, ValueError, AttributeError, OverflowError)
 """Errors that an edited ``result.json`` raises where its values are used."""
 
 
-def as_edited(error: Exception, file: str) -> FileError:
+def edited_file_error(error: Exception, file: str) -> FileError:
     """Return the error that an edited file is reported with.
 
     Args:
@@ -54,7 +54,7 @@ def read_result(path: Path) -> dict[str, Any]:
     """
 
     def fail(message: str, line: int | None = None) -> NoReturn:
-        raise FileError(message, file=shown(path), line=line) from None
+        raise FileError(message, file=printable_path(path), line=line) from None
 
     text = decode(read_bytes(path), path)
     try:
@@ -63,7 +63,7 @@ def read_result(path: Path) -> dict[str, Any]:
         fail(f"is not JSON ({error.msg}): give the result.json of a run", error.lineno)
     except (ValueError, RecursionError):  # a number of thousands of digits, or brackets as many
         fail("is no result: give the result.json of a run")
-    if trouble := unseen_in(found):
+    if trouble := unprintable_problem(found):
         fail(trouble)
     given = found.get("arguments") if isinstance(found, dict) else None
     if isinstance(given, dict) and "fit_tcp" in given and not found.get("machine"):
@@ -74,16 +74,18 @@ def read_result(path: Path) -> dict[str, Any]:
         fail(f"has no {missing[0]!r}: give the result.json of a run as it was written")
     if found["schema"] not in SCHEMAS or found["command"] not in COMMANDS:
         fail(
-            f"is of schema {brief(str(found['schema']))}, command "
-            f"{brief(str(found['command']))!r}: this version runs "
+            f"is of schema {abbreviated(str(found['schema']))}, command "
+            f"{abbreviated(str(found['command']))!r}: this version runs "
             f"schema {' and '.join(map(str, SCHEMAS))} of {', '.join(COMMANDS)} again"
         )
     return found
 
 
-def writer_of(found: Mapping[str, Any]) -> str:
+def version_text(found: Mapping[str, Any]) -> str:
     """Return which version of the program wrote a result, from the keys of ``result.json``."""
-    return f"version {brief(str(found['version']))} (schema {brief(str(found['schema']))})"
+    return (
+        f"version {abbreviated(str(found['version']))} (schema {abbreviated(str(found['schema']))})"
+    )
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,7 @@ class _Input:
 
 
 @dataclass(frozen=True)
-class _KeptMachine:
+class _StoredMachine:
     """A machine as a result keeps it."""
 
     file: str | None
@@ -190,8 +192,8 @@ def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] =
             priors=given.priors,
             reduced=given.reduced,
         )
-    except EDITED as error:
-        raise as_edited(error, file) from None
+    except EDITED_FILE_ERRORS as error:
+        raise edited_file_error(error, file) from None
 
 
 def machine_of(given: Mapping[str, Any], effects: Sequence[Effect] = ()) -> Machine:
@@ -200,7 +202,7 @@ def machine_of(given: Mapping[str, Any], effects: Sequence[Effect] = ()) -> Mach
     Raises:
         FileError, KeyError, TypeError, ValueError: where it is not as it was written.
     """
-    kept = decoded(_KeptMachine, given, {})
+    kept = decoded(_StoredMachine, given, {})
     name, digest = kept.file or "", kept.sha256 or ""
     if name:
         _check_name(name)

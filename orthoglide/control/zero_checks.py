@@ -14,32 +14,34 @@ from orthoglide.numerals import signed
 from orthoglide.observations import Readings, protocol
 from orthoglide.ordering import best_of
 
-Shown = tuple[float, float, float]
+ShownPositions = tuple[float, float, float]
 
-_WHY = {
+_VERDICT_REASONS = {
     "partial": "its causes explain only part of what is wrong",
     "unexplained": "something is wrong that no cause explains",
 }
 
 
-def withheld(machine: Machine) -> str:
+def withholding_reason(machine: Machine) -> str:
     """Return why the numbers of a machine should not be used, as a clause; empty if they may."""
     kept = machine.spec.provenance
     verdict = str(kept.get("verdict", ""))
-    if verdict in _WHY and kept.get("command") != "identify":  # which looks for no cause
-        return f"the verdict on this machine is {verdict}: {_WHY[verdict]}"
+    if (
+        verdict in _VERDICT_REASONS and kept.get("command") != "identify"
+    ):  # which looks for no cause
+        return f"the verdict on this machine is {verdict}: {_VERDICT_REASONS[verdict]}"
     cautions = kept.get("cautions", ())
     return f"the verdict on this machine warns: {cautions[0]}" if cautions else ""
 
 
-def not_withheld(given: MachineSource, force: bool) -> Machine:
+def checked_for_use(given: MachineSource, force: bool) -> Machine:
     """Return the machine, if its verdict supports its numbers or ``force`` is set.
 
     Raises:
         InputError: saying why.
     """
     machine = Machine.of(given)
-    why = "" if force else withheld(machine)
+    why = "" if force else withholding_reason(machine)
     if why:
         raise InputError(
             f"{why.rstrip('.')}. Its numbers are withheld: confirm the cause first, or force them "
@@ -60,8 +62,10 @@ class ZeroCheck:
     direction: str
     gauge: float
     posture: str  # the other posture, `"max"` or `"min"`
-    at_zero: Shown  # what the controller shows at Zero once the new zeros are entered, metres
-    at_posture: Shown  # the same at the other posture
+    at_zero: (
+        ShownPositions  # what the controller shows at Zero once the new zeros are entered, metres
+    )
+    at_posture: ShownPositions  # the same at the other posture
     right: float  # reading there less reading at Zero, with all zeros as they should be, metres
     wrong: float  # the same with this drive's zero moved the wrong way
     way: str = ""  # how drives arrive at both, where lost motion makes a difference
@@ -82,7 +86,7 @@ class ZeroCheck:
         }
 
     @property
-    def moves(self) -> Shown:
+    def moves(self) -> ShownPositions:
         """How far each axis goes from Zero to the posture, as the controller counts, metres."""
         x, y, z = (p - z for p, z in zip(self.at_posture, self.at_zero, strict=True))
         return x, y, z
@@ -97,7 +101,7 @@ class ZeroCheck:
         )
 
 
-def _triple(shown: Shown) -> str:
+def _triple(shown: ShownPositions) -> str:
     return ", ".join(map(_signed, shown))
 
 
@@ -121,14 +125,16 @@ def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
     if not machine.geometry.dialled:  # whose legs no dial is set against
         return ()
     sheet = protocol("standard", machine.geometry)
-    pairs = [pair for setup in range(len(sheet.setups)) for pair in _pairs(sheet, setup)]
+    pairs = [pair for setup in range(len(sheet.setups)) for pair in _posture_pairs(sheet, setup)]
     of = machine.catalogue.effect_of
     slack = (abs(v) for n, v in machine.values.items() if of(n).controller == "backlash")
     lost = max(slack, default=0.0) > machine.spec.dial.resolution / 2
-    right = _readings(machine, sheet, -offsets)
+    right = _readings_at_shift(machine, sheet, -offsets)
     found = []
     for drive in np.flatnonzero(offsets):
-        wrong = _readings(machine, sheet, np.where(np.arange(3) == drive, offsets, -offsets))
+        wrong = _readings_at_shift(
+            machine, sheet, np.where(np.arange(3) == drive, offsets, -offsets)
+        )
         apart = right - wrong
         shown = {(first, row): abs(apart[row] - apart[first]) for first, row in pairs}
         first, row = best_of(pairs, shown.__getitem__)
@@ -143,17 +149,17 @@ def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
                 setup.direction,
                 setup.gauge,
                 sheet.posture[row],
-                _shown(machine, sheet.command[first], offsets),
-                _shown(machine, sheet.command[row], offsets),
+                _shown_positions(machine, sheet.command[first], offsets),
+                _shown_positions(machine, sheet.command[row], offsets),
                 float(right[row] - right[first]),
                 float(wrong[row] - wrong[first]),
-                machine.geometry.layout.names.ways[1][1] if lost else "",
+                machine.geometry.layout.names.slide_end_words[1][1] if lost else "",
             )
         )
     return tuple(found)
 
 
-def _pairs(sheet: Readings, setup: int) -> list[tuple[int, int]]:
+def _posture_pairs(sheet: Readings, setup: int) -> list[tuple[int, int]]:
     """Return the first rows of a setup at Zero and at each of its other postures."""
     rows = np.flatnonzero(sheet.setup == setup)
     first = {sheet.posture[row]: int(row) for row in rows[::-1]}
@@ -161,12 +167,12 @@ def _pairs(sheet: Readings, setup: int) -> list[tuple[int, int]]:
     return [(zero, row) for row in first.values()]
 
 
-def _readings(machine: Machine, sheet: Readings, by: Array) -> Array:
+def _readings_at_shift(machine: Machine, sheet: Readings, by: Array) -> Array:
     """Return the readings with every drive arriving away from the origin."""
     command = sheet.command + by
     return machine.readings(replace(sheet, command=command, approach=np.ones_like(command)))
 
 
-def _shown(machine: Machine, rho: Array, offsets: Array) -> Shown:
+def _shown_positions(machine: Machine, rho: Array, offsets: Array) -> ShownPositions:
     x, y, z = machine.spec.controller.from_rho(rho - offsets, machine.geometry).tolist()
     return x, y, z

@@ -14,7 +14,7 @@ import numpy as np
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.motions import Basis, DialReading, LegConditions
 from orthoglide.errors import FileError, InputError
-from orthoglide.text import shown
+from orthoglide.text import printable_path
 
 _ARITHMETIC = (
     "write it with + - * / ** and with sin and cos of orthoglide.effects, without math, or if "
@@ -28,8 +28,12 @@ _NO_PITCH = "c.pitch is None where the machine file has none: return 0.0 then"
 
 # Travel, approach, time, warming and force in the middle and toward both ends; then bar length,
 # stroke, command at zero and pitch, which are symbols too: one function serves all dimensions.
-_SIZE = (0.3, -0.1, 0.06, 0.3, 0.02)
-_PLACES = ((-0.08, -1, 0, 0, -5, *_SIZE), (0, 0, 0, 0, 0, *_SIZE), (0.05, 1, 3600, 5, 10, *_SIZE))
+_SAMPLE_DIMENSIONS = (0.3, -0.1, 0.06, 0.3, 0.02)
+_SAMPLE_CONDITIONS = (
+    (-0.08, -1, 0, 0, -5, *_SAMPLE_DIMENSIONS),
+    (0, 0, 0, 0, 0, *_SAMPLE_DIMENSIONS),
+    (0.05, 1, 3600, 5, 10, *_SAMPLE_DIMENSIONS),
+)
 
 
 def check_bases(effect: Effect) -> None:
@@ -41,7 +45,7 @@ def check_bases(effect: Effect) -> None:
     """
     if effect.dial is not None:
         dial = effect.dial
-        _check(effect.name, lambda v: dial(DialReading(v[0], v[1], v[2]), 1e-3), _ARITHMETIC)
+        _check_basis(effect.name, lambda v: dial(DialReading(v[0], v[1], v[2]), 1e-3), _ARITHMETIC)
     for name, (_, motions) in effect.motions.items():
         for motion in motions:
             known = motion.joint != "travel"
@@ -50,10 +54,10 @@ def check_bases(effect: Effect) -> None:
                 (True, known, _NO_TRAVEL),
                 (False, known, _NO_PITCH),
             ):
-                _check(name, partial(_moved, motion.basis, pitch, travel), remedy)
+                _check_basis(name, partial(_evaluate_basis, motion.basis, pitch, travel), remedy)
 
 
-def _moved(basis: Basis, pitch: bool, travel: bool, v: Any) -> Any:
+def _evaluate_basis(basis: Basis, pitch: bool, travel: bool, v: Any) -> Any:
     command = v[0] + v[8]
     return basis(
         LegConditions(
@@ -63,15 +67,17 @@ def _moved(basis: Basis, pitch: bool, travel: bool, v: Any) -> Any:
     )  # fmt: skip
 
 
-def _check(name: str, basis: Callable[[Any], Any], remedy: str) -> None:
+def _check_basis(name: str, basis: Callable[[Any], Any], remedy: str) -> None:
     import casadi as ca
 
-    symbols = ca.SX.sym("conditions", len(_PLACES[0]))
+    symbols = ca.SX.sym("conditions", len(_SAMPLE_CONDITIONS[0]))
     try:
         value = basis(symbols)
         wrong = "" if np.isscalar(value) or isinstance(value, ca.SX) else f"gives {value!r}"
         if not wrong:
-            there = np.array(ca.Function("basis", [symbols], [value])(np.transpose(_PLACES)))
+            there = np.array(
+                ca.Function("basis", [symbols], [value])(np.transpose(_SAMPLE_CONDITIONS))
+            )
             wrong = "" if np.isfinite(there).all() else "gives no finite number"
     except Exception as error:  # whatever a user's function raises
         wrong = f"fails on symbols ({type(error).__name__}: {error})"
@@ -90,16 +96,18 @@ def load_effects(path: str | os.PathLike[str] | None) -> tuple[Effect, ...]:
     if path is None:
         return ()
     if not Path(path).is_file():
-        raise FileError("there is no such file: check the name", file=shown(path))
+        raise FileError("there is no such file: check the name", file=printable_path(path))
     try:
         names = runpy.run_path(os.fspath(path))
     except SyntaxError as error:
         raise FileError(
-            f"is not Python ({error.msg}): correct it", file=shown(path), line=error.lineno
+            f"is not Python ({error.msg}): correct it", file=printable_path(path), line=error.lineno
         ) from None
     except (Exception, SystemExit) as error:
-        raise FileError(f"fails with {type(error).__name__}: {error}", file=shown(path)) from error
+        raise FileError(
+            f"fails with {type(error).__name__}: {error}", file=printable_path(path)
+        ) from error
     found = [value for value in names.values() if isinstance(value, Effect)]
     if not found:
-        raise FileError("declares no Effect at its top level: add one", file=shown(path))
+        raise FileError("declares no Effect at its top level: add one", file=printable_path(path))
     return tuple(dict.fromkeys(found))

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from orthoglide.effects.places import Place
+from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.wording import cause_short
-from orthoglide.explanation import places_of, with_everything
+from orthoglide.explanation import visible_free_form_errors, with_all_parameters
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings
 from orthoglide.parameters import Parameter
-from orthoglide.planning import foreseen
+from orthoglide.planning import predicted_problem
 
 
 @dataclass(frozen=True)
@@ -23,22 +23,32 @@ class Kind:
     name: str  # for tables
     share: float = 0.0  # of their tolerances by which all effects are off
     # a significant error besides: "effect", "outside" the catalogue, or none
-    extra: str = ""
+    extra_error: str = ""
 
 
-NOTHING, EFFECT = Kind("nothing"), Kind("one effect", extra="effect")
-OUTSIDE = Kind("outside the catalogue", extra="outside")
-WHOLE = tuple(Kind(f"everything, f = {share:g}", share) for share in (0.1, 0.3, 1.0))
-KINDS = (NOTHING, EFFECT, OUTSIDE, *WHOLE)
+NOTHING, EFFECT = Kind("nothing"), Kind("one effect", extra_error="effect")
+OUTSIDE = Kind("outside the catalogue", extra_error="outside")
+ALL_EFFECTS = tuple(Kind(f"everything, f = {share:g}", share) for share in (0.1, 0.3, 1.0))
+KINDS = (NOTHING, EFFECT, OUTSIDE, *ALL_EFFECTS)
 """In the order of tables."""
 
-TURNS = (EFFECT, WHOLE[0], OUTSIDE, EFFECT, WHOLE[1], NOTHING, EFFECT, OUTSIDE, WHOLE[2])
+KIND_SEQUENCE = (
+    EFFECT,
+    ALL_EFFECTS[0],
+    OUTSIDE,
+    EFFECT,
+    ALL_EFFECTS[1],
+    NOTHING,
+    EFFECT,
+    OUTSIDE,
+    ALL_EFFECTS[2],
+)
 """Kinds of one campaign after the other: a small rehearsal is a fair part of a larger one."""
 
-STANDS_OUT = (3.0, 10.0)
+EFFECT_SIZES = (3.0, 10.0)
 """Sizes of a single effect, in tolerances."""
 
-STRAYS = (0.5, 2.0)
+FREE_FORM_SIZES = (0.5, 2.0)
 """Root mean squares of what no catalogue knows, in the deviation to expect of such a place."""
 
 
@@ -51,7 +61,7 @@ class Scope:
     # of effects beyond zeros and lengths, those of the dials and plates among them, whose
     # conditions the sheets vary
     parameters: tuple[Parameter, ...]
-    places: tuple[Place, ...]  # that the sheets may show
+    places: tuple[FreeForm, ...]  # that the sheets may show
 
     @classmethod
     def of(cls, machine: Machine, *sheets: Readings) -> Scope:
@@ -59,17 +69,20 @@ class Scope:
         dimensions and tolerances.
         """
         bare = machine.with_only({})
-        wide = with_everything(foreseen(bare, sheets))
+        wide = with_all_parameters(predicted_problem(bare, sheets))
         beyond = (n.plain for n in wide.names if n.effect not in bare.catalogue.base)
         setups = [s.name for sheet in sheets for s in sheet.setups]
         kept = tuple(bare.catalogue.parameter(n, setups) for n in beyond)
         return cls(
-            bare, sheets, kept, tuple(p for p in places_of(wide) if p.in_model and not p.single)
+            bare,
+            sheets,
+            kept,
+            tuple(p for p in visible_free_form_errors(wide) if p.in_model and not p.is_local),
         )
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
+class DrawnMachine:
     """One machine as it is."""
 
     kind: Kind  # what is wrong
@@ -81,37 +94,37 @@ class Drawn:
     words: str = ""  # what that is, as a clause
 
 
-def kind_of(scope: Scope, number: int) -> Kind:
+def kind_of_campaign(scope: Scope, number: int) -> Kind:
     """Return what is wrong in a campaign; an effect if the sheets show no free-form error."""
-    kind = TURNS[number % len(TURNS)]
+    kind = KIND_SEQUENCE[number % len(KIND_SEQUENCE)]
     return EFFECT if kind == OUTSIDE and not scope.places else kind
 
 
-def draw(scope: Scope, kind: Kind, rng: np.random.Generator) -> Drawn:
+def draw_machine(scope: Scope, kind: Kind, rng: np.random.Generator) -> DrawnMachine:
     """Return a machine with zeros and lengths off by their tolerances, and what its kind adds."""
     bare = scope.machine
     values = {
         str(n): bare.tolerance(n) * float(rng.standard_normal())
         for n in bare.catalogue.expand(bare.catalogue.base)
     }
-    if kind.extra == "outside":
-        return _with_place(scope, kind, values, rng)
+    if kind.extra_error == "outside":
+        return _draw_free_form_error(scope, kind, values, rng)
     sizes, cause, size, words = dict[str, float](), "", 0.0, ""
     if kind.share:
         sizes = {str(n): kind.share * float(rng.standard_normal()) for n in scope.parameters}
-    if kind.extra == "effect":
-        cause, size, sizes = _standing_out(scope, rng)
+    if kind.extra_error == "effect":
+        cause, size, sizes = _draw_effect(scope, rng)
         words = cause_short(bare.catalogue, cause)
     values |= {n: v * bare.tolerance(n) for n, v in sizes.items()}
-    return Drawn(kind, bare.with_only(values), sizes, cause, size, words)
+    return DrawnMachine(kind, bare.with_only(values), sizes, cause, size, words)
 
 
-def _standing_out(scope: Scope, rng: np.random.Generator) -> tuple[str, float, dict[str, float]]:
+def _draw_effect(scope: Scope, rng: np.random.Generator) -> tuple[str, float, dict[str, float]]:
     """Return the name of an effect, its size, and sizes by parameter, all effects as likely."""
     effects = list(dict.fromkeys(n.effect for n in scope.parameters))
     effect = scope.machine.catalogue[effects[int(rng.integers(len(effects)))]]
     mine = [n for n in scope.parameters if n.effect == effect.name]
-    one, size = mine[int(rng.integers(len(mine)))], float(rng.uniform(*STANDS_OUT))
+    one, size = mine[int(rng.integers(len(mine)))], float(rng.uniform(*EFFECT_SIZES))
     if not effect.paired:
         return str(one), size, {str(one): size * float(rng.choice([-1.0, 1.0]))}
     parts = [n for n in mine if n.leg == one.leg]
@@ -120,9 +133,9 @@ def _standing_out(scope: Scope, rng: np.random.Generator) -> tuple[str, float, d
     return f"{effect.name}.{one.leg}", size, dict(zip(map(str, parts), way.tolist(), strict=True))
 
 
-def _with_place(
+def _draw_free_form_error(
     scope: Scope, kind: Kind, values: dict[str, float], rng: np.random.Generator
-) -> Drawn:
+) -> DrawnMachine:
     """Return a machine with a free-form error that no shape of the catalogue describes."""
     place = scope.places[int(rng.integers(len(scope.places)))]
     u = np.linspace(-1, 1, 201)
@@ -130,10 +143,10 @@ def _with_place(
     weights = rng.standard_normal((functions.shape[1],))
     known = np.polynomial.legendre.legvander(u, 2).T @ functions / len(u)
     weights -= np.linalg.pinv(known) @ (known @ weights)  # no level, slope and curvature
-    size = float(rng.uniform(*STRAYS))
-    weights *= size * place.unit / np.sqrt(np.mean((functions @ weights) ** 2))
+    size = float(rng.uniform(*FREE_FORM_SIZES))
+    weights *= size * place.prior_sd / np.sqrt(np.mean((functions @ weights) ** 2))
     effect = place.effect
     made = scope.machine.with_effects([effect]).with_only(
         values | dict(zip(effect.motions, weights.tolist(), strict=True))
     )
-    return Drawn(kind, made, {}, place.name, size, place.words)
+    return DrawnMachine(kind, made, {}, place.name, size, place.words)

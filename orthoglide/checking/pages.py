@@ -9,21 +9,21 @@ from orthoglide import __version__
 from orthoglide.checking.comparing import Check
 from orthoglide.checking.difference import COLUMNS
 from orthoglide.numerals import plain
-from orthoglide.progress import Progress, silent
+from orthoglide.progress import Progress, no_progress
 from orthoglide.report import report_files
-from orthoglide.report.page import MOST, Section, rendered
-from orthoglide.report.text import to_do
-from orthoglide.report.words import headline
+from orthoglide.report.page import MAX_LISTED, Section, render_template
+from orthoglide.report.sentences import headline
+from orthoglide.report.terminal import action_lines
 from orthoglide.text import csv_text, sentence
 
 
 def changes_text(found: Check) -> str:
     """What changed, what is left, and the readings that prove new zeros, for the terminal."""
-    data = _data(found)
+    data = _page_data(found)
     parts = [f"- {text}" for text in data["said"]]
     parts += ["", "What is left now:", data["left"], data["tool"]]
     parts += [f"Caution: {text}" for text in data["cautions"]]
-    parts += ["", "What to do:", *to_do(found.told)]
+    parts += ["", "What to do:", *action_lines(found.told)]
     advice = found.verdict.firmware
     if advice is not None and advice.corrections is not None:
         source = "from the new readings alone"
@@ -33,7 +33,7 @@ def changes_text(found: Check) -> str:
     return "\n".join(parts)
 
 
-def check_files(found: Check, progress: Progress = silent) -> dict[str, str | bytes]:
+def check_files(found: Check, progress: Progress = no_progress) -> dict[str, str | bytes]:
     """Return the files of a comparison's folder by name: the report of the new state, and what
     changed as a table and a page.
     """
@@ -52,22 +52,22 @@ def changes_page(found: Check) -> str:
         "drawing": found.told.picture.svg(),
         "actions": found.told.actions,
         "printer": found.told.firmware is not None,
-        "most": MOST,
+        "most": MAX_LISTED,
         "sheet": False,
         "columns": COLUMNS,
         "rows": [(sentence(d.words)[:-1], d) for d in found.differences],
     }
-    return rendered(
+    return render_template(
         "page.html.j2",
         title="What changed on this machine",
         subtitle=f"from {', '.join(found.old)} to {', '.join(found.new)}",
-        sections=[Section("changes", "", _data(found) | drawn)],
+        sections=[Section("changes", "", _page_data(found) | drawn)],
         version=__version__,
         command="check",
     )
 
 
-def _data(found: Check) -> dict[str, Any]:
+def _page_data(found: Check) -> dict[str, Any]:
     verdict = replace(found.verdict, changed=())  # said parameter by parameter
     numbers = found.told.numbers
     now, zeros = (f"{numbers.expected[k].shape * 1e3:.3f} mm" for k in ("now", "zeros"))

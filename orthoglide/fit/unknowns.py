@@ -11,22 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.effects import Catalogue
-from orthoglide.errors import InputError, check_word
+from orthoglide.errors import InputError, check_choice
 from orthoglide.fit.factors import Factor
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
-from orthoglide.parameters import Parameter, plain_and_campaign
+from orthoglide.parameters import Parameter, split_campaign
 
-_UNNOTICED = 0.02
+_DRIFT_SHARE = 0.02
 """Share of its tolerance by which a parameter drifts between visits without being a change: as much
 as the background of other effects that a machine with nothing wrong is allowed."""
 
 # Beyond these a machine would not be an Orthoglide: they keep a solver from running away, and a
 # parameter that ends on one is reported.
 _BOUND_SD = 50.0
-NOTHING = "nothing is free: name at least one parameter or family to identify"
-_LEAST_BOUND = {"mm": 0.05, "rad": 0.1}  # SI, by the unit in files: 50 mm and 0.1 rad
+NOTHING_FREE = "nothing is free: name at least one parameter or family to identify"
+_MIN_BOUND = {"mm": 0.05, "rad": 0.1}  # SI, by the unit in files: 50 mm and 0.1 rad
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,11 @@ class Unknown:
 
     name: Parameter  # as reported; one per campaign is named after the first that it holds for
     # for each factor, the weights of the elementary parameters that it sets
-    parts: tuple[Mapping[str, float], ...]
+    weights: tuple[Mapping[str, float], ...]
     tolerance: float  # standard deviation to expect, SI
     start: float  # SI
     bound: float  # the value stays within plus and minus this, SI
-    width: float = 1.0  # how many tolerances wide its prior is
+    prior_width: float = 1.0  # how many tolerances wide its prior is
 
 
 def weight_matrix(names: Sequence[str], several: Sequence[Mapping[Any, float]]) -> Array:
@@ -52,7 +52,7 @@ def weight_matrix(names: Sequence[str], several: Sequence[Mapping[Any, float]]) 
     return matrix
 
 
-def rows_about(
+def posterior_rows(
     known: Posterior, unknowns: Sequence[Unknown]
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """What is known of a machine's elementary parameters as whitened rows about ``P`` unknowns.
@@ -74,7 +74,7 @@ def rows_about(
         across = known.covariance[np.ix_(chosen, fixed)] / scale
         block = block - across @ np.linalg.pinv(among, rcond=1e-9, hermitian=True) @ across.T
     tolerance = np.array([u.tolerance for u, s in zip(unknowns, spoken, strict=True) if s])
-    block = block + np.diag((_UNNOTICED * tolerance) ** 2)
+    block = block + np.diag((_DRIFT_SHARE * tolerance) ** 2)
     sd = np.sqrt(np.diag(block))
     values, vectors = np.linalg.eigh(block / sd / sd[:, None])
     root = (vectors / np.sqrt(np.maximum(values, 1e-10 * values.max(initial=1.0)))).T / sd
@@ -107,35 +107,39 @@ def build_unknowns(
         )
         raise InputError(f"two campaigns have the same name ({', '.join(stems)}): {remedy}")
     catalogue, unknowns = machine.catalogue, list[Unknown]()
-    for name in expanded(catalogue, free, sources):
-        starts = [0] + [k for k in range(1, len(stems)) if _begins(catalogue, name, stems[k], own)]
+    for name in expand_names(catalogue, free, sources):
+        starts = [0] + [
+            k for k in range(1, len(stems)) if _changes_at_campaign(catalogue, name, stems[k], own)
+        ]
         for first, end in pairwise([*starts, len(stems)]):
             parts = tuple(
-                _parts(catalogue, name, s) if first <= k < end else {}
+                _parameter_weights(catalogue, name, s) if first <= k < end else {}
                 for k, s in enumerate(sources)
             )
             if any(parts):
                 shown = name.at(stems[first]) if len(starts) > 1 else name
                 tolerance, unit = machine.tolerance(shown), catalogue.effect_of(shown).unit.name
-                bound = max(_BOUND_SD * tolerance, _LEAST_BOUND.get(unit, 0.0))
+                bound = max(_BOUND_SD * tolerance, _MIN_BOUND.get(unit, 0.0))
                 start = machine.values.get(name, 0.0)
                 unknowns.append(Unknown(shown, parts, tolerance, start, bound))
     return tuple(unknowns)
 
 
-def _begins(catalogue: Catalogue, name: Parameter, stem: str, own: Sequence[str]) -> bool:
+def _changes_at_campaign(
+    catalogue: Catalogue, name: Parameter, stem: str, own: Sequence[str]
+) -> bool:
     """Whether a parameter has another value from a campaign on than before it."""
     if catalogue[name.effect].of_dial:
         one_body = catalogue[name.effect].of_body and name.member  # measured again
         return not one_body
     for chosen in own:
-        plain, at = plain_and_campaign(chosen)
+        plain, at = split_campaign(chosen)
         if at in ("", stem) and plain in (name, name.effect):
             return True
     return False
 
 
-def expanded(
+def expand_names(
     catalogue: Catalogue, free: Sequence[str], sources: Sequence[Factor]
 ) -> tuple[Parameter, ...]:
     """Return the parameters and structured members that names stand for.
@@ -146,21 +150,23 @@ def expanded(
     setups = tuple(dict.fromkeys(s for source in sources for s in source.setup_names))
     found = tuple(p.plain for p in catalogue.expand(free, setups))
     if not found:
-        raise InputError(NOTHING)
+        raise InputError(NOTHING_FREE)
     return tuple(dict.fromkeys(found))
 
 
-def _parts(catalogue: Catalogue, name: Parameter, source: Factor) -> Mapping[str, float]:
+def _parameter_weights(
+    catalogue: Catalogue, name: Parameter, source: Factor
+) -> Mapping[str, float]:
     effect = catalogue[name.effect]
     if not effect.of_dial:
-        return catalogue.elementary(name)
+        return catalogue.elementary_weights(name)
     setups = source.setups_of(effect)
     if not setups or (name.setup and name.setup not in setups):  # another campaign's setup
         return {}
-    return catalogue.elementary(name, setups)
+    return catalogue.elementary_weights(name, setups)
 
 
-def one_plate(
+def share_plate_shapes(
     unknowns: Sequence[Unknown], catalogue: Catalogue, apart: Collection[str] = ()
 ) -> tuple[Unknown, ...]:
     """Return the unknowns with one shape per plate, which all campaigns share; plates named in
@@ -171,16 +177,16 @@ def one_plate(
         plate = catalogue.effect_of(unknown.name).of_body and unknown.name.plain not in apart
         name = unknown.name.plain if plate else unknown.name
         one = joined.setdefault(name, replace(unknown, name=name))
-        parts = tuple(a or b for a, b in zip(one.parts, unknown.parts, strict=True))
-        joined[name] = replace(one, parts=parts)
+        parts = tuple(a or b for a, b in zip(one.weights, unknown.weights, strict=True))
+        joined[name] = replace(one, weights=parts)
     return tuple(joined.values())
 
 
-def bounded(unknowns: Sequence[Unknown], bounds: Mapping[str, float]) -> tuple[Unknown, ...]:
+def with_bounds(unknowns: Sequence[Unknown], bounds: Mapping[str, float]) -> tuple[Unknown, ...]:
     """Unknowns with bounds of their own, each by the nearest of its names that has one."""
     names = [(u.name, u.name.plain, u.name.effect) for u in unknowns]
     for key, bound in bounds.items():
-        check_word("free parameter", key, dict.fromkeys(n for own in names for n in own))
+        check_choice("free parameter", key, dict.fromkeys(n for own in names for n in own))
         if not bound > 0:
             raise InputError(f"the bound of {key} must be a positive number")
     nearest = [[float(bounds[n]) for n in own if n in bounds] for own in names]

@@ -10,12 +10,12 @@ import numpy as np
 
 from orthoglide.add_ons import Corrections, Paste
 from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
-from orthoglide.firmware.klipper.printer import SPREAD
+from orthoglide.firmware.klipper.provenance import MAX_ROD_SPREAD
 from orthoglide.numerals import signed
 from orthoglide.ordering import best_of
 
-FILE = "printer.cfg"
-WHERE = (
+CONFIG_FILE = "printer.cfg"
+PASTE_INSTRUCTIONS = (
     "Replace the values in the block below the header of SAVE_CONFIG (#*#) at the end of "
     "printer.cfg, and leave #*# before every line; they have no effect while a line above that "
     "header gives the same key: remove such lines, or put the new ones in their place. Then "
@@ -24,20 +24,20 @@ WHERE = (
 )
 """How new numbers come into the file."""
 
-_NEAREST = (
+_ENTER_ALL = (
     "These bring the tool nearest to where the firmware believes it is over the plate, the plate "
     "being its z = 0. Enter all of them or none. Save the old numbers; entering them again undoes "
     "the change."
 )
 
-_LACKING = (
+_NO_NEW_NUMBERS = (
     "There are none: the plate is the firmware's z = 0, and no readings of it out to its rim are "
     "kept with this machine. Take calibrated.toml of a run of close-loop that has some."
 )
 
 
 @dataclass(frozen=True)
-class Left:
+class ResidualChange:
     """Root mean squares of the residuals of the readings of a file, metres."""
 
     file: str  # name of the readings
@@ -47,8 +47,8 @@ class Left:
     new: float  # with the new ones
 
 
-def corrections_of(
-    old: Numbers, new: Numbers, left: Sequence[Left], keep: str, rods_measured: bool
+def make_corrections(
+    old: Numbers, new: Numbers, left: Sequence[ResidualChange], keep: str, rods_measured: bool
 ) -> Corrections:
     """Return new numbers beside the old ones.
 
@@ -63,7 +63,7 @@ def corrections_of(
     each = [(one.old, one.new) for one in left if one.kind == "heights"] or [(0.0, 0.0)]
     before, after = np.sqrt(np.mean(np.square(each), axis=0)).tolist()
     longer, rods = float(np.mean(new.arm) - np.mean(old.arm)), ""
-    if abs(longer) > SPREAD:  # the size is told with the causes
+    if abs(longer) > MAX_ROD_SPREAD:  # the size is told with the causes
         way = "longer" if longer > 0 else "shorter"
         why = "as measured"
         if not rods_measured:
@@ -71,7 +71,7 @@ def corrections_of(
                 "as distances say, and a print that shrank makes these shorter: measure a rod first"
             )
         rods = f"; they have {way} rods, {why}"
-    if (spread := float(np.ptp(new.arm))) > SPREAD and not rods_measured:
+    if (spread := float(np.ptp(new.arm))) > MAX_ROD_SPREAD and not rods_measured:
         rods += (
             f"; their arms differ by {spread * 1e3:.2f} mm, more than rods of one set do: measure "
             f"the rods before you enter them"
@@ -84,10 +84,10 @@ def corrections_of(
         height=(before, after),
         keep=keep,
         words=(
-            f"most of all {_changed_most(old, new)}; of heights over the plate its equations "
+            f"most of all {_largest_change(old, new)}; of heights over the plate its equations "
             f"leave {after * 1e3:.3f} mm rms, and {before * 1e3:.3f} mm with the old ones{rods}"
         ),
-        where=WHERE,
+        where=PASTE_INSTRUCTIONS,
         kept={
             "new": offered.as_dict(),
             **({"tried": new.as_dict()} if keep else {}),
@@ -100,7 +100,7 @@ def corrections_of(
                 for x in left
             ],
         },
-        file=FILE,
+        file=CONFIG_FILE,
         paste=tuple(offered.lines()),
         undo=tuple(old.lines()),
         old=old,
@@ -108,7 +108,7 @@ def corrections_of(
     )  # fmt: skip
 
 
-def _changed_most(old: Numbers, new: Numbers) -> str:
+def _largest_change(old: Numbers, new: Numbers) -> str:
     """Return the number that changes most, with its change; an angle counts by how far its tower
     moves.
     """
@@ -125,20 +125,20 @@ def _changed_most(old: Numbers, new: Numbers) -> str:
     return best_of(moves, lambda words: abs(moves[words]))
 
 
-def paste_of(old: Numbers, table: object) -> Paste:
+def make_paste(old: Numbers, table: object) -> Paste:
     """Return the numbers that a machine file keeps in place of old ones, to paste."""
     facts: dict[str, object] = {"old": old.as_dict()}
     try:
-        found = _kept(old, table)
+        found = _stored_corrections(old, table)
     except (KeyError, TypeError, ValueError):  # nothing was kept, or the table was edited
-        lacking = facts | {"missing": _LACKING}
-        return Paste({"drive": [], "old": [], "new": []}, lacking, (_LACKING,))
+        lacking = facts | {"missing": _NO_NEW_NUMBERS}
+        return Paste({"drive": [], "old": [], "new": []}, lacking, (_NO_NEW_NUMBERS,))
     drive, before, after = zip(*found.rows, strict=True)
     columns = {"drive": [*drive], "old": [*map(float, before)], "new": [*map(float, after)]}
     named = [f"  {name:28}{one:>14}{other:>14}" for name, one, other in found.rows]
     left = [f"  {name:40}{one:>8}{other:>8}" for name, one, other in found.left]
     return Paste(columns, facts | dict(found.kept), (
-        *(() if found.keep else (_NEAREST,)),
+        *(() if found.keep else (_ENTER_ALL,)),
         "\n".join((f"{found.file:30}{'old':>14}{'new':>14}", *named)),
         "\n".join(("Left of the readings by its equations, rms, mm, old and new:", *left)),
         *((f"Do not enter new numbers: {found.keep}.",) if found.keep else ()),
@@ -151,7 +151,7 @@ def paste_of(old: Numbers, table: object) -> Paste:
     ))  # fmt: skip
 
 
-def _kept(old: Numbers, table: Any) -> Corrections:
+def _stored_corrections(old: Numbers, table: Any) -> Corrections:
     """Return the new numbers of a machine file; one of an earlier version has no residuals.
 
     Raises:
@@ -160,10 +160,12 @@ def _kept(old: Numbers, table: Any) -> Corrections:
     if not isinstance(table, Mapping):
         raise TypeError
     left = [
-        Left(str(x["file"]), str(x["kind"]), int(x["count"]), float(x["old_rms_mm"]) * 1e-3,
+        ResidualChange(str(x["file"]), str(x["kind"]), int(x["count"]), float(x["old_rms_mm"]) * 1e-3,
              float(x["new_rms_mm"]) * 1e-3)
         for x in table.get("left_of_readings", ())
     ]  # fmt: skip
     keep = str(table.get("keep_old_because", ""))
     known = table.get("rods_measured") is True
-    return replace(corrections_of(old, Numbers.of(table["new"]), left, keep, known), kept=table)
+    return replace(
+        make_corrections(old, Numbers.from_table(table["new"]), left, keep, known), kept=table
+    )
