@@ -179,7 +179,7 @@ def test_steps_add_up_to_the_whole_and_gain_what_they_promise(readings, combinat
     narrowed = combinations.T @ covariance @ combinations
     assert after.value == pytest.approx(-np.linalg.slogdet(narrowed)[1], rel=1e-5)
     assert start.with_rows(readings, rows).value == pytest.approx(after.value, rel=1e-6)
-    steps = readings.steps(rows, 4)
+    steps = readings.next_steps(rows, 4)
     taken_away = Steps(steps.rows[:2], 0.1 * steps.columns[:2], -steps.variance[:2])
     for some, k in ((steps, 0), (steps, len(steps.rows) - 1), (taken_away, 1)):
         risen = after.with_step(some, k).value - after.value
