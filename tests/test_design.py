@@ -201,7 +201,7 @@ def test_rivals_are_as_far_apart_as_least_squares_says(readings):
         toward = W[:3, 3:] @ e
         left = e @ W[3:, 3:] @ e - toward @ np.linalg.solve(normal, toward)
         assert chi2 == pytest.approx(left, rel=1e-5)
-    steps = both.steps(rows, 4)
+    steps = both.next_steps(rows, 4)
     for k in (0, len(steps.rows) // 2, len(steps.rows) - 1):
         risen = after.with_step(steps, k).value - after.value
         assert after.gains(steps)[k] == pytest.approx(risen, rel=1e-6)
