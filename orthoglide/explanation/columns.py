@@ -267,22 +267,26 @@ def _with_data_faults(
     be screened, and those of commands that are put right where this is linearised.
     """
     problem, linear = about.problem, about.linear
-    backgrounds = [np.sqrt(linear.spike(share, share)) for share in _SCREENING_BACKGROUNDS]
-    compact = linear.columns, linear.residual
     right = {s.name: s for s in several if any(s.fault is f for f in corrected)}
-    rest = problem.measured - about.value_at_zero
-    kept = [*several]
-    if screen:
-        kept = screen_data_faults(several, problem, about.nuisance, about.rows, rest, compact, backgrounds,
-                        right)  # fmt: skip
-    if not kept:
-        return about
+    # The alternatives to a corrected command have to explain what it explains.
     value = about.value_at_zero.copy()
     for one in right.values():
         value[one.fault.rows] -= one.columns[:, 0] * one.fault.size / one.unit
+    rest = problem.measured - value
+    kept = [*several]
+    if screen:
+        backgrounds = [np.sqrt(linear.spike(share, share)) for share in _SCREENING_BACKGROUNDS]
+        readings = _WhitenedReadings.of(problem, about.nuisance, about.rows, rest)
+        readings = readings.with_prior_rows(about.prior_rows, about.units)
+        compact = readings.columns, readings.residual
+        kept = screen_data_faults(
+            several, problem, about.nuisance, about.rows, rest, compact, backgrounds, right
+        )
+    if not kept:
+        return about
     rows = np.hstack([about.rows, *(s.full_columns(len(value)) for s in kept)])
     scale = np.concatenate([about.units, *(np.full(s.coefficient_count, s.unit) for s in kept)])
-    readings = _WhitenedReadings.of(problem, about.nuisance, rows, problem.measured - value)
+    readings = _WhitenedReadings.of(problem, about.nuisance, rows, rest)
     readings = readings.with_prior_rows(about.prior_rows, scale)
     first, groups = len(about.units), list(linear.groups)
     for one in kept:

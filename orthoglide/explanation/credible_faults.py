@@ -88,6 +88,8 @@ def certain_data_faults(posterior: FullPosterior) -> list[Fault]:
             if fault.commands and other.commands and np.array_equal(other.rows, fault.rows):
                 more = reader.fault(member, k).commands
                 fault = replace(fault, commands=(*fault.commands, *more))
+            elif other.kind != fault.kind and not fault.alternatives:
+                fault = replace(fault, alternatives=(reader.fault(member, k),))
         found.append(fault)
     return [f for f in found if not _has_faulty_neighbour(posterior.before.problem, f, found)]
 

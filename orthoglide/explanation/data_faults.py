@@ -42,6 +42,7 @@ from orthoglide.explanation.faults import (
 )
 from orthoglide.explanation.full_posterior import (
     FullPosterior,
+    full_posterior,
     posterior_at_base_fit,
     posterior_with_corrected_commands,
 )
@@ -140,11 +141,12 @@ def find_data_faults(read: Estimate) -> Findings:
     for _ in range(_ROUNDS):
         # Changes are searched anew: a fault that is corrected now may have caused the earlier ones.
         changed, cost = likeliest_changes(fit)
-        look = posterior_with_corrected_commands(
-            _fit_nested(with_changes_separate(fit.problem, changed)) if changed else fit
-        )
+        base = _fit_nested(with_changes_separate(fit.problem, changed)) if changed else fit
+        look = posterior_with_corrected_commands(base)
         misread = (
-            _find_misreading(posterior_with_corrected_commands(fit), found, look.evidence - cost)
+            _find_misreading(
+                fit, posterior_with_corrected_commands(fit), found, look.evidence - cost
+            )
             if changed
             else None
         )
@@ -153,11 +155,10 @@ def find_data_faults(read: Estimate) -> Findings:
             fit = _fit_nested(_correct_faults(read.problem, found))
             continue
         if look.chi2_per_dof < _OVERSTATED_NOISE:  # else a wrong unit could pass for the noise
-            look = posterior_with_corrected_commands(
-                _fit_nested(with_smaller_noise(look.before.problem, _noise_square_ratios(look)))
-            )
-        misread = _find_misreading(look, found)
-        faults = certain_data_faults(look) if misread is None else [misread]
+            base = _fit_nested(with_smaller_noise(base.problem, _noise_square_ratios(look)))
+            look = posterior_with_corrected_commands(base)
+        misread = _find_misreading(base, look, found)
+        faults = _certain_faults(base, look) if misread is None else [misread]
         if not faults:
             break
         found = _merge_faults(found, [_with_all_rows(read.problem, f) for f in faults])
@@ -170,6 +171,18 @@ def find_data_faults(read: Estimate) -> Findings:
     reusable = look if whole and not maybe else None
     notes = tuple(_probable_fault_notes(look))
     return Findings(_report_faults(read, found), measured, reusable, maybe, notes)
+
+
+def _certain_faults(base: Estimate, look: FullPosterior) -> list[Fault]:
+    """Return the data faults that are certain, from a base fit and its first posterior.
+
+    An alternative in the machine may fit only as far as the readings are linear at the base fit. If
+    it does not stand where the posterior has converged, the faults alone are left.
+    """
+    faults = certain_data_faults(look)
+    if not faults and (rivals := ambiguous_faults(look)):
+        faults = certain_data_faults(full_posterior(base, unsure=rivals))
+    return faults
 
 
 def _probable_fault_notes(look: FullPosterior) -> Iterator[Note]:
@@ -216,17 +229,18 @@ def _fit_nested(problem: Problem) -> Estimate:
 
 
 def _find_misreading(
-    look: FullPosterior, found: Sequence[Fault], otherwise: float = -np.inf
+    base: Estimate, look: FullPosterior, found: Sequence[Fault], otherwise: float = -np.inf
 ) -> Fault | None:
     """Return the wrong sign, unit, label, shift or turn that explains readings clearly better;
     ``None`` if there is none.
 
     Args:
-        look: at the readings as they stand.
+        base: fit to the readings as they stand.
+        look: its posterior, which may have corrected commands that a misreading explains.
         found: faults that are known.
         otherwise: evidence for what explains the readings otherwise.
     """
-    problem, tried = look.before.problem, list[tuple[float, Fault]]()
+    problem, tried = base.problem, list[tuple[float, Fault]]()
     for _, one in rank_alternative_readings(look, setups_to_reinterpret(problem, found)):
         try:
             other = posterior_at_base_fit(

@@ -61,7 +61,8 @@ class FaultColumns:
         """Identifier; the leading ``!`` keeps it apart from names of parameters."""
         fault = self.fault
         drive = "".join(LEGS[k] for k, _ in fault.commands)
-        return f"!{fault.kind}.{'+'.join(map(str, fault.setups))}.{fault.rows[0]}{drive}"
+        rows = f"{fault.rows[0]}-{fault.rows[-1]}" if len(fault.rows) > 1 else str(fault.rows[0])
+        return f"!{fault.kind}.{'+'.join(map(str, fault.setups))}.{rows}{drive}"
 
     def key(self, problem: Problem) -> FaultKey:
         """What it is, whichever other rows there are: kind, drives, and the lines of its rows."""
@@ -104,7 +105,7 @@ def fault_columns(
     """
     by_command = command_derivatives(problem, here.x, here.value)
     kinds = (
-        list(_slips(problem)), list(_knocks(problem)), list(_zeroings(problem)),
+        [*_slips(problem), *_slips_at_every_visit(problem)], list(_knocks(problem)), list(_zeroings(problem)),
         list(_moved_instruments(problem, here.reading_poses)), list(_wrong_commands(problem, by_command, corrected)),
     )  # fmt: skip
     # Readings of dials may mean something else, too, which is a kind besides.
@@ -126,6 +127,16 @@ def _slips(problem: Problem) -> Iterator[FaultColumns]:
             yield FaultColumns(
                 Fault("outlier", own, (setup,)), np.eye(len(own)) * _SLIP_UNIT, _SLIP_UNIT
             )
+
+
+def _slips_at_every_visit(problem: Problem) -> Iterator[FaultColumns]:
+    """One dial at one station, off by the same amount at all visits: a burr, or a mistyped sheet."""
+    for setup in problem.leg_setups:
+        rows = weighted_rows(problem, setup)
+        for visits in (rows[problem.station[rows] == k] for k in np.unique(problem.station[rows])):
+            if 1 < len(visits) < len(rows):
+                column = np.full((len(visits), 1), _SLIP_UNIT)
+                yield FaultColumns(Fault("outlier", visits, (setup,)), column, _SLIP_UNIT)
 
 
 def _knocks(problem: Problem) -> Iterator[FaultColumns]:

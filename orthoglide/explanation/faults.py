@@ -49,7 +49,6 @@ class Fault:
     # of an outlier or a knock, metres; a unit's factor; rows by which readings stand too late; what
     # one turn of the hand shows, metres
     size: float = 0.0
-    evidence: float = 0.0  # log Bayes factor in its favour, the number of its like discounted
     label: tuple[int, int] = (0, 0)  # of a wrong label the leg and axis that fit
     # of a wrong command the drives that it may be of, the likeliest first, and how much more each
     # was told than is written, metres
@@ -57,6 +56,7 @@ class Fault:
     # of dials set to zero anew, each of `datums` less that of the first repeat; of whole turns,
     # what each of its rows shows too much, metres; factors of units that fit nearly alike
     sizes: tuple[float, ...] = ()
+    alternatives: tuple[Fault, ...] = ()  # of another kind, which the readings do not rule out
 
     @property
     def excluded(self) -> bool:
@@ -127,7 +127,8 @@ def fault_message(problem: Problem, fault: Fault) -> str:
     setups = " and ".join(repr(problem.setups[s].name) for s in fault.setups)
     plural = "s" * (len(fault.setups) > 1)
     where = "" if given.by_point else f", setup{plural} {setups}"
-    return f"{source(given)}, {lines}{where}{_row_label(problem, at)}: {_clause(problem, fault)}"
+    clauses = [_clause(problem, one) for one in (fault, *fault.alternatives)]
+    return f"{source(given)}, {lines}{where}{_row_label(problem, at)}: {'; or '.join(clauses)}"
 
 
 def _row_label(problem: Problem, at: tuple[tuple[int, int], ...]) -> str:
@@ -149,6 +150,12 @@ def _outlier_clause(problem: Problem, fault: Fault) -> str:
     unit = given.setups[given.setup[row]].observation.unit
     off = compact(fault.size * 1e3, plus=True)
     what = f"the reading {compact(given.reading[row] * 1e3, 6)} {unit} is {off} {unit}"
+    if len(fault.rows) > 1 and given.on_legs[row]:
+        setup = repr(problem.setups[fault.setups[0]].name)
+        return (
+            f"the dial {setup} alone reads {off} {unit} off at this place, at each of "
+            f"{len(fault.rows)} visits: look for dirt or a burr where it touches, and at its sheet"
+        )
     if given.by_point:
         what = f"the point is {abs(fault.size) * 1e3:.3g} {unit}"
     visits = np.sum(problem.station[fault.rows[0]] == problem.station)
