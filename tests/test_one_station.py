@@ -106,3 +106,19 @@ def _bump(at: float) -> FreeForm:
     machine = og.Machine.nominal()
     geometry = machine.geometry
     return travel_bumps([[at], [], []], machine.catalogue.legs, geometry.stroke, geometry.scale)[2]
+
+
+def test_one_dial_off_at_one_place_at_every_visit_is_no_exchange() -> None:
+    """On a nearly nominal machine other labels fit readings with a corrected command as well."""
+    sheet = og.protocol("standard")
+    setup, station = 5, 37
+    offsets = {"joint_offset.x": 1e-5, "joint_offset.y": -1e-5, "joint_offset.z": 2e-5}
+    given = og.simulate(og.Machine.nominal().with_parameters(offsets), sheet, noise=5e-6, seed=4)
+    same = (given.setup == setup) & (given.command == given.command[station]).all(axis=1)
+    spoilt = given.with_readings(given.reading + 3e-4 * same)
+    verdict = og.close_loop([spoilt], noise=5e-6)
+    rivals = [rival for located in verdict.located for rival in located.data]
+    kinds = {fault.kind for fault in verdict.blunders} | {rival.data for rival in rivals}
+    assert kinds <= {"command", "outlier"}
+    words = [fault.message for fault in verdict.blunders] + [rival.words for rival in rivals]
+    assert any("'zy-0.5' alone reads 0.3 mm too much here, at each of 3 visits" in w for w in words)

@@ -152,9 +152,10 @@ def _outlier_clause(problem: Problem, fault: Fault) -> str:
     what = f"the reading {compact(given.reading[row] * 1e3, 6)} {unit} is {off} {unit}"
     if len(fault.rows) > 1 and given.on_legs[row]:
         setup = repr(problem.setups[fault.setups[0]].name)
+        much = f"{abs(fault.size) * 1e3:.2g} {unit} too {'much' if fault.size > 0 else 'little'}"
         return (
-            f"the dial {setup} alone reads {off} {unit} off at this place, at each of "
-            f"{len(fault.rows)} visits: look for dirt or a burr where it touches, and at its sheet"
+            f"the dial {setup} alone reads {much} here, at each of {len(fault.rows)} visits: look "
+            f"for dirt or a burr where it touches, and at its sheet"
         )
     if given.by_point:
         what = f"the point is {abs(fault.size) * 1e3:.3g} {unit}"
