@@ -1,8 +1,8 @@
-"""How well a machine's TCP is known over the workspace, and the errors to expect of it.
+"""The TCP over the workspace: its uncertainty, and the errors to expect.
 
-An error over the workspace has two parts. *Place* is its mean, a translation of everything: where
-the machine as a whole sits, which readings on the legs cannot tell. *Shape* is what is left after
-that translation; it is what a calibration improves.
+An error over the workspace has two parts. The *common offset* (``place``) is its mean, a
+translation, which readings on the legs cannot detect. The *shape error* (``shape``) is the error
+after that translation is removed; a calibration improves it.
 """
 
 from __future__ import annotations
@@ -25,20 +25,19 @@ GRID = 5
 _SEQUENCE_STEPS = 1 / 1.2207440846 ** np.arange(1, 4)
 """Steps of a sequence that fills a cube evenly (Roberts 2018, by the root of x^4 = x + 1)."""
 
-_DRAWS = 400
-_TRANSLATION_WEIGHT = 0.01  # weight of place against shape: enough to choose between equal shapes
-_GAUSS_NEWTON_STEPS = 2  # of Gauss-Newton, on a problem that is nearly linear
+_DRAWS = 400  # machines drawn from the posterior
+_TRANSLATION_WEIGHT = 0.01  # weight of the common offset: it decides between equal shape errors
+_GAUSS_NEWTON_STEPS = 2  # enough for a problem that is nearly linear
 
 
 def workspace_grid(geometry: Geometry, count: int = GRID, pitch: float | None = None) -> Array:
-    """Return commands ``(n, 3)`` that fill the workspace evenly, metres: on the Orthoglide the
-    stroke.
+    """Return commands ``(n, 3)`` that fill the workspace evenly, metres.
 
     Args:
-        geometry: of the machine.
-        count: of commands along each axis.
-        pitch: of its screws, metres: commands along the stroke then stand at three phases of
-            their turns, evenly, where a regular grid can meet a single one.
+        geometry: dimensions of the machine.
+        count: number of commands along each axis.
+        pitch: pitch of its screws, metres. With it, commands are shifted to three equally frequent
+            phases of a turn, where a regular grid may meet only one.
     """
     layout, sizes = geometry.layout, (geometry.L, geometry.r, geometry.stroke)
     if (points := layout.points(*sizes, count)) is not None:
@@ -57,16 +56,16 @@ def workspace_commands(machine: Machine) -> Array:
 
 
 def tcp_slopes(machine: Machine, names: Sequence[str], at: Conditions | None = None) -> Array:
-    """Return derivatives of the TCP by parameter ``(g, 3, P)``, SI, in given conditions or over the
-    workspace.
+    """Return derivatives of the TCP by parameter ``(g, 3, P)``, SI, in conditions ``at`` or over
+    the workspace.
     """
-    where = Conditions.from_commands(workspace_commands(machine)) if at is None else at
-    _, slopes = machine.model.sensitivities(machine.values, where, tuple(names))
+    conditions = Conditions.from_commands(workspace_commands(machine)) if at is None else at
+    _, slopes = machine.model.sensitivities(machine.values, conditions, tuple(names))
     return slopes[:, :3]
 
 
 def without_translation(field: Array) -> Array:
-    """Return a field over the workspace ``(g, 3, ...)`` after its best translation."""
+    """Return a field over the workspace ``(g, 3, ...)`` minus its mean, the best translation."""
     return field - field.mean(axis=0)
 
 
@@ -77,7 +76,7 @@ class TcpMap:
     commands: Array  # (g, 3), metres
     nominal: Array  # TCP of the machine without errors (g, 3)
     p: Array  # TCP of the calibrated machine (g, 3)
-    sigma: Array  # standard deviation of each coordinate (g, 3), best translation removed
+    sigma: Array  # standard deviation of every coordinate (g, 3), best translation removed
 
     @property
     def error(self) -> Array:
@@ -86,7 +85,7 @@ class TcpMap:
 
     @property
     def uncertainty(self) -> Array:
-        """95 % radius, each coordinate's taken together ``(g,)``."""
+        """95 % radius from the standard deviations of all coordinates ``(g,)``."""
         return 1.96 * np.linalg.norm(self.sigma, axis=1)
 
 
@@ -94,74 +93,70 @@ def tcp_map(machine: Machine, commands: Array | None = None) -> TcpMap:
     """Return the predicted TCP of a calibrated machine over the workspace, with its uncertainty.
 
     Args:
-        machine: calibrated.
-        commands: ``(g, 3)``; :func:`workspace_commands` the workspace where absent.
+        machine: the calibrated machine.
+        commands: commands ``(g, 3)``, metres; by default :func:`workspace_commands`.
     """
-    where = workspace_commands(machine) if commands is None else commands
-    posterior = machine.posterior
-    slopes = without_translation(
-        tcp_slopes(machine, posterior.names, Conditions.from_commands(where))
-    )
+    grid = workspace_commands(machine) if commands is None else commands
+    posterior, conditions = machine.posterior, Conditions.from_commands(grid)
+    slopes = without_translation(tcp_slopes(machine, posterior.names, conditions))
     variance = np.einsum("gip,pq,giq->gi", slopes, posterior.covariance, slopes)
-    nominal = machine.with_only({}).forward(where)
-    return TcpMap(where, nominal, machine.forward(where), np.sqrt(np.maximum(variance, 0.0)))
+    nominal = machine.with_only({}).forward(grid)
+    return TcpMap(grid, nominal, machine.forward(grid), np.sqrt(np.maximum(variance, 0.0)))
 
 
 @dataclass(frozen=True)
 class ExpectedError:
-    """Mean distance of the TCP from where it is wanted over the workspace, metres."""
+    """Mean distance of the TCP from the commanded position over the workspace, metres."""
 
-    shape: float  # after the best translation
-    shape_sigma: float  # standard deviation of that
-    place: float  # length of the translation
-    place_sigma: float  # standard deviation of that
+    shape: float  # mean after the best translation is removed
+    shape_sigma: float  # standard deviation of `shape`
+    place: float  # length of the best translation
+    place_sigma: float  # standard deviation of `place`
 
     def as_dict(self) -> dict[str, float]:
-        """For JSON, millimetres."""
+        """Return the fields for JSON, millimetres."""
         return {f"{name}_mm": float(f"{v * 1e3:.6g}") for name, v in vars(self).items()}
 
     @property
     def words(self) -> str:
-        """Shape with its standard deviation, millimetres."""
+        """Shape error with its standard deviation, millimetres."""
         return with_sigma(self.shape * 1e3, self.shape_sigma * 1e3)
 
     @property
     def place_words(self) -> str:
-        """Place with its standard deviation, millimetres."""
+        """Common offset with its standard deviation, millimetres."""
         return with_sigma(self.place * 1e3, self.place_sigma * 1e3)
 
 
 def expected_error(machine: Machine, settings: Mapping[str, float]) -> ExpectedError:
-    """Return the tool's expected error if the controller corrects some parameters.
+    """Return the tool's expected error if the commands allow for some parameters.
 
     Args:
-        machine: calibrated.
-        settings: parameters that the commands allow for, SI; the machine's own are compensation,
-            none are a controller that knows of no error.
+        machine: the calibrated machine.
+        settings: values of these parameters, SI: all values of the machine for compensated
+            commands, none for a controller without corrections.
     """
-    shape, distance = _sampled_errors(machine, settings)
-    found = (shape.mean(), shape.std(), distance.mean(), distance.std())
-    return ExpectedError(*map(float, found))
+    shape, offset = _sampled_errors(machine, settings)
+    return ExpectedError(*map(float, (shape.mean(), shape.std(), offset.mean(), offset.std())))
 
 
 def expected_gain(
     machine: Machine, before: Mapping[str, float], after: Mapping[str, float]
 ) -> tuple[float, float]:
-    """Return by how much the tool's mean shape error falls, and the standard deviation of that,
-    metres.
+    """Return the decrease of the tool's mean shape error and its standard deviation, metres.
 
     Args:
-        machine: calibrated.
-        before: parameters that the commands allow for, SI.
-        after: those that they allow for instead.
+        machine: the calibrated machine.
+        before: parameters that the commands allow for at first, SI.
+        after: parameters that they allow for then, SI.
     """
     gain = _sampled_errors(machine, before)[0] - _sampled_errors(machine, after)[0]
     return float(gain.mean()), float(gain.std())
 
 
 def _sampled_errors(machine: Machine, settings: Mapping[str, float]) -> tuple[Array, Array]:
-    """Return mean shape error and translation over the workspace ``(draws,)`` of machines drawn
-    from the posterior, the same for all settings.
+    """Return the mean shape error and the common offset ``(draws,)`` of machines drawn from the
+    posterior; all settings use the same draws.
     """
     posterior, wanted = machine.posterior, wanted_points(machine)
     commands = machine.with_only(settings).inverse(wanted)
@@ -169,40 +164,35 @@ def _sampled_errors(machine: Machine, settings: Mapping[str, float]) -> tuple[Ar
     slopes = tcp_slopes(machine, posterior.names, Conditions.from_commands(commands))
     draws = np.random.default_rng(0).standard_normal((_DRAWS, len(posterior.names)))
     errors = mean + np.einsum("gip,np->ngi", slopes, draws @ posterior.covariance_root.T)
-    place = errors.mean(axis=1)
-    shape = np.linalg.norm(errors - place[:, None], axis=2).mean(axis=1)
-    return np.asarray(shape), np.linalg.norm(place, axis=1)
+    translation = errors.mean(axis=1)
+    shape = np.linalg.norm(errors - translation[:, None], axis=2).mean(axis=1)
+    return np.asarray(shape), np.linalg.norm(translation, axis=1)
 
 
 def wanted_points(machine: Machine) -> Array:
-    """Return where a machine without errors puts the tool over its workspace ``(g, 3)``, metres."""
+    """Return the positions of the tool over the workspace without errors ``(g, 3)``, metres."""
     return machine.with_only({}).forward(workspace_commands(machine))
 
 
-def _with_weighted_translation(field: Array, place: Array) -> Array:
-    """Return a field ``(g, 3, ...)`` with these shares ``(3,)`` of its translation."""
-    return field - np.einsum("x,x...->x...", 1 - place, field.mean(axis=0))
-
-
 def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
-    """Return the zeros that leave the least shape error, with what else the controller takes.
+    """Return the zeros with the least shape error, and the other parameters of the controller.
 
-    Where several leave the same, they are those that leave the least place. On parallel slides
-    they leave the tool where it is above its plate: no reading there tells the machine's own
-    height, and zeros by what was only supposed of it would drive the tool into the plate. What the
-    controller cannot take shifts the zeros that are best: they are fitted, by least
-    squares over the workspace, to the machine with all its parameters.
+    The zeros are fitted by least squares over the workspace to the machine with all its parameters,
+    as errors that the controller cannot correct shift the best zeros. Of zeros with equal shape
+    errors those with the least common offset are taken. On parallel slides the zeros keep the
+    tool's height above its plate: readings there do not determine the height of the machine, and
+    zeros from a prior would drive the tool into the plate.
 
     Args:
-        machine: calibrated.
-        also: what else the controller takes, as identified: ``"bar_length"``, ``"scale"`` ...
+        machine: the calibrated machine.
+        also: other entries of the controller: ``"bar_length"``, ``"scale"`` ...
 
     Returns:
         Parameters that the commands allow for, SI.
     """
-    held, of = {"zero", *also}, machine.catalogue.effect_of
+    taken, effect_of = {"zero", *also}, machine.catalogue.effect_of
     zeros = machine.catalogue.expand(machine.catalogue.correctable_by("zero"))
-    identified = {n: v for n, v in machine.values.items() if of(n).controller in held}
+    identified = {n: v for n, v in machine.values.items() if effect_of(n).controller in taken}
     settings: dict[str, float] = {**dict.fromkeys(zeros, 0.0), **identified}
     wanted, goal, weight = wanted_points(machine), np.zeros(3), np.full(3, _TRANSLATION_WEIGHT)
     if machine.geometry.layout.hanging:
@@ -210,22 +200,22 @@ def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
         goal[2], weight[2] = above[:, 2].mean(), 1.0
     for _ in range(_GAUSS_NEWTON_STEPS):
         commands = machine.with_only(settings).inverse(wanted)
-        left = _with_weighted_translation(machine.forward(commands) - wanted - goal, weight)
-        slopes = _with_weighted_translation(
-            tcp_slopes(machine, zeros, Conditions.from_commands(commands)), weight
-        )
-        step = np.linalg.lstsq(slopes.reshape(-1, len(zeros)), left.reshape(-1))[0]
+        error = machine.forward(commands) - wanted - goal
+        slopes = tcp_slopes(machine, zeros, Conditions.from_commands(commands))
+        error -= (1 - weight) * error.mean(axis=0)
+        slopes = slopes - (1 - weight[:, None]) * slopes.mean(axis=0)
+        step = np.linalg.lstsq(slopes.reshape(-1, len(zeros)), error.reshape(-1))[0]
         settings.update({n: settings[n] + float(d) for n, d in zip(zeros, step, strict=True)})
     return settings
 
 
 def tool_settings(machine: Machine) -> dict[str, dict[str, float]]:
-    """Return the parameters that the commands allow for, SI, by what the controller is given.
+    """Return the parameters that the commands allow for, SI, at each stage of correction.
 
     Returns:
-        ``now``: nothing; ``zeros``: the best zeros alone; ``zeros_and_lengths``: bar lengths
-        besides; ``numbers``: all that a controller takes, with the best zeros; ``compensated``:
-        everything. :func:`expected_error` says what each leaves.
+        ``now``: none; ``zeros``: the best zeros; ``zeros_and_lengths``: zeros and bar lengths;
+        ``numbers``: all entries of a controller; ``compensated``: all parameters. See
+        :func:`expected_error` for the remaining error.
     """
     return {
         "now": {},

@@ -1,9 +1,9 @@
-"""Add-ons for the firmware of a machine: what each of them offers, and how it is found.
+"""Add-ons for the firmware of a machine: their interface, and how they are found.
 
-An add-on is an object that an entry point of the group ``orthoglide.firmware`` names, or the
+An add-on is an object named by an entry point of the group ``orthoglide.firmware``, or the
 ``ADD_ON`` of a package in the folder ``orthoglide/firmware``. A machine file that an add-on wrote
-keeps the firmware's numbers in a table ``[provenance.NAME]``. Nothing but the add-on of that name
-reads this table; the rest of the package asks through `Printer`.
+contains the firmware's numbers in a table ``[provenance.NAME]``. Only the add-on of that name reads
+this table; the rest of the package uses `Printer`.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ ENTRY_POINT_GROUP = "orthoglide.firmware"
 """Group of the entry points, and the package with the add-ons that come with this one."""
 
 EXACT_DIGITS = 17
-"""Significant digits with which a number is read back unchanged; a firmware's are not rounded."""
+"""Significant digits with which a number is read back unchanged; firmware numbers keep them."""
 
 MARK_KEY = "numbers"
-"""Key of a firmware's table: what tells its numbers from others, short."""
+"""Key of a firmware's table: short identifier of its numbers."""
 
 
 class Kinematics(Protocol):
-    """Where a controller sends the carriages for a place of its tool, and the reverse."""
+    """Inverse and forward kinematics of a controller."""
 
     def travel(self, p: NDArray[np.float64]) -> NDArray[np.float64]:
         """Travel of the carriages from mechanical zero ``(n, 3)`` for places ``(n, 3)``, metres."""
@@ -51,15 +51,15 @@ class Corrections:
 
     Attributes:
         rows: key, old and new value of every number, as the file has them.
-        left: residuals of the readings by the firmware's equations: what, old, new, millimetres.
-        height: what the numbers leave of heights over the plate (old, new), metres, rms.
-        keep: why the old numbers are to be kept, a clause; empty where the new ones are better.
+        left: residuals of the readings by the firmware's equations: name, old, new, millimetres.
+        height: residuals of heights over the plate with the old and new numbers, metres, rms.
+        keep: why the old numbers are to be kept, a clause; empty if the new ones are better.
         words: what the new numbers change, a clause.
-        where: how the numbers come into the file, and what is to be done after that.
+        where: how to enter the numbers in the file, and what to do after that.
         file: name of the firmware's file.
         paste: lines of the firmware's file with the new numbers.
         undo: lines of the firmware's file with the old numbers.
-        kept: what the file of a calibrated machine records of the new numbers; a result has it in
+        kept: record of the new numbers in the file of a calibrated machine; a result has it in
             `Section.facts`.
         old: old numbers as an object of the add-on; ``None`` in a result that was loaded.
         new: new numbers as an object of the add-on; ``None`` in a result that was loaded.
@@ -81,17 +81,17 @@ class Corrections:
 
 @dataclass(frozen=True)
 class Section:
-    """What a firmware's add-on has to say of a result.
+    """Remarks of a firmware's add-on on a result.
 
     Attributes:
-        first: what must be known before anything else; empty where nothing must.
-        again: what the firmware's own calibration has to do before any number is entered, a
-            sentence; empty where nothing has.
-        corrections: old and new numbers; ``None`` where the readings give none.
+        first: warnings to read first; empty without any.
+        again: sentence that the firmware's own calibration has to be run before any number is
+            entered; empty if it has not.
+        corrections: old and new numbers; ``None`` if the readings give none.
         touch: what to measure for new numbers, a sentence without its full stop.
-        holds: what numbers the firmware has.
-        beyond: causes that no number holds, each with what to do about it.
-        facts: all of it, for JSON.
+        holds: numbers that the firmware has, a phrase.
+        beyond: causes that no number can describe, each with what to do about it.
+        facts: the same facts for JSON.
     """
 
     first: str
@@ -103,7 +103,7 @@ class Section:
     facts: Mapping[str, Any] = field(metadata={"digits": EXACT_DIGITS})
 
     def derived(self) -> dict[str, Any]:
-        """Return keys of ``result.json`` that follow from the fields."""
+        """Return keys of ``result.json`` that are derived from the fields."""
         return dict(self.facts)
 
 
@@ -111,7 +111,7 @@ class Section:
 class Paste:
     """Numbers of a firmware for ``export``, in the place of a controller's zeros."""
 
-    columns: dict[str, list[Any]]  # of a table with a row a number
+    columns: dict[str, list[Any]]  # of a table with one row for each number
     facts: Mapping[str, Any]  # for JSON
     paragraphs: tuple[str, ...]  # for people; the lines of a table stay as they are
 
@@ -121,47 +121,45 @@ class Printer(Protocol):
 
     @property
     def kinematics(self) -> Kinematics:
-        """Where the firmware sends the carriages, from mechanical zero of the machine file."""
+        """Kinematics of the firmware; travel counts from mechanical zero of the machine file."""
 
     def objection(self, geometry: Any) -> tuple[str, ...]:
-        """Why dimensions do not go with the numbers, and the path of the key of the machine file to
-        blame; empty where they do.
+        """Return why dimensions contradict the numbers, and the path of the key of the machine file
+        to blame; empty if they agree.
         """
 
     def doubts(self, machine: Any) -> str:
-        """What a user of the machine must know before anything else; empty where nothing is."""
+        """Return a warning to users of the machine; empty without one."""
 
     def imported(self, names: Collection[str]) -> Iterator[Note]:
-        """Remarks of the import that matter to readings of these names."""
+        """Yield remarks of the import on readings of these names."""
 
     def cautions(self, readings: Sequence[Any]) -> Iterator[Note]:
-        """What speaks against taking these readings of the tool together."""
+        """Yield reasons not to use these readings of the tool together."""
 
     def assumptions(self, machine: Any, causes: Sequence[Any]) -> Iterator[Note]:
-        """What was assumed on import and matters to the causes that were found."""
+        """Yield assumptions of the import on which the causes depend."""
 
     def provenance(self, corrections: Any) -> Mapping[str, Any]:
-        """The table, by the add-on's name, that a calibrated machine keeps."""
+        """Return the table of a calibrated machine by the add-on's name."""
 
     def corrections(self, machine: Any, readings: Sequence[Any]) -> Corrections | None:
-        """New numbers for a calibrated machine; ``None`` where the readings of its tool give
-        none.
-        """
+        """Return new numbers for a calibrated machine; ``None`` if its readings give none."""
 
     def section(
         self, given: Any, calibrated: Any, corrections: Corrections | None, causes: Sequence[Any]
     ) -> Section:
-        """What a report says of a calibrated machine.
+        """Return the report's section on a calibrated machine.
 
         Args:
-            given: the machine as it was imported.
-            calibrated: the machine found.
-            corrections: new numbers for it, where the readings give any.
-            causes: explanations of what is wrong with it, as `orthoglide.result.Explanation`.
+            given: machine as it was imported.
+            calibrated: calibrated machine.
+            corrections: new numbers for it, if the readings give any.
+            causes: its faults, as `orthoglide.result.Explanation`.
         """
 
     def paste(self) -> Paste:
-        """Numbers that a calibrated machine keeps."""
+        """Return the numbers that a calibrated machine keeps."""
 
 
 class AddOn(Protocol):
@@ -172,46 +170,49 @@ class AddOn(Protocol):
         readings and notes.
 
         Raises:
-            FileError: naming the line and what would be right.
+            FileError: names the line and the remedy.
         """
 
     def stored(self, table: Mapping[str, Any]) -> Printer | None:
-        """Read the firmware's table of a machine file; ``None`` where it was edited and is of no
-        use.
+        """Return the printer of a firmware's table; ``None`` if the table was edited and is
+        unusable.
         """
 
 
 @cache
 def _entry_points() -> dict[str, EntryPoint]:
-    """Entry points by the name of the firmware: those installed, and those of this package."""
+    """Return installed entry points and those of this package, by the name of the firmware."""
     from importlib.metadata import EntryPoint, entry_points  # which is slow to load
 
     folder = import_module(ENTRY_POINT_GROUP).__path__
-    own = [EntryPoint(m.name, f"{ENTRY_POINT_GROUP}.{m.name}:ADD_ON", ENTRY_POINT_GROUP)
+    bundled = [EntryPoint(m.name, f"{ENTRY_POINT_GROUP}.{m.name}:ADD_ON", ENTRY_POINT_GROUP)
            for m in pkgutil.iter_modules(folder) if m.ispkg]  # fmt: skip
-    return {one.name: one for one in (*entry_points(group=ENTRY_POINT_GROUP), *own)}
+    return {
+        entry_point.name: entry_point
+        for entry_point in (*entry_points(group=ENTRY_POINT_GROUP), *bundled)
+    }
 
 
 def add_on(name: str) -> AddOn:
     """Return the add-on for a firmware.
 
     Raises:
-        InputError: where there is none of that name, or it cannot be loaded.
+        InputError: if there is none of that name, or it cannot be loaded.
     """
     check_choice("firmware", name, _entry_points())
     try:
-        found: AddOn = _entry_points()[name].load()
+        loaded: AddOn = _entry_points()[name].load()
     except (ImportError, AttributeError) as error:
         raise InputError(
             f"the add-on for the firmware {name} cannot be loaded ({error}): install it again, or "
             f"remove it"
         ) from error
-    return found
+    return loaded
 
 
 def firmware_table(provenance: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
-    """Return the name of the firmware in the provenance of a machine file, and its table; an empty
-    name where no add-on has written one.
+    """Return the name and the table of the firmware in the provenance of a machine file; an empty
+    name if no add-on wrote the file.
     """
     for name, table in provenance.items():
         if isinstance(table, Mapping) and name in _entry_points():

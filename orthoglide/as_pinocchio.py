@@ -24,14 +24,14 @@ class PinocchioModel:
             relief joints that take up errors of the parts. Metres, kilograms, radians.
         constraint_models: ``pin.StdVec_ConstraintModel``, one a loop: point anchors for the
             parallelograms, frame anchors for the platform.
-        constraint_datas: the data that belong to them. Call ``calc(model, data, its_data)`` of each
+        constraint_datas: the data of these models. Call ``calc(model, data, its_data)`` of each
             constraint before asking for a constraint Jacobian.
         rigid_models: the same loops as ``RigidConstraintModel``, which Pinocchio's constrained
             dynamics (``constraintDynamics``, ``lcaba``) still asks for.
-        rigid_datas: the data that belong to those.
+        rigid_datas: the data of these models.
         visual_model: ``pin.GeometryModel`` for Pinocchio's viewers.
         q: configuration ``(nq,)`` at mechanical zero with all loops closed.
-        drives: places of the driven slides in the velocity vector ``(3,)``.
+        drives: indices of the driven slides in the velocity vector ``(3,)``.
         tool: number of the frame that is the tool.
     """
 
@@ -49,9 +49,9 @@ class PinocchioModel:
 def pinocchio_model(machine: MachineSource | None = None) -> PinocchioModel:
     """Return a machine as model, constraint models, visual model and a closed configuration.
 
-    Errors of the parts are frozen into joint placements as they are at mechanical zero. What
-    follows the command (a bent rail, a drive's scale) is left to ``Machine``, which maps a command
-    to displacements.
+    Errors of the parts are frozen into joint placements as they are at mechanical zero. Errors that
+    depend on the command (a bent rail, a drive's scale) are not included: ``Machine`` maps a
+    command to displacements.
 
     Args:
         machine: nominal or calibrated, or the path of its file; the published one where absent.
@@ -59,40 +59,31 @@ def pinocchio_model(machine: MachineSource | None = None) -> PinocchioModel:
     Raises:
         ClosureError: where the machine does not close at mechanical zero.
     """
-    own = Machine.of(machine)
-    tree = own.model.mechanism.tree
-    posture = own.close(own.geometry.zero)
+    machine = Machine.of(machine)
+    tree = machine.model.mechanism.tree
+    posture = machine.close(machine.geometry.zero)
     locked = [k for k in range(1, tree.model.njoints) if tree.model.joints[k].idx_v in tree.virtual]
-    solids = [visual_model(tree, own.model.mechanism.looped)]
+    solids = [visual_model(tree, machine.model.mechanism.looped)]
     model, (visual,) = pin.buildReducedModel(tree.model, solids, locked, posture.q)
-    kept = [k for k in range(tree.model.nq) if k not in set(tree.virtual.tolist())]
-    place = {int(old): new for new, old in enumerate(kept)}
-    drives = np.array([place[int(k)] for k in tree.drive])
-    free = np.array([place[int(k)] for k in tree.free])
-    none = np.zeros(0, dtype=np.intp)
-    reduced = Tree(model, tree.loops, tree.motors, drives, free, none, none, tree.tool)
+    kept_positions = [k for k in range(tree.model.nq) if k not in set(tree.virtual.tolist())]
+    reduced_position = {int(old): new for new, old in enumerate(kept_positions)}
+    drives = np.array([reduced_position[int(k)] for k in tree.drive])
+    free = np.array([reduced_position[int(k)] for k in tree.free])
+    no_joints = np.zeros(0, dtype=np.intp)
+    reduced = Tree(model, tree.loops, tree.motors, drives, free, no_joints, no_joints, tree.tool)
     constraints = Constraints(reduced)
     return PinocchioModel(
-        model,
-        constraints.models,
-        constraints.datas,
-        *_rigid_constraints(reduced),
-        visual,
-        posture.q[kept],
-        drives,
-        reduced.frame(tree.tool),
-    )
+        model, constraints.models, constraints.datas, *_rigid_constraints(reduced), visual,
+        posture.q[kept_positions], drives, reduced.frame(tree.tool),
+    )  # fmt: skip
 
 
 def _rigid_constraints(tree: Tree) -> tuple[Any, Any]:
-    """The loops as Pinocchio's older kind of constraint, with their data."""
+    """Return the loops as ``RigidConstraintModel``, with their data."""
     models, datas = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
     for loop in tree.loops:
-        first, second = (
-            tree.model.frames[tree.frame(name)] for name in (loop.frame_1, loop.frame_2)
-        )
         kind = pin.ContactType.CONTACT_3D if loop.kind == "point" else pin.ContactType.CONTACT_6D
-        places = (first.parentJoint, first.placement, second.parentJoint, second.placement)
-        models.append(pin.RigidConstraintModel(kind, tree.model, *places, pin.LOCAL))
+        ends = tree.loop_ends(loop)
+        models.append(pin.RigidConstraintModel(kind, tree.model, *ends, pin.LOCAL))
         datas.append(models[-1].createData())
     return models, datas

@@ -1,7 +1,7 @@
-"""The errors of the package: one root, each kind carrying its evidence.
+"""Exceptions of the package, each with its evidence as attributes.
 
-``InputError`` and its kinds are the caller's to mend (exit code 2 on the command line);
-``NumericsError`` and its kinds say that a computation failed (exit code 3).
+``InputError`` and its subclasses are mistakes of the caller (exit code 2 on the command line);
+``NumericsError`` and its subclasses are failed computations (exit code 3).
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 
 
 class OrthoglideError(Exception):
-    """Root of everything this package raises on purpose."""
+    """Base class of the exceptions of this package."""
 
 
 class InputError(OrthoglideError, ValueError):
-    """Something that was passed in cannot be used; the message says what would be right."""
+    """An argument cannot be used; the message states the remedy."""
 
 
 class FileError(InputError):
     """A file cannot be used.
 
     Args:
-        message: what is wrong and what would be right, in one sentence.
+        message: the problem and its remedy, in one sentence.
         file: the file's name as the caller gave it.
-        line: the line in question, counted from 1 with the header as line 1, where one is to blame.
+        line: number of the line in question, if any, counted from 1 with the header as line 1.
     """
 
     def __init__(self, message: str, *, file: str = "", line: int | None = None) -> None:
@@ -47,9 +47,9 @@ class UnreachableError(InputError):
 
     Args:
         message: which leg, and by how much.
-        leg: ``"x"``, ``"y"`` or ``"z"``, or ``""`` where the three legs miss each other together.
+        leg: ``"x"``, ``"y"`` or ``"z"``, or ``""`` where no single leg is too short.
         excess: by how much, in metres (positive).
-        index: place in the batch, ``()`` for a single pose.
+        index: index in the batch, ``()`` for a single pose.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class UnreachableError(InputError):
 
 
 class UnidentifiableError(InputError):
-    """The readings cannot determine what was asked.
+    """The readings cannot determine the requested parameters.
 
     Args:
         message: what cannot be determined, in words.
@@ -85,7 +85,7 @@ class ClosureError(NumericsError):
         message: what did not close, in words.
         residuals: the closure residual by loop, metres for points, and for the platform's frames
             the larger of metres and radians.
-        index: place in the batch, ``()`` for a single posture.
+        index: index in the batch, ``()`` for a single posture.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class ClosureError(NumericsError):
 
 
 class SolverError(NumericsError):
-    """An optimiser stopped without an answer that passes our own checks.
+    """An optimiser stopped without a solution that passes the checks of this package.
 
     Args:
         message: which check failed, and by how much.
@@ -126,71 +126,53 @@ class CrossCheckError(NumericsError):
         self.difference = difference
 
 
-def check_choice(what: str, given: object, known: Iterable[str]) -> None:
-    """Refuses a word that is none of those known, and says which there are.
+def check_choice(noun: str, value: object, choices: Iterable[str]) -> None:
+    """Raise an `InputError`, which lists the choices, for a value that is none of them."""
+    choices = tuple(choices)
+    if value not in choices:
+        raise InputError(f"there is no {noun} {value!r}: it is one of {', '.join(choices)}")
+
+
+def check_list(noun: str, value: object) -> None:
+    """Raise an `InputError` for a text in place of a list, which would be read by letters."""
+    if isinstance(value, str):
+        raise InputError(f"{noun} is a list of names: give [{value!r}], not {value!r}")
+
+
+def as_path(path: str | PathLike[str]) -> Path:
+    """Return a path.
 
     Raises:
-        InputError: naming what the word is for.
+        InputError: for any other type; the system takes a number for an open file.
     """
-    known = tuple(known)
-    if given not in known:
-        raise InputError(f"there is no {what} {given!r}: it is one of {', '.join(known)}")
+    if not isinstance(path, str | PathLike):
+        raise InputError(f"a {type(path).__name__} is no path: give the name of a file or folder")
+    return Path(path)
 
 
-def check_list(what: str, given: object) -> None:
-    """Refuses a single text where names are listed, which would be taken letter by letter.
-
-    Raises:
-        InputError: naming what the names are for.
-    """
-    if isinstance(given, str):
-        raise InputError(f"{what} is a list of names: give [{given!r}], not {given!r}")
+def check_integer(noun: str, value: object, minimum: int) -> int:
+    """Return a whole number; raise an `InputError` where it is less than the minimum."""
+    if not isinstance(value, Integral) or value < minimum:
+        raise InputError(f"{noun} must be {minimum} or more and whole, not {value!r}")
+    return int(value)
 
 
-def as_path(given: str | PathLike[str]) -> Path:
-    """A path; a number is none, which the system takes for a file that is open.
-
-    Raises:
-        InputError: for what is none, naming its type.
-    """
-    if not isinstance(given, str | PathLike):
-        raise InputError(f"a {type(given).__name__} is no path: give the name of a file or folder")
-    return Path(given)
-
-
-def check_integer(what: str, given: object, least: int) -> int:
-    """A whole number that is at least so large.
-
-    Raises:
-        InputError: naming what it is.
-    """
-    if not isinstance(given, Integral) or given < least:
-        raise InputError(f"{what} must be {least} or more and whole, not {given!r}")
-    return int(given)
-
-
-def check_mapping(what: str, given: object) -> None:
-    """Refuses what are no numbers by name.
-
-    Raises:
-        InputError: naming what they are, or the first that is no number.
-    """
-    if not isinstance(given, Mapping):
-        raise InputError(f"{what} go by name: give {{NAME: NUMBER}}, not a {type(given).__name__}")
-    for name, value in given.items():
+def check_mapping(noun: str, mapping: object) -> None:
+    """Raise an `InputError` unless a value is a mapping from names to numbers."""
+    if not isinstance(mapping, Mapping):
+        raise InputError(
+            f"{noun} go by name: give {{NAME: NUMBER}}, not a {type(mapping).__name__}"
+        )
+    for name, value in mapping.items():
         if not isinstance(value, Real):
             raise InputError(f"{name} must be a number, not {value!r}")
 
 
-def as_float_array(what: str, given: Any) -> NDArray[np.float64]:
-    """An array of numbers, of any shape.
-
-    Raises:
-        InputError: for texts, and rows of unequal length.
-    """
+def as_float_array(noun: str, values: Any) -> NDArray[np.float64]:
+    """Return an array of numbers; raise an `InputError` for texts and rows of unequal length."""
     import numpy as np
 
     try:
-        return np.asarray(given, dtype=float)
+        return np.asarray(values, dtype=float)
     except (TypeError, ValueError):
-        raise InputError(f"{what} must be numbers, in rows of one length") from None
+        raise InputError(f"{noun} must be numbers, in rows of one length") from None

@@ -1,4 +1,4 @@
-"""Files: read once and whole, and written whole or not at all."""
+"""Files: read in one go, and written completely or not at all."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from orthoglide.errors import FileError, as_path
 from orthoglide.text import printable_path
 
 TEXT_LIMIT = 2**20
-"""Largest file that people write by hand, bytes: it is read key by key."""
+"""Largest file that people write by hand, bytes; such files are parsed key by key."""
 
 FILE_LIMIT = 128 * 2**20
-"""Largest file that is read, bytes: a result with some hundred thousand readings has less."""
+"""Largest file that is read, bytes: beyond a result with some hundred thousand readings."""
 
 PIPE_TIMEOUT = 5.0
-"""How long a pipe may say nothing before it is given up, seconds."""
+"""How long a pipe may be silent before reading fails, seconds."""
 
 _READ_SIZE = 2**20
 _BOM = b"\xef\xbb\xbf"
 
 
 def result_file(path: str | os.PathLike[str], name: str) -> Path:
-    """The file of a result where its folder is given; any other path as it is."""
-    given = as_path(path)
-    return given / name if given.is_dir() else given
+    """Return the file of a result in a given folder; any other path unchanged."""
+    location = as_path(path)
+    return location / name if location.is_dir() else location
 
 
-def read_bytes(path: str | os.PathLike[str], most: int | None = None) -> bytes:
-    """A file's content, or that of a pipe, read once.
+def read_bytes(path: str | os.PathLike[str], max_size: int | None = None) -> bytes:
+    """Return the content of a file or a pipe.
 
     Args:
-        path: of it.
-        most: the largest that it may be, bytes; `LIMIT` where absent.
+        path: of the file.
+        max_size: largest size allowed, bytes; `FILE_LIMIT` where absent.
 
     Raises:
         FileError: where it is missing, empty, unreadable, too large, or a pipe into which nobody
@@ -47,9 +47,9 @@ def read_bytes(path: str | os.PathLike[str], most: int | None = None) -> bytes:
         InputError: for what is no path.
     """
     as_path(path)
-    most = FILE_LIMIT if most is None else most
+    max_size = FILE_LIMIT if max_size is None else max_size
     try:
-        content = _content(path, most)
+        content = _content(path, max_size)
     except FileNotFoundError:
         raise FileError(
             "there is no such file: check the name", file=printable_path(path)
@@ -64,45 +64,45 @@ def read_bytes(path: str | os.PathLike[str], most: int | None = None) -> bytes:
         raise FileError(
             f"cannot be read ({reason}): give a readable file", file=printable_path(path)
         ) from None
-    if len(content) > most:
+    if len(content) > max_size:
         raise FileError(
-            f"is larger than {most // 2**20} MB: give the right file", file=printable_path(path)
+            f"is larger than {max_size // 2**20} MB: give the right file", file=printable_path(path)
         )
     if not content.removeprefix(_BOM).strip():
         raise FileError("is empty: give a file with content", file=printable_path(path))
     return content
 
 
-def _content(path: str | os.PathLike[str], most: int) -> bytes:
-    """At most one byte more than is allowed."""
+def _content(path: str | os.PathLike[str], max_size: int) -> bytes:
+    """Return the content, of a file that is too large at most one byte more than is allowed."""
 
     def opener(name: str, flags: int) -> int:  # a pipe without a writer is not waited for here
         return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
 
     with open(path, "rb", buffering=0, opener=opener) as stream:
         if stat.S_ISREG(os.fstat(stream.fileno()).st_mode) or os.name == "nt":
-            return _read_up_to(most, stream.read)
+            return _read_up_to(max_size, stream.read)
         silent_since = time.monotonic()
 
         def read(count: int) -> bytes | None:
             nonlocal silent_since
-            left = silent_since + PIPE_TIMEOUT - time.monotonic()
-            if left <= 0 or not select.select([stream], [], [], left)[0]:
+            remaining = silent_since + PIPE_TIMEOUT - time.monotonic()
+            if remaining <= 0 or not select.select([stream], [], [], remaining)[0]:
                 raise TimeoutError
             silent_since = time.monotonic()
             return stream.read(count)
 
-        return _read_up_to(most, read)
+        return _read_up_to(max_size, read)
 
 
-def _read_up_to(most: int, read: Callable[[int], bytes | None]) -> bytes:
+def _read_up_to(max_size: int, read: Callable[[int], bytes | None]) -> bytes:
     content = bytearray()
-    while len(content) <= most:
+    while len(content) <= max_size:
         piece = read(_READ_SIZE)
         if piece == b"":
             break
         content += piece or b""  # None: another reader took it
-    return bytes(content[: most + 1])
+    return bytes(content[: max_size + 1])
 
 
 _BINARY = {
@@ -114,12 +114,15 @@ _BINARY = {
 
 
 def decode(content: bytes, path: str | os.PathLike[str], errors: str = "strict") -> str:
-    """UTF-8 text with or without byte order mark; anything else is a `FileError`.
+    """Return the text of UTF-8 content with or without byte order mark.
 
     Args:
         content: of the file.
         path: its name, for errors.
-        errors: ``"replace"`` where letters that are none do not matter.
+        errors: ``"replace"`` where invalid characters do not matter.
+
+    Raises:
+        FileError: for anything else than UTF-8 text.
     """
     for start, message in _BINARY.items():
         if content.startswith(start):
@@ -136,65 +139,62 @@ def decode(content: bytes, path: str | os.PathLike[str], errors: str = "strict")
 
 
 def sha256(content: bytes) -> str:
-    """Digest of a file's content, hexadecimal."""
+    """Return the digest of a file's content, hexadecimal."""
     return hashlib.sha256(content).hexdigest()
 
 
 def write_file(path: str | os.PathLike[str], content: str | bytes, *, overwrite: bool) -> None:
-    """Writes a file that appears whole or not at all; raises as :func:`write_files`."""
+    """Write a file completely or not at all; raises as :func:`write_files`."""
     write_files({as_path(path): content}, overwrite=overwrite)
 
 
-def write_files(
-    contents: Mapping[Path, str | bytes],
-    *,
-    overwrite: bool = False,
-) -> None:
-    """Writes files that appear whole, all of them or none.
+def write_files(contents: Mapping[Path, str | bytes], *, overwrite: bool = False) -> None:
+    """Write files completely, all of them or none.
 
     Args:
         contents: by path; text is encoded as UTF-8.
         overwrite: whether existing files may be replaced.
 
     Raises:
-        FileError: where a file stands already and may not be replaced, or none can be written.
+        FileError: where a file exists and may not be replaced, or a file cannot be written.
     """
-    waiting, put = dict[Path, Path](), list[Path]()
+    temporary, written = dict[Path, Path](), list[Path]()
     try:
         for target, content in contents.items():
             if not overwrite:
                 check_new(target)
             with as_file_errors(target):
-                waiting[target] = temporary_path(target)
-                with waiting[target].open("xb") as stream:
+                temporary[target] = temporary_path(target)
+                with temporary[target].open("xb") as stream:
                     stream.write(content.encode() if isinstance(content, str) else content)
-        for target, name in waiting.items():
+        for target, source in temporary.items():
             with as_file_errors(target):
-                _move_into_place(name, target, overwrite)
-            put.append(target)
+                _move_into_place(source, target, overwrite)
+            written.append(target)
     except BaseException:
-        for target in put if not overwrite else ():
+        for target in written if not overwrite else ():
             target.unlink(missing_ok=True)
         raise
     finally:
-        for name in waiting.values():
-            name.unlink(missing_ok=True)
+        for source in temporary.values():
+            source.unlink(missing_ok=True)
 
 
 def temporary_path(target: Path) -> Path:
-    """Where what is to be ``target`` waits, beside it: known before anything stands there, so an
-    interrupt at any moment finds what to remove.
+    """Return the path of a temporary file beside ``target``.
+
+    It is known before the file is created, so that an interrupt at any moment can remove the file.
     """
     return target.parent / f".orthoglide-{secrets.token_hex(8)}"
 
 
 def _move_into_place(name: Path, target: Path, overwrite: bool) -> None:
-    """Give a finished file its name; another process may have taken it a moment ago."""
+    """Rename a finished file; another process may have created the target meanwhile."""
     if overwrite:
         os.replace(name, target)
         return
     try:
-        os.link(name, target)  # never over another, a link to nothing included
+        os.link(name, target)  # never replaces another file or a dangling link
     except FileExistsError:
         raise _exists_error(target) from None
     except OSError:  # a file system without hard links: take the name, then fill it
@@ -212,10 +212,10 @@ def _exists_error(path: str | os.PathLike[str]) -> FileError:
 
 
 def check_new(path: str | os.PathLike[str]) -> None:
-    """Refuse a name that stands already, or that no file can have, with a `FileError`."""
+    """Raise a `FileError` for a name that exists, or that no file can have."""
     with as_file_errors(path):
         try:
-            os.lstat(path)  # a link to nothing stands as well
+            os.lstat(path)  # a dangling link counts as existing
         except (FileNotFoundError, NotADirectoryError):
             return
     raise _exists_error(path)
@@ -223,7 +223,7 @@ def check_new(path: str | os.PathLike[str]) -> None:
 
 @contextmanager
 def as_file_errors(path: str | os.PathLike[str]) -> Iterator[None]:
-    """What the system refuses within is a `FileError` that names the path."""
+    """Turn errors of the system within the block into a `FileError` that names the path."""
     try:
         yield
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Files of firmware by their contents: which one wrote a file, and what to do with it."""
+"""Firmware that wrote a file, by the contents of the file, and what to do with it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _PLATES_ADVICE = (
     f"{MACHINE_OPTION} --out DIR"
 )
 _NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
-_OTHER_FILES = {  # files that describe no machine: what stands in no others, and what to do with them
+_OTHER_FILES = {  # of no machine: text that only such files contain, and what to do with them
     "archive": (
         r"\A(?:PK\x03\x04|\x1f|BZh|7z\xbc\xaf|\xfd7zXZ|Rar!)",
         "is an archive: unpack it, and give the file in it",
@@ -41,8 +41,8 @@ _OTHER_FILES = {  # files that describe no machine: what stands in no others, an
 }  # fmt: skip
 _M665 = (r"^.*\bM665\b[^;\n]*?\bL *([\d.:]+)", r"^.*\bM665\b[^;\n]*?\bR *([\d.:]+)")
 _BED_LINES = "probe the plate (G29), save its lines 'Bed X: Y: Z:' and read them"
-_FIRMWARE_CONFIGS = {  # files that describe a machine: what stands in no others, how the firmware touches
-    # the plate, and where lengths of the arms and the radius less the platform's stand
+_FIRMWARE_CONFIGS = {  # of a machine: text that only such files contain, how the firmware touches
+    # the plate, and patterns of the arms' length and of the radius less the platform's
     "Smoothieware's config": (
         r"^[ \t]*(?:arm_solution|(?:alpha|beta|gamma)_[\w.]+|zprobe\.\w+|leveling-strategy\.\S+)"
         r"[ \t]+\S|^;Optional arm solution specific",
@@ -70,38 +70,38 @@ def refuse_foreign(path: Path, content: bytes, accepted: Collection[str]) -> Non
     """Refuse a file that another firmware wrote, or that another command reads.
 
     Args:
-        path: of the file.
-        content: its first bytes.
-        accepted: kinds that are welcome, as is one that nobody knows.
+        path: path of the file.
+        content: first bytes of the file.
+        accepted: kinds that are accepted, as are unknown ones.
 
     Raises:
-        FileError: saying what the file is and what to write instead.
+        FileError: states what the file is and what to do instead.
     """
-    plain = content.removeprefix(b"\xef\xbb\xbf")
-    text = plain.decode("latin-1").replace("\r\n", "\n").replace("\r", "\n")
+    body = content.removeprefix(b"\xef\xbb\xbf")
+    text = body.decode("latin-1").replace("\r\n", "\n").replace("\r", "\n")
+    file = printable_path(path)
     for kind, (pattern, message) in _OTHER_FILES.items():
         if re.search(pattern, text, re.MULTILINE):
             if kind in accepted:
                 return
-            raise FileError(
-                message.format(shlex.quote(printable_path(path))), file=printable_path(path)
-            )
-    for name, (pattern, touch, arm, radius) in _FIRMWARE_CONFIGS.items():
+            raise FileError(message.format(shlex.quote(file)), file=file)
+    for name, (pattern, touch_advice, arm, radius) in _FIRMWARE_CONFIGS.items():
         if re.search(pattern, text, re.MULTILINE):
             sizes = [f"L = {value:.7g}" for value in _mean_value(arm, text)]
             sizes += [f"radius_mm less r_mm = {value:.7g}" for value in _mean_value(radius, text)]
-            given = f" with {' and '.join(sizes)}" if sizes else ""
+            sizes_text = f" with {' and '.join(sizes)}" if sizes else ""
             raise FileError(
                 f'is {name}, which is not read: write a machine file of kind "linear-delta"'
-                f"{given}, as docs/linear-deltas.md says; then {touch} by orthoglide import plates",
-                file=printable_path(path),
+                f"{sizes_text}, as docs/linear-deltas.md says; then {touch_advice} by orthoglide "
+                f"import plates",
+                file=file,
             )
 
 
 def _mean_value(pattern: str, text: str) -> list[float]:
-    """Return the number of a file, or the mean of several parted by colons, as a list of one; an
-    empty list where there is none.
+    """Return the number that a pattern finds, or the mean of several separated by colons, as a list
+    of one; an empty list without any.
     """
-    found = re.search(pattern, text, re.MULTILINE | re.IGNORECASE)
-    values = [float(v) for v in re.findall(_NUMBER, found[1])] if found else []
+    match = re.search(pattern, text, re.MULTILINE | re.IGNORECASE)
+    values = [float(v) for v in re.findall(_NUMBER, match[1])] if match else []
     return [sum(values) / len(values)] if values else []

@@ -16,7 +16,7 @@ __all__ = ["Framed", "data_frame", "html_table"]
 
 
 class Framed(ABC):
-    """What shows itself as a table: its ``columns``, in the units of files."""
+    """An object that is displayed as a table of its ``columns``, in the units of files."""
 
     _index: ClassVar[str | None] = None
 
@@ -26,7 +26,7 @@ class Framed(ABC):
         """Columns of equal length by name."""
 
     def to_frame(self) -> pd.DataFrame:
-        """The columns as a data frame.
+        """Return the columns as a data frame.
 
         Raises:
             InputError: where pandas is not installed.
@@ -38,7 +38,7 @@ class Framed(ABC):
 
 
 def data_frame(columns: Mapping[str, Sequence[Any]], index: str | None = None) -> pd.DataFrame:
-    """A pandas data frame of columns.
+    """Return a pandas data frame of columns.
 
     Args:
         columns: of equal length, by name.
@@ -56,8 +56,8 @@ def data_frame(columns: Mapping[str, Sequence[Any]], index: str | None = None) -
 
 
 def html_table(caption: str, columns: Mapping[str, Sequence[Any]], rows: int = 20) -> str:
-    """An HTML table of columns by name, its long middle left out; floats are shown with five
-    digits.
+    """Return an HTML table of columns by name; the middle of a long table is left out, and floats
+    have five digits.
     """
     lines = list(zip(*columns.values(), strict=True))
     if len(lines) > rows:
@@ -69,5 +69,5 @@ def html_table(caption: str, columns: Mapping[str, Sequence[Any]], rows: int = 2
 
 
 def _cells(kind: str, values: Iterable[Any]) -> str:
-    shown = (f"{v:.5g}" if isinstance(v, float) else str(v) for v in values)
-    return "".join(f"<{kind}>{escape(text)}</{kind}>" for text in shown)
+    texts = (f"{v:.5g}" if isinstance(v, float) else str(v) for v in values)
+    return "".join(f"<{kind}>{escape(text)}</{kind}>" for text in texts)

@@ -1,4 +1,4 @@
-"""The nominal machine in numbers: dimensions, legs and their frames, the named postures.
+"""The nominal machine: dimensions, legs and their frames, named postures.
 
 Leg ``i`` carries a frame with columns ``(a, b, c)``: ``a`` is its slide, ``b`` the pivots of its
 parallelogram, ``c`` its first and last revolute and the direction of its short links. On the
@@ -21,24 +21,24 @@ from orthoglide.errors import InputError, as_float_array, check_choice
 Array = NDArray[np.float64]
 Leg = Literal["x", "y", "z"]
 
+Mode = Literal["machine", "other"]
+"""The machine's own assembly mode, or its mirror image in the plane of the carriages."""
+
 LEGS: tuple[Leg, Leg, Leg] = ("x", "y", "z")
 """The base axes, and the Orthoglide's legs: its leg i slides along base axis i."""
 
-_FAR = 4.0  # bars' lengths beyond the stroke; legs two apart no longer meet
+_FAR = 4.0  # bar lengths beyond the stroke, where two legs no longer meet
 _LARGEST = 10.0  # metres
-_USUAL_BAR_LENGTHS = (
-    0.15,
-    0.6,
-)  # metres: bars of machines whose parts are made to the same tolerances
+_USUAL_BAR_LENGTHS = 0.15, 0.6  # metres: machines whose parts are made to the same tolerances
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the platform is.
+    """Pose of the platform.
 
     Attributes:
         p: TCP ``(..., 3)``, metres.
-        R: rotation of the platform ``(..., 3, 3)``; the identity while all errors fit together.
+        R: rotation of the platform ``(..., 3, 3)``, the identity of a machine without errors.
     """
 
     p: Array
@@ -46,11 +46,10 @@ class Pose:
 
 
 def vectors(values: ArrayLike, name: str) -> Array:
-    """Points or commands ``(..., 3)``, metres; ``name`` is what they are called where they are
-    refused.
+    """Return points or commands ``(..., 3)`` as an array, metres; messages call them ``name``.
 
     Raises:
-        InputError: where the shape is another, or something is no finite number.
+        InputError: for another shape, or values that are not finite numbers.
     """
     array = as_float_array(name, values)
     if array.ndim == 0 or array.shape[-1] != 3:
@@ -61,9 +60,9 @@ def vectors(values: ArrayLike, name: str) -> Array:
 
 
 def align_points(points: Array, source: Array, target: Array) -> Array:
-    """Points ``(n, 3)`` by the rigid motion that brings points ``source`` nearest to ``target``.
+    """Return points ``(n, 3)`` after the rigid motion that fits ``source`` to ``target``.
 
-    In the least squares, by singular values (Kabsch 1976), and never by a mirror.
+    The fit is least squares by singular values, without reflection (Kabsch 1976).
     """
     centre, goal = source.mean(axis=0), target.mean(axis=0)
     left, _, right = np.linalg.svd((source - centre).T @ (target - goal))
@@ -72,24 +71,24 @@ def align_points(points: Array, source: Array, target: Array) -> Array:
 
 
 def rotation_columns(points: Array, axis: NDArray[np.int64]) -> Array:
-    """By how much small turns about x, y and z move a coordinate of each point ``(n, 3)``.
+    """Return the derivative ``(n, 3)`` of one coordinate a point by rotations about x, y and z.
 
     Args:
         points: ``(n, 3)``.
-        axis: which coordinate of it ``(n,)``.
+        axis: coordinate of each point ``(n,)``.
     """
     rows = np.arange(len(points))
     return np.stack([np.cross(e, points)[rows, axis] for e in np.eye(3)], axis=1)
 
 
 def plane_columns(points: Array) -> Array:
-    """What a height and two slopes make of it at points ``(n, 2 or more)``: ``(n, 3)``."""
+    """Return columns ``(n, 3)`` of height and two slopes of a plane at points ``(n, 2+)``."""
     return np.column_stack([np.ones(len(points)), points[:, :2]])
 
 
 def axial_vectors(matrices: Array) -> Array:
-    """Axial vectors ``(n, 3, ...)`` of matrices ``(n, 3, 3, ...)``: of rotations the sine of the
-    angle times the axis, of small ones the turn about x, y and z.
+    """Return the axial vectors ``(n, 3, ...)`` of matrices ``(n, 3, 3, ...)``: of a rotation the
+    axis times the sine of the angle, of a small one the angles about x, y and z.
     """
     return np.asarray(0.5 * (matrices[:, [2, 0, 1], [1, 2, 0]] - matrices[:, [1, 2, 0], [2, 0, 1]]))
 
@@ -130,7 +129,7 @@ class Geometry:
                 f"within a bar's length, not {self.stroke}"
             )
         object.__setattr__(self, "stroke", limits)
-        _ = self.legs  # which says where bars are too short
+        _ = self.legs  # raises an error where bars are too short
 
     @cached_property
     def legs(self) -> tuple[layouts.Leg, layouts.Leg, layouts.Leg]:
@@ -144,15 +143,13 @@ class Geometry:
 
     @cached_property
     def centres(self) -> Array:
-        """Where each leg's bars begin at mechanical zero if all are carried to the tool
-        ``(leg, 3)``, metres.
-        """
+        """Centres ``(leg, 3)`` of the spheres on which the TCP lies at mechanical zero, metres."""
         return np.stack([leg.carriage - leg.platform for leg in self.legs])
 
     @property
     def scale(self) -> float:
-        """By how much its parts are made coarser than those of a machine of a workshop's size:
-        1 for bars of 150 to 600 mm, beyond them in proportion to their length.
+        """Factor of the tolerances relative to a machine of a workshop's size: 1 for bars of 150
+        to 600 mm, beyond these in proportion to their length.
         """
         return self.L / min(max(self.L, _USUAL_BAR_LENGTHS[0]), _USUAL_BAR_LENGTHS[1])
 
@@ -163,7 +160,7 @@ class Geometry:
 
     @property
     def dialled(self) -> bool:
-        """Whether dials are set against its legs: those of the Orthoglide, along base axes."""
+        """Whether dials can be set against its legs: only on the Orthoglide."""
         return self.layout == layouts.ORTHOGLIDE
 
     @property
@@ -172,18 +169,16 @@ class Geometry:
         return np.full(3, self.layout.zero(self.L))
 
     def commands(self, values: ArrayLike, name: str = "") -> Array:
-        """``values`` as commands ``(..., 3)``, metres; a message calls them ``name``, if given.
+        """Return ``values`` as commands ``(..., 3)``, metres; messages call them ``name``.
 
         Raises:
-            InputError: where they are no numbers, have another shape, or lie so far from any reach
-                that they must be millimetres.
+            InputError: for values that are no numbers, have another shape, or are so large that
+                they must be millimetres.
         """
         name = name or self.layout.names.command
         rho = vectors(values, name)
-        beyond = np.abs(rho - self.layout.zero(self.L)).max(initial=0.0) - max(
-            map(abs, self.stroke)
-        )
-        if beyond > _FAR * self.L:
+        largest = np.abs(rho - self.layout.zero(self.L)).max(initial=0.0)
+        if largest - max(map(abs, self.stroke)) > _FAR * self.L:
             raise InputError(
                 f"{name}: {np.abs(rho).max():g} m is far from any reach of a machine whose bars "
                 f"are {self.L:g} m long: give commands in metres, not millimetres"
@@ -191,7 +186,7 @@ class Geometry:
         return rho
 
     def command_on_axis(self, leg: int, travel: ArrayLike) -> Array:
-        """Commands that move the nominal TCP along a base axis (2008, section 2.4).
+        """Return commands that move the nominal TCP along a base axis (2008, section 2.4).
 
         Args:
             leg: 0, 1 or 2: the axis.
@@ -209,7 +204,7 @@ class Geometry:
         return self.layout.on_axis(self.L, leg, np.asarray(travel, dtype=float))
 
     def command(self, posture: str) -> Array:
-        """Command ``(3,)`` of a named posture: ``zero``, ``xmax``, ``xmin``, ``ymax`` ...
+        """Return the command ``(3,)`` of a named posture: ``zero``, ``xmax``, ``xmin`` ...
 
         Raises:
             InputError: for an unknown name.
@@ -225,9 +220,6 @@ class Geometry:
         return self.command_on_axis(LEGS.index(axis), self.stroke[posture[1:] == "max"])
 
     def in_stroke(self, rho: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Which commands ``rho`` ``(..., 3)`` lie within the stroke: booleans ``(..., 3)``.
-
-        Both limits are wider by ``slack``, metres.
-        """
+        """Return which commands ``rho (..., 3)`` are in the stroke, with ``slack`` metres."""
         travel = np.asarray(rho, dtype=float) - self.layout.zero(self.L)
         return (travel >= self.stroke[0] - slack) & (travel <= self.stroke[1] + slack)

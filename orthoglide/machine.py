@@ -1,4 +1,4 @@
-"""``Machine``: what a user keeps of one Orthoglide, nominal or calibrated."""
+"""``Machine``: one machine, nominal or calibrated."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Machine:
     """One machine: its dimensions, tolerances and identified parameters. Immutable.
 
     Attributes:
-        spec: everything its machine file holds, SI.
+        spec: content of its machine file, SI.
     """
 
     spec: MachineFile = field(default_factory=MachineFile)
@@ -57,7 +57,7 @@ class Machine:
     def __repr__(self) -> str:
         names = list(self.spec.parameters)
         more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-        errors = ", ".join(names[:3]) + more if names else "no errors"
+        errors = (", ".join(names[:3]) or "no errors") + more
         return f"<Machine {self.spec.name!r}: {errors}>"
 
     @classmethod
@@ -67,15 +67,15 @@ class Machine:
 
     @classmethod
     def of(cls, given: MachineSource | None, effects: Iterable[Effect] = ()) -> Machine:
-        """Return a machine as it is, from its file or of dimensions; by default the nominal one.
+        """Return a machine given as such, by its file or by dimensions; by default the nominal one.
 
         Args:
             given: the machine, its file as read, the path of that, or dimensions.
-            effects: of one's own, known besides.
+            effects: user-defined effects to add.
 
         Raises:
             FileError: naming file, line and remedy.
-            InputError: for what is neither.
+            InputError: for any other type.
         """
         if isinstance(given, str | os.PathLike):
             return cls.load(given, effects)
@@ -84,11 +84,11 @@ class Machine:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], effects: Iterable[Effect] = ()) -> Machine:
-        """A machine from its file (``machine.toml``).
+        """Return the machine of a file (``machine.toml``).
 
         Args:
             path: the file.
-            effects: of one's own, which the file may name.
+            effects: user-defined effects, which the file may name.
 
         Raises:
             FileError: naming file, line and remedy.
@@ -101,20 +101,20 @@ class Machine:
     def from_urdf(
         cls, folder: str | os.PathLike[str], given: MachineSource | None = None
     ) -> Machine:
-        """Return a machine whose joints are where a URDF of three PRPaR legs says.
+        """Return a machine with the joint placements of a URDF of three PRPaR legs.
 
         Args:
             folder: with ``orthoglide.urdf`` and ``orthoglide.closures.toml``.
-            given: the rest; of its dimensions the command at mechanical zero, the stroke and the
-                places of dials are used.
+            given: machine with everything else; of its dimensions the command at mechanical zero,
+                the stroke and the places of dials are used.
 
         Raises:
-            FileError: where a file is missing or says what cannot be.
+            FileError: where a file is missing or invalid.
             InputError: where the URDF has other legs.
         """
         path = as_path(folder).resolve()
         machine = cls(replace(cls.of(given).spec, name=path.name, urdf=str(path)))
-        machine.model.engine  # noqa: B018  (which reads the files, and looks at the pivots)
+        machine.model.engine  # noqa: B018  (reads the files and checks the pivots)
         return machine
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
@@ -123,7 +123,7 @@ class Machine:
         The covariance of its parameters goes beside it, ``machine.npz`` to ``machine.toml``.
 
         Raises:
-            FileError: where a file stands already and ``overwrite`` is false.
+            FileError: where the file exists and ``overwrite`` is false.
         """
         write_machine_file(self.spec, path, overwrite=overwrite)
 
@@ -134,11 +134,11 @@ class Machine:
 
     @property
     def catalogue(self) -> Catalogue:
-        """The effects that this machine may have."""
+        """Effects that this machine may have."""
         return self.spec.catalogue
 
     def with_effects(self, effects: Iterable[Effect]) -> Machine:
-        """The same machine, with a user's own effects beside those it knows.
+        """Return this machine with user-defined effects added to its catalogue.
 
         Raises:
             InputError: where two effects share a name, or a basis does not work on symbols.
@@ -146,9 +146,8 @@ class Machine:
         catalogue = self.catalogue.with_effects(effects)
         if catalogue.effects == self.catalogue.effects:
             return self
-        machine = Machine(replace(self.spec, catalogue=catalogue))
-        machine.__dict__["_models"] = [m.with_catalogue(catalogue) for m in self._models]
-        return machine
+        models = [model.with_catalogue(catalogue) for model in self._models]
+        return self._with_models(replace(self.spec, catalogue=catalogue), models)
 
     @property
     def values(self) -> dict[str, float]:
@@ -157,12 +156,12 @@ class Machine:
 
     @property
     def posterior(self) -> Posterior:
-        """What is known of the parameters; independent by their sigmas where no more is."""
+        """Posterior of the parameters; independent with their sigmas where the file has none."""
         return self.spec.posterior or self.spec.independent
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was noticed when the machine was loaded, in sentences."""
+        """Warnings from loading the machine, in sentences."""
         return self.spec.warnings
 
     def tolerance(self, name: str) -> float:
@@ -172,20 +171,20 @@ class Machine:
     def with_parameters(
         self, values: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Machine:
-        """The same machine with parameters set, SI; structured members set those they stand for,
-        and what several say of one is added.
+        """Return this machine with parameters set, SI; a structured member sets the parameters that
+        it stands for, and contributions to one parameter are added.
 
-        The covariance of a calibrated machine is about other values and is left behind: what is
-        then known of its parameters are their standard deviations alone.
+        The covariance of a calibrated machine belongs to other values and is dropped: only the
+        standard deviations of its parameters are kept.
 
         Args:
             values: such as ``{"joint_offset.x": 1e-3, "axis_tilt.cyclic": 2e-3}``.
             sigmas: standard deviations of some of them; 0 (known) where not given.
 
         Raises:
-            InputError: for a name that is no parameter of the machine or one campaign's, a value
-                that is no number or must be in another unit, and a standard deviation that is none
-                or of another parameter.
+            InputError: for a name that is no parameter of the machine or is specific to a
+                campaign, a value that is no number or is in another unit, and a standard deviation
+                that is invalid or belongs to another parameter.
         """
         check_magnitudes(self.spec, values)
         return self._with_entries(dict(self.spec.parameters), values, sigmas or {})
@@ -193,17 +192,15 @@ class Machine:
     def with_only(
         self, values: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Machine:
-        """The same machine with these parameters and no others; arguments as for
-        :meth:`with_parameters`.
-        """
+        """Return this machine with only these parameters; arguments as for `with_parameters`."""
         return self._with_entries({}, values, sigmas or {})
 
     def with_posterior(self, values: Mapping[str, float], posterior: Posterior) -> Machine:
-        """The same machine with these parameters and no others, and what is known of them.
+        """Return this machine with only these parameters, and their posterior.
 
         Args:
             values: elementary parameters, SI.
-            posterior: of them and others about these values, 0 where there is none.
+            posterior: of these parameters about ``values``, and of others about 0.
 
         Raises:
             InputError: for a name that is no single parameter of the machine.
@@ -214,8 +211,8 @@ class Machine:
         return self._with_entries({}, values, posterior.sigmas, posterior.recentred(values))
 
     def with_provenance(self, provenance: Mapping[str, Any]) -> Machine:
-        """The same machine, with where its parameters come from."""
-        return self._with_shared_model(replace(self.spec, provenance=dict(provenance)))
+        """Return this machine with the provenance of its parameters."""
+        return self._with_models(replace(self.spec, provenance=dict(provenance)), self._models)
 
     def _with_entries(
         self,
@@ -226,19 +223,19 @@ class Machine:
     ) -> Machine:
         if posterior is None:
             check_sigmas(values, sigmas)
-        given = parameter_entries(self.catalogue, values, sigmas)
-        made = replace(self.spec, parameters=entries | given, posterior=posterior, warnings=())
-        return self._with_shared_model(replace(made, file="", sha256=""))
+        parameters = entries | parameter_entries(self.catalogue, values, sigmas)
+        spec = replace(self.spec, parameters=parameters, posterior=posterior, warnings=())
+        return self._with_models(replace(spec, file="", sha256=""), self._models)
 
-    def _with_shared_model(self, spec: MachineFile) -> Machine:
-        """A machine of the same tree, which shares what is costly to build."""
+    def _with_models(self, spec: MachineFile, models: list[Model]) -> Machine:
+        """Return a machine of the same tree with a model that is built already, or will be."""
         machine = Machine(spec)
-        machine.__dict__["_models"] = self._models
+        machine.__dict__["_models"] = models
         return machine
 
     @cached_property
     def _models(self) -> list[Model]:
-        """The model of all machines of this tree, once one of them has asked for it."""
+        """The model that machines of this tree share; empty until one of them needs it."""
         return []
 
     @cached_property
@@ -246,31 +243,29 @@ class Machine:
         """The general mechanism with this machine's dimensions."""
         if not self._models:
             spec = self.spec
-            elastic, known = spec.stiffness, spec.catalogue
-            built = Model(
-                spec.geometry, spec.screw_pitch, stiffness=elastic, catalogue=known, urdf=spec.urdf
-            )
-            self._models.append(built)
+            model = Model(
+                spec.geometry, spec.screw_pitch, stiffness=spec.stiffness,
+                catalogue=spec.catalogue, urdf=spec.urdf,
+            )  # fmt: skip
+            self._models.append(model)
         return self._models[0]
 
     def by_pinocchio(self) -> Machine:
-        """Return the same machine with every posture closed by Pinocchio itself, which is slow."""
-        machine = Machine(self.spec)
-        machine.__dict__["_models"] = [self.model.by_pinocchio()]
-        return machine
+        """Return this machine with every posture closed by Pinocchio itself, which is slow."""
+        return self._with_models(self.spec, [self.model.by_pinocchio()])
 
     @cached_property
     def _theta(self) -> Array:
         """All parameters of the machine as the model takes them."""
         return self.model.parameter_vector(self.values)
 
-    def pose(self, rho: ArrayLike, **seen: ArrayLike) -> Pose:
-        """Pose of the platform.
+    def pose(self, rho: ArrayLike, **conditions: ArrayLike) -> Pose:
+        """Return the pose of the platform.
 
         Args:
             rho: commands ``(..., 3)``, metres (2008, eq. 2).
-            seen: conditions where they matter: ``approach (..., 3)``, +1, -1, or 0 where it is
-                unknown, the middle of the dead band; ``time``, ``warming``, ``load (...)``.
+            conditions: where effects depend on them: ``approach (..., 3)``, +1, -1, or 0 for
+                unknown (the middle of the dead band); ``time``, ``warming``, ``load (...)``.
 
         Raises:
             ClosureError: where a posture does not close.
@@ -278,25 +273,24 @@ class Machine:
                 or commands so large that they must be millimetres.
         """
         commands = self.geometry.commands(rho)
-        out, shape = self._outputs(commands, seen), commands.shape[:-1]
-        return Pose(out.p.reshape(*shape, 3), out.R.reshape(*shape, 3, 3))
+        out = self._outputs(commands, conditions)
+        return Pose(out.p.reshape(commands.shape), out.R.reshape(*commands.shape, 3))
 
-    def _outputs(self, commands: Array, seen: Mapping[str, ArrayLike]) -> Outputs:
-        """What closed postures show, one row a command."""
+    def _outputs(self, commands: Array, conditions: Mapping[str, ArrayLike]) -> Outputs:
+        """Return the outputs of closed postures, one row a command."""
+        at_commands = Conditions.from_commands(commands, **conditions)
         try:
-            return self.model.outputs_of_vector(
-                self._theta, Conditions.from_commands(commands, **seen)
-            )
+            return self.model.outputs_of_vector(self._theta, at_commands)
         except ClosureError as error:
             error.index = batch_index(commands.shape[:-1], error.index)
             raise
 
-    def close(self, rho: ArrayLike, **seen: ArrayLike) -> Posture:
-        """Close one posture in Pinocchio, with every passive joint, errors of the parts included.
+    def close(self, rho: ArrayLike, **conditions: ArrayLike) -> Posture:
+        """Close one posture in Pinocchio and return all its joints, errors of the parts included.
 
         Args:
             rho: command ``(3,)``, metres.
-            seen: conditions as for :meth:`pose`.
+            conditions: as for :meth:`pose`.
 
         Raises:
             ClosureError: where the posture does not close, with the residual by loop.
@@ -304,13 +298,12 @@ class Machine:
         command = self.geometry.commands(rho)
         if command.shape != (3,):
             raise InputError(f"close takes one command of shape (3,), not {command.shape}")
-        moves = self.model.loaded_displacements(
-            self.values, Conditions.from_commands(command, **seen)
-        )
+        at_command = Conditions.from_commands(command, **conditions)
+        moves = self.model.loaded_displacements(self.values, at_command)
         return self.model.mechanism.close(command, moves.reshape(3, -1))
 
     def posed(self, rho: ArrayLike | None = None) -> Posed:
-        """Return the machine as drawings show it, at a command ``(3,)`` or mechanical zero."""
+        """Return the machine for drawings, at a command ``(3,)`` or at mechanical zero."""
         command = self.geometry.zero if rho is None else self.geometry.commands(rho)
         out = self.model.outputs(self.values, Conditions.from_commands(command))
         return Posed(self.geometry, out.lines[0], out.p[0], command - self.geometry.zero)
@@ -322,7 +315,7 @@ class Machine:
         magnify: float = 1.0,
         out: str | os.PathLike[str] | None = None,
         open_browser: bool = False,
-        **seen: ArrayLike,
+        **conditions: ArrayLike,
     ) -> Any:
         """Show the machine, its loops closed, in Pinocchio's meshcat viewer, which is returned.
 
@@ -332,54 +325,50 @@ class Machine:
                 them in grey.
             out: page to write, one file that needs no network; none where absent.
             open_browser: whether a browser opens at the viewer's address.
-            seen: conditions as for :meth:`pose`.
+            conditions: as for :meth:`pose`.
 
         Raises:
-            InputError: where meshcat is missing, or the loops do not close with errors as large.
-            FileError: where ``out`` stands already.
+            InputError: where meshcat is missing, or the loops do not close with enlarged errors.
+            FileError: where ``out`` exists.
         """
         from orthoglide.viewer import MagnifiedMachine, show, static_page
 
         command = self.geometry.zero if rho is None else self.geometry.commands(rho)
-        machine = MagnifiedMachine(self.model, self.values, seen, magnify)
+        machine = MagnifiedMachine(self.model, self.values, conditions, magnify)
         viewer = show(machine, command, open_browser=open_browser)
         if out is not None:
             write_file(out, static_page(viewer, machine, self.spec.title), overwrite=False)
         return viewer
 
     def _repr_svg_(self) -> str:
-        return drawing(
-            self.posed(), title=f"The machine {self.spec.name}".rstrip(), standalone=True
-        )
+        title = f"The machine {self.spec.name}".rstrip()
+        return drawing(self.posed(), title=title, standalone=True)
 
-    def bar_tensions(self, rho: ArrayLike, **seen: ArrayLike) -> Array:
-        """Pull in the bars ``(..., leg, bar)`` under a ``load``, newtons; arguments as for
-        :meth:`pose`.
+    def bar_tensions(self, rho: ArrayLike, **conditions: ArrayLike) -> Array:
+        """Return the tension of the bars ``(..., leg, bar)`` under a ``load``, newtons; arguments
+        as for :meth:`pose`.
         """
         commands = self.geometry.commands(rho)
-        found = self.model.tensions(self.values, Conditions.from_commands(commands, **seen))
-        return found.reshape(*commands.shape[:-1], 3, 2)
+        at_commands = Conditions.from_commands(commands, **conditions)
+        tensions = self.model.tensions(self.values, at_commands)
+        return tensions.reshape(*commands.shape, 2)
 
-    def forward(self, rho: ArrayLike, **seen: ArrayLike) -> Array:
-        """TCP ``(..., 3)``, metres, for commands ``(..., 3)``; arguments as for :meth:`pose`."""
+    def forward(self, rho: ArrayLike, **conditions: ArrayLike) -> Array:
+        """Return the TCP ``(..., 3)``, metres, of commands; arguments as for :meth:`pose`."""
         commands = self.geometry.commands(rho)
-        return self._outputs(commands, seen).p.reshape(commands.shape)
+        return self._outputs(commands, conditions).p.reshape(commands.shape)
 
-    def jacobian(self, rho: ArrayLike, **seen: ArrayLike) -> Array:
-        """dp/drho ``(..., 3, 3)``: how the TCP follows the command, all errors included.
-
-        Arguments as for :meth:`pose`.
-        """
+    def jacobian(self, rho: ArrayLike, **conditions: ArrayLike) -> Array:
+        """Return dp/drho ``(..., 3, 3)`` of the TCP; arguments as for :meth:`pose`."""
         commands = self.geometry.commands(rho)
-        conditions = Conditions.from_commands(commands, **seen)
-        found = self.model.jacobian(self.values, conditions)
-        return found.reshape(*commands.shape[:-1], 3, 3)
+        rates = self.model.jacobian(self.values, Conditions.from_commands(commands, **conditions))
+        return rates.reshape(*commands.shape, 3)
 
-    def inverse(self, p: ArrayLike, **seen: ArrayLike) -> Array:
-        """Commands ``(..., 3)`` that bring the TCP to ``p`` ``(..., 3)`` given all its effects.
+    def inverse(self, p: ArrayLike, **conditions: ArrayLike) -> Array:
+        """Return the commands ``(..., 3)`` that bring the TCP to ``p`` ``(..., 3)``, metres.
 
-        What an effect does depends on the command, so the drives are corrected until the predicted
-        TCP is the wanted one. Metres; ``seen`` as for :meth:`pose`.
+        Effects depend on the command, so the command is corrected until the predicted TCP is ``p``.
+        The ``conditions`` are as for :meth:`pose`.
 
         Raises:
             UnreachableError: naming the leg that is too short.
@@ -393,19 +382,19 @@ class Machine:
             error.index = batch_index(goal.shape[:-1], error.index)
             raise
         for _ in range(30):
-            miss = goal - self.forward(rho, **seen)
+            miss = goal - self.forward(rho, **conditions)
             largest = np.abs(miss).max(initial=0.0)
             if largest < 1e-13:
                 return rho
-            rho = rho + np.linalg.solve(self.jacobian(rho, **seen), miss[..., None])[..., 0]
+            rho = rho + np.linalg.solve(self.jacobian(rho, **conditions), miss[..., None])[..., 0]
         if largest < 1e-11:
             return rho
         raise ClosureError("the drives do not converge on the wanted points")
 
     def readings(self, given: Readings) -> Array:
-        """Return the readings ``(n,)`` to expect, datums apart, metres or radians."""
+        """Return the expected readings ``(n,)`` without datums, metres or radians."""
         return self.model.readings(self.values, given)
 
 
 MachineSource = Machine | MachineFile | Geometry | str | os.PathLike[str]
-"""A machine, its file as read, the path of that, or dimensions with all else as usual."""
+"""A machine, its file as read, the path of that, or dimensions with defaults otherwise."""

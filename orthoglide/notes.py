@@ -1,4 +1,4 @@
-"""Remarks that are no errors: sentences that know what they are about."""
+"""Notes: sentences for people with their subject for programs."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from typing import Any
 
 
 class Note(str):
-    """A sentence for people that programs can tell from others."""
+    """A sentence for people, with attributes by which programs distinguish it."""
 
-    kind: str  # what it is about, one word
-    lines: tuple[int, ...]  # lines of the file in question, where it is about lines
+    kind: str  # its subject, one word
+    lines: tuple[int, ...]  # numbers of the lines of a file that it is about
 
     def __new__(cls, text: str, kind: str, lines: tuple[int, ...] = ()) -> Note:
-        """A sentence of a kind."""
-        made = super().__new__(cls, text)
-        made.kind, made.lines = kind, lines
-        return made
+        """Return a note of a kind."""
+        note = super().__new__(cls, text)
+        note.kind, note.lines = kind, lines
+        return note
 
     def __getnewargs__(self) -> Any:
         return str(self), self.kind, self.lines

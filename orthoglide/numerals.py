@@ -1,4 +1,4 @@
-"""Numbers for people: as many digits as they are worth, and a true minus sign."""
+"""Numbers as text: with as many digits as are significant, and a true minus sign."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ import math
 from typing import NamedTuple
 
 _MAX_DECIMALS = 6
-_ROUNDING = 1e-12  # in the units of files: no figure that means anything is smaller
-_EXPONENT_FROM = 1e6  # below, a number is no power of ten
+_ROUNDING = 1e-12  # in the units of files: smaller values are zero
+_EXPONENT_FROM = 1e6  # from here on, numbers are written as powers of ten
 MINUS = "−"
 SIGMAS_95 = 1.96
 """Half width of a 95 % interval in standard deviations."""
 
 
 def decimals_for(sigma: float, most: int = _MAX_DECIMALS) -> int:
-    """Decimals that show two significant digits of a standard deviation."""
+    """Return the decimals that show two significant digits of a standard deviation."""
     if not math.isfinite(sigma) or sigma <= 0:
         return 3
     return min(max(1 - math.floor(math.log10(sigma)), 0), most)
 
 
 def signed(value: float, decimals: int) -> str:
-    """A number with its sign; zero has none."""
+    """Return a number with its sign; zero has none."""
     text = f"{abs(value):.{decimals}f}"
     if float(text) == 0:
         return text
@@ -29,15 +29,15 @@ def signed(value: float, decimals: int) -> str:
 
 
 def plain(value: float, decimals: int) -> str:
-    """A number with a sign only where it is negative."""
+    """Return a number with a sign only where it is negative."""
     return signed(value, decimals).lstrip("+")
 
 
 def compact(value: float, digits: int = 3, plus: bool = False) -> str:
-    """Few significant digits, powers of ten where they are shorter; a dash for none.
+    """Return a number with few significant digits; a dash where it is not finite.
 
-    Less than a billionth of a micrometre, in millimetres, is rounding and zero. ``plus``: with a
-    sign where it is positive, too.
+    Powers of ten are used where they are shorter. Less than a billionth of a micrometre, in
+    millimetres, counts as zero. ``plus`` adds a sign to positive numbers.
     """
     if plus and value >= _ROUNDING:
         return f"+{compact(value, digits)}"
@@ -55,7 +55,7 @@ def compact(value: float, digits: int = 3, plus: bool = False) -> str:
     return text.replace("-", MINUS)
 
 
-_MAX_DECIMALS_MM = 4  # decimals of millimetres that any machine is worth
+_MAX_DECIMALS_MM = 4  # decimals of millimetres, beyond the accuracy of any machine
 
 
 def with_sigma(value: float, sigma: float, most: int = _MAX_DECIMALS_MM) -> str:
@@ -70,44 +70,44 @@ def with_sigma(value: float, sigma: float, most: int = _MAX_DECIMALS_MM) -> str:
 
 
 def hundredths(p: float) -> str:
-    """A probability to two decimals; below half of the last only that."""
+    """Return a probability with two decimals, or ``< 0.01``."""
     return f"{p:.2f}" if p >= 0.005 else "< 0.01"
 
 
 def probability(p: float) -> str:
-    """A probability; below a millionth only that."""
+    """Return a probability as text, or ``below 10⁻⁶``."""
     if not math.isfinite(p):
         return "–"
     return "below 10⁻⁶" if p < 1e-6 else compact(p, 2) if p < 0.1 else f"{p:.2f}"
 
 
-def distinct_figures(was: float, now: float) -> tuple[str, str]:
-    """Two figures of one quantity, with more decimals where they would look alike, or be nothing.
+def distinct_figures(first: float, second: float) -> tuple[str, str]:
+    """Return two values of one quantity with enough decimals to tell them apart.
 
-    Two significant digits of the smaller, three decimals at most where these tell them apart. What
-    no decimal shows is zero.
+    The smaller value has two significant digits, and at most three decimals if these suffice to
+    distinguish the two. A value that no decimal shows is zero.
     """
-    was, now = (v if v >= 10.0**-_MAX_DECIMALS / 2 else 0.0 for v in (was, now))
-    for most in (3, _MAX_DECIMALS):
-        places = decimals_for(min(was, now), most)
-        texts = f"{was:.{places}f}", f"{now:.{places}f}"
+    first, second = (v if v >= 10.0**-_MAX_DECIMALS / 2 else 0.0 for v in (first, second))
+    for max_decimals in (3, _MAX_DECIMALS):
+        places = decimals_for(min(first, second), max_decimals)
+        texts = f"{first:.{places}f}", f"{second:.{places}f}"
         if texts[0] != texts[1] and float(texts[1]) > 0:
             break
     return texts
 
 
 class ByUnit(NamedTuple):
-    """One figure of readings, of lengths and of inclinations apart: the two never add up."""
+    """A figure of readings, separate for lengths and inclinations, which cannot be added."""
 
     length: float  # metres; nan where no length was read
     turn: float  # radians; nan where no inclination was read
 
     @property
     def shown(self) -> dict[str, float]:
-        """What is known of it by the unit in which people read it, mm or mrad."""
+        """The finite values by their unit, mm or mrad."""
         both = zip(("mm", "mrad"), self, strict=True)
         return {unit: value * 1e3 for unit, value in both if math.isfinite(value)}
 
     def said(self, digits: int = 2) -> str:
-        """With its units: ``0.01 mm``, ``0.01 mm and 0.02 mrad``."""
+        """Return the values with their units: ``0.01 mm``, ``0.01 mm and 0.02 mrad``."""
         return " and ".join(f"{compact(v, digits)} {unit}" for unit, v in self.shown.items()) or "–"

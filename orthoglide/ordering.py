@@ -32,15 +32,12 @@ _ROUNDING = 1e-9  # of the largest value: what no margin goes below
 
 
 def largest(values: ArrayLike, within: float | None = None) -> int:
-    """Return the place of the largest value, in the flattened array.
+    """Return the index of the first value within the margin of the largest one.
 
     Args:
-        values: finite or infinite, of any shape, at least one.
-        within: margin; ``RELATIVE_MARGIN`` of the largest finite value where absent. It is no less than a
-            billionth of that value.
-
-    Returns:
-        Of the values within the margin of the largest one, the first.
+        values: finite or infinite, of any shape, at least one; indices count the flattened array.
+        within: margin; ``RELATIVE_MARGIN`` of the largest finite value where absent. It is no less
+            than a billionth of that value.
     """
     flat = np.asarray(values, dtype=float).ravel()
     best = int(np.argmax(flat))
@@ -50,25 +47,26 @@ def largest(values: ArrayLike, within: float | None = None) -> int:
 
 
 def descending(values: ArrayLike, within: float | None = None) -> list[int]:
-    """Return the places of all values, the largest first and equal ones in their order.
+    """Return the indices of all values, the largest first and equal ones in their order.
 
     Arguments as for :func:`largest`. Values are equal if they lie within the margin of the largest
     of their group.
     """
     flat = np.asarray(values, dtype=float).ravel()
     margin, order = _margin(flat, within), np.argsort(-flat, kind="stable")
-    falling = flat[order]
-    near = (falling[1:] == falling[:-1]) | (falling[1:] >= falling[:-1] - margin)
-    begins = np.concatenate([[True], ~near])[: len(flat)]
-    # Of a chain of neighbours in which the last lies beyond the margin, every group has a head.
-    starts = [*np.flatnonzero(begins).tolist(), len(flat)]
+    sorted_values = flat[order]
+    first, second = sorted_values[:-1], sorted_values[1:]
+    equal = (second == first) | (second >= first - margin)
+    begins_group = np.concatenate([[True], ~equal])[: len(flat)]
+    # Split a chain of equal neighbours where a value is beyond the margin of its group's first.
+    starts = [*np.flatnonzero(begins_group).tolist(), len(flat)]
     for start, end in pairwise(starts):
-        head = falling[start] if start < end else 0.0
-        for k in range(start + 1, end) if falling[start] != falling[end - 1] else ():
-            if falling[k] < head - margin:
-                begins[k], head = True, falling[k]
+        head = sorted_values[start] if start < end else 0.0
+        for k in range(start + 1, end) if sorted_values[start] != sorted_values[end - 1] else ():
+            if sorted_values[k] < head - margin:
+                begins_group[k], head = True, sorted_values[k]
     group = np.empty(len(flat), dtype=int)
-    group[order] = np.cumsum(begins)
+    group[order] = np.cumsum(begins_group)
     return np.argsort(group, kind="stable").tolist()
 
 
@@ -78,16 +76,16 @@ def best_of(items: Iterable[T], key: Callable[[T], float], within: float | None 
     Raises:
         ValueError: if there are no items.
     """
-    every = list(items)
-    if not every:
+    candidates = list(items)
+    if not candidates:
         raise ValueError("there are no items to choose from")
-    return every[largest([key(item) for item in every], within)]
+    return candidates[largest([key(item) for item in candidates], within)]
 
 
 def ranked(items: Iterable[T], key: Callable[[T], float], within: float | None = None) -> list[T]:
     """Return the items with the largest key first and equal ones in their order."""
-    every = list(items)
-    return [every[k] for k in descending([key(item) for item in every], within)]
+    candidates = list(items)
+    return [candidates[k] for k in descending([key(item) for item in candidates], within)]
 
 
 def canonical_basis(rows: Array, within: Array | None = None) -> Array:
@@ -105,19 +103,19 @@ def canonical_basis(rows: Array, within: Array | None = None) -> Array:
             directions. Their basis is that of the subspace; the other rows vanish at its pivots.
 
     Returns:
-        Rows of unit length ``(k, P)``, in the order in which their pivots were chosen.
+        Rows of unit length ``(k, P)``, in the order of their pivots.
     """
-    space, pivots, parts = _orthonormal(rows), list[int](), list[Array]()
+    space, pivots, bases = _orthonormal(rows), list[int](), list[Array]()
     if within is not None and 0 < len(within) < len(rows):
         inner = _orthonormal(within)
         pivots = _pivots(inner)
-        parts.append(_echelon(inner, pivots))
+        bases.append(_echelon(inner, pivots))
         # Combinations of the rows that vanish at these pivots.
         vanishing = np.linalg.svd(space[:, pivots].T)[2][len(pivots) :]
         space = _orthonormal(vanishing @ space)
     pivots = _pivots(space)
-    parts.append(_echelon(space, pivots))
-    basis = np.concatenate(parts)
+    bases.append(_echelon(space, pivots))
+    basis = np.concatenate(bases)
     return np.asarray(basis / np.linalg.norm(basis, axis=1)[:, None])
 
 
@@ -131,14 +129,14 @@ def _orthonormal(rows: Array) -> Array:
 
 
 def _pivots(space: Array) -> list[int]:
-    """Return a column for every orthonormal row ``(k, P)``, each the largest past those before."""
+    """Return one pivot column for every orthonormal row ``(k, P)``, the largest column first."""
     pivots: list[int] = []
     for _ in range(len(space)):
         size = np.linalg.norm(space, axis=0)
         size[pivots] = 0.0
         pivots.append(largest(size))
-        along = space[:, pivots[-1]] / size[pivots[-1]]
-        space = space - np.outer(along, along @ space)
+        direction = space[:, pivots[-1]] / size[pivots[-1]]
+        space = space - np.outer(direction, direction @ space)
     return pivots
 
 

@@ -1,7 +1,7 @@
-"""A parameter's name, parsed once: which effect, which leg, which direction, which campaign.
+"""Names of parameters with their parts: effect, leg, direction, setup and campaign.
 
-A `Parameter` is the text that files and people use, ``axis_tilt.y.z@april``, and carries its parts,
-so that nothing cuts names apart. Catalogues parse names (`Catalogue.parameter`).
+A `Parameter` is the text of files and reports, ``axis_tilt.y.z@april``, with its parts as
+attributes. Catalogues parse names (`Catalogue.parameter`).
 """
 
 from __future__ import annotations
@@ -11,40 +11,40 @@ from collections.abc import Collection
 from typing import Any
 
 MEMBERS = ("common", "cyclic", "symmetric", "antisymmetric")
-"""Words behind the dot by which parameters of several legs go together."""
+"""Suffixes of structured members, which combine parameters of several legs."""
 
 _SETUP = re.compile(r'"((?:[^"]|"")*)"(?:\.([^@]*))?(?:@(.*))?', re.DOTALL)
 
 
 def quoted(setup: str) -> str:
-    """A setup's name as it stands in a parameter's: in quotes where it may be taken for syntax."""
+    """Return a setup's name as a part of a parameter's: in quotes where it looks like syntax."""
     syntax = setup == "common" or "@" in setup or '"' in setup
     return '"{}"'.format(setup.replace('"', '""')) if syntax else setup
 
 
 def setup_parts(text: str, shapes: Collection[str] = ()) -> tuple[str, str, str]:
-    """What stands behind the name of a dial's effect: setup, shape and campaign.
+    """Return setup, shape and campaign of the text after the name of a dial's effect.
 
     Args:
-        text: a setup's name, in quotes as :func:`quoted` puts them or not, and what follows it.
-        shapes: that the effect has several of for each setup.
+        text: a setup's name, quoted as by :func:`quoted` or not, with its suffixes.
+        shapes: names of the shapes that the effect has for each setup.
     """
-    if found := _SETUP.fullmatch(text):
-        return found[1].replace('""', '"'), found[2] or "", found[3] or ""
-    behind, _, campaign = text.partition("@")
-    setup, _, shape = behind.rpartition(".")
-    return (setup, shape, campaign) if setup and shape in shapes else (behind, "", campaign)
+    if match := _SETUP.fullmatch(text):
+        return match[1].replace('""', '"'), match[2] or "", match[3] or ""
+    plain, _, campaign = text.partition("@")
+    setup, _, shape = plain.rpartition(".")
+    return (setup, shape, campaign) if setup and shape in shapes else (plain, "", campaign)
 
 
 def effect_name(name: str) -> str:
-    """The effect of a name: its own, a parameter's or a structured member's."""
+    """Return the effect of a name of an effect, a parameter or a structured member."""
     if isinstance(name, Parameter):
         return name.effect
     return split_campaign(name)[0].partition(".")[0]
 
 
 def split_campaign(name: str) -> tuple[str, str]:
-    """A name, an effect's own too, without its campaign, and that; empty where it has none."""
+    """Return a name without its campaign, and the campaign, empty where it has none."""
     if isinstance(name, Parameter):
         return name.plain, name.campaign
     plain, _, campaign = name.partition("@")
@@ -57,11 +57,11 @@ class Parameter(str):
     Attributes:
         effect: name of its effect.
         leg: ``"x"``, ``"y"`` or ``"z"`` on the Orthoglide; empty for dials and structured members.
-        direction: what stands behind the leg or setup: a base axis, ``"radial"``, ``"a"``,
-            ``"sin"`` ...; often empty.
+        direction: what follows the leg or setup: a base axis, ``"radial"``, ``"a"``, ``"sin"``
+            ...; often empty.
         setup: of a dial's or plate's parameter, else empty.
         member: of a structured member: ``"cyclic"``, ``"xy.symmetric"`` ..., else empty.
-        campaign: the campaign that has it for itself, else empty.
+        campaign: the campaign to which it is specific, else empty.
     """
 
     effect: str
@@ -72,44 +72,32 @@ class Parameter(str):
     campaign: str
 
     def __new__(
-        cls,
-        effect: str,
-        leg: str = "",
-        direction: str = "",
-        setup: str = "",
-        member: str = "",
+        cls, effect: str, leg: str = "", direction: str = "", setup: str = "", member: str = "",
         campaign: str = "",
-    ) -> Parameter:
+    ) -> Parameter:  # fmt: skip
         """Put a name together from its parts."""
-        behind = (quoted(setup), direction) if setup else (leg, direction)
-        text = ".".join(part for part in (effect, *behind, member) if part)
-        made = super().__new__(cls, f"{text}@{campaign}" if campaign else text)
-        made.effect, made.leg, made.direction = effect, leg, direction
-        made.setup, made.member, made.campaign = setup, member, campaign
-        return made
+        place = (quoted(setup), direction) if setup else (leg, direction)
+        text = ".".join(part for part in (effect, *place, member) if part)
+        parameter = super().__new__(cls, f"{text}@{campaign}" if campaign else text)
+        parameter.effect, parameter.leg, parameter.direction = effect, leg, direction
+        parameter.setup, parameter.member, parameter.campaign = setup, member, campaign
+        return parameter
 
     def __getnewargs__(self) -> Any:
-        return (
-            self.effect,
-            self.leg,
-            self.direction,
-            self.setup,
-            self.member,
-            self.campaign,
-        )
+        return self.effect, self.leg, self.direction, self.setup, self.member, self.campaign
 
     @property
     def behind(self) -> str:
-        """What stands behind its effect's name, its campaign included."""
+        """The name after its effect, campaign included."""
         return self[len(self.effect) + 1 :]
 
     @property
     def plain(self) -> Parameter:
-        """The same name without its campaign."""
+        """The name without its campaign."""
         return self.at("")
 
     def at(self, campaign: str) -> Parameter:
-        """The same name, own to a campaign."""
+        """Return the name specific to a campaign."""
         if campaign == self.campaign:
             return self
         return Parameter(self.effect, self.leg, self.direction, self.setup, self.member, campaign)

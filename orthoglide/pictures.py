@@ -1,4 +1,4 @@
-"""What drawings show of a machine: its dials, and what its parameters move."""
+"""Dials and marks of a machine's drawing, from its setups and its parameters."""
 
 from __future__ import annotations
 
@@ -18,19 +18,16 @@ from orthoglide.observations import Readings
 from orthoglide.ordering import largest
 from orthoglide.parameters import Parameter
 from orthoglide.prediction import Conditions
-from orthoglide.scene import Dial, Mark, Option, Posed
+from orthoglide.scene import Dial, Mark, Option, Posed, stroke_commands
 from orthoglide.scene.parts import Part
 
 SHOWN_CONDITIONS: Mapping[str, float] = {
-    "approach": 1.0,
-    "time": 3600.0,
-    "warming": 10.0,
-    "load": 10.0,
-}
-"""Conditions at which what depends on them is shown: after a move outward, s, K, N."""
+    "approach": 1.0, "time": 3600.0, "warming": 10.0, "load": 10.0,
+}  # fmt: skip
+"""Conditions for which errors are drawn: after a move outward, s, K, N."""
 
 _PATH_POINTS = 33  # along the stroke
-_MIN_END_SHARE = 0.3  # of the largest: what a path does at its outer end shows which way it goes
+_MIN_END_SHARE = 0.3  # displacement at the outer end over the largest from which its sign is shown
 _PARTS: Mapping[str, tuple[Part, int]] = {
     "travel": ("drive", 0), "lateral_b": ("rail", 1), "lateral_c": ("rail", 2),
     "turn_a": ("carriage", 0), "turn_b": ("carriage", 1), "turn_c": ("carriage", 2),
@@ -41,23 +38,22 @@ _PARTS: Mapping[str, tuple[Part, int]] = {
 
 def dials(posture: Posed, campaigns: Iterable[Readings]) -> tuple[Dial, ...]:
     """Return the dials of campaigns on a machine, each name once."""
-    found: dict[tuple[str, int], Dial] = {}
+    by_name: dict[tuple[str, int], Dial] = {}
     for setup in (s for campaign in campaigns for s in campaign.setups):
         ends = np.einsum("b,bex->ex", np.array(BAR_WEIGHTS[setup.bar]), posture.lines[setup.leg])
-        way = np.eye(3)[setup.axis] * setup.sign
+        direction = np.eye(3)[setup.axis] * setup.sign
         for k, gauge in enumerate(setup.gauges):
-            place = gauge + posture.geometry.r
-            share = (place - ends[0, setup.leg]) / (ends[1, setup.leg] - ends[0, setup.leg])
+            distance = gauge + posture.geometry.r
+            share = (distance - ends[0, setup.leg]) / (ends[1, setup.leg] - ends[0, setup.leg])
             at = ends[0] + share * (ends[1] - ends[0])
-            found.setdefault((setup.name, k), Dial(setup.name, at, way))
-    return tuple(found.values())
+            by_name.setdefault((setup.name, k), Dial(setup.name, at, direction))
+    return tuple(by_name.values())
 
 
 def option(machine: Machine, words: str, values: Mapping[str, float]) -> Option:
-    """Return the marks of the parts that some parameters, SI, move.
+    """Return the marks of the parts that parameters with given values, SI, move.
 
-    What hangs on approach, time, warmth or load is shown as it is after a move outward, an hour
-    later, 10 K warmer, under 10 N.
+    Errors that depend on approach, time, temperature or load are drawn for `SHOWN_CONDITIONS`.
     """
     groups: dict[tuple[str, ...], dict[Parameter, float]] = {}
     catalogue, marks = machine.catalogue, []
@@ -72,7 +68,7 @@ def option(machine: Machine, words: str, values: Mapping[str, float]) -> Option:
         groups.setdefault((p.effect, p.leg, direction), {})[p] = value
     marks += [mark for group in groups.values() for mark in _marks(machine, group)]
     labels = {mark.label for mark in marks}
-    if len(labels) == 1 < len(marks):  # said once for all
+    if len(labels) == 1 < len(marks):  # one label for all
         first, *rest = marks
         marks = [replace(first, label=f"each {first.label}"), *(replace(m, label="") for m in rest)]
     return Option(words, tuple(marks))
@@ -83,41 +79,26 @@ def _marks(machine: Machine, values: dict[Parameter, float]) -> list[Mark]:
     first = next(iter(values))
     effect, (leg, _) = machine.catalogue.effect_of(first), machine.catalogue.motions[first]
     size = size_words(effect, math.hypot(*values.values())).partition(" (")[0]
-    travel, moves = _displacements_along_stroke(
-        machine, leg, {str(n): v for n, v in values.items()}
-    )
-    columns = moves[:, leg * len(VIRTUAL_NAMES) :]
-    moving = {n: columns[:, k] for k, n in enumerate(VIRTUAL_NAMES) if columns[:, k].any()}
-    stretched = [moving[n] for n in ("stretch1", "stretch2") if n in moving]
-    alike = len(stretched) == 2 and np.allclose(stretched[0], stretched[1])
-    found: dict[str, Mark] = {}
-    for joint, curve in moving.items():
+    travel, commands = stroke_commands(machine.geometry, leg, _PATH_POINTS)
+    named = {str(n): v for n, v in values.items()}
+    conditions = Conditions.from_commands(commands, **SHOWN_CONDITIONS)
+    conditions, rows = machine.model.merged(conditions, named)
+    # Only the force of a load would need a closed posture.
+    displacements = machine.model.displacements(named, conditions)[rows]
+    columns = displacements[:, leg * len(VIRTUAL_NAMES) :]
+    curves = {n: columns[:, k] for k, n in enumerate(VIRTUAL_NAMES) if columns[:, k].any()}
+    stretched = [curves[n] for n in ("stretch1", "stretch2") if n in curves]
+    both_bars = len(stretched) == 2 and np.allclose(stretched[0], stretched[1])
+    marks: dict[str, Mark] = {}
+    for joint, curve in curves.items():
         part, _ = _PARTS[joint]
-        which = joint if part == "bar" and not alike else part
-        if which in found or (part == "carriage" and "rail" in found):
+        key = joint if part == "bar" and not both_bars else part
+        if key in marks or (part == "carriage" and "rail" in marks):
             continue
-        text = "" if found else size
+        text = "" if marks else size
         both = "approach" in effect.needs
-        found[which] = joint_mark(machine, leg, joint, travel, curve, text, both, alike)
-    return list(found.values())
-
-
-def _displacements_along_stroke(
-    machine: Machine, leg: int, values: Mapping[str, float]
-) -> tuple[Array, Array]:
-    """Return travels and displacements of all virtual joints as one leg goes through its stroke.
-
-    Where the platform hangs the others go with it, which could not follow one that goes alone.
-    """
-    geometry = machine.geometry
-    travel = np.linspace(*geometry.stroke, _PATH_POINTS)
-    command = np.repeat(geometry.zero[None], _PATH_POINTS, axis=0)
-    command[:, slice(None) if geometry.layout.hanging else slice(leg, leg + 1)] += travel[:, None]
-    # Only the load's force needs a posture that closes.
-    where, place = machine.model.merged(
-        Conditions.from_commands(command, **SHOWN_CONDITIONS), values
-    )
-    return travel, machine.model.displacements(values, where)[place]
+        marks[key] = joint_mark(machine, leg, joint, travel, curve, text, both, both_bars)
+    return list(marks.values())
 
 
 def joint_mark(
@@ -133,26 +114,26 @@ def joint_mark(
     """Return the mark of one virtual joint.
 
     Args:
-        machine: whose leg it is.
+        machine: the machine.
         leg: 0, 1 or 2.
-        joint: its name within the leg.
-        travel: from mechanical zero ``(k,)``, metres.
-        curve: displacement there ``(k,)``, SI.
-        size: in words; the direction is added.
-        both: whether it moves either way.
-        both_bars: whether both bars do the same.
+        joint: name of the joint within the leg.
+        travel: travel from mechanical zero ``(k,)``, metres.
+        curve: displacement at these travels ``(k,)``, SI.
+        size: size in words, to which the direction is added.
+        both: whether it moves both ways.
+        both_bars: whether both bars move equally.
     """
     part, axis = _PARTS[joint]
     k = largest(np.abs(curve))
     if abs(curve[-1]) > _MIN_END_SHARE * abs(curve[k]):
         k = len(curve) - 1
-    size_there = float(np.abs(curve).max())
+    amplitude = float(np.abs(curve).max())
     sign = math.copysign(1.0, float(curve[k]))
-    here = machine.geometry.legs[leg]
-    way = sign * here.axes[:, axis]
+    leg_geometry = machine.geometry.legs[leg]
+    vector = sign * leg_geometry.axes[:, axis]
     label, bar = size, 0
     if part == "bar":
-        way = sign * (here.carriage - here.platform) / machine.geometry.L
+        vector = sign * (leg_geometry.carriage - leg_geometry.platform) / machine.geometry.L
         bar = 0 if both_bars else int(joint[-1])
         label = f"{size} {sign_word(sign, 'longer', 'shorter')}" if size else ""
     elif part == "rail" and size:
@@ -162,5 +143,5 @@ def joint_mark(
         label = f"{size} {sign_word(sign, 'wider', 'narrower')}"
     elif part == "drive" and size and not both:
         label = f"{size} {sign_word(sign, 'outward', 'inward')}"
-    shape = np.stack([travel, curve * sign / size_there], axis=1)
-    return Mark(part, leg, way, label, bar, float(travel[k]), shape, both)
+    shape = np.stack([travel, curve * sign / amplitude], axis=1)
+    return Mark(part, leg, vector, label, bar, float(travel[k]), shape, both)

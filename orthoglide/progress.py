@@ -1,4 +1,4 @@
-"""What a long computation says of itself while it runs: typed steps, a stage and a detail."""
+"""Progress of a long computation: steps with a stage and a detail."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ _STAGES: Mapping[Stage, tuple[str, int]] = {
 
 @dataclass(frozen=True)
 class Step:
-    """What begins now."""
+    """The step that begins now."""
 
-    stage: Stage  # of the whole; stages may come again
-    detail: str = ""  # which of many, such as the name of a candidate
-    done: float | None = None  # per cent of the whole that is done, where it is counted
+    stage: Stage  # stage of the computation; stages may repeat
+    detail: str = ""  # item within the stage, such as the name of a candidate
+    done: float | None = None  # per cent of the computation that is done, if counted
 
     def __str__(self) -> str:
         return f"{_STAGES[self.stage][0]} {self.detail}".strip()
 
     @property
     def start_percent(self) -> int:
-        """Where the stage stands in a closed loop, per cent of the whole."""
+        """Start of the stage in the closed-loop computation, per cent."""
         return _STAGES[self.stage][1]
 
 

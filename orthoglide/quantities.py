@@ -1,6 +1,6 @@
-"""What a value of a file may be: its unit, its range, how it becomes SI and how it is written back.
+"""Kinds of values in files: unit, range, conversion to SI and back.
 
-A key of the machine file has such a kind, and a column of a table can have one.
+Keys of the machine file and columns of tables have a kind.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from orthoglide.units import Unit
 
 @dataclass(frozen=True)
 class Kind:
-    """What a value of a file is.
+    """Kind of a value in a file.
 
     Attributes:
-        allowed: the values that are allowed, as "must be" continues.
-        read: turns a value of the file into SI, or raises ValueError with what would be right.
-        write: turns a value in SI into that of the file.
-        unit: in the file; empty where it has none.
+        allowed: the allowed values, as words that follow "must be".
+        read: converts a value of the file to SI, or raises ValueError with the remedy.
+        write: converts a value in SI to that of the file.
+        unit: in the file; empty for none.
     """
 
     allowed: str
@@ -34,7 +34,7 @@ class Kind:
 
 
 def _quoted_value(value: Any) -> str:
-    """Return a value of a file as a message repeats it."""
+    """Return a value of a file as a message quotes it."""
     if isinstance(value, list):
         return f"a list of {len(value)}"
     if isinstance(value, dict):
@@ -43,11 +43,11 @@ def _quoted_value(value: Any) -> str:
 
 
 def quantity(unit: Unit, low: float = 0.0, high: float = 1e4, closed: bool = False) -> Kind:
-    """Return the kind of a number between two limits in its unit, which a ``closed`` range has."""
+    """Return the kind of a number between two limits, which a ``closed`` range includes."""
     allowed = f"above {low:g} and below {high:g}"
     if closed:
-        both = f"at least {low:g} and at most {high:g}"
-        allowed = f"no more than {high:g} in size" if low == -high else both
+        closed_range = f"at least {low:g} and at most {high:g}"
+        allowed = f"no more than {high:g} in size" if low == -high else closed_range
 
     def read(value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, int | Decimal):
@@ -66,33 +66,37 @@ def quantity(unit: Unit, low: float = 0.0, high: float = 1e4, closed: bool = Fal
 def list_of(
     each: Kind, count: int, single_allowed: bool = False, check: Callable[..., None] | None = None
 ) -> Kind:
-    """Return the kind of a list of values; a single one stands for all where they may be ``single_allowed``.
+    """Return the kind of a list of values.
 
-    ``check`` takes the values and raises ValueError where they do not go together.
+    Args:
+        each: kind of each value.
+        count: number of values.
+        single_allowed: whether a single value may stand for all.
+        check: takes the values and raises ValueError where they contradict each other.
     """
-    needed = f"{'a number or ' * single_allowed}a list of {count} numbers{each.unit and ' in '}{each.unit}"
+    requirement = f"a list of {count} numbers{each.unit and ' in '}{each.unit}"
+    if single_allowed:
+        requirement = f"a number or {requirement}"
 
     def read(value: Any) -> tuple[Any, ...]:
         if single_allowed and not isinstance(value, list):
             return (each.read(value),) * count
         if not isinstance(value, list) or len(value) != count:
-            raise ValueError(f"must be {needed}, not {_quoted_value(value)}")
-        found = []
-        for place, one in enumerate(value, start=1):
+            raise ValueError(f"must be {requirement}, not {_quoted_value(value)}")
+        values = []
+        for number, item in enumerate(value, start=1):
             try:
-                found.append(each.read(one))
+                values.append(each.read(item))
             except ValueError as error:
-                raise ValueError(f"at place {place} {error}") from None
+                raise ValueError(f"at place {number} {error}") from None
         if check is not None:
-            check(*found)
-        return tuple(found)
+            check(*values)
+        return tuple(values)
 
-    return Kind(
-        f"{needed}, each {each.allowed}",
-        read,
-        lambda values: [each.write(value) for value in values],
-        each.unit,
-    )
+    def write(values: Any) -> list[Any]:
+        return [each.write(value) for value in values]
+
+    return Kind(f"{requirement}, each {each.allowed}", read, write, each.unit)
 
 
 def one_of(values: tuple[Any, ...], remedy: str = "") -> Kind:
@@ -103,9 +107,9 @@ def one_of(values: tuple[Any, ...], remedy: str = "") -> Kind:
     def read(value: Any) -> Any:
         if not isinstance(value, bool) and value in values:
             return values[values.index(value)]
-        near = nearest(str(value), map(str, values))
-        told = remedy or (f"did you mean {near!r}?" if near else "correct it")
-        raise ValueError(f"must be {allowed}, not {_quoted_value(value)}: {told}")
+        suggestion = nearest(str(value), map(str, values))
+        advice = remedy or (f"did you mean {suggestion!r}?" if suggestion else "correct it")
+        raise ValueError(f"must be {allowed}, not {_quoted_value(value)}: {advice}")
 
     return Kind(allowed, read)
 

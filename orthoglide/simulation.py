@@ -70,94 +70,91 @@ def simulate(
             f"a {type(sheet).__name__} is no sheet: give one campaign, readings of the tool, or a "
             f"kind of protocol"
         )
-    draw = _random_generator(seed)
+    generator = _random_generator(seed)
     sd = None if noise is None else check_noise(noise, 0.0)
-    filled = [
-        _fill_in(machine, part, sd, None if exact else draw) for part in split_legs_and_tool(sheet)
-    ]
-    if len(filled) == 1:
-        return filled[0]
+    rng = None if exact else generator
+    parts = [_fill_in(machine, part, sd, rng) for part in split_legs_and_tool(sheet)]
+    if len(parts) == 1:
+        return parts[0]
     reading = np.empty(len(sheet))
-    reading[sheet.on_legs], reading[~sheet.on_legs] = (one.reading for one in filled)
+    reading[sheet.on_legs], reading[~sheet.on_legs] = (part.reading for part in parts)
     return sheet.with_readings(reading)
 
 
 def _fill_in(
-    machine: Machine, sheet: Readings, noise: float | None, draw: np.random.Generator | None
+    machine: Machine, sheet: Readings, noise: float | None, rng: np.random.Generator | None
 ) -> Readings:
-    """A sheet of legs or of the tool, filled in; exact where nothing is drawn."""
+    """Return a sheet of legs or of the tool, filled in; exact without a random generator."""
     with _refusing_absurd_values(machine):
         factor = Factor.from_planned(sheet, machine)
-        at = factor.linearise(machine.model, machine.values, ())
-        if draw is None:
-            return sheet.with_readings(np.round(at.value, 15))
-        drawn = (
-            _draw_dial_nuisances(factor, draw)
-            if factor.on_legs
-            else _draw_tool_nuisances(factor, at.reading_poses, draw)
-        )
-        each = zip(sheet.setups, factor.instrument_poses, drawn, strict=True)
-        stands, brought = zip(*(_displaced_stand(*one) for one in each), strict=True)
-        placed = MeasurementModel(sheet, stands, factor.normalized_plate_xy, np.stack(brought))
-        shown = placed.predict(machine.model, machine.values)
-    level, steps = sheet.sigma.copy(), np.zeros(len(sheet))
+        predicted = factor.linearise(machine.model, machine.values, ())
+        if rng is None:
+            return sheet.with_readings(np.round(predicted.value, 15))
+        if factor.on_legs:
+            drawn = _draw_dial_nuisances(factor, rng)
+        else:
+            drawn = _draw_tool_nuisances(factor, predicted.reading_poses, rng)
+        stands = map(_displaced_stand, sheet.setups, factor.instrument_poses, drawn)
+        displaced, nuisances = zip(*stands, strict=True)
+        model = MeasurementModel(sheet, displaced, factor.normalized_plate_xy, np.stack(nuisances))
+        readings = model.predict(machine.model, machine.values)
+    sigma, resolution = sheet.sigma.copy(), np.zeros(len(sheet))
     for observation, rows in sheet.observations:
-        own = instrument_of(machine.spec, observation)
-        steps[rows] = own.resolution or 0.0
-        usual = observation.repeatability if own.repeatability is None else own.repeatability
-        level[rows] = np.where(np.isfinite(level[rows]), level[rows], usual)
-    shown = shown + draw.normal(scale=level if noise is None else noise, size=len(sheet))
-    return sheet.with_readings(np.round(_rounded(shown, steps), 12))
+        instrument = instrument_of(machine.spec, observation)
+        resolution[rows] = instrument.resolution or 0.0
+        usual = instrument.repeatability
+        usual = observation.repeatability if usual is None else usual
+        sigma[rows] = np.where(np.isfinite(sigma[rows]), sigma[rows], usual)
+    readings = readings + rng.normal(scale=sigma if noise is None else noise, size=len(sheet))
+    rounded = np.round(readings / np.maximum(resolution, 1e-12)) * resolution
+    readings = np.where(resolution > 0, rounded, readings)
+    return sheet.with_readings(np.round(readings, 12))
 
 
-def _draw_dial_nuisances(factor: Factor, draw: np.random.Generator) -> Array:
-    """What dials on legs bring ``(setups, K)``: where they stand, and where their zeros lie."""
-    known = _nuisance_sigmas(factor)
-    free = np.isinf(known)
-    count = len(known)
-    found = np.zeros_like(known)
-    for k in range(known.shape[1] - 1, -1, -1):
+def _draw_dial_nuisances(factor: Factor, rng: np.random.Generator) -> Array:
+    """Return nuisances of dials on legs ``(setups, K)``: displaced stands, and datums."""
+    sigmas = _nuisance_sigmas(factor)
+    count, free = len(sigmas), np.isinf(sigmas)
+    nuisances = np.zeros_like(sigmas)
+    for k in range(sigmas.shape[1] - 1, -1, -1):
         if free[:, k].any():
-            found[:, k] = draw.uniform(-_DATUM_RANGE, _DATUM_RANGE, count) * free[:, k]
+            nuisances[:, k] = rng.uniform(-_DATUM_RANGE, _DATUM_RANGE, count) * free[:, k]
         if not free[:, k].all():
-            found[:, k] += draw.normal(scale=np.where(free[:, k], 0.0, known[:, k]), size=count)
-    return found
+            scale = np.where(free[:, k], 0.0, sigmas[:, k])
+            nuisances[:, k] += rng.normal(scale=scale, size=count)
+    return nuisances
 
 
-def _draw_tool_nuisances(factor: Factor, seen: ReadingPoses, draw: np.random.Generator) -> Array:
-    """What instruments at the tool bring ``(setups, K)`` that stand somewhere near the place that
-    their sheet says: datum, plane, scale, frame.
-    """
-    known = _nuisance_sigmas(factor)
-    found = np.zeros_like(known)
-    for k in range(len(known)):
-        own = seen.nuisance_jacobian[factor.setup == k].any(axis=0) & (known[k] > 0)
-        found[k, own] = draw.normal(scale=np.minimum(known[k, own], _DATUM_RANGE))
-    return found
+def _draw_tool_nuisances(factor: Factor, poses: ReadingPoses, rng: np.random.Generator) -> Array:
+    """Return nuisances of instruments at the tool ``(setups, K)``, near their stated poses."""
+    sigmas = _nuisance_sigmas(factor)
+    nuisances = np.zeros_like(sigmas)
+    for k, sigma in enumerate(sigmas):
+        visible = poses.nuisance_jacobian[factor.setup == k].any(axis=0) & (sigma > 0)
+        nuisances[k, visible] = rng.normal(scale=np.minimum(sigma[visible], _DATUM_RANGE))
+    return nuisances
 
 
 def _displaced_stand(
     setup: Setup, stand: InstrumentPose, drawn: Array
 ) -> tuple[InstrumentPose, Array]:
-    """Where an instrument stands, and what of its nuisances ``(K,)`` that leaves."""
+    """Return the displaced pose of an instrument, and the nuisances ``(K,)`` that remain."""
     count = setup.observation.nuisance_count
-    stand, left = setup.observation.apply_pose_nuisances(stand, drawn[:count])
-    return stand, np.pad(left, (0, len(drawn) - count))
+    stand, remaining = setup.observation.apply_pose_nuisances(stand, drawn[:count])
+    return stand, np.pad(remaining, (0, len(drawn) - count))
 
 
 def _nuisance_sigmas(factor: Factor) -> Array:
-    """Standard deviations of the nuisances of all setups ``(setups, K)``; 0 of those that are
-    none.
-    """
-    each = [factor.nuisance_sd(k) for k in range(len(factor.readings.setups))]
-    found = np.zeros((len(each), max(map(len, each), default=0)))
-    for row, own in zip(found, each, strict=True):
-        row[: len(own)] = own
-    return found
+    """Return standard deviations of the nuisances of all setups ``(setups, K)``, padded by 0."""
+    by_setup = [factor.nuisance_sd(k) for k in range(len(factor.readings.setups))]
+    sigmas = np.zeros((len(by_setup), max(map(len, by_setup), default=0)))
+    for row, setup_sigmas in zip(sigmas, by_setup, strict=True):
+        row[: len(setup_sigmas)] = setup_sigmas
+    return sigmas
 
 
 def simulate_tcp(machine: MachineSource, count: int = TCP_POINTS, *, seed: Seed = 0) -> Readings:
-    """Exact TCP points at commands drawn over the workspace, in the middle of any dead band.
+    """Return exact TCP points at commands drawn over the workspace, in the middle of any dead band.
 
     On the Orthoglide that is the whole stroke; elsewhere they lie between points of the workspace.
 
@@ -170,16 +167,15 @@ def simulate_tcp(machine: MachineSource, count: int = TCP_POINTS, *, seed: Seed 
         InputError: for no count of points, or a negative seed.
     """
     machine, count = Machine.of(machine), check_integer("count", count, 1)
-    geometry, draw = machine.geometry, _random_generator(seed)
+    geometry, generator = machine.geometry, _random_generator(seed)
     if geometry.dialled:
-        rho = geometry.zero + draw.uniform(*geometry.stroke, (count, 3))
+        rho = geometry.zero + generator.uniform(*geometry.stroke, (count, 3))
     else:
         places = wanted_points(machine)
-        shares = draw.dirichlet(np.full(_MIXED_POINTS, 0.5), count)
-        chosen = draw.integers(len(places), size=(count, _MIXED_POINTS))
-        rho = commands_of(
-            Spheres.of_geometry(geometry), np.einsum("nk,nkx->nx", shares, places[chosen])
-        )
+        shares = generator.dirichlet(np.full(_MIXED_POINTS, 0.5), count)
+        corners = generator.integers(len(places), size=(count, _MIXED_POINTS))
+        points = np.einsum("nk,nkx->nx", shares, places[corners])
+        rho = commands_of(Spheres.of_geometry(geometry), points)
     rho = np.round(rho, 9)
     with _refusing_absurd_values(machine):
         p = machine.forward(rho)
@@ -187,49 +183,49 @@ def simulate_tcp(machine: MachineSource, count: int = TCP_POINTS, *, seed: Seed 
 
 
 def missing_conditions(needs: Collection[str]) -> str:
-    """What is missing where conditions are not there that an effect needs, as a clause."""
+    """Return the reason why an effect cannot show, by the conditions that it needs, as a clause."""
     if "pitch" in needs:
         return "the machine file says no screw_pitch_mm"
     columns = [_CONDITION_COLUMNS[n] for n in sorted(needs) if n in _CONDITION_COLUMNS]
     return f"the sheet does not vary {' and '.join(columns)}"
 
 
-def invisible_parameters(machine: Machine, *sheets: Readings) -> dict[str, str]:
-    """Parameters of a machine that change no reading of sheets, each with what is missing."""
-    given = {"approach"}
-    given |= set() if machine.spec.screw_pitch is None else {"pitch"}
+def varied_conditions(machine: Machine, *sheets: Readings) -> set[str]:
+    """Return the conditions of effects that sheets vary, or that the machine file states."""
+    conditions = {"approach"} | (set() if machine.spec.screw_pitch is None else {"pitch"})
     for sheet in sheets:
-        given |= {"load"} if sheet.load.any() else set()
-        given |= {"time"} if np.nan_to_num(sheet.time).any() else set()
-        given |= {"temperature"} if np.nan_to_num(sheet.temperature_rise).any() else set()
-    of, found = machine.catalogue.effect_of, dict[str, str]()
+        time, warming = np.nan_to_num(sheet.time), np.nan_to_num(sheet.temperature_rise)
+        columns = {"load": sheet.load, "time": time, "temperature": warming}
+        conditions |= {name for name, values in columns.items() if values.any()}
+    return conditions
+
+
+def invisible_parameters(machine: Machine, *sheets: Readings) -> dict[str, str]:
+    """Return the parameters of a machine that change no reading of sheets, each with the reason."""
+    conditions, reasons = varied_conditions(machine, *sheets), dict[str, str]()
     for name, value in machine.values.items():
-        missing = of(name).needs - given
+        missing = machine.catalogue.effect_of(name).needs - conditions
         if value and missing:
-            found[name] = missing_conditions(missing)
-    return found
+            reasons[name] = missing_conditions(missing)
+    return reasons
 
 
 @contextmanager
 def _refusing_absurd_values(machine: Machine) -> Iterator[None]:
-    """A machine that does not close for a value in another unit is refused by that value."""
+    """Name the value in another unit because of which a machine does not close."""
     try:
         yield
     except ClosureError:
-        off = {n: abs(v) / machine.tolerance(n) for n, v in machine.values.items()}
-        worst = max(off, key=lambda n: off[n], default="")
-        if not worst or off[worst] < _ABSURD_TOLERANCES:
+        sizes = {n: abs(v) / machine.tolerance(n) for n, v in machine.values.items()}
+        worst = max(sizes, key=lambda n: sizes[n], default="")
+        if not worst or sizes[worst] < _ABSURD_TOLERANCES:
             raise
         unit, value = machine.catalogue.effect_of(worst).unit, machine.values[worst]
         raise InputError(
-            f"{worst} = {compact(value / unit.si, 6)}{unit.behind} is {off[worst]:.0f} times its "
+            f"{worst} = {compact(value / unit.si, 6)}{unit.behind} is {sizes[worst]:.0f} times its "
             f"tolerance of {machine.tolerance(worst) / unit.si:g}{unit.behind}, and the machine "
             f"does not close with it: is it meant in another unit?"
         ) from None
-
-
-def _rounded(shown: Array, steps: Array | float) -> Array:
-    return np.where(np.greater(steps, 0), np.round(shown / np.maximum(steps, 1e-12)) * steps, shown)
 
 
 def _random_generator(seed: Seed) -> np.random.Generator:

@@ -1,4 +1,4 @@
-"""Text: what of a file can be shown, repeated and tabulated; sentences and lists."""
+"""Text: printable text, quotations from files, CSV tables, sentences and lists."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from difflib import get_close_matches
 from typing import Any
 
 MACHINE_OPTION = " --machine FILE"
-"""In an advised command the machine that whoever prints it knows."""
+"""Placeholder for the machine in a recommended command, which the printing code replaces."""
 
 _FILE_WIDTH = 100  # of text that goes to a file
 _MAX_QUOTED_LENGTH = 40  # characters of a file's text that a message repeats
 
-# Controls, halves of pairs, what is no character, and what turns or breaks lines unseen: no page,
-# figure or terminal shows them, and XML has none of them.
+# Control characters, surrogates, non-characters, and characters that reverse or break lines: no
+# page, figure or terminal shows them, and XML does not allow them.
 _UNPRINTABLE = re.compile(
     "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufdd0-\ufdef"
     "\ufffe\uffff]"
@@ -28,41 +28,44 @@ _UNPRINTABLE = re.compile(
 
 
 def unprintable(text: str) -> str:
-    """The first character of a text that cannot be shown, as ``U+001B``; empty where none is."""
-    found = _UNPRINTABLE.search(text)
-    return f"U+{ord(found[0]):04X}" if found else ""
+    """Return the first unprintable character of a text, as ``U+001B``; empty for none."""
+    match = _UNPRINTABLE.search(text)
+    return f"U+{ord(match[0]):04X}" if match else ""
 
 
 def leaves(data: Any) -> Iterator[Any]:
-    """Every value in nested mappings and lists, and every key."""
-    waiting = [data]
-    while waiting:
-        value = waiting.pop()
+    """Yield every value and key of nested mappings and lists."""
+    pending = [data]
+    while pending:
+        value = pending.pop()
         if isinstance(value, Mapping):
-            waiting += [*value, *value.values()]
+            pending += [*value, *value.values()]
         elif isinstance(value, list):
-            waiting += value
+            pending += value
         else:
             yield value
 
 
 def unprintable_problem(data: Any) -> str:
-    """What is wrong with the first text in nested mappings and lists that cannot be shown."""
+    """Return an error message for the first unprintable text in nested mappings and lists."""
     for value in leaves(data):
-        if isinstance(value, str) and (found := unprintable(value)):
+        if isinstance(value, str) and (character := unprintable(value)):
             readable = abbreviated(_UNPRINTABLE.sub("", value))
-            return f"holds the character {found}, which cannot be shown, in {readable!r}: remove it"
+            return (
+                f"holds the character {character}, which cannot be shown, in {readable!r}: "
+                f"remove it"
+            )
     return ""
 
 
 def printable_path(path: str | os.PathLike[str]) -> str:
-    """A file's name for people and for results: what cannot be shown stands as U+FFFD."""
+    """Return a file's name with unprintable characters replaced by U+FFFD."""
     return _UNPRINTABLE.sub("\ufffd", os.fspath(path))
 
 
-def abbreviated(text: str, most: int = _MAX_QUOTED_LENGTH) -> str:
-    """A text from a file as a message repeats it: its beginning where it is long."""
-    return text if len(text) <= most else f"{text[: most - 3]}..."
+def abbreviated(text: str, max_length: int = _MAX_QUOTED_LENGTH) -> str:
+    """Return a text shortened to its beginning where it is long, for a message."""
+    return text if len(text) <= max_length else f"{text[: max_length - 3]}..."
 
 
 def nearest(word: str, names: Iterable[str]) -> str:
@@ -70,15 +73,15 @@ def nearest(word: str, names: Iterable[str]) -> str:
     return next(iter(get_close_matches(word, list(names), n=1, cutoff=0.6)), "")
 
 
-# What a spreadsheet computes instead of showing it; signed numbers and directions are harmless.
+# Cells that a spreadsheet computes instead of displaying; signed numbers and directions are not.
 _FORMULA = re.compile(r"'*(?:[=@]|[+-](?![\w.]*$))")
 
-_FORMULA_STARTS = "'=@+-"  # what a formula begins with, which is quicker to ask for
+_FORMULA_STARTS = "'=@+-"  # first characters of a formula, a quick test before the pattern
 
 
 def csv_text(names: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
-    """CSV text of a header and rows; a cell that a spreadsheet would compute has an apostrophe
-    before it, which :func:`cell_text` takes off again.
+    """Return CSV text of a header and rows. A cell that a spreadsheet would compute gets a leading
+    apostrophe, which :func:`cell_text` removes.
     """
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
@@ -91,13 +94,13 @@ def csv_text(names: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
 
 
 def cell_text(cell: str) -> str:
-    """A cell of a CSV file as it was meant: see :func:`csv_text`."""
+    """Return the original text of a cell of a CSV file; see :func:`csv_text`."""
     cell = cell.strip()
     return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
 
 
 def text_width() -> int:
-    """Columns of the terminal, or as ``COLUMNS`` says; 100 where the output goes to a file."""
+    """Return the width of the terminal, or ``COLUMNS``; 100 where the output goes to a file."""
     if is_terminal() or os.environ.get("COLUMNS", "").isdigit():
         return shutil.get_terminal_size((_FILE_WIDTH, 24)).columns
     return _FILE_WIDTH
@@ -117,7 +120,7 @@ def wrapped(text: str) -> str:
 
 
 def is_terminal(err: bool = False) -> bool:
-    """Whether somebody sees the output, or the error stream, as it comes."""
+    """Return whether the output, or the error stream, is a terminal."""
     stream = sys.stderr if err else sys.stdout
     try:
         return stream is not None and stream.isatty()
@@ -126,7 +129,7 @@ def is_terminal(err: bool = False) -> bool:
 
 
 def sentence(text: str) -> str:
-    """With a capital and a full stop; a parameter's name keeps its small letter."""
+    """Return a text with a capital and a full stop; a parameter's name stays in lower case."""
     first = text.partition(" ")[0]
     capital = text if "_" in first or "." in first else text[:1].upper() + text[1:]
     return capital if capital.endswith("?") else f"{capital}."
@@ -134,7 +137,7 @@ def sentence(text: str) -> str:
 
 def listed(parts: Iterable[str]) -> str:
     """``a``, ``a and b``, ``a, b and c``."""
-    every = list(parts)
-    if len(every) < 2:
-        return "".join(every)
-    return f"{', '.join(every[:-1])} and {every[-1]}"
+    items = list(parts)
+    if len(items) < 2:
+        return "".join(items)
+    return f"{', '.join(items[:-1])} and {items[-1]}"

@@ -11,17 +11,17 @@ _R = TypeVar("_R")
 
 
 def on_one_thread(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """The same function, with linear algebra on one thread while it runs.
+    """Return the function with linear algebra on one thread while it runs.
 
-    Its matrices are small: on several cores their parts wait for each other longer than they work,
-    by as much as ten times. Programs that call the function keep the threads that they have.
+    Its matrices are small: on several cores synchronisation takes up to ten times as long as the
+    work itself. The number of threads of the calling program does not change.
     """
 
     @wraps(function)
-    def called(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+    def wrapper(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         from threadpoolctl import threadpool_limits
 
         with threadpool_limits(1, user_api="blas"):
             return function(*args, **kwargs)
 
-    return called
+    return wrapper

@@ -17,7 +17,7 @@ from orthoglide.machine import Machine, MachineSource
 
 @dataclass(frozen=True)
 class CubeTransmission:
-    """What a machine does over a cube whose edges lie along the base axes.
+    """Transmission factors of a machine over a cube whose edges lie along the base axes.
 
     Attributes:
         side: of the cube, metres.
@@ -49,8 +49,8 @@ def transmission_factors(machine: MachineSource | None, p: ArrayLike) -> Array:
     Raises:
         UnreachableError: naming the leg that is too short.
     """
-    own = Machine.of(machine)
-    return np.asarray(np.linalg.svd(own.jacobian(own.inverse(p)), compute_uv=False))
+    machine = Machine.of(machine)
+    return np.asarray(np.linalg.svd(machine.jacobian(machine.inverse(p)), compute_uv=False))
 
 
 def transmission_over_cube(
@@ -62,34 +62,34 @@ def transmission_over_cube(
         machine: as for :func:`transmission_factors`.
         side: of the cube, metres.
         centre: of the cube ``(3,)``, metres, base frame.
-        count: points along each edge of the grid that is looked at, at least 2.
+        count: points along each edge of the evaluated grid, at least 2.
 
     Raises:
         InputError: for a side that is not positive, or fewer than two points.
         UnreachableError: naming the leg that is too short.
     """
-    middle = vectors(centre, "centre")
+    cube_centre = vectors(centre, "centre")
     check_integer("count", count, 2)
     size = as_float_array("the side", side)
-    if middle.shape != (3,) or size.shape != () or not (np.isfinite(size) and size > 0):
+    if cube_centre.shape != (3,) or size.shape != () or not (np.isfinite(size) and size > 0):
         raise InputError("a cube has a centre (3,) and a positive side, both in metres")
-    own = Machine.of(machine)
-    steps = middle + np.linspace(-side / 2, side / 2, count)[:, None]
-    # A drive goes furthest where the point is nearest to its leg's carriage: such coordinates are
-    # among the steps as well, whatever their number.
-    near = np.clip(own.model.mechanism.spheres.centres, steps[0], steps[-1])
+    machine = Machine.of(machine)
+    steps = cube_centre + np.linspace(-side / 2, side / 2, count)[:, None]
+    # A drive travels furthest where the point is nearest to its leg's carriage, so the grid
+    # contains these coordinates too.
+    nearest = np.clip(machine.model.mechanism.spheres.centres, steps[0], steps[-1])
     p = np.stack(
-        np.meshgrid(*(np.union1d(steps[:, k], near[:, k]) for k in range(3)), indexing="ij"),
+        np.meshgrid(*(np.union1d(steps[:, k], nearest[:, k]) for k in range(3)), indexing="ij"),
         axis=-1,
     ).reshape(-1, 3)
-    rho = own.inverse(p)
-    factors = np.linalg.svd(own.jacobian(rho), compute_uv=False)
-    travel = rho - own.geometry.zero
+    rho = machine.inverse(p)
+    factors = np.linalg.svd(machine.jacobian(rho), compute_uv=False)
+    travel = rho - machine.geometry.zero
     return CubeTransmission(
         float(side),
-        middle,
+        cube_centre,
         float(factors.min()),
         float(factors.max()),
         (float(travel.min()), float(travel.max())),
-        bool(own.geometry.in_stroke(rho).all()),
+        bool(machine.geometry.in_stroke(rho).all()),
     )

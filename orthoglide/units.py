@@ -13,19 +13,19 @@ from typing import NamedTuple
 
 
 class Unit(NamedTuple):
-    """A unit: its name and what it is worth in SI, of files a power of ten."""
+    """A unit: its name and its value in SI, a power of ten for units of files."""
 
     name: str
     si: float
 
     @property
     def behind(self) -> str:
-        """As a sentence has it behind a number: nothing for a ratio."""
+        """The suffix of a number in a sentence: empty for a ratio."""
         return "" if self.name == "1" else f" {self.name}"
 
     @property
     def spoken(self) -> Unit:
-        """The unit in which people say it: milliradians, percent."""
+        """The unit of reports: milliradians, percent."""
         factor, name = display_unit(self.name)
         return Unit(name, self.si / factor)
 
@@ -40,14 +40,12 @@ _DISPLAY_UNITS = {
 
 
 def display_unit(unit: str) -> tuple[float, str]:
-    """Return what a number in a unit of files is multiplied by to be said, and the unit it then
-    has.
-    """
+    """Return the factor from a unit of files to the unit of reports, and the latter's name."""
     return _DISPLAY_UNITS.get(unit, (1.0, unit))
 
 
 NOISE_LIMITS = (1e-9, 1e-3)
-"""Standard deviations that readings can have, metres: an atom, and more than any dial scatters."""
+"""Limits of the standard deviation of a reading, metres: an atom, and beyond any dial."""
 
 MM, RAD, ONE = Unit("mm", 1e-3), Unit("rad", 1.0), Unit("1", 1.0)
 
@@ -64,7 +62,7 @@ UNIT_MISTAKES = {
     100.0: "in hundredths, or with the decimal point two places off",
     0.01: "in hundredths of a millimetre",
 }
-"""What to multiply readings with, and what that says of them."""
+"""Factors that correct readings in a wrong unit, with the mistake in words."""
 
 
 def to_si(number: str | int | float | Decimal, factor: float = 1.0) -> float:

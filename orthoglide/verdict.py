@@ -29,12 +29,11 @@ class Verdict(Result):
         """Write the report into a folder, as the command line does.
 
         Args:
-            folder: where to.
-            overwrite: whether an earlier report there is replaced; the folder is new or empty
-                otherwise.
+            folder: the folder; new or empty.
+            overwrite: whether an earlier report there is replaced.
 
         Raises:
-            FileError: where the folder is not empty and not replaced, or cannot be written.
+            FileError: if the folder is not empty and not replaced, or cannot be written.
         """
         from orthoglide.report import check_folder, report_files, write_folder
 
@@ -44,14 +43,14 @@ class Verdict(Result):
 
     @on_one_thread
     def plot(self, what: str = "residuals") -> Drawing:
-        """A figure of the report, which notebooks show and ``save`` writes.
+        """Return a figure of the report, which notebooks show and ``save`` writes.
 
         Args:
             what: ``"residuals"`` or ``"readings"`` by setup, the errors of the tool over the
                 ``"workspace"``, or after ``identify`` the ``"parameters"``.
 
         Raises:
-            InputError: for a figure that there is not, or not of this result.
+            InputError: if this result has no such figure.
         """
         from orthoglide.figures.draw import draw_one
 
@@ -61,7 +60,7 @@ class Verdict(Result):
         """Run it again from the readings in the result.
 
         Args:
-            progress: called with each step; any callable will do.
+            progress: callable that receives each step.
 
         Raises:
             NumericsError: if the base model cannot be identified.
@@ -95,22 +94,21 @@ def close_loop(
     progress: Progress | None = None,
     frame: Frame = "rigid",
 ) -> Verdict:
-    """Calibrate a machine, test for lack of fit, and identify the causes of what the base model
-    does not explain.
+    """Calibrate a machine, test for lack of fit, and identify the causes of the residual.
 
     Args:
-        campaigns: one or several, of dial readings (paths are read as by ``read_readings``) or TCP
-            points that are readings like the others.
-        machine: dimensions, tolerances, dial, or the path of its file; nominal where absent.
+        campaigns: one or several campaigns of dial readings or TCP points; paths are read as by
+            ``read_readings``.
+        machine: dimensions, tolerances and dial, or the path of a machine file; by default nominal.
         own: effects or parameters that are specific to each campaign; all others are shared.
         noise: standard deviation of one reading, metres.
         holdout: readings that are not fitted and only judge the result.
         tcp: measured points that are not fitted and only judge the result, or the path of their
             file.
         effects: the user's own effects, in addition to those of the machine's catalogue.
-        seed: of every random draw; equal seeds give equal results.
-        progress: called with each step; any callable will do.
-        frame: how the instrument of TCP points may stand to the machine.
+        seed: seed of every random draw; equal seeds give equal results.
+        progress: callable that receives each step.
+        frame: motion allowed between the instrument of TCP points and the machine.
 
     Raises:
         InputError: if the campaigns cannot be used.
@@ -142,12 +140,12 @@ def build_request(
     """
     machine = Machine.of(machine, effects)
     check_list("own", own)
-    several, points = read_legs_and_tool(campaigns, machine)
-    judges = None if tcp is None else points_of(tcp, machine)
+    leg_readings, points = read_legs_and_tool(campaigns, machine)
+    tcp_points = None if tcp is None else points_of(tcp, machine)
     held = () if holdout is None else readings_of(holdout, machine)
     return Request(
-        "close-loop", several, machine, tuple(own), noise, seed, held, judges, points=points,
-        frame=frame,
+        "close-loop", leg_readings, machine, tuple(own), noise, seed, held, tcp_points,
+        points=points, frame=frame,
     )  # fmt: skip
 
 

@@ -19,14 +19,13 @@ from orthoglide.mechanism.perfect_legs import commands as commands_of
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.mechanism.visual import RailPath, bend_rails, fit_bars, visual_model
 from orthoglide.prediction import Conditions, Model
+from orthoglide.scene import stroke_commands
 
 _PATH_POINTS = 49  # of a carriage's path over the stroke
-_RAIL_DISTANCE = (
-    1.5  # d: distance of a rail from its carriage's path, of this package's own URDF 1.2 d
-)
-_KEY_FRAMES, _FRAMES_PER_SECOND = 5, 8  # key frames from the middle to the end of a way
+_RAIL_DISTANCE = 1.5  # distance of a rail from its carriage's path in d; 1.2 in the package's URDF
+_KEY_FRAMES, _FRAMES_PER_SECOND = 5, 8  # key frames from the middle to the end of a motion
 _NOMINAL_COLOUR = [0.45, 0.5, 0.55, 0.3]  # red, green, blue, opacity of the nominal machine
-_EYE_DISTANCE = 0.85  # of the eye, in diagonals of the machine: all is within meshcat's 75 degrees
+_EYE_DISTANCE = 0.85  # in diagonals of the machine, which then fits meshcat's 75 degrees
 _NARROW_SCREEN_SCRIPT = (
     "<script>viewer.camera.zoom = Math.min(1, innerWidth / innerHeight); "
     "viewer.camera.updateProjectionMatrix();</script>"
@@ -42,10 +41,10 @@ class MagnifiedMachine:
     """A machine with its errors magnified.
 
     Attributes:
-        model: of the machine.
+        model: model of the machine.
         values: its parameters, SI.
-        seen: conditions besides the command, as :meth:`orthoglide.Machine.pose` takes them.
-        factor: by which displacements of virtual joints are multiplied.
+        conditions: conditions besides the command, as for :meth:`orthoglide.Machine.pose`.
+        factor: factor of the displacements of virtual joints.
     """
 
     model: Model
@@ -55,16 +54,15 @@ class MagnifiedMachine:
 
     def displacements(self, rho: Array) -> Array:
         """Return displacements of the virtual joints ``(3, 10)`` at a command ``(3,)``."""
-        moves = self.model.loaded_displacements(
-            self.values, Conditions.from_commands(rho, **self.conditions)
-        )
+        conditions = Conditions.from_commands(rho, **self.conditions)
+        moves = self.model.loaded_displacements(self.values, conditions)
         return self.factor * moves.reshape(3, -1)
 
     def close(self, rho: Array, guess: Posture | None = None) -> Posture:
         """Close the loops at a command ``(3,)``, metres.
 
         Raises:
-            InputError: where they do not close with errors as large.
+            InputError: if they do not close with errors this large.
         """
         mechanism = self.model.mechanism
         try:
@@ -78,42 +76,34 @@ class MagnifiedMachine:
             ) from error
 
     def paths(self) -> list[RailPath]:
-        """Return the paths of the three carriages over the stroke, as the drawing of a report does.
-
-        One leg moves at a time. Where the platform hangs all move together, for one alone would
-        leave the others' reach.
-        """
-        geometry = self.model.geometry
-        travel, found = np.linspace(*geometry.stroke, _PATH_POINTS), []
-        together = geometry.layout.hanging
+        """Return the paths of the three carriages over the stroke."""
+        geometry, paths = self.model.geometry, []
         lateral = [VIRTUAL_NAMES.index(name) for name in ("lateral_b", "lateral_c")]
-        for k, leg in enumerate(geometry.legs):
-            command = np.repeat(geometry.zero[None], _PATH_POINTS, axis=0)
-            command[:, slice(None) if together else slice(k, k + 1)] += travel[:, None]
-            moves = self.model.displacements(
-                self.values, Conditions.from_commands(command, **self.conditions)
-            )
-            across = self.factor * moves.reshape(_PATH_POINTS, 3, -1)[:, k, lateral]
+        for index, leg in enumerate(geometry.legs):
+            travel, commands = stroke_commands(geometry, index, _PATH_POINTS)
+            conditions = Conditions.from_commands(commands, **self.conditions)
+            moves = self.model.displacements(self.values, conditions)
+            across = self.factor * moves.reshape(_PATH_POINTS, 3, -1)[:, index, lateral]
             aside = across @ leg.axes[:, 1:].T
-            found.append(RailPath(leg.carriage, leg.axes[:, 0], travel, aside))
-        return found
+            paths.append(RailPath(leg.carriage, leg.axes[:, 0], travel, aside))
+        return paths
 
     def commands_along_axes(self, rho: Array) -> Iterator[Array]:
-        """Yield commands ``(3,)`` that lead the nominal tool to and fro along x, y and z."""
+        """Yield commands ``(3,)`` that move the nominal tool to and fro along x, y and z."""
         mechanism = self.model.mechanism
         start, outward = mechanism.close(rho).p, np.arange(1, _KEY_FRAMES + 1) / _KEY_FRAMES
-        for way in np.stack([np.eye(3), -np.eye(3)], axis=1).reshape(6, 3):
-            shares = self._reach(start, way) * np.array([*outward, *(1 - outward)])
-            yield from commands_of(mechanism.spheres, start + np.outer(shares, way))
+        for direction in np.stack([np.eye(3), -np.eye(3)], axis=1).reshape(6, 3):
+            shares = self._reach(start, direction) * np.array([*outward, *(1 - outward)])
+            yield from commands_of(mechanism.spheres, start + np.outer(shares, direction))
 
-    def _reach(self, start: Array, way: Array) -> float:
-        """Return how far the nominal tool can go along a unit vector, metres: at most half a
-        stroke, all carriages within theirs.
+    def _reach(self, start: Array, direction: Array) -> float:
+        """Return the reach of the nominal tool along a unit vector, metres, with all carriages
+        within their strokes; at most half a stroke.
         """
         geometry = self.model.geometry
         low, high = geometry.stroke
         for share in np.linspace(0.5, 0.05, 10):
-            goal = start + share * (high - low) * way
+            goal = start + share * (high - low) * direction
             try:
                 (rho,) = commands_of(self.model.mechanism.spheres, goal[None])
             except UnreachableError:
@@ -127,12 +117,12 @@ def show(machine: MagnifiedMachine, rho: Array, *, open_browser: bool = False) -
     """Return Pinocchio's ``MeshcatVisualizer`` with a machine, animated along each axis.
 
     Args:
-        machine: with its errors as large as they are drawn.
+        machine: the machine with magnified errors.
         rho: command ``(3,)``, metres.
-        open_browser: whether a browser opens at the viewer's address.
+        open_browser: whether to open a browser at the viewer's address.
 
     Raises:
-        InputError: where meshcat is not installed, or the loops do not close with errors as large.
+        InputError: if meshcat is not installed, or the loops do not close with errors this large.
     """
     visualizer = _visualizer()
     if rho.shape != (3,):
@@ -144,15 +134,15 @@ def show(machine: MagnifiedMachine, rho: Array, *, open_browser: bool = False) -
     posture = machine.close(rho)
     visual = visual_model(tree, mechanism.looped)
     fit_bars(visual, tree, displacements)
-    bent = bend_rails(visual, paths, _RAIL_DISTANCE * geometry.d)
+    bent_rails = bend_rails(visual, paths, _RAIL_DISTANCE * geometry.d)
     viewer = visualizer(tree.model, None, visual)
     viewer.initViewer()
     viewer.loadViewerModel("machine")
     viewer.display(posture.q)
-    if machine.factor > 1 and (displacements.any() or bent):
+    if machine.factor > 1 and (displacements.any() or bent_rails):
         nominal = visual_model(tree, mechanism.looped)
         fixed = [str(item.name) for item in nominal.geometryObjects if item.parentJoint == 0]
-        for name in set(fixed) - set(bent):
+        for name in set(fixed) - set(bent_rails):
             nominal.removeGeometryObject(name)
         ghost = visualizer(tree.model, None, nominal)
         ghost.initViewer(viewer=viewer.viewer)
@@ -183,14 +173,16 @@ def _animate(viewer: Any, machine: MagnifiedMachine, rho: Array, posture: Postur
 
     animation = Animation(default_framerate=_FRAMES_PER_SECOND)
     moving = [item for item in viewer.visual_model.geometryObjects if item.parentJoint > 0]
-    data, placed = viewer.model.createData(), viewer.visual_model.createData()
+    data, geometry_data = viewer.model.createData(), viewer.visual_model.createData()
     for k, command in enumerate([rho, *machine.commands_along_axes(rho)]):
         posture = machine.close(command, posture)
-        pin.updateGeometryPlacements(viewer.model, data, viewer.visual_model, placed, posture.q)
+        pin.updateGeometryPlacements(
+            viewer.model, data, viewer.visual_model, geometry_data, posture.q
+        )
         with animation.at_frame(viewer.viewer, k) as frame:
             for item in moving:
                 node = viewer.getViewerNodeName(item, pin.GeometryType.VISUAL)
-                place = placed.oMg[viewer.visual_model.getGeometryId(item.name)]
+                place = geometry_data.oMg[viewer.visual_model.getGeometryId(item.name)]
                 frame[node].set_transform(place.homogeneous)
     viewer.viewer.set_animation(animation, play=False)
 
@@ -206,14 +198,14 @@ def _set_camera(viewer: Any, azimuth: float) -> None:
             corners.append(place.act(item.meshScale * np.array(corner)))
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     # Meshcat's camera turns about the origin, so the machine's middle is put there.
-    moved = np.eye(4)
-    moved[:3, 3] = -(low + high) / 2
+    transform = np.eye(4)
+    transform[:3, 3] = -(low + high) / 2
     turn, rise = np.deg2rad([azimuth, 22.0])
-    flat = np.cos(rise)
-    away = np.array([flat * np.cos(turn), flat * np.sin(turn), np.sin(rise)])
-    x, y, z = (_EYE_DISTANCE * float(np.linalg.norm(high - low)) * away).tolist()
+    cos_rise = np.cos(rise)
+    toward_eye = np.array([cos_rise * np.cos(turn), cos_rise * np.sin(turn), np.sin(rise)])
+    x, y, z = (_EYE_DISTANCE * float(np.linalg.norm(high - low)) * toward_eye).tolist()
     scene = viewer.viewer
-    scene.set_transform(moved)
+    scene.set_transform(transform)
     # The camera's y points up, the machine's z does.
     scene["/Cameras/default/rotated/<object>"].set_property("position", [x, z, -y])
     viewer.setBackgroundColor("white")
@@ -222,12 +214,12 @@ def _set_camera(viewer: Any, azimuth: float) -> None:
 
 
 def static_page(viewer: Any, machine: MagnifiedMachine, title: str) -> str:
-    """Return meshcat's static page of a viewer: one file, which asks nothing of a network.
+    """Return meshcat's static page of a viewer: one file that needs no network.
 
     Args:
-        viewer: what :func:`show` returned.
-        machine: which it shows.
-        title: of the page.
+        viewer: the viewer from :func:`show`.
+        machine: the machine in it.
+        title: title of the page.
     """
     head = (
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -251,12 +243,8 @@ def static_page(viewer: Any, machine: MagnifiedMachine, title: str) -> str:
 def _caption(machine: MagnifiedMachine) -> str:
     """Return the words below the scene."""
     red, green, blue = machine.model.geometry.leg_names
-    errors = "True to scale."
-    if machine.factor > 1:
-        errors = (
-            f"Errors are drawn {machine.factor:g} times as large as they are. Grey: the nominal "
-            f"machine."
-        )
+    scale = f"Errors are drawn {machine.factor:g} times as large as they are."
+    errors = f"{scale} Grey: the nominal machine." if machine.factor > 1 else "True to scale."
     return (
         f"{errors} Carriages: {red} red, {green} green, {blue} blue. Drag to turn. Under Open "
         f"Controls, Animations, the tool moves along x, y and z."

@@ -524,6 +524,20 @@ def test_rows_are_counted_within_their_campaign(machine):
     assert [len(c) for c in clean.campaigns] == [54, 53]
 
 
+def test_a_change_since_a_calibration_is_as_free_without_the_faulty_rows(machine):
+    """One slip narrowed its prior to a tolerance, which pulled it towards the earlier value."""
+    calibrated = estimate_of(rows_of(), machine).machine
+    moved = {"joint_offset.x": BASE["joint_offset.x"] + 4e-3}
+    rows = rc.outlier(rows_of(seed=4, **moved), 20, 0.5).rows
+    read = estimate_of(rows, calibrated)
+    assert [str(change.parameter) for change in read.changes] == list(moved)
+    slip = ReportedFault("outlier", ((0, 20),), (), "", 0.0, 0.0, 0.0)
+    clean = without_faults(read.problem, [slip])
+    widths = {str(u.name): u.prior_width for u in read.problem.unknowns}
+    assert widths["joint_offset.x"] == 10.0
+    assert {str(u.name): u.prior_width for u in clean.unknowns} == widths
+
+
 def test_a_campaign_of_faults_alone_is_refused_for_its_own(machine):
     every = [campaign_of(rows_of("standard", seed=k), machine, f"visit-{k}") for k in (1, 2)]
     problem = identify(every, machine, method="nested").problem

@@ -15,14 +15,14 @@ from orthoglide.parameters import Parameter
 from orthoglide.units import Unit
 
 CHANGED_SIGMAS = 3.0
-"""Sigmas of a difference that count as a change where changes cannot be searched for; among some
-ten parameters, one false in forty."""
+"""Sigmas beyond which a difference is a change if changes cannot be searched: one false change in
+forty comparisons of ten parameters."""
 
 COLUMNS = ("old", "new", "difference", "sigma", "unit", "changed")
-"""What `Difference.cells` holds."""
+"""Titles of `Difference.cells`."""
 
-_MATCHING_SHARE = 0.05  # of what was asked for: people enter two digits
-_DISTINCT_RATIO = 3.0  # times that what was asked for must be, for the ways to look different
+_MATCHING_SHARE = 0.05  # relative deviation of an entry: people enter two digits
+_DISTINCT_RATIO = 3.0  # least ratio of the advised change to the margin, to tell entries apart
 _ADVICE_NAMES = "as much as the readings before ask for"
 _ENTRY_CLAUSES = {
     1.0: f"{_ADVICE_NAMES}: {{}} entered",
@@ -36,15 +36,15 @@ _ENTRY_CLAUSES = {
 
 @dataclass(frozen=True)
 class Difference:
-    """One parameter in both states, each from its own readings, SI."""
+    """One parameter in both states, SI."""
 
     parameter: Parameter  # its name
     before: float  # value in the old state
-    after: float  # value in the new one
+    after: float  # value in the new state
     sigma: float  # standard deviation of the difference
     unit: Unit  # of files
-    changed: bool  # whether the difference is beyond what the readings leave open
-    alternatives_clause: str = ""  # what else may have changed instead, in brackets, or empty
+    changed: bool  # whether the difference exceeds its uncertainty
+    alternatives_clause: str = ""  # alternatives, in brackets, or empty
     legs: LegNames = CATALOGUE.legs  # names of the machine's legs and parts
 
     @property
@@ -54,53 +54,55 @@ class Difference:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """Old, new, difference and its sigma in the unit of files, and whether it changed."""
+        """Old and new value, difference and sigma in the unit of files, and whether it changed."""
         return (*self._figures(self.unit), self.unit.name, "yes" if self.changed else "no")
 
     def _figures(self, unit: Unit) -> tuple[str, str, str, str]:
-        """Old, new, difference and its sigma."""
+        """Return the old and the new value, the difference and its sigma."""
         si, places = unit.si, decimals_for(self.sigma / unit.si, most=9)
         before, after = (plain(v / si, places) for v in (self.before, self.after))
-        apart = signed((self.after - self.before) / si, places)
-        return before, after, apart, f"{self.sigma / si:.{places}f}"
+        difference = signed((self.after - self.before) / si, places)
+        return before, after, difference, f"{self.sigma / si:.{places}f}"
 
     def __str__(self) -> str:
         unit, words = self.unit.spoken, self.words
-        before, after, apart, sigma = self._figures(unit)
+        before, after, difference, sigma = self._figures(unit)
         if self.changed:
-            size = f"from {before} to {after} {unit.name}: by {apart} ± {sigma}"
+            size = f"from {before} to {after} {unit.name}: by {difference} ± {sigma}"
             return f"{words}{self.alternatives_clause} changed {size}"
-        return f"{words} did not change by more than its uncertainty: {apart} ± {sigma} {unit.name}"
+        size = f"{difference} ± {sigma} {unit.name}"
+        return f"{words} did not change by more than its uncertainty: {size}"
 
     @property
     def is_significant(self) -> bool:
-        """Whether both values differ by more than their sigma leaves open."""
+        """True if both values differ by more than three sigmas."""
         return abs(self.after - self.before) > CHANGED_SIGMAS * self.sigma
 
     @property
     def unchanged_clause(self) -> str:
-        """By how much it did not change, in a list."""
-        _, _, apart, sigma = self._figures(self.unit.spoken)
-        return f"{self.words} {apart} ± {sigma} {self.unit.spoken.name}"
+        """The difference of an unchanged parameter, for a list."""
+        _, _, difference, sigma = self._figures(self.unit.spoken)
+        return f"{self.words} {difference} ± {sigma} {self.unit.spoken.name}"
 
 
-def zero_entry_clauses(was: Machine, differences: Iterable[Difference]) -> Iterator[str]:
-    """A clause for each way in which drives' zeros changed as they should have, or should not.
+def zero_entry_clauses(old_machine: Machine, differences: Iterable[Difference]) -> Iterator[str]:
+    """Yield a clause for each way in which advised zeros of drives were entered.
 
     Args:
-        was: the machine as the old state's readings have it.
-        differences: of both states.
+        old_machine: the machine identified from the readings of the old state.
+        differences: differences between both states.
     """
-    advised, drives = best_zeros(was), dict[float, list[str]]()
-    for one in differences:
-        told = -advised.get(str(one.parameter), 0.0)
-        near = max(CHANGED_SIGMAS * one.sigma, _MATCHING_SHARE * abs(told))
-        if not one.changed or abs(told) < _DISTINCT_RATIO * near:
+    advised, drives = best_zeros(old_machine), dict[float, list[str]]()
+    for difference in differences:
+        intended = -advised.get(str(difference.parameter), 0.0)
+        margin = max(CHANGED_SIGMAS * difference.sigma, _MATCHING_SHARE * abs(intended))
+        if not difference.changed or abs(intended) < _DISTINCT_RATIO * margin:
             continue
-        for times in _ENTRY_CLAUSES:
-            if abs(one.after - one.before - times * told) < near:
-                drives.setdefault(times, []).append(one.parameter.leg)
-    for times, legs in drives.items():
+        for ratio in _ENTRY_CLAUSES:
+            if abs(difference.after - difference.before - ratio * intended) < margin:
+                drives.setdefault(ratio, []).append(difference.parameter.leg)
+    for ratio, legs in drives.items():
         first, *others = legs
         which = f"zeros of drives {', '.join(legs)}" if others else f"zero of drive {first}"
-        yield f"the {which} changed by {_ENTRY_CLAUSES[times].format('they were' if others else 'it was')}"
+        clause = _ENTRY_CLAUSES[ratio].format("they were" if others else "it was")
+        yield f"the {which} changed by {clause}"

@@ -17,14 +17,14 @@ from orthoglide.report.terminal import action_lines
 from orthoglide.text import csv_text, sentence
 
 
-def changes_text(found: Check) -> str:
-    """What changed, what is left, and the readings that prove new zeros, for the terminal."""
-    data = _page_data(found)
+def changes_text(comparison: Check) -> str:
+    """Return the text for the terminal: changes, remaining errors, and proofs of new zeros."""
+    data = _page_data(comparison)
     parts = [f"- {text}" for text in data["said"]]
     parts += ["", "What is left now:", data["left"], data["tool"]]
     parts += [f"Caution: {text}" for text in data["cautions"]]
-    parts += ["", "What to do:", *action_lines(found.told)]
-    advice = found.verdict.firmware
+    parts += ["", "What to do:", *action_lines(comparison.told)]
+    advice = comparison.verdict.firmware
     if advice is not None and advice.corrections is not None:
         source = "from the new readings alone"
         parts.append(f"(close-loop lists the numbers for the firmware, {source}.)")
@@ -33,52 +33,52 @@ def changes_text(found: Check) -> str:
     return "\n".join(parts)
 
 
-def check_files(found: Check, progress: Progress = no_progress) -> dict[str, str | bytes]:
-    """Return the files of a comparison's folder by name: the report of the new state, and what
-    changed as a table and a page.
+def check_files(comparison: Check, progress: Progress = no_progress) -> dict[str, str | bytes]:
+    """Return the files of a comparison's folder by name: the report of the new state, and the
+    changes as a table and a page.
     """
-    rows = ((d.parameter, *(c.replace("−", "-") for c in d.cells)) for d in found.differences)
+    rows = ((d.parameter, *(c.replace("−", "-") for c in d.cells)) for d in comparison.differences)
     return {
-        **report_files(found.verdict, progress),
+        **report_files(comparison.verdict, progress),
         "changes.csv": csv_text(("parameter", *COLUMNS), rows),
-        "check.html": changes_page(found),
+        "check.html": changes_page(comparison),
     }
 
 
-def changes_page(found: Check) -> str:
-    """The same as HTML, with a drawing and both states in a table."""
+def changes_page(comparison: Check) -> str:
+    """Return the comparison as HTML, with a drawing and a table of both states."""
     drawn = {
-        "judged": ", ".join(c.name for c in found.verdict.request.readings),
-        "drawing": found.told.picture.svg(),
-        "actions": found.told.actions,
-        "printer": found.told.firmware is not None,
+        "judged": ", ".join(c.name for c in comparison.verdict.request.readings),
+        "drawing": comparison.told.picture.svg(),
+        "actions": comparison.told.actions,
+        "printer": comparison.told.firmware is not None,
         "most": MAX_LISTED,
         "sheet": False,
         "columns": COLUMNS,
-        "rows": [(sentence(d.words)[:-1], d) for d in found.differences],
+        "rows": [(sentence(d.words)[:-1], d) for d in comparison.differences],
     }
     return render_template(
         "page.html.j2",
         title="What changed on this machine",
-        subtitle=f"from {', '.join(found.old)} to {', '.join(found.new)}",
-        sections=[Section("changes", "", _page_data(found) | drawn)],
+        subtitle=f"from {', '.join(comparison.old)} to {', '.join(comparison.new)}",
+        sections=[Section("changes", "", _page_data(comparison) | drawn)],
         version=__version__,
         command="check",
     )
 
 
-def _page_data(found: Check) -> dict[str, Any]:
-    verdict = replace(found.verdict, changed=())  # said parameter by parameter
-    numbers = found.told.numbers
+def _page_data(comparison: Check) -> dict[str, Any]:
+    verdict = replace(comparison.verdict, changed=())  # listed by parameter
+    numbers = comparison.told.numbers
     now, zeros = (f"{numbers.expected[k].shape * 1e3:.3f} mm" for k in ("now", "zeros"))
     zero = ", ".join(f"{d.leg} {plain(d.new_zero * 1e3, 3)}" for d in numbers.drives)
     held_back = any(one.kind == "zeros" for one in verdict.withheld)
     return {
-        "said": [sentence(text) for text in found.sentences],
+        "said": [sentence(text) for text in comparison.sentences],
         "left": headline(verdict),
         "tool": f"The tool is {now} off on average over the workspace, a shift of the whole left "
         f"out{'' if held_back else f'; {zeros} once the zeros are right'}.",
-        "cautions": found.told.cautions,
+        "cautions": comparison.told.cautions,
         "zeros": f"Once new zeros are entered ({zero} mm), these readings prove their "
         f"signs, each from the new zeros with the dial set to 0 there",
         "checks": [] if held_back else [sentence(str(check)) for check in numbers.checks],

@@ -1,8 +1,8 @@
-"""Where a plate lies at two visits: what the height and slopes that each fit leaves free say.
+"""Where a plate lies at two visits: the difference of its height and slopes.
 
-Touches ``h = z - r``, z the height of the tool by one and the same machine and r the reading, have
-at both visits a plane. The difference of the planes is a plate that was moved, an instrument set
-anew, or a machine that moves the tool alike: these readings cannot tell which.
+Touches ``h = z - r``, with the height z of the tool of one machine and the reading r, are fitted by
+a plane at each visit. The difference of the planes may be that of the plate, of the instrument or
+of the machine: these readings cannot tell which.
 """
 
 from __future__ import annotations
@@ -18,35 +18,34 @@ from orthoglide.numerals import plain
 
 _SIGNIFICANT_SIGMAS = 3.0
 _LEAST_MOVE = 1e-4
-"""A difference below is not worth a sentence on a machine of a workshop's size, metres: paper is as
-thick."""
+"""Smallest move that is reported on a machine of usual size, metres: the thickness of paper."""
 
-_FEWEST_TOUCHES = 4  # touches, of which a plane leaves one
+_FEWEST_TOUCHES = 4  # touches: one more than a plane has unknowns
 
 
 @dataclass(frozen=True)
 class PlateMove:
     """A plate that lies elsewhere than at the visit before, at equal commands."""
 
-    setup: str  # that touched it
-    higher: float  # by how much its middle is, metres; 0 where that is not significant
-    rise: float  # by how much more its rim is, where it is most, metres; 0 likewise
-    toward: float  # where that is, degrees from x toward y
+    setup: str  # name of the setup that touched it
+    higher: float  # rise of its middle, metres; 0 if insignificant
+    rise: float  # largest rise of its rim beyond that, metres; 0 if insignificant
+    toward: float  # direction of that, degrees from x toward y
 
     @property
     def words(self) -> str:
         """Clause with direction and size of the move, without a cause."""
-        said = []
+        clauses = []
         if self.higher:
             size = plain(abs(self.higher) * 1e3, 2)
-            said.append(f"lies {size} mm {'higher' if self.higher > 0 else 'lower'} than before")
+            clauses.append(f"lies {size} mm {'higher' if self.higher > 0 else 'lower'} than before")
         if self.rise:
             size, where = plain(self.rise * 1e3, 2), f"{self.toward:.0f} degrees"
-            said.append(
+            clauses.append(
                 f"is tilted against before: its rim rises by {size} mm toward {where} (x is 0, "
                 f"y is 90)"
             )
-        return f"at equal commands the plate of {self.setup} {' and '.join(said)}"
+        return f"at equal commands the plate of {self.setup} {' and '.join(clauses)}"
 
 
 def plate_moves(
@@ -55,26 +54,26 @@ def plate_moves(
     """Return the plates of one name that lie elsewhere than before.
 
     Args:
-        problem: of both visits, read by the tool alone.
-        x: its unknowns ``(P,)``, of which the machine of the first visit is taken for both.
+        problem: readings of both visits, by the tool alone.
+        x: its unknowns ``(P,)``; the machine of the first visit is used for both.
         before: names of the campaigns of the first visit.
-        after: of the second.
+        after: names of the campaigns of the second visit.
     """
     if problem.campaigns:
         return ()
     first = next(k for k, factor in enumerate(problem.factors) if factor.name in before)
     values = problem.values(first, x)
-    # The last of a visit is the state that it leaves.
+    # The last campaign of a visit shows the state that it leaves.
     old, new = (dict(_touches(problem, values, names)) for names in (before, after))
     least = _LEAST_MOVE * problem.machine.geometry.scale
-    found = (_move(name, old[name], new[name], least) for name in old if name in new)
-    return tuple(move for move in found if move.higher or move.rise)
+    moves = (_move(name, old[name], new[name], least) for name in old if name in new)
+    return tuple(move for move in moves if move.higher or move.rise)
 
 
 def _touches(
     problem: Problem, values: dict[str, float], names: Collection[str]
 ) -> Iterator[tuple[str, Array]]:
-    """Yield setups, and place, height and noise of the touches of each ``(m, 4)``, metres."""
+    """Yield each setup with x, y, height and noise of its touches ``(m, 4)``, metres."""
     for factor in problem.tool_factors:
         if factor.name not in names:
             continue
@@ -87,9 +86,10 @@ def _touches(
 
 
 def _move(setup: str, old: Array, new: Array, least: float) -> PlateMove:
-    """Fit touches ``(m, 4)`` of two visits by one plane and what the later ones have beside it.
+    """Return the move between touches ``(m, 4)`` of two visits, by a plane for both and another
+    that is added at the later one.
 
-    Only what is larger than ``least``, metres, and than its uncertainty is reported.
+    Height and slope are set to 0 unless larger than ``least``, metres, and than their uncertainty.
     """
     touches = np.concatenate([old, new])
     place = touches[:, :2] - touches[:, :2].mean(axis=0)
@@ -103,9 +103,8 @@ def _move(setup: str, old: Array, new: Array, least: float) -> PlateMove:
     toward = float(np.degrees(np.arctan2(along[1], along[0]))) % 360
 
     def significant(size: float, variance: float) -> float:
-        return (
-            float(size) if abs(size) > max(least, _SIGNIFICANT_SIGMAS * np.sqrt(variance)) else 0.0
-        )
+        limit = max(least, _SIGNIFICANT_SIGMAS * np.sqrt(variance))
+        return float(size) if abs(size) > limit else 0.0
 
     higher = significant(higher, covariance[3, 3])
     rise = significant(rise, float(along @ covariance[4:, 4:] @ along))

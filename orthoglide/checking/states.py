@@ -1,4 +1,4 @@
-"""Two states of one machine, each as its readings or a result that keeps them, and as requests."""
+"""Two states of one machine, given as readings or as results, and their requests."""
 
 from __future__ import annotations
 
@@ -18,19 +18,17 @@ from orthoglide.result.loading import read_result, request_of
 from orthoglide.result.request import Request
 
 State = ReadingsOrPath | Sequence[ReadingsOrPath] | Request
-"""Readings, or a run that has them; of its result the path of ``result.json`` or of its folder."""
+"""Readings, a request, or the path of a ``result.json`` or of its folder."""
 
 
 @dataclass(frozen=True)
 class States:
     """One machine and its readings in two states."""
 
-    machine: Machine  # by which all are read
+    machine: Machine  # machine of both states
     old: tuple[Readings, ...]
     new: tuple[Readings, ...]
-    # standard deviation of a reading, metres: the larger that results were computed with; absent
-    # where none was declared
-    noise: float | None
+    noise: float | None  # largest declared standard deviation of a reading, metres
 
 
 def read_states(
@@ -41,36 +39,35 @@ def read_states(
     Args:
         old: the state before.
         new: the state after.
-        given: the machine by which all are read; where absent a result's own, of readings that of
-            the other state, else the nominal one.
-        effects: of a user's own, for machines that are read.
+        given: the machine of both states; by default that of a result, otherwise the nominal one.
+        effects: user-defined effects of machines that are loaded.
 
     Raises:
-        InputError: where a side has no readings, or the two are of different machines.
+        InputError: if a side has no readings, or the two are of different machines.
     """
-    runs = [_load_run(state, effects) for state in (old, new)]
-    kept = next((run.machine for run in runs if isinstance(run, Request)), None)
-    kept = kept or Machine.nominal().with_effects(effects)
+    loaded = [_load_run(state, effects) for state in (old, new)]
+    from_result = next((run.machine for run in loaded if isinstance(run, Request)), None)
+    from_result = from_result or Machine.nominal().with_effects(effects)
     (machine, before), (other, after) = (
-        _machine_and_readings(run, state, given, kept)
-        for run, state in zip(runs, (old, new), strict=True)
+        _machine_and_readings(run, state, given, from_result)
+        for run, state in zip(loaded, (old, new), strict=True)
     )
-    one, two = _state_name(old, before), _state_name(new, after)
-    _check_firmware_numbers(one, machine, two, other)
+    old_name, new_name = _state_name(old, before), _state_name(new, after)
+    _check_firmware_numbers(old_name, machine, new_name, other)
     if other.geometry != machine.geometry:
         raise InputError(
-            f"{one} and {two} are of machines of different dimensions "
+            f"{old_name} and {new_name} are of machines of different dimensions "
             f"({machine.spec.title}; {other.spec.title}): check compares two states of one; "
             f"where the file was corrected since, and no number that the controller counts "
             f"with, give it for both with --machine (machine=); what other numbers of a controller "
             f"left, close-loop tells from the new readings"
         )
-    declared = [run.noise for run in runs if isinstance(run, Request) and run.noise is not None]
+    declared = [run.noise for run in loaded if isinstance(run, Request) and run.noise is not None]
     return States(machine, before, after, max(declared, default=None))
 
 
 def _load_run(state: State, effects: tuple[Effect, ...]) -> State:
-    """The run whose result stands at a path; other states as they are."""
+    """Return the request of a result at a path; other states unchanged."""
     if not isinstance(state, str | os.PathLike):
         return state
     path = Path(state)
@@ -86,7 +83,7 @@ def _load_run(state: State, effects: tuple[Effect, ...]) -> State:
 def _machine_and_readings(
     run: State, state: State, given: Machine | None, otherwise: Machine
 ) -> tuple[Machine, tuple[Readings, ...]]:
-    """The machine by which a state's readings are read, and these."""
+    """Return the machine and the readings of a state."""
     if isinstance(run, Request):
         if given is not None:
             called = _state_name(state, run.readings)
@@ -97,22 +94,24 @@ def _machine_and_readings(
 
 
 def _state_name(state: State, readings: Sequence[Readings]) -> str:
-    """What a state is called in messages: by its path, else by its readings."""
+    """Return the name of a state in messages: its path, otherwise the names of its readings."""
     named = isinstance(state, str | os.PathLike)
     return str(state) if named else ", ".join(r.name for r in readings)
 
 
-def _check_firmware_numbers(one: str, machine: Machine, two: str, other: Machine) -> None:
-    """Refuses two imports with other numbers of the firmware: equal commands are no equal heights
-    of the carriages, and what was pasted would be told as what changed.
+def _check_firmware_numbers(
+    first_name: str, first: Machine, second_name: str, second: Machine
+) -> None:
+    """Refuse two imports with different numbers of the firmware, because equal commands then mean
+    different carriage heights, and pasted numbers would be reported as changes.
     """
-    marks = machine.spec.firmware, other.spec.firmware
+    marks = first.spec.firmware, second.spec.firmware
     if all(marks) and marks[0] != marks[1]:
         raise InputError(
-            f"{one} was imported with other numbers of the firmware ({marks[0]}) than {two} "
-            f"({marks[1]}): check compares two states under the same numbers; what the numbers "
-            f"changed between the visits left, close-loop tells from the new readings with the "
-            f"machine.toml of their import"
+            f"{first_name} was imported with other numbers of the firmware ({marks[0]}) than "
+            f"{second_name} ({marks[1]}): check compares two states under the same numbers; what "
+            f"the numbers changed between the visits left, close-loop tells from the new readings "
+            f"with the machine.toml of their import"
         )
 
 
@@ -123,19 +122,21 @@ def joint_request(
     noise: float | None,
     seed: int,
 ) -> tuple[Request, bool]:
-    """The request of both states, and whether it lacks readings of the old one: a fit has the dials
-    first and takes the tool's readings for those of the last state.
+    """Return the request of both states, and whether it omits old readings of the tool.
+
+    A fit has the dials first and assigns readings of the tool to the last state, so old ones are
+    omitted if the new state has dials.
     """
     dials = tuple(r for r in (*before, *after) if not r.of_tool)
     tool = [r for r in (*before, *after) if r.of_tool]
-    past = [r for r in before if r in tool and any(d in after for d in dials)]
-    points = tuple(r for r in tool if r not in past)
+    old_tool = [r for r in before if r in tool and any(d in after for d in dials)]
+    points = tuple(r for r in tool if r not in old_tool)
     request = Request("close-loop", dials, machine, (), noise, seed, points=points)
-    return request, bool(past)
+    return request, bool(old_tool)
 
 
 def single_request(request: Request, side: Sequence[Readings]) -> Request:
-    """The request of one state alone."""
+    """Return the request of one state alone."""
     dials = tuple(r for r in side if not r.of_tool)
     return replace(request, campaigns=dials, points=tuple(r for r in side if r.of_tool))
 
@@ -143,43 +144,43 @@ def single_request(request: Request, side: Sequence[Readings]) -> Request:
 def with_distinct_names(
     old: Sequence[Readings], new: Sequence[Readings]
 ) -> tuple[list[Readings], list[Readings]]:
-    """The campaigns of both sides, no two of one name; an instrument at the tool that is the only
-    one of its kind at both visits has one name at both.
+    """Return the campaigns of both sides with distinct names. A setup at the tool that is the only
+    one of its kind at both visits gets the same name at both.
     """
-    now, then = (_unique_setups_by_kind(side) for side in (new, old))
-    called = {name: now[kind] for kind, name in then.items() if kind in now}
+    new_names, old_names = (_unique_setups_by_kind(side) for side in (new, old))
+    renames = {name: new_names[kind] for kind, name in old_names.items() if kind in new_names}
 
     def renamed(one: Readings) -> Readings:
         if not one.of_tool:
             return one
-        names = [called.get(s.name, s.name) for s in one.setups]
+        names = [renames.get(s.name, s.name) for s in one.setups]
         if len(set(names)) < len(names):
             return one
         setups = zip(one.setups, names, strict=True)
         return replace(one, setups=tuple(replace(s, name=name) for s, name in setups))
 
     old = [renamed(one) for one in old]
-    # What both visits read comes first in the new one: there the files of a visit begin anew.
-    known = {name for one in old for name in _tool_setup_names(one)}
-    new = sorted(new, key=lambda one: known.isdisjoint(_tool_setup_names(one)))
+    # A visit begins with a setup that occurs again, so files with common setups come first.
+    old_setups = {name for one in old for name in _tool_setup_names(one)}
+    new = sorted(new, key=lambda one: old_setups.isdisjoint(_tool_setup_names(one)))
     names = [c.name for c in (*old, *new)]
     if len(set(names)) == len(names):
         return list(old), list(new)
     sides = ((old, "old"), (new, "new"))
     before, after = (
-        [replace(c, name=f"{side}-{k}-{c.name}") for k, c in enumerate(several, start=1)]
-        for several, side in sides
+        [replace(c, name=f"{side}-{k}-{c.name}") for k, c in enumerate(tables, start=1)]
+        for tables, side in sides
     )
     return before, after
 
 
 def _tool_setup_names(one: Readings) -> list[str]:
-    """Names of the setups at the tool, none of dials on legs."""
+    """Return the names of setups at the tool; empty for dials on legs."""
     return [s.name for s in one.setups] if one.of_tool else []
 
 
 def _unique_setups_by_kind(side: Sequence[Readings]) -> dict[str, str]:
-    """Names of setups at the tool by their kind, where there is one of it."""
-    named = {(s.kind, s.name) for c in side if c.of_tool for s in c.setups}
-    count = Counter(kind for kind, _ in named)
-    return {kind: name for kind, name in named if count[kind] == 1}
+    """Return the names of setups at the tool by kind, for kinds with a single setup."""
+    kinds_and_names = {(s.kind, s.name) for c in side if c.of_tool for s in c.setups}
+    count = Counter(kind for kind, _ in kinds_and_names)
+    return {kind: name for kind, name in kinds_and_names if count[kind] == 1}

@@ -47,18 +47,18 @@ class Command(click.Command):
     """A command that takes its machine file by itself as well as with ``--machine``."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Read the command line; a file that ends in .toml and is no option's value is the machine.
+        """Read the command line; a word that ends in .toml and is no option's value is the machine.
 
         Raises:
             InputError: if two machine files are given.
         """
         options = [p for p in self.params if isinstance(p, click.Option)]
-        valued = {name for p in options if not p.is_flag for name in p.opts}
-        if "--machine" not in {name for p in options for name in p.opts}:
+        if not any("--machine" in option.opts for option in options):
             return super().parse_args(ctx, args)
+        with_value = {name for p in options if not p.is_flag for name in p.opts}
         machines, words = list[str](), list[str]()
-        for before, word in zip(["", *args], args, strict=False):
-            if word.endswith(".toml") and not word.startswith("-") and before not in valued:
+        for previous, word in zip(["", *args], args, strict=False):
+            if word.endswith(".toml") and not word.startswith("-") and previous not in with_value:
                 machines += ["--machine", word]
             else:
                 words.append(word)
@@ -80,13 +80,13 @@ class Command(click.Command):
         try:
             return super().invoke(ctx)
         except InputError as error:
-            given = getattr(ctx.params.get("machine"), "words", "") or MACHINE_OPTION
-            raise Refusal(str(error).replace(MACHINE_OPTION, given), BAD_INPUT) from error
+            machine_options = getattr(ctx.params.get("machine"), "words", "") or MACHINE_OPTION
+            raise Refusal(str(error).replace(MACHINE_OPTION, machine_options), BAD_INPUT) from error
         except KeyboardInterrupt:
-            said = _STOPPED
+            message = _STOPPED
             if ctx.info_name in _RESUMABLE and ctx.params["out"] is not None:
-                said += "; the same command goes on from what --out holds"
-            raise Refusal(said, INTERRUPTED) from None
+                message += "; the same command goes on from what --out holds"
+            raise Refusal(message, INTERRUPTED) from None
 
 
 class Group(click.Group):
@@ -103,15 +103,12 @@ class Group(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write every command with the whole first sentence of its help."""
-        rows = [
-            (name, one.get_short_help_str(_MAX_HELP_SENTENCE))
-            for name, one in self.commands.items()
-        ]
         with formatter.section("Commands"):
-            formatter.write_dl(rows)
+            formatter.write_dl([(name, command.get_short_help_str(_MAX_HELP_SENTENCE))
+                                for name, command in self.commands.items()])  # fmt: skip
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run a command; what it raises becomes an exit code and one sentence."""
+        """Run a command; an error becomes an exit code and one sentence."""
         try:
             return super().invoke(ctx)
         except OrthoglideError as error:
@@ -129,19 +126,19 @@ class Group(click.Group):
 
 
 def _unexpected_refusal(error: Exception) -> Refusal:
-    """Return the sentence for an error that no function of the package raised on purpose."""
+    """Return the refusal for an error that no function of the package raised on purpose."""
     kind, text = type(error).__name__, abbreviated(str(error), 200)
     if isinstance(error, OSError):
         reason = (error.strerror or text).lower()
         return Refusal(f"the output cannot be written ({reason}): choose another place", BAD_INPUT)
     if isinstance(error, ArithmeticError | MemoryError) or kind == "LinAlgError":
-        said = f"the numerics failed ({kind}: {text}): look for readings far from all others"
-        return Refusal(said, NUMERICS_FAILED)
-    return Refusal(
-        f"failed unexpectedly ({kind}: {text}), which is a fault of the program: "
-        "ORTHOGLIDE_TRACEBACK=1 shows where",
-        NUMERICS_FAILED,
-    )
+        message = f"the numerics failed ({kind}: {text}): look for readings far from all others"
+    else:
+        message = (
+            f"failed unexpectedly ({kind}: {text}), which is a fault of the program: "
+            "ORTHOGLIDE_TRACEBACK=1 shows where"
+        )
+    return Refusal(message, NUMERICS_FAILED)
 
 
 @click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})
@@ -161,7 +158,7 @@ def cli() -> None:
 
 @contextmanager
 def progress(quiet: bool) -> Iterator[Progress]:
-    """Show steps on the error stream: a bar on a terminal, a line now and then in a file."""
+    """Show steps on the error stream: a bar on a terminal, a line every second in a file."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress as Bar, TextColumn, TimeElapsedColumn
 
@@ -198,7 +195,7 @@ def warn(sentences: Iterator[str] | tuple[object, ...]) -> None:
 def deliver(
     text: str, files: Mapping[Any, str | bytes] | None = None, folder: Path | None = None
 ) -> None:
-    """Write new files, all of them or none, and print an answer; into a new folder if one is given.
+    """Write new files, all or none, into a new folder if one is given; and print an answer.
 
     Raises:
         FileError: if a file exists already or cannot be written.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -74,6 +75,7 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
     from orthoglide.verdict import run
 
     folder = out or _next_free(Path(DEMO_FOLDER))
+    with_paths = opt.MachineOption(None, None).with_typed_paths
     files, answers, results = dict[str, str | bytes](), list[str](), dict[str, Any]()
     for name, (intro, request) in _demo_requests(seed, files).items():
         with progress(quiet or as_json) as step:
@@ -81,12 +83,11 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
             report = report_files(result, step)
         files |= {f"{name}/{file}": content for file, content in report.items()}
         results[name] = json.loads(report["result.json"])
-        verdict = f"Verdict {result.word}: {results[name]['summary']}"
-        lines = [intro, verdict]
+        lines = [intro, f"Verdict {result.word}: {results[name]['summary']}"]
         lines += [f"Possible cause: {text}" for text in possible_cause_sentences(result)]
-        placed = opt.MachineOption(None, None).with_typed_paths
         lines += [
-            f"What to do: {placed(sentence(one.words), folder / name)}" for one in result.actions
+            f"What to do: {with_paths(sentence(action.words), folder / name)}"
+            for action in result.actions
         ]
         lines += [_report_line(folder / name), ""]
         answers.append(f"{name}: {result.word}" if quiet else "\n".join(lines))
@@ -95,12 +96,9 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
 
 
 def _next_free(path: Path) -> Path:
-    """Return the path, numbered if earlier results stand there."""
-    free, number = path, 1
-    while free.exists():
-        number += 1
-        free = path.with_name(f"{path.name}-{number}")
-    return free
+    """Return a path at which nothing exists: the given one, or the next with a number."""
+    numbered = (path.with_name(f"{path.name}-{number}") for number in count(2))
+    return next(free for free in chain((path,), numbered) if not free.exists())
 
 
 def _report_line(folder: Path, page: str = "report.html") -> str:
@@ -108,7 +106,10 @@ def _report_line(folder: Path, page: str = "report.html") -> str:
 
 
 def _demo_requests(seed: int, files: dict[str, str | bytes]) -> dict[str, tuple[str, Request]]:
-    """Return what each run of the demo is, and its request; what it starts from goes to files."""
+    """Return an introduction and the request of each run of the demo, by name.
+
+    The input of the runs is added to ``files``.
+    """
     from importlib.resources import as_file, files as packaged
     from tempfile import TemporaryDirectory
 
@@ -125,11 +126,11 @@ def _demo_requests(seed: int, files: dict[str, str | bytes]) -> dict[str, tuple[
             (data / DEMO_CAMPAIGN, data / DEMO_SECOND), own=worn.catalogue.correctable_by("zero"),
             seed=seed,
         )  # fmt: skip
-    (fault,) = (n for n in worn.values if worn.catalogue.effect_of(n).name not in
+    (fault,) = (name for name in worn.values if worn.catalogue.effect_of(name).name not in
                 worn.catalogue.base)  # fmt: skip
     campaign = simulate(worn, "sweep", seed=seed)
-    with TemporaryDirectory() as place:
-        sheet = Path(place) / "simulated.csv"
+    with TemporaryDirectory() as temporary:
+        sheet = Path(temporary) / "simulated.csv"
         sheet.write_text(campaign_text(campaign, worn.spec), encoding="utf-8")
         files[sheet.name] = sheet.read_text("utf-8")
         simulated = build_request(sheet, seed=seed)
@@ -188,16 +189,16 @@ def identify(free: tuple[str, ...], no_priors: bool, reduced: bool, **options: A
       orthoglide identify april.csv --out april
       orthoglide identify april.csv --fit-tcp tracker.tcp.csv --noise 0.004 --out spring
     """
-    given: dict[str, Any] = {"priors": not no_priors, "reduced": reduced}
-    _run("identify", **options, asked=given | ({"free": free} if free else {}))
+    settings: dict[str, Any] = {"priors": not no_priors, "reduced": reduced}
+    _run("identify", **options, settings=settings | ({"free": free} if free else {}))
 
 
 def _run(
     command: Command, *, campaigns: tuple[Path, ...], machine: opt.MachineOption, out: Path | None,
-    fit_tcp: tuple[Path, ...], quiet: bool, as_json: bool, asked: Mapping[str, Any] | None = None,
-    **given: Any,
+    fit_tcp: tuple[Path, ...], quiet: bool, as_json: bool,
+    settings: Mapping[str, Any] | None = None, **options: Any,
 ) -> None:  # fmt: skip
-    """Run a request, write its folder if there is one, and print what was found.
+    """Run a request, write its folder if there is one, and print the result.
 
     Raises:
         InputError: if a file or an option cannot be used.
@@ -211,11 +212,11 @@ def _run(
         from orthoglide.text import printable_path
         from orthoglide.verdict import build_request, run
 
-        known = machine.load()
-        points = (read_tcp(path, known.spec) for path in fit_tcp)
-        request = build_request((*campaigns, *points), known, **given)
+        robot = machine.load()
+        tcp_points = (read_tcp(path, robot.spec) for path in fit_tcp)
+        request = build_request((*campaigns, *tcp_points), robot, **options)
         name = printable_path(machine.effects_file.name) if machine.effects_file else ""
-        result = run(replace(request, command=command, effects_file=name, **asked or {}), step)
+        result = run(replace(request, command=command, effects_file=name, **settings or {}), step)
         files = {} if out is None else report_files(result, step)
         answer = _answer(result, machine, out, quiet)
         if as_json:
@@ -224,7 +225,7 @@ def _run(
 
 
 def _answer(result: Verdict, machine: opt.MachineOption, out: Path | None, quiet: bool) -> str:
-    """Return what was found, for the terminal, with where its files are."""
+    """Return the text of a result for the terminal, with the place of its files."""
     from orthoglide.report import summary
     from orthoglide.report.sentences import meaning
 
@@ -270,17 +271,17 @@ def check(
         from orthoglide.checking.pages import changes_text, check_files
         from orthoglide.observations.repetition import copied_files
 
-        given = None if machine.path is None else machine.load()
-        read = read_states(states[0], states[1], given, machine.effects)
-        noise = read.noise if noise is None else noise
-        found = compare(read.old, read.new, read.machine, noise=noise, seed=seed, progress=step)
-        files = {} if out is None else check_files(found, step)
-        answer = found.line if quiet else wrapped(changes_text(found))
+        robot = None if machine.path is None else machine.load()
+        pair = read_states(states[0], states[1], robot, machine.effects)
+        noise = pair.noise if noise is None else noise
+        changes = compare(pair.old, pair.new, pair.machine, noise=noise, seed=seed, progress=step)
+        files = {} if out is None else check_files(changes, step)
+        answer = changes.line if quiet else wrapped(changes_text(changes))
     if states[0].resolve() == states[1].resolve():
         name = click.format_filename(states[0])
         warn((f"OLD and NEW are the same file, {name}: nothing can have changed",))
     else:
-        warn(copied_files((*read.old, *read.new)))
+        warn(copied_files((*pair.old, *pair.new)))
     if out is not None and not quiet:
         answer += f"\n\n{_report_line(out, 'check.html')}"
     deliver(answer, files, out)
@@ -313,67 +314,64 @@ def rerun(result: Path, effects_file: Path | None, out: Path | None, quiet: bool
         file = result_file(result, "result.json")
         old = read_result(file)
         effects = opt.MachineOption(None, effects_file).effects
-        new = run(request_of(old, str(file), effects), step)
-        again = json.loads(result_text(new))
+        verdict = run(request_of(old, str(file), effects), step)
+        new = json.loads(result_text(verdict))
         try:
-            different = list(differences(old, again))
+            sigmas, different = _allowed_sigmas(old, new), list(differences(old, new))
             changed = list(_changed_files(old, file.parent))
         except EDITED_FILE_ERRORS as error:
             raise edited_file_error(error, str(file)) from None
-        files = {} if out is None or different else report_files(new, step)
+        files = {} if out is None or different else report_files(verdict, step)
     warn(tuple(f"{name} has changed since the run" for name in changed))
     if different:
-        name, how = click.format_filename(file), "is not reproduced"
-        if _allowed_sigmas(old, again):
-            given = ", ".join(dict.fromkeys(one["file"] for one in old["inputs"]))
-            how += (
-                f" by this state of the program; {version_text(old)} wrote it: keep it as a record, "
-                f"and give {given} to orthoglide {old['command']} for the numbers of today"
+        finding = "is not reproduced"
+        if sigmas:
+            inputs = ", ".join(dict.fromkeys(readings["file"] for readings in old["inputs"]))
+            finding += (
+                f" by this state of the program; {version_text(old)} wrote it: keep it as a "
+                f"record, and give {inputs} to orthoglide {old['command']} for the numbers of today"
             )
-        raise NumericsError(f"{name} {how}: {'; '.join(different)}")
-    count = len(again["parameters"])
-    answer = f"The same numbers again, from the rows kept in the result: all {count} agree"
-    if within := _allowed_sigmas(old, again):
-        answer += f" to {within:g} sigma, as an earlier state of the program, {version_text(old)}, "
-        answer += "wrote the result"
-    answer += "."
-    if out is not None and not quiet:
-        answer += f"\n{_report_line(out)}"
+        raise NumericsError(f"{click.format_filename(file)} {finding}: {'; '.join(different)}")
+    total = len(new["parameters"])
+    answer = f"The same numbers again, from the rows kept in the result: all {total} agree"
+    if sigmas:
+        answer += (
+            f" to {sigmas:g} sigma, as an earlier state of the program, {version_text(old)}, "
+            f"wrote the result"
+        )
+    answer += "." if out is None or quiet else f".\n{_report_line(out)}"
     deliver(answer, files, out)
 
 
 def _allowed_sigmas(old: Mapping[str, Any], new: Mapping[str, Any]) -> float:
-    """Return the sigmas by which values may differ: none where the same program wrote both."""
+    """Return the sigmas by which values may differ: zero if the same program wrote both."""
     return 0.0 if old["version"] == new["version"] and old.keys() >= new.keys() else _RERUN_SIGMAS
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a phrase for each difference in verdict or values of two ``result.json``."""
+    """Yield a phrase for each difference between two ``result.json`` in verdict or values."""
     if old.get("verdict") not in (None, new["verdict"]):
         yield f"the verdict was {str(old['verdict'])[:40]!r} and is {new['verdict']!r}"
-    within = _allowed_sigmas(old, new)
+    sigmas = _allowed_sigmas(old, new)
     before, after = old["parameters"], new["parameters"]
     for name in dict.fromkeys((*before, *after)):
         if name not in after or name not in before:
             yield f"{name[:40]} is {'gone' if name in before else 'new'}"
             continue
-        one, other = before[name], after[name]
-        limit = max(within * one["sigma"], _ROUNDING * max(1.0, abs(one["value"])))
-        if not abs(one["value"] - other["value"]) <= limit:
-            was, now = (compact(each["value"], 6) for each in (one, other))
-            yield f"{name} was {was} and is {now} {one['unit']}"
+        old_value, new_value = before[name]["value"], after[name]["value"]
+        limit = max(sigmas * before[name]["sigma"], _ROUNDING * max(1.0, abs(old_value)))
+        if not abs(old_value - new_value) <= limit:
+            values = f"{compact(old_value, 6)} and is {compact(new_value, 6)}"
+            yield f"{name} was {values} {before[name]['unit']}"
 
 
 def _changed_files(result: Mapping[str, Any], folder: Path) -> Iterator[str]:
-    """Yield the name of each file that was read and has other content now, where it is found."""
+    """Yield the name of each input file that is found and whose content has changed."""
     from orthoglide.files import read_bytes, sha256
 
-    machine = result["machine"]
-    given = {i["file"]: i["sha256"] for i in result["inputs"]} | {
-        machine["file"]: machine["sha256"]
-    }
-    for name, digest in given.items():
-        places = (folder / name, folder.parent / name) if name and digest else ()
-        found = next((path for path in places if path.is_file()), None)
-        if found is not None and sha256(read_bytes(found)) != digest:
+    digests = {i["file"]: i["sha256"] for i in (*result["inputs"], result["machine"])}
+    for name, digest in digests.items():
+        candidates = (folder / name, folder.parent / name) if name and digest else ()
+        file = next((path for path in candidates if path.is_file()), None)
+        if file is not None and sha256(read_bytes(file)) != digest:
             yield name

@@ -34,8 +34,8 @@ _force_option = opt.flag("--force", "Even where the verdict says not to act on t
 @click.option("--load", "load_N", type=click.FloatRange(0, 1e4), default=0.0, metavar="N",
               show_default=True, help="Weight at the TCP.")  # fmt: skip
 @click.option("--warming", type=click.FloatRange(-100, 100), default=0.0, metavar="K",
-              show_default=True, help="Kelvin above the calibration's first "
-                   "reading.")  # fmt: skip
+              show_default=True,
+              help="Kelvin above the calibration's first reading.")  # fmt: skip
 @_force_option
 def compensate(
     path: Path, machine: opt.MachineOption, out: Path | None, load_N: float, warming: float,
@@ -54,23 +54,24 @@ def compensate(
 
     if not math.isfinite(load_N + warming):
         raise InputError("give --load from 0 to 10000 N and --warming within 100 K")
-    points, known = control.read_path(path), machine.load()
+    points, robot = control.read_path(path), machine.load()
     try:
-        found = control.compensate(known, points.p, load=load_N, warming=warming, force=force)
+        commands = control.compensate(robot, points.p, load=load_N, warming=warming, force=force)
     except UnreachableError as error:
         line = points.line[error.index[0]] if error.index else None
         raise FileError(str(error), file=points.file, line=line) from error
     warn(points.warnings)
-    _deliver_table(control.commands_text(found), out, str(found))
+    _deliver_table(control.commands_text(commands), out, str(commands))
 
 
 def _deliver_table(text: str, out: Path | None, answer: str) -> None:
-    """Write a table and say what it is; or print it, and say it on the error stream."""
+    """Write a table and print the answer; or print the table, the answer on the error stream."""
     if out is not None:
         deliver(f"{click.format_filename(out)}: {answer}", {out: text})
         return
     click.echo(text, nl=False)
-    click.echo(answer, err=True)
+    if answer:
+        click.echo(answer, err=True)
 
 
 @cli.command()
@@ -90,12 +91,12 @@ def export(machine: opt.MachineOption, zeros_only: bool, force: bool, out: Path 
     """
     from orthoglide.control import export_files
 
-    known = machine.load()
-    if zeros_only and known.spec.printer is not None:
+    robot = machine.load()
+    if zeros_only and robot.spec.printer is not None:
         raise InputError(
             "--zeros-only has no effect: the firmware of this machine takes all its numbers or none"
         )
-    files = export_files(known, zeros_only=zeros_only, force=force)
+    files = export_files(robot, zeros_only=zeros_only, force=force)
     if out is None:
         deliver(files["controller.txt"].rstrip("\n"))
     else:
@@ -126,23 +127,25 @@ def compare(
     from orthoglide.comparison.tables import comparison_files, short_table
     from orthoglide.report.terminal import console_text, table
 
-    known = machine.load()
+    robot = machine.load()
     with progress(quiet) as step:
         step(Step("computing", "comparing effects"))
-        rows = compare_effects(known, effects or None)
-        whole = compare_machine(known) if any(known.values.values()) else ()
-        worst = (*whole[:1], *worst_by_effect(rows))
+        effect_rows = compare_effects(robot, effects or None)
+        machine_rows = compare_machine(robot) if any(robot.values.values()) else ()
+        worst = (*machine_rows[:1], *worst_by_effect(effect_rows))
         figures = () if no_figures else worst
-        files = {} if out is None else comparison_files(known, whole, rows, figures, step)
-    told = console_text(table(*short_table(worst)))
-    good = sum(row.good_enough for row in worst)
+        files = (
+            {} if out is None else comparison_files(robot, machine_rows, effect_rows, figures, step)
+        )
+    table_text = console_text(table(*short_table(worst)))
+    good_count = sum(row.good_enough for row in worst)
     written = "" if out is None else f"\n\nwritten: {click.format_filename(out)}"
-    line = f"The simplified model is good enough for {good} of {len(worst)}."
-    deliver(line if quiet else f"{told}\n\n{line}{written}", files, out)
+    line = f"The simplified model is good enough for {good_count} of {len(worst)}."
+    deliver(line if quiet else f"{table_text}\n\n{line}{written}", files, out)
 
 
 class _Coordinate(click.ParamType):
-    """A number, or what looks like an option and is none."""
+    """A number; another word that begins with a minus sign is refused as an unknown option."""
 
     name = "float"
 
@@ -168,7 +171,7 @@ def _kinematics_command(metavar: str) -> opt.Decorator:
 
 
 @_kinematics_command("COMMAND COMMAND COMMAND")
-def forward(**given: Any) -> None:
+def forward(**options: Any) -> None:
     """TCP of commands: three joint coordinates in mm, or a CSV of rho_*_mm or travel_*_mm, with
     approach_* where it is known.
 
@@ -180,11 +183,11 @@ def forward(**given: Any) -> None:
       orthoglide forward 310.25 310.25 310.25
       orthoglide forward --csv commands.csv --out points.csv --machine april/calibrated.toml
     """
-    _compute(True, **given)
+    _compute(True, **options)
 
 
 @_kinematics_command("P_X P_Y P_Z")
-def inverse(**given: Any) -> None:
+def inverse(**options: Any) -> None:
     """Commands for a TCP: three coordinates in mm, or a CSV of p_x_mm, p_y_mm, p_z_mm.
 
     With a calibrated machine file these are the commands that bring the real TCP to the point.
@@ -193,72 +196,71 @@ def inverse(**given: Any) -> None:
     Example:
       orthoglide inverse 10 0 -5 --machine april/calibrated.toml
     """
-    _compute(False, **given)
+    _compute(False, **options)
 
 
 def _compute(
     to_tcp: bool, *, numbers: tuple[float, ...], machine: opt.MachineOption, csv: Path | None,
     out: Path | None,
 ) -> None:  # fmt: skip
-    """Print the TCP of commands, or the reverse; or write it behind the rows of a file.
+    """Print the TCP of commands, or commands for a TCP; or append them to the rows of a file.
 
     Raises:
-        InputError: if a number is missing or out of reach, naming file and line.
+        InputError: if a number is missing or out of reach; names file and line.
     """
     import numpy as np
 
     if (csv is None) == (not numbers) or (out is not None and csv is None):
         raise InputError("give either three numbers in mm, or --csv with the rows to compute")
-    known = machine.load()
+    robot = machine.load()
     if csv is None:
         if len(numbers) != 3 or not np.isfinite(numbers).all():
             raise InputError("give exactly three finite numbers, in mm")
-        found = _solve_kinematics(to_tcp, known, np.array([numbers]) * 1e-3, _raise_input_error)
-        click.echo(" ".join(map(_millimetres, found[0])))
+        results = _solve_kinematics(to_tcp, robot, np.array([numbers]) * 1e-3, _raise_input_error)
+        click.echo(" ".join(map(_millimetres, results[0])))
         return
     from orthoglide.observations.columns import native_command_column, stated_commands
     from orthoglide.observations.schema import APPROACH, POINT
     from orthoglide.observations.table import read_table
 
-    rows, layout = read_table(csv), known.geometry.layout.names
-    given, sought = replace(POINT, empty_value=None), native_command_column(layout)
+    rows, layout = read_table(csv), robot.geometry.layout.names
+    columns, result_columns = replace(POINT, empty_value=None), native_command_column(layout)
     if to_tcp:
-        given, sought = stated_commands(rows, known.spec), POINT
-    names, new = given.names(layout.legs), sought.names(layout.legs)
+        columns, result_columns = stated_commands(rows, robot.spec), POINT
+    names, result_names = columns.names(layout.legs), result_columns.names(layout.legs)
     rows.check_names((*names, *(n for n in rows.names if n not in names)), names)
-    seen = {}
+    approach = {}
     if set(APPROACH.names(layout.legs)) <= set(rows.names):
-        seen["approach"] = rows.array(APPROACH, layout.legs)
-    travelled = names[0].startswith("travel")
-    found = _solve_kinematics(
-        to_tcp, known, rows.array(given, layout.legs), rows.fail, travelled, **seen
+        approach["approach"] = rows.array(APPROACH, layout.legs)
+    as_travel, values = names[0].startswith("travel"), rows.array(columns, layout.legs)
+    results = _solve_kinematics(to_tcp, robot, values, rows.fail, as_travel, **approach)
+    if result_names[0].startswith("travel"):
+        results = robot.spec.controller.from_rho(results, robot.geometry)
+    if set(result_names) & set(rows.names):  # desired values stay beside the computed ones
+        result_names = tuple(f"computed_{name}" for name in result_names)
+    text = csv_text(
+        (*rows.names, *result_names),
+        ([*row, *map(_millimetres, new)] for row, new in zip(rows.rows, results, strict=True)),
     )
-    if new[0].startswith("travel"):
-        found = known.spec.controller.from_rho(found, known.geometry)
-    if set(new) & set(rows.names):  # what was wanted stays beside what is found
-        new = tuple(f"computed_{name}" for name in new)
-    wider = ([*row, *map(_millimetres, more)] for row, more in zip(rows.rows, found, strict=True))
-    text = csv_text((*rows.names, *new), wider)
-    if out is None:
-        click.echo(text, nl=False)
-    else:
-        deliver(f"{click.format_filename(out)}: {len(found)} rows", {out: text})
+    _deliver_table(text, out, f"{len(results)} rows" if out else "")
 
 
 def _solve_kinematics(
-    to_tcp: bool, machine: Machine, given: Array, fail: Callable[[str, int | None], NoReturn],
-    travelled: bool = False, **seen: Array,
+    to_tcp: bool, machine: Machine, inputs: Array, fail: Callable[[str, int | None], NoReturn],
+    as_travel: bool = False, **approach: Array,
 ) -> Array:  # fmt: skip
-    """Return the TCP of commands ``(n, 3)`` in metres, ``travelled`` if they are the controller's
-    values; or the reverse. ``seen`` is how each drive arrives, where it is known.
+    """Return the TCP of commands ``(n, 3)``, or the commands of a TCP, metres.
+
+    With ``as_travel`` the commands are the controller's values. ``approach`` is the direction in
+    which each drive arrives, where it is known.
     """
     import numpy as np
 
     from orthoglide.observations.checks import STROKE_SLACK, check_commands
 
     if to_tcp:
-        return machine.forward(check_commands(given, travelled, machine.spec, fail), **seen)
-    rho, geometry = machine.inverse(given, **seen), machine.geometry
+        return machine.forward(check_commands(inputs, as_travel, machine.spec, fail), **approach)
+    rho, geometry = machine.inverse(inputs, **approach), machine.geometry
     outside = np.argwhere(~geometry.in_stroke(rho, STROKE_SLACK))
     if len(outside):
         row, axis = outside[0]
@@ -266,8 +268,7 @@ def _solve_kinematics(
         fail(
             f"the point needs carriage {geometry.leg_names[axis]} at "
             f"{plain(rho[row, axis] * 1e3, 6)} mm, outside its stroke of {compact(low, 6)} to "
-            f"{compact(high, 6)} mm: "
-            "give a point nearer to the middle",
+            f"{compact(high, 6)} mm: give a point nearer to the middle",
             int(row),
         )
     return rho
@@ -303,23 +304,22 @@ def view(machine: opt.MachineOption, magnify: float, out: Path | None, no_open: 
     from orthoglide.viewer import MagnifiedMachine, show, static_page
 
     opt.exclude("out", "no_open", because="a page is written, and no viewer is opened")
-    known = machine.load()
-    zero, drawn = (
-        known.geometry.zero,
-        MagnifiedMachine(known.model, known.values, SHOWN_CONDITIONS, magnify),
-    )
+    robot = machine.load()
+    zero = robot.geometry.zero
+    drawn = MagnifiedMachine(robot.model, robot.values, SHOWN_CONDITIONS, magnify)
     with redirect_stdout(StringIO()):  # meshcat prints the address of its server
         viewer = show(drawn, zero, open_browser=out is None and not no_open)
-    off = known.forward(zero, **SHOWN_CONDITIONS) - known.with_only({}).forward(zero)
-    size = ", ".join(plain(1e3 * v, 3) for v in off)
-    scale = "true to scale" if magnify == 1 else f"errors {magnify:g} times as large"
-    said = f"{scale}; its errors put the tool {size} mm off in x, y and z"
-    said = said if known.values else "without errors"
+    description = "without errors"
+    if robot.values:
+        tool_error = robot.forward(zero, **SHOWN_CONDITIONS) - robot.with_only({}).forward(zero)
+        distances = ", ".join(plain(1e3 * v, 3) for v in tool_error)
+        scale = "true to scale" if magnify == 1 else f"errors {magnify:g} times as large"
+        description = f"{scale}; its errors put the tool {distances} mm off in x, y and z"
     if out is not None:
-        page = static_page(viewer, drawn, known.spec.title)
-        deliver(f"{click.format_filename(out)}: the machine, {said}", {out: page})
+        page = static_page(viewer, drawn, robot.spec.title)
+        deliver(f"{click.format_filename(out)}: the machine, {description}", {out: page})
         return
-    deliver(f"{viewer.viewer.url()} shows the machine, {said}")
+    deliver(f"{viewer.viewer.url()} shows the machine, {description}")
     click.pause("Press a key to end the viewer.")  # at once where nobody is at a terminal
 
 
@@ -343,10 +343,9 @@ def klipper(config: Path, out: Path, turned: opt.Pairs) -> None:
     from orthoglide.add_ons import add_on
     from orthoglide.machine_file import machine_file_contents
 
-    found = add_on("klipper").read(config, turned=dict(turned))
-    _deliver_import(
-        found, out, dict(machine_file_contents(found.machine, "machine.toml")), out / "machine.toml"
-    )
+    imported = add_on("klipper").read(config, turned=dict(turned))
+    files = dict(machine_file_contents(imported.machine, "machine.toml"))
+    _deliver_import(imported, out, files, out / "machine.toml")
 
 
 @import_.command()
@@ -367,30 +366,32 @@ def plates(points: Path, machine: opt.MachineOption, out: Path) -> None:
 
 
 def _deliver_import(
-    found: Imported, out: Path, files: dict[str, str | bytes], machine: Path
+    imported: Imported, out: Path, files: dict[str, str | bytes], machine_file: Path
 ) -> None:
-    """Write what was imported, and print what it is and what to run with the files that go
-    together; with each alone where that is not known.
+    """Write the readings of an import, and print a line on each and the commands to run next.
+
+    One command takes all files that belong together; if this is unknown, each file has its own.
     """
     from orthoglide.observations import campaign_text
 
     def command(*names: str) -> str:
         campaigns = " ".join(f"{opt.shell_path(out)}/{name}.csv" for name in names)
-        return f"orthoglide close-loop {campaigns} --machine {opt.shell_path(machine)} --out OUT"
+        file = opt.shell_path(machine_file)
+        return f"orthoglide close-loop {campaigns} --machine {file} --out OUT"
 
     lines = list[str]()
-    for campaign in found.campaigns:
-        files[f"{campaign.name}.csv"] = campaign_text(campaign, found.machine)
-        what = ", ".join(f"{setup.name} ({setup.kind})" for setup in campaign.setups)
-        lines.append(f"{campaign.name}.csv: {len(campaign)} readings: {what}")
-    left = [f"{c.name}.csv" for c in found.campaigns if c.name not in found.together]
-    if not left:
+    for campaign in imported.campaigns:
+        files[f"{campaign.name}.csv"] = campaign_text(campaign, imported.machine)
+        setups_text = ", ".join(f"{setup.name} ({setup.kind})" for setup in campaign.setups)
+        lines.append(f"{campaign.name}.csv: {len(campaign)} readings: {setups_text}")
+    excluded = [f"{c.name}.csv" for c in imported.campaigns if c.name not in imported.together]
+    if not excluded:
         lines.append(f"\nNext: {command('*')}")
-    elif found.together:
-        lines.append(f"\nNext, without {', '.join(left)}: probe again, or for now")
-        lines.append(command(*found.together))
+    elif imported.together:
+        lines.append(f"\nNext, without {', '.join(excluded)}: probe again, or for now")
+        lines.append(command(*imported.together))
     else:
         lines.append("\nThese files must not go together. Next, probe again, or take one alone:")
-        lines += [command(campaign.name) for campaign in found.campaigns]
+        lines += [command(campaign.name) for campaign in imported.campaigns]
     deliver("\n".join(lines), files, out)
-    warn(found.notes)
+    warn(imported.notes)

@@ -28,20 +28,19 @@ _kind_option = click.option(
 _INSTRUMENT_KINDS = ("leg (dials), parallelism, tcp, plate, distance, ballbar, incline", "KIND,...")
 
 
-def _dial_sheet(path: Path, machine: Machine, otherwise: str) -> Readings:
+def _dial_sheet(path: Path, machine: Machine, remedy: str) -> Readings:
     """Return a measuring sheet of single dials on legs, filled in or not.
 
     Raises:
-        FileError: if it has other readings; ``otherwise`` says what to do with them.
+        FileError: if it has other readings; ``remedy`` says what to do with them.
     """
     from orthoglide.observations import read_readings
 
     sheet = read_readings(path, machine.spec, require_readings=False)[-1]
-    others = dict.fromkeys(s.kind for s in sheet.setups if s.observation.dials != 1)
-    if others:
-        what = "readings at the tool" if sheet.of_tool else "readings of two dials at a time"
+    if other_kinds := dict.fromkeys(s.kind for s in sheet.setups if s.observation.dials != 1):
+        contents = "readings at the tool" if sheet.of_tool else "readings of two dials at a time"
         raise FileError(
-            f"holds {what} ({', '.join(others)}): {otherwise}", file=printable_path(path)
+            f"holds {contents} ({', '.join(other_kinds)}): {remedy}", file=printable_path(path)
         )
     return sheet
 
@@ -49,7 +48,7 @@ def _dial_sheet(path: Path, machine: Machine, otherwise: str) -> Readings:
 def _sheet_files(
     path: Path, sheet: Readings, machine: Machine
 ) -> tuple[dict[Path, str], tuple[str, ...]]:
-    """Return a measuring sheet and the page to print beside it, and a line on each."""
+    """Return a measuring sheet and its page to print, by path, and a line on each."""
     from orthoglide.observations import campaign_text
     from orthoglide.report.sheet import sheet_page
 
@@ -76,13 +75,13 @@ def protocol(kind: str, machine: opt.MachineOption, out: Path | None) -> None:
     """
     from orthoglide.observations import campaign_text, protocol as make
 
-    known = machine.load()
-    sheet = make(kind, known.geometry)  # type: ignore[arg-type]
+    robot = machine.load()
+    sheet = make(kind, robot.geometry)  # type: ignore[arg-type]
     if out is None:
-        click.echo(campaign_text(sheet, known.spec), nl=False)
+        click.echo(campaign_text(sheet, robot.spec), nl=False)
         return
-    files, written = _sheet_files(out, sheet, known)
-    deliver("\n".join(written), files)
+    files, sheet_lines = _sheet_files(out, sheet, robot)
+    deliver("\n".join(sheet_lines), files)
 
 
 @cli.command()
@@ -118,35 +117,37 @@ def simulate(
     opt.exclude("exact", "noise", because="exact readings have none")
     if tcp is not None and out is not None and tcp.resolve() == out.resolve():
         raise InputError(f"--out and --tcp are both {str(tcp)!r}: give each a name of its own")
-    plain = machine.load()
-    given = opt.values_in_si("--error", error, plain.catalogue)
-    bent, draw = plain.with_parameters(given), np.random.default_rng(seed)
+    robot = machine.load()
+    errors = opt.values_in_si("--error", error, robot.catalogue)
+    faulty_robot, rng = robot.with_parameters(errors), np.random.default_rng(seed)
     sheets = (
-        (protocol(kind, bent.geometry),)  # type: ignore[arg-type]
+        (protocol(kind, faulty_robot.geometry),)  # type: ignore[arg-type]
         if sheet is None
-        else read_readings(sheet, bent.spec, require_readings=False)
+        else read_readings(sheet, faulty_robot.spec, require_readings=False)
     )
-    plain.catalogue.expand(given, [s.name for one in sheets for s in one.setups])
-    filled = [simulation.simulate(bent, s, noise=noise, seed=draw, exact=exact) for s in sheets]
-    text = readings_text(filled, None if bent.geometry.dialled else bent.spec)
+    robot.catalogue.expand(errors, [setup.name for s in sheets for setup in s.setups])
+    campaigns = [
+        simulation.simulate(faulty_robot, s, noise=noise, seed=rng, exact=exact) for s in sheets
+    ]
+    text = readings_text(campaigns, None if faulty_robot.geometry.dialled else faulty_robot.spec)
     files = {} if out is None else {out: text}
     if tcp is not None:
-        points = simulation.simulate_tcp(bent, seed=draw)
+        points = simulation.simulate_tcp(faulty_robot, seed=rng)
         points = points.with_readings(np.round(points.reading, 9))
-        files[tcp] = csv_text(tcp_rows(points, bent.spec))
-    unshown = simulation.invisible_parameters(bent, *filled).items()
+        files[tcp] = csv_text(tcp_rows(points, faulty_robot.spec))
+    invisible = simulation.invisible_parameters(faulty_robot, *campaigns).items()
     counts = [f"{click.format_filename(p)}: {t.count(chr(10)) - 1} rows" for p, t in files.items()]
     deliver(text.rstrip("\n") if out is None else "\n".join(counts), files)
-    warn(tuple(f"{name} changes no reading, as {lacking}" for name, lacking in unshown))
+    warn(tuple(f"{name} changes no reading, as {reason}" for name, reason in invisible))
 
 
 @cli.command()
 @opt.file("--out", "Readings to write, or to go on with.", "CAMPAIGN.csv", required=True)
 @opt.machine()
 @opt.file("--sheet", "Measuring sheet to read first; its own if absent.", "SHEET.csv")
-@click.option("--most", type=click.IntRange(2), default=126, show_default=True,
+@click.option("--most", "max_readings", type=click.IntRange(2), default=126, show_default=True,
               help="Readings after which no more are asked for.")  # fmt: skip
-def measure(out: Path, machine: opt.MachineOption, sheet: Path | None, most: int) -> None:
+def measure(out: Path, machine: opt.MachineOption, sheet: Path | None, max_readings: int) -> None:
     """Ask for one reading after another at the machine, until the verdict is settled.
 
     Says where each dial stands and where to go, takes what is typed or sent to its standard input
@@ -166,30 +167,29 @@ def measure(out: Path, machine: opt.MachineOption, sheet: Path | None, most: int
     from orthoglide.measuring import Record, Session
     from orthoglide.report import summary
 
-    known, name = machine.load(), click.format_filename(out)
-    otherwise = "measure asks for dials on legs; fill it in and give it to close-loop"
-    first = None if sheet is None else _dial_sheet(sheet, known, otherwise)
-    record = Record(out, known.spec)
-    end = Session(known, record, _ask, deliver, sheet=first, max_readings=most).run()
-    if end is None:
+    robot, name = machine.load(), click.format_filename(out)
+    remedy = "measure asks for dials on legs; fill it in and give it to close-loop"
+    first_sheet = None if sheet is None else _dial_sheet(sheet, robot, remedy)
+    record = Record(out, robot.spec)
+    session = Session(robot, record, _ask, deliver, sheet=first_sheet, max_readings=max_readings)
+    if (outcome := session.run()) is None:
         count = f"{record.readings} reading" + "s" * (record.readings != 1)
         deliver(f"Stopped with {count} in {name}: the same command goes on from there.")
         return
     folder = Path(out.stem)
-    found = summary(
-        end.verdict,
-        omitted_kind="machine",
+    summary_text = summary(
+        outcome.verdict, omitted_kind="machine",
         with_paths=lambda text: machine.with_typed_paths(text, folder),
-    )
+    )  # fmt: skip
     deliver(
-        f"{'Settled' if end.settled else 'Not settled'} after {end.readings} readings: "
-        f"{end.reason}.\n\n{found}\n\nThe report: orthoglide close-loop {opt.shell_path(out)}"
-        f"{machine.words} --out {opt.shell_path(folder)}"
+        f"{'Settled' if outcome.settled else 'Not settled'} after {outcome.readings} readings: "
+        f"{outcome.reason}.\n\n{summary_text}\n\nThe report: orthoglide close-loop "
+        f"{opt.shell_path(out)}{machine.words} --out {opt.shell_path(folder)}"
     )
 
 
 def _ask(question: str) -> str:
-    """Put a question; return what is typed, or comes next on standard input."""
+    """Print a question, and return the answer that is typed or the next line of standard input."""
     if sys.stdin.isatty():
         return input(question)
     click.echo(question)
@@ -206,9 +206,9 @@ def _ask(question: str) -> str:
 @click.option("--count", type=int, help="Readings to choose.  [default: 24; all with --owns]")
 @opt.pairs("--want", "Accuracies wanted, in the units of files, TCP=0.01 among them: how often to "
            "repeat.", "NAME=SIGMA,...")  # fmt: skip
-@opt.names("--owns", f"Instruments that you have ({_INSTRUMENT_KINDS[0]}): what they would tell together, and "
-           "with --out a sheet; with --count as many of the tool's readings as tell most "
-           "together.", _INSTRUMENT_KINDS[1])  # fmt: skip
+@opt.names("--owns", f"Instruments that you have ({_INSTRUMENT_KINDS[0]}): what they would tell "
+           "together, and with --out a sheet; with --count as many of the tool's readings as tell "
+           "most together.", _INSTRUMENT_KINDS[1])  # fmt: skip
 @opt.flag("--detect", "Also tell the smallest effects found and named.")
 @opt.noise()
 @opt.seed
@@ -233,54 +233,57 @@ def design(
         because="every instrument has a sheet and a noise of its own, and its smallest effects "
         "are told anyway",
     )  # fmt: skip
-    known = machine.load()
+    robot = machine.load()
     if owns:
-        _design_for_instruments(owns, known, count, out, seed, quiet)
+        _design_for_instruments(owns, robot, count, out, seed, quiet)
         return
-    count, most = (
-        _DESIGN_COUNT if count is None else count,
-        len(planning.reading_pool(known.geometry)),
-    )
-    if count > most:
-        raise InputError(f"there are {most} readings to choose from: give --count {most} or less")
-    wanted = opt.values_in_si("--want", want, known.catalogue)
+    count = _DESIGN_COUNT if count is None else count
+    if count > (available := len(planning.reading_pool(robot.geometry))):
+        raise InputError(
+            f"there are {available} readings to choose from: give --count {available} or less"
+        )
+    target_sigmas = opt.values_in_si("--want", want, robot.catalogue)
     with progress(quiet) as step:
         step(Step("computing", "choosing readings"))
-        found = planning.design(known, free or None, count, noise=noise)
+        chosen = planning.design(robot, free or None, count, noise=noise)
         step(Step("computing", "comparing"))
-        several = dict(_sheets_to_compare(known, sheets))
-        rows = [(name, planning.observability(known, one, found.names, noise))
-                for name, one in several.items()]  # fmt: skip
-        lines = [planning.index_table([*rows, ("design", found.indices)])]
-        several["design"] = found.campaign
-        for name, one in several.items():
-            lines += [f"{name}: {warning}" for warning in planning.aliasing(known, one)]
-        for name, one in several.items():
-            for what, sigma in wanted.items():
+        compared = dict(_sheets_to_compare(robot, sheets))
+        rows = [(name, planning.observability(robot, sheet, chosen.names, noise))
+                for name, sheet in compared.items()]  # fmt: skip
+        lines = [planning.index_table([*rows, ("design", chosen.indices)])]
+        compared["design"] = chosen.campaign
+        for name, sheet in compared.items():
+            lines += [f"{name}: {warning}" for warning in planning.aliasing(robot, sheet)]
+        for name, sheet in compared.items():
+            for quantity, sigma in target_sigmas.items():
                 step(Step("computing", f"how often to repeat {name}"))
-                answer = planning.repeats_needed(known, one, found.names, what, sigma, noise)
-                lines.append(f"{name}, {answer}")
-        for name, one in several.items() if detect else ():
+                count_text = planning.repeats_needed(
+                    robot, sheet, chosen.names, quantity, sigma, noise
+                )
+                lines.append(f"{name}, {count_text}")
+        for name, sheet in compared.items() if detect else ():
             step(Step("computing", f"smallest effects: {name}"))
-            smallest = planning.smallest_effects(known, one, noise=noise, seed=seed)
+            smallest = planning.smallest_effects(robot, sheet, noise=noise, seed=seed)
             lines += ["", f"{name}:", *planning.detectable_rows(smallest)]
-        files, written = ({}, ()) if out is None else _sheet_files(out, found.campaign, known)
-    seen = f"{found.indices.rank} of {found.indices.unknowns} unknowns"
-    line = f"{len(found.campaign)} readings show {seen}."
-    deliver(line if quiet else wrapped("\n".join([*lines, *written])), files)
+        files, sheet_lines = ({}, ()) if out is None else _sheet_files(out, chosen.campaign, robot)
+    line = (
+        f"{len(chosen.campaign)} readings show {chosen.indices.rank} of "
+        f"{chosen.indices.unknowns} unknowns."
+    )
+    deliver(line if quiet else wrapped("\n".join([*lines, *sheet_lines])), files)
 
 
 def _sheets_to_compare(machine: Machine, paths: tuple[Path, ...]) -> Mapping[str, Readings]:
-    """Return the sheets given by name, or the protocols that there are."""
+    """Return the given sheets by name; without any, those of the protocols."""
     from orthoglide.observations import protocol
 
-    otherwise = (
-        "design --owns says what its instruments tell, and rehearse --sheet how often it would "
-        "find what is wrong"
-    )
     if paths:
-        read = [_dial_sheet(path, machine, otherwise) for path in paths]
-        return {sheet.name: sheet for sheet in read}
+        remedy = (
+            "design --owns says what its instruments tell, and rehearse --sheet how often it would "
+            "find what is wrong"
+        )
+        sheets = [_dial_sheet(path, machine, remedy) for path in paths]
+        return {sheet.name: sheet for sheet in sheets}
     return {kind: protocol(kind, machine.geometry) for kind in opt.DIAL_PROTOCOLS}  # type: ignore[arg-type]
 
 
@@ -288,40 +291,37 @@ def _design_for_instruments(
     owns: tuple[str, ...], machine: Machine, count: int | None, out: Path | None, seed: int,
     quiet: bool,
 ) -> None:  # fmt: skip
-    """Print the smallest effects that instruments detect, and write a sheet of the tool's."""
+    """Print the smallest effects that instruments detect, and write their sheet at the tool."""
+    from orthoglide import planning
     from orthoglide.observations import readings_text
-    from orthoglide.planning import (
-        INSTRUMENT_WORDS,
-        blank_tool_sheets,
-        detectable_rows,
-        sheets_by_kind,
-        smallest_effects,
-    )
 
     with progress(quiet) as step:
         step(Step("computing", "what the instruments would tell"))
-        owned = sheets_by_kind(machine, owns, count)
-        found = smallest_effects(machine, list(owned.values()), seed=seed)
-    listed = ", ".join(f"{INSTRUMENT_WORDS[k]} ({len(s)})" for k, s in owned.items())
-    lines = [f"with {listed}:", *detectable_rows(found)]
+        owned_sheets = planning.sheets_by_kind(machine, owns, count)
+        smallest = planning.smallest_effects(machine, list(owned_sheets.values()), seed=seed)
+    instruments = ", ".join(
+        f"{planning.INSTRUMENT_WORDS[kind]} ({len(s)})" for kind, s in owned_sheets.items()
+    )
+    lines = [f"with {instruments}:", *planning.detectable_rows(smallest)]
     files = dict[Path, str]()
     if out is not None:
-        sheets, placed = blank_tool_sheets(owned.values()), machine.spec.kinematics is not None
-        if not sheets:
+        by_place = machine.spec.kinematics is not None
+        if not (sheets := planning.blank_tool_sheets(owned_sheets.values())):
             raise InputError("orthoglide protocol writes the sheets of dials alone")
         files[out] = readings_text(sheets, machine.spec, commands_as_places=True)
         moves = sum(len(sheet.moves) for sheet in sheets)
         between = f"; rows of kind move ({moves}): go there, read nothing" if moves else ""
         lines += ["", f"{click.format_filename(out)}: {sum(map(len, sheets))} readings of the "
                       f"tool, to be filled in{between}"]  # fmt: skip
-        if placed:
+        if by_place:
             lines.append("Send the tool to x_mm, y_mm, z_mm, with its numbers as they are.")
-        for one in (sheet.setups[0].observation for sheet in sheets):
+        for observation in (sheet.setups[0].observation for sheet in sheets):
+            instruction = by_place and observation.sheet_instruction_place
             lines.append(
-                f"{one.instrument_phrase}: {(one.sheet_instruction_place if placed else '') or one.sheet_instruction}."
+                f"{observation.instrument_phrase}: {instruction or observation.sheet_instruction}."
             )
-    hidden = len(found.invisible)
-    line = f"{len(found.by_effect)} effects are seen, {hidden} parameters are not visible."
+    effects, hidden = len(smallest.by_effect), len(smallest.invisible)
+    line = f"{effects} effects are seen, {hidden} parameters are not visible."
     deliver(line if quiet else wrapped("\n".join(lines)), files)
 
 
@@ -329,11 +329,8 @@ def _design_for_instruments(
 @opt.machine()
 @opt.file("--sheet", "Measuring sheet; the protocol sweep if absent, or a probe on a plate where "
           "no dial stands on a leg.", "SHEET.csv")  # fmt: skip
-@opt.names(
-    "--owns",
-    f"In place of a sheet, readings you can take: {_INSTRUMENT_KINDS[0]}.",
-    _INSTRUMENT_KINDS[1],
-)
+@opt.names("--owns", f"In place of a sheet, readings you can take: {_INSTRUMENT_KINDS[0]}.",
+           _INSTRUMENT_KINDS[1])  # fmt: skip
 @click.option("--campaigns", type=click.IntRange(1), default=90, show_default=True,
               help="How many to simulate.")  # fmt: skip
 @opt.seed
@@ -360,8 +357,9 @@ def rehearse(
     from orthoglide.rehearsal import rehearse as run
 
     opt.exclude("owns", "sheet", because="each instrument has a sheet of its own")
-    known = machine.load()
+    robot = machine.load()
     with progress(quiet) as step:
-        found = run(known, sheet, campaigns, owns=owns, seed=seed, out=out, progress=step,
-                    jobs=jobs)  # fmt: skip
-    deliver(found.line if quiet else str(found))
+        rehearsal = run(
+            robot, sheet, campaigns, owns=owns, seed=seed, out=out, progress=step, jobs=jobs
+        )
+    deliver(rehearsal.line if quiet else str(rehearsal))

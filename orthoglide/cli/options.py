@@ -25,15 +25,13 @@ if TYPE_CHECKING:
 Decorator = Callable[[Any], Any]
 
 PATH = click.Path(path_type=Path)
-"""A file or folder; that it is there and readable is checked where it is read."""
+"""A file or folder; whether it exists and is readable is checked where it is read."""
 
 DIAL_PROTOCOLS = ("standard", "sweep", "two-gauges")
 PROTOCOLS = (*DIAL_PROTOCOLS, "parallelism")
 
-
 Pairs = tuple[tuple[str, float], ...]
 """Names with their numbers, as they were given."""
-
 
 CALIBRATED = "calibrated.toml"
 """The calibrated machine in the folder of a result."""
@@ -60,20 +58,20 @@ def _split_commas(text: str) -> list[str]:
 
 
 def names(option: str, help: str, metavar: str = "NAME,...") -> Decorator:
-    """Return an option that takes names parted by commas, a tuple in Python."""
+    """Return an option that takes names separated by commas, a tuple in Python."""
 
-    def every(_: Any, __: Any, given: str) -> tuple[str, ...]:
-        return tuple(_split_commas(given))
+    def split(_: Any, __: Any, text: str) -> tuple[str, ...]:
+        return tuple(_split_commas(text))
 
-    return click.option(option, default="", callback=every, metavar=metavar, help=help)
+    return click.option(option, default="", callback=split, metavar=metavar, help=help)
 
 
 def pairs(option: str, help: str, metavar: str) -> Decorator:
     """Return an option that takes numbers by name, as `Pairs`; it may be given several times."""
 
-    def every(_: Any, __: Any, given: tuple[str, ...]) -> Pairs:
-        found = list[tuple[str, float]]()
-        for item in (item for text in given for item in _split_commas(text)):
+    def parse(_: Any, __: Any, texts: tuple[str, ...]) -> Pairs:
+        numbers = list[tuple[str, float]]()
+        for item in (item for text in texts for item in _split_commas(text)):
             name, _, number = (part.strip() for part in item.rpartition("="))
             value = math.nan
             with suppress(ValueError):
@@ -81,10 +79,10 @@ def pairs(option: str, help: str, metavar: str) -> Decorator:
             if not name or not math.isfinite(value):
                 form = metavar.rstrip(",.")
                 raise InputError(f"{option} takes {form}, a finite number, not {item!r}")
-            found.append((name, value))
-        return tuple(found)
+            numbers.append((name, value))
+        return tuple(numbers)
 
-    return click.option(option, multiple=True, callback=every, metavar=metavar, help=help)
+    return click.option(option, multiple=True, callback=parse, metavar=metavar, help=help)
 
 
 def flag(option: str, help: str) -> Decorator:
@@ -113,17 +111,14 @@ class MachineOption:
 
     @property
     def words(self) -> str:
-        """The options of the command line that give this machine."""
-        given = {"--machine": self.path, "--effects-file": self.effects_file}
-        return "".join(f" {o} {shell_path(p)}" for o, p in given.items() if p)
+        """Options of the command line that give this machine."""
+        paths = {"--machine": self.path, "--effects-file": self.effects_file}
+        return "".join(f" {option} {shell_path(path)}" for option, path in paths.items() if path)
 
     def with_typed_paths(self, text: str, out: Path) -> str:
-        """Return a text of a result with files in advised commands as they are typed here: results
-        name them without folders.
+        """Return a text of a result with complete paths in the commands that it advises.
 
-        Args:
-            text: of the result.
-            out: folder with its calibrated machine.
+        Results name files without folders; that of the calibrated machine is ``out``.
         """
         machines = [("--machine", path) for path in (out / CALIBRATED, self.path)]
         for option, path in (*machines, ("--effects-file", self.effects_file)):
@@ -133,7 +128,7 @@ class MachineOption:
         return text
 
     def load(self) -> Machine:
-        """Return the machine, and print what is doubtful about its file.
+        """Return the machine, and print warnings about its file.
 
         Raises:
             FileError: naming file, line and remedy.
@@ -149,26 +144,26 @@ class MachineOption:
 
 
 def machine(required: bool = False) -> Decorator:
-    """Return ``--machine FILE`` with ``--effects-file``, together a `MachineOption`."""
+    """Return the options ``--machine FILE`` and ``--effects-file``, together a `MachineOption`."""
     key = "orthoglide.effects_file"
 
-    def remember(context: click.Context, _: Any, value: Path | None) -> None:
-        context.meta[key] = value
+    def store_effects(context: click.Context, _: Any, path: Path | None) -> None:
+        context.meta[key] = path
 
-    def both(context: click.Context, _: Any, value: Path | None) -> MachineOption:
-        return MachineOption(value, context.meta.get(key))
+    def combine(context: click.Context, _: Any, path: Path | None) -> MachineOption:
+        return MachineOption(path, context.meta.get(key))
 
-    otherwise = "." if required else "; the nominal Orthoglide if absent."
+    ending = "." if required else "; the nominal Orthoglide if absent."
     return combine_options(
-        file("--machine", f"Machine file, also by itself{otherwise}", "FILE.toml",
-             required=required, callback=both),
+        file("--machine", f"Machine file, also by itself{ending}", "FILE.toml",
+             required=required, callback=combine),
         file("--effects-file", "Python file with effects of your own, beside the catalogue.",
-             "FILE.py", is_eager=True, expose_value=False, callback=remember),
+             "FILE.py", is_eager=True, expose_value=False, callback=store_effects),
     )  # fmt: skip
 
 
 def _path_callback(check: Callable[[Path], None]) -> Callable[..., Path | None]:
-    """Return the callback of an option that looks at a path before any work is done."""
+    """Return the callback of an option that checks a path before any work is done."""
 
     def callback(context: click.Context, _: Any, path: Path | None) -> Path | None:
         if path is not None and not context.resilient_parsing:
@@ -185,12 +180,12 @@ def _check_folder(path: Path) -> None:
 
 
 def out(help: str = "Folder for the results; must be new or empty.", **more: Any) -> Decorator:
-    """Return ``--out DIR`` of a new folder."""
+    """Return the option ``--out DIR``, a new folder."""
     return file("--out", help, "DIR", callback=_path_callback(_check_folder), **more)
 
 
 def out_file(help: str, metavar: str, **more: Any) -> Decorator:
-    """Return ``--out FILE`` of a new file."""
+    """Return the option ``--out FILE``, a new file."""
     return file("--out", help, metavar, callback=_path_callback(check_new), **more)
 
 
@@ -200,17 +195,19 @@ seed = click.option(
 quiet = flag("--quiet", "No progress; the answer in one line.")
 
 
-def noise(otherwise: str = "the machine file's", minimum: float = NOISE_LIMITS[0]) -> Decorator:
-    """Return ``--noise MM``, metres in Python.
+def noise(default_text: str = "the machine file's", minimum: float = NOISE_LIMITS[0]) -> Decorator:
+    """Return the option ``--noise MM``, metres in Python.
 
     Args:
-        otherwise: what counts where it is absent.
-        minimum: the smallest that is taken, metres.
+        default_text: which value is used without the option, for the help.
+        minimum: smallest value that is accepted, metres.
     """
 
     def metres(_: Any, __: Any, value: float | None) -> float | None:
-        if value is None or minimum <= value * 1e-3 <= NOISE_LIMITS[1]:
-            return None if value is None else value * 1e-3
+        if value is None:
+            return None
+        if minimum <= value * 1e-3 <= NOISE_LIMITS[1]:
+            return value * 1e-3
         raise InputError(
             f"--noise must be a number of millimetres from {minimum * 1e3:g} to "
             f"{NOISE_LIMITS[1] * 1e3:g}, not {value:g}"
@@ -219,39 +216,41 @@ def noise(otherwise: str = "the machine file's", minimum: float = NOISE_LIMITS[0
     return click.option(
         "--noise", type=float, metavar="MM", callback=metres,
         help=f"Standard deviation of one reading of a leg, or of the tool where no leg is read; "
-             f"else {otherwise}.",
+             f"else {default_text}.",
     )  # fmt: skip
 
 
-def values_in_si(option: str, given: Pairs, catalogue: Catalogue) -> dict[str, float]:
-    """Return numbers by name in SI, of an option in the units of files; that of TCP in millimetres.
+def values_in_si(option: str, numbers: Pairs, catalogue: Catalogue) -> dict[str, float]:
+    """Return the numbers of an option by name, in SI.
+
+    Numbers are given in the units of files; that of TCP is given in millimetres.
 
     Raises:
-        InputError: if a name is given twice, or is none.
+        InputError: if a name is given twice or is unknown.
     """
-    found = dict[str, float]()
-    for name, value in given:
-        if name in found:
+    values = dict[str, float]()
+    for name, value in numbers:
+        if name in values:
             raise InputError(f"{option} has {name} twice: give it once")
-        found[name] = value * (1e-3 if name == "TCP" else catalogue.effect_of(name).unit.si)
-    return found
+        values[name] = value * (1e-3 if name == "TCP" else catalogue.effect_of(name).unit.si)
+    return values
 
 
-def exclude(one: str, *others: str, because: str) -> None:
-    """Refuse options that have no effect beside another; all by their names in Python.
+def exclude(option: str, *others: str, because: str) -> None:
+    """Refuse options that have no effect together with another one, by their names in Python.
 
     Raises:
-        InputError: if ``one`` and one of the others were given; ``because`` says why not.
+        InputError: if ``option`` and one of the others were given; ``because`` is the reason.
     """
     context = click.get_current_context()
-    shown = {p.name: _option_text(p) for p in context.command.params}
+    texts = {p.name: _option_text(p) for p in context.command.params}
 
     def given(name: str) -> bool:
         default = context.get_parameter_source(name) in (None, ParameterSource.DEFAULT)
         return not default and context.params[name] not in (None, ())
 
-    for other in filter(given, others if given(one) else ()):
-        raise InputError(f"{shown[one]} and {shown[other]} exclude each other: {because}")
+    for other in filter(given, others if given(option) else ()):
+        raise InputError(f"{texts[option]} and {texts[other]} exclude each other: {because}")
 
 
 def _option_text(parameter: click.Parameter) -> str:

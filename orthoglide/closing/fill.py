@@ -15,11 +15,12 @@ from orthoglide.closing.values import (
     change_value,
     data_fault_value,
     explanation_value,
-    fit_value,
     located_value,
+    value_of,
 )
 from orthoglide.effects.wording import cause_short
 from orthoglide.errors import NumericsError
+from orthoglide.explanation import FullPosterior
 from orthoglide.explanation.free_form import only_surface_readings
 from orthoglide.fit import CrossCheck, Estimate, solve
 from orthoglide.fit.assembling import with_free
@@ -36,6 +37,7 @@ from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.result import (
     CandidateScore,
     DataFault,
+    Fit,
     InstrumentNoise,
     Noise,
     Possible,
@@ -48,9 +50,8 @@ from orthoglide.result import (
 )
 from orthoglide.threads import on_one_thread
 
-# Metres. Two derivations that differ by less agree; the difference below is rounding, which differs
-# from one processor to the next.
 _ROUNDING = 1e-12
+"""Metres: smaller differences of two derivations are rounding, which depends on the processor."""
 
 _ONE_OR_SEVERAL = "one alone, or several differently"
 
@@ -58,224 +59,194 @@ R = TypeVar("R", bound=Result)
 
 
 @on_one_thread
-def build_result(closed: RunOutcome, cls: type[R], progress: Progress = no_progress) -> R:
+def build_result(outcome: RunOutcome, cls: type[R], progress: Progress = no_progress) -> R:
     """Return a finished run as an instance of ``cls``, `Result` or a subclass of it.
 
     The values are encoded as in ``result.json`` and decoded again, so that a result that is loaded
     later equals this one to the last digit.
     """
     progress(Step("suggesting"))
-    request, machine = closed.request, closed.machine
-    return cls.read(encoded(_result_values(closed)), request, machine)
+    return cls.read(encoded(_result_values(outcome)), outcome.request, outcome.machine)
 
 
-def _result_values(closed: RunOutcome) -> Result:
-    request, base, after, catalogue = closed.request, closed.before, closed.after, closed.catalogue
-    moved = {id(change) for change in closed.moved}
+def _result_values(outcome: RunOutcome) -> Result:
+    base, after, catalogue = outcome.before, outcome.after, outcome.catalogue
+    uncovered = {id(change) for change in outcome.moved}
     kinds = {s.kind for f in after.problem.factors for s in f.readings.setups}
-    sheet, known = closed.next_sheet, closed.posterior
-    not_seen, invisible = _unseen(closed)
-    return Result(
-        request=request,
-        machine=closed.machine,
-        word=closed.word,
-        noise=_noise(closed),
-        nominal=closed.before.nominal,
-        before=fit_value(base),
-        after=fit_value(after),
-        rms_of_all=closed.first_fit.scores.rms,
-        hold_out=closed.hold_out,
-        tcp=closed.tcp,
-        effects=tuple(map(cause_value, closed.effects)),
-        located=tuple(located_value(one, catalogue) for one in closed.located),
-        alone=tuple(map(explanation_value, closed.alone)),
-        budget=closed.budget,
-        identified=closed.identified,
-        candidates=tuple(_candidates(closed)),
-        blunders=_data_faults(closed),
-        changed=tuple(change_value(c, id(c) not in moved) for c in closed.changed),
+    sheet, posterior = outcome.next_sheet, outcome.posterior
+    unseen, invisible = _unseen(outcome)
+    return value_of(
+        Result,
+        outcome,
+        noise=_noise(outcome),
+        nominal=base.nominal,
+        before=value_of(Fit, base),
+        after=value_of(Fit, after),
+        rms_of_all=outcome.first_fit.scores.rms,
+        effects=tuple(map(cause_value, outcome.effects)),
+        located=tuple(located_value(located, catalogue) for located in outcome.located),
+        alone=tuple(map(explanation_value, outcome.alone)),
+        candidates=tuple(_candidates(outcome)),
+        blunders=_data_faults(outcome),
+        changed=tuple(change_value(c, id(c) not in uncovered) for c in outcome.changed),
         weak=after.weak,
         check=base.check and _above_rounding(base.check),
         verification=after.verification,
-        firmware=closed.firmware,
-        next_measurements=tuple(map(_proposal, closed.next_measurements)),
+        next_measurements=tuple(map(_proposal, outcome.next_measurements)),
         sheet=() if sheet is None else tuple(campaign_rows(sheet)),
-        left=closed.lack_of_fit,
-        workspace=None if known is None else _workspace(base, known.machine, closed.machine),
-        numbers=closed.numbers,
-        actions=closed.actions,
+        left=outcome.lack_of_fit,
+        workspace=None if posterior is None else _workspace(base, posterior, outcome.machine),
         invisible=invisible,
-        unseen=not_seen,
+        unseen=unseen,
         instruments={kind: words for kind, words in INSTRUMENT_WORDS.items() if kind in kinds},
-        cautions=closed.cautions,
-        warnings=_warnings(closed),
+        warnings=_warnings(outcome),
         calibrated_before=base.problem.has_earlier_calibration,
-        shapes_of_plate=known is not None and bool(known.mixture.linear.plate_shapes.any()),
-        picture=closed.picture,
-        readings=fitted_readings(after, base, request.given),
-        withheld=not_advised(closed),
-        contradicted=closed.contradicted,
-        possible=tuple(_possible_causes(closed)),
+        shapes_of_plate=posterior is not None and bool(posterior.mixture.linear.plate_shapes.any()),
+        readings=fitted_readings(after, base, outcome.request.given),
+        withheld=not_advised(outcome),
+        possible=tuple(_possible_causes(outcome)),
         noise_by_setup=tuple(_noise_by_setup(after)),
     )
 
 
-def _candidates(closed: RunOutcome) -> Iterator[CandidateScore]:
+def _candidates(outcome: RunOutcome) -> Iterator[CandidateScore]:
     """Yield the causes and located errors that were considered, in words."""
-    known = closed.posterior
-    places = (
-        {}
-        if known is None
-        else {place.name: place.words for place in known.linearised.free_form_errors}
-    )
-    for one in closed.candidates:
-        named = (
-            cause_short(closed.catalogue, one.name) if one.parameters else places.get(one.name, "")
-        )
-        yield replace(one, words=named)
+    posterior = outcome.posterior
+    places = () if posterior is None else posterior.linearised.free_form_errors
+    place_words = {place.name: place.words for place in places}
+    for candidate in outcome.candidates:
+        words = place_words.get(candidate.name, "")
+        if candidate.parameters:
+            words = cause_short(outcome.catalogue, candidate.name)
+        yield replace(candidate, words=words)
 
 
-def _data_faults(closed: RunOutcome) -> tuple[DataFault, ...]:
+def _data_faults(outcome: RunOutcome) -> tuple[DataFault, ...]:
     """Return the data faults, with their rows within the readings of the request."""
-    tables = [factor.readings for factor in closed.first_fit.problem.factors]
-    given = zip(tables, closed.request.given, strict=True)
-    rows = [row_indices(part, whole) for part, whole in given]
-    return tuple(data_fault_value(b, tables, lambda k, r: int(rows[k][r])) for b in closed.blunders)
+    tables = [factor.readings for factor in outcome.first_fit.problem.factors]
+    pairs = zip(tables, outcome.request.given, strict=True)
+    rows = [row_indices(part, whole) for part, whole in pairs]
+    faults = outcome.blunders
+    return tuple(data_fault_value(f, tables, lambda k, r: int(rows[k][r])) for f in faults)
 
 
 def _above_rounding(check: CrossCheck) -> CrossCheck:
-    return replace(
-        check,
-        reduction=max(check.reduction, _ROUNDING),
-        linear=max(check.linear, _ROUNDING),
-        linear_size=max(check.linear_size, _ROUNDING),
-    )
+    names = ("reduction", "linear", "linear_size")
+    return replace(check, **{name: max(getattr(check, name), _ROUNDING) for name in names})
 
 
-def _workspace(before: Estimate, known: Machine, calibrated: Machine) -> Workspace:
-    """Return the TCP over the workspace by the base model and by the calibrated machine; ``known``
-    is the posterior's machine.
-    """
-    base = tcp_map(known.with_posterior(before.machine.values, known.posterior))
-    found, geometry = tcp_map(calibrated), known.geometry
-    travels = geometry.dialled  # elsewhere no levels of travel are levels of the tool
+def _workspace(before: Estimate, posterior: FullPosterior, calibrated: Machine) -> Workspace:
+    """Return the TCP over the workspace by the base model and by the calibrated machine."""
+    machine, geometry = posterior.machine, calibrated.geometry
+    base_map = tcp_map(machine.with_posterior(before.machine.values, machine.posterior))
+    calibrated_map = tcp_map(calibrated)
+    dialled = geometry.dialled  # on other layouts equal travels are no level of the tool
     return Workspace(
-        at=workspace_grid(geometry) - geometry.zero if travels else found.nominal,
-        axis="travel of {}" if travels else "{} of the tool",
-        now=without_translation(found.p - found.nominal),
-        left=without_translation(found.p - base.p),
-        sure_before=base.uncertainty,
-        sure=found.uncertainty,
+        at=workspace_grid(geometry) - geometry.zero if dialled else calibrated_map.nominal,
+        axis="travel of {}" if dialled else "{} of the tool",
+        now=without_translation(calibrated_map.p - calibrated_map.nominal),
+        left=without_translation(calibrated_map.p - base_map.p),
+        sure_before=base_map.uncertainty,
+        sure=calibrated_map.uncertainty,
     )
 
 
-def _warnings(closed: RunOutcome) -> tuple[Note, ...]:
-    """Return warnings of the last fit, except lack of fit, which the verdict reports."""
-    machine, found = closed.request.machine, list(closed.after.warnings)
+def _warnings(outcome: RunOutcome) -> tuple[Note, ...]:
+    """Return the warnings of the last fit except lack of fit, which the verdict reports."""
+    machine, warnings = outcome.request.machine, list(outcome.after.warnings)
     if (printer := machine.spec.printer) is not None:
-        found += printer.assumptions(machine, closed.effects)
-    return tuple(w for w in found if w.kind != "lack_of_fit")
+        warnings += printer.assumptions(machine, outcome.effects)
+    return tuple(w for w in warnings if w.kind != "lack_of_fit")
 
 
-def _noise(closed: RunOutcome) -> Noise:
-    problem = closed.after.problem
-    each = {
+def _noise(outcome: RunOutcome) -> Noise:
+    problem = outcome.after.problem
+    by_instrument = {
         kind: InstrumentNoise(float(sigma), OBSERVATIONS[kind].unit, source)
         for kind, (sigma, source) in problem.noise_by_instrument.items()
     }
-    return Noise(
-        declared=problem.declared_noise,
-        single_reading=problem.one_reading,
-        source=problem.noise_source,
-        by_instrument=each,
-    )
+    return Noise(problem.declared_noise, problem.one_reading, problem.noise_source, by_instrument)
 
 
-def _possible_causes(closed: RunOutcome) -> Iterator[Possible]:
+def _possible_causes(outcome: RunOutcome) -> Iterator[Possible]:
     """Yield the most probable causes if nothing was found, each with the scores of its own fit."""
-    problem = closed.before.problem
-    for one in closed.possible:
-        names = tuple(map(str, one.parameters))
+    problem = outcome.before.problem
+    for cause in outcome.possible:
+        names = tuple(map(str, cause.parameters))
         try:
             fit = solve(with_free(problem, names), method="nested", widen=False)
         except NumericsError:
             continue
-        yield Possible(one.name, names, float(one.probability), one.words, fit.scores)
+        yield Possible(cause.name, names, float(cause.probability), cause.words, fit.scores)
 
 
 def _noise_by_setup(fit: Estimate) -> Iterator[SetupNoise]:
     """Yield the noise that the residuals show, by setup."""
-    for one in noise_scales(fit):
-        file, setup = source(one.readings), one.setup
-        yield SetupNoise(setup.name, file, setup.kind, one.sigma, one.scale, one.scale_sigma)
+    for noise in noise_scales(fit):
+        file, setup = source(noise.readings), noise.setup
+        yield SetupNoise(setup.name, file, setup.kind, noise.sigma, noise.scale, noise.scale_sigma)
 
 
-def _proposal(one: Suggestion) -> Proposal:
-    return Proposal(
-        reason=one.reason,
-        aim=one.aim,
-        gain=one.gain,
-        readings=one.rows,
-        what=one.what,
-        other_instrument=one.pool is None,
-        hopeless=one.hopeless,
+def _proposal(suggestion: Suggestion) -> Proposal:
+    other_instrument = suggestion.pool is None
+    return value_of(
+        Proposal, suggestion, readings=suggestion.rows, other_instrument=other_instrument
     )
 
 
-def _unseen(closed: RunOutcome) -> tuple[Unseen, tuple[str, ...]]:
+def _unseen(outcome: RunOutcome) -> tuple[Unseen, tuple[str, ...]]:
     """Return what the readings cannot detect, and the names of all parameters concerned."""
-    hidden = () if closed.posterior is None else closed.posterior.invisible
-    excited = {e.name for e in excited_effects(closed.after.problem)} | {*closed.catalogue.base}
-    still = tuple(name for name in closed.request.machine.catalogue if name not in excited)
-    varied = _unvaried_conditions(closed, still)
-    found = Unseen(
-        effects=_undetected_effects(closed, hidden),
-        unvaried=varied,
-        one_sided=_one_sided_reason(closed, varied),
-        unexcited=still,
+    hidden = () if outcome.posterior is None else outcome.posterior.invisible
+    excited = {e.name for e in excited_effects(outcome.after.problem)} | {*outcome.catalogue.base}
+    unexcited = tuple(name for name in outcome.request.machine.catalogue if name not in excited)
+    unvaried = _unvaried_conditions(outcome, unexcited)
+    unseen = Unseen(
+        effects=_undetected_effects(outcome, hidden),
+        unvaried=unvaried,
+        one_sided=_one_sided_reason(outcome, unvaried),
+        unexcited=unexcited,
     )
-    return found, tuple(map(str, (*hidden, *closed.catalogue.expand(list(varied)))))
+    return unseen, tuple(map(str, (*hidden, *outcome.catalogue.expand(list(unvaried)))))
 
 
 def _undetected_effects(
-    closed: RunOutcome, invisible: tuple[Parameter, ...]
+    outcome: RunOutcome, invisible: tuple[Parameter, ...]
 ) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Return effects that would not show at three tolerances, each as a clause with the parameters
-    concerned: none where it is all of them; of an effect that was found, its other parameters.
-    """
-    asked = [] if closed.posterior is None else closed.posterior.linearised.varied_parameters
-    every, hidden = (Counter(n.effect for n in names) for names in (asked, invisible))
-    several = [one for cause in closed.effects for one in cause.explanations]
-    told = {one.catalogue.effect_of(one.name).name for one in several}
+    """Return the effects that could not be detected at three tolerances, as `Unseen.effects`."""
+    tested = [] if outcome.posterior is None else outcome.posterior.linearised.varied_parameters
+    tested_counts, hidden_counts = (Counter(n.effect for n in ns) for ns in (tested, invisible))
+    explanations = (explanation for cause in outcome.effects for explanation in cause.explanations)
+    found_effects = {e.catalogue.effect_of(e.name).name for e in explanations}
 
-    def which(effect: str) -> tuple[str, ...]:
-        if hidden[effect] == every[effect]:
-            return (_ONE_OR_SEVERAL,) if effect in told else ()
+    def parameters_concerned(effect: str) -> tuple[str, ...]:
+        if hidden_counts[effect] == tested_counts[effect]:
+            return (_ONE_OR_SEVERAL,) if effect in found_effects else ()
         names = (str(n) for n in invisible if n.effect == effect)
         return tuple(name.removeprefix(f"{effect}.") for name in names)
 
-    return tuple((cause_short(closed.catalogue, effect), which(effect)) for effect in hidden)
+    catalogue = outcome.catalogue
+    return tuple((cause_short(catalogue, e), parameters_concerned(e)) for e in hidden_counts)
 
 
 def _unvaried_conditions(
-    closed: RunOutcome, unexcited: tuple[str, ...]
+    outcome: RunOutcome, unexcited: tuple[str, ...]
 ) -> dict[str, tuple[str, ...]]:
-    """Return effects of the machine for which the readings vary no condition, each with those that
-    it needs; empty where no cause was looked for.
+    """Return the machine's effects for which the readings vary no condition, as
+    `Unseen.unvaried`.
     """
-    problem = closed.after.problem
-    several = () if closed.posterior is None else problem.machine.catalogue.effects
-    asked = (e for e in several if not (e.of_dial or e.instead_of) and e.name in unexcited)
-    return {effect.name: unmet_conditions(problem, effect) for effect in asked}
+    problem = outcome.after.problem
+    effects = () if outcome.posterior is None else problem.machine.catalogue.effects
+    considered = (e for e in effects if not (e.of_dial or e.instead_of) and e.name in unexcited)
+    return {effect.name: unmet_conditions(problem, effect) for effect in considered}
 
 
 def _one_sided_reason(
-    closed: RunOutcome, unvaried: dict[str, tuple[str, ...]]
+    outcome: RunOutcome, unvaried: dict[str, tuple[str, ...]]
 ) -> Literal["", "fixed", "same", "unknown"]:
     """Return why lost motion is not detected, as `Unseen.one_sided`."""
     if not any("approach" in needs for needs in unvaried.values()):
         return ""
-    if only_surface_readings(closed.after.problem):
+    if only_surface_readings(outcome.after.problem):
         return "fixed"
-    known = (f.conditions().approach.any() for f in closed.after.problem.factors)
-    return "same" if all(known) else "unknown"
+    recorded = (f.conditions().approach.any() for f in outcome.after.problem.factors)
+    return "same" if all(recorded) else "unknown"

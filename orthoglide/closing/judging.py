@@ -1,4 +1,4 @@
-"""Judging a finished result on what was not used: readings held out, and TCP points."""
+"""Scores of a finished result on readings held out and on TCP points."""
 
 from __future__ import annotations
 
@@ -18,9 +18,7 @@ from orthoglide.observations.readings import Points
 from orthoglide.prediction import Conditions
 from orthoglide.result import HoldOut, TcpErrors
 
-_MAX_ERROR_RATIO = (
-    3.0  # ratio of errors to what is expected of them from which points fit no machine
-)
+_MAX_ERROR_RATIO = 3.0  # ratio of errors to expected errors from which points fit no machine
 
 
 def hold_out(
@@ -28,52 +26,58 @@ def hold_out(
     after: Mapping[str, float],
     machine: Machine,
     held: Sequence[Readings],
-    own: Sequence[str] = (),
+    per_campaign: Sequence[str] = (),
 ) -> HoldOut:
     """Return the scores of two machines on readings that neither was fitted to.
 
-    What is own to a campaign, its datums and its placements (of the tool's instruments all that a
-    setup brings) are fitted to the campaign itself; the reading scored is left out each time.
+    Parameters specific to a campaign, its datums and its placements (of the tool's instruments all
+    parameters of a setup) are fitted to the campaign itself, each time without the reading scored.
 
     Args:
         before: parameters of the base model, SI.
         after: parameters of the extended model, SI.
         machine: tolerances and dimensions.
-        held: out, of any kinds.
-        own: families or parameters that each campaign has for itself.
+        held: readings held out, of any kinds.
+        per_campaign: effects or parameters that are specific to a campaign.
     """
-    return HoldOut(*(_held_out_rms(values, machine, held, own) for values in (before, after)))
+    return HoldOut(
+        *(_held_out_rms(values, machine, held, per_campaign) for values in (before, after))
+    )
 
 
 def _held_out_rms(
-    values: Mapping[str, float], machine: Machine, held: Sequence[Readings], own: Sequence[str]
+    values: Mapping[str, float],
+    machine: Machine,
+    held: Sequence[Readings],
+    per_campaign: Sequence[str],
 ) -> ByUnit:
-    kept = machine.catalogue.machine_values(values)
-    problem = assemble(held, machine.with_only(kept), own or machine.catalogue.base)
-    if own:
+    machine_values = machine.catalogue.machine_values(values)
+    free = per_campaign or machine.catalogue.base
+    problem = assemble(held, machine.with_only(machine_values), free)
+    if per_campaign:
         rows = solve(problem, method="nested").rows
     else:
-        problem = replace(problem, unknowns=(), held=(kept,) * len(problem.factors))
-        at = linearise(problem, np.zeros(0))
-        rows = FittedRows.from_fit(problem, nuisances(problem, at.reading_poses), at)
-    left = 1 - rows.leverage
-    scored = np.where(left > 1e-6, left, np.nan)
-    return rms_by_unit(rows.residual / scored, problem.angular)
+        problem = replace(problem, unknowns=(), held=(machine_values,) * len(problem.factors))
+        linearised = linearise(problem, np.zeros(0))
+        nuisance = nuisances(problem, linearised.reading_poses)
+        rows = FittedRows.from_fit(problem, nuisance, linearised)
+    share = 1 - rows.leverage  # of the residual of a reading that its own fit leaves
+    return rms_by_unit(rows.residual / np.where(share > 1e-6, share, np.nan), problem.angular)
 
 
-def points_contradiction(errors: TcpErrors, stated: Array, points: Points) -> str:
-    """Return that measured points contradict the machine with and without the finding, a clause;
-    empty if they do not, or if their accuracy is unknown.
+def points_contradiction(errors: TcpErrors, stated_sigma: Array, points: Points) -> str:
+    """Return how measured points contradict the machine both with and without the finding, a
+    clause; empty if they do not, or if their accuracy is unknown.
 
     Args:
-        errors: best translation removed.
-        stated: standard deviations of the machine with what was found ``(n, 3)``, metres.
-        points: measured.
+        errors: errors at the points, best translation removed.
+        stated_sigma: standard deviations of the calibrated machine ``(n, 3)``, metres.
+        points: the measured points.
     """
-    known = _declared_sigma(points)
-    if not known.any():
+    declared_sigma = _declared_sigma(points)
+    if not declared_sigma.any():
         return ""
-    expected = float(np.sqrt(np.mean(np.sum(stated**2 + known**2, axis=1))))
+    expected = float(np.sqrt(np.mean(np.sum(stated_sigma**2 + declared_sigma**2, axis=1))))
     if min(errors.before_mean, errors.after_mean) < _MAX_ERROR_RATIO * expected:
         return ""
     before, after = distinct_figures(errors.before_mean * 1e3, errors.after_mean * 1e3)
@@ -85,9 +89,7 @@ def points_contradiction(errors: TcpErrors, stated: Array, points: Points) -> st
 
 
 def _declared_sigma(points: Points) -> Array:
-    """Return the declared standard deviation of a coordinate ``(m, 1)``, metres; 0 if there is
-    none.
-    """
+    """Return the declared standard deviation of a coordinate ``(m, 1)``, metres; 0 without one."""
     return np.nan_to_num(points.sigma)[:, None]
 
 
@@ -98,20 +100,19 @@ def tcp_errors(
     after: Mapping[str, float],
     sigma: Array | None = None,
 ) -> dict[str, TcpErrors]:
-    """Return errors at TCP points: as they are, after the best translation, and after a rigid
-    motion.
+    """Return errors at TCP points by alignment: none, the best translation, a rigid motion.
 
     Args:
         machine: dimensions.
         given: measured positions; missing coordinates are left out.
         before: parameters of the base model, SI.
         after: parameters of the extended model, SI.
-        sigma: stated for ``after``, best translation removed ``(n, 3)``, metres; what the points
-            are known to counts beside it.
+        sigma: standard deviations for ``after``, best translation removed ``(n, 3)``, metres; those
+            of the points are added.
     """
     points = given.points()
     conditions = Conditions.from_commands(points.command, approach=points.approach)
-    found = {}
+    errors, declared_sigma = {}, _declared_sigma(points)
     predicted = {
         name: machine.model.outputs(values, conditions).p
         for name, values in (("nominal", {}), ("before", before), ("after", after))
@@ -119,22 +120,19 @@ def tcp_errors(
     for fit in ("none", "translation", "rigid"):
         figures, inside = {}, float("nan")
         for name, p in predicted.items():
-            apart = _aligned(p, points.p, fit) - points.p
-            distance = np.sqrt(np.nansum(apart**2, axis=1))
+            difference = _aligned(p, points.p, fit) - points.p
+            distance = np.sqrt(np.nansum(difference**2, axis=1))
             figures[f"{name}_mean"] = float(distance.mean())
             figures[f"{name}_max"] = float(distance.max())
         if sigma is not None and fit == "translation":  # of `after`, the last
-            known = np.isfinite(apart)
-            both = np.hypot(sigma, _declared_sigma(points))
-            inside = float(np.mean(np.abs(apart[known]) <= SIGMAS_95 * both[known]))
-        found[fit] = TcpErrors(**figures, inside=inside)
-    return found
+            within = np.abs(difference) <= SIGMAS_95 * np.hypot(sigma, declared_sigma)
+            inside = float(np.mean(within[np.isfinite(difference)]))
+        errors[fit] = TcpErrors(**figures, inside=inside)
+    return errors
 
 
 def _aligned(p: Array, measured: Array, fit: str) -> Array:
-    """Return predicted points after no motion, a translation, or a rigid motion onto the measured
-    ones.
-    """
+    """Return predicted points aligned with the measured ones, as ``fit`` says."""
     if fit == "none":
         return p
     complete = np.isfinite(measured).all(axis=1)

@@ -1,9 +1,10 @@
-"""Closing the loop: find what is left, trace it to a cause, add it, identify again, judge."""
+"""The closed loop: test the residual, find its causes, identify again, and judge."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 
 from orthoglide.accuracy import tcp_map
 from orthoglide.closing.judging import hold_out, points_contradiction, tcp_errors
@@ -31,19 +32,15 @@ from orthoglide.fit.crosscheck import verify
 from orthoglide.fit.plausible import check_drive_order, check_plausible
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
+from orthoglide.observations import Readings
 from orthoglide.observations.repetition import shared_fraction
 from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.result import Request, Word
 from orthoglide.threads import on_one_thread
 
-_MAX_RESIDUAL_SHARE = 0.1  # share of the lack of fit that a place which was found may leave
+_MAX_RESIDUAL_SHARE = 0.1  # share of the base model's lack of fit that located errors may leave
 
-_FULLY_EXPLAINED = (
-    "adequate",
-    "diffuse",
-    "explained",
-    "ambiguous",
-)  # nothing is left but what has a name
+_FULLY_EXPLAINED = ("adequate", "diffuse", "explained", "ambiguous")  # all that is left has a name
 
 
 @on_one_thread
@@ -51,118 +48,107 @@ def compute_outcome(request: Request, progress: Progress = no_progress) -> RunOu
     """Run a request: identify, search for causes, test the residual, and judge.
 
     Raises:
-        InputError: where the campaigns cannot be used.
-        NumericsError: where the base model cannot be identified.
+        InputError: if the campaigns cannot be used.
+        NumericsError: if the base model cannot be identified.
     """
     if not request.searches:
         return _identify_only(request, progress)
     progress(Step("identifying", "joint offsets and leg lengths"))
     machine = request.machine
-    judges = () if request.tcp is None else (request.tcp,)
-    given = (*request.campaigns, *request.points)
-    check_plausible(given, machine, request.frame)
-    check_plausible((*request.holdout, *judges), machine)
-    carried = [name for name, entry in machine.spec.parameters.items() if entry.sigma > 0]
+    check_plausible(request.given, machine, request.frame)
+    check_plausible(_validation_readings(request), machine)
+    calibrated_names = [name for name, entry in machine.spec.parameters.items() if entry.sigma > 0]
     problem = assemble(
-        given, machine, (*machine.catalogue.base, *carried),
+        request.given, machine, (*machine.catalogue.base, *calibrated_names),
         per_campaign=request.own, noise=request.noise, frame=request.frame,
     )  # fmt: skip
-    problem = with_refuted_noise_enlarged(problem)
-    read = account_for_changes(solve(problem, method="nested"))
-    check_drive_order(read)
+    base_fit = account_for_changes(solve(with_refuted_noise_enlarged(problem), method="nested"))
+    check_drive_order(base_fit)
     progress(Step("faults"))
-    faults = find_data_faults(read)
-    blunders, changes = faults.data_faults, faults.changes
-    known, found, left, word = _search(
-        read, blunders, changes, progress, faults.posterior, faults.ambiguous
+    faults = find_data_faults(base_fit)
+    data_faults, changes = faults.data_faults, faults.changes
+    posterior, findings, fit_test, verdict = _search(
+        base_fit, data_faults, changes, progress, faults.posterior, faults.ambiguous
     )
-    if word not in _FULLY_EXPLAINED and any(_exceeds_readjustment(c, machine) for c in changes):
-        # What has no name takes any change that comes near.
+    if verdict not in _FULLY_EXPLAINED and any(_exceeds_readjustment(c, machine) for c in changes):
+        # A free-form error can take over a change of similar effect.
         changes = ()
-        known, found, left, word = _search(read, blunders, changes, progress)
-    before = known.before
-    if word not in ("adequate", "diffuse"):
-        check_levels(known)
-    if word == "unexplained":
+        posterior, findings, fit_test, verdict = _search(base_fit, data_faults, changes, progress)
+    before = posterior.before
+    if verdict not in ("adequate", "diffuse"):
+        check_levels(posterior)
+    if verdict == "unexplained":
         before = refit_with_residual_noise(before)
-    closed = RunOutcome(
-        request, word, before, before if word == "unexplained" else known.after,
-        found.causes, found.located,
-        found.candidate_scores, left, known, blunders,
-        fit_with_faults=read if blunders else None,
-        alone=found.single_causes if word in ("adequate", "diffuse") else (),
-        possible=found.possible_causes if word == "unexplained" else (),
+    outcome = RunOutcome(
+        request, verdict, before, before if verdict == "unexplained" else posterior.after,
+        findings.causes, findings.located, findings.candidate_scores, fit_test, posterior,
+        data_faults, fit_with_faults=base_fit if data_faults else None,
+        alone=findings.single_causes if verdict in ("adequate", "diffuse") else (),
+        possible=findings.possible_causes if verdict == "unexplained" else (),
     )  # fmt: skip
-    since = [c.now(closed.after) for c in read.changes]
+    earlier_changes = [c.with_later_fit(outcome.after) for c in base_fit.changes]
     changed = (
-        *(c for c in since if c.is_reported),
-        *(c.with_separate_fit(closed.after) for c in changes),
+        *(c for c in earlier_changes if c.is_reported),
+        *(c.with_separate_fit(outcome.after) for c in changes),
     )
-    notes = (Note(found_now, "earlier") for c in since if (found_now := c.found_only_now))
-    told = (*closed.after.warnings, *notes, *faults.notes, *_ambiguous_calibration_note(read))
+    change_notes = (Note(text, "earlier") for c in earlier_changes if (text := c.found_only_now))
+    notes = (*change_notes, *faults.notes, *_ambiguous_calibration_note(base_fit))
     progress(Step("verifying"))
-    after = replace(closed.after, warnings=told, verification=verify(closed.after))
+    after = replace(outcome.after, verification=verify(outcome.after))
+    outcome = _with_warnings(replace(outcome, changed=changed, after=after), *notes)
     progress(Step("judging"))
-    return judge(replace(closed, changed=changed, after=after))
+    return judge(outcome)
 
 
-def _ambiguous_calibration_note(read: Estimate) -> Iterator[Note]:
+def _ambiguous_calibration_note(base_fit: Estimate) -> Iterator[Note]:
     """Yield a note if an earlier calibration left open which parameter was wrong."""
-    held = ambiguity_clause(read.problem.machine.spec)
-    if held and read.problem.has_earlier_calibration:
+    clause = ambiguity_clause(base_fit.problem.machine.spec)
+    if clause and base_fit.problem.has_earlier_calibration:
         yield Note(
-            f"the calibration before {held}: what changed since is told best by orthoglide check, "
-            f"from the readings of both visits",
+            f"the calibration before {clause}: what changed since is told best by orthoglide "
+            f"check, from the readings of both visits",
             "earlier",
         )
 
 
 def _search(
-    read: Estimate,
-    blunders: Sequence[ReportedFault],
+    base_fit: Estimate,
+    data_faults: Sequence[ReportedFault],
     changes: Sequence[Change],
     progress: Progress,
-    look: FullPosterior | None = None,
-    unsure: Collection[FaultKey] = (),
+    earlier_posterior: FullPosterior | None = None,
+    ambiguous: Collection[FaultKey] = (),
 ) -> tuple[FullPosterior, CredibleSets, LackOfFitTest, Word]:
     """Search with faulty rows excluded and changed parameters free; return the posterior, what is
     active, the lack of fit, and the verdict.
     """
     progress(Step("testing"))
-    problem = without_faults(read.problem, blunders) if blunders else read.problem
-    # What a change put right is no cause now; what is still wrong is named as one. Without dials it
-    # is not known which one of several it was.
-    causes = [
-        c
-        for c in changes
-        if c.is_cause and c.parameter not in read.names and (problem.campaigns or not c.members[1:])
-    ]
+    problem = without_faults(base_fit.problem, data_faults) if data_faults else base_fit.problem
+    # An error that a change corrected is no cause now; one that is still there is. Without dials
+    # it is not known which member of the change it was.
+    causes = [c for c in changes if c.is_cause and c.parameter not in base_fit.names]
+    causes = [c for c in causes if problem.campaigns or not c.members[1:]]
     if changes:
         problem = with_changes_separate(problem, [c for c in changes if c not in causes])
-        problem = replace(
-            problem,
-            per_campaign=(
-                *problem.per_campaign,
-                *(n for c in causes for n in c.campaign_parameters),
-            ),
-        )
-    named = [c.parameter for c in causes]
-    before = solve(problem, method="nested") if blunders or changes else read
-    known = full_posterior(before, named, look, unsure)
+        separate = (n for c in causes for n in c.campaign_parameters)
+        problem = replace(problem, per_campaign=(*problem.per_campaign, *separate))
+    changed_names = [c.parameter for c in causes]
+    before = solve(problem, method="nested") if data_faults or changes else base_fit
+    posterior = full_posterior(before, changed_names, earlier_posterior, ambiguous)
     progress(Step("allowing"))
-    found = credible_sets(known, named)
-    left = posterior_lack_of_fit(known, found)
-    if not known.converged:
-        found = replace(found, causes=())
-    if _lacks_explanation(left) and not _explains_most(known):
-        # A place is missing, and others may stand in for it.
-        found = replace(found, located=())
-    return known, found, left, _verdict(found, left)
+    findings = credible_sets(posterior, changed_names)
+    fit_test = posterior_lack_of_fit(posterior, findings)
+    if not posterior.converged:
+        findings = replace(findings, causes=())
+    if _lacks_explanation(fit_test) and not _explains_most(posterior):
+        # The true place is not in the model, and the located ones may only imitate it.
+        findings = replace(findings, located=())
+    return posterior, findings, fit_test, _verdict(findings, fit_test)
 
 
-def _explains_most(known: FullPosterior) -> bool:
-    """Return whether the finding leaves little of the lack of fit of the base model."""
-    before, after = known.before.scores, known.after.scores
+def _explains_most(posterior: FullPosterior) -> bool:
+    """Return whether the findings explain most of the base model's lack of fit."""
+    before, after = posterior.before.scores, posterior.after.scores
     return after.chi2 - after.dof < _MAX_RESIDUAL_SHARE * (before.chi2 - before.dof)
 
 
@@ -170,79 +156,76 @@ def _exceeds_readjustment(change: Change, machine: Machine) -> bool:
     """Return whether a structural parameter changed by more than the widest change expected, which
     no readjustment explains.
     """
-    by, most = (
-        abs(change.after - change.before),
-        SLAB_WIDTHS[-1] * machine.tolerance(change.parameter),
-    )
-    return change.parameter.effect not in machine.catalogue.base and by > most
+    widest = SLAB_WIDTHS[-1] * machine.tolerance(change.parameter)
+    structural = change.parameter.effect not in machine.catalogue.base
+    return structural and abs(change.after - change.before) > widest
 
 
 def _identify_only(request: Request, progress: Progress) -> RunOutcome:
-    """Return a closed loop to which no effect may be added."""
-    count = sum(map(len, request.campaigns)) + sum(map(len, request.points))
-    progress(Step("identifying", f"from {count} readings"))
+    """Return the outcome of ``identify``, which searches for no causes."""
+    progress(Step("identifying", f"from {sum(map(len, request.given))} readings"))
     estimate = identify(
-        [*request.campaigns, *request.points],
-        request.machine,
-        request.free,
-        own=request.own,
-        priors=request.priors,
-        noise=request.noise,
-        method="reduction" if request.reduced else "auto",
-        frame=request.frame,
-    )
-    left = estimate_lack_of_fit(estimate)
-    return RunOutcome(
-        request, _verdict(CredibleSets((), (), ()), left), estimate, estimate, (), (), (), left,
-        changed=estimate.changes,
+        request.given, request.machine, request.free, own=request.own, priors=request.priors,
+        noise=request.noise, method="reduction" if request.reduced else "auto", frame=request.frame,
     )  # fmt: skip
+    fit_test = estimate_lack_of_fit(estimate)
+    verdict = _verdict(CredibleSets((), (), ()), fit_test)
+    return RunOutcome(
+        request, verdict, estimate, estimate, (), (), (), fit_test, changed=estimate.changes
+    )
 
 
-def judge(closed: RunOutcome) -> RunOutcome:
-    """Judge a closed loop by what its request holds back; only the scores change."""
-    request, machine = closed.request, closed.machine
-    before, after = closed.values_before, closed.values
-    scored = errors = None
+def _validation_readings(request: Request) -> tuple[Readings, ...]:
+    """Return the readings and points held out, which are not fitted."""
+    return (*request.holdout, *([] if request.tcp is None else [request.tcp]))
+
+
+def judge(outcome: RunOutcome) -> RunOutcome:
+    """Return an outcome with the scores of the readings and points held out."""
+    request, machine = outcome.request, outcome.machine
+    before, after = outcome.values_before, outcome.values
+    scores = errors = None
     if request.holdout:
-        scored = hold_out(before, after, machine, request.holdout, request.own)
+        scores = hold_out(before, after, machine, request.holdout, request.own)
     if request.tcp is not None:
-        stated = tcp_map(closed.machine, request.tcp.points().command).sigma
-        errors = tcp_errors(machine, request.tcp, before, after, stated)
-        if text := points_contradiction(errors["translation"], stated, request.tcp.points()):
-            closed = _with_warning(closed, Note(text, "holdout"))
-    held = (*request.holdout, *([] if request.tcp is None else [request.tcp]))
-    fitted = (*request.campaigns, *request.points)
-    if any(shared_fraction(one, other) > 0.5 for one in held for other in fitted):
+        stated_sigma = tcp_map(outcome.machine, request.tcp.points().command).sigma
+        errors = tcp_errors(machine, request.tcp, before, after, stated_sigma)
+        if text := points_contradiction(errors["translation"], stated_sigma, request.tcp.points()):
+            outcome = _with_warnings(outcome, Note(text, "holdout"))
+    pairs = product(_validation_readings(request), request.given)
+    if any(shared_fraction(held, fitted) > 0.5 for held, fitted in pairs):
         text = "the readings held out are readings that were fitted: they judge nothing"
-        closed = _with_warning(closed, Note(text, "holdout"))
-    return replace(closed, hold_out=scored, tcp=errors)
+        outcome = _with_warnings(outcome, Note(text, "holdout"))
+    return replace(outcome, hold_out=scores, tcp=errors)
 
 
-def _with_warning(closed: RunOutcome, note: Note) -> RunOutcome:
-    warnings = (*closed.after.warnings, note)
-    return replace(closed, after=replace(closed.after, warnings=warnings))
+def _with_warnings(outcome: RunOutcome, *notes: Note) -> RunOutcome:
+    warnings = (*outcome.after.warnings, *notes)
+    return replace(outcome, after=replace(outcome.after, warnings=warnings))
 
 
-def _lacks_explanation(left: LackOfFitTest) -> bool:
-    """Return whether the list of explanations lacks one.
+def _lacks_explanation(fit_test: LackOfFitTest) -> bool:
+    """Return whether an explanation is missing.
 
-    The residual is significant, or was not tested; or it is likelier than not that only a machine
-    beyond all its tolerances, or more noise than the repeats show, explains it, which would explain
-    anything.
+    One is missing if the residual is significant or was not tested. One is also missing if more
+    probably than not the residual is explained only by a machine beyond all tolerances, or by more
+    noise than the repeats show: both explain any residual.
     """
-    return not left.p_value >= SIGNIFICANT or left.rare > EVEN_PROBABILITY
+    return not fit_test.p_value >= SIGNIFICANT or fit_test.rare > EVEN_PROBABILITY
 
 
-def _verdict(found: CredibleSets, left: LackOfFitTest) -> Word:
-    """Return the verdict from what was found and whether the residual is significant."""
-    significant = _lacks_explanation(left)
-    if not found.causes and not found.located:
-        if left.base_p_value >= SIGNIFICANT:
+def _verdict(findings: CredibleSets, fit_test: LackOfFitTest) -> Word:
+    """Return the verdict from the findings and from the test of the residual."""
+    if not findings.causes and not findings.located:
+        if fit_test.base_p_value >= SIGNIFICANT:
             return "adequate"
-        return "diffuse" if left.explained_within_tolerances else "unexplained"
-    if significant:
+        return "diffuse" if fit_test.explained_within_tolerances else "unexplained"
+    if _lacks_explanation(fit_test):
         return "partial"
-    several = any(c.others or c.data for c in found.causes)
-    if several or any(one.data for one in found.located):
+    alternatives = [
+        *(c.others or c.data for c in findings.causes),
+        *(f.data for f in findings.located),
+    ]
+    if any(alternatives):
         return "ambiguous"
-    return "located" if found.located else "explained"
+    return "located" if findings.located else "explained"

@@ -1,4 +1,4 @@
-"""``Closed``: a closed loop as the search left it, and what follows, each computed once."""
+"""``RunOutcome``: the outcome of the search, and the values that follow, each computed once."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from orthoglide.accuracy import expected_gain, tool_settings
 from orthoglide.add_ons import Corrections, Section
 from orthoglide.closing.actions import actions, next_measurements
 from orthoglide.closing.picture import picture
-from orthoglide.closing.values import explanation_value
+from orthoglide.closing.values import explanation_value, value_of
 from orthoglide.control import ControllerNumbers, controller_numbers
 from orthoglide.effects import Catalogue
 from orthoglide.explanation import Cause, Explanation, FullPosterior, Located, budget
@@ -28,6 +28,7 @@ from orthoglide.result import (
     CandidateScore,
     HoldOut,
     Identified,
+    Judged,
     LackOfFit,
     Picture,
     Request,
@@ -40,8 +41,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RunOutcome:
-    """A closed loop as the search left it."""
+class RunOutcome(Judged):
+    """The outcome of the search."""
 
     request: Request  # what was asked
     word: Word  # the verdict
@@ -75,18 +76,6 @@ class RunOutcome:
 
     # --- The calibrated machine -------------------------------------------------------------
 
-    @property
-    def found(self) -> bool:
-        """Whether a cause or a located error is significant."""
-        return bool(self.effects or self.located)
-
-    @property
-    def stands(self) -> bool:
-        """Whether the causes found are conclusive: if significant residuals remain, they may stand
-        in for an error that the model lacks.
-        """
-        return self.word not in ("partial", "unexplained")
-
     @cached_property
     def values(self) -> dict[str, float]:
         """Parameters of the calibrated machine, SI."""
@@ -100,23 +89,23 @@ class RunOutcome:
 
     @cached_property
     def machine(self) -> Machine:
-        """The calibrated machine with its covariance: the posterior's mean, or the base model
-        where something significant is left.
+        """The calibrated machine with its covariance: the posterior's mean, or the base model if
+        significant residuals remain.
 
-        The verdict, its causes and its cautions are kept with it.
+        Its provenance contains the verdict, the causes and the cautions.
         """
-        kept: dict[str, Any] = {"command": self.request.command, "verdict": self.word}
+        provenance: dict[str, Any] = {"command": self.request.command, "verdict": self.word}
         if self.effects:
-            kept["effects"] = [cause.name for cause in self.effects]
+            provenance["effects"] = [cause.name for cause in self.effects]
         if rivals := {rival.name for cause in self.effects for rival in cause.rivals}:
-            kept["averaged_over"] = sorted(rivals)
+            provenance["averaged_over"] = sorted(rivals)
         if self.located:
-            kept["located"] = [found.name for found in self.located]
+            provenance["located"] = [found.name for found in self.located]
         if self.cautions:
-            kept["cautions"] = list(self.cautions)
+            provenance["cautions"] = list(self.cautions)
         if (printer := self.request.machine.spec.printer) is not None:
-            kept |= printer.provenance(self.corrections)
-        return self._calibrated_machine.with_provenance(kept)
+            provenance |= printer.provenance(self.corrections)
+        return self._calibrated_machine.with_provenance(provenance)
 
     @cached_property
     def corrections(self) -> Corrections | None:
@@ -125,42 +114,40 @@ class RunOutcome:
         """
         if (printer := self.request.machine.spec.printer) is None:
             return None
-        fit = self.after if self.stands else self.before  # which the machine is of
-        return printer.corrections(
-            self._calibrated_machine, [f.readings for f in fit.problem.tool_factors]
-        )
+        fit = self.after if self.stands else self.before  # whose machine is the calibrated one
+        readings = [f.readings for f in fit.problem.tool_factors]
+        return printer.corrections(self._calibrated_machine, readings)
 
     @property
     def _calibrated_machine(self) -> Machine:
         if self.posterior is None:
             return self.after.machine
         machine = self.posterior.machine
-        if self.stands:
-            return machine
         base = self.before.machine.values
-        return machine.with_posterior(base, machine.posterior)
+        return machine if self.stands else machine.with_posterior(base, machine.posterior)
 
     @cached_property
     def identified(self) -> dict[str, Identified]:
-        """What was identified in the units of files: the base, and each cause as if it were the
-        right one of its set.
+        """The identified parameters in the units of files: those of the base model, and of each
+        cause conditional on its being the true one of its credible set.
 
-        Sigmas and intervals allow everything else but by ``identify``, where they count the noise
+        Sigmas and intervals are those of the full model; after ``identify`` they count the noise
         alone.
         """
-        fit, causes = self.after, [e.chosen for e in self.effects]
+        fit = self.after
         names = fit.names if self.posterior is None else self.before.names
-        found = {n: (fit.values[n], fit.sigmas[n], *fit.interval(n)) for n in names}
-        for one in causes:
-            for n, value in one.values.items():
-                half = fit.coverage_factor * one.sigmas[n]
-                found[n] = (value, one.sigmas[n], value - half, value + half)
+        figures_by_name = {n: (fit.values[n], fit.sigmas[n], *fit.interval(n)) for n in names}
+        for cause in self.effects:
+            for n, value in cause.chosen.values.items():
+                sigma = cause.chosen.sigmas[n]
+                half = fit.coverage_factor * sigma
+                figures_by_name[n] = (value, sigma, value - half, value + half)
         rows = {}
-        for name, figures in found.items():
+        for name, figures in figures_by_name.items():
             unit, tolerance = self.catalogue.effect_of(name).unit, self.request.machine.tolerance
             value, sigma, low, high, expected = (v / unit.si for v in (*figures, tolerance(name)))
-            bound = name in fit.on_bound
-            rows[str(name)] = Identified(value, sigma, unit.name, (low, high), expected, bound)
+            on_bound = name in fit.on_bound
+            rows[str(name)] = Identified(value, sigma, unit.name, (low, high), expected, on_bound)
         return rows
 
     @cached_property
@@ -175,28 +162,23 @@ class RunOutcome:
 
     @cached_property
     def moved(self) -> tuple[Change, ...]:
-        """Changes that no cause found reports."""
-        told = {n for c in self.effects for e in (c.chosen, *c.same) for n in e.parameters}
-        told = {self.catalogue.parameter(n).plain for n in told}
-        return tuple(c for c in self.changed if c.parameter not in told)
-
-    # --- What is left -----------------------------------------------------------------------
+        """Changes that no cause reports."""
+        reported = {n for c in self.effects for e in (c.chosen, *c.same) for n in e.parameters}
+        reported = {self.catalogue.parameter(n).plain for n in reported}
+        return tuple(c for c in self.changed if c.parameter not in reported)
 
     @cached_property
     def lack_of_fit(self) -> LackOfFit:
         """The residuals of the last fit against the noise."""
-        left, known = self.residual_test, self.posterior
-        stopped = "nothing else stands out of the noise and of the background of small errors"
-        mountings = residual_by_setup(self.after)
-        return LackOfFit(
-            p_value=left.p_value,
-            background=float("nan") if known is None else known.background_scale,
-            rare=left.rare,
-            shaped=left.shaped,
-            with_unreported=left.with_unreported,
-            stopped="no cause was to be added" if known is None else stopped,
-            mountings=tuple(sorted(mountings, key=lambda one: one.leg < 0)),
-        )
+        background, stopped = float("nan"), "no cause was to be added"
+        if self.posterior is not None:
+            background = self.posterior.background_scale
+            stopped = "nothing else stands out of the noise and of the background of small errors"
+        mountings = tuple(sorted(residual_by_setup(self.after), key=lambda setup: setup.leg < 0))
+        return value_of(
+            LackOfFit, self.residual_test, background=background, stopped=stopped,
+            mountings=mountings,
+        )  # fmt: skip
 
     @cached_property
     def picture(self) -> Picture:
@@ -224,49 +206,49 @@ class RunOutcome:
 
     @cached_property
     def numbers(self) -> ControllerNumbers:
-        """The best zeros of a controller that takes nothing else, and the TCP's errors to expect.
+        """The best zeros of a controller that takes nothing else, and the TCP errors to expect.
 
-        They are here whatever the verdict says; where it is not to be acted on, reports do not
-        show them.
+        They are computed for every verdict; reports do not show them if it is not to be acted on.
         """
         return controller_numbers(self.machine, zeros_only=True, force=True)
 
     @cached_property
     def firmware(self) -> Section | None:
         """Report of the firmware's add-on on an imported machine; ``None`` for others."""
-        given = self.request.machine
-        if (printer := given.spec.printer) is None:
+        original = self.request.machine
+        if (printer := original.spec.printer) is None:
             return None
-        causes = [explanation_value(one) for cause in self.effects for one in cause.explanations]
-        return printer.section(given, self.machine, self.corrections, causes)
+        causes = [explanation_value(e) for cause in self.effects for e in cause.explanations]
+        return printer.section(original, self.machine, self.corrections, causes)
 
     @property
     def cautions(self) -> tuple[str, ...]:
         """Reasons not to act on the result, a sentence each."""
         printer = self.request.machine.spec.printer
-        found = [f"{note}." for note in (printer.cautions(self.request.points) if printer else ())]
+        notes = printer.cautions(self.request.points) if printer else ()
+        reasons = [f"{note}." for note in notes]
         if self.word == "partial":
-            found.append(
+            reasons.append(
                 "What was found explains only part of what is wrong, and may stand in for "
                 "something that is not in the catalogue: do not act on it, nor put its numbers in "
                 "a controller, before it is confirmed."
             )
         if self.contradicted:
-            found.append(self.contradicted)
-        return tuple(found)
+            reasons.append(self.contradicted)
+        return tuple(reasons)
 
     @property
     def contradicted(self) -> str:
-        """What readings or points held out say against the result, a sentence; empty if nothing."""
-        held, tool = self.hold_out, None if self.tcp is None else self.tcp["translation"]
-        least = self.before.problem.noise.typical / 2  # what no reading would show
-        if tool is not None and tool.after_mean > tool.before_mean + least:
-            before, after = distinct_figures(tool.before_mean * 1e3, tool.after_mean * 1e3)
+        """How readings or points held out contradict the result, a sentence; else empty."""
+        hold_out, tcp = self.hold_out, None if self.tcp is None else self.tcp["translation"]
+        threshold = self.before.problem.noise.typical / 2  # a smaller difference is not measurable
+        if tcp is not None and tcp.after_mean > tcp.before_mean + threshold:
+            before, after = distinct_figures(tcp.before_mean * 1e3, tcp.after_mean * 1e3)
             return (
                 f"The measured points contradict this result: the tool is {after} mm off with it "
                 f"and {before} mm without it, so do not act on it before it is confirmed."
             )
-        if self.found and held is not None and held.worse:
+        if self.found and hold_out is not None and hold_out.worse:
             return (
                 "The readings held out are predicted worse with the cause than without it: it does "
                 "not carry over to them, so do not act on it before it is confirmed."
@@ -280,8 +262,3 @@ class RunOutcome:
         """
         settings = tool_settings(self.machine)
         return expected_gain(self.machine, settings["zeros"], settings["compensated"])
-
-    @property
-    def scattering(self) -> tuple[str, ...]:
-        """Warnings that repeats scatter by more than the declared noise."""
-        return tuple(w for w in self.after.warnings if w.kind == "scatter")

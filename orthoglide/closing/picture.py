@@ -1,9 +1,10 @@
-"""What pictures of a result show: the machine, its dials, and every explanation on the part."""
+"""The picture of a result: the machine, its dials, and every explanation marked on its part."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import accumulate, chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,65 +23,58 @@ if TYPE_CHECKING:
     from orthoglide.closing.outcome import RunOutcome
 
 
-def picture(closed: RunOutcome) -> Picture:
-    """Return the drawing of the machine with what was found, or with the dial of the largest
+def picture(outcome: RunOutcome) -> Picture:
+    """Return the drawing of the machine with the findings marked, or with the dial of the largest
     residual.
     """
-    machine = closed.request.machine.with_only({})
+    machine = outcome.request.machine.with_only({})
     posed = machine.posed()
-    stand = dials(posed, closed.after.problem.campaigns)
-    options: list[Option] = []
-    first = []
-    for cause in closed.effects:
-        first.append(len(options))
-        options += [option(machine, one.words, one.values) for one in cause.explanations]
-        options += [_located_option(machine, curve) for curve in cause.places]
-    for found in closed.located:
-        first.append(len(options))
-        options += [_located_option(machine, curve) for curve in found.members]
-    for change in closed.moved:
-        first.append(len(options))
-        options += _change_options(machine, change)
-    of_dials = closed.lack_of_fit.dials_hold_most
-    if closed.word == "unexplained" and of_dials and closed.request.searches:
-        first.append(len(options))
-        options.append(_residual_option(closed))
-    return Picture(posed, stand, tuple(options), tuple(first))
+    groups: list[list[Option]] = []  # one for each finding, most probable option first
+    for cause in outcome.effects:
+        causes = [option(machine, e.words, e.values) for e in cause.explanations]
+        groups.append([*causes, *(_located_option(machine, c) for c in cause.places)])
+    groups += [[_located_option(machine, c) for c in f.members] for f in outcome.located]
+    groups += [_change_options(machine, change) for change in outcome.moved]
+    dials_hold_most = outcome.lack_of_fit.dials_hold_most
+    if outcome.word == "unexplained" and dials_hold_most and outcome.request.searches:
+        groups.append([_residual_option(outcome)])
+    first_shown = accumulate([len(group) for group in groups[:-1]], initial=0) if groups else ()
+    mounted_dials = dials(posed, outcome.after.problem.campaigns)
+    return Picture(posed, mounted_dials, tuple(chain(*groups)), tuple(first_shown))
 
 
 def _change_options(machine: Machine, change: Change) -> list[Option]:
-    """Return what may have changed, each on its part, with direction and size."""
+    """Return the parameters that may have changed, each marked on its part."""
     options = []
-    for words, (name, by) in zip(
-        change.member_clauses, change.change_by_member.items(), strict=True
-    ):
-        made = option(machine, words, {name: by} if math.isfinite(by) else {})
-        marks = (replace(m, label=m.label and f"changed by {m.label}") for m in made.marks)
-        options.append(replace(made, marks=tuple(marks)))
+    members = zip(change.member_clauses, change.change_by_member.items(), strict=True)
+    for words, (name, difference) in members:
+        drawn = option(machine, words, {name: difference} if math.isfinite(difference) else {})
+        marks = (replace(m, label=m.label and f"changed by {m.label}") for m in drawn.marks)
+        options.append(replace(drawn, marks=tuple(marks)))
     return options
 
 
 def _located_option(machine: Machine, curve: Curve) -> Option:
-    """Return the mark of a located error: the joint that moves, by the curve that was found."""
+    """Return a located error with the mark of its joint, which moves by the curve found."""
     place, size = curve.place, curve.size_words
     if place.of_dial:
         return Option(place.words, (Mark("dial", -1, np.zeros(3), size, setup=place.setup),))
     if place.moves_bar_ends:
-        way = np.eye(3)[LEGS.index(place.direction)]
-        return Option(place.words, (Mark("platform", place.leg, way, size, both=True),))
+        direction = np.eye(3)[LEGS.index(place.direction)]
+        return Option(place.words, (Mark("platform", place.leg, direction, size, both=True),))
     both, along = place.loses, place.against == "travel"
     bars = len(place.joints) > 1
     value = curve.value - curve.value.mean() if along else np.full(len(curve.at), curve.size)
     travel = curve.at if along else np.linspace(*machine.geometry.stroke, len(curve.at))
     joint = place.joints[0][0]
-    return Option(
-        place.words, (joint_mark(machine, place.leg, joint, travel, value, size, both, bars),)
-    )
+    mark = joint_mark(machine, place.leg, joint, travel, value, size, both, bars)
+    return Option(place.words, (mark,))
 
 
-def _residual_option(closed: RunOutcome) -> Option:
-    most = closed.lack_of_fit.by_dial[0]
-    way = np.eye(3)[most.axis] * np.sign(most.most)
-    size = f"{compact(abs(most.most) * 1e3, 2)} mm toward {toward(LEGS[most.axis], most.most)}"
-    words = f"the residual is largest on leg {LEGS[most.leg]}: {size}"
-    return Option(words, (Mark("dial", most.leg, way, size, setup=most.setup),))
+def _residual_option(outcome: RunOutcome) -> Option:
+    largest = outcome.lack_of_fit.by_dial[0]
+    direction = np.eye(3)[largest.axis] * np.sign(largest.most)
+    way = toward(LEGS[largest.axis], largest.most)
+    size = f"{compact(abs(largest.most) * 1e3, 2)} mm toward {way}"
+    words = f"the residual is largest on leg {LEGS[largest.leg]}: {size}"
+    return Option(words, (Mark("dial", largest.leg, direction, size, setup=largest.setup),))

@@ -1,9 +1,9 @@
-"""The general mechanism against the reduction: what three drives and three bars cannot say.
+"""Comparison of the general mechanism with the reduction to three drives and three bars.
 
-For an effect, or a whole machine, the mechanism says where the TCP and the dials really are. The
-reduction has six parameters, three joint offsets and three leg lengths, to come near: they are
-fitted to the TCP over the workspace, and separately to the readings of a campaign. What is left is
-what a user of the simplified model cannot get rid of. Everything here is nonlinear.
+For an effect, or a whole machine, the mechanism predicts the TCP and the readings of dials. The six
+parameters of the reduction, three joint offsets and three leg lengths, are fitted to the TCP over
+the workspace, and separately to the readings of a campaign. The residuals are the errors that a
+user of the simplified model cannot remove. All computations are nonlinear.
 """
 
 from orthoglide.comparison.comparing import (

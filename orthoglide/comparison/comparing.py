@@ -36,8 +36,7 @@ class Circumstances:
 
     points: int = 7  # of the workspace along each axis
     warming: float = 5.0  # kelvin from the first visit to the second, and over the campaign
-    # seconds from the first visit to the second; the campaign's is its protocol's
-    duration: float = 3600.0
+    duration: float = 3600.0  # seconds from the first visit to the second
     load: float = 10.0  # newtons at the TCP along base -z, always
     pitch: float = 0.016  # of the screws, metres, where the machine file names none
     kind: ProtocolName = "sweep"  # protocol of the campaign
@@ -88,14 +87,10 @@ def grid(geometry: Geometry, count: int) -> Array:
 
 
 class Comparison:
-    """The workspace of a machine, prepared once to compare many effects, and on an Orthoglide a
-    campaign of dials. The reduction is three spheres in every layout.
-    """
+    """The workspace of a machine, and a campaign of dials where they stand on legs."""
 
     def __init__(
-        self,
-        machine: MachineSource | None = None,
-        circumstances: Circumstances | None = None,
+        self, machine: MachineSource | None = None, circumstances: Circumstances | None = None
     ) -> None:
         self.circumstances = circumstances or Circumstances()
         if self.circumstances.points < 2:
@@ -123,62 +118,55 @@ class Comparison:
         return self.model.readings({}, self.campaign)
 
     def mechanism_tcp(
-        self, values: Mapping[str, float], seen: Conditions | None = None
+        self, values: Mapping[str, float], conditions: Conditions | None = None
     ) -> tuple[Array, float]:
         """Return the TCP ``(n, 3)`` of the mechanism, and the platform's largest turn, radians."""
-        distinct, place = self.model.merged(seen or self.conditions, values)
-        out = self.model.outputs(values, distinct)
-        sine = np.linalg.norm(axial_vectors(out.R), axis=1)
-        return out.p[place], float(np.arcsin(np.clip(sine, 0, 1)).max())
+        distinct, rows = self.model.merged(conditions or self.conditions, values)
+        outputs = self.model.outputs(values, distinct)
+        sines = np.linalg.norm(axial_vectors(outputs.R), axis=1)
+        return outputs.p[rows], float(np.arcsin(np.clip(sines, 0, 1)).max())
 
-    def reduction_tcp(self, six: Array, seen: Conditions | None = None) -> Array:
-        """Return the TCP ``(n, 3)`` of the reduction with offsets and lengths ``six`` ``(6,)``,
-        metres.
-        """
-        return intersect_spheres(*self._spheres(six, seen or self.conditions), self.mode)
+    def reduction_tcp(self, six: Array, conditions: Conditions | None = None) -> Array:
+        """Return the TCP ``(n, 3)`` of the reduction with offsets and lengths ``(6,)``, metres."""
+        return intersect_spheres(*self._spheres(six, conditions or self.conditions), self.mode)
 
-    def _spheres(self, six: Array, seen: Conditions) -> tuple[Array, Array]:
-        """Return centres ``(n, leg, 3)``, all bars carried to the TCP, and radii ``(leg,)``,
-        metres.
-        """
-        travel = seen.command - self.geometry.zero + six[:3]
+    def _spheres(self, six: Array, conditions: Conditions) -> tuple[Array, Array]:
+        """Return centres ``(n, leg, 3)``, bars carried to the TCP, and radii ``(leg,)``, metres."""
+        travel = conditions.command - self.geometry.zero + six[:3]
         centres = self.geometry.centres + travel[..., None] * self.geometry.slides
         return centres, self.geometry.L + six[3:]
 
     def fit_tcp(self, p: Array) -> Array:
-        """Return offsets and lengths ``(6,)`` of the least squares of TCP differences, by
-        Gauss-Newton.
-        """
+        """Return offsets and lengths ``(6,)`` fitted to the TCP by least squares, Gauss-Newton."""
         six = np.zeros(6)
         for _ in range(_FIT_STEPS):
             centres, radii = self._spheres(six, self.conditions)
-            found = intersect_spheres(centres, radii, self.mode)
+            fitted = intersect_spheres(centres, radii, self.mode)
             # Of each leg |p - c| = L: (p - c) . dp = (p - c) . slide d(offset) + L dL
-            bars = found[:, None] - centres
-            along = np.einsum("nli,li->nl", bars, self.geometry.slides)[:, None]
-            by_leg = np.linalg.inv(bars)
-            slopes = by_leg * along, by_leg * radii
+            bars = fitted[:, None] - centres
+            slide_slopes = np.einsum("nli,li->nl", bars, self.geometry.slides)[:, None]
+            inverse = np.linalg.inv(bars)
+            slopes = inverse * slide_slopes, inverse * radii
             columns = np.concatenate(slopes, axis=-1).reshape(-1, 6)
-            step = np.linalg.lstsq(columns, (p - found).reshape(-1), rcond=None)[0]
+            step = np.linalg.lstsq(columns, (p - fitted).reshape(-1), rcond=None)[0]
             six = six + step
             if np.abs(step).max() < 1e-12:
                 return six
         raise NumericsError("the reduction does not converge on the TCP: are the errors absurd?")
 
-    def difference(self, apart: Array) -> Difference:
+    def difference(self, differences: Array) -> Difference:
         """Return mean, largest value and place of differences ``(2 n, 3)`` over the workspace."""
-        size = np.linalg.norm(apart, axis=1)
-        x, y, z = self.p[
-            int(np.argmax(size >= size.max() - EQUAL_WITHIN))
-        ].tolist()  # the first of the same
+        size = np.linalg.norm(differences, axis=1)
+        x, y, z = self.p[np.argmax(size >= size.max() - EQUAL_WITHIN)].tolist()  # the first
         return Difference(float(size.mean()), float(size.max()), (x, y, z))
 
     def row(self, name: str, value: float, values: Mapping[str, float]) -> Row:
         """Return the comparison for parameters ``values``; name and value are for the table."""
-        found, rotation = self.mechanism_tcp(values)
-        six = self.fit_tcp(found)
+        tcp, rotation = self.mechanism_tcp(values)
+        six = self.fit_tcp(tcp)
         effect = None if np.isnan(value) else self.machine.catalogue.effect_of(name)
-        nominal, read = found - self.p, self._reading_figures(values, found)
+        nominal = tcp - self.p
+        identified, reading_change, reading_rms, reading_max = self._reading_figures(values, tcp)
         return Row(
             name=name,
             effect=effect.name if effect else "",
@@ -186,24 +174,24 @@ class Comparison:
             value=value,
             nominal=self.difference(nominal),
             translated=self.difference(nominal - nominal.mean(axis=0)),
-            fitted=self.difference(found - self.reduction_tcp(six)),
-            identified=read[0],
+            fitted=self.difference(tcp - self.reduction_tcp(six)),
+            identified=identified,
             six=tuple(six.tolist()),
             rotation=rotation,
-            reading_change=read[1],
-            reading_rms=read[2],
-            reading_max=read[3],
+            reading_change=reading_change,
+            reading_rms=reading_rms,
+            reading_max=reading_max,
             legs=self.geometry.leg_names,
         )
 
     def _reading_figures(
-        self, values: Mapping[str, float], found: Array
+        self, values: Mapping[str, float], tcp: Array
     ) -> tuple[Difference, float, float, float]:
         """Return the figures of a row that come from readings of dials; nan on other layouts."""
         if not self.geometry.dialled:
             return _NO_DIFFERENCE, _NAN, _NAN, _NAN
         change, best, priors = self.fit_reduction_to_readings(values)
-        identified = found - self.reduction_tcp(priors.values)
+        identified = tcp - self.reduction_tcp(priors.values)
         return (
             self.difference(identified - identified.mean(axis=0)),
             float(np.sqrt(np.mean(change**2))),
@@ -217,26 +205,26 @@ class Comparison:
         """Return the change of the readings by an effect, datums removed, and two fits of the
         reduction: the best one, and the one that an identification with priors finds.
         """
-        c, shown = self.campaign, self.model.readings(values, self.campaign)
-        datums = np.eye(len(c.setups))[c.setup]
-        change = shown - self.perfect_readings
+        campaign, readings = self.campaign, self.model.readings(values, self.campaign)
+        datums = np.eye(len(campaign.setups))[campaign.setup]
+        change = readings - self.perfect_readings
         change = change - datums @ np.linalg.lstsq(datums, change, rcond=None)[0]
-        setups = [c.setups[k] for k in c.setup]
-        own = [self.machine.tolerance(name) for name in self.machine.catalogue.base]
+        setups = [campaign.setups[k] for k in campaign.setup]
+        tolerances = [self.machine.tolerance(name) for name in self.machine.catalogue.base]
         best, priors = (
             reduction.fit_readings(
-                c.command,
-                c.leg,
+                campaign.command,
+                campaign.leg,
                 [setup.axis for setup in setups],
                 [setup.gauge for setup in setups],
-                shown,
+                readings,
                 READING_LIMIT,
                 signs=[setup.sign for setup in setups],
                 prior_sd=prior,
                 nuisance=datums,
                 geometry=self.geometry,
             )
-            for prior in (np.inf, np.repeat(own, len(LEGS)))
+            for prior in (np.inf, np.repeat(tolerances, len(LEGS)))
         )
         return change, best, priors
 
@@ -261,19 +249,16 @@ def compare_effects(
     comparison = Comparison(machine, circumstances)
     plain, dialled = comparison.machine, comparison.geometry.dialled
     setups = [setup.name for setup in comparison.campaign.setups] if dialled else []
-    every = [
-        name
-        for name, effect in plain.catalogue.items()
-        if not effect.of_body and (dialled or not effect.of_dial)
-    ]
-    chosen = plain.catalogue.expand(every if names is None else names, setups[:1])
+    if names is None:
+        effects = [e for e in plain.catalogue.values() if not e.of_body]
+        names = [e.name for e in effects if dialled or not e.of_dial]
     rows = []
-    for name in chosen:
+    for name in plain.catalogue.expand(names, setups[:1]):
         if plain.catalogue.effect_of(name).of_dial and not dialled:
             raise InputError(f"{name}: dials are set against the legs of an Orthoglide alone")
         value = plain.tolerance(name)
-        parts = plain.catalogue.elementary_weights(name, setups)
-        rows.append(comparison.row(name, value, {n: w * value for n, w in parts.items()}))
+        weights = plain.catalogue.elementary_weights(name, setups)
+        rows.append(comparison.row(name, value, {n: w * value for n, w in weights.items()}))
     return tuple(rows)
 
 
@@ -292,10 +277,10 @@ def compare_machine(
     """
     machine = Machine.of(machine)
     comparison = Comparison(machine, circumstances)
-    of = machine.catalogue.effect_of
-    values = {n: value for n, value in machine.values.items() if value and not of(n).of_body}
-    alone = (comparison.row(name, value, {name: value}) for name, value in values.items())
-    return (comparison.row("machine", float("nan"), values), *alone)
+    effect_of = machine.catalogue.effect_of
+    values = {n: value for n, value in machine.values.items() if value and not effect_of(n).of_body}
+    single_rows = (comparison.row(name, value, {name: value}) for name, value in values.items())
+    return (comparison.row("machine", float("nan"), values), *single_rows)
 
 
 @dataclass(frozen=True)
@@ -318,21 +303,18 @@ def slices(
     places = grid(machine.geometry, points)
     planes = []
     for normal in range(3):
-        # The cube is cut where p = 0, which its grid need not hold.
-        cut = (
-            places if machine.geometry.dialled else places[np.abs(places[:, normal]) < EQUAL_WITHIN]
-        )
-        flat = np.delete(cut, normal, axis=1)
-        p = np.stack(np.meshgrid(*map(np.unique, flat.T), indexing="ij"), -1)
-        inside = (p[:, :, None] == np.unique(flat, axis=0)).all(axis=-1).any(axis=-1)
+        # The section of the cube is at p = 0, whether its grid contains that plane or not.
+        used = machine.geometry.dialled | (np.abs(places[:, normal]) < EQUAL_WITHIN)
+        plane_points = np.delete(places[used], normal, axis=1)
+        p = np.stack(np.meshgrid(*map(np.unique, plane_points.T), indexing="ij"), -1)
+        inside = (p[:, :, None] == np.unique(plane_points, axis=0)).all(axis=-1).any(axis=-1)
         p = np.insert(p, normal, 0.0, -1)
-        seen = comparison.circumstances.visit_conditions(
+        conditions = comparison.circumstances.visit_conditions(
             commands(Spheres.of_geometry(machine.geometry), p[inside])
         )
-        apart = comparison.mechanism_tcp(machine.values, seen)[0] - comparison.reduction_tcp(
-            six, seen
-        )
+        tcp, _ = comparison.mechanism_tcp(machine.values, conditions)
+        distance = np.linalg.norm(tcp - comparison.reduction_tcp(six, conditions), axis=1)
         size = np.full(p.shape[:2], np.nan)
-        size[inside] = np.linalg.norm(apart, axis=1).reshape(2, -1).max(axis=0)
+        size[inside] = distance.reshape(2, -1).max(axis=0)
         planes.append(Slice(normal, p, size))
     return tuple(planes)

@@ -16,7 +16,7 @@ READING_LIMIT = 5e-6
 """... and its fitted readings are no further off, rms: half the step of a workshop dial."""
 
 EQUAL_WITHIN = 1e-9
-"""Metres: differences that are closer together than this are the same."""
+"""Metres: differences that are closer together than this count as equal."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,8 @@ class Row:
     effect: str  # of the parameter; empty for a machine
     unit: Unit  # in which files show the parameter
     value: float  # of the parameter, SI; nan for a machine
-    # at the TCP, all six parameters of the reduction at zero: what the effect does
-    nominal: Difference
-    translated: Difference  # the same after the best translation
+    nominal: Difference  # at the TCP, all six parameters of the reduction at zero
+    translated: Difference  # that difference after the best translation
     fitted: Difference  # with the six parameters fitted to the TCP
     # with the six fitted to the readings, the machine's tolerances as priors, after the best
     # translation, which leg readings cannot see
@@ -46,9 +45,8 @@ class Row:
     six: tuple[float, ...]  # joint offsets and leg lengths fitted to the TCP, metres
     rotation: float  # largest turn of the platform, radians; the reduction's never turns
     reading_change: float  # what the effect does to the readings, datums fitted, rms, metres
-    reading_rms: float  # readings with the six parameters and the datums fitted to them, metres
-    # the largest of these. These three and `identified` are nan where no dials stand on legs.
-    reading_max: float
+    reading_rms: float  # residual after the six parameters and the datums are fitted, metres
+    reading_max: float  # largest residual; like the last two and `identified` nan without dials
     legs: tuple[str, str, str] = LEGS  # their names
 
     @property
@@ -58,9 +56,7 @@ class Row:
 
     @property
     def good_enough(self) -> bool:
-        """Whether the reduction is sufficient: ``TCP_LIMIT`` and ``READING_LIMIT`` hold after the
-        fits.
-        """
+        """Whether ``TCP_LIMIT`` and ``READING_LIMIT`` hold after the fits."""
         return self.fitted.max <= TCP_LIMIT and not self.reading_rms > READING_LIMIT
 
     @property
@@ -77,12 +73,12 @@ def worst_by_effect(rows: Sequence[Row]) -> tuple[Row, ...]:
 
     Of equal rows it is the first, as for the legs of most effects.
     """
-    found: dict[str, Row] = {}
+    worst_rows: dict[str, Row] = {}
     for row in rows:
-        worst = found.setdefault(row.effect, row)
-        apart = row.fitted.max - worst.fitted.max
-        if apart > EQUAL_WITHIN or (
-            abs(apart) <= EQUAL_WITHIN and row.reading_rms > worst.reading_rms + EQUAL_WITHIN
+        worst = worst_rows.setdefault(row.effect, row)
+        difference = row.fitted.max - worst.fitted.max
+        if difference > EQUAL_WITHIN or (
+            abs(difference) <= EQUAL_WITHIN and row.reading_rms > worst.reading_rms + EQUAL_WITHIN
         ):
-            found[row.effect] = row
-    return tuple(found.values())
+            worst_rows[row.effect] = row
+    return tuple(worst_rows.values())

@@ -41,18 +41,18 @@ _LEGEND_WITHOUT_DIALS = (
     f"places as TCP in mm, all over the workspace; up to: the size at which the reduction stops "
     f"being enough, by proportion."
 )
-"""The same where no dials stand on legs."""
+"""The legend where no dials stand on legs."""
 
 
 def micrometres(*values: float) -> str:
     """Return lengths in micrometres, three digits at most; below a nanometre they count as 0."""
 
-    def one(size: float) -> str:
-        if size < 1e-3:
+    def text(um: float) -> str:
+        if um < 1e-3:
             return "0"
-        return f"{size:.{max(0, min(2, 2 - math.floor(math.log10(size))))}f}"
+        return f"{um:.{max(0, min(2, 2 - math.floor(math.log10(um))))}f}"
 
-    return ", ".join(one(abs(value) * _UM) for value in values)
+    return ", ".join(text(abs(value) * _UM) for value in values)
 
 
 def _size_text(row: Row, value: float, machine: str) -> str:
@@ -89,8 +89,10 @@ _COLUMNS: dict[str, Callable[[Row], str]] = {
 
 def _cells_by_column(rows: Sequence[Row]) -> dict[str, list[str]]:
     read = any(row.read for row in rows)
-    shown = {head: cell for head, cell in _COLUMNS.items() if read or head not in _READING_COLUMNS}
-    return {head: [cell(row) for row in rows] for head, cell in shown.items()}
+    return {
+        head: [cell(row) for row in rows] for head, cell in _COLUMNS.items()
+        if read or head not in _READING_COLUMNS
+    }  # fmt: skip
 
 
 def legend(rows: Sequence[Row]) -> str:
@@ -115,9 +117,7 @@ def markdown_table(rows: Sequence[Row], columns: Sequence[str] | None = None) ->
 
 
 def short_table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Return heads and rows of a table for the terminal: what is left at the TCP and in the
-    readings, and whether the reduction will do.
-    """
+    """Return heads and rows of a table for the terminal, with the largest residuals."""
     read = any(row.read for row in rows)
     columns = ("effect", "TCP, max, µm", *["readings, rms, µm"] * read, "reduction will do")
     cells = [
@@ -138,20 +138,20 @@ def csv_table(rows: Sequence[Row]) -> str:
 
 
 def _csv_record(row: Row) -> dict[str, str]:
-    alone = not math.isnan(row.value)
+    is_parameter = not math.isnan(row.value)
     record = {
         "effect": row.name,
-        "value": f"{row.value / row.unit.si:.6g}" if alone else "",
-        "unit": row.unit.name if alone else "",
+        "value": f"{row.value / row.unit.si:.6g}" if is_parameter else "",
+        "unit": row.unit.name if is_parameter else "",
     }
     for name in ("nominal", "translated", "fitted", *["identified"] * row.read):
-        found: Difference = getattr(row, name)
-        record[f"tcp_{name}_mean_mm"] = f"{found.mean * 1e3:.7f}"
-        record[f"tcp_{name}_max_mm"] = f"{found.max * 1e3:.7f}"
-        for axis, at in zip(LEGS, found.where, strict=True):
-            record[f"tcp_{name}_max_at_{axis}_mm"] = f"{round(at * 1e3, 3) + 0.0:.3f}"
-    six = (f"{kind}_{leg}_mm" for kind in ("fitted_offset", "fitted_length") for leg in row.legs)
-    lengths = dict(zip(six, row.six, strict=True))
+        difference: Difference = getattr(row, name)
+        record[f"tcp_{name}_mean_mm"] = f"{difference.mean * 1e3:.7f}"
+        record[f"tcp_{name}_max_mm"] = f"{difference.max * 1e3:.7f}"
+        for axis, coordinate in zip(LEGS, difference.where, strict=True):
+            record[f"tcp_{name}_max_at_{axis}_mm"] = f"{round(coordinate * 1e3, 3) + 0.0:.3f}"
+    names = (f"{kind}_{leg}_mm" for kind in ("fitted_offset", "fitted_length") for leg in row.legs)
+    lengths = dict(zip(names, row.six, strict=True))
     if row.read:
         lengths |= {
             "reading_change_rms_mm": row.reading_change,
@@ -166,7 +166,7 @@ def _csv_record(row: Row) -> dict[str, str]:
 
 def slice_figure(title: str, planes: Sequence[Slice]) -> str:
     """Return three planes of the workspace as SVG, coloured by the difference at the TCP."""
-    top = max(float(np.nanmax(plane.difference)) for plane in planes) * _UM
+    largest = max(float(np.nanmax(plane.difference)) for plane in planes) * _UM
     with style.figure_style():
         figure = style.new_figure(9.5, 3.2)
         figure.set_layout_engine("constrained")
@@ -175,7 +175,7 @@ def slice_figure(title: str, planes: Sequence[Slice]) -> str:
             across, up = (axis for axis in range(3) if axis != plane.normal)
             x, y = plane.p[..., across] * 1e3, plane.p[..., up] * 1e3
             size = plane.difference * _UM
-            limits = {"vmin": 0, "vmax": max(top, 1e-3)}
+            limits = {"vmin": 0, "vmax": max(largest, 1e-3)}
             mesh = ax.pcolormesh(x, y, size, shading="nearest", rasterized=True, **limits)
             ax.set(xlabel=f"{LEGS[across]}, mm", ylabel=f"{LEGS[up]}, mm", aspect="equal")
             ax.set_title(f"{LEGS[plane.normal]} = 0", fontsize="medium")
@@ -200,17 +200,18 @@ def comparison_files(
         drawn: rows of which a figure is drawn, if the reduction cannot follow them.
         progress: called with each figure.
     """
-    every = [
-        (f"{machine.spec.title}: all it has, and each alone", whole),
-        ("Every effect at its tolerance", rows),
-    ]
-    sections = [(name, some) for name, some in every if some]
     figures = _figures(machine, drawn, progress)
-    tables = "".join(f"\n## {name}\n\n{markdown_table(some)}" for name, some in sections)
-    both = [row for _, some in sections for row in some]
+    sections = {
+        f"{machine.spec.title}: all it has, and each alone": whole,
+        "Every effect at its tolerance": rows,
+    }
+    tables = "".join(
+        f"\n## {name}\n\n{markdown_table(part)}" for name, part in sections.items() if part
+    )
+    all_rows = [*whole, *rows]
     return {
-        "table.csv": csv_table(both),
-        "table.md": f"# {_TITLE}\n\n{legend(both)}\n{tables}",
+        "table.csv": csv_table(all_rows),
+        "table.md": f"# {_TITLE}\n\n{legend(all_rows)}\n{tables}",
         **{f"figures/{name}.svg": svg for name, svg in figures},
     }
 
@@ -224,5 +225,5 @@ def _figures(
         if not row.effect:
             yield row.name, slice_figure(machine.spec.title, slices(machine))
         elif not row.good_enough and row.fitted.max > 0:
-            alone = machine.with_only({row.name: row.value})
-            yield row.name, slice_figure(f"{row.name} at its tolerance", slices(alone))
+            single_error = machine.with_only({row.name: row.value})
+            yield row.name, slice_figure(f"{row.name} at its tolerance", slices(single_error))

@@ -1,6 +1,4 @@
-"""What a calibration is for: commands that bring the TCP where it should be, and the numbers and
-files that a controller or another program takes of a calibrated machine.
-"""
+"""Commands that bring the TCP to the wanted points, and numbers and files for other programs."""
 
 from orthoglide.control.compensation import Compensation as Compensation, compensate as compensate
 from orthoglide.control.files import (

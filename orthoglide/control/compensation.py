@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,18 +52,18 @@ class Compensation(Framed):
         wanted: TCP points ``(n, 3)``, metres.
         rho: commands ``(n, 3)``, metres, rounded: joint coordinates of the Orthoglide, travel from
             mechanical zero of other layouts.
-        travel: the same as the controller counts them ``(n, 3)``, metres.
+        travel: commands as the controller counts them ``(n, 3)``, metres.
         approach: direction in which each drive arrives ``(n, 3)``, +1 or -1.
         predicted: TCP that the commands reach on this machine ``(n, 3)``, metres.
         uncompensated: TCP ``(n, 3)`` that the nominal machine's commands would reach, metres.
         shape_sigma: standard deviation of the TCP along each base axis ``(n, 3)``, metres, after
-            the best translation over the workspace; from what is known of the parameters, and nan
-            where the machine file says nothing of that.
-        place_sigma: the same of that translation ``(3,)``: where the machine as a whole sits.
-        independent: whether the parameters were taken for independent.
-        legs: how they are called.
-        sent: where the controller of a delta believes that it sends the tool ``(n, 3)``, metres;
-            ``None`` of other machines.
+            the best translation over the workspace; from the covariance of the parameters, nan
+            where the machine file states none.
+        place_sigma: standard deviation of that translation ``(3,)``, metres.
+        independent: whether the parameters were assumed to be independent.
+        legs: names of the legs.
+        sent: TCP that the controller of a delta computes from the commands ``(n, 3)``, metres;
+            ``None`` for other machines.
     """
 
     wanted: Array
@@ -84,8 +83,8 @@ class Compensation(Framed):
 
     def __repr__(self) -> str:
         before, after = (_rms(e) * 1e3 for e in (self.shape_before, self.shape))
-        told = f": {after:.3f} mm rms off to expect, {before:.3f} mm by the nominal commands"
-        return f"<Compensation of {len(self)} points{told if self.is_known else ''}>"
+        accuracy = f": {after:.3f} mm rms off to expect, {before:.3f} mm by the nominal commands"
+        return f"<Compensation of {len(self)} points{accuracy if self.is_known else ''}>"
 
     @property
     def is_known(self) -> bool:
@@ -99,7 +98,8 @@ class Compensation(Framed):
         millimetres.
         """
         legs = self.legs.legs
-        ends = (self.residual, self.shape, np.full(len(self), self.place), self.accuracy)
+        errors = [self.residual, self.shape, np.full(len(self), self.place), self.accuracy]
+        errors += [self.error_before, self.shape_before]
         groups: dict[tuple[str, ...], Array] = {
             POINT.names(): self.wanted * 1e3,
             native_command_names(self.legs): self.rho * 1e3,
@@ -107,15 +107,13 @@ class Compensation(Framed):
             **({} if self.sent is None else {PLACE.names(): self.sent * 1e3}),
             APPROACH.names(legs): self.approach,
             tuple(f"sigma_{axis}_mm" for axis in LEGS): self.shape_sigma * 1e3,
-            _ERROR_COLUMNS: np.column_stack([*ends, self.error_before, self.shape_before]) * 1e3,
+            _ERROR_COLUMNS: np.column_stack(errors) * 1e3,
         }
         return {n: v[:, k].tolist() for names, v in groups.items() for k, n in enumerate(names)}
 
     @property
     def residual(self) -> Array:
-        """Distance of the predicted TCP from the wanted ``(n,)``, metres: rounding, and what a
-        drive misses that turns by less than a lost motion below zero.
-        """
+        """Distance of the predicted TCP from the wanted ``(n,)``, metres: mostly rounding."""
         return np.linalg.norm(self.predicted - self.wanted, axis=1)
 
     @property
@@ -126,8 +124,8 @@ class Compensation(Framed):
     @property
     def shape_before(self) -> Array:
         """Expected distance after the best translation by the nominal commands, rms ``(n,)``."""
-        off = self.uncompensated - self.wanted
-        return np.sqrt(np.sum((off - off.mean(axis=0)) ** 2 + self.shape_sigma**2, axis=1))
+        error = self.uncompensated - self.wanted
+        return np.sqrt(np.sum((error - error.mean(axis=0)) ** 2 + self.shape_sigma**2, axis=1))
 
     @property
     def shape(self) -> Array:
@@ -148,7 +146,7 @@ class Compensation(Framed):
         if not self.is_known:
             return "\n".join([f"{len(self)} points", _NO_UNCERTAINTY, *_GENERAL_NOTES])
         before, shape = self.shape_before * 1e3, self.shape * 1e3
-        how = (
+        method = (
             "from the parameters' sigmas, taken for independent; values that the readings only "
             "see together make this too large"
             if self.independent
@@ -158,8 +156,8 @@ class Compensation(Framed):
             f"{len(self)} points: without compensation expect the TCP to be off by "
             f"{_rms(before):.4f} mm rms, {before.max():.4f} mm at the worst point",
             f"with it, expect {_rms(shape):.4f} mm rms, {shape.max():.4f} mm at the worst point: "
-            f"both after one translation of everything (one standard deviation, {how}); a report "
-            f"states the mean over the workspace in place of the rms over these points",
+            f"both after one translation of everything (one standard deviation, {method}); "
+            f"a report states the mean over the workspace in place of the rms over these points",
             f"where the machine as a whole sits is known to {self.place * 1e3:.2f} mm: a datum on "
             f"the workpiece removes that",
             *_GENERAL_NOTES,
@@ -208,55 +206,55 @@ def compensate(
         UnreachableError: naming the row of the first point outside reach or stroke.
     """
     machine = checked_for_use(machine, force)
-    goal = _checked_path(points)
-    given = Conditions.from_commands(goal, time=time, warming=warming, load=load)
-    conditions = {"time": given.time, "warming": given.warming, "load": given.load}
-    nominal = _nominal_commands(machine, goal)
-    before = _start_command(machine, start)
-    rho = _commands_along_path(machine, goal, nominal, before, conditions, resolution)
-    steps = machine.spec.controller.from_rho(rho, machine.geometry) / resolution
-    travel = np.round(np.round(steps) * resolution, 12)
+    wanted = _checked_path(points)
+    columns = Conditions.from_commands(wanted, time=time, warming=warming, load=load)
+    conditions = {"time": columns.time, "warming": columns.warming, "load": columns.load}
+    perfect = machine.with_only({})
+    nominal = _inverse(perfect, wanted)
+    before = None if start is None else _inverse(perfect, np.array([triple("start", start)]))
+    rho = _commands_along_path(machine, wanted, nominal, before, conditions, resolution)
+    counts = machine.spec.controller.from_rho(rho, machine.geometry) / resolution
+    travel = np.round(np.round(counts) * resolution, 12)
     rho = machine.spec.controller.to_rho(travel, machine.geometry)
     _check_stroke(machine, rho)
     approach = _arrival_directions(rho, before, 4 * resolution)  # no rounding turns a drive
-    arriving = {"approach": approach, **conditions}
-    predicted = machine.forward(rho, **arriving)
+    nominal_approach = _arrival_directions(nominal, before, resolution)
+    at = Conditions.from_commands(rho, approach=approach, **conditions)
+    kinematics = machine.spec.kinematics
     return Compensation(
-        goal,
+        wanted,
         rho,
         travel,
         approach,
-        predicted,
-        machine.forward(
-            nominal, **{**arriving, "approach": _arrival_directions(nominal, before, resolution)}
-        ),
-        *_shape_and_offset_sigmas(machine, Conditions.from_commands(rho, **arriving)),
+        machine.forward(rho, approach=approach, **conditions),
+        machine.forward(nominal, approach=nominal_approach, **conditions),
+        *_shape_and_offset_sigmas(machine, at),
         machine.spec.posterior is None,
         machine.geometry.layout.names,
-        None if (known := machine.spec.kinematics) is None else known.places(rho),
+        None if kinematics is None else kinematics.places(rho),
     )
 
 
 def _checked_path(points: ArrayLike) -> Array:
     """Return TCP points ``(n, 3)``, metres."""
-    goal = as_float_array("a path", points)
-    if goal.ndim != 2 or goal.shape[1] != 3 or not len(goal):
-        raise InputError(f"a path has the shape (n, 3), n at least 1, not {goal.shape}")
-    bad = np.flatnonzero(~np.isfinite(goal).all(axis=1))
-    if bad.size:
-        raise InputError(f"row {bad[0] + 1} of the path is not finite: give numbers in metres")
-    return goal
+    wanted = as_float_array("a path", points)
+    if wanted.ndim != 2 or wanted.shape[1] != 3 or not len(wanted):
+        raise InputError(f"a path has the shape (n, 3), n at least 1, not {wanted.shape}")
+    bad_rows = np.flatnonzero(~np.isfinite(wanted).all(axis=1))
+    if bad_rows.size:
+        raise InputError(f"row {bad_rows[0] + 1} of the path is not finite: give numbers in metres")
+    return wanted
 
 
-def _shape_and_offset_sigmas(machine: Machine, at: Conditions) -> tuple[Array, Array]:
+def _shape_and_offset_sigmas(machine: Machine, conditions: Conditions) -> tuple[Array, Array]:
     """Return sigmas after the best translation over the workspace ``(n, 3)``, and of that
     translation ``(3,)``; nan if no parameter is known.
     """
     names, covariance = machine.posterior.names, machine.posterior.covariance
     if not names:
-        return np.full((len(at.command), 3), np.nan), np.full(3, np.nan)
-    slopes, place = tcp_slopes(machine, names, at), tcp_slopes(machine, names).mean(axis=0)
-    return _output_sigmas(slopes - place, covariance), _output_sigmas(place, covariance)
+        return np.full((len(conditions.command), 3), np.nan), np.full(3, np.nan)
+    slopes, offset = tcp_slopes(machine, names, conditions), tcp_slopes(machine, names).mean(axis=0)
+    return _output_sigmas(slopes - offset, covariance), _output_sigmas(offset, covariance)
 
 
 def _output_sigmas(slopes: Array, covariance: Array) -> Array:
@@ -264,41 +262,29 @@ def _output_sigmas(slopes: Array, covariance: Array) -> Array:
     return np.sqrt(np.maximum(variance, 0.0))
 
 
-def _start_command(machine: Machine, start: ArrayLike | None) -> Array | None:
-    """Return the nominal command ``(1, 3)`` of the place before the first point, if known."""
-    if start is None:
-        return None
-    return _nominal_commands(machine, np.array([triple("start", start)]))
+def _inverse(machine: Machine, wanted: Array, **conditions: Array) -> Array:
+    """Return the commands of all points of a path; an error names its row."""
 
-
-def _nominal_commands(machine: Machine, goal: Array) -> Array:
-    return _solve_path(lambda rows: machine.with_only({}).inverse(goal[rows]), len(goal))
-
-
-def _inverse(machine: Machine, goal: Array, conditions: dict[str, Array]) -> Array:
     def solve(rows: slice) -> Array:
-        return machine.inverse(goal[rows], **{k: v[rows] for k, v in conditions.items()})
+        return machine.inverse(wanted[rows], **{k: v[rows] for k, v in conditions.items()})
 
-    return _solve_path(solve, len(goal))
-
-
-def _solve_path(solve: Callable[[slice], Array], count: int) -> Array:
-    """Solve for all rows of the path; a failure names its row."""
     try:
         return solve(slice(None))
     except (UnreachableError, ClosureError) as error:
         row = error.index[0] if error.index else 0
-        for k in range(0 if error.index else count):  # the error of a batch need not say which
+        for k in range(0 if error.index else len(wanted)):  # the error may not name a row
             try:
                 solve(slice(k, k + 1))
             except (UnreachableError, ClosureError):
                 row = k
                 break
         leg, excess = getattr(error, "leg", ""), float(getattr(error, "excess", 0.0))
-        why = f"leg {leg} is {excess * 1e3:.3f} mm too short" if leg else "the legs do not reach it"
+        cause = "the legs do not reach it"
+        if leg:
+            cause = f"leg {leg} is {excess * 1e3:.3f} mm too short"
         remedy = UNITS_REMEDY if UNITS_REMEDY in str(error) else "move the point towards the middle"
         raise UnreachableError(
-            f"row {row + 1} of the path is out of reach: {why}; {remedy}",
+            f"row {row + 1} of the path is out of reach: {cause}; {remedy}",
             leg=leg,
             excess=excess,
             index=(row,),
@@ -324,18 +310,16 @@ def _check_stroke(machine: Machine, rho: Array, slack: float = STROKE_SLACK) -> 
     )
 
 
-def _arrival_directions(rho: Array, before: Array | None, moved: float) -> Array:
-    """Return the directions in which drives arrive; compensated lost motion turns them at the first
-    step back, however short.
-    """
-    whole = rho if before is None else np.concatenate([before, rho])
-    found = derive_approach(whole, np.arange(len(whole)), min_move=moved)
-    return found[len(whole) - len(rho) :]
+def _arrival_directions(rho: Array, before: Array | None, min_move: float) -> Array:
+    """Return the directions in which drives arrive, reversed at any step back of ``min_move``."""
+    path = rho if before is None else np.concatenate([before, rho])
+    approach = derive_approach(path, np.arange(len(path)), min_move=min_move)
+    return approach[len(path) - len(rho) :]
 
 
 def _commands_along_path(
     machine: Machine,
-    goal: Array,
+    wanted: Array,
     nominal: Array,
     before: Array | None,
     conditions: dict[str, Array],
@@ -343,12 +327,12 @@ def _commands_along_path(
 ) -> Array:
     """Return commands, each for the side from which its drive arrives along the path.
 
-    In the middle of the lost motion drives turn where the path has them turn; what is lost besides
-    takes them farther the same way. One whose lost motion is negative, as a controller leaves it
-    that makes up for too much, may not turn at all: there the prediction has what it does.
+    Commands in the middle of the lost motion turn where the path turns, and the lost motion moves
+    them farther in the same direction. Where a controller compensates too much, the lost motion is
+    negative and a drive may not turn at all: the prediction includes that.
     """
-    # Far outside the stroke points are refused before effects are solved for there.
+    # Points far outside the stroke are refused before effects are solved for there.
     _check_stroke(machine, nominal, _STROKE_MARGIN)
-    middle = _inverse(machine, goal, {**conditions, "approach": np.zeros_like(goal)})
-    way = _arrival_directions(middle, before, 2 * resolution)
-    return _inverse(machine, goal, {**conditions, "approach": way})
+    middle = _inverse(machine, wanted, approach=np.zeros_like(wanted), **conditions)
+    approach = _arrival_directions(middle, before, 2 * resolution)
+    return _inverse(machine, wanted, approach=approach, **conditions)

@@ -47,20 +47,19 @@ def read_path(path: str | os.PathLike[str]) -> PathPoints:
     warnings = table.check_names(POINT.names(), POINT.names())
     p = table.array(replace(POINT, empty_value=None))
     if len(p) > 1 and 0 < np.abs(p).max() < _SHORTEST_PATH:
-        told = f"all points lie within {_SHORTEST_PATH * 1e3:g} mm of the middle: are they metres?"
-        warnings = (*warnings, Note(told, "units"))
+        limit = f"{_SHORTEST_PATH * 1e3:g} mm"
+        text = f"all points lie within {limit} of the middle: are they metres?"
+        warnings = (*warnings, Note(text, "units"))
     return PathPoints(p, table.lines, table.file, warnings)
 
 
 def commands_text(found: Compensation) -> str:
-    """Return commands as CSV: the points, the commands, and the expected errors; empty where
-    unknown.
-    """
-    shown = []
+    """Return commands as CSV: points, commands, and expected errors; empty where unknown."""
+    columns = []
     for name, values in found.columns.items():
-        form = "+.0f" if name.startswith("approach") else "z.6f"
-        shown.append(["" if math.isnan(v) else format(v, form) for v in values])
-    return csv_text(tuple(found.columns), zip(*shown, strict=True))
+        number_format = "+.0f" if name.startswith("approach") else "z.6f"
+        columns.append(["" if math.isnan(v) else format(v, number_format) for v in values])
+    return csv_text(tuple(found.columns), zip(*columns, strict=True))
 
 
 def export_files(
@@ -68,9 +67,9 @@ def export_files(
 ) -> dict[str, str]:
     """Return the files for other programs by name.
 
-    Numbers for the controller, as text and as JSON, the calibrated URDF and its loop closures, our
-    way and as ``robot.urdf`` with ``robot.yaml``, and the same as MJCF for MuJoCo. With
-    ``zeros_only`` the zeros and nothing else.
+    These are numbers for the controller, as text and as JSON; the calibrated URDF and its loop
+    closures, in the package's form and as ``robot.urdf`` with ``robot.yaml``; and MJCF for MuJoCo.
+    With ``zeros_only`` they are the zeros and nothing else.
 
     Args:
         machine: calibrated, or the path of its file.
@@ -82,17 +81,17 @@ def export_files(
     """
     machine = Machine.of(machine)
     numbers = controller_numbers(machine, zeros_only=zeros_only, force=force)
-    told = {
+    numbers_files = {
         "controller.txt": numbers.text(),
         "controller.json": json.dumps(numbers.as_dict(), indent=2) + "\n",
     }
     if zeros_only:
-        return told
+        return numbers_files
     urdf, closures, mjcf = file_names(machine.geometry)
     tree = calibrated_urdf(machine)
     loops = load(machine.spec.urdf or machine.geometry).loops
     return {
-        **told,
+        **numbers_files,
         urdf: tree,
         closures: closures_text(loops, urdf),
         mjcf: calibrated_mjcf(machine),

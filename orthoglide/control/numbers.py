@@ -63,7 +63,7 @@ class DriveNumbers:
     leg: str  # its name
     sign: int  # +1 where the controller counts away from the origin, else -1
     zero: float  # what it showed at mechanical zero as the machine file says, metres
-    offset: float  # joint offset, or what the numbers given make up for best, metres
+    offset: float  # joint offset, or the best compromise with the numbers given, metres
     scale: float  # relative scale error
     backlash: float  # lost motion, metres
     bar_length: float  # mean length of the leg's bars, metres
@@ -72,7 +72,7 @@ class DriveNumbers:
 
     @property
     def new_zero(self) -> float:
-        """What the controller is to show at mechanical zero, metres, its scale put right."""
+        """What the controller is to show at mechanical zero, metres, its scale corrected."""
         return self.zero - self.sign * self.offset
 
     @property
@@ -91,7 +91,7 @@ class DriveNumbers:
         return self.zero - self.sign * (self.offset - self.backlash / 2)
 
     def as_dict(self, zeros_alone: bool = False) -> dict[str, Any]:
-        """For JSON, without all but zeros where ``zeros_alone``; lengths in millimetres."""
+        """Return the numbers for JSON, only zeros if ``zeros_alone``; lengths in millimetres."""
         zeros = {
             "sign": self.sign,
             **({"offset_mm": _mm(self.offset)} if self.best else {}),
@@ -99,28 +99,24 @@ class DriveNumbers:
             "new_zero_mm": _mm(self.new_zero),
             "add_to_command_mm": _mm(self.correction),
         }
-        if zeros_alone:
-            return zeros
-        return {
-            **zeros,
+        others = {
             "joint_offset_mm": _mm(self.identified),
             "scale_factor": round(self.scale_factor, 9),
             "backlash_mm": _mm(self.backlash),
             "new_zero_one_sided_mm": _mm(self.one_sided_zero),
             "bar_length_mm": _mm(self.bar_length),
         }
+        return zeros if zeros_alone else zeros | others
 
     def worked(self, names: LegNames) -> str:
-        """The sign rule for this drive, number by number, in a layout's words."""
-        way, side = (
-            names.slide_end_words[self.sign > 0][1],
-            names.slide_end_words[_mm(self.offset) >= 0][0],
-        )
+        """Return the sign rule with the numbers of this drive, in a layout's words."""
+        direction = names.slide_end_words[self.sign > 0][1]
+        side = names.slide_end_words[_mm(self.offset) >= 0][0]
         stands = "stands on average" if self.best else "stands"
         old, sign = plain(_mm(self.zero), 3), signed(self.sign, 0)
         return (
             f"at the old zero {old} carriage {self.leg} {stands} "
-            f"{abs(_mm(self.offset)):.3f} mm too far {side}, and the controller counts {way} "
+            f"{abs(_mm(self.offset)):.3f} mm too far {side}, and the controller counts {direction} "
             f"(sign {sign}): new zero = {old} {MINUS} ({sign}) × "
             f"({signed(_mm(self.offset), 3)}) = {plain(_mm(self.new_zero), 3)} mm."
         )
@@ -195,39 +191,35 @@ class ControllerNumbers(Framed):
 
     @property
     def worked(self) -> str:
-        """The sign rule worked for the axis whose zero moves most, a sentence; empty where none
-        does.
-        """
+        """The sign rule worked for the axis whose zero moves most; empty where none does."""
         if not any(_mm(d.correction) for d in self.drives):
             return ""
-        most = best_of(self.drives, lambda d: abs(d.correction))
-        return f"{self.names.axis.capitalize()} {most.leg}: {most.worked(self.names)}"
+        moved_most = best_of(self.drives, lambda d: abs(d.correction))
+        return f"{self.names.axis.capitalize()} {moved_most.leg}: {moved_most.worked(self.names)}"
 
     @property
     def settings(self) -> tuple[tuple[Table, str], ...]:
         """Further numbers, each with what it means; none that would change nothing."""
         drives, axis, bar = self.drives, self.names.axis, self.names.bar
-        found = []
+        settings = []
         if any(abs(d.scale_factor - 1) > _MIN_SCALE for d in drives):
-            rows = tuple((d.leg, f"{d.scale_factor:.6f}") for d in drives)
-            found.append((Table((axis, "scale factor"), rows), _SCALE_TEXT))
+            scales = tuple((d.leg, f"{d.scale_factor:.6f}") for d in drives)
+            settings.append((Table((axis, "scale factor"), scales), _SCALE_TEXT))
         if any(d.backlash > _MIN_LENGTH for d in drives):
-            lost = (
-                (d.leg, _millimetres_text(d.backlash), _millimetres_text(d.one_sided_zero))
-                for d in drives
-            )
-            found.append((Table((axis, "backlash", "one-sided zero"), tuple(lost)), _BACKLASH_TEXT))
+            text, titles = _millimetres_text, (axis, "backlash", "one-sided zero")
+            rows = tuple((d.leg, text(d.backlash), text(d.one_sided_zero)) for d in drives)
+            settings.append((Table(titles, rows), _BACKLASH_TEXT))
         if not self.zeros_alone and self.calibrated:
-            rods = tuple((d.leg, _millimetres_text(d.bar_length)) for d in drives)
-            found.append((Table((axis, f"{bar} length"), rods), _LENGTH_TEXT.format(bar)))
-        return tuple(found)
+            lengths = tuple((d.leg, _millimetres_text(d.bar_length)) for d in drives)
+            settings.append((Table((axis, f"{bar} length"), lengths), _LENGTH_TEXT.format(bar)))
+        return tuple(settings)
 
     @property
     def check(self) -> tuple[str, tuple[str, ...]]:
         """How the signs are checked, and a reading to expect for each axis, the plainest first."""
         if self.checks:
-            told = ranked(self.checks, lambda check: abs(check.right - check.wrong))
-            return _CHECKS_TEXT, tuple(sentence(str(check)) for check in told)
+            ordered = ranked(self.checks, lambda check: abs(check.right - check.wrong))
+            return _CHECKS_TEXT, tuple(sentence(str(check)) for check in ordered)
         return (_NO_CHECKS_TEXT if self.names == ORTHOGLIDE.names else _CHECKS_AT_TOOL_TEXT), ()
 
     @property
@@ -237,11 +229,11 @@ class ControllerNumbers(Framed):
             return ""
         stages = {"now": "now", "zeros" if self.zeros_alone else "numbers": "with these numbers",
                   "compensated": "with commands from `orthoglide compensate`"}  # fmt: skip
-        told = [f"{self.expected[k].words} mm {words}" for k, words in stages.items()]
-        return f"Mean error of the tool, one shift of everything removed: {', '.join(told)}."
+        errors = [f"{self.expected[k].words} mm {words}" for k, words in stages.items()]
+        return f"Mean error of the tool, one shift of everything removed: {', '.join(errors)}."
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON; lengths in millimetres."""
+        """Return the numbers for JSON; lengths in millimetres."""
         if self.firmware:
             return {"machine": self.name, "firmware": dict(self.firmware.facts)}
         return {
@@ -257,51 +249,50 @@ class ControllerNumbers(Framed):
         }
 
     def text(self) -> str:
-        """For people: the rule in words, one worked line, a table, and the checks."""
+        """Return the text for people: the rule in words, one worked line, a table, the checks."""
         if self.firmware:
-            told = (t if "\n" in t else _fill(t) for t in self.firmware.paragraphs)
-            return "\n\n".join((self.title, *told)) + "\n"
-        how, readings = self.check
+            paragraphs = (t if "\n" in t else _fill(t) for t in self.firmware.paragraphs)
+            return "\n\n".join((self.title, *paragraphs)) + "\n"
+        instruction, readings = self.check
         parts = [
             f"{self.title}\nLengths in mm, as the controller counts.",
             self.zeros.text(),
             _fill(RULE),
             *([_fill(f"Worked. {self.worked}")] if self.worked else ()),
-            *(f"{_fill(what)}\n\n{table.text()}" for table, what in self.settings),
-            "\n".join(map(_fill, (how, *(f"- {one}" for one in readings)))),
+            *(f"{_fill(meaning)}\n\n{table.text()}" for table, meaning in self.settings),
+            "\n".join(map(_fill, (instruction, *(f"- {reading}" for reading in readings)))),
             *map(_fill, filter(None, (self.gains, self.rest))),
         ]
         return "\n\n".join(parts) + "\n"
 
     @property
     def rest(self) -> str:
-        """What these numbers leave out, and what takes it in."""
+        """Errors that these numbers do not correct, and what corrects them, in sentences."""
         if not self.calibrated:
             return _NOMINAL_TEXT
         if not self.beyond:
             return "Nothing else was identified: these numbers hold all of it."
-        named = [
-            *self.beyond[:_MAX_NAMED],
-            *(f"{n} more" for n in [len(self.beyond) - _MAX_NAMED] if n > 0),
-        ]
-        alone = (
+        named = list(self.beyond)
+        if len(named) > _MAX_NAMED:
+            named[_MAX_NAMED:] = [f"{len(named) - _MAX_NAMED} more"]
+        hint = (
             " A controller that takes zeros alone needs other zeros, which the option --zeros-only "
             "of `orthoglide export` gives." * (not self.zeros_alone)
         )
         return (
             f"These numbers correct no other error that was identified ({listed(named)}); commands "
             f"from `orthoglide compensate` correct them too. Use one or the other, never both."
-            f"{alone}"
+            f"{hint}"
         )
 
 
 def controller_numbers(
     machine: MachineSource, *, zeros_only: bool = False, force: bool = False
 ) -> ControllerNumbers:
-    """Return the corrections that a controller takes of a calibrated machine.
+    """Return the corrections of a calibrated machine that a controller can apply.
 
-    Scales, lost motion and lengths are as identified; where the machine has more errors than that,
-    the zeros are those that leave the least shape error over the workspace beside them.
+    Scales, lost motion and lengths are as identified. Where the machine has further errors, the
+    zeros minimise the shape error over the workspace that these leave.
 
     Args:
         machine: calibrated, or the path of its file; its ``[controller]`` says how the
@@ -314,26 +305,29 @@ def controller_numbers(
     """
     machine = checked_for_use(machine, force)
     settings = tool_settings(machine)
-    alone = _values_by_kind(machine, settings["zeros"])["zero"]
-    held = _values_by_kind(machine, settings["zeros" if zeros_only else "numbers"])
-    of = machine.catalogue.effect_of
-    others = [n for n, v in machine.values.items() if v and of(n).controller not in held]
-    left_over = ranked(others, lambda n: abs(machine.values[n]) / machine.tolerance(n))
-    fitted = left_over or machine.geometry.layout.hanging  # which leaves the tool at its height
-    best = _ZEROS_ALONE if zeros_only else "these numbers" if fitted else ""
-    identified = _values_by_kind(machine, machine.values).get("zero", np.zeros(3))
-    controller, length = machine.spec.controller, machine.geometry.L
-    printer = machine.spec.printer
+    offsets_alone = _values_by_kind(machine, settings["zeros"])["zero"]
+    numbers = _values_by_kind(machine, settings["zeros" if zeros_only else "numbers"])
+    values, effect_of = machine.values, machine.catalogue.effect_of
+    others = [n for n, v in values.items() if v and effect_of(n).controller not in numbers]
+    left_over = ranked(others, lambda n: abs(values[n]) / machine.tolerance(n))
+    # On a hanging layout the zeros leave the tool at its height.
+    compromise = left_over or machine.geometry.layout.hanging
+    best = _ZEROS_ALONE if zeros_only else "these numbers" if compromise else ""
     none = np.zeros(3)
+    identified = _values_by_kind(machine, values).get("zero", none)
+    zero, scale, backlash, length = (
+        numbers.get(kind, none).tolist() for kind in ("zero", "scale", "backlash", "bar_length")
+    )
+    controller, printer = machine.spec.controller, machine.spec.printer
     drives = [
         DriveNumbers(
             leg,
             controller.sign[k],
             controller.zero[k],
-            float(held.get("zero", none)[k]),
-            float(held.get("scale", none)[k]),
-            float(held.get("backlash", none)[k]),
-            length + float(held.get("bar_length", none)[k]),
+            zero[k],
+            scale[k],
+            backlash[k],
+            machine.geometry.L + length[k],
             best,
             float(identified[k]),
         )
@@ -344,8 +338,8 @@ def controller_numbers(
         machine.geometry.layout.names,
         (drives[0], drives[1], drives[2]),
         tuple(left_over),
-        tuple((np.array(controller.zero) - np.array(controller.sign) * alone).tolist()),
-        check_zeros(machine, held.get("zero", none)),
+        tuple((np.array(controller.zero) - np.array(controller.sign) * offsets_alone).tolist()),
+        check_zeros(machine, numbers.get("zero", none)),
         {name: expected_error(machine, given) for name, given in settings.items()},
         None if printer is None else printer.paste(),
         bool(machine.spec.parameters),
@@ -353,16 +347,14 @@ def controller_numbers(
 
 
 def _values_by_kind(machine: Machine, values: dict[str, float]) -> dict[str, np.ndarray]:
-    """Return the numbers that a controller takes of these parameters: by kind, for each leg
-    ``(3,)``, SI.
-    """
-    found: dict[str, np.ndarray] = {}
+    """Return the numbers of these parameters that a controller takes, by kind: ``(3,)``, SI."""
+    by_kind: dict[str, np.ndarray] = {}
     for name, value in values.items():
         kind = machine.catalogue.effect_of(name).controller
         if kind in DRIVE_ENTRIES:
             leg = machine.geometry.leg_names.index(machine.catalogue.parameter(name).leg)
-            found.setdefault(kind, np.zeros(3))[leg] += value
-    return found
+            by_kind.setdefault(kind, np.zeros(3))[leg] += value
+    return by_kind
 
 
 def _mm(metres: float) -> float:

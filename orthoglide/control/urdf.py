@@ -41,28 +41,25 @@ def calibrated_urdf(machine: MachineSource) -> str:
     robot = ET.fromstring(nominal)
     origins = {j.get("name"): j.find("origin") for j in robot.iter("joint")}
     axes = {j.get("name"): j.find("axis") for j in robot.iter("joint")}
-    for leg, (moves, slope) in zip(
-        machine.geometry.leg_names, _leg_displacements(machine), strict=True
-    ):
+    for leg, (moves, slope) in _leg_displacements(machine).items():
         slide = origins[f"{leg}_slide"]
-        turn = Rotation.from_euler("xyz", _attribute(slide, "rpy"))
+        orientation = Rotation.from_euler("xyz", _attribute(slide, "rpy"))
         path = np.array([moves["travel"], moves["lateral_b"], moves["lateral_c"]])
-        _shift(slide, turn.apply(path))
-        tilted = np.array([1.0, *slope])
+        _shift(slide, orientation.apply(path))
+        direction = np.array([1.0, *slope])
         axis = axes[f"{leg}_slide"]
         if axis is not None and slope.any():
-            axis.set("xyz", _numbers_text(tilted / np.linalg.norm(tilted)))
-        turned = [moves["turn_a"], moves["turn_b"], moves["turn_c"]]
+            axis.set("xyz", _numbers_text(direction / np.linalg.norm(direction)))
+        angles = [moves["turn_a"], moves["turn_b"], moves["turn_c"]]
         carriage = origins[f"{leg}_theta"]
-        if carriage is not None and any(turned):  # about a, the turned b, then the turned c
-            lean = Rotation.from_euler("xyz", _attribute(carriage, "rpy"))
-            both = Rotation.from_euler("XYZ", turned) * lean
-            carriage.set("rpy", _numbers_text(both.as_euler("xyz")))
-        wider = moves["width1"] + moves["width2"]
+        if carriage is not None and any(angles):  # about a, the turned b, then the turned c
+            tilt = Rotation.from_euler("xyz", _attribute(carriage, "rpy"))
+            rotation = Rotation.from_euler("XYZ", angles) * tilt
+            carriage.set("rpy", _numbers_text(rotation.as_euler("xyz")))
         _shift(origins[f"{leg}_knuckle"], [-moves["stretch1"], 0, 0])
         _shift(origins[f"{leg}_bar2_tip_fixed"], [-moves["stretch2"], 0, 0])
         _shift(origins[f"{leg}_platform"], [0, 0, -moves["width1"]])
-        _shift(origins[f"{leg}_knuckle_tip_fixed"], [0, 0, -wider])
+        _shift(origins[f"{leg}_knuckle_tip_fixed"], [0, 0, -moves["width1"] - moves["width2"]])
     ET.indent(robot)
     body = ET.tostring(robot, encoding="unicode")
     return f'<?xml version="1.0"?>\n<!-- {_comment(machine)} -->\n{body}\n'
@@ -90,65 +87,60 @@ def calibrated_mjcf(machine: MachineSource) -> str:
 
 def constant_geometry(machine: Machine) -> dict[str, float]:
     """Return the parameters that are constant geometry, SI: places and directions of joints."""
-    of = machine.catalogue.effect_of
-    return {n: v for n, v in machine.values.items() if _is_constant(of(n), machine)}
+    effect_of = machine.catalogue.effect_of
+    return {n: v for n, v in machine.values.items() if _is_constant(effect_of(n), machine)}
 
 
 def _is_constant(effect: Effect, machine: Machine) -> bool:
-    """Whether an effect shifts or turns joints by the same everywhere, or tilts straight paths."""
+    """Return whether an effect displaces joints by a constant, or tilts straight paths."""
     if effect.of_dial or effect.needs:
         return False
     length, stroke = machine.geometry.L, machine.geometry.stroke
     zero = machine.geometry.layout.zero(length)
 
-    def moved(motion: Motion, s: float) -> float:
-        command = zero + s
-        at = LegConditions(command, length, stroke, None, 0, 0, 0, 0, s, zero, (command,) * 3)
+    def displacement(motion: Motion, s: float) -> float:
+        rho = zero + s
+        at = LegConditions(rho, length, stroke, None, 0, 0, 0, 0, s, zero, (rho,) * 3)
         return float(motion.basis(at))
 
-    for _, motions in effect.motions.values():
-        for motion in motions:
-            low, middle, high = (moved(motion, s) for s in (-_PROBE, 0.0, _PROBE))
-            bent = abs(low - 2 * middle + high) > 1e-12
-            if bent or (high != low and motion.joint not in _LATERAL):
-                return False
+    for motion in (motion for _, motions in effect.motions.values() for motion in motions):
+        low, middle, high = (displacement(motion, s) for s in (-_PROBE, 0.0, _PROBE))
+        curved = abs(low - 2 * middle + high) > 1e-12
+        if curved or (high != low and motion.joint not in _LATERAL):
+            return False
     return True
 
 
-def _leg_displacements(machine: Machine) -> list[tuple[dict[str, float], Array]]:
-    """Return for each leg displacements of its virtual joints at mechanical zero, and slopes of its
+def _leg_displacements(machine: Machine) -> dict[str, tuple[dict[str, float], Array]]:
+    """Return, by leg, displacements of its virtual joints at mechanical zero, and slopes of its
     path.
 
-    Taken from the effects themselves, so that there is one definition of each.
+    They come from the effects themselves, so that each has one definition.
     """
     at = Conditions.from_commands(machine.geometry.zero + np.array([[0.0], [_PROBE]]))
-    here, there = machine.model.displacements(constant_geometry(machine), at).reshape(2, 3, -1)
+    by_place = machine.model.displacements(constant_geometry(machine), at).reshape(2, 3, -1)
     lateral = [VIRTUAL_NAMES.index(name) for name in _LATERAL]
-    return [
-        (
-            dict(zip(VIRTUAL_NAMES, here[leg].tolist(), strict=True)),
-            (there[leg] - here[leg])[lateral] / _PROBE,
-        )
-        for leg in range(3)
-    ]
+    slopes = (by_place[1] - by_place[0])[:, lateral] / _PROBE
+    moves = (dict(zip(VIRTUAL_NAMES, row, strict=True)) for row in by_place[0].tolist())
+    return dict(zip(machine.geometry.leg_names, zip(moves, slopes, strict=True), strict=True))
 
 
 def _comment(machine: Machine, of_format: str = "URDF") -> str:
-    constant, of = constant_geometry(machine), machine.catalogue.effect_of
+    held_parameters, effect_of = constant_geometry(machine), machine.catalogue.effect_of
     names = machine.geometry.layout.names
-    held = [n for n, v in constant.items() if v]
-    left = [n for n, v in machine.values.items() if v and n not in constant]
-    misfit = [n for n in held if not of(n).urdf]
+    held_names = [n for n, v in held_parameters.items() if v]
+    omitted = [n for n, v in machine.values.items() if v and n not in held_parameters]
+    misfits = [n for n in held_names if not effect_of(n).urdf]
     lines = [
         f"Calibrated: {machine.spec.title}. Slide q is the commanded {names.travel}.",
-        "Holds " + (", ".join(held) or "no correction") + ".",
+        "Holds " + (", ".join(held_names) or "no correction") + ".",
         f"Left out, for {of_format} holds constant geometry only: "
-        + (", ".join(grouped_by_effect(left)) or "nothing")
+        + (", ".join(grouped_by_effect(omitted)) or "nothing")
         + ".",
     ]
-    if misfit and of_format == "URDF":
+    if misfits and of_format == "URDF":
         lines.append(
-            "Rigid legs cannot take up " + ", ".join(misfit) + ": to close the loops, free the "
+            "Rigid legs cannot take up " + ", ".join(misfits) + ": to close the loops, free the "
             "bars' torsion at bar 1's tip and a turn about the short link at bar 2's root."
         )
     lines.append("The loops are those of the nominal machine; masses and shapes are nominal.")
@@ -165,6 +157,6 @@ def _numbers_text(values: Array) -> str:
     return " ".join(repr(float(v) + 0.0) for v in values)
 
 
-def _shift(origin: ET.Element | None, by: Array | list[float]) -> None:
-    if origin is not None and np.any(by):
-        origin.set("xyz", _numbers_text(_attribute(origin, "xyz") + by))
+def _shift(origin: ET.Element | None, displacement: Array | list[float]) -> None:
+    if origin is not None and np.any(displacement):
+        origin.set("xyz", _numbers_text(_attribute(origin, "xyz") + displacement))

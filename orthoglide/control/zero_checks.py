@@ -24,28 +24,27 @@ _VERDICT_REASONS = {
 
 def withholding_reason(machine: Machine) -> str:
     """Return why the numbers of a machine should not be used, as a clause; empty if they may."""
-    kept = machine.spec.provenance
-    verdict = str(kept.get("verdict", ""))
-    if (
-        verdict in _VERDICT_REASONS and kept.get("command") != "identify"
-    ):  # which looks for no cause
+    provenance = machine.spec.provenance
+    verdict = str(provenance.get("verdict", ""))
+    searched = provenance.get("command") != "identify"  # which looks for no cause
+    if verdict in _VERDICT_REASONS and searched:
         return f"the verdict on this machine is {verdict}: {_VERDICT_REASONS[verdict]}"
-    cautions = kept.get("cautions", ())
+    cautions = provenance.get("cautions", ())
     return f"the verdict on this machine warns: {cautions[0]}" if cautions else ""
 
 
-def checked_for_use(given: MachineSource, force: bool) -> Machine:
+def checked_for_use(source: MachineSource, force: bool) -> Machine:
     """Return the machine, if its verdict supports its numbers or ``force`` is set.
 
     Raises:
         InputError: saying why.
     """
-    machine = Machine.of(given)
-    why = "" if force else withholding_reason(machine)
-    if why:
+    machine = Machine.of(source)
+    reason = "" if force else withholding_reason(machine)
+    if reason:
         raise InputError(
-            f"{why.rstrip('.')}. Its numbers are withheld: confirm the cause first, or force them "
-            f"(--force, force=True)"
+            f"{reason.rstrip('.')}. Its numbers are withheld: confirm the cause first, or force "
+            f"them (--force, force=True)"
         )
     return machine
 
@@ -55,19 +54,15 @@ class ZeroCheck:
     """One dial of the standard protocol, read at Zero and at one other posture."""
 
     drive: str  # whose zero is checked
-    # of the dial in the standard protocol, its `touched` leg, direction, and place along the leg in
-    # metres
-    setup: str
-    touched: str
-    direction: str
-    gauge: float
+    setup: str  # of the dial in the standard protocol
+    touched: str  # leg that the dial touches
+    direction: str  # of the dial
+    gauge: float  # place of the dial along the leg, metres
     posture: str  # the other posture, `"max"` or `"min"`
-    at_zero: (
-        ShownPositions  # what the controller shows at Zero once the new zeros are entered, metres
-    )
-    at_posture: ShownPositions  # the same at the other posture
+    at_zero: ShownPositions  # display of the controller at Zero with the new zeros, metres
+    at_posture: ShownPositions  # display of the controller at the other posture, metres
     right: float  # reading there less reading at Zero, with all zeros as they should be, metres
-    wrong: float  # the same with this drive's zero moved the wrong way
+    wrong: float  # that difference with this drive's zero moved the wrong way
     way: str = ""  # how drives arrive at both, where lost motion makes a difference
 
     def as_dict(self) -> dict[str, Any]:
@@ -93,27 +88,22 @@ class ZeroCheck:
 
     def __str__(self) -> str:
         arriving = f", come to both with all axes moving {self.way}" if self.way else ""
+        moves, right, wrong = (
+            ", ".join(signed(v * 1e3, 3) for v in values)
+            for values in (self.moves, (self.right,), (self.wrong,))
+        )
         return (
             f"axis {self.drive}: dial on leg {self.touched} toward {self.direction}, "
             f"{self.gauge * 1e3:.1f} mm along it; move {', '.join(LEGS)} by "
-            f"{_triple(self.moves)} mm{arriving}. Expect {_signed(self.right)} mm; "
-            f"{_signed(self.wrong)} mm says that the zero of {self.drive} was moved the wrong way"
+            f"{moves} mm{arriving}. Expect {right} mm; "
+            f"{wrong} mm says that the zero of {self.drive} was moved the wrong way"
         )
-
-
-def _triple(shown: ShownPositions) -> str:
-    return ", ".join(map(_signed, shown))
-
-
-def _signed(change: float) -> str:
-    """Return a change of a reading, metres, as text in millimetres."""
-    return signed(change * 1e3, 3)
 
 
 def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
     """Return what a dial should read once only the new zeros are entered.
 
-    Of the dials and postures of the standard protocol the one that tells a wrong sign best.
+    The dial and the postures of the standard protocol are those that show a wrong sign best.
 
     Args:
         machine: calibrated, its controller as it is now.
@@ -126,22 +116,22 @@ def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
         return ()
     sheet = protocol("standard", machine.geometry)
     pairs = [pair for setup in range(len(sheet.setups)) for pair in _posture_pairs(sheet, setup)]
-    of = machine.catalogue.effect_of
-    slack = (abs(v) for n, v in machine.values.items() if of(n).controller == "backlash")
-    lost = max(slack, default=0.0) > machine.spec.dial.resolution / 2
+    effect_of = machine.catalogue.effect_of
+    backlash = [v for n, v in machine.values.items() if effect_of(n).controller == "backlash"]
+    resolution = machine.spec.dial.resolution
+    has_backlash = any(abs(v) > resolution / 2 for v in backlash)
     right = _readings_at_shift(machine, sheet, -offsets)
-    found = []
+    checks = []
     for drive in np.flatnonzero(offsets):
-        wrong = _readings_at_shift(
-            machine, sheet, np.where(np.arange(3) == drive, offsets, -offsets)
-        )
-        apart = right - wrong
-        shown = {(first, row): abs(apart[row] - apart[first]) for first, row in pairs}
-        first, row = best_of(pairs, shown.__getitem__)
-        if shown[first, row] < 2 * machine.spec.dial.resolution:
+        wrong_offsets = np.where(np.arange(3) == drive, offsets, -offsets)
+        wrong = _readings_at_shift(machine, sheet, wrong_offsets)
+        change = right - wrong
+        separation = {(first, row): abs(change[row] - change[first]) for first, row in pairs}
+        first, row = best_of(pairs, separation.__getitem__)
+        if separation[first, row] < 2 * resolution:
             continue
         setup = sheet.setups[sheet.setup[row]]
-        found.append(
+        checks.append(
             ZeroCheck(
                 LEGS[drive],
                 setup.name,
@@ -153,23 +143,23 @@ def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
                 _shown_positions(machine, sheet.command[row], offsets),
                 float(right[row] - right[first]),
                 float(wrong[row] - wrong[first]),
-                machine.geometry.layout.names.slide_end_words[1][1] if lost else "",
+                machine.geometry.layout.names.slide_end_words[1][1] if has_backlash else "",
             )
         )
-    return tuple(found)
+    return tuple(checks)
 
 
 def _posture_pairs(sheet: Readings, setup: int) -> list[tuple[int, int]]:
     """Return the first rows of a setup at Zero and at each of its other postures."""
     rows = np.flatnonzero(sheet.setup == setup)
-    first = {sheet.posture[row]: int(row) for row in rows[::-1]}
-    zero = first.pop("zero")
-    return [(zero, row) for row in first.values()]
+    first_rows = {sheet.posture[row]: int(row) for row in rows[::-1]}
+    zero = first_rows.pop("zero")
+    return [(zero, row) for row in first_rows.values()]
 
 
-def _readings_at_shift(machine: Machine, sheet: Readings, by: Array) -> Array:
+def _readings_at_shift(machine: Machine, sheet: Readings, shift: Array) -> Array:
     """Return the readings with every drive arriving away from the origin."""
-    command = sheet.command + by
+    command = sheet.command + shift
     return machine.readings(replace(sheet, command=command, approach=np.ones_like(command)))
 
 

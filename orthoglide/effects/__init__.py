@@ -1,4 +1,4 @@
-"""The catalogue of effects: what real machines have and the nominal one lacks."""
+"""The catalogue of effects: physical errors of real machines."""
 
 from orthoglide.effects.catalogue import (
     CATALOGUE as CATALOGUE,

@@ -1,4 +1,4 @@
-"""What the legs' bars and links do wrong."""
+"""Errors of the legs' bars and links."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Places that are wrong at one travel or one moment alone, and places by the names of effects."""
+"""Free-form errors at one travel or one moment alone, and free-form errors by name."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ from orthoglide.layout import LegNames
 _UM = 1e-6
 
 
-def may_jump(place: FreeForm) -> bool:
-    """Whether a place that changes with time may also jump.
+def may_jump(form: FreeForm) -> bool:
+    """Return whether a free-form error that changes with time may also jump.
 
     One bar snaps, or one drive loses steps; several parts do not jump at the same moment.
     """
-    one = place.leg >= 0 and (place.part != "bar" or bool(place.direction))
-    return place.against == "time" and one
+    single_part = form.leg >= 0 and (form.part != "bar" or bool(form.direction))
+    return form.against == "time" and single_part
 
 
-def with_jump(place: FreeForm, at: float, among: int) -> FreeForm:
-    """Return a place with a jump instead of a slow change.
+def with_jump(form: FreeForm, moment: float, count: int) -> FreeForm:
+    """Return a free-form error with a jump instead of a slow change.
 
     Args:
-        place: that changes with time.
-        at: moment of the jump, seconds.
-        among: number of moments at which the jump could be; each is that much less probable.
+        form: an error that changes with time.
+        moment: of the jump, seconds.
+        count: number of possible moments, among which the prior probability is divided.
     """
-    start, end = place.span or (0.0, 1.0)
-    jump = Jump(2 * (at - start) / (end - start) - 1)
-    return replace(place, kernel=jump, jump=at, chance=1 / among)
+    start, end = form.span or (0.0, 1.0)
+    jump = Jump(2 * (moment - start) / (end - start) - 1)
+    return replace(form, kernel=jump, jump=moment, chance=1 / count)
 
 
 _BUMP_WIDTH = 0.008
@@ -55,12 +55,9 @@ millimetre would have been noticed."""
 
 
 def travel_bumps(
-    travel: Sequence[Collection[float]],
-    names: LegNames,
-    stroke: Range,
-    scale: float = 1.0,
+    travel: Sequence[Collection[float]], names: LegNames, stroke: Range, scale: float = 1.0
 ) -> tuple[FreeForm, ...]:
-    """Places that are wrong at one travel alone.
+    """Return the errors of drives and rails at one travel alone.
 
     Args:
         travel: where each leg may have a bump, metres from mechanical zero.
@@ -69,65 +66,65 @@ def travel_bumps(
         scale: of its size, that of a workshop being 1.
     """
     middle, half = (stroke[0] + stroke[1]) / 2, (stroke[1] - stroke[0]) / 2
-    found: list[FreeForm] = []
-    for leg, several in enumerate(travel):
+    forms: list[FreeForm] = []
+    for leg, positions in enumerate(travel):
         across = dict(zip("bc", names.across[leg], strict=True))
-        for at in several:
-            bump = Bump((at - middle) / half, _BUMP_WIDTH * scale / half)
-            moved: list[tuple[Part, Joints, str, Any]] = [
+        for position in positions:
+            bump = Bump((position - middle) / half, _BUMP_WIDTH * scale / half)
+            candidates: list[tuple[Part, Joints, str, Any]] = [
                 ("drive", (("travel", 1.0),), "", partial(command_variable, leg)),
                 *(
-                    ("rail", ((f"lateral_{a}", 1.0),), way, travel_variable)
-                    for a, way in across.items()
+                    ("rail", ((f"lateral_{a}", 1.0),), direction, travel_variable)
+                    for a, direction in across.items()
                 ),
             ]
-            for part, joints, way, variable in moved:
-                place = FreeForm(part, leg, joints, way, "travel", 0, variable, bump, 30 * _UM,
-                              bump=at, names=names, chance=1 / len(several))  # fmt: skip
-                found.append(scaled_to_machine(place, scale))
-    return tuple(found)
+            for part, joints, direction, variable in candidates:
+                form = FreeForm(part, leg, joints, direction, "travel", 0, variable, bump, 30 * _UM,
+                              bump=position, names=names, chance=1 / len(positions))  # fmt: skip
+                forms.append(scaled_to_machine(form, scale))
+    return tuple(forms)
 
 
 DIAL_BUMP_WIDTHS = (0.03e-3, 0.1e-3)
 """Metres: standard deviations of a bump over the readings of a dial: three graduations of a
-hundredth, a tooth of its rack or dirt on it, and as far as its smooth curve does not bend."""
+hundredth (a tooth of its rack or dirt on it), and the shortest bend of its smooth curve."""
 
 _DIAL_BUMP_HEIGHT = 10 * _UM
 """Metres: height of such a bump. A dial's standard (DIN 878) allows 17 um over all of its range; a
 tenth of a millimetre, which ten times this allows, stops the hand and is seen."""
 
 
-def with_dial_bump(place: FreeForm, at: float, width: float, among: int) -> FreeForm:
-    """Return a dial's place that is wrong about one reading alone.
+def with_dial_bump(form: FreeForm, reading: float, width: float, count: int) -> FreeForm:
+    """Return the error of a dial about one reading alone.
 
     Args:
-        place: the dial's curve by its reading.
-        at: the reading, metres.
+        form: the dial's curve by its reading.
+        reading: the reading, metres.
         width: standard deviation of the bump, metres.
-        among: number of readings at which it could be; each is that much less probable.
+        count: number of possible readings, among which the prior probability is divided.
     """
-    low, high = place.span or (0.0, 1.0)
+    low, high = form.span or (0.0, 1.0)
     half = (high - low) / 2
-    bump = Bump((at - low) / half - 1, width / half)
-    return replace(place, kernel=bump, bump=at, prior_sd=_DIAL_BUMP_HEIGHT, chance=1 / among)
+    bump = Bump((reading - low) / half - 1, width / half)
+    return replace(form, kernel=bump, bump=reading, prior_sd=_DIAL_BUMP_HEIGHT, chance=1 / count)
 
 
 def _bump_travel(effects: Iterable[str]) -> set[float]:
-    """Travel of the bumps among names of effects, metres; see :attr:`Place.name`."""
-    found = set()
+    """Return the travel of the bumps among names of effects, metres; see `FreeForm.name`."""
+    positions = set()
     for name in effects:
         if match := re.fullmatch(r".*_travel_(_?)(\d+)(?:_(\d))?", name):
-            size = float(f"{match[2]}.{match[3] or 0}") * 1e-3
-            found.add(-size if match[1] else size)
-    return found
+            distance = float(f"{match[2]}.{match[3] or 0}") * 1e-3
+            positions.add(-distance if match[1] else distance)
+    return positions
 
 
 def with_free_forms(catalogue: Catalogue, names: Iterable[str], geometry: Geometry) -> Catalogue:
-    """A catalogue with the places of a machine to which some of the parameters belong."""
+    """Return a catalogue with those free-form errors of a machine that parameters name."""
     wanted = {name.partition(".")[0] for name in names} - set(catalogue)
     if not wanted:
         return catalogue
-    every = free_forms((), catalogue.legs, geometry.stroke, geometry.scale)
-    every += travel_bumps([_bump_travel(wanted)] * len(LEGS), catalogue.legs, geometry.stroke,
+    forms = free_forms((), catalogue.legs, geometry.stroke, geometry.scale)
+    forms += travel_bumps([_bump_travel(wanted)] * len(LEGS), catalogue.legs, geometry.stroke,
                    geometry.scale)  # fmt: skip
-    return catalogue.with_effects(p.effect for p in every if p.effect.name in wanted)
+    return catalogue.with_effects(form.effect for form in forms if form.effect.name in wanted)

@@ -1,6 +1,6 @@
 """The catalogue: physical causes and their parameters by name. A machine has one; users extend it.
 
-An effect is one entry of one of the files beside this one, or a user's own; see CONTRIBUTING.
+Its effects are defined in the other files of this folder, or by a user; see CONTRIBUTING.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ much were reported."""
 
 
 _COMMON_TOLERANCES = {"leg_length": 1.0}
-"""Standard deviations, in the effects' own units, of what parts of one set have in common where an
-owner enters it: rods are even to a few hundredths, but their length is read off a rule or a shop's
-page. Rods of 217 were entered as 234, 272 as 268, 288 as 270."""
+"""Standard deviations, in the effects' own units, of the common error of parts of one set whose
+size an owner enters: rods are even to a few hundredths, but their length is read off a rule or a
+shop's page. Rods of 217 were entered as 234, 272 as 268, 288 as 270."""
 
 MACHINE_CLASSES = ("laboratory", "belts")
 """Classes of machines: a carefully built one of ground steel, and belts on extrusions."""
@@ -50,8 +50,7 @@ class Catalogue(Mapping[str, Effect]):
     """Effects by name, in the order of tables. Immutable; equal where the effects are."""
 
     effects: tuple[Effect, ...]  # one entry a physical cause
-    # names of legs and directions, of the layout that they belong to
-    legs: LegNames = Orthoglide.names
+    legs: LegNames = Orthoglide.names  # of the layout: names of legs and directions
 
     def __post_init__(self) -> None:
         for effect in self.effects:
@@ -83,7 +82,7 @@ class Catalogue(Mapping[str, Effect]):
         return Catalogue, (self.effects, self.legs)
 
     def with_effects(self, more: Iterable[Effect]) -> Catalogue:
-        """The same with a user's own effects behind; those that are in already are not repeated.
+        """Return this catalogue with a user's effects appended, each once.
 
         Raises:
             InputError: where two effects share a name, or a basis does not work on symbols.
@@ -94,15 +93,15 @@ class Catalogue(Mapping[str, Effect]):
                 "effects are a list of your own, each an og.Effect: those of the catalogue are "
                 "known without"
             )
-        own = (e if e.names == self.legs else replace(e, names=self.legs) for e in more)
-        new = [e for e in own if e not in self.effects]
-        catalogue = Catalogue((*self.effects, *new), self.legs)
-        for effect in new:
+        renamed = (e if e.names == self.legs else replace(e, names=self.legs) for e in more)
+        added = [e for e in renamed if e not in self.effects]
+        catalogue = Catalogue((*self.effects, *added), self.legs)
+        for effect in added:
             check_bases(effect)
         return catalogue
 
     def for_layout(self, layout: Layout) -> Catalogue:
-        """The catalogue of a machine of another layout, a user's own effects included."""
+        """Return the catalogue of another layout, with the same user-defined effects."""
         if layout.names == self.legs:
             return self
         return catalogue_of(layout.names).with_effects(
@@ -111,11 +110,11 @@ class Catalogue(Mapping[str, Effect]):
 
     @cached_property
     def base(self) -> tuple[str, ...]:
-        """The effects with which every identification starts; of the papers: zeros and lengths."""
+        """Effects with which every identification starts; in the papers, zeros and lengths."""
         return self.correctable_by(*self.legs.controller_entries)
 
     def correctable_by(self, *numbers: str) -> tuple[str, ...]:
-        """The effects that some of a controller's numbers hold, such as its zeros: ``"zero"``."""
+        """Effects that numbers of a controller correct, such as its zeros: ``"zero"``."""
         return tuple(e.name for e in self.effects if e.controller in numbers)
 
     @cached_property
@@ -146,7 +145,7 @@ class Catalogue(Mapping[str, Effect]):
 
     @property
     def common_tolerance(self) -> dict[str, float]:
-        """Standard deviations to expect of what parts of one set have in common, SI."""
+        """Standard deviation to expect of the common part of an effect on all legs, SI."""
         return {n: to_si(v, self[n].unit.si) for n, v in _COMMON_TOLERANCES.items()}
 
     def effect_of(self, name: str) -> Effect:
@@ -157,45 +156,45 @@ class Catalogue(Mapping[str, Effect]):
         """
         effect = effect_name(name)
         if effect not in self.by_name:
-            known = ", ".join(self)
             raise InputError(
-                f"there is no effect {effect!r}: the catalogue has {known} ({CUSTOM_EFFECTS_HINT})"
+                f"there is no effect {effect!r}: the catalogue has {', '.join(self)} "
+                f"({CUSTOM_EFFECTS_HINT})"
             )
         return self.by_name[effect]
 
     def parameter(self, name: str, setups: Iterable[str] = ()) -> Parameter:
-        """A name as a `Parameter`: of a parameter, or of a structured member.
+        """Return the `Parameter` of a name: an elementary parameter or a structured member.
 
         Args:
             name: such as ``axis_tilt.y.z``, ``axis_tilt.cyclic@april`` or ``gauge_scale.SETUP``.
             setups: names of the setups that dial parameters may carry; any where empty.
 
         Raises:
-            InputError: for a name that is neither, saying which there are.
+            InputError: for a name that is neither; the message lists the valid names.
         """
         if isinstance(name, Parameter):
             return name
         effect, setups = self.effect_of(name), tuple(setups)
         plain, _, campaign = name.partition("@")
         if effect.of_dial:
-            setup, shape, own = setup_parts(name[len(effect.name) + 1 :], effect.shapes)
-            for known in effect.parameters(setups):
-                if name == known or name.startswith(f"{known}@"):
-                    return known.at(name[len(known) + 1 :])
+            setup, shape, setup_campaign = setup_parts(name[len(effect.name) + 1 :], effect.shapes)
+            for candidate in effect.parameters(setups):
+                if name == candidate or name.startswith(f"{candidate}@"):
+                    return candidate.at(name[len(candidate) + 1 :])
             members = self.structured_members(effect.name, ("any",))
             if setup and plain not in members and plain != f"{effect.name}.common" and not setups:
-                return Parameter(effect.name, setup=setup, direction=shape, campaign=own)
+                return Parameter(effect.name, setup=setup, direction=shape, campaign=setup_campaign)
         else:
-            for known in effect.motions:
-                if plain == known:
-                    return known.at(campaign)
+            for candidate in effect.motions:
+                if plain == candidate:
+                    return candidate.at(campaign)
         for member in self.structured_members(effect.name, setups):
             if plain == member:
                 return member.at(campaign)
         if effect.of_dial:
-            there = f", one of {', '.join(setups)}" if setups else ""
+            choices = f", one of {', '.join(setups)}" if setups else ""
             raise InputError(
-                f"{name}: {effect.name} takes the name of a setup behind the dot{there}"
+                f"{name}: {effect.name} takes the name of a setup behind the dot{choices}"
             )
         raise InputError(
             f"there is no parameter {name!r}: {effect.name} has {', '.join(effect.motions)}"
@@ -218,17 +217,17 @@ class Catalogue(Mapping[str, Effect]):
         return {name: v for name, v in values.items() if not self.effect_of(name).of_dial}
 
     def elementary_machine_values(self, values: Mapping[str, float]) -> dict[Parameter, float]:
-        """Single parameters of the machine by what names stand for, those of dials left out.
+        """Return the elementary parameters of the machine, without those of dials.
 
-        Of what campaigns have for themselves the last one's, which is the machine as it is now.
+        Of parameters specific to campaigns the last one counts: the machine as it is now.
         """
-        found: dict[Parameter, float] = {}
-        now = {self.parameter(n).plain: v for n, v in self.machine_values(values).items()}
-        for name, value in now.items():
-            for part, weight in self.elementary_weights(name).items():
-                plain = self.parameter(part).plain
-                found[plain] = found.get(plain, 0.0) + weight * value
-        return found
+        totals: dict[Parameter, float] = {}
+        latest = {self.parameter(n).plain: v for n, v in self.machine_values(values).items()}
+        for name, value in latest.items():
+            for elementary, weight in self.elementary_weights(name).items():
+                plain = self.parameter(elementary).plain
+                totals[plain] = totals.get(plain, 0.0) + weight * value
+        return totals
 
     def expand(self, chosen: Iterable[str], setups: Iterable[str] = ()) -> tuple[Parameter, ...]:
         """Parameters for effects or single names, in the order given, none twice.
@@ -237,13 +236,13 @@ class Catalogue(Mapping[str, Effect]):
             InputError: for what is neither.
         """
         setups = tuple(setups)
-        found: dict[Parameter, None] = {}
+        parameters: dict[Parameter, None] = {}
         for name in chosen:
             if name in self.by_name:
-                found.update(dict.fromkeys(self.by_name[name].parameters(setups)))
+                parameters.update(dict.fromkeys(self.by_name[name].parameters(setups)))
             else:
-                found[self.parameter(name, setups)] = None
-        return tuple(found)
+                parameters[self.parameter(name, setups)] = None
+        return tuple(parameters)
 
     def structured_members(
         self, name: str, setups: Iterable[str] = ()
@@ -258,32 +257,32 @@ class Catalogue(Mapping[str, Effect]):
             From the member's name to the weight of each parameter.
         """
         effect = self.by_name[name]
-        every = effect.parameters(tuple(setups))
-        directions = set() if effect.of_dial else {p.direction for p in every}
-        found: dict[Parameter, dict[Parameter, float]] = {}
+        parameters = effect.parameters(tuple(setups))
+        directions = set() if effect.of_dial else {p.direction for p in parameters}
+        members: dict[Parameter, dict[Parameter, float]] = {}
 
         def add(member: str, weights: dict[Parameter, float]) -> None:
-            found[Parameter(name, member=member)] = weights
+            members[Parameter(name, member=member)] = weights
 
         if directions == set(self.legs.legs):  # legs lie along each other's directions
-            add("common", dict.fromkeys(every, 1.0))
-            add("cyclic", {p: self._cyclic_sign(p) for p in every})
-            one, two, three = self.legs.legs
-            for first, second in ((one, two), (two, three), (three, one)):
-                there = Parameter(name, first, second)
-                back = Parameter(name, second, first)
-                add(f"{first}{second}.symmetric", {there: 1.0, back: 1.0})
-                add(f"{first}{second}.antisymmetric", {there: 1.0, back: -1.0})
+            add("common", dict.fromkeys(parameters, 1.0))
+            add("cyclic", {p: self._cyclic_sign(p) for p in parameters})
+            legs = self.legs.legs
+            for first, second in zip(legs, (*legs[1:], legs[0]), strict=True):
+                one_way = Parameter(name, first, second)
+                other_way = Parameter(name, second, first)
+                add(f"{first}{second}.symmetric", {one_way: 1.0, other_way: 1.0})
+                add(f"{first}{second}.antisymmetric", {one_way: 1.0, other_way: -1.0})
         elif directions - {""}:
             for direction in sorted(directions):
-                add(f"{direction}.common", {p: 1.0 for p in every if p.direction == direction})
+                add(f"{direction}.common", {p: 1.0 for p in parameters if p.direction == direction})
         elif effect.of_body:  # the same plate or part, however often it was measured
-            for part in effect.shapes or ("",):
-                member = f"{part}.common" if part else "common"
-                add(member, {p: 1.0 for p in every if p.direction == part})
-        elif len(every) > 1:
-            add("common", dict.fromkeys(every, 1.0))
-        return found
+            for shape in effect.shapes or ("",):
+                member = f"{shape}.common" if shape else "common"
+                add(member, {p: 1.0 for p in parameters if p.direction == shape})
+        elif len(parameters) > 1:
+            add("common", dict.fromkeys(parameters, 1.0))
+        return members
 
     def _cyclic_sign(self, parameter: Parameter) -> float:
         first, _ = self.legs.across[self.legs.index(parameter.leg)]
@@ -310,24 +309,24 @@ def _in_layout_words(effect: Effect, names: LegNames) -> Effect:
     if effect.of_dial or not names.noun_replacements:
         return replace(effect, names=names)
     words = effect.words
-    of_value = ("one", "short", "common", "confirm")
-    told = {name: _clause_in_layout_words(getattr(words, name), names) for name in of_value}
+    clause_names = ("one", "short", "common", "confirm")
+    clauses = {name: _clause_in_layout_words(getattr(words, name), names) for name in clause_names}
     return replace(
         effect,
         names=names,
         sentence=names.in_layout_words(effect.sentence),
         look_at=names.in_layout_words(effect.look_at),
-        words=replace(words, many=names.in_layout_words(words.many), **told),
+        words=replace(words, many=names.in_layout_words(words.many), **clauses),
     )
 
 
 def _clause_in_layout_words(
-    of: Callable[..., str] | None, names: LegNames
+    clause: Callable[..., str] | None, names: LegNames
 ) -> Callable[..., str] | None:
-    return None if of is None else lambda *given: names.in_layout_words(of(*given))
+    return None if clause is None else lambda *given: names.in_layout_words(clause(*given))
 
 
-# An effect holds functions, which do not travel between processes: those of the package go by name.
+# An effect contains functions, which do not pickle: effects of the package are pickled by name.
 def _effect_by_name(name: str, names: LegNames) -> Effect:
     return catalogue_of(names)[name]
 

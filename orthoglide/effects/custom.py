@@ -40,29 +40,31 @@ def check_bases(effect: Effect) -> None:
     """Evaluate the functions of an effect as the mechanism will.
 
     Raises:
-        InputError: naming the parameter and the remedy, where one fails on symbols or gives what
-            is no finite number.
+        InputError: naming the parameter and the remedy, where a function fails on symbols or
+            returns no finite number.
     """
     if effect.dial is not None:
         dial = effect.dial
         _check_basis(effect.name, lambda v: dial(DialReading(v[0], v[1], v[2]), 1e-3), _ARITHMETIC)
     for name, (_, motions) in effect.motions.items():
         for motion in motions:
-            known = motion.joint != "travel"
+            travel_known = motion.joint != "travel"
             for pitch, travel, remedy in (
                 (True, True, _ARITHMETIC),
-                (True, known, _NO_TRAVEL),
-                (False, known, _NO_PITCH),
+                (True, travel_known, _NO_TRAVEL),
+                (False, travel_known, _NO_PITCH),
             ):
                 _check_basis(name, partial(_evaluate_basis, motion.basis, pitch, travel), remedy)
 
 
-def _evaluate_basis(basis: Basis, pitch: bool, travel: bool, v: Any) -> Any:
-    command = v[0] + v[8]
+def _evaluate_basis(basis: Basis, has_pitch: bool, has_travel: bool, sample: Any) -> Any:
+    columns = (sample[k] for k in range(10))
+    travel, approach, time, warming, force, length, low, high, zero, pitch = columns
+    command, known_pitch = travel + zero, pitch if has_pitch else None
     return basis(
         LegConditions(
-            command, v[5], (v[6], v[7]), v[9] if pitch else None, v[1], v[2], v[3], v[4],
-            v[0] if travel else None, v[8], (command,) * 3,
+            command, length, (low, high), known_pitch, approach, time, warming, force,
+            travel if has_travel else None, zero, (command,) * 3,
         )
     )  # fmt: skip
 
@@ -73,20 +75,19 @@ def _check_basis(name: str, basis: Callable[[Any], Any], remedy: str) -> None:
     symbols = ca.SX.sym("conditions", len(_SAMPLE_CONDITIONS[0]))
     try:
         value = basis(symbols)
-        wrong = "" if np.isscalar(value) or isinstance(value, ca.SX) else f"gives {value!r}"
-        if not wrong:
-            there = np.array(
-                ca.Function("basis", [symbols], [value])(np.transpose(_SAMPLE_CONDITIONS))
-            )
-            wrong = "" if np.isfinite(there).all() else "gives no finite number"
+        problem = "" if np.isscalar(value) or isinstance(value, ca.SX) else f"gives {value!r}"
+        if not problem:
+            function = ca.Function("basis", [symbols], [value])
+            results = np.array(function(np.transpose(_SAMPLE_CONDITIONS)))
+            problem = "" if np.isfinite(results).all() else "gives no finite number"
     except Exception as error:  # whatever a user's function raises
-        wrong = f"fails on symbols ({type(error).__name__}: {error})"
-    if wrong:
-        raise InputError(f"{name}: its basis {wrong.splitlines()[0]}: {remedy}")
+        problem = f"fails on symbols ({type(error).__name__}: {error})"
+    if problem:
+        raise InputError(f"{name}: its basis {problem.splitlines()[0]}: {remedy}")
 
 
 def load_effects(path: str | os.PathLike[str] | None) -> tuple[Effect, ...]:
-    """Effects that a Python file declares at its top level, in their order; none without a file.
+    """Return the effects that a Python file declares at its top level; none without a file.
 
     The file is run: give only files that you trust.
 
@@ -98,7 +99,7 @@ def load_effects(path: str | os.PathLike[str] | None) -> tuple[Effect, ...]:
     if not Path(path).is_file():
         raise FileError("there is no such file: check the name", file=printable_path(path))
     try:
-        names = runpy.run_path(os.fspath(path))
+        variables = runpy.run_path(os.fspath(path))
     except SyntaxError as error:
         raise FileError(
             f"is not Python ({error.msg}): correct it", file=printable_path(path), line=error.lineno
@@ -107,7 +108,7 @@ def load_effects(path: str | os.PathLike[str] | None) -> tuple[Effect, ...]:
         raise FileError(
             f"fails with {type(error).__name__}: {error}", file=printable_path(path)
         ) from error
-    found = [value for value in names.values() if isinstance(value, Effect)]
-    if not found:
+    effects = [value for value in variables.values() if isinstance(value, Effect)]
+    if not effects:
         raise FileError("declares no Effect at its top level: add one", file=printable_path(path))
-    return tuple(dict.fromkeys(found))
+    return tuple(dict.fromkeys(effects))

@@ -1,7 +1,7 @@
-"""What a dial does wrong. A dial moves no virtual joint: it changes the reading.
+"""Errors of dials. A dial moves no virtual joint: it changes the reading.
 
-Its parameters carry the setup's name where those of a machine carry the leg's. They act in
-the order of the catalogue: the stem turns, the dial magnifies what it is moved, the stand creeps.
+Its parameters carry the name of the setup in place of the leg. They act in the order of the
+catalogue: the stem turns, the dial magnifies its displacement, the stand creeps.
 """
 
 from __future__ import annotations

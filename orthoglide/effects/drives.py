@@ -1,4 +1,4 @@
-"""What a drive does wrong: where its carriage stands along its own axis."""
+"""Errors of drives: displacements of the carriages along their own axes."""
 
 from __future__ import annotations
 
@@ -98,18 +98,14 @@ BACKLASH = Effect(
     words=Words(
         lambda p, v: (
             f"drive {p.leg} has {mm(v)} of lost motion"
-            + (
-                ""
-                if v >= 0
-                else " with the wrong sign, as where a controller makes up for too much"
-            )
+            + " with the wrong sign, as where a controller makes up for too much" * (v < 0)
         ),
         lambda p: f"drive {p.leg} has lost motion",
         "the drives have lost motion",
         confirm=lambda p, v: (
             f"set a dial on carriage {p.leg} and come to one place from smaller and from larger "
-            f"travel: expect it {mm(v)} {sign_word(v, 'farther out', 'farther in')} when it comes from "
-            f"larger travel"
+            f"travel: expect it {mm(v)} {sign_word(v, 'farther out', 'farther in')} when it comes "
+            f"from larger travel"
         ),
     ),
     group="drive",

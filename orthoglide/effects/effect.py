@@ -1,4 +1,4 @@
-"""What an effect is: a physical cause, declared whole.
+"""An effect: a physical cause with all that is declared about it.
 
 ``displacement of a virtual joint = basis(conditions) x parameter``
 
@@ -36,7 +36,7 @@ Shape = Callable[[Any, Any], Any]
 
 ControllerEntry = Literal["zero", "scale", "backlash", "bar_length", "place"]
 DRIVE_ENTRIES: tuple[ControllerEntry, ...] = ("zero", "scale", "backlash", "bar_length")
-"""What a controller of three drives takes; where towers stand is a firmware's own."""
+"""Numbers that a controller of three drives has; only firmware has the places of towers."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -52,22 +52,22 @@ class Effect:
         because: why the tolerance has that size.
         sentence: what it is, for a mechanic.
         look_at: what to look at on the machine.
-        members: from what stands behind the leg in a parameter's name (``""`` where nothing does)
-            to its motions, for a leg (0, 1, 2); see :func:`once` and :func:`sideways`.
-        words: how a fitted value is said, and the test on the machine that confirms it.
+        members: returns the motions of a leg (0, 1, 2) by the suffix that follows the leg in a
+            parameter's name, ``""`` for none; see :func:`once` and :func:`sideways`.
+        words: sentences for a fitted value, and the test on the machine that confirms it.
         group: ``structure``, ``drive``, ``temperature``, ``load``, ``dial``, ``plate`` or
             ``part``.
         paired: whether the parameters of a leg are one cause, as a sine with its cosine.
-        instead_of: a condition that explains it better: it is weighed only where that condition
-            was not recorded.
-        controller: which number of a controller holds it, if any.
-        urdf: whether a rigid URDF can hold it.
+        instead_of: a condition that explains it better: the effect is a candidate only where
+            that condition was not recorded.
+        controller: which number of a controller corrects it, if any.
+        urdf: whether a rigid URDF can represent it.
         dial: of an effect of the dial: the reading shown, given the reading so far and the value.
-        plate: of an effect of a probed plate: its shapes, each behind what follows the setup in
-            its parameter's name.
+        plate: of an effect of a probed plate: its shapes, each with the suffix that follows the
+            setup in its parameter's name.
         part: of an effect of a printed part: the length read, given that of the tool and the value.
         names: of legs and directions, of the layout that it belongs to.
-        points: what of it a positive value moves along its direction, with "toward".
+        points: preposition before the direction of a positive value, such as "toward".
     """
 
     name: str
@@ -117,11 +117,11 @@ class Effect:
 
     @property
     def shapes(self) -> dict[str, Shape]:
-        """Shapes of a plate by what follows the setup in a parameter's name."""
+        """Shapes of a plate by the suffix of the parameter's name."""
         return dict(self.plate)
 
     def shape(self, parameter: Parameter) -> Shape:
-        """The plate's shape behind a parameter of one setup, or of a member of all."""
+        """The plate's shape of a parameter of one setup, or of a member of all setups."""
         return self.shapes[parameter.direction or parameter.member.rpartition(".")[0]]
 
     @property
@@ -132,18 +132,13 @@ class Effect:
     @cached_property
     def motions(self) -> dict[Parameter, tuple[int, tuple[Motion, ...]]]:
         """All parameters of the machine: from name to leg (0, 1, 2) and motions."""
-        return {
-            Parameter(
-                self.name, name, dict(zip(LATERAL_KEYS, across, strict=True)).get(key, key)
-            ): (
-                leg,
-                motions,
-            )
-            for leg, (name, across) in enumerate(
-                zip(self.names.legs, self.names.across, strict=True)
-            )
-            for key, motions in self.members(leg).items()
-        }
+        motions_by_name = {}
+        for leg, name in enumerate(self.names.legs):
+            directions = dict(zip(LATERAL_KEYS, self.names.across[leg], strict=True))
+            for key, motions in self.members(leg).items():
+                parameter = Parameter(self.name, name, directions.get(key, key))
+                motions_by_name[parameter] = leg, motions
+        return motions_by_name
 
     def parameters(self, setups: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
         """Its parameters; those of a dial for each of the setups."""
@@ -157,11 +152,11 @@ class Effect:
 
     @cached_property
     def needs(self) -> frozenset[Condition]:
-        """Conditions that it depends on, read off its bases; a declaration could be wrong."""
+        """Conditions that its bases depend on, found by evaluating them."""
         if (dial := self.dial) is not None:
             return DialRecorder(1.0, 1.0, 1.0).needs(lambda reading: dial(reading, 1e-3))
-        every = [m.needs for _, motions in self.motions.values() for m in motions]
-        return frozenset().union(*every)
+        needs_by_motion = [m.needs for _, motions in self.motions.values() for m in motions]
+        return frozenset().union(*needs_by_motion)
 
     @property
     def at_rest(self) -> bool:

@@ -1,4 +1,4 @@
-"""What a place may do by its variable: free functions, each of a coefficient of unit variance.
+"""Free functions of the variable of a free-form error, with coefficients of unit variance.
 
 A Gaussian process in the first eigenfunctions of the Laplacian on an interval somewhat longer than
 its variable's (Solin and Sarkka 2020, *Hilbert space methods for reduced-rank Gaussian process
@@ -17,7 +17,7 @@ from orthoglide.effects.motions import exp, sin
 from orthoglide.geometry import Array
 
 _INTERVAL_RATIO = 1.25
-"""Half the interval of the eigenfunctions over half the variable's: at its ends they are free."""
+"""Interval of the eigenfunctions over that of the variable, so that they need not vanish there."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Kernel:
     # share of the variance that has steps and corners, Ornstein-Uhlenbeck; the rest is smooth,
     # Matern 3/2
     rough: float = 0.0
-    # whether a straight line is one more function, which eigenfunctions draw badly
+    # whether a straight line is one more function, which eigenfunctions approximate badly
     line: bool = False
 
     @property
@@ -44,15 +44,15 @@ class Kernel:
         rate = np.sqrt(3) / self.length
         smooth = 4 * rate**3 / (rate**2 + frequency**2) ** 2
         rate = 1 / self.length
-        stepped = 2 * rate / (rate**2 + frequency**2)
-        density = (1 - self.rough) * smooth + self.rough * stepped
+        rough = 2 * rate / (rate**2 + frequency**2)
+        density = (1 - self.rough) * smooth + self.rough * rough
         return np.asarray(np.sqrt(density / _INTERVAL_RATIO))
 
     def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
         """Eigenfunctions of a variable in [-1, 1], each times its weight."""
-        turn = np.pi * (u + _INTERVAL_RATIO) / (2 * _INTERVAL_RATIO)
+        phase = np.pi * (u + _INTERVAL_RATIO) / (2 * _INTERVAL_RATIO)
         return [
-            float(self.weights[k]) * sin((k + 1) * turn) if k < self.waves else u
+            float(self.weights[k]) * sin((k + 1) * phase) if k < self.waves else u
             for k in range(self.count)[which]
         ]
 
@@ -64,7 +64,7 @@ class Level:
     count = 1
 
     def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
-        """One, at any variable."""
+        """The constant 1."""
         return [u * 0.0 + 1.0][which]
 
 
@@ -77,7 +77,7 @@ class Bump:
     count = 1
 
     def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
-        """One, at any variable."""
+        """The bump."""
         return [exp(-0.5 * ((u - self.centre) / self.width) ** 2)][which]
 
 
@@ -89,13 +89,13 @@ class Jump:
     count = 1
 
     def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
-        """One, at any variable."""
+        """The step."""
         return [np.where(u > self.position, 1.0, 0.0)][which]
 
 
 @dataclass(frozen=True)
 class BuildUp:
-    """What builds up over some lengths after a drive turns round, each for itself."""
+    """Lost motion that builds up exponentially after a reversal, one function a length."""
 
     lengths: tuple[float, ...]  # over half the stroke
 
@@ -105,5 +105,5 @@ class BuildUp:
         return len(self.lengths)
 
     def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
-        """Each after a long way and a turn, by the way gone since, from -1 to 1: the stroke."""
+        """The functions of the distance since the reversal, from -1 to 1 over the stroke."""
         return [0.5 - np.exp(-(u + 1) / length) for length in self.lengths[which]]

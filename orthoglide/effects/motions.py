@@ -1,4 +1,4 @@
-"""How a parameter moves a virtual joint: bases, the conditions they look at, motions of a leg."""
+"""How a parameter moves a virtual joint: bases, conditions and motions of a leg."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class LegConditions:
     travel: Any = None  # the carriage's true travel from mechanical zero, metres
     zero: float = 0.0  # the command at mechanical zero, metres
     commands: tuple[Any, ...] = ()  # of all drives, metres
-    # lost motion that builds up over some lengths after the drive turns round, each half its
-    # approach after a long way; none where nobody knows
+    # lost motion that builds up over several lengths after a reversal of the drive, each half the
+    # approach after a long distance; empty where the path is unknown
     built_up: tuple[Any, ...] = ()
 
     @property
@@ -45,7 +45,7 @@ class LegConditions:
 
 @dataclass(frozen=True)
 class DialReading:
-    """A reading on its way from the touched line to the number shown."""
+    """An intermediate value between the touched line and the displayed reading."""
 
     shown: Any  # the reading so far, metres
     across: Any  # the coordinate toward which the dial turns about the leg, with the dial's sign
@@ -57,7 +57,7 @@ Basis = Callable[[LegConditions], Any]
 
 @dataclass(frozen=True)
 class Constant:
-    """A basis that is the same under all conditions."""
+    """A basis that does not depend on conditions."""
 
     value: float
 
@@ -73,17 +73,17 @@ _CONDITIONS: Mapping[str, Condition] = {
 
 
 class _Recorder:
-    """Numbers in place of what a basis sees, and a note of which were looked at."""
+    """Numbers in place of conditions, which record which of them were read."""
 
     def __getattribute__(self, name: str) -> Any:
         if name in _CONDITIONS:
             object.__getattribute__(self, "__dict__").setdefault("used", set()).add(name)
         return object.__getattribute__(self, name)
 
-    def needs(self, look: Callable[[Any], Any]) -> frozenset[Condition]:
-        """Conditions that a function looks at, found by evaluating it."""
+    def needs(self, function: Callable[[Any], Any]) -> frozenset[Condition]:
+        """Return the conditions that a function reads, found by evaluating it."""
         self.__dict__["used"] = set()
-        look(self)
+        function(self)
         return frozenset(_CONDITIONS[name] for name in self.__dict__["used"])
 
 
@@ -92,7 +92,7 @@ class _LegRecorder(_Recorder, LegConditions):
 
 
 class DialRecorder(_Recorder, DialReading):
-    """Numbers in place of a dial's reading, and a note of whether its time was looked at."""
+    """Numbers in place of a dial's reading, which record whether its time was read."""
 
 
 def sin(angle: Any) -> Any:
@@ -124,9 +124,9 @@ class Motion:
 
     @property
     def needs(self) -> frozenset[Condition]:
-        """Conditions that the basis looks at, found by evaluating it."""
-        some = 0.3, 0.3, (-0.1, 0.06), 0.02, 1.0, 1.0, 1.0, 1.0, 0.01, 0.3, (0.3,) * 3
-        return _LegRecorder(*some).needs(self.basis)
+        """Conditions that the basis reads, found by evaluating it."""
+        sample = 0.3, 0.3, (-0.1, 0.06), 0.02, 1.0, 1.0, 1.0, 1.0, 0.01, 0.3, (0.3,) * 3
+        return _LegRecorder(*sample).needs(self.basis)
 
 
 Members = Callable[[int], Mapping[str, tuple[Motion, ...]]]
@@ -139,7 +139,7 @@ def no_motions(leg: int) -> Mapping[str, tuple[Motion, ...]]:
 
 @dataclass(frozen=True)
 class _SameForEachLeg:
-    """Members that are the same for each leg; they pickle where their bases do."""
+    """Members that are identical for all legs; they pickle if their bases do."""
 
     members: tuple[tuple[str, tuple[Motion, ...]], ...]
 
@@ -148,7 +148,7 @@ class _SameForEachLeg:
 
 
 def once(*motions: Motion) -> Members:
-    """Members of an effect that has one parameter a leg.
+    """Return the members of an effect that has one parameter a leg.
 
     Args:
         motions: of the leg's virtual joints, for one unit of the parameter.
@@ -157,12 +157,11 @@ def once(*motions: Motion) -> Members:
 
 
 def sideways(make: Callable[[str, int], tuple[Motion, ...]]) -> Members:
-    """Members of an effect that has one parameter for each axis j other than the leg's own.
+    """Return the members of an effect with one parameter for each axis j across the leg.
 
     Args:
         make: takes the leg's name for axis j, ``"b"`` or ``"c"``, and the sign of the turn about
             the other that tips a toward j (a x b = c, a x c = -b).
     """
-    return _SameForEachLeg(
-        ((LATERAL_KEYS[0], tuple(make("b", +1))), (LATERAL_KEYS[1], tuple(make("c", -1))))
-    )
+    b, c = LATERAL_KEYS
+    return _SameForEachLeg(((b, tuple(make("b", +1))), (c, tuple(make("c", -1)))))

@@ -20,7 +20,7 @@ GROUPS = {
 
 _DELTA_CATALOGUE = catalogue_of(LinearDelta.names)
 EFFECTS = (*CATALOGUE.values(), *(e for e in _DELTA_CATALOGUE.values() if e.name not in CATALOGUE))
-"""All of the page: the Orthoglide's, then those that other layouts have besides."""
+"""Effects of the page: those of the Orthoglide, then those that only other layouts have."""
 
 _HEAD = f"""# The catalogue of effects
 
@@ -41,20 +41,20 @@ def effects_page() -> str:
     """The page as Markdown."""
     parts = [_HEAD, _overview()]
     for group, heading in GROUPS.items():
-        families = [f for f in EFFECTS if f.group == group]
-        if families:
-            parts += [f"## {heading}\n", *(_section(f) for f in families)]
+        effects = [effect for effect in EFFECTS if effect.group == group]
+        if effects:
+            parts += [f"## {heading}\n", *(_section(effect) for effect in effects)]
     return "\n".join(parts)
 
 
 def _overview() -> str:
     rows = ["| effect | unit | tolerance | in a sentence |", "|---|---|---|---|"]
     rows += [
-        f"| [`{f.name}`](#{f.name}) | {f.unit.name} | {f.tolerance:g} | "
-        f"{f.sentence}{'' if f.name in CATALOGUE else ' (not on an Orthoglide)'} |"
+        f"| [`{effect.name}`](#{effect.name}) | {effect.unit.name} | {effect.tolerance:g} | "
+        f"{effect.sentence}{'' if effect.name in CATALOGUE else ' (not on an Orthoglide)'} |"
         for group in GROUPS
-        for f in EFFECTS
-        if f.group == group
+        for effect in EFFECTS
+        if effect.group == group
     ]
     return "\n".join(rows) + "\n"
 
@@ -89,14 +89,14 @@ def _section(effect: Effect) -> str:
 def _correction(effect: Effect) -> str:
     if effect.of_dial:
         return "nothing, as it is no error of the machine"
-    number = {"zero": "zero", "scale": "scale factor", "backlash": "backlash setting",
+    setting_names = {"zero": "zero", "scale": "scale factor", "backlash": "backlash setting",
               "bar_length": "bar length"}  # fmt: skip
-    places = ["compensated commands"]
+    corrections = ["compensated commands"]
     if effect.urdf:
-        places.append("a calibrated URDF")
-    if effect.controller in number:
-        places.append(f"the controller's {number[effect.controller]}")
-    return ", ".join(places) if effect.at_rest else "none of the controller's numbers"
+        corrections.append("a calibrated URDF")
+    if effect.controller in setting_names:
+        corrections.append(f"the controller's {setting_names[effect.controller]}")
+    return ", ".join(corrections) if effect.at_rest else "none of the controller's numbers"
 
 
 _SETUPS = ("a", "b")  # any two: what several dials can have in common has no setup's name

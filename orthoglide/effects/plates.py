@@ -1,4 +1,4 @@
-"""What is wrong with a plate that the tool touches, and with the size of a part that it printed.
+"""Errors of a plate that the tool touches, and of the size of a part that it printed.
 
 Neither moves a virtual joint. Where a plate is higher, the tool stands lower above it; its height
 and two slopes are fitted with every setup, and its effects are the residual shape. Where a part is
@@ -96,10 +96,10 @@ def _plate(p: Parameter) -> str:
     return f"the plate of {p.setup}" if p.setup else "the plate"
 
 
-def _lobe(part: str, value: float) -> int:
-    """Direction of a lobe from +x, counter-clockwise, degrees."""
-    first = 0 if part == "cos" else 30
-    return first if value >= 0 else first + 60
+def _lobe(component: str, value: float) -> int:
+    """Return the direction of a lobe from +x, counter-clockwise, degrees."""
+    direction = 0 if component == "cos" else 30
+    return direction if value >= 0 else direction + 60
 
 
 def _in_setup(p: Parameter) -> str:
@@ -110,25 +110,25 @@ EFFECTS = (PLATE_BOW, PLATE_TREFOIL)
 DELTA_EFFECTS = (PART_SIZE,)
 
 
-def residual_plate_shapes(place: Array, scale: float = 1.0) -> list[tuple[Array, float]]:
-    """Shapes of degree 2 to 4 that no effect names, each ``(n,)`` with its standard deviation.
+def residual_plate_shapes(position: Array, scale: float = 1.0) -> list[tuple[Array, float]]:
+    """Return shapes of degree 2 to 4 that no effect names, with their standard deviations.
 
-    No plate is flat but for a bowl and three lobes, and what is left of it is no cause in the
-    machine. A finer shape is smaller: half for each degree of the polynomial.
+    A plate is never flat apart from a bowl and three lobes, and its residual shape is no cause in
+    the machine. Each degree of the polynomial halves the expected size.
 
     Args:
-        place: on the plate over its radius ``(n, 2)``.
+        position: on the plate over its radius ``(n, 2)``.
         scale: of the machine's size, that of a workshop being 1.
     """
-    x, y = place.T
-    square = x**2 + y**2
-    two = (x**2 - y**2, 2 * x * y)
+    x, y = position.T
+    radius_squared = x**2 + y**2
+    quadratics = (x**2 - y**2, 2 * x * y)
     by_degree = {
-        2: two,
-        3: (x * (3 * square - 2), y * (3 * square - 2)),
+        2: quadratics,
+        3: (x * (3 * radius_squared - 2), y * (3 * radius_squared - 2)),
         4: (
-            6 * square**2 - 6 * square + 1,
-            *(shape * (4 * square - 3) for shape in two),
+            6 * radius_squared**2 - 6 * radius_squared + 1,
+            *(shape * (4 * radius_squared - 3) for shape in quadratics),
             x**4 - 6 * x**2 * y**2 + y**4,
             4 * x * y * (x**2 - y**2),
         ),

@@ -1,4 +1,4 @@
-"""What a rail does wrong: the path of its carriage, and how the carriage sits on it."""
+"""Errors of rails: the paths of the carriages, and how the carriages sit on them."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ def _travel(c: LegConditions) -> Any:
 
 
 def _turned(axis: str, sign: int) -> Motion:
-    """The carriage turns with a rail that tips toward ``axis``: about a x axis."""
+    """Return the rotation, about a x axis, of a carriage whose rail leans toward ``axis``."""
     return Motion("turn_c" if axis == "b" else "turn_b", Constant(float(sign)))
 
 
 def _bracket_axis(p: Parameter) -> str:
-    """The base axis about which a bracket is turned, and what it is to the leg."""
+    """Return words for the axis about which a bracket is turned."""
     names = Orthoglide.names
-    base = p.leg in names.legs  # whose legs lie along base axes
+    along_base_axes = p.leg in names.legs  # whose legs lie along base axes
     if p.direction == "a":
-        return f"{p.leg}, the leg's own axis" if base else "the leg's own axis"
+        return f"{p.leg}, the leg's own axis" if along_base_axes else "the leg's own axis"
     return (
         f"{names.across[names.index(p.leg)][0]}, the axis of its pivots"
-        if base
+        if along_base_axes
         else "the axis of its pivots"
     )
 
 
 def _bracket_sense(p: Parameter, value: float) -> str:
-    """Which way a bracket is turned, as somebody sees it who looks at the machine."""
+    """Return the sense in which a bracket is turned, as seen by a viewer of the machine."""
     return rotation_sense(p.direction, value, p.leg in LinearDelta.names.legs)
 
 
@@ -156,7 +156,8 @@ MOUNT_TILT = Effect(
     },
     words=Words(
         lambda p, v: (
-            f"the first hinge of leg {p.leg} is turned by {mrad(v)} about {_bracket_axis(p)}, {_bracket_sense(p, v)}"
+            f"the first hinge of leg {p.leg} is turned by {mrad(v)} about {_bracket_axis(p)}, "
+            f"{_bracket_sense(p, v)}"
         ),
         lambda p: f"the first hinge of leg {p.leg} is turned about {_bracket_axis(p)}",
         "the first hinges of the legs are turned on their carriages",
@@ -178,8 +179,8 @@ RAIL_TORSION = Effect(
     words=Words(
         lambda p, v: (
             f"the {p.leg} rail is twisted: from one end of the stroke to the other its carriage "
-            f"turns by {mrad(2 * v)} about it, {sign_word(v, 'counter-clockwise', 'clockwise')} on the "
-            f"way up"
+            f"turns by {mrad(2 * v)} about it, "
+            f"{sign_word(v, 'counter-clockwise', 'clockwise')} on the way up"
         ),
         lambda p: f"the {p.leg} rail is twisted along its length",
         "the rails are twisted along their lengths",

@@ -26,7 +26,7 @@ def cause_words(catalogue: Catalogue, name: str, values: Mapping[str, float]) ->
         values: identified values by parameter, SI.
     """
     effect, parameter = _resolve_name(catalogue, name)
-    where = _campaign_suffix(parameter, name)
+    suffix = _campaign_suffix(parameter, name)
     if name in values and parameter is not None:
         if parameter.member and effect.of_body:
             text = value_words(effect, _without_setup(effect, parameter), values[name])
@@ -37,40 +37,37 @@ def cause_words(catalogue: Catalogue, name: str, values: Mapping[str, float]) ->
             text = f"{_clause_of_all(effect)}, {pattern}"
         else:
             text = value_words(effect, parameter, values[name])
-        return text + where
-    parts = {n: v for n, v in values.items() if n.startswith(f"{name.split('@')[0]}.")}
-    if effect.paired and parts and name != effect.name:  # a sine and a cosine of one leg
-        first = catalogue.parameter(next(iter(parts)))
-        return value_words(effect, first, math.hypot(*parts.values())) + where
-    if not parts:
-        return _clause_of_all(effect) + where
-    sizes = [
-        size_words(effect, v) for v in (min(parts.values(), key=abs), max(parts.values(), key=abs))
-    ]
-    return f"{_clause_of_all(effect)}, from {sizes[0]} to {sizes[1]}{where}"
+        return text + suffix
+    of_name = {n: v for n, v in values.items() if n.startswith(f"{name.split('@')[0]}.")}
+    if effect.paired and of_name and name != effect.name:  # a sine and a cosine of one leg
+        first = catalogue.parameter(next(iter(of_name)))
+        return value_words(effect, first, math.hypot(*of_name.values())) + suffix
+    if not of_name:
+        return _clause_of_all(effect) + suffix
+    smallest, largest = (size_words(effect, f(of_name.values(), key=abs)) for f in (min, max))
+    return f"{_clause_of_all(effect)}, from {smallest} to {largest}{suffix}"
 
 
 def cause_short(catalogue: Catalogue, name: str) -> str:
     """Return the clause of a cause without its size."""
     effect, parameter = _resolve_name(catalogue, name)
-    where = _campaign_suffix(parameter, name)
+    suffix = _campaign_suffix(parameter, name)
     if parameter is None and name != effect.name:  # the paired parameters of one leg
         parameter = next(p for p in effect.motions if p.startswith(f"{name.split('@')[0]}."))
     if parameter is not None and parameter.member and effect.of_body:
-        return _clause_without_size(effect, _without_setup(effect, parameter)) + where
+        return _clause_without_size(effect, _without_setup(effect, parameter)) + suffix
     if parameter is not None and not parameter.member:
-        return _clause_without_size(effect, parameter) + where
+        return _clause_without_size(effect, parameter) + suffix
     member = parameter.member if parameter is not None else ""
-    return f"{_clause_of_all(effect)}{_short_pattern(effect, member)}{where}"
+    return f"{_clause_of_all(effect)}{_short_pattern(effect, member)}{suffix}"
 
 
 def value_words(effect: Effect, parameter: Parameter, value: float) -> str:
     """Return the clause of one parameter with its value, SI."""
     if effect.words.one is not None:
         return effect.words.one(parameter, value)
-    return (
-        f"{_clause_without_size(effect, parameter)}, by {_signed_size_or_amplitude(effect, value)}"
-    )
+    size = _signed_size_or_amplitude(effect, value)
+    return f"{_clause_without_size(effect, parameter)}, by {size}"
 
 
 def confirm_words(effect: Effect, parameter: Parameter, value: float) -> str:
@@ -112,24 +109,24 @@ def parameter_words(parameter: Parameter, names: LegNames = CATALOGUE.legs) -> s
 
 
 def _parameter_words(parameter: Parameter, words: str) -> str:
-    where = f" ({parameter.campaign})" if parameter.campaign else ""
+    suffix = f" ({parameter.campaign})" if parameter.campaign else ""
     if parameter.setup:
-        part = f", {parameter.direction}" if parameter.direction else ""
-        return f"{words} of setup {parameter.setup}{part}{where}"
+        shape = f", {parameter.direction}" if parameter.direction else ""
+        return f"{words} of setup {parameter.setup}{shape}{suffix}"
     if parameter.member:
-        return f"{words}, {parameter.member.replace('.', ' ')}{where}"
+        return f"{words}, {parameter.member.replace('.', ' ')}{suffix}"
     if parameter.direction.isdigit():  # of a place's free function
-        return f"curve {words}, number {parameter.direction}{where}"
+        return f"curve {words}, number {parameter.direction}{suffix}"
     effect = CATALOGUE.by_name.get(parameter.effect)
     if _is_lateral(effect, parameter.direction):
-        points = "toward" if effect is None else effect.points
-        way = toward(parameter.direction, 1.0)
-        return f"{words} of leg {parameter.leg} {points} {way}{where}"
-    tail = {"sin": ", sine", "cos": ", cosine"}
+        preposition = "toward" if effect is None else effect.points
+        direction = toward(parameter.direction, 1.0)
+        return f"{words} of leg {parameter.leg} {preposition} {direction}{suffix}"
+    endings = {"sin": ", sine", "cos": ", cosine"}
     if parameter.effect in CATALOGUE.by_name:  # what an own effect does along b, it alone knows
-        tail |= {"a": " about its axis", "b": " about its pivots"}
-    behind = tail.get(parameter.direction, f" {parameter.direction}" if parameter.direction else "")
-    return f"{words} of leg {parameter.leg}{behind}{where}"
+        endings |= {"a": " about its axis", "b": " about its pivots"}
+    ending = endings.get(parameter.direction, f" {parameter.direction}".rstrip())
+    return f"{words} of leg {parameter.leg}{ending}{suffix}"
 
 
 def effects_in_words(names: Iterable[str]) -> tuple[str, ...]:
@@ -143,8 +140,8 @@ def grouped_by_effect(names: Iterable[str]) -> tuple[str, ...]:
     for name in names:
         groups.setdefault(name.partition(".")[0], []).append(name)
     return tuple(
-        one[0] if len(one) == 1 else f"{effect.replace('_', ' ')} ({len(one)} numbers)"
-        for effect, one in groups.items()
+        members[0] if len(members) == 1 else f"{effect.replace('_', ' ')} ({len(members)} numbers)"
+        for effect, members in groups.items()
     )
 
 
@@ -163,8 +160,8 @@ def _resolve_name(catalogue: Catalogue, name: str) -> tuple[Effect, Parameter | 
 
 
 def _without_setup(effect: Effect, member: Parameter) -> Parameter:
-    part = member.member.rpartition(".")[0]
-    return Parameter(effect.name, direction=part)
+    shape = member.member.rpartition(".")[0]
+    return Parameter(effect.name, direction=shape)
 
 
 def _campaign_suffix(parameter: Parameter | None, name: str) -> str:
@@ -176,9 +173,9 @@ def _clause_without_size(effect: Effect, parameter: Parameter) -> str:
     if effect.words.short is not None:
         return effect.words.short(parameter)
     place = f"in setup {parameter.setup}" if parameter.setup else f"on leg {parameter.leg}"
-    sided = _is_lateral(effect, parameter.direction)
-    toward_j = f" toward {toward(parameter.direction, 1.0)}" if sided else ""
-    return f"{place} {effect.sentence}{toward_j}"
+    lateral = _is_lateral(effect, parameter.direction)
+    direction = f" toward {toward(parameter.direction, 1.0)}" if lateral else ""
+    return f"{place} {effect.sentence}{direction}"
 
 
 def _is_lateral(effect: Effect | None, direction: str) -> bool:
@@ -195,8 +192,8 @@ def _short_pattern(effect: Effect, member: str) -> str:
     if not member:
         return ""
     if member.endswith("symmetric"):
-        ways = "opposite ways" if member.endswith("antisymmetric") else "the same way"
-        return f" ({member[0]} and {member[1]}, {ways})"
+        relation = "opposite ways" if member.endswith("antisymmetric") else "the same way"
+        return f" ({member[0]} and {member[1]}, {relation})"
     if _is_lateral(effect, side := member.partition(".")[0]):
         return f", all alike in {across(side)}"
     return ", in a threefold pattern" if member == "cyclic" else ", all by the same amount"
@@ -211,13 +208,12 @@ def _pattern(effect: Effect, parameter: Parameter, value: float) -> str:
         ]
         return f"in a threefold pattern ({', '.join(pairs)}), by {size}"
     if member.endswith("symmetric"):
-        one, other = member[0], member[1]
-        back = -value if member.endswith("antisymmetric") else value
-        return (
-            f"{one} toward {toward(other, value)} and {other} toward {toward(one, back)} by {size}"
-        )
+        first, second = member[0], member[1]
+        way = toward(first, -value if member.endswith("antisymmetric") else value)
+        return f"{first} toward {toward(second, value)} and {second} toward {way} by {size}"
     if _is_lateral(effect, side := member.partition(".")[0]):
         return f"all by {size} toward {toward(side, value)}"
-    if about := _ABOUT.get(side, "") if "." in member else "":
-        return f"all by {size}{about}, {rotation_sense(side, value, effect.names == LinearDelta.names)}"
+    if "." in member and side in _ABOUT:
+        sense = rotation_sense(side, value, effect.names == LinearDelta.names)
+        return f"all by {size}{_ABOUT[side]}, {sense}"
     return f"all by {'' if value >= 0 else MINUS}{size}"

@@ -60,8 +60,8 @@ def rotation_sense(about: str, value: float, tower: bool) -> str:
     """
     if not tower:
         return sign_word(value, "right-handed", "left-handed")
-    seen = {"a": "from above", "b": "from outside the tower"}[about]
-    return f"{sign_word(value, 'counter-clockwise', 'clockwise')} seen {seen}"
+    viewpoint = {"a": "from above", "b": "from outside the tower"}[about]
+    return f"{sign_word(value, 'counter-clockwise', 'clockwise')} seen {viewpoint}"
 
 
 def along(leg: str, axis: str) -> str:

@@ -1,32 +1,32 @@
-"""What the readings say: data faults, changes, causes and free-form errors in one posterior.
+"""Explanation of the readings: data faults, changes, causes and free-form errors in one posterior.
 
-The files in the order of the data. Faults are found and corrected first, as far as they are
-certain; then everything is weighed together.
+The files are listed in the order of the data. Faults that are certain are found and corrected
+first; then all explanations are compared together.
 
 Columns of the linear model
     candidates            causes of the catalogue and their structured members
-    free                  free-form errors at a joint, of a dial or of a plate
+    free_form             free-form errors at a joint, of a dial or of a plate
     faults                data faults as hypotheses, and their messages
-    suspects              data faults as columns: slips, knocks, moved instruments, wrong commands
-    twins                 parameters that neither readings nor tool tell apart
+    fault_columns         data faults as columns: slips, knocks, moved instruments, wrong commands
+    twins                 parameters with equal effects on readings and tool
     grouping              which of these may be active, with their prior probabilities
-    screening             a score test of all data faults, of which few are kept
-    compressed            many readings in the few directions that could show anything
-    columns               the readings, linear in all of the above
+    screening             a score test of all data faults, after which few are kept
+    compression           many readings, in the few directions that coefficients move
+    columns               the readings as a linear model of all of the above
 
 Search and posterior
-    linear                the linear model and the grid of background and noise scales
+    linear_model          the linear model and the grid of background and noise scales
     pairs                 the likeliest pairs of causes
     search                states of active groups by their evidence
     mixture               means, covariances and probabilities over the states
-    everything            the posterior, linearised at its mean until that is stationary
-    alternatives          what else may stand in the place of an active group
+    full_posterior        the posterior, linearised at its mean until that is stationary
+    alternatives          alternatives to each active group
 
 Data faults and changes
     repeats               what repeats show of the noise
     alternative_readings  signs, units, labels, shifts: other data that the readings may be
-    wide                  their likelihood over wide backgrounds
-    ranking               the likeliest of them, whole turns included
+    full_likelihood       their likelihood over wide backgrounds
+    ranked_readings       the likeliest of them, whole turns included
     credible_faults       which data faults are certain, and which may be a cause
     change_model, change, changes, recalibration
                           parameters that changed between visits or since a calibration
@@ -35,12 +35,12 @@ Data faults and changes
 Results
     causes                causes and located errors with their credible sets, as data
     base_causes           base parameters far beyond their tolerances
-    outstanding           credible sets from the posterior
-    members               what belongs to a class that the readings cannot tell apart
+    credible_sets         credible sets from the posterior
+    class_members         members of a class that the readings cannot tell apart
     levels                levels whose readings have a likelier meaning
-    significance          whether the posterior leaves more than noise
+    significance          tests of the lack of fit
     budget                what each cause contributes to readings and tool
-    residuals             where a fit leaves most
+    residuals             the residual of a fit by setup
     identifying           `identify`, `--free` and `--own`
     signatures            columns and evidence of single candidates, for planning
 """

@@ -1,4 +1,4 @@
-"""Base parameters that are certainly far beyond tolerance, as causes of their own."""
+"""Base parameters that are certainly far beyond their tolerances, as causes."""
 
 from __future__ import annotations
 
@@ -18,60 +18,60 @@ _CERTAIN_SIGMAS = 2.0  # standard deviations by which a parameter must exceed it
 def far_base_causes(posterior: FullPosterior) -> Iterator[Cause]:
     """Yield base parameters certainly far beyond tolerance, zeros of drives excepted.
 
-    Parts of one kind on all legs are one cause where they are off alike: rods cut to one
-    length, or measured by one calliper. Of these and of single parts the fewer are reported.
+    If a common error of the parts on all legs (rods cut to one wrong length) needs fewer causes
+    than single parts, it is reported in their place.
     """
     problem = posterior.before.problem
     catalogue, effects = problem.machine.catalogue, [n.effect for n in problem.names]
     for effect in dict.fromkeys(effects):
         if catalogue[effect].controller == "zero":
             continue
-        at = [k for k, name in enumerate(problem.names) if name.effect == effect]
-        one_each = np.eye(len(at))
-        single = [(problem.names[k], one_each[i]) for i, k in enumerate(at)]
-        found = _beyond_tolerance(posterior, at, single)
-        members = {problem.names[k] for k in at}
+        index = [k for k, name in enumerate(problem.names) if name.effect == effect]
+        identity = np.eye(len(index))
+        single = [(problem.names[k], identity[i]) for i, k in enumerate(index)]
+        causes = _beyond_tolerance(posterior, index, single)
+        members = {problem.names[k] for k in index}
         for pattern, weights in catalogue.structured_members(effect).items():
-            if pattern.member == "common" and set(weights) == members and len(at) > 1:
-                mean = np.full(len(at), 1 / len(at))
-                alike = [(pattern, mean), *((n, w - mean) for n, w in single)]
-                together = _beyond_tolerance(posterior, at, alike)
-                if together and together[0].name == pattern and len(together) < len(found):
-                    found = together
-        yield from found
+            if pattern.member == "common" and set(weights) == members and len(index) > 1:
+                mean = np.full(len(index), 1 / len(index))
+                combined = [(pattern, mean), *((n, w - mean) for n, w in single)]
+                common = _beyond_tolerance(posterior, index, combined)
+                if common and common[0].name == pattern and len(common) < len(causes):
+                    causes = common
+        yield from causes
 
 
 def _beyond_tolerance(
-    posterior: FullPosterior, at: Sequence[int], combined: Sequence[tuple[str, Array]]
+    posterior: FullPosterior, index: Sequence[int], combined: Sequence[tuple[str, Array]]
 ) -> list[Cause]:
     """Return those combinations of base parameters that are certainly far beyond tolerance.
 
     Args:
-        posterior: of the readings.
-        at: indices of the parameters, all of one effect.
-        combined: each with its name and its weights of these ``(k,)``.
+        posterior: of the full model.
+        index: of the parameters, all of one effect.
+        combined: name and weights ``(k,)`` of each combination.
     """
-    about, problem, known = posterior.linearised, posterior.before.problem, posterior.moments
+    linearised, problem, moments = posterior.linearised, posterior.before.problem, posterior.moments
     machine, count = problem.machine, len(problem.names)
     names, values, _ = posterior.machine_parameters(posterior.mean)
-    past = problem.without_entered_mean(known.mean[:count] * about.units[:count])[at]
-    scale = about.units[at]
-    spread = known.covariance[np.ix_(at, at)] * scale * scale[:, None]
-    most, found = MAX_TOLERANCES * machine.tolerance(problem.names[at[0]]), list[Cause]()
+    mean = problem.without_entered_mean(moments.mean[:count] * linearised.units[:count])[index]
+    units = linearised.units[index]
+    covariance = moments.covariance[np.ix_(index, index)] * units * units[:, None]
+    limit, causes = MAX_TOLERANCES * machine.tolerance(problem.names[index[0]]), list[Cause]()
     for name, weights in combined:
-        value, sigma = float(weights @ past), float(np.sqrt(weights @ spread @ weights))
-        if abs(value) - _CERTAIN_SIGMAS * sigma < most:
+        value, sigma = float(weights @ mean), float(np.sqrt(weights @ covariance @ weights))
+        if abs(value) - _CERTAIN_SIGMAS * sigma < limit:
             continue
-        shown = about.rows[:, at] @ ((weights > 0) * value / scale)
-        one = Explanation(
+        signature = linearised.rows[:, index] @ ((weights > 0) * value / units)
+        explanation = Explanation(
             str(name),
             (str(name),),
-            float(ndtr((abs(value) - most) / sigma)),
+            float(ndtr((abs(value) - limit) / sigma)),
             {str(name): value},
             {str(name): sigma},
             dict(zip(names, values.tolist(), strict=True)),
-            shown - about.nuisance.explained_residual(shown),
+            signature - linearised.nuisance.explained_residual(signature),
             posterior.machine.catalogue,
         )
-        found.append(Cause(one, (), ()))
-    return found
+        causes.append(Cause(explanation, (), ()))
+    return causes

@@ -1,9 +1,9 @@
-"""The error budget: what each cause makes of the readings and of the tool, and what mending gains.
+"""The error budget: the effect of each cause on readings and tool, and the gain of mending it.
 
-The error counted is the tool's over the workspace that the best zeros and bar lengths of a
-controller leave, a shift of the whole removed: what a mechanic can still gain. It is drawn from the
-posterior, one explanation or another, so that causes which these readings cannot part are counted
-jointly, and one that is there in one case of ten is beyond its tolerance in no more.
+The error counted is the tool's over the workspace after the best zeros and bar lengths of a
+controller, without its mean. It is drawn from the posterior over all explanations. Causes that the
+readings cannot distinguish are thereby counted jointly, and a cause that is active in one case of
+ten exceeds its tolerance in no more.
 """
 
 from __future__ import annotations
@@ -25,134 +25,145 @@ from orthoglide.ordering import ranked
 from orthoglide.result import BudgetItem
 
 _DRAWS = 400
-_NO_GAIN = 1e-9  # metres: differences of gain below are rounding, and below anything that matters
+_NO_GAIN = 1e-9  # metres: smaller differences of gain are rounding
 _STEPS = 2  # of Gauss-Newton, on a problem that is nearly linear
 
 
 def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tuple[BudgetItem, ...]:
-    """Rank what is wrong by what mending it gains, largest first: each cause found by itself, what
-    is left of an effect together.
+    """Return the causes ranked by the gain of mending them, largest first.
+
+    Each cause found counts by itself; the remaining parameters of an effect count together.
     """
     machine = posterior.machine
-    known, catalogue, values = machine.posterior, machine.catalogue, machine.values
-    base = np.array([catalogue.effect_of(n).name in catalogue.base for n in known.names])
+    parameters, catalogue, values = machine.posterior, machine.catalogue, machine.values
+    is_base = np.array([catalogue.effect_of(n).name in catalogue.base for n in parameters.names])
     controller = _Controller.of(machine)
-    slopes = without_translation(tcp_slopes(machine, known.names)).reshape(-1, len(known.names))
-    slopes = controller.residual(slopes)
-    # A translation of the whole makes no shape: what it leaves open is no cause's part.
+    # Without translations of the whole machine, whose uncertainty belongs to no cause.
+    slopes = without_translation(tcp_slopes(machine, parameters.names))
+    slopes = controller.residual(slopes.reshape(-1, len(parameters.names)))
     _, mean, weights = posterior.machine_parameters(posterior.mean)
-    normal = np.random.default_rng(0).standard_normal((_DRAWS, len(known.names)))
-    off, now = posterior.mixture.draws(weights, normal) - mean, controller.residual_of(values)
-    drawn = now + off @ slopes.T
-    total = _mean_length(drawn)
-    found = []
-    for cause, names, rest in _parameters_by_cause(posterior, causes, known.names, base):
-        at = [known.names.index(n) for n in names]
+    normal = np.random.default_rng(0).standard_normal((_DRAWS, len(parameters.names)))
+    deviations = posterior.mixture.draws(weights, normal) - mean
+    residual_error = controller.residual_of(values)
+    drawn_errors = residual_error + deviations @ slopes.T
+    drawn_length = _mean_length(drawn_errors)
+    items = []
+    parts = _parameters_by_cause(posterior, causes, parameters.names, is_base)
+    for cause, names, is_remainder in parts:
+        index = [parameters.names.index(n) for n in names]
         # Exact at the mean: a bar off by millimetres turns the platform by more than its slope.
-        mended = controller.residual_of({n: v for n, v in values.items() if n not in names})
-        known_part = now - mended
-        part = known_part + off[:, at] @ slopes[:, at].T
-        gain = total - _mean_length(drawn - part)
-        compensated = total - _mean_length(drawn - known_part)
+        mended = {n: v for n, v in values.items() if n not in names}
+        mean_part = residual_error - controller.residual_of(mended)
+        part = mean_part + deviations[:, index] @ slopes[:, index].T
+        gain = drawn_length - _mean_length(drawn_errors - part)
+        compensated = drawn_length - _mean_length(drawn_errors - mean_part)
         tolerance = np.array([machine.tolerance(n) for n in names])
-        size, single = np.abs(known.mean[at] + off[:, at]) / tolerance, len(at) == 1
-        length, unit = _mean_length(part), catalogue.effect_of(cause).unit
-        sigma = float(np.sqrt(known.covariance[at[0], at[0]])) / unit.si
-        found.append(
+        in_tolerances = np.abs(parameters.mean[index] + deviations[:, index]) / tolerance
+        part_length, unit = _mean_length(part), catalogue.effect_of(cause).unit
+        single, first = len(index) == 1, index[0]
+        sigma = float(np.sqrt(parameters.covariance[first, first])) / unit.si
+        items.append(
             BudgetItem(
                 cause,
                 cause_short(catalogue, cause),
                 tuple(t for n in names for t in (n, *dict(posterior.linearised.twins.get(n, ())))),
-                float(known.mean[at[0]]) / unit.si if single else float("nan"),
+                float(parameters.mean[first]) / unit.si if single else float("nan"),
                 sigma if single else float("nan"),
                 unit.name,
-                float(np.max(np.abs(known.mean[at]) / tolerance)),
-                float(np.mean((size > 1).any(axis=1))),
+                float(np.max(np.abs(parameters.mean[index]) / tolerance)),
+                float(np.mean((in_tolerances > 1).any(axis=1))),
                 _rms_of_readings(posterior, names),
-                float(length.mean()),
-                float(length.std()),
+                float(part_length.mean()),
+                float(part_length.std()),
                 float(gain.mean()),
                 float(gain.std()),
                 float(compensated.mean()),
                 float(compensated.std()),
-                float(gain.mean() / max(total.mean(), 1e-12)),
-                rest,
+                float(gain.mean() / max(drawn_length.mean(), 1e-12)),
+                is_remainder,
             )
         )
-    by_name = sorted(found, key=lambda item: item.cause)
+    by_name = sorted(items, key=lambda item: item.cause)
     return tuple(ranked(by_name, lambda item: item.gain, _NO_GAIN))
 
 
 def _parameters_by_cause(
     posterior: FullPosterior, causes: Mapping[str, Sequence[str]], names: Sequence[str], base: Array
 ) -> list[tuple[str, list[str], bool]]:
-    """Causes with the machine's parameters that each is made of, none twice, zeros left out, and
-    whether it is what is left of an effect: a cause that is a whole family has the effect's name.
+    """Return each cause with its parameters of the machine, and whether it is a remainder.
+
+    No parameter is counted twice, and those of ``base`` are left out. The parameters of an effect
+    that belong to no cause are its remainder, under the effect's name.
     """
     catalogue = posterior.machine.catalogue
     twins = {t for others in posterior.linearised.twins.values() for t, _ in others}
-    left = [n for n, b in zip(names, base, strict=True) if not b and n not in twins]
-    found: list[tuple[str, list[str], bool]] = []
+    unassigned = [
+        n for n, is_base in zip(names, base, strict=True) if not is_base and n not in twins
+    ]
+    parts: list[tuple[str, list[str], bool]] = []
     for cause, parameters in causes.items():
-        parts = set(map(str, catalogue.elementary_machine_values(dict.fromkeys(parameters, 1.0))))
-        mine = [n for n in left if n in parts]
-        if mine:
-            found.append((cause, mine, False))
-            left = [n for n in left if n not in parts]
+        weights = catalogue.elementary_machine_values(dict.fromkeys(parameters, 1.0))
+        elementary = set(map(str, weights))
+        own_names = [n for n in unassigned if n in elementary]
+        if own_names:
+            parts.append((cause, own_names, False))
+            unassigned = [n for n in unassigned if n not in elementary]
     by_effect: dict[str, list[str]] = {}
-    for n in left:
+    for n in unassigned:
         by_effect.setdefault(catalogue.effect_of(n).name, []).append(n)
-    return [*found, *((effect, mine, True) for effect, mine in by_effect.items())]
+    return [*parts, *((effect, own_names, True) for effect, own_names in by_effect.items())]
 
 
 @dataclass(frozen=True, eq=False)
 class _Controller:
-    """A controller that takes the best zeros and bar lengths, and what it leaves."""
+    """A controller that corrects zeros and bar lengths, and the error that remains."""
 
-    machine: Machine  # whose workspace it is
-    settings: Mapping[str, float]  # zeros and lengths to start from, SI
-    slopes: Array  # TCP's shape over the workspace by these (3 g, B), metres
+    machine: Machine
+    settings: Mapping[str, float]  # initial zeros and lengths, SI
+    slopes: Array  # shape error of the TCP over the workspace by setting (3 g, B), metres
 
     @classmethod
     def of(cls, machine: Machine) -> _Controller:
+        """Return the controller of a machine, with the machine's values as settings."""
         names = machine.catalogue.expand(machine.catalogue.base)
-        held = {str(n): machine.values.get(n, 0.0) for n in names}
-        slopes = without_translation(tcp_slopes(machine.with_only(held), names))
-        return cls(machine, held, slopes.reshape(-1, len(names)))
+        settings = {str(n): machine.values.get(n, 0.0) for n in names}
+        slopes = without_translation(tcp_slopes(machine.with_only(settings), names))
+        return cls(machine, settings, slopes.reshape(-1, len(names)))
 
     @cached_property
     def inverse(self) -> Array:
-        """From errors ``(3 g,)`` to the settings that make up for them ``(B, 3 g)``."""
+        """Matrix from errors ``(3 g,)`` to the settings that correct them ``(B, 3 g)``."""
         sd = np.array([self.machine.tolerance(n) for n in self.settings])
         return np.asarray(sd[:, None] * np.linalg.pinv(self.slopes * sd, rcond=1e-6))
 
     def residual(self, errors: Array) -> Array:
-        """Errors ``(3 g, ...)`` that no setting makes up for, to first order."""
+        """Return the errors ``(3 g, ...)`` that no setting corrects, to first order."""
         return np.asarray(errors - self.slopes @ (self.inverse @ errors))
 
     def residual_of(self, values: Mapping[str, float]) -> Array:
-        """What the best settings leave of a machine's error over the workspace ``(3 g,)``."""
-        where, settings = workspace_commands(self.machine), np.array([*self.settings.values()])
-        goal = self.machine.with_only(values).forward(where)
+        """Return the error of a machine over the workspace ``(3 g,)`` with the best settings."""
+        commands, settings = workspace_commands(self.machine), np.array([*self.settings.values()])
+        goal = self.machine.with_only(values).forward(commands)
         for _ in range(_STEPS):
-            taken = self.machine.with_only(dict(zip(self.settings, settings.tolist(), strict=True)))
-            apart = without_translation(goal - taken.forward(where)).ravel()
-            settings = settings + self.inverse @ apart
-        return self.residual(apart)
+            values_set = dict(zip(self.settings, settings.tolist(), strict=True))
+            compensated = self.machine.with_only(values_set)
+            difference = without_translation(goal - compensated.forward(commands)).ravel()
+            settings = settings + self.inverse @ difference
+        return self.residual(difference)
 
 
 def _mean_length(errors: Array) -> Array:
-    """Mean distance over the workspace ``(draws,)`` of errors ``(draws, 3 g)``."""
+    """Return the mean length over the workspace ``(draws,)`` of errors ``(draws, 3 g)``."""
     return np.asarray(np.linalg.norm(errors.reshape(len(errors), -1, 3), axis=2).mean(axis=1))
 
 
 def _rms_of_readings(posterior: FullPosterior, names: Sequence[str]) -> ByUnit:
-    """Root mean square of a cause's part of the readings at the mean."""
-    about, mean = posterior.linearised, posterior.mean
-    at = [k for k, n in enumerate(about.problem.names) if n.plain in set(names)]
-    for place in posterior.free_form_errors:
-        if set(place.effect.motions) & set(names):
-            at += about.coefficients(place).tolist()
-    rows = about.rows[:, at] @ mean[at]
+    """Return the root mean square of a cause's part of the readings at the mean."""
+    linearised, mean = posterior.linearised, posterior.mean
+    coefficients = [k for k, n in enumerate(linearised.problem.names) if n.plain in set(names)]
+    for error in posterior.free_form_errors:
+        if set(error.effect.motions) & set(names):
+            coefficients += linearised.coefficients(error).tolist()
+    rows = linearised.rows[:, coefficients] @ mean[coefficients]
     rows = rows - posterior.linearised.nuisance.explained_residual(rows)
-    return rms_by_unit(rows, about.problem.angular)
+    return rms_by_unit(rows, linearised.problem.angular)

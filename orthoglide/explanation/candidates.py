@@ -1,4 +1,4 @@
-"""The candidates: every effect that these readings could show, alone, structured, or whole."""
+"""The candidate causes: single parameters, structured members and whole effects."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from orthoglide.parameters import Parameter
 class Candidate:
     """A cause that may be added to the model."""
 
-    name: str  # `axis_tilt.y.z`, `axis_tilt.cyclic`, an effect's own, or `screw_error.x`
+    name: str  # as `axis_tilt.y.z`, `axis_tilt.cyclic`, `axis_tilt` or `screw_error.x`
     effect: str  # name of its effect
-    parameters: tuple[Parameter, ...]  # what is freed if it is added, as `with_free` takes it
-    # of the elementary unknowns, one mapping for each of `parameters`
-    weights: tuple[Mapping[str, float], ...]
+    parameters: tuple[Parameter, ...]  # that it frees, as `with_free` takes them
+    weights: tuple[Mapping[str, float], ...]  # of elementary unknowns, for each of `parameters`
 
     @property
     def size(self) -> int:
@@ -26,9 +25,10 @@ class Candidate:
 
     @property
     def relative_prior(self) -> float:
-        """How often it goes wrong, over a cause of one part. A pattern counts as the parts that it
-        moves, as each would have to be wrong; a common error counts as one, as parts of one drawing
-        and one supplier have it together.
+        """Prior probability, relative to a cause of one part.
+
+        A pattern over n parts has 1/n, as each of them would have to be wrong. A common error has
+        1, as parts of one drawing and one supplier share their errors.
         """
         if self.size > 1 or self.parameters[0].plain.endswith("common"):
             return 1.0
@@ -38,73 +38,68 @@ class Candidate:
 def candidates(
     names: Sequence[Parameter], effects: Sequence[Effect], catalogue: Catalogue
 ) -> tuple[Candidate, ...]:
-    """All candidates made of elementary unknowns, campaigns included: single, structured, and
-    effects whole.
-    """
-    found: dict[str, Candidate] = {}
+    """Return all candidates made of elementary unknowns: single, structured, and whole effects."""
+    by_weights: dict[str, Candidate] = {}
     for effect in effects:
-        mine = [n for n in names if n.effect == effect.name]
+        own_names = [n for n in names if n.effect == effect.name]
         single = (
-            _dial_candidates(effect, mine, catalogue)
+            _dial_candidates(effect, own_names, catalogue)
             if effect.of_dial
-            else _machine_candidates(effect, mine, catalogue)
+            else _machine_candidates(effect, own_names, catalogue)
         )
-        for candidate in (*single, *_family_candidates(effect, mine)):
-            # The same parameters under two names would be one cause twice.
-            each = (sorted((str(n), w) for n, w in c.items()) for c in candidate.weights)
-            found.setdefault(repr(sorted(each)), candidate)
-    return tuple(found.values())
+        for candidate in (*single, *_family_candidates(effect, own_names)):
+            # Equal weights under two names would be one cause twice.
+            weights_key = (sorted((str(n), w) for n, w in c.items()) for c in candidate.weights)
+            by_weights.setdefault(repr(sorted(weights_key)), candidate)
+    return tuple(by_weights.values())
 
 
 def _dial_candidates(
     effect: Effect, names: list[Parameter], catalogue: Catalogue
 ) -> list[Candidate]:
-    """Candidates of dials: each campaign has its own."""
+    """Return the candidates of an effect of dials: its members within each campaign."""
     members = [Candidate(n, effect.name, (n,), ({n: 1.0},)) for n in names]
-    if effect.of_body:  # shared by all campaigns, and of each setup only where there is one
+    if effect.of_body:  # one plate, which all setups and campaigns share
+        if len(set(names)) == len({n.direction for n in names}):
+            return members
         shared = catalogue.structured_members(effect.name, tuple({n.setup for n in names}))
-        return (
-            [
-                _pattern_candidate(effect, member, seen)
-                for member, weights in shared.items()
-                if (seen := {n: 1.0 for n in names if n.plain in weights})
-            ]
-            if len(set(names)) > len({n.direction for n in names})
-            else members
-        )
+        weights_of = {m: {n: 1.0 for n in names if n.plain in w} for m, w in shared.items()}
+        return [_pattern_candidate(effect, m, w) for m, w in weights_of.items() if w]
     for campaign in dict.fromkeys(n.campaign for n in names):
-        here = [n.plain for n in names if n.campaign == campaign]
-        setups = tuple(n.setup for n in here)
+        plain_names = [n.plain for n in names if n.campaign == campaign]
+        setups = tuple(n.setup for n in plain_names)
         for member, weights in catalogue.structured_members(effect.name, setups).items():
-            full = {n.at(campaign): w for n, w in weights.items()}
-            members.append(_pattern_candidate(effect, member.at(campaign), full))
+            weights_by_name = {n.at(campaign): w for n, w in weights.items()}
+            members.append(_pattern_candidate(effect, member.at(campaign), weights_by_name))
     return members
 
 
 def _machine_candidates(
     effect: Effect, names: list[Parameter], catalogue: Catalogue
 ) -> list[Candidate]:
-    """Candidates of the machine: what campaigns have for themselves makes one cause together."""
-    parts: dict[Parameter, list[Parameter]] = {}
+    """Return the candidates of an effect of the machine.
+
+    The parameters that are specific to campaigns make one cause together.
+    """
+    copies_by_parameter: dict[Parameter, list[Parameter]] = {}
     for name in names:
-        parts.setdefault(name.plain, []).append(name)
+        copies_by_parameter.setdefault(name.plain, []).append(name)
     members = [
         Candidate(plain, effect.name, tuple(full), tuple({n: 1.0} for n in full))
-        for plain, full in parts.items()
+        for plain, full in copies_by_parameter.items()
     ]
-    shared = {plain for plain, full in parts.items() if full == [plain]}
+    shared = {plain for plain, full in copies_by_parameter.items() if full == [plain]}
     patterns = catalogue.structured_members(effect.name)
-    separate = {tuple(n.campaign for n in full) for full in parts.values()}
-    if shared or len(separate) != 1:
-        return members + [
-            _pattern_candidate(effect, m, w) for m, w in patterns.items() if set(w) <= shared
-        ]
-    (campaigns,) = separate
+    campaign_sets = {tuple(n.campaign for n in full) for full in copies_by_parameter.values()}
+    if shared or len(campaign_sets) != 1:
+        complete = {m: w for m, w in patterns.items() if set(w) <= shared}
+        return members + [_pattern_candidate(effect, m, w) for m, w in complete.items()]
+    (campaigns,) = campaign_sets
     for member, weights in patterns.items():
-        if set(weights) <= set(parts):
+        if set(weights) <= set(copies_by_parameter):
             copies = tuple({str(n.at(c)): w for n, w in weights.items()} for c in campaigns)
-            freed = tuple(member.at(c) for c in campaigns)
-            members.append(Candidate(member, effect.name, freed, copies))
+            parameters = tuple(member.at(c) for c in campaigns)
+            members.append(Candidate(member, effect.name, parameters, copies))
     return members
 
 
@@ -115,12 +110,12 @@ def _pattern_candidate(
 
 
 def _family_candidates(effect: Effect, names: list[Parameter]) -> list[Candidate]:
-    """An effect whole; and where a leg has several parameters of one cause, those of each leg."""
+    """Return a whole effect and, if a leg has several of its parameters, those of each leg."""
     if effect.of_dial or len(names) < 2:
         return []
-    # Where legs share their directions an effect whole is patterns of its own: the common ones.
-    patterned = len({n.direction for n in names}) > 1 and effect.names.same_directions
-    blocks = {} if patterned else {effect.name: names}
+    # If all legs have the same directions, the common patterns represent the whole effect.
+    has_patterns = len({n.direction for n in names}) > 1 and effect.names.same_directions
+    blocks = {} if has_patterns else {effect.name: names}
     if effect.paired:
         for name in names:
             blocks.setdefault(f"{effect.name}.{name.leg}", []).append(name)

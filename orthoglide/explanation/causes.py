@@ -1,4 +1,4 @@
-"""What may stand out of the background: causes with a name, places without, their credible sets."""
+"""Active causes, located errors and their credible sets, as data."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from orthoglide.result import CandidateScore, DataRival
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Explanation:
-    """One cause of the catalogue, all else that was found given."""
+    """One cause of the catalogue, given all other causes."""
 
     name: str  # of the cause
     parameters: tuple[str, ...]  # that it consists of, as `with_free` takes them
-    probability: float  # all else given
+    probability: float  # given all other causes
     values: Mapping[str, float]  # of its parameters, SI
     sigmas: Mapping[str, float]  # of these
     machine: Mapping[str, float]  # all parameters of the machine with this cause, SI
-    shown: Array  # its part of the readings, datums fitted (n,), metres
+    shown: Array  # its part of the readings, past the datums (n,), metres
     catalogue: Catalogue  # that it belongs to
 
     def __repr__(self) -> str:
@@ -34,28 +34,28 @@ class Explanation:
 
     @property
     def unit(self) -> str:
-        """Of its parameters, as files name it."""
+        """Unit of its parameters, as files name it."""
         return self.catalogue.effect_of(self.name).unit.name
 
     @property
     def words(self) -> str:
-        """What is wrong, with size and sign, as a clause; of each campaign if these differ."""
+        """Clause that says what is wrong, with size and sign; for each campaign if these differ."""
         if split_campaign(self.name)[1]:
             return cause_words(self.catalogue, self.name, dict(self.values))
-        each = dict[str, dict[str, float]]()
+        values_by_campaign = dict[str, dict[str, float]]()
         for name, value in self.values.items():
             parameter = self.catalogue.parameter(name)
-            each.setdefault(parameter.campaign, {})[parameter.plain] = value
-        told = [
+            values_by_campaign.setdefault(parameter.campaign, {})[parameter.plain] = value
+        clauses = [
             cause_words(self.catalogue, self.name, values)
-            + f" ({campaign})" * bool(campaign and len(each) > 1)
-            for campaign, values in each.items()
+            + f" ({campaign})" * bool(campaign and len(values_by_campaign) > 1)
+            for campaign, values in values_by_campaign.items()
         ]
-        return ", and ".join(told)
+        return ", and ".join(clauses)
 
     @property
     def exceeds_uncertainty(self) -> bool:
-        """Whether anything of it is larger than its uncertainty: else it explains nothing."""
+        """True if any parameter is larger than its uncertainty; else the cause explains nothing."""
         return any(abs(value) > self.sigmas[n] for n, value in self.values.items())
 
     @property
@@ -65,9 +65,9 @@ class Explanation:
 
     @property
     def estimate_in_unit(self) -> tuple[float, float] | None:
-        """Value and sigma in its unit; ``None`` where it has several parameters.
+        """Value and sigma in its unit; ``None`` if it has several parameters.
 
-        Of one that campaigns have for themselves: the last one's.
+        For a parameter that is specific to campaigns, they are those of the last one.
         """
         if len({self.catalogue.parameter(n).plain for n in self.parameters}) != 1:
             return None
@@ -77,17 +77,13 @@ class Explanation:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Cause:
-    """One cause that stands out, with its credible set."""
+    """One active cause, with its credible set."""
 
     chosen: Explanation  # the most probable of the set
-    # the rest of the set that moves the tool otherwise, most probable first
-    rivals: tuple[Explanation, ...]
-    # what moves the tool alike too: the same cause under another name
-    same: tuple[Explanation, ...]
-    # places of the set, of which it is less likely than by name
-    places: tuple[Curve, ...] = ()
-    # faults of the data of the set, most probable first
-    data: tuple[DataRival, ...] = ()
+    rivals: tuple[Explanation, ...]  # others, which move the tool differently; most probable first
+    same: tuple[Explanation, ...]  # others, which move the tool equally: other names of the cause
+    places: tuple[Curve, ...] = ()  # free-form errors of the set, less probable than the causes
+    data: tuple[DataRival, ...] = ()  # data faults of the set, most probable first
 
     def __repr__(self) -> str:
         others = ", ".join(self.indistinguishable_from)
@@ -95,32 +91,32 @@ class Cause:
 
     @property
     def name(self) -> str:
-        """Of the cause."""
+        """Name of the chosen explanation."""
         return self.chosen.name
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """That it consists of."""
+        """Parameters of the chosen explanation."""
         return self.chosen.parameters
 
     @property
     def probability(self) -> float:
-        """All else that was found given."""
+        """Probability of the chosen explanation, given all other causes."""
         return self.chosen.probability
 
     @property
     def together(self) -> float:
-        """Probability of the chosen one under any of its names, which share it."""
+        """Probability of the chosen explanation under all of its names, which share it."""
         return sum(one.probability for one in (self.chosen, *self.same))
 
     @property
     def explanations(self) -> tuple[Explanation, ...]:
-        """The credible set."""
+        """All named explanations of the credible set."""
         return (self.chosen, *self.same, *self.rivals)
 
     @property
     def others(self) -> tuple[Explanation | Curve, ...]:
-        """What else it may be, by name and by place."""
+        """Rivals and free-form errors of the set."""
         return (*self.rivals, *self.places)
 
     @property
@@ -130,39 +126,40 @@ class Cause:
 
     @property
     def indistinguishable_from(self) -> tuple[str, ...]:
-        """Names of the rest of the set."""
+        """Names of all other explanations of the set."""
         return tuple(one.name for one in (*self.same, *self.rivals))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Curve:
-    """A place and the free function found there."""
+    """A free-form error with its curve."""
 
-    place: FreeForm  # where and how
-    probability: float  # all else that was found given
-    at: Array  # where the function is given: travel, command (metres) or time (seconds) (k,)
-    # SI (k,); about its mean unless it is lost motion, as a level may belong to the zeros
+    place: FreeForm  # its place and form
+    probability: float  # given all other causes
+    at: Array  # abscissa (k,): travel or command (metres), or time (seconds)
+    # SI (k,); without its mean, which may belong to the zeros, unless it is lost motion or local
     value: Array
-    sigma: Array  # of the same, SI (k,)
+    sigma: Array  # of the values, SI (k,)
 
     def __repr__(self) -> str:
         return f"<{self.name}, probability {self.probability:.2f}: {self.size_words}>"
 
     @property
     def name(self) -> str:
-        """Of the place."""
+        """Name of the free-form error."""
         return self.place.name
 
     @property
     def words(self) -> str:
-        """What is wrong there, with its size, as a clause."""
+        """Clause that says what is wrong, with its size."""
         return f"{self.place.words}, by {self.size_words}"
 
     @property
     def size(self) -> float:
-        """How much it moves, SI: on an approach between the two sides, root mean square; after a
-        reversal from the turn to the farthest; a bump at its top, and a jump as high as it is;
-        else root mean square about its mean.
+        """Size of the error, SI.
+
+        It is the largest value of a bump or jump, the range after a reversal, the root mean square
+        difference of both approaches, and else the root mean square about the mean.
         """
         if self.place.is_local:
             return float(np.abs(self.value).max())
@@ -174,40 +171,40 @@ class Curve:
 
     @property
     def unit(self) -> str:
-        """In which people read it: millimetres, or milliradians of what turns."""
+        """Unit of the reports: millimetres, or milliradians for rotations."""
         return "mrad" if self.place.is_rotation else "mm"
 
     @property
     def size_words(self) -> str:
-        """Its size with its unit, and whether that is a root mean square."""
+        """Size with its unit, marked if it is a root mean square."""
         whole = self.place.depends_on_approach or self.place.is_local
         return f"{compact(self.size * 1e3, 2)} {self.unit}{'' if whole else ' rms'}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Located:
-    """Something without a name: a class of places of which it is one."""
+    """A free-form error: a class of places that the readings cannot tell apart."""
 
     members: tuple[Curve, ...]  # most probable first
     resembling: tuple[str, ...]  # causes of the catalogue in the same credible set
-    probability: float  # that it is one of the members, all else that was found given
-    group: int  # of the likeliest explanation, in whose place any of these may be
-    # causes of the catalogue that move what the first member moves, and are none of the set
-    ruled_out: tuple[str, ...] = ()
-    # faults of the data in the same credible set, most probable first
-    data: tuple[DataRival, ...] = ()
+    probability: float  # that it is one of the members, given all other causes
+    group: int  # active group of the best state, to which the members are alternatives
+    ruled_out: tuple[str, ...] = ()  # causes that move the same as the first member, not in the set
+    data: tuple[DataRival, ...] = ()  # data faults in the same credible set, most probable first
 
     def __repr__(self) -> str:
         return f"<Located {', '.join(map(repr, self.members))}>"
 
     @property
     def name(self) -> str:
-        """Of the most probable place."""
+        """Name of the most probable member."""
         return self.members[0].name
 
     def in_machine(self, known: Container[str]) -> tuple[str, tuple[str, ...]]:
-        """Name of the class in an error budget, and the parameters of its places in a machine that
-        has these effects; places of a dial, of lost motion, and improbable ones, are none of them.
+        """Return the name of the class in an error budget, and its parameters in a machine.
+
+        Members that the machine does not contain are left out: those of dials, lost motion,
+        improbable ones.
         """
         effects = [curve.place.effect for curve in self.members]
         found = [effect for effect in effects if effect.name in known]
@@ -217,21 +214,19 @@ class Located:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CredibleSets:
-    """Everything that stands out of the background."""
+    """All active causes and located errors, and what is reported if there are none."""
 
-    # with names, that first without which the readings are explained worst
-    causes: tuple[Cause, ...]
-    located: tuple[Located, ...]  # places without, in the same order
-    candidate_scores: tuple[CandidateScore, ...]  # all that came near, most probable first
-    # where nothing stands out of a background that shows: causes of which one would be behind it if
-    # the rest of the machine were sound
+    causes: tuple[Cause, ...]  # with names, the one that the fit needs most first
+    located: tuple[Located, ...]  # without names, in the same order
+    candidate_scores: tuple[CandidateScore, ...]  # of the nearest groups, most probable first
+    # if none is active: the credible set of single causes on an otherwise sound machine
     single_causes: tuple[Explanation, ...] = ()
-    # where nothing stands out: the most probable causes, each as if it were there
+    # if none is active: the most probable causes, each estimated as the only one
     possible_causes: tuple[Explanation, ...] = ()
 
     @property
     def names(self) -> frozenset[str]:
-        """Causes and places of all credible sets."""
+        """Names of all causes and free-form errors in the credible sets."""
         causes = {one.name for cause in self.causes for one in cause.explanations}
         places = {one.name for located in self.located for one in located.members}
         return frozenset(causes | places | {n for one in self.located for n in one.resembling})

@@ -16,35 +16,31 @@ from orthoglide.parameters import Parameter
 from orthoglide.units import Unit
 
 SIGNIFICANT_SIGMAS = 3.0
-"""Sigmas beyond which what is left after a change is an error of its own."""
+"""Sigmas beyond which the error that remains after a change is significant."""
 
 
 @dataclass(frozen=True, repr=False)
 class Change:
-    """A parameter of the machine that is not what it was in an earlier file."""
+    """A parameter of the machine that differs from its value in an earlier file."""
 
     parameter: Parameter  # the most probable one
-    # all parameters whose change these readings cannot tell from its, itself first
+    # all parameters whose change explains these readings equally well, the most probable first
     members: tuple[Parameter, ...]
     since: str  # name of the first campaign after the change; empty since an earlier calibration
     # files, or names, of the last one before and the first after the change
     between: tuple[str, str]
-    evidence: float  # log Bayes factor in its favour, the number of its like discounted
-    catalogue: Catalogue  # that the parameters belong to
+    evidence: float  # log Bayes factor in its favour, prior odds included
+    catalogue: Catalogue  # catalogue of the parameters
     before: float = float("nan")  # value before the change, SI
     after: float = float("nan")  # value after the change, SI
     sigma: float = float("nan")  # standard deviation of the difference, SI
     sigma_after: float = float("nan")  # standard deviation of the value after the change, SI
-    sizes: tuple[float, ...] = ()  # by how much each of `members` would have changed, SI
+    sizes: tuple[float, ...] = ()  # change of each of `members`, if it is the one that changed, SI
     size_sigma: float = float("nan")  # standard deviation of the first of `sizes`, SI
-    sigma_between_sets: float = (
-        0.0  # the part of `size_sigma` that other sets of changes contribute, SI
-    )
-    # whether the value before is an average over causes that could not be told apart
-    vague: bool = False
-    unseen_before: float = (
-        0.0  # by how much it may have been off before unseen, a standard deviation, SI
-    )
+    sigma_between_sets: float = 0.0  # part of `size_sigma` from other sets of changes, SI
+    vague: bool = False  # whether the value before is an average over ambiguous causes
+    # standard deviation of an error that the readings before could not show, SI
+    unseen_before: float = 0.0
 
     def __repr__(self) -> str:
         return f"<Change of {self.parameter}: {self.message}>"
@@ -62,14 +58,15 @@ class Change:
 
     @property
     def change_by_member(self) -> dict[Parameter, float]:
-        """Change of each member, were it the one that changed, SI; nan if unknown."""
-        by, of = self.after - self.before, self.catalogue.effect_of
-        alike = [by if of(name).unit == self.unit else float("nan") for name in self.members]
-        return dict(zip(self.members, (by, *(self.sizes or alike)[1:]), strict=True))
+        """Change of each member, if it is the one that changed, SI; nan if unknown."""
+        change, effect_of = self.after - self.before, self.catalogue.effect_of
+        units = (effect_of(name).unit for name in self.members)
+        sizes = self.sizes or [change if unit == self.unit else math.nan for unit in units]
+        return dict(zip(self.members, (change, *sizes[1:]), strict=True))
 
     @property
     def message(self) -> str:
-        """One sentence: between which files, what, from what to what."""
+        """One sentence: between which files, which parameter, from which value to which."""
         return f"{self.when} {self.what}"
 
     @property
@@ -84,7 +81,7 @@ class Change:
 
     @property
     def member_clauses(self) -> tuple[str, ...]:
-        """Each member by itself: the first as in the message, the others by their own sizes."""
+        """A clause for each member: the first as in the message, the others with their sizes."""
         return (f"{self.when} {self.what_without_alternatives}", *self._alternatives)
 
     @property
@@ -95,7 +92,7 @@ class Change:
     def _parameter_words(self, parameter: Parameter) -> str:
         return parameter_words(parameter, self.catalogue.legs)
 
-    def _clause(self, others: str) -> str:
+    def _clause(self, alternatives: str) -> str:
         unit = self.unit.spoken
         decimals = decimals_for(self.sigma / unit.si, most=9)
         before, after = (plain(v / unit.si, decimals) for v in (self.before, self.after))
@@ -103,7 +100,7 @@ class Change:
         if self.vague:
             size = f"by {signed((self.after - self.before) / unit.si, decimals)}"
         return (
-            f"the {self._parameter_words(self.parameter)}{others} changed {size} {unit.name} "
+            f"the {self._parameter_words(self.parameter)}{alternatives} changed {size} {unit.name} "
             f"(± {self.sigma / unit.si:.{decimals}f})"
         )
 
@@ -114,15 +111,17 @@ class Change:
 
     @property
     def _alternatives(self) -> tuple[str, ...]:
-        named = []
-        for name, by in list(self.change_by_member.items())[1:]:
-            size = signed_size(self.catalogue.effect_of(name), by) if math.isfinite(by) else ""
-            named.append(f"the {self._parameter_words(name)}{size and f' by {size}'}")
-        return tuple(named)
+        clauses = []
+        for name, change in list(self.change_by_member.items())[1:]:
+            words = f"the {self._parameter_words(name)}"
+            if math.isfinite(change):
+                words += f" by {signed_size(self.catalogue.effect_of(name), change)}"
+            clauses.append(words)
+        return tuple(clauses)
 
     @property
     def summed_members(self) -> tuple[Parameter, ...]:
-        """Members that share what ``before`` and ``after`` say."""
+        """Members whose sum ``before`` and ``after`` describe."""
         return summed_members(self.members, self.catalogue)
 
     @property
@@ -132,20 +131,15 @@ class Change:
 
     @property
     def is_reported(self) -> bool:
-        """Whether there is a difference to tell, once the evidence has decided for one: what the
-        readings before did not see may have been as it is now.
-        """
-        return abs(self.after - self.before) > max(
-            self.sigma, SIGNIFICANT_SIGMAS * self.unseen_before
-        )
+        """True if the difference exceeds its sigma and what earlier readings could not show."""
+        least = max(self.sigma, SIGNIFICANT_SIGMAS * self.unseen_before)
+        return abs(self.after - self.before) > least
 
     @property
     def found_only_now(self) -> str:
-        """What is told in place of a change that is none to tell; empty where there is nothing."""
-        if (
-            self.is_reported
-            or abs(self.after - self.before) < SIGNIFICANT_SIGMAS * self.sigma_after
-        ):
+        """Note in place of a change that is not reported; empty if it is insignificant."""
+        significant = abs(self.after - self.before) >= SIGNIFICANT_SIGMAS * self.sigma_after
+        if self.is_reported or not significant:
             return ""
         value, unit = compact(self.after / self.unit.spoken.si, 3), self.unit.spoken.name
         return (
@@ -155,7 +149,7 @@ class Change:
 
     @property
     def is_cause(self) -> bool:
-        """Whether the error that remains after the change is significant."""
+        """True if the error that remains after the change is significant."""
         return abs(self.after) > SIGNIFICANT_SIGMAS * self.sigma_after
 
     def with_later_fit(self, estimate: Estimate) -> Change:
@@ -164,17 +158,17 @@ class Change:
         places = [k for k, name in enumerate(estimate.names) if name in summed]
         if len(places) < len(summed):
             return self
-        spread = estimate.covariance[np.ix_(places, places)].sum()
+        variance = estimate.covariance[np.ix_(places, places)].sum()
         after = float(estimate.x[places].sum())
         after += self.before if self.parameter.member else 0.0  # its unknown is the change
         before = after - (self.after - self.before) if self.vague else self.before
-        return replace(self, before=before, after=after, sigma_after=float(np.sqrt(spread)))
+        return replace(self, before=before, after=after, sigma_after=float(np.sqrt(variance)))
 
     def with_separate_fit(self, estimate: Estimate) -> Change:
-        """With the values of a fit in which the parameter, or a member instead, is separate.
+        """Return the change with the values of a fit in which one of its members is separate.
 
-        The search knows by how much it changed with everything open, the fit with all else as
-        small as it was found to be; where it says another size, it has that wrong.
+        The search estimates the change with all parameters free, the fit with all others as small
+        as they were found. If the two sizes differ significantly, that of the search is kept.
         """
         names = estimate.problem.names
         for name in self.members:
@@ -182,17 +176,22 @@ class Change:
             pair = [p for p in pairwise(places) if names[p[1]] == f"{name}@{self.since}"]
             if not pair:
                 continue
-            at = list(pair[0])  # before the change, and after
-            (before, after), spread = estimate.x[at], estimate.covariance[np.ix_(at, at)]
-            first = self.members.index(name)
-            size = self.sizes[first]
+            pair_columns = list(pair[0])  # before the change, and after
+            (before, after), covariance = (
+                estimate.x[pair_columns],
+                estimate.covariance[np.ix_(pair_columns, pair_columns)],
+            )
+            chosen = self.members.index(name)
+            size = self.sizes[chosen]
             ratio = abs(size / self.sizes[0])
-            widest, among = self.size_sigma * ratio, self.sigma_between_sets * ratio
-            sigma = math.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1] + among**2)
-            if abs(after - before - size) > SIGNIFICANT_SIGMAS * widest:
-                about, sigma = (before + after) / 2, widest
-                before, after = about - size / 2, about + size / 2
-            order = [first, *(k for k in range(len(self.members)) if k != first)]
+            size_sigma, between_sets = self.size_sigma * ratio, self.sigma_between_sets * ratio
+            sigma = math.sqrt(
+                covariance[0, 0] + covariance[1, 1] - 2 * covariance[0, 1] + between_sets**2
+            )
+            if abs(after - before - size) > SIGNIFICANT_SIGMAS * size_sigma:
+                middle, sigma = (before + after) / 2, size_sigma
+                before, after = middle - size / 2, middle + size / 2
+            order = [chosen, *(k for k in range(len(self.members)) if k != chosen)]
             return replace(
                 self,
                 parameter=name,
@@ -201,22 +200,22 @@ class Change:
                 before=float(before),
                 after=float(after),
                 sigma=sigma,
-                sigma_after=float(np.sqrt(spread[1, 1])),
-                size_sigma=widest,
-                sigma_between_sets=among,
+                sigma_after=float(np.sqrt(covariance[1, 1])),
+                size_sigma=size_sigma,
+                sigma_between_sets=between_sets,
             )
         return self
 
 
 def summed_members(members: tuple[Parameter, ...], catalogue: Catalogue) -> tuple[Parameter, ...]:
-    """What the readings cannot tell apart counts as one, the sum of all of one unit that stand for
-    it: of one leg and direction, one plate, or one pattern of legs. A zero is known apart from a
-    length by the tolerances of both.
+    """Return the members that the readings determine only by their sum: those of equal unit at one
+    leg and direction, one plate, or one pattern of legs. Base parameters are not summed, because
+    their tolerances separate them.
     """
-    of = catalogue.effect_of
+    effect_of = catalogue.effect_of
 
     def place(name: Parameter) -> tuple[object, ...]:
-        return name.leg, name.direction, name.setup, name.member, of(name).unit
+        return name.leg, name.direction, name.setup, name.member, effect_of(name).unit
 
-    alike = tuple(name for name in members if place(name) == place(members[0]))
-    return members[:1] if of(members[0]).name in catalogue.base else alike
+    equal_place = tuple(name for name in members if place(name) == place(members[0]))
+    return members[:1] if effect_of(members[0]).name in catalogue.base else equal_place

@@ -1,9 +1,9 @@
 """Changes between two visits to a machine, as groups of columns of the readings after them.
 
-What the machine was before, and what stays, are the unknowns of a problem with its prior; a change
-adds to the readings from one row on. It is a group of the search for causes, and the set that
-explains the readings best is looked for about one point, and again about the machine that so
-changed, until it stays the same.
+The unknowns of a problem with its prior describe the machine before and whatever stays. A change
+adds to the readings from one row on, and is a group of the search for causes. The most probable set
+is searched at one point of linearisation, and again at the machine with these changes, until the
+set stays the same.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 
 _ROUNDS = 5
-"""Linearisations, each of the machine that changed as the one before says."""
+"""Largest number of linearisations, each of the machine with the changes found before."""
 
 _EXPECTED_CHANGES = float(np.exp(-3.0))
 """Prior mean number of changes of each zero, and of all other parameters together: between two
 visits, one in twenty changes."""
 
 SLAB_WIDTHS = (1.0, 3.0, 10.0)
-"""Tolerances by which something changes, each less likely by as much as it is wider."""
+"""Prior widths of a change, in tolerances, each with a probability inversely proportional to it."""
 
 SLAB_ODDS = tuple(
     np.log(len(SLAB_WIDTHS) / np.array(SLAB_WIDTHS) / np.sum(1 / np.array(SLAB_WIDTHS))).tolist()
 )
-"""Log prior odds of each of these widths, against all being as likely."""
+"""Log prior odds of each width, relative to equal probabilities."""
 
-_MOST_CHANGES = 12  # changes between two visits: more than anybody makes, few enough to search
+_MOST_CHANGES = 12  # largest number of changes between two visits
 
 INDISTINGUISHABLE_CHI2 = 4.0
-"""Rise of chi2 within which two causes cannot be told apart: two sigmas (Wilks)."""
+"""Rise of chi2 within which two causes are indistinguishable: two sigmas (Wilks)."""
 
 
 @dataclass(frozen=True)
@@ -53,40 +53,40 @@ class ChangeCandidate:
 
     parameter: Parameter  # with the campaign from which it has another value, or none
     since: int  # first row after the change
-    weights: Mapping[Parameter, float]  # of a tolerance of it, by unknown of the problem, SI
+    weights: Mapping[Parameter, float]  # one tolerance of it, by unknown of the problem, SI
     tolerance: float  # SI
 
 
 def changeable_parameters(
     problem: Problem, names: Sequence[Parameter]
 ) -> dict[Parameter, dict[Parameter, float]]:
-    """Return what may have changed, each as one tolerance by unknown of the problem, SI.
+    """Return the parameters that may have changed, each with one tolerance by unknown, SI.
 
     Args:
-        problem: whose unknowns they are.
-        names: single parameters; where no dial was read, patterns of equal legs come beside them,
-            and of one plate that several setups touched.
+        problem: the problem with these unknowns.
+        names: single parameters; without dials, patterns of equal legs and of a plate that several
+            setups touched are added.
     """
     machine = problem.machine
-    found = {name: {name: machine.tolerance(name)} for name in names}
+    changeable = {name: {name: machine.tolerance(name)} for name in names}
     if problem.campaigns:
-        return found
+        return changeable
     setups = tuple(dict.fromkeys(name.setup for name in names if name.setup))
-    for kind in dict.fromkeys(name.effect for name in names):
-        for member, parts in machine.catalogue.structured_members(kind, setups).items():
+    for effect in dict.fromkeys(name.effect for name in names):
+        for member, parts in machine.catalogue.structured_members(effect, setups).items():
             if len(parts) > 1 and set(parts) <= set(names):
-                found[member] = {n: w * machine.tolerance(n) for n, w in parts.items()}
-    return found
+                changeable[member] = {n: w * machine.tolerance(n) for n, w in parts.items()}
+    return changeable
 
 
 @dataclass(frozen=True)
 class ChangeEstimate:
-    """One change, and what could have changed in its place."""
+    """One change with its alternatives."""
 
-    sizes: Mapping[Parameter, float]  # by how much each would have, SI, the change itself first
+    sizes: Mapping[Parameter, float]  # size of each alternative, SI, the change itself first
     sigma: float  # standard deviation of its size, SI
-    sigma_between_sets: float  # the part of `sigma` that other sets of changes contribute, SI
-    evidence: float  # log Bayes factor in its favour, the others given
+    sigma_between_sets: float  # part of `sigma` from other sets of changes, SI
+    evidence: float  # log Bayes factor in its favour, given the other changes
     log_odds_against: float  # log prior odds against it
 
     @property
@@ -101,24 +101,24 @@ def most_probable_changes(
     """Return the most probable set of changes, the most decisive first; empty if there is none.
 
     Args:
-        problem: what was and what stays, with its prior.
-        x: about where its unknowns are ``(P,)``.
-        candidates: what may have changed.
+        problem: the machine before and whatever stays, with its prior.
+        x: first point of linearisation ``(P,)``.
+        candidates: parameters that may have changed.
         floor: least chi2 per degree of freedom.
 
     Raises:
-        NumericsError: where the machine that so changed cannot be closed.
+        NumericsError: if the machine with these changes cannot be closed.
     """
-    found, sizes = frozenset[int](), np.zeros(len(candidates))
+    active, sizes = frozenset[int](), np.zeros(len(candidates))
     for _ in range(_ROUNDS):
-        about = _ChangeModel.at_point(problem, x, candidates, sizes)
-        mixture = Mixture(about.linear(floor))
-        last, found = found, frozenset(group for group, _ in mixture.best)
-        if not found or found == last:
+        model = _ChangeModel.at_point(problem, x, candidates, sizes)
+        mixture = Mixture(model.linear(floor))
+        previous, active = active, frozenset(group for group, _ in mixture.best)
+        if not active or active == previous:
             break
         mean = mixture.likeliest_mean(mixture.best)
-        sizes = np.where(np.isin(np.arange(len(candidates)), list(found)), mean[len(x) :], 0.0)
-        x = about.unknowns(mean)
+        sizes = np.where(np.isin(np.arange(len(candidates)), list(active)), mean[len(x) :], 0.0)
+        x = model.unknowns(mean)
     return tuple(_change_estimate(mixture, member, candidates) for member in mixture.strongest)
 
 
@@ -126,13 +126,13 @@ def _change_estimate(
     mixture: Mixture, member: int, candidates: Sequence[ChangeCandidate]
 ) -> ChangeEstimate:
     """Return one change of the best state, averaged over the states that contain it."""
-    size, sigma, among = mixture.size_and_spread(member)
+    size, sigma, between_sets = mixture.size_and_spread(member)
     sizes = {member: size} | mixture.alternatives_to(member, INDISTINGUISHABLE_CHI2)
     unit = candidates[member].tolerance
     return ChangeEstimate(
         {candidates[k].parameter: v * candidates[k].tolerance for k, v in sizes.items()},
-        float(np.hypot(sigma, among)) * unit,
-        among * unit,
+        float(np.hypot(sigma, between_sets)) * unit,
+        between_sets * unit,
         mixture.log_weight(mixture.best) - mixture.log_weight(mixture.without(member)),
         float(mixture.cost[member]) - float(np.log(len(SLAB_WIDTHS))),
     )
@@ -140,10 +140,10 @@ def _change_estimate(
 
 @dataclass(frozen=True, eq=False)
 class _ChangeModel:
-    """The readings about one point, whitened and past datums and placements."""
+    """The linearised readings, whitened and with datums and placements projected out."""
 
-    problem: Problem  # what was and what stays
-    candidates: Sequence[ChangeCandidate]  # what may have changed, `c` of them
+    problem: Problem  # the machine before and whatever stays
+    candidates: Sequence[ChangeCandidate]  # (c,)
     columns: Array  # readings by a tolerance of each (m, c)
     residual: Array  # readings less their prediction by the prior mean, unchanged (m,)
     prior_columns: Array  # readings by the unknowns, in standard deviations of their prior (m, P)
@@ -155,80 +155,67 @@ class _ChangeModel:
     def at_point(
         cls, problem: Problem, x: Array, candidates: Sequence[ChangeCandidate], sizes: Array
     ) -> _ChangeModel:
-        """About unknowns ``(P,)`` of a machine that changed by some sizes ``(c,)``."""
-        at = linearise(_with_changes(problem, candidates, sizes), x)
-        nuisance = nuisances(problem, at.reading_poses)
-        here, scale = normal_equations(problem, at, nuisance), problem.tolerance
-        root = np.asarray(np.linalg.inv(here.prior * scale))
-        known = np.asarray(root @ here.target)
-        jacobian = here.jacobian * scale
+        """Linearise at unknowns ``(P,)`` of a machine that changed by some sizes ``(c,)``."""
+        linearised = linearise(_with_changes(problem, candidates, sizes), x)
+        nuisance = nuisances(problem, linearised.reading_poses)
+        equations, scale = normal_equations(problem, linearised, nuisance), problem.tolerance
+        root = np.asarray(np.linalg.inv(equations.prior * scale))
+        prior_mean = np.asarray(root @ equations.target)
+        jacobian = equations.jacobian * scale
         weights = weight_matrix(problem.names, [c.weights for c in candidates])
         since = np.array([c.since for c in candidates], dtype=np.intp)
-        after = np.arange(len(at.jacobian))[:, None] >= since
-        columns = nuisance.project(at.jacobian @ weights * after)
-        residual = here.residual + jacobian @ (x / scale - known) + columns @ sizes
+        after = np.arange(len(linearised.jacobian))[:, None] >= since
+        columns = nuisance.project(linearised.jacobian @ weights * after)
+        residual = equations.residual + jacobian @ (x / scale - prior_mean) + columns @ sizes
         return cls(
-            problem,
-            candidates,
-            columns,
-            residual,
-            jacobian @ root,
-            root,
-            known,
+            problem, candidates, columns, residual, jacobian @ root, root, prior_mean,
             nuisance.unconstrained_count,
-        )
+        )  # fmt: skip
 
     def linear(self, floor: float) -> LinearModel:
         """Return the linear model of a search in which every candidate is a group.
 
-        The prior is a background of one standard deviation, whatever is active, so that no group
-        explains what the earlier machine leaves open.
+        The prior is a background of one standard deviation in every state, so that no group
+        explains what is uncertain of the earlier machine.
         """
-        left, size, _ = np.linalg.svd(self.prior_columns, full_matrices=False)
-        share, along = size**2 / (1 + size**2), left.T @ self.residual
+        directions, singular, _ = np.linalg.svd(self.prior_columns, full_matrices=False)
+        share, projected = singular**2 / (1 + singular**2), directions.T @ self.residual
         dof = len(self.problem.measured) - self.nuisance_count - float(share.sum())
-        chi2 = float(self.residual @ self.residual - along @ (share * along))
+        chi2 = float(self.residual @ self.residual - projected @ (share * projected))
         count, c = self.prior_columns.shape[1], len(self.candidates)
-        of = self.problem.machine.catalogue.effect_of
-        # A zero is entered in a minute, and nothing else of the machine changes as often.
-        chance = [
-            1.0 if of(one.parameter).controller == "zero" else 1 / c for one in self.candidates
-        ]
-        groups = [
-            replace(
-                identity_group(f"change.{k}", [count + k], free_form=False),
-                expected=_EXPECTED_CHANGES * chance[k],
-            )
-            for k in range(c)
-        ]
-        none = np.zeros(count + c, dtype=bool)
+        effect_of, groups = self.problem.machine.catalogue.effect_of, []
+        for k, candidate in enumerate(self.candidates):
+            # A zero is easily entered, so it changes more often than anything else.
+            chance = 1.0 if effect_of(candidate.parameter).controller == "zero" else 1 / c
+            group = identity_group(f"change.{k}", [count + k], free_form=False)
+            groups.append(replace(group, expected=_EXPECTED_CHANGES * chance))
+        no_columns = np.zeros(count + c, dtype=bool)
         return drop_unseen_directions(
             LinearModel(
                 np.hstack([self.prior_columns, self.columns]), self.residual,
-                np.where(np.arange(count + c) < count, np.nan, 0.0), none, none, tuple(groups),
-                np.zeros((len(self.residual), 0)), (1.0,), SLAB_WIDTHS, slab_log_odds=SLAB_ODDS, max_active=_MOST_CHANGES,
+                np.where(np.arange(count + c) < count, np.nan, 0.0), no_columns, no_columns,
+                tuple(groups), np.zeros((len(self.residual), 0)), (1.0,), SLAB_WIDTHS,
+                slab_log_odds=SLAB_ODDS, max_active=_MOST_CHANGES,
                 unknown_noise=UnknownNoise(chi2, max(dof, 1.0), floor),
             )
         )  # fmt: skip
 
     def unknowns(self, mean: Array) -> Array:
         """Return the unknowns ``(P,)``, SI, by the mean of all coefficients ``(P + c,)``."""
-        return np.asarray(
-            (self.prior_mean + self.prior_root @ mean[: len(self.prior_root)])
-            * self.problem.tolerance
-        )
+        x = self.prior_mean + self.prior_root @ mean[: len(self.prior_root)]
+        return np.asarray(x * self.problem.tolerance)
 
 
 def _with_changes(problem: Problem, candidates: Sequence[ChangeCandidate], sizes: Array) -> Problem:
-    """The problem of a machine that changed by some sizes ``(c,)``: what is free is what stays."""
-    place = {unknown.name: unknown for unknown in problem.unknowns}
+    """Return the problem of a machine that changed by some sizes ``(c,)``, now held values."""
+    unknowns = {unknown.name: unknown for unknown in problem.unknowns}
     held = []
     for k, (rows, values) in enumerate(zip(problem.factor_rows, problem.held, strict=True)):
-        now = dict(values)
+        changed = dict(values)
         for candidate, size in zip(candidates, sizes, strict=True):
             if size and rows.start >= candidate.since:
                 for name, weight in candidate.weights.items():
-                    for part, share in place[name].weights[k].items():
-                        now[part] = now.get(part, 0.0) + share * weight * float(size)
-        held.append(now)
+                    for part, share in unknowns[name].weights[k].items():
+                        changed[part] = changed.get(part, 0.0) + share * weight * float(size)
+        held.append(changed)
     return replace(problem, held=tuple(held))

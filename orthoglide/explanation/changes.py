@@ -1,10 +1,10 @@
 """Changes between campaigns: a parameter with one value before a file and another from it on.
 
-Campaigns are those of dials, in their order; without dials visits with instruments at the tool, of
-one file or of several.
+Campaigns are those of dials, in their order, or without dials the visits with instruments at the
+tool, each of one or several files.
 
-All that stays is open beside what may have changed (`change_model`), and beside faults of the data
-that the changes found are weighed against.
+Parameters that stay are free beside those that may have changed (`change_model`). The changes found
+are compared with data faults.
 """
 
 from __future__ import annotations
@@ -27,60 +27,64 @@ from orthoglide.fit.unknowns import Unknown, share_plate_shapes
 from orthoglide.parameters import Parameter, split_campaign
 
 _OPEN_PRIOR_WIDTH = 3.0
-"""Tolerances of the machine's other effects: what they are, they are at all visits."""
+"""Prior width of the machine's effects, in tolerances, with one value at all visits."""
 
 
 def visits(problem: Problem) -> tuple[tuple[str, str, int], ...]:
-    """Campaigns from which on something may have changed: name, file, and first row.
+    """Return the first campaign of each visit: name, file, and first row.
 
-    Files of the tool are of one visit until one of their setups comes again; visits that have no
-    setup in common could not be told apart.
+    Files of the tool belong to one visit until one of their setups occurs again. Visits without a
+    common setup cannot be compared.
     """
     if problem.campaigns:
-        read = {k: (c.name, c.file) for k, c in enumerate(problem.campaigns)}
+        starts = {k: (c.name, c.file) for k, c in enumerate(problem.campaigns)}
     else:
-        read, seen = {}, list[set[str]]()
+        starts, setups_by_visit = {}, list[set[str]]()
         for k, factor in enumerate(problem.tool_factors):
             setups = set(factor.setup_names)
-            if seen and seen[-1].isdisjoint(setups):
-                seen[-1] |= setups
+            if setups_by_visit and setups_by_visit[-1].isdisjoint(setups):
+                setups_by_visit[-1] |= setups
             else:
-                seen.append(setups)
-                read[k] = factor.name, factor.readings.file
-        if not seen or not set.intersection(*seen):
+                setups_by_visit.append(setups)
+                starts[k] = factor.name, factor.readings.file
+        if not setups_by_visit or not set.intersection(*setups_by_visit):
             return ()
     rows = problem.factor_rows
-    return tuple((name, file or name, rows[k].start) for k, (name, file) in read.items())
+    return tuple((name, file or name, rows[k].start) for k, (name, file) in starts.items())
 
 
 def likeliest_changes(estimate: Estimate) -> tuple[list[Change], float]:
-    """The changes that explain best what a fit leaves, the most decisive first, and the log odds
-    against them before the readings; none where nothing speaks for any.
+    """Return the most probable changes, the most decisive first, and the prior log odds against
+    them.
     """
     problem = estimate.problem
-    several = visits(problem)
-    if len(several) < 2:
+    visit_starts = visits(problem)
+    if len(visit_starts) < 2:
         return [], 0.0
-    wide = _with_all_effects(problem)
-    candidates = list(_candidates(wide, several))
+    full_problem = _with_all_effects(problem)
+    candidates = list(_candidates(full_problem, visit_starts))
     floor = 1.0
-    if problem.noise.source == "repeats":  # the noise itself, or the rounding where it is unsure
+    if problem.noise.source == "repeats":  # reliable down to the rounding
         floor = min(1.0, (problem.noise.resolution / problem.noise.typical) ** 2 / 12)
     try:
-        found = most_probable_changes(wide, wide.zero_padded(estimate.x), candidates, floor)
+        start = full_problem.zero_padded(estimate.x)
+        estimates = most_probable_changes(full_problem, start, candidates, floor)
     except NumericsError:
         return [], 0.0
-    return list(_as_changes(problem, several, found)), sum(one.log_odds_against for one in found)
+    cost = sum(change.log_odds_against for change in estimates)
+    return list(_as_changes(problem, visit_starts, estimates)), cost
 
 
 def _as_changes(
-    problem: Problem, several: Sequence[tuple[str, str, int]], found: Sequence[ChangeEstimate]
+    problem: Problem,
+    visit_starts: Sequence[tuple[str, str, int]],
+    estimates: Sequence[ChangeEstimate],
 ) -> Iterator[Change]:
-    stems, files = [stem for stem, _, _ in several], [file for _, file, _ in several]
-    for one in found:
+    names, files, _ = zip(*visit_starts, strict=True)
+    for one in estimates:
         since = one.parameter.campaign
         sizes = {name.plain: size for name, size in one.sizes.items() if name.campaign == since}
-        first = stems.index(since)
+        first = names.index(since)
         yield Change(
             one.parameter.plain, tuple(sizes), since, (files[first - 1], files[first]),
             one.evidence, problem.machine.catalogue, sigma=one.sigma, sizes=tuple(sizes.values()),
@@ -89,50 +93,49 @@ def _as_changes(
 
 
 def _with_all_effects(problem: Problem) -> Problem:
-    """Every effect of the catalogue free, those of the machine as wide as is likely at all: what
-    they are, they are at all visits.
+    """Return the problem with every effect of the catalogue free, those of the machine with wide
+    priors and one value at all visits.
     """
     effects = [effect.name for effect in excited_effects(problem)]
     catalogue = problem.machine.catalogue
-    apart = {split_campaign(name)[0] for name in problem.per_campaign}  # seen to change already
+    per_visit = {split_campaign(name)[0] for name in problem.per_campaign}  # changed already
 
     def widened(unknown: Unknown) -> Unknown:
         effect = catalogue.effect_of(unknown.name)
-        return replace(
-            unknown, prior_width=1.0 if effect.of_dial and not effect.of_body else _OPEN_PRIOR_WIDTH
-        )
+        of_dial = effect.of_dial and not effect.of_body
+        return replace(unknown, prior_width=1.0 if of_dial else _OPEN_PRIOR_WIDTH)
 
-    unknowns = share_plate_shapes(with_effects_freed(problem, effects).unknowns, catalogue, apart)
+    freed = with_effects_freed(problem, effects)
+    unknowns = share_plate_shapes(freed.unknowns, catalogue, per_visit)
     return replace(problem, unknowns=tuple(map(widened, unknowns)))
 
 
 def _candidates(
-    wide: Problem, several: Sequence[tuple[str, str, int]]
+    full_problem: Problem, visit_starts: Sequence[tuple[str, str, int]]
 ) -> Iterator[ChangeCandidate]:
-    """Every parameter of the machine, and without dials of plates and patterns of equal legs too,
-    from every campaign but the first on.
+    """Yield every parameter of the machine from every campaign but the first on; without dials also
+    patterns of equal legs and of plates.
     """
-    own = {u.name.plain for u in wide.unknowns if u.name.campaign}
+    machine = full_problem.machine
+    per_campaign = {u.name.plain for u in full_problem.unknowns if u.name.campaign}
 
-    def told(name: Parameter) -> bool:
-        effect = wide.machine.catalogue.effect_of(name)
-        # Plates of several setups that are one have one shape at all visits.
-        return not effect.of_dial or bool(effect.of_body and not name.member)
+    def may_change(name: Parameter) -> bool:
+        effect = machine.catalogue.effect_of(name)
+        # Setups that share a plate have one shape at all visits.
+        of_machine = not effect.of_dial or bool(effect.of_body and not name.member)
+        return of_machine and name not in per_campaign
 
-    kept = [name for name in wide.names if name.plain not in own and told(name)]
-    for (name, shares), (stem, _, start) in product(
-        changeable_parameters(wide, kept).items(), several[1:]
-    ):
-        if name not in own and told(name):
-            yield ChangeCandidate(name.at(stem), start, shares, wide.machine.tolerance(name))
+    eligible = [name for name in full_problem.names if may_change(name.plain)]
+    changeable = changeable_parameters(full_problem, eligible).items()
+    for (name, weights), (campaign, _, start) in product(changeable, visit_starts[1:]):
+        if may_change(name):
+            yield ChangeCandidate(name.at(campaign), start, weights, machine.tolerance(name))
 
 
 def with_changes_separate(problem: Problem, changes: Sequence[Change]) -> Problem:
-    """The problem with the changed parameters free and separate before and after the change."""
+    """Return the problem with changed parameters free, and separate before and after the change."""
     changed = [change.parameter for change in changes]
-    own = (
-        *problem.per_campaign,
-        *(name for change in changes for name in change.campaign_parameters),
-    )
+    added = (name for change in changes for name in change.campaign_parameters)
+    per_campaign = (*problem.per_campaign, *added)
     kept = tuple(u for u in problem.unknowns if u.name.plain not in changed)
-    return with_free(replace(problem, unknowns=kept, per_campaign=own), changed)
+    return with_free(replace(problem, unknowns=kept, per_campaign=per_campaign), changed)

@@ -1,4 +1,4 @@
-"""Each of a class of places as if it were the right one: what it says of all coefficients."""
+"""The members of a class of located errors, each with the machine that it implies."""
 
 from __future__ import annotations
 
@@ -22,76 +22,73 @@ from orthoglide.prediction import ReadingPoses
 
 @dataclass(frozen=True, eq=False)
 class ClassMember:
-    """One place, or cause that it resembles, with all else that was found."""
+    """One located error, or a cause that resembles it, given all other causes."""
 
     words: str  # where it is and how, as a clause
-    # whether other readings of the machine show it: not what comes with time, or is own to a dial
-    # that was read
-    permanent: bool
-    probability: float  # that it is this one, all else that was found given
+    permanent: bool  # whether later readings show it: it depends neither on time nor on a dial
+    probability: float  # given all other causes
     machine: Mapping[str, float]  # all parameters of the calibrated machine with it, SI
-    mean: Array  # of the coefficients that count (k,), in their units
+    mean: Array  # of the class' coefficients (k,), in their units
     covariance: Array  # of these (k, k)
 
 
 @dataclass(frozen=True, eq=False)
 class ClassMembers:
-    """The likeliest of a class."""
+    """The likeliest members of a class."""
 
     posterior: FullPosterior  # that they are from
-    members: tuple[ClassMember, ...]  # the likeliest first
-    coefficients: NDArray[
-        np.intp
-    ]  # coefficients that count: all parameters, then those of the places (k,)
-    free_form_errors: tuple[FreeForm, ...]  # that stand in any of the explanations
+    members: tuple[ClassMember, ...]  # most probable first
+    coefficients: NDArray[np.intp]  # of all parameters, then of the free-form errors (k,)
+    free_form_errors: tuple[FreeForm, ...]  # that are active with any of the members
 
     @classmethod
-    def from_posterior(cls, posterior: FullPosterior, located: Located, most: int) -> ClassMembers:
-        """The likeliest of a class of places, ``most`` at most, by the posterior that it was read
-        from.
-        """
-        about, groups = posterior.linearised, posterior.mixture.linear.groups
-        instead = Alternatives(posterior.mixture)
-        odds = instead.probabilities(located.group)[:-1]
+    def from_posterior(
+        cls, posterior: FullPosterior, located: Located, max_members: int
+    ) -> ClassMembers:
+        """Return the likeliest members of a class, ``max_members`` at most."""
+        linearised, groups = posterior.linearised, posterior.mixture.linear.groups
+        alternatives = Alternatives(posterior.mixture)
+        probabilities = alternatives.probabilities(located.group)[:-1]
         names = {curve.name for curve in located.members} | {*located.resembling}
-        chosen = [k for k in descending(odds) if groups[k].name in names]
-        chosen = chosen[:most]
-        by_name = {p.name: p for p in about.free_form_errors}
-        standing = {groups[g].name for k in chosen for g, _ in instead.state(located.group, k)}
-        places = tuple(p for p in about.free_form_errors if p.name in standing)
-        at = np.concatenate([np.arange(about.parameter_count), *map(about.coefficients, places)])
-        each = []
+        chosen = [k for k in descending(probabilities) if groups[k].name in names][:max_members]
+        by_name = {p.name: p for p in linearised.free_form_errors}
+        states = [alternatives.state(located.group, k) for k in chosen]
+        active = {groups[g].name for state in states for g, _ in state}
+        errors = tuple(p for p in linearised.free_form_errors if p.name in active)
+        spans = map(linearised.coefficients, errors)
+        coefficients = np.concatenate([np.arange(linearised.parameter_count), *spans])
+        members = []
         for k in chosen:
             name = groups[k].name
-            mean, covariance = instead.moments(located.group, k, at)
+            mean, covariance = alternatives.moments(located.group, k, coefficients)
             parameters, values, _ = posterior.machine_parameters(mean)
-            found = by_name.get(name)
-            words = found.words if found else cause_short(posterior.machine.catalogue, name)
+            error = by_name.get(name)
+            words = error.words if error else cause_short(posterior.machine.catalogue, name)
             machine = dict(zip(parameters, values.tolist(), strict=True))
-            lasts = found is None or _is_permanent(found)
-            each.append(ClassMember(words, lasts, float(odds[k]), machine, mean[at], covariance))
-        return cls(posterior, tuple(each), at, places)
+            permanent = error is None or _is_permanent(error)
+            members.append(ClassMember(words, permanent, float(probabilities[k]), machine,
+                                       mean[coefficients], covariance))  # fmt: skip
+        return cls(posterior, tuple(members), coefficients, errors)
 
     def rows(self, factor: Factor) -> tuple[Array, ReadingPoses]:
-        """Readings yet to be taken of the machine as it is in the last campaign, by the
-        coefficients ``(n, k)``, and what their instruments see.
+        """Return new readings of the machine by coefficient ``(n, k)``, and the poses of their
+        instruments.
 
-        What does not last is not in them.
+        The machine is that of the last campaign, without the errors that are not permanent.
         """
         posterior, fit = self.posterior, self.posterior.after
         machine, catalogue = fit.problem.machine, fit.problem.machine.catalogue
         values = catalogue.machine_values(fit.problem.values(fit.problem.last_factor, fit.x))
         names, _, weights = posterior.machine_parameters(posterior.mean)
-        kept = [k for k, name in enumerate(names) if name in catalogue.motions]
-        here = factor.linearise(machine.model, values, [names[k] for k in kept])
-        rows = here.jacobian @ weights[kept]
-        again = [p for p in self.free_form_errors if _is_permanent(p)]
-        for place, columns in zip(
-            again, free_form_columns_of_factor(factor, machine.model, values, again), strict=True
-        ):
-            rows[:, posterior.linearised.coefficients(place)] = columns
-        return rows[:, self.coefficients], here.reading_poses
+        in_catalogue = [k for k, name in enumerate(names) if name in catalogue.motions]
+        linearised = factor.linearise(machine.model, values, [names[k] for k in in_catalogue])
+        rows = linearised.jacobian @ weights[in_catalogue]
+        errors = [p for p in self.free_form_errors if _is_permanent(p)]
+        blocks = free_form_columns_of_factor(factor, machine.model, values, errors)
+        for error, columns in zip(errors, blocks, strict=True):
+            rows[:, posterior.linearised.coefficients(error)] = columns
+        return rows[:, self.coefficients], linearised.reading_poses
 
 
-def _is_permanent(place: FreeForm) -> bool:
-    return not (place.of_dial or place.against == "time")
+def _is_permanent(error: FreeForm) -> bool:
+    return not (error.of_dial or error.against == "time")

@@ -1,4 +1,4 @@
-"""The readings about a machine, linear in everything that could be wrong with it."""
+"""The readings as a linear model of every parameter, free-form error and data fault."""
 
 from __future__ import annotations
 
@@ -57,342 +57,344 @@ from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 
 _VAGUE_SD = 1e3
-"""Tolerances: the prior of a coefficient that rows of its own speak of."""
+"""Tolerances: prior sd of a coefficient whose prior is given by rows of its own."""
 
-_ZERO_SD = 1e-9  # tolerances: prior of a coefficient for which another stands
+_ZERO_SD = 1e-9  # tolerances: prior sd of a coefficient that a twin represents
 
 _LARGEST_SURFACE_BACKGROUND = 0.1
-"""Largest background to expect, in tolerances, where a surface is all that was read: a wider one
-draws any surface, and names nothing. It is rare where distances tell of the machine as well; where
-plates alone do, which have shapes of their own, twice as rare."""
+"""Tolerances: largest usual background if only a surface was measured. A wider one fits any surface
+and excludes nothing. It is rare, and twice as rare if the surface is a plate of unknown shape."""
 
 _LARGEST_SURFACE_SLAB = 3.0
-"""Largest scale, in tolerances, of what stands out of it: among the many causes that draw one
-surface those count that a machine may have."""
+"""Tolerances: largest scale of active groups if only a surface was measured. Many causes fit one
+surface; only sizes that a machine may have are considered."""
 
 _ENOUGH_REPEATS = 10
-"""Repeats from which they show the noise: half of it, or twice, has odds of twenty to one against
-it on ten degrees of freedom."""
+"""Repeats that determine the noise: on ten degrees of freedom, half or twice the noise has odds of
+one to twenty."""
 
 _SCREENING_BACKGROUNDS = (0.003, 0.1, 1.0)
-"""Tolerances of backgrounds of which each may hide a fault of the data, or make one up."""
+"""Tolerances: backgrounds of the screening, since each may hide or imitate a data fault."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LinearisedModel:
-    """All that could be wrong, with what the readings say of it about one point."""
+    """The readings, linear in all coefficients, about one point."""
 
-    problem: Problem  # with every parameter of the catalogue that could matter free
-    # SI of one unit of each coefficient (C,): the parameters, then the places', then those of the
-    # plates' own shapes
+    problem: Problem  # all relevant parameters of the catalogue are free
+    # SI of one unit of each coefficient (C,): parameters, free-form errors, plate shapes
     units: Array
-    free_form_errors: tuple[
-        FreeForm, ...
-    ]  # with their coefficients behind the parameters, in order
-    # causes that the readings could show, in the order of the linear groups
-    candidates: tuple[Candidate, ...]
+    free_form_errors: tuple[FreeForm, ...]  # in the order of their coefficients
+    candidates: tuple[Candidate, ...]  # visible causes, in the order of the linear groups
     linear: LinearModel  # for the mixture
-    # of a parameter, others of the same readings and the same tool, each with the value that stands
-    # for one of it; these have no coefficient
+    # by parameter: its twins, each with the value that is equivalent to one unit of it; twins have
+    # no coefficient
     twins: Mapping[str, tuple[tuple[str, float], ...]]
-    # orthonormal directions of the parameters that move the machine as a whole (P, 3), in
-    # tolerances
-    translations: Array
+    translations: Array  # orthonormal directions that translate the machine (P, 3), tolerances
     rows: Array  # readings by coefficient (n, C), metres
-    point: Array  # parameters where they are linearised (P,), SI
-    value_at_zero: Array  # readings where everything is zero, as linearised (n,), metres
-    # what an earlier calibration says of the parameters: matrix and target
-    prior_rows: tuple[Array, Array]
-    varied_parameters: tuple[
-        Parameter, ...
-    ]  # parameters beyond the base whose conditions the readings vary
-    # faults of the data that could stand out, in the order of the last linear groups
-    suspects: tuple[FaultColumns, ...]
-    unexplainable_chi2: float  # square of what the readings have where nothing could show
-    nuisance: Nuisances  # of the instruments, where the readings are linearised
-    linearisation_error: float = float(
-        "nan"
-    )  # of the prediction from its linearisation at the mean, sigmas
+    point: Array  # parameters at the linearisation (P,), SI
+    value_at_zero: Array  # linear prediction with all coefficients zero (n,), metres
+    prior_rows: tuple[Array, Array]  # posterior of an earlier calibration: matrix and target
+    varied_parameters: tuple[Parameter, ...]  # beyond the base, and excited by the commands
+    suspects: tuple[FaultColumns, ...]  # possible data faults, in the order of the last groups
+    unexplainable_chi2: float  # chi2 in the directions that no coefficient moves
+    nuisance: Nuisances  # of the instruments, at the linearisation
+    # rms difference of the prediction at the mean from its linearisation, sigmas
+    linearisation_error: float = float("nan")
 
     @property
     def parameter_count(self) -> int:
-        """Number of the catalogue's coefficients, which come first."""
+        """Number of the catalogue's parameters, whose coefficients come first."""
         return len(self.problem.unknowns)
 
-    def coefficients(self, place: FreeForm) -> NDArray[np.intp]:
-        """Where a place's coefficients stand."""
-        return coefficient_spans(self.free_form_errors, self.parameter_count)[place.name]
+    def coefficients(self, error: FreeForm) -> NDArray[np.intp]:
+        """Return the indices of a free-form error's coefficients."""
+        return coefficient_spans(self.free_form_errors, self.parameter_count)[error.name]
 
     def linearisation_error_at(self, mean: Array) -> float:
-        """Root mean square, in sigmas, of the prediction at a mean ``(C,)`` past its
-        linearisation; what dials do goes by the readings that are predicted, and by their order.
+        """Return the rms difference, in sigmas, of the prediction at a mean ``(C,)`` from its
+        linearisation.
+
+        The errors of dials are evaluated at the readings predicted there, and in their order.
         """
-        predicted = predict(self.problem, (mean * self.units)[: self.parameter_count])
-        linear = (
-            self.value_at_zero + self.rows[:, : self.parameter_count] @ mean[: self.parameter_count]
-        )
-        columns, dials = dial_curve_columns(
-            self.problem, predicted, self.problem.measured - predicted
-        )
-        own = coefficient_spans(self.free_form_errors, self.parameter_count)
-        for place, block in zip(dials, columns, strict=True):
-            if place.name in own:
-                at = own[place.name]
-                predicted = predicted + (block - self.rows[:, at]) @ mean[at]
-        off = self.nuisance.project(predicted - linear)
-        return float(np.sqrt(np.mean(off[: len(linear)] ** 2)))
+        problem, count = self.problem, self.parameter_count
+        predicted = predict(problem, (mean * self.units)[:count])
+        linear = self.value_at_zero + self.rows[:, :count] @ mean[:count]
+        columns, dial_errors = dial_curve_columns(problem, predicted, problem.measured - predicted)
+        spans = coefficient_spans(self.free_form_errors, count)
+        for error, current in zip(dial_errors, columns, strict=True):
+            if error.name in spans:
+                span = spans[error.name]
+                predicted = predicted + (current - self.rows[:, span]) @ mean[span]
+        difference = self.nuisance.project(predicted - linear)
+        return float(np.sqrt(np.mean(difference[: len(linear)] ** 2)))
 
 
 def with_all_parameters(problem: Problem) -> Problem:
-    """All other parameters of the catalogue freed, seen or not, that could move readings or TCP."""
+    """Return the problem with all parameters of the catalogue free that could move readings or
+    TCP.
+    """
     excited = {effect.name for effect in excited_effects(problem)}
 
-    def counts(effect: Effect) -> bool:
+    def is_relevant(effect: Effect) -> bool:
         if "pitch" in effect.needs and problem.machine.spec.screw_pitch is None:
             return False
-        at_hand = effect.at_rest or (effect.of_dial and bool(problem.campaigns))
-        return at_hand or effect.name in excited
+        of_used_dial = effect.of_dial and bool(problem.campaigns)
+        return effect.at_rest or of_used_dial or effect.name in excited
 
-    effects = [effect.name for effect in problem.machine.catalogue.effects if counts(effect)]
+    effects = [effect.name for effect in problem.machine.catalogue.effects if is_relevant(effect)]
     return with_effects_freed(problem, effects)
 
 
 def linearise_full_model(
     estimate: Estimate,
-    at: Array | None = None,
+    point: Array | None = None,
     corrected: Sequence[Fault] = (),
     suspected_faults: bool | Collection[FaultKey] = False,
 ) -> LinearisedModel:
-    """Linearise the readings by everything that could be wrong.
+    """Linearise the readings in all parameters, free-form errors and data faults.
 
     Args:
-        estimate: a fit of the base; gives the problem and its nuisances.
-        at: parameters to linearise at ``(P,)``, SI; the fit's, others zero, where absent.
-        corrected: wrong commands that are put right in the estimate's problem, and weighed.
-        suspected_faults: whether the data may have faults, or which.
+        estimate: a fit of the base model.
+        point: parameters to linearise at ``(P,)``, SI; by default the fit, with all others zero.
+        corrected: wrong commands that are corrected in the estimate's problem.
+        suspected_faults: true to screen all data faults, or the keys of those to consider.
     """
-    wide, _, here = _linearise_all_parameters(estimate, at)
-    about = _machine_model(
-        estimate.problem, wide, here, _displacement_by_commands(wide, here, corrected)
-    )
+    wide, linearised = _linearise_all_parameters(estimate, point)
+    displacement = _displacement_by_commands(wide, linearised, corrected)
+    model = _machine_model(estimate.problem, wide, linearised, displacement)
     if suspected_faults:
-        several = fault_columns(wide, here, corrected)
+        suspects = fault_columns(wide, linearised, corrected)
         if not isinstance(suspected_faults, bool):
-            several = [s for s in several if s.key(wide) in suspected_faults]
-        about = _with_data_faults(about, several, corrected, suspected_faults is True)
-    linear, kept = about.linear, drop_unseen_directions(about.linear)
-    outside = float(linear.residual @ linear.residual - kept.residual @ kept.residual)
-    return replace(about, linear=kept, unexplainable_chi2=outside)
+            suspects = [s for s in suspects if s.key(wide) in suspected_faults]
+        model = _with_data_faults(model, suspects, corrected, suspected_faults is True)
+    linear, compact = model.linear, drop_unseen_directions(model.linear)
+    unexplainable = float(linear.residual @ linear.residual - compact.residual @ compact.residual)
+    return replace(model, linear=compact, unexplainable_chi2=unexplainable)
 
 
-def _displacement_by_commands(wide: Problem, here: Linearised, corrected: Sequence[Fault]) -> Array:
-    """Return by how much corrected commands moved the predicted readings ``(n,)``, metres: what
-    other explanations of them have to explain.
+def _displacement_by_commands(
+    wide: Problem, linearised: Linearised, corrected: Sequence[Fault]
+) -> Array:
+    """Return by how much corrected commands moved the predicted readings ``(n,)``, metres.
+
+    Explanations other than the wrong commands have to explain this displacement.
     """
-    moved = np.zeros(len(here.value))
+    displacement = np.zeros(len(linearised.value))
     if corrected:
-        by_command = command_derivatives(wide, here.x, here.value)
+        by_command = command_derivatives(wide, linearised.x, linearised.value)
         for fault in corrected:
             drive, size = fault.commands[0]
-            moved[fault.rows] += by_command[fault.rows, drive] * size
-    return moved
+            displacement[fault.rows] += by_command[fault.rows, drive] * size
+    return displacement
 
 
 def _machine_model(
-    problem: Problem, wide: Problem, here: Linearised, moved: Array
+    problem: Problem, wide: Problem, linearised: Linearised, displacement: Array
 ) -> LinearisedModel:
-    """The readings, linear in everything that could be wrong with the machine and its instruments.
+    """Return the linear model of the machine and its instruments, without data faults.
 
     Args:
         problem: with the base free.
-        wide: with everything free.
-        here: where this is linearised.
-        moved: by how much corrected commands moved the readings there ``(n,)``, metres.
+        wide: with all parameters free.
+        linearised: its readings, linearised.
+        displacement: of the predicted readings by corrected commands ``(n,)``, metres.
     """
-    nuisance, sd, x = nuisances(wide, here.reading_poses), wide.tolerance, here.x
-    off = problem.measured - here.value + moved
-    free_rows, found = free_form_columns(wide, x, off - nuisance.explained_residual(off))
-    of_dials, dials = dial_curve_columns(wide, here.value, off)
-    of_plates, sizes = plate_shape_columns(wide)
-    blocks = chain(free_rows, of_dials, [of_plates])
-    found = (*found, *dials)
-    scale = np.concatenate([sd, *(np.full(p.kernel.count, p.prior_sd) for p in found), sizes])
-    rows = np.empty((len(off), len(scale)))
-    np.multiply(here.jacobian, sd, out=rows[:, : len(sd)])
-    first = len(sd)
-    for block in blocks:
-        rows[:, first : (first := first + block.shape[1])] = block
-    value = here.value - here.jacobian @ x
-    fixed, known = _fixed_priors(problem, len(scale))
-    unnamed = np.arange(len(scale)) >= len(scale) - len(sizes)
-    fixed[unnamed] = 1.0
-    readings = _WhitenedReadings.of(problem, nuisance, rows, problem.measured - value)
-    free, slopes = len(problem.unknowns), tool_slopes(wide, x) * sd
-    same = twins(wide, free, readings.columns[:, : len(sd)], slopes)
-    gone = {other.plain for others in same.values() for other, _ in others}
-    stood_for = np.flatnonzero([n.plain in gone for n in wide.names])
-    rows[:, stood_for] = readings.columns[:, stood_for] = 0.0
-    fixed[stood_for] = _ZERO_SD
-    known = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])]), known[1]
-    readings = readings.with_prior_rows(known, scale)
-    stands = {o.plain.at(n.campaign): (n, 1 / f) for n, others in same.items() for o, f in others}
-    groups, causes, asked = build_groups(wide, free, readings.columns, found, stands)
-    is_free = np.arange(len(scale)) >= len(sd)
-    repeats = problem.repeat_count >= _ENOUGH_REPEATS
+    nuisance, sd, x = nuisances(wide, linearised.reading_poses), wide.tolerance, linearised.x
+    residual = problem.measured - linearised.value + displacement
+    rows, units, errors, plate_count = _scaled_columns(wide, linearised, nuisance, residual)
+    value_at_zero = linearised.value - linearised.jacobian @ x
+    fixed_sd, (matrix, target) = _fixed_priors(problem, len(units))
+    prior_rows = np.pad(matrix, [(0, 0), (0, len(sd) - matrix.shape[1])]), target
+    plate_shapes = np.arange(len(units)) >= len(units) - plate_count
+    fixed_sd[plate_shapes] = 1.0
+    readings = _WhitenedReadings.of(problem, nuisance, rows, problem.measured - value_at_zero)
+    base_count, slopes = len(problem.unknowns), tool_slopes(wide, x) * sd
+    twin_parameters = twins(wide, base_count, readings.columns[:, : len(sd)], slopes)
+    replaced = {other.plain for factors in twin_parameters.values() for other, _ in factors}
+    replaced_index = np.flatnonzero([name.plain in replaced for name in wide.names])
+    rows[:, replaced_index] = readings.columns[:, replaced_index] = 0.0
+    fixed_sd[replaced_index] = _ZERO_SD
+    readings = readings.with_prior_rows(prior_rows, units)
+    replacements = {
+        twin.plain.at(name.campaign): (name, 1 / factor)
+        for name, factors in twin_parameters.items()
+        for twin, factor in factors
+    }
+    groups, causes, varied = build_groups(wide, base_count, readings.columns, errors, replacements)
+    enough_repeats = problem.repeat_count >= _ENOUGH_REPEATS
     linear = LinearModel(
-        readings.columns, readings.residual, fixed, is_free, unnamed, groups, readings.stations,
-        noise_weight=RARE_LOG_PRIOR if repeats else 0.0, noise_decay=0.0 if repeats else 1.0,
-        station_remainder=readings.station_remainder,
+        readings.columns, readings.residual, fixed_sd, np.arange(len(units)) >= len(sd),
+        plate_shapes, groups, readings.stations,
+        noise_weight=RARE_LOG_PRIOR if enough_repeats else 0.0,
+        noise_decay=0.0 if enough_repeats else 1.0, station_remainder=readings.station_remainder,
     )  # fmt: skip
     tolerance = wide.machine.tolerance
-    by_name: dict[str, tuple[tuple[str, float], ...]] = {
-        n: tuple((o, f * tolerance(o) / tolerance(n)) for o, f in others)
-        for n, others in same.items()
+    twins_in_si: dict[str, tuple[tuple[str, float], ...]] = {
+        name: tuple((twin, factor * tolerance(twin) / tolerance(name)) for twin, factor in factors)
+        for name, factors in twin_parameters.items()
     }
-    # On even commands, where the place of the whole is what all of them share.
-    even = tool_slopes(wide, x, workspace_grid(wide.machine.geometry)) * sd
+    # On an even grid, over which a translation is the mean displacement.
+    grid_slopes = tool_slopes(wide, x, workspace_grid(wide.machine.geometry)) * sd
     return LinearisedModel(
-        wide, scale, found, causes, _with_plate_priors(linear, problem), by_name, translations(even),
-        rows, x, value, known, tuple(n for n in asked if n.plain not in gone), (), 0.0, nuisance,
+        wide, units, errors, causes, _with_plate_priors(linear, problem),
+        twins_in_si, translations(grid_slopes), rows, x, value_at_zero, prior_rows,
+        tuple(name for name in varied if name.plain not in replaced), (), 0.0, nuisance,
     )  # fmt: skip
+
+
+def _scaled_columns(
+    wide: Problem, linearised: Linearised, nuisance: Nuisances, residual: Array
+) -> tuple[Array, Array, tuple[FreeForm, ...], int]:
+    """Return all columns ``(n, C)``, their units, free-form errors and number of plate shapes."""
+    sd, unexplained = wide.tolerance, residual - nuisance.explained_residual(residual)
+    machine_blocks, machine_errors = free_form_columns(wide, linearised.x, unexplained)
+    dial_blocks, dial_errors = dial_curve_columns(wide, linearised.value, residual)
+    plate_block, plate_sd = plate_shape_columns(wide)
+    errors = (*machine_errors, *dial_errors)
+    units = np.concatenate([sd, *(np.full(e.kernel.count, e.prior_sd) for e in errors), plate_sd])
+    rows = np.empty((len(residual), len(units)))
+    np.multiply(linearised.jacobian, sd, out=rows[:, : len(sd)])
+    first = len(sd)
+    for block in chain(machine_blocks, dial_blocks, [plate_block]):
+        rows[:, first : (first := first + block.shape[1])] = block
+    return rows, units, errors, len(plate_sd)
 
 
 def _with_data_faults(
-    about: LinearisedModel,
-    several: Sequence[FaultColumns],
+    model: LinearisedModel,
+    suspects: Sequence[FaultColumns],
     corrected: Sequence[Fault],
     screen: bool,
 ) -> LinearisedModel:
-    """The same with faults of the data, each a group: those that could stand out where they are to
-    be screened, and those of commands that are put right where this is linearised.
+    """Return the model with one group for each data fault.
+
+    If ``screen`` is true, only faults that could be active, and those of corrected commands, are
+    added.
     """
-    problem, linear = about.problem, about.linear
-    right = {s.name: s for s in several if any(s.fault is f for f in corrected)}
+    problem, linear = model.problem, model.linear
+    corrected_suspects = {s.name: s for s in suspects if any(s.fault is f for f in corrected)}
     # The alternatives to a corrected command have to explain what it explains.
-    value = about.value_at_zero.copy()
-    for one in right.values():
-        value[one.fault.rows] -= one.columns[:, 0] * one.fault.size / one.unit
-    rest = problem.measured - value
-    kept = [*several]
+    value_at_zero = model.value_at_zero.copy()
+    for suspect in corrected_suspects.values():
+        size = suspect.fault.size / suspect.unit
+        value_at_zero[suspect.fault.rows] -= suspect.columns[:, 0] * size
+    residual = problem.measured - value_at_zero
+    kept = [*suspects]
     if screen:
         backgrounds = [np.sqrt(linear.spike(share, share)) for share in _SCREENING_BACKGROUNDS]
-        readings = _WhitenedReadings.of(problem, about.nuisance, about.rows, rest)
-        readings = readings.with_prior_rows(about.prior_rows, about.units)
+        readings = _WhitenedReadings.of(problem, model.nuisance, model.rows, residual)
+        readings = readings.with_prior_rows(model.prior_rows, model.units)
         compact = readings.columns, readings.residual
-        kept = screen_data_faults(
-            several, problem, about.nuisance, about.rows, rest, compact, backgrounds, right
-        )
+        kept = screen_data_faults(suspects, problem, model.nuisance, model.rows, residual, compact,
+                                  backgrounds, corrected_suspects)  # fmt: skip
     if not kept:
-        return about
-    rows = np.hstack([about.rows, *(s.full_columns(len(value)) for s in kept)])
-    scale = np.concatenate([about.units, *(np.full(s.coefficient_count, s.unit) for s in kept)])
-    readings = _WhitenedReadings.of(problem, about.nuisance, rows, rest)
-    readings = readings.with_prior_rows(about.prior_rows, scale)
-    first, groups = len(about.units), list(linear.groups)
-    for one in kept:
-        group = identity_group(
-            one.name, range(first, first + one.coefficient_count), free_form=False
-        )
-        groups.append(replace(group, expected=one.expected_count, of_data=True))
-        first += one.coefficient_count
-    more = (0, first - len(about.units))
+        return model
+    rows = np.hstack([model.rows, *(s.full_columns(len(residual)) for s in kept)])
+    units = np.concatenate([model.units, *(np.full(s.coefficient_count, s.unit) for s in kept)])
+    readings = _WhitenedReadings.of(problem, model.nuisance, rows, residual)
+    readings = readings.with_prior_rows(model.prior_rows, units)
+    first, groups = len(model.units), list(linear.groups)
+    for suspect in kept:
+        span = range(first, first := first + suspect.coefficient_count)
+        group = identity_group(suspect.name, span, free_form=False)
+        groups.append(replace(group, expected=suspect.expected_count, of_data=True))
+    padding = (0, first - len(model.units))
     linear = replace(
         linear,
         columns=readings.columns,
         residual=readings.residual,
         stations=readings.stations,
         station_remainder=readings.station_remainder,
-        fixed_sd=np.pad(linear.fixed_sd, more, constant_values=_ZERO_SD),
-        free_form=np.pad(linear.free_form, more),
-        plate_shapes=np.pad(linear.plate_shapes, more),
+        fixed_sd=np.pad(linear.fixed_sd, padding, constant_values=_ZERO_SD),
+        free_form=np.pad(linear.free_form, padding),
+        plate_shapes=np.pad(linear.plate_shapes, padding),
         groups=tuple(groups),
     )
-    return replace(
-        about, linear=linear, rows=rows, units=scale, value_at_zero=value, suspects=tuple(kept)
-    )
+    return replace(model, linear=linear, rows=rows, units=units, value_at_zero=value_at_zero,
+                   suspects=tuple(kept))  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _WhitenedReadings:
-    """Readings in units of their noise, past the nuisances of the instruments."""
+    """Readings in units of their noise, with the instruments' nuisances projected out."""
 
     columns: Array  # by coefficient (m, C)
-    residual: Array  # what they are to explain (m,)
+    residual: Array  # readings less the prediction at zero (m,)
     stations: Array  # an error of one sigma at each station (m, s)
     station_remainder: StationRemainder
 
     @classmethod
     def of(
-        cls, problem: Problem, nuisance: Nuisances, rows: Array, rest: Array
+        cls, problem: Problem, nuisance: Nuisances, rows: Array, residual: Array
     ) -> _WhitenedReadings:
-        """Of rows ``(n, C)`` and what these are to explain ``(n,)``."""
-        if len(rest) > COMPRESSION_THRESHOLD:
-            return cls(*compress_readings(nuisance, rows, rest))
-        each = np.eye(int(problem.station.max()) + 1)[problem.station] * problem.sigma[:, None]
+        """Whiten columns ``(n, C)`` and residual ``(n,)``, metres."""
+        if len(residual) > COMPRESSION_THRESHOLD:
+            return cls(*compress_readings(nuisance, rows, residual))
+        station_errors = np.eye(int(problem.station.max()) + 1)[problem.station]
+        station_errors *= problem.sigma[:, None]
         project = nuisance.project
-        return cls(project(rows), project(rest), project(each), (0.0, 0.0, 1.0))
+        return cls(project(rows), project(residual), project(station_errors), (0.0, 0.0, 1.0))
 
-    def with_prior_rows(self, known: tuple[Array, Array], scale: Array) -> _WhitenedReadings:
-        """The same with rows of what was known before ``(k, P)``, by coefficients of some scale."""
-        matrix, target = known
-        matrix = np.pad(matrix, [(0, 0), (0, len(scale) - matrix.shape[1])]) * scale
-        none = np.zeros((len(target), self.stations.shape[1]))
+    def with_prior_rows(self, prior_rows: tuple[Array, Array], units: Array) -> _WhitenedReadings:
+        """Append the rows of an earlier posterior ``(k, P)``, in units of the coefficients."""
+        matrix, target = prior_rows
+        matrix = np.pad(matrix, [(0, 0), (0, len(units) - matrix.shape[1])]) * units
+        no_errors = np.zeros((len(target), self.stations.shape[1]))
         return replace(
             self,
             columns=np.vstack([self.columns, matrix]),
             residual=np.concatenate([self.residual, target]),
-            stations=np.vstack([self.stations, none]),
+            stations=np.vstack([self.stations, no_errors]),
         )
 
 
 def _linearise_all_parameters(
-    estimate: Estimate, at: Array | None
-) -> tuple[Problem, Array, Linearised]:
-    """Everything about a machine that has the instruments' frames where it is linearised, that
-    place ``(P,)``, SI, and the readings there.
+    estimate: Estimate, point: Array | None
+) -> tuple[Problem, Linearised]:
+    """Return the problem with all parameters free, and its readings linearised at ``point``.
+
+    The frames of the instruments are those of the linearisation.
     """
     wide = with_all_parameters(estimate.problem)
     start = wide.zero_padded(estimate.x)
-    x = start if at is None else at
-    here = linearise(wide, x)
-    if (near := update_instrument_poses(wide, here)) is not wide:
-        wide, here = near, linearise(near, x)
-    if at is None:
-        return wide, x, here
-    # A dial that magnifies everything found so far would be one coefficient in place of many: what
-    # a dial does that does not stand out is taken at the base fit, where it cannot stand in for the
-    # machine.
-    of_dial = [wide.machine.catalogue.effect_of(n).of_dial for n in wide.names]
-    resting = np.array(of_dial) & (at == 0)
-    here.jacobian[:, resting] = linearise(wide, start).jacobian[:, resting]
-    return wide, x, here
+    x = start if point is None else point
+    linearised = linearise(wide, x)
+    if (moved := update_instrument_poses(wide, linearised)) is not wide:
+        wide, linearised = moved, linearise(moved, x)
+    if point is not None:
+        # At the mean, the scale error of a dial would imitate all causes found so far at once.
+        # Inactive effects of dials are therefore linearised at the base fit.
+        of_dial = [wide.machine.catalogue.effect_of(n).of_dial for n in wide.names]
+        inactive = np.array(of_dial) & (point == 0)
+        linearised.jacobian[:, inactive] = linearise(wide, start).jacobian[:, inactive]
+    return wide, linearised
 
 
 def _with_plate_priors(linear: LinearModel, problem: Problem) -> LinearModel:
-    """The same where a surface is all that was read, or plates have errors without structure."""
+    """Return the model with the priors for readings of surfaces, or for plates with extra noise."""
     if only_surface_readings(problem):
-        likely = tuple(s for s in SLAB_SCALES if s <= _LARGEST_SURFACE_SLAB)
-        rare = 2 * RARE_LOG_PRIOR if only_plate_readings(problem) else RARE_LOG_PRIOR
-        linear = replace(
-            linear, slab_scales=likely, wide_background=(_LARGEST_SURFACE_BACKGROUND, rare)
-        )
+        slab_scales = tuple(s for s in SLAB_SCALES if s <= _LARGEST_SURFACE_SLAB)
+        log_prior = 2 * RARE_LOG_PRIOR if only_plate_readings(problem) else RARE_LOG_PRIOR
+        wide_background = _LARGEST_SURFACE_BACKGROUND, log_prior
+        linear = replace(linear, slab_scales=slab_scales, wide_background=wide_background)
     if any(f.noise_capped.any() for f in problem.tool_factors):
-        linear = replace(
-            linear, noise_weight=-RARE_LOG_PRIOR, noise_decay=0.0
-        )  # these have been seen
+        # Noise larger than declared was observed.
+        linear = replace(linear, noise_weight=-RARE_LOG_PRIOR, noise_decay=0.0)
     return linear
 
 
 def _fixed_priors(problem: Problem, count: int) -> tuple[Array, tuple[Array, Array]]:
-    """Prior sd of what no background has ``(C,)``, nan elsewhere; rows of what was known before.
+    """Return the prior sd of coefficients without background scale ``(C,)``, else nan, and prior
+    rows.
 
-    What was free before stands at its tolerance. What an earlier calibration speaks of has rows
-    instead.
+    Parameters of the base have their tolerances as prior sd. Those of an earlier calibration have
+    rows instead, matrix and target.
     """
-    fixed = np.full(count, np.nan)
-    fixed[: len(problem.names)] = [u.prior_width for u in problem.unknowns]
+    fixed_sd = np.full(count, np.nan)
+    fixed_sd[: len(problem.names)] = [u.prior_width for u in problem.unknowns]
     if problem.earlier_posterior is None:
-        return fixed, (np.zeros((0, len(problem.names))), np.zeros(0))
-    matrix, target, spoken = posterior_rows(problem.earlier_posterior, problem.unknowns)
-    fixed[: len(spoken)][spoken] = _VAGUE_SD
-    return fixed, (matrix, target)
+        return fixed_sd, (np.zeros((0, len(problem.names))), np.zeros(0))
+    matrix, target, constrained = posterior_rows(problem.earlier_posterior, problem.unknowns)
+    fixed_sd[: len(constrained)][constrained] = _VAGUE_SD
+    return fixed_sd, (matrix, target)

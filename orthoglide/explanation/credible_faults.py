@@ -1,4 +1,4 @@
-"""Faults of the data in credible sets: those that are sure, and those that may be a cause."""
+"""Data faults in credible sets: certain, probable, and ambiguous with a cause of the machine."""
 
 from __future__ import annotations
 
@@ -20,9 +20,7 @@ from orthoglide.ordering import descending, largest
 
 EVEN_PROBABILITY = 0.5  # probability above which something is more probable than not
 
-_NEIGHBOUR_DISTANCE = (
-    1.6  # times the distance of the nearest touch: the next across a square's diagonal
-)
+_NEIGHBOUR_DISTANCE = 1.6  # in distances of the nearest touch: includes a square's diagonal
 
 _LEAST_SHARE = float(np.exp(-3.0))
 """Smallest probability, relative to the likeliest drive, at which another drive is also reported as
@@ -49,10 +47,18 @@ class _FaultReader:
     def columns_by_name(self) -> dict[str, FaultColumns]:
         return {s.name: s for s in self.posterior.linearised.suspects}
 
-    def members(self) -> Iterator[tuple[int, Array]]:
-        """Yield each group of the best state, with the probability of every group in its place."""
+    def members(self) -> Iterator[tuple[int, Array, bool]]:
+        """Yield each group of the best state, the probability of every group in its place, and
+        whether these amount to the 0.9 of a claim.
+        """
         for member in self.posterior.mixture.strongest:
-            yield member, self.alternatives.probabilities(member)[:-1]
+            probabilities = self.alternatives.probabilities(member)[:-1]
+            yield member, probabilities, probabilities.sum() >= LEAST_CLAIMED_PROBABILITY
+
+    def is_of_data(self, probabilities: Array) -> bool:
+        """Return whether data faults account for at least 99 % of the probability of groups."""
+        of_data = probabilities[self.is_data_fault].sum()
+        return bool(of_data >= CREDIBLE_WITH_DATA_FAULT * probabilities.sum())
 
     def fault_columns(self, group: int) -> FaultColumns:
         """Return the data fault of a group."""
@@ -60,9 +66,9 @@ class _FaultReader:
 
     def fault(self, member: int, group: int) -> Fault:
         """Return the data fault of a group in the place of a member, with its estimated size."""
-        at = self.posterior.mixture.linear.groups[group].coefficients
-        mean, _ = self.alternatives.moments(member, group, at)
-        return self.fault_columns(group).with_sizes(mean[at])
+        coefficients = self.posterior.mixture.linear.groups[group].coefficients
+        mean, _ = self.alternatives.moments(member, group, coefficients)
+        return self.fault_columns(group).with_sizes(mean[coefficients])
 
 
 def certain_data_faults(posterior: FullPosterior) -> list[Fault]:
@@ -72,42 +78,35 @@ def certain_data_faults(posterior: FullPosterior) -> list[Fault]:
     faults account for at least 99 % of that. A touch of a plate is left out if a neighbouring touch
     is an outlier too, because the plate then has a shape error.
     """
-    reader, found = _FaultReader(posterior), list[Fault]()
-    for member, every in reader.members():
-        odds = every * reader.is_data_fault
-        if (
-            not reader.is_data_fault[member]
-            or every.sum() < LEAST_CLAIMED_PROBABILITY
-            or odds.sum() < CREDIBLE_WITH_DATA_FAULT * every.sum()
-        ):
+    reader, faults = _FaultReader(posterior), list[Fault]()
+    for member, probabilities, claimed in reader.members():
+        if not (claimed and reader.is_data_fault[member] and reader.is_of_data(probabilities)):
             continue
-        best, *others = descending(odds)
+        of_data = probabilities * reader.is_data_fault
+        best, *others = descending(of_data)
         fault = reader.fault(member, best)
-        for k in (k for k in others if odds[k] > _LEAST_SHARE * odds[best]):
+        for k in (k for k in others if of_data[k] > _LEAST_SHARE * of_data[best]):
             other = reader.fault_columns(k).fault
             if fault.commands and other.commands and np.array_equal(other.rows, fault.rows):
-                more = reader.fault(member, k).commands
-                fault = replace(fault, commands=(*fault.commands, *more))
+                commands = reader.fault(member, k).commands
+                fault = replace(fault, commands=(*fault.commands, *commands))
             elif other.kind != fault.kind and not fault.alternatives:
                 fault = replace(fault, alternatives=(reader.fault(member, k),))
-        found.append(fault)
-    return [f for f in found if not _has_faulty_neighbour(posterior.before.problem, f, found)]
+        faults.append(fault)
+    return [f for f in faults if not _has_faulty_neighbour(posterior.before.problem, f, faults)]
 
 
 def probable_faults(posterior: FullPosterior) -> list[tuple[Fault, float]]:
     """Return the data faults that are more probable than not, each with its probability, where the
     fault and its alternatives together have less than the 0.9 of a claim.
     """
-    reader, found = _FaultReader(posterior), list[tuple[Fault, float]]()
-    for member, odds in reader.members():
-        best = largest(odds)
-        if (
-            odds.sum() < LEAST_CLAIMED_PROBABILITY
-            and odds[best] > EVEN_PROBABILITY
-            and reader.is_data_fault[best]
-        ):
-            found.append((reader.fault(member, best), float(odds[best])))
-    return found
+    reader, faults = _FaultReader(posterior), list[tuple[Fault, float]]()
+    for member, probabilities, claimed in reader.members():
+        best = largest(probabilities)
+        likely = probabilities[best] > EVEN_PROBABILITY
+        if likely and not claimed and reader.is_data_fault[best]:
+            faults.append((reader.fault(member, best), float(probabilities[best])))
+    return faults
 
 
 def ambiguous_faults(posterior: FullPosterior) -> frozenset[FaultKey]:
@@ -116,30 +115,28 @@ def ambiguous_faults(posterior: FullPosterior) -> frozenset[FaultKey]:
     Something is active with a probability of at least 0.9, but data faults account for less than
     99 % of that probability.
     """
-    reader, found = _FaultReader(posterior), set[FaultKey]()
-    for _, odds in reader.members():
-        if (
-            odds.sum() < LEAST_CLAIMED_PROBABILITY
-            or (odds * reader.is_data_fault).sum() >= CREDIBLE_WITH_DATA_FAULT * odds.sum()
-        ):
+    reader, keys = _FaultReader(posterior), set[FaultKey]()
+    for _, probabilities, claimed in reader.members():
+        if not claimed or reader.is_of_data(probabilities):
             continue
-        near = odds > (1 - CREDIBLE_WITH_DATA_FAULT) * odds.max(initial=0.0)
-        for k in np.flatnonzero(reader.is_data_fault & near).tolist():
-            found.add(reader.fault_columns(k).key(posterior.linearised.problem))
-    return frozenset(found)
+        comparable = probabilities > (1 - CREDIBLE_WITH_DATA_FAULT) * probabilities.max(initial=0.0)
+        for k in np.flatnonzero(reader.is_data_fault & comparable).tolist():
+            keys.add(reader.fault_columns(k).key(posterior.linearised.problem))
+    return frozenset(keys)
 
 
 def _has_faulty_neighbour(problem: Problem, fault: Fault, others: Sequence[Fault]) -> bool:
-    """Whether a touch of a plate lies beside others that are off as well: then the plate has a
-    shape, and none of them slipped.
+    """Return whether a neighbour of an outlying touch of a plate is an outlier too. Then the plate
+    has a shape error, and none of the touches slipped.
     """
     k, row = factors_and_rows(problem, fault.rows)[0]
     factor = problem.factors[k]
     if fault.kind != "outlier" or not factor.readings.touching[row]:
         return False
-    start, place = problem.factor_rows[k].start, factor.normalized_plate_xy
-    off = [f.rows[0] - start for f in others if f.kind == "outlier" and f is not fault
-           and f.setups == fault.setups]  # fmt: skip
-    apart = np.linalg.norm(place - place[row], axis=1)
-    here = apart[(factor.setup == factor.setup[row]) & (apart > 0)]
-    return bool(len(here) and any(apart[o] < _NEIGHBOUR_DISTANCE * here.min() for o in off))
+    start, position = problem.factor_rows[k].start, factor.normalized_plate_xy
+    outliers = [f.rows[0] - start for f in others
+                if f.kind == "outlier" and f is not fault and f.setups == fault.setups]  # fmt: skip
+    distances = np.linalg.norm(position - position[row], axis=1)
+    in_setup = distances[(factor.setup == factor.setup[row]) & (distances > 0)]
+    limit = _NEIGHBOUR_DISTANCE * in_setup.min(initial=np.inf)
+    return bool(np.isfinite(limit) and (distances[outliers] < limit).any())

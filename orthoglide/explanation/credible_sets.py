@@ -58,14 +58,14 @@ LEAST_CLAIMED_PROBABILITY = 0.9
 def credible_sets(posterior: FullPosterior, given: Sequence[str] = ()) -> CredibleSets:
     """Return the credible sets of all active causes, those declared in ``given`` included."""
     reader = _CredibleSetReader(posterior)
-    found = [reader.credible_set(member, given) for member in posterior.mixture.strongest]
-    found += far_base_causes(posterior)
+    sets = [reader.credible_set(member, given) for member in posterior.mixture.strongest]
+    sets += far_base_causes(posterior)
     return CredibleSets(
-        tuple(f for f in found if isinstance(f, Cause)),
-        tuple(f for f in found if isinstance(f, Located)),
+        tuple(item for item in sets if isinstance(item, Cause)),
+        tuple(item for item in sets if isinstance(item, Located)),
         reader.candidate_scores(),
-        () if found else reader.single_causes(),
-        () if found else reader.possible_causes(),
+        () if sets else reader.single_causes(),
+        () if sets else reader.possible_causes(),
     )
 
 
@@ -76,6 +76,8 @@ def smallest_count(odds: Array, probability: float) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _CredibleSetReader:
+    """Reads credible sets from a posterior."""
+
     posterior: FullPosterior
 
     @cached_property
@@ -83,59 +85,56 @@ class _CredibleSetReader:
         return self.posterior.mixture.linear.groups
 
     @cached_property
+    def _cause_groups(self) -> list[int]:
+        """Indices of the groups that are causes of the catalogue."""
+        return [k for k, g in enumerate(self.groups) if not g.free_form and not g.of_data]
+
+    @cached_property
     def alternatives(self) -> Alternatives:
         return Alternatives(self.posterior.mixture)
 
     def credible_set(self, member: int, given: Sequence[str]) -> Cause | Located | None:
         """Return the credible set for one active group; ``None`` if nothing is claimed."""
-        known = self.groups[member].name in given
+        declared = self.groups[member].name in given
         odds = self.alternatives.probabilities(member)
-        if known:
+        if declared:
             odds = np.eye(len(odds))[member]
         odds = odds[:-1]
         if odds.sum() < LEAST_CLAIMED_PROBABILITY:
             return None
         order = descending(odds)
-        mixed = any(
-            self.groups[k].of_data
-            for k in order
-            if odds[k] > (1 - CREDIBLE_WITH_DATA_FAULT) * odds.max()
-        )
-        share = CREDIBLE_WITH_DATA_FAULT if mixed else CREDIBLE
-        count = smallest_count(odds[order], share * float(odds.sum()))
-        if count > LARGEST_CREDIBLE_SET and not known:
+        likely = odds > (1 - CREDIBLE_WITH_DATA_FAULT) * odds.max()
+        with_data_faults = any(self.groups[k].of_data for k in np.flatnonzero(likely))
+        target = CREDIBLE_WITH_DATA_FAULT if with_data_faults else CREDIBLE
+        count = smallest_count(odds[order], target * float(odds.sum()))
+        if count > LARGEST_CREDIBLE_SET and not declared:
             return None
-        chosen = [k for k in order[:count] if not self.groups[k].of_data]
+        chosen = [(k, float(odds[k])) for k in order[:count] if not self.groups[k].of_data]
         if not chosen:  # a data fault, which is no statement about the machine
             return None
-        each = [(k, float(odds[k])) for k in chosen]
-        there = sum(p for _, p in each)
-        data = self._data_rivals(member, [k for k in order[:count] if self.groups[k].of_data], odds)
-        free = sum(p for k, p in each if self.groups[k].free_form)
-        if free < (1 - LEAST_CLAIMED_PROBABILITY) * there or (
-            not self.groups[chosen[0]].free_form and free < 0.5 * there
+        faults = [(k, float(odds[k])) for k in order[:count] if self.groups[k].of_data]
+        total = sum(p for _, p in chosen)
+        free_form = sum(p for k, p in chosen if self.groups[k].free_form)
+        found: Cause | Located
+        if free_form < (1 - LEAST_CLAIMED_PROBABILITY) * total or (
+            not self.groups[chosen[0][0]].free_form and free_form < 0.5 * total
         ):
-            cause = self._cause(member, each)
-            return replace(cause, data=data) if data else cause
-        located = self._located(member, each, free)
-        return replace(located, data=data) if data else located
+            found = self._cause(member, chosen)
+        else:
+            found = self._located(member, chosen, free_form)
+        return replace(found, data=tuple(self._data_rivals(member, faults))) if faults else found
 
-    def _data_rivals(
-        self, member: int, groups: Sequence[int], odds: Array
-    ) -> tuple[DataRival, ...]:
-        """Return the data faults of a credible set, which rival its causes."""
-        found = list[DataRival]()
-        if not groups:
-            return ()
+    def _data_rivals(self, member: int, odds: Sequence[tuple[int, float]]) -> Iterator[DataRival]:
+        """Yield the data faults of a credible set, which rival its causes."""
         by_name = {s.name: s for s in self.posterior.linearised.suspects}
         problem = self.posterior.linearised.problem
-        for k in groups:
-            mean, _ = self.alternatives.moments(member, k, at := self.groups[k].coefficients)
-            fault = by_name[self.groups[k].name].with_sizes(mean[at])
+        for k, probability in odds:
+            coefficients = self.groups[k].coefficients
+            mean, _ = self.alternatives.moments(member, k, coefficients)
+            fault = by_name[self.groups[k].name].with_sizes(mean[coefficients])
             rows = tuple(int(problem.factors[t].readings.line[row])
                          for t, row in factors_and_rows(problem, fault.rows))  # fmt: skip
-            found.append(DataRival(fault.kind, rows, float(odds[k]), fault_message(problem, fault)))
-        return tuple(found)
+            yield DataRival(fault.kind, rows, probability, fault_message(problem, fault))
 
     def single_causes(self) -> tuple[Explanation, ...]:
         """Return the 95 % credible set of single causes on an otherwise sound machine."""
@@ -143,131 +142,127 @@ class _CredibleSetReader:
         table = mixture.log_bayes_factors_if_sound()
         if self.posterior.background_scale < _LEAST_BACKGROUND or table.max(initial=0.0) <= 0:
             return ()
-        named = [k for k, g in enumerate(self.groups) if not g.free_form and not g.of_data]
-        weight = np.exp(table[named] - table[named].max()).sum(axis=1)
-        weight /= weight.sum()
-        order = descending(weight)
-        found = []
-        for k in order[: smallest_count(weight[order], CREDIBLE)]:
-            group = named[k]
-            state = ((group, mixture.linear.slab_scales[largest(table[group], LOG_ODDS_MARGIN)]),)
-            at = self.groups[group].coefficients
-            found.append(
-                self._explain(group, float(weight[k]), *mixture.moments_if_sound(state, at))
-            )
-        return tuple(one for explanation in found for one in self._twins(explanation))
+        log_weights = table[self._cause_groups]
+        probabilities = np.exp(log_weights - log_weights.max()).sum(axis=1)
+        probabilities /= probabilities.sum()
+        order = descending(probabilities)
+        explanations = []
+        for k in order[: smallest_count(probabilities[order], CREDIBLE)]:
+            group = self._cause_groups[k]
+            tau = mixture.linear.slab_scales[largest(table[group], LOG_ODDS_MARGIN)]
+            moments = mixture.moments_if_sound(((group, tau),), self.groups[group].coefficients)
+            explanations.append(self._explain(group, float(probabilities[k]), *moments))
+        return tuple(twin for explanation in explanations for twin in self._twins(explanation))
 
     def possible_causes(self) -> tuple[Explanation, ...]:
         """Return the most probable causes where none is active, each estimated as the only one."""
-        mixture, groups = self.posterior.mixture, self.groups
-        named = [k for k, g in enumerate(groups) if not g.free_form and not g.of_data]
-        odds = mixture.inclusion[named]
-        found = []
-        for k in (named[i] for i in descending(odds)[:_MOST_POSSIBLE]):
+        mixture, explanations = self.posterior.mixture, list[Explanation]()
+        order = descending(mixture.inclusion[self._cause_groups])[:_MOST_POSSIBLE]
+        for k in (self._cause_groups[i] for i in order):
             if mixture.inclusion[k] < _LEAST_POSSIBLE:
                 break
-            moments = mixture.likeliest_moments(mixture.child((), k), groups[k].coefficients)
-            found.append(self._explain(k, float(mixture.inclusion[k]), *moments))
-        return tuple(found)
+            moments = mixture.likeliest_moments(mixture.child((), k), self.groups[k].coefficients)
+            explanations.append(self._explain(k, float(mixture.inclusion[k]), *moments))
+        return tuple(explanations)
 
     def _cause(self, member: int, odds: Sequence[tuple[int, float]]) -> Cause:
-        named = self._merge_by_cause([o for o in odds if not self.groups[o[0]].free_form])
-        moments = [
-            self.alternatives.moments(member, k, self.groups[k].coefficients) for k, _ in named
-        ]
-        told = [self._explain(*own, *found) for own, found in zip(named, moments, strict=True)]
-        # Beyond the widest slab the linearisation fails, and no machine is that far off.
-        units = [self.groups[k].unit for k, _ in named]
-        told = [
-            one for one, unit in zip(told, units, strict=True) if self._is_possible(one, unit)
-        ] or told
-        several = [one for explanation in told for one in self._twins(explanation)]
-        chosen, rest = several[0], [one for one in several[1:] if one.exceeds_uncertainty]
-        alike = [self._same_tool(chosen, other) for other in rest]
-        return Cause(
-            chosen,
-            tuple(e for e, same in zip(rest, alike, strict=True) if not same),
-            tuple(e for e, same in zip(rest, alike, strict=True) if same),
-            self._curves(member, odds),
-        )
+        """Return the credible set of a cause with a name, from its groups and probabilities."""
+        explanations, possible = list[Explanation](), list[Explanation]()
+        for k, p in self._merge_by_cause([o for o in odds if not self.groups[o[0]].free_form]):
+            moments = self.alternatives.moments(member, k, self.groups[k].coefficients)
+            explanations.append(self._explain(k, p, *moments))
+            # Beyond the widest slab the linearisation fails, and no machine is that far off.
+            if self._is_possible(explanations[-1], self.groups[k].unit):
+                possible.append(explanations[-1])
+        first, *others = [twin for e in possible or explanations for twin in self._twins(e)]
+        same, rivals = list[Explanation](), list[Explanation]()
+        for other in others:
+            if other.exceeds_uncertainty:
+                (same if self._same_tool(first, other) else rivals).append(other)
+        return Cause(first, tuple(rivals), tuple(same), self._curves(member, odds))
 
     def _merge_by_cause(self, odds: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
         """Merge the groups of one cause on one leg (a wave at any phase); most probable first."""
-        found: dict[tuple[str, ...], tuple[int, float]] = {}
+        merged: dict[tuple[str, ...], tuple[int, float]] = {}
         for k, p in odds:
             candidate = self.posterior.linearised.candidates[k]
             effect = self.posterior.machine.catalogue.effect_of(candidate.name)
-            of = {(n.leg, n.campaign) for n in candidate.parameters}
-            leg = of.pop() if effect.paired and len(of) == 1 else ("", "")
-            one = (effect.name, *leg) if leg[0] else (candidate.name,)
-            first, chance = found.get(one, (k, 0.0))
-            found[one] = first, chance + p
-        return ranked(found.values(), lambda one: one[1])
+            legs = {(n.leg, n.campaign) for n in candidate.parameters}
+            leg = legs.pop() if effect.paired and len(legs) == 1 else ("", "")
+            key = (effect.name, *leg) if leg[0] else (candidate.name,)
+            first, probability = merged.get(key, (k, 0.0))
+            merged[key] = first, probability + p
+        return ranked(merged.values(), lambda group_and_probability: group_and_probability[1])
 
-    def _twins(self, one: Explanation) -> list[Explanation]:
+    def _twins(self, explanation: Explanation) -> list[Explanation]:
         """Return an explanation and its twins, which have equal effects on readings and tool."""
-        catalogue, about = one.catalogue, self.posterior.linearised
-        setups = tuple(s for f in about.problem.factors for s in f.setup_names)
-        parts = {n: tuple(catalogue.elementary_weights(n, setups)) for n in one.parameters}
-        known = [dict(about.twins.get(p, ())) for own in parts.values() for p in own]
-        effects = [{catalogue.effect_of(n).name for n in twin} for twin in known]
-        found, own = [one], catalogue.effect_of(one.name).name
-        for effect in sorted(set.intersection(*effects)) if effects else []:
-            stands = [
-                next((t, f) for t, f in twin.items() if catalogue.effect_of(t).name == effect)
-                for twin in known
-            ]
-            size = stands[0][1]
-            if any(abs(f - size) > 1e-2 * abs(size) for _, f in stands):
+        catalogue, linearised = explanation.catalogue, self.posterior.linearised
+        setups = tuple(s for f in linearised.problem.factors for s in f.setup_names)
+        parts = {n: tuple(catalogue.elementary_weights(n, setups)) for n in explanation.parameters}
+        # For each elementary parameter: its twins by effect, each with its factor.
+        by_effect = [
+            {
+                catalogue.effect_of(twin[0]).name: twin
+                for twin in reversed(linearised.twins.get(p, ()))
+            }
+            for elementary in parts.values()
+            for p in elementary
+        ]
+        explanations, own_effect = [explanation], catalogue.effect_of(explanation.name).name
+        for effect in sorted(set.intersection(*map(set, by_effect))) if by_effect else []:
+            twins = [twin_of[effect] for twin_of in by_effect]
+            factor = twins[0][1]
+            if any(abs(other - factor) > 1e-2 * abs(factor) for _, other in twins):
                 continue
-            if len(stands) == len(parts):  # single parameters: each has its twin
-                named = dict(zip(parts, (t for t, _ in stands), strict=True))
+            if len(twins) == len(parts):  # single parameters: each has its twin
+                new = dict(zip(parts, (name for name, _ in twins), strict=True))
             else:
-                named = {n: n.replace(own, effect, 1) for n in parts}
-            if not all(self._is_parameter(n, setups) for n in named.values()):
+                new = {n: n.replace(own_effect, effect, 1) for n in parts}
+            if not all(self._is_parameter(n, setups) for n in new.values()):
                 continue
-            found.append(
-                replace(
-                    one,
-                    name=named[one.name] if one.name in named else one.name.replace(own, effect, 1),
-                    parameters=tuple(named.values()),
-                    values={named[n]: v * size for n, v in one.values.items()},
-                    sigmas={named[n]: v * abs(size) for n, v in one.sigmas.items()},
-                )
+            name = explanation.name
+            twin = replace(
+                explanation,
+                name=new[name] if name in new else name.replace(own_effect, effect, 1),
+                parameters=tuple(new.values()),
+                values={new[n]: v * factor for n, v in explanation.values.items()},
+                sigmas={new[n]: v * abs(factor) for n, v in explanation.sigmas.items()},
             )
-        return [replace(e, probability=one.probability / len(found)) for e in found]
+            explanations.append(twin)
+        share = explanation.probability / len(explanations)
+        return [replace(e, probability=share) for e in explanations]
 
-    def _explain(self, k: int, probability: float, mean: Array, covariance: Array) -> Explanation:
-        """Return one group as explanation, with the covariance of the coefficients it moves."""
-        posterior, group = self.posterior, self.groups[k]
-        about = posterior.linearised
-        candidate = about.candidates[k]
-        # Project the coefficients it moves on its pattern.
-        own = np.linalg.pinv(group.weights)
-        value = own @ mean[group.coefficients]
-        spread = own @ covariance @ own.T
-        machine = about.problem.machine
-        unit = np.array([machine.tolerance(name) for name in candidate.parameters])
+    def _explain(
+        self, group_index: int, probability: float, mean: Array, covariance: Array
+    ) -> Explanation:
+        """Return one group as explanation, given the covariance of the coefficients it moves."""
+        posterior, group = self.posterior, self.groups[group_index]
+        linearised = posterior.linearised
+        candidate = linearised.candidates[group_index]
+        # Project the coefficients that it moves on its pattern.
+        to_parameters = np.linalg.pinv(group.weights)
+        value = to_parameters @ mean[group.coefficients]
+        sigma = np.sqrt(np.diag(to_parameters @ covariance @ to_parameters.T))
+        machine = linearised.problem.machine
+        tolerances = np.array([machine.tolerance(name) for name in candidate.parameters])
         names, values, _ = posterior.machine_parameters(mean)
-        shown = about.rows[:, group.coefficients] @ group.weights @ value
+        signature = linearised.rows[:, group.coefficients] @ group.weights @ value
         return Explanation(
             candidate.name,
             candidate.parameters,
             probability,
-            dict(zip(candidate.parameters, (value * unit).tolist(), strict=True)),
-            dict(
-                zip(candidate.parameters, (np.sqrt(np.diag(spread)) * unit).tolist(), strict=True)
-            ),
+            dict(zip(candidate.parameters, (value * tolerances).tolist(), strict=True)),
+            dict(zip(candidate.parameters, (sigma * tolerances).tolist(), strict=True)),
             dict(zip(names, values.tolist(), strict=True)),
-            shown - posterior.linearised.nuisance.explained_residual(shown),
+            signature - posterior.linearised.nuisance.explained_residual(signature),
             posterior.machine.catalogue,  # which includes free-form errors
         )
 
-    def _is_possible(self, one: Explanation, unit: float) -> bool:
+    def _is_possible(self, explanation: Explanation, unit: float) -> bool:
         """True if all parameters lie within twice the widest slab, at least that of a part."""
-        of = self.posterior.linearised.problem.machine.tolerance
-        most = 2 * max(self.posterior.mixture.linear.slab_scales) * max(unit, 1.0)
-        return all(abs(value) <= most * of(name) for name, value in one.values.items())
+        tolerance = self.posterior.linearised.problem.machine.tolerance
+        limit = 2 * max(self.posterior.mixture.linear.slab_scales) * max(unit, 1.0)
+        return all(abs(v) <= limit * tolerance(n) for n, v in explanation.values.items())
 
     def _is_parameter(self, name: str, setups: Sequence[str]) -> bool:
         try:
@@ -276,19 +271,19 @@ class _CredibleSetReader:
             return False
         return True
 
-    def _same_tool(self, one: Explanation, other: Explanation) -> bool:
+    def _same_tool(self, first: Explanation, second: Explanation) -> bool:
         """True if two causes move the tool equally over the workspace.
 
         The limit is half the noise of one reading, rms: a smaller difference shows in no reading. A
         fault of an instrument never equals a fault of the machine.
         """
-        of = self.posterior.machine.catalogue.effect_of
-        if of(one.name).of_dial != of(other.name).of_dial:
+        effect_of = self.posterior.machine.catalogue.effect_of
+        if effect_of(first.name).of_dial != effect_of(second.name).of_dial:
             return False
-        apart = np.array([other.machine[n] - v for n, v in one.machine.items()])
-        moved = self._slopes @ apart
+        difference = np.array([second.machine[n] - v for n, v in first.machine.items()])
+        displacement = self._slopes @ difference
         noise = self.posterior.before.problem.noise.typical
-        return bool(np.sqrt(np.mean(np.sum(moved**2, axis=1))) < noise / 2)
+        return bool(np.sqrt(np.mean(np.sum(displacement**2, axis=1))) < noise / 2)
 
     @cached_property
     def _slopes(self) -> Array:
@@ -302,76 +297,79 @@ class _CredibleSetReader:
     ) -> Located:
         members = self._curves(member, odds)
         resembling = tuple(self.groups[k].name for k, _ in odds if not self.groups[k].free_form)
-        known = self._causes_moving(members[0].place)
-        ruled_out = tuple(name for name in known if name not in resembling)
+        moving_causes = self._causes_moving(members[0].place)
+        ruled_out = tuple(name for name in moving_causes if name not in resembling)
         return Located(members, resembling, probability, member, ruled_out)
 
     def _curves(self, member: int, odds: Sequence[tuple[int, float]]) -> tuple[Curve, ...]:
         """Return the curves of the free-form errors in a credible set."""
-        by_name = {p.name: p for p in self.posterior.linearised.free_form_errors}
+        error_by_name = {p.name: p for p in self.posterior.linearised.free_form_errors}
         return tuple(
-            self._curve(member, k, p, by_name[self.groups[k].name])
+            self._curve(member, k, p, error_by_name[self.groups[k].name])
             for k, p in odds
             if self.groups[k].free_form
         )
 
-    def _causes_moving(self, place: FreeForm) -> Iterator[str]:
-        """Yield the candidate causes that move the joints, or change the dial, of a place."""
-        about = self.posterior.linearised
-        motions, joints = about.problem.machine.catalogue.motions, {j for j, _ in place.joints}
-        for cause in about.candidates:
+    def _causes_moving(self, error: FreeForm) -> Iterator[str]:
+        """Yield the candidate causes that move the same joints, or change the same dial, as an
+        error.
+        """
+        linearised = self.posterior.linearised
+        motions, joints = linearised.problem.machine.catalogue.motions, {j for j, _ in error.joints}
+        for cause in linearised.candidates:
             names = [p.plain for p in cause.parameters]
-            if place.of_dial:
-                same = all(p.setup and p.setup == place.setup for p in names)
+            if error.of_dial:
+                moves_it = all(p.setup and p.setup == error.setup for p in names)
             else:
                 moved = [motions[p] for p in names if p in motions]
-                same = len(moved) == len(names) and not place.moves_bar_ends and all(
-                    leg == place.leg and joints & {m.joint for m in own} for leg, own in moved
+                moves_it = len(moved) == len(names) and not error.moves_bar_ends and all(
+                    leg == error.leg and joints & {m.joint for m in leg_motions}
+                    for leg, leg_motions in moved
                 )  # fmt: skip
-            if same:
+            if moves_it:
                 yield cause.name
 
-    def _curve(self, member: int, k: int, probability: float, place: FreeForm) -> Curve:
-        group = self.groups[k]
-        mean, spread = self.alternatives.moments(member, k, group.coefficients)
-        u = np.linspace(-1, 1, 2 * place.kernel.count + 1 if place.short_waves else 41)
-        if isinstance(bump := place.kernel, Bump):
+    def _curve(self, member: int, group_index: int, probability: float, error: FreeForm) -> Curve:
+        group = self.groups[group_index]
+        mean, covariance = self.alternatives.moments(member, group_index, group.coefficients)
+        u = np.linspace(-1, 1, 2 * error.kernel.count + 1 if error.short_waves else 41)
+        if isinstance(bump := error.kernel, Bump):
             u = bump.centre + bump.width * np.linspace(-_BUMP_WIDTHS, _BUMP_WIDTHS, 41)
-        functions = np.stack(place.kernel.functions(u), axis=1) * place.prior_sd
+        functions = np.stack(error.kernel.functions(u), axis=1) * error.prior_sd
         # The mean of a curve cannot be separated from the zeros.
-        if not place.depends_on_approach and not place.is_local:
+        if not error.depends_on_approach and not error.is_local:
             functions -= functions.mean(axis=0)
-        low, high = place.interval(self.posterior.before.problem.machine.geometry.stroke)
+        low, high = error.interval(self.posterior.before.problem.machine.geometry.stroke)
         return Curve(
-            place,
+            error,
             probability,
             low + (u + 1) / 2 * (high - low),
             functions @ mean[group.coefficients],
-            np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", functions, spread, functions), 0.0)),
+            np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", functions, covariance, functions), 0.0)),
         )
 
     def candidate_scores(self) -> tuple[CandidateScore, ...]:
         """Return the scores of the groups nearest to being active, most probable first."""
-        mixture, found = self.posterior.mixture, dict[int, float]()
+        mixture, scores = self.posterior.mixture, dict[int, float]()
         for member, _ in mixture.best:
-            odds = self.alternatives.probabilities(member)
-            for k, p in enumerate(odds[:-1]):
-                if p > 0:
-                    score = float(np.log(p) - np.log(max(odds[-1], 1e-300)) + mixture.cost[k])
-                    found[k] = max(found.get(k, -np.inf), score)
-        odds = mixture.next_log_bayes_factors()
-        for k, p in enumerate(odds):
-            found.setdefault(k, float(p))
-        found = {k: score for k, score in found.items() if not self.groups[k].of_data}
-        by_name = sorted(found, key=lambda k: self.groups[k].name)
-        order = ranked(by_name, lambda k: found[k], LOG_ODDS_MARGIN)[:_MOST_SCORES]
-        named = len(self.posterior.linearised.candidates)
+            probabilities = self.alternatives.probabilities(member)
+            for k, probability in enumerate(probabilities[:-1]):
+                if probability > 0:
+                    log_odds = np.log(probability) - np.log(max(probabilities[-1], 1e-300))
+                    score = float(log_odds + mixture.cost[k])
+                    scores[k] = max(scores.get(k, -np.inf), score)
+        for k, score in enumerate(mixture.next_log_bayes_factors().tolist()):
+            scores.setdefault(k, score)
+        scores = {k: score for k, score in scores.items() if not self.groups[k].of_data}
+        by_name = sorted(scores, key=lambda k: self.groups[k].name)
+        order = ranked(by_name, lambda k: scores[k], LOG_ODDS_MARGIN)[:_MOST_SCORES]
+        cause_count = len(self.posterior.linearised.candidates)
         return tuple(
             CandidateScore(
                 self.groups[k].name,
-                self.posterior.linearised.candidates[k].parameters if k < named else (),
+                self.posterior.linearised.candidates[k].parameters if k < cause_count else (),
                 float(mixture.inclusion[k]),
-                found[k],
+                scores[k],
             )
             for k in order
         )

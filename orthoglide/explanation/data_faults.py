@@ -1,13 +1,13 @@
-"""Data faults that were found, each with its rows, and the readings without them.
+"""The search for data faults, and the readings without them.
 
-Data faults and causes of the machine compete in one search (`suspects`). Faults that are found are
-corrected and the search is repeated, at most six times.
+Data faults and causes of the machine compete in one search (`fault_columns`). Faults that are found
+are corrected and the search is repeated, at most six times.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,160 +66,149 @@ _ROUNDS = 6
 """Largest number of rounds of search and correction."""
 
 _MISREADING_MARGIN = 3.0
-"""Log odds by which another meaning must be likelier: what is expected of each kind is a guess."""
-
+"""Log odds by which a misreading must be likelier: its prior probability is a guess."""
 
 _OVERSTATED_NOISE = 0.25
-"""Chi2 a degree of freedom from which noise was declared twice too large, or more."""
+"""Chi2 per degree of freedom below which the declared noise is at least twice too large."""
 
 
 @dataclass(frozen=True)
 class ReportedFault:
-    """A fault of the data."""
+    """A data fault with its message and its effect on the fit."""
 
-    # outlier, knocked_stand, zeroed, moved, command, sign, label, exchanged_labels, shifted, unit,
-    # turns, stuck or scatter
     kind: Kind
-    # factor and row within it; of a knocked stand the rows after the knock, of dials set to zero
+    # factor and row within it; for a knocked stand the rows after the knock, for dials set to zero
     # anew at each repeat those after the first
     rows: tuple[tuple[int, int], ...]
     setups: tuple[str, ...]  # names of the setups concerned
     message: str  # which file, which lines, what it looks like, what to do
-    # decrease of the least cost (chi2 and priors) once it is corrected, earlier faults corrected
+    # decrease of the least cost (chi2 and priors) by its correction, after that of earlier faults
     improvement: float
     rms_with: float  # of the residuals with it, metres
     rms_without: float  # of the residuals without it, metres
-    # of a wrong command the drives that it may be of, the likeliest first, and how much more each
-    # was told than is written, metres
-    commands: tuple[tuple[int, float], ...] = ()
-    # the hypothesis, rows stacked over all campaigns
-    fault: Fault | None = field(default=None, compare=False, repr=False)
+    commands: tuple[tuple[int, float], ...] = ()  # as in `Fault`
 
     @property
     def excluded(self) -> bool:
-        """Whether the result is fitted without its rows; else they have a datum of their own."""
+        """True if the result is fitted without its rows; otherwise they get a separate datum."""
         return self.kind not in DATUM_KINDS
 
-    def lines(self, given: Sequence[Readings]) -> dict[str, tuple[int, ...]]:
-        """Lines of the rows by file, or by campaign where there is none."""
-        found: dict[str, tuple[int, ...]] = {}
+    def lines(self, tables: Sequence[Readings]) -> dict[str, tuple[int, ...]]:
+        """Return the lines of the rows by file, or by campaign if it was not read from a file."""
+        lines: dict[str, dict[int, None]] = {}
         for k, row in self.rows:
-            name = given[k].file or given[k].name
-            found[name] = (*found.get(name, ()), int(given[k].line[row]))
-        return {name: tuple(dict.fromkeys(lines)) for name, lines in found.items()}
+            name = tables[k].file or tables[k].name
+            lines.setdefault(name, {})[int(tables[k].line[row])] = None
+        return {name: tuple(numbers) for name, numbers in lines.items()}
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What is wrong with readings, and what changed between them."""
+    """Data faults, and changes of the machine between visits."""
 
-    data_faults: tuple[ReportedFault, ...]  # faults of the data, in the order they were found
-    changes: tuple[Change, ...]  # parameters of the machine, values included
-    # a first look at the readings; absent where a fault came near, or they were not looked at as
-    # they stand
+    data_faults: tuple[ReportedFault, ...]  # in the order they were found
+    changes: tuple[Change, ...]  # changed parameters with their values
+    # posterior of the readings as they stand; absent if faults are possible or anything was changed
     posterior: FullPosterior | None
-    # faults that the data may have, where a cause of the machine would explain the readings as well
+    # faults that a cause of the machine may explain equally well
     ambiguous: frozenset[FaultKey] = frozenset()
     # on faults that are more probable than not, but not certain enough to be corrected
     notes: tuple[Note, ...] = ()
 
 
-def find_data_faults(read: Estimate) -> Findings:
-    """Find faults of the data and changes between visits, from the fit of the base model to all
-    readings.
+def find_data_faults(estimate: Estimate) -> Findings:
+    """Find data faults and changes between visits, from the fit of the base model to all readings.
 
     Raises:
-        InputError: where repeats scatter as those of no such instrument do.
-        NumericsError: where the machine that is found cannot be closed.
+        InputError: if repeats scatter more than those of any such instrument.
+        NumericsError: if the machine that is found cannot be closed.
     """
-    found = find_scattered_setups(read.problem)
+    problem = estimate.problem
+    found = find_scattered_setups(problem)
     fit = (
-        _fit_nested(_correct_faults(read.problem, found))
-        if found
-        else _fit_with_narrow_priors(read)
+        _fit_nested(_correct_faults(problem, found)) if found else _fit_with_narrow_priors(estimate)
     )
     for _ in range(_ROUNDS):
-        # Changes are searched anew: a fault that is corrected now may have caused the earlier ones.
-        changed, cost = likeliest_changes(fit)
-        base = _fit_nested(with_changes_separate(fit.problem, changed)) if changed else fit
-        look = posterior_with_corrected_commands(base)
-        misread = (
-            _find_misreading(
-                fit, posterior_with_corrected_commands(fit), found, look.evidence - cost
-            )
-            if changed
-            else None
-        )
-        if misread is not None:
-            found = _merge_faults(found, [_with_all_rows(read.problem, misread)])
-            fit = _fit_nested(_correct_faults(read.problem, found))
-            continue
-        if look.chi2_per_dof < _OVERSTATED_NOISE:  # else a wrong unit could pass for the noise
-            base = _fit_nested(with_smaller_noise(base.problem, _noise_square_ratios(look)))
-            look = posterior_with_corrected_commands(base)
-        misread = _find_misreading(base, look, found)
-        faults = _certain_faults(base, look) if misread is None else [misread]
+        # Changes are searched again: a fault that is corrected now may have caused earlier ones.
+        changes, cost = likeliest_changes(fit)
+        base, misread = fit, None
+        posterior = posterior_with_corrected_commands(fit)
+        if changes:
+            unchanged = posterior
+            base = _fit_nested(with_changes_separate(fit.problem, changes))
+            posterior = posterior_with_corrected_commands(base)
+            misread = _find_misreading(fit, unchanged, found, posterior.evidence - cost)
+        if misread is None:
+            if posterior.chi2_per_dof < _OVERSTATED_NOISE:  # a wrong unit could pass for the noise
+                ratios = _noise_square_ratios(posterior)
+                base = _fit_nested(with_smaller_noise(base.problem, ratios))
+                posterior = posterior_with_corrected_commands(base)
+            misread = _find_misreading(base, posterior, found)
+        faults = _certain_faults(base, posterior) if misread is None else [misread]
         if not faults:
             break
-        found = _merge_faults(found, [_with_all_rows(read.problem, f) for f in faults])
-        fit = _fit_nested(_correct_faults(read.problem, found))
-    check_scatter(look.before.problem)
-    measured = tuple(c.with_separate_fit(look.before) for c in changed)
-    as_read = np.array_equal(look.before.problem.sigma, read.problem.sigma)
-    whole = as_read and not (found or changed or look.linearised.suspects)
-    maybe = ambiguous_faults(look)
-    reusable = look if whole and not maybe else None
-    notes = tuple(_probable_fault_notes(look))
-    return Findings(_report_faults(read, found), measured, reusable, maybe, notes)
+        found = _merge_faults(found, [_with_all_rows(problem, fault) for fault in faults])
+        fit = _fit_nested(_correct_faults(problem, found))
+    check_scatter(posterior.before.problem)
+    ambiguous = ambiguous_faults(posterior)
+    as_read = np.array_equal(posterior.before.problem.sigma, problem.sigma)
+    reusable = as_read and not (found or changes or ambiguous or posterior.linearised.suspects)
+    return Findings(
+        _report_faults(estimate, found),
+        tuple(change.with_separate_fit(posterior.before) for change in changes),
+        posterior if reusable else None,
+        ambiguous,
+        tuple(_probable_fault_notes(posterior)),
+    )
 
 
-def _certain_faults(base: Estimate, look: FullPosterior) -> list[Fault]:
+def _certain_faults(base: Estimate, posterior: FullPosterior) -> list[Fault]:
     """Return the data faults that are certain, from a base fit and its first posterior.
 
-    An alternative in the machine may fit only as far as the readings are linear at the base fit. If
-    it does not stand where the posterior has converged, the faults alone are left.
+    An alternative in the machine may fit only in the linearisation at the base fit. If it is gone
+    where the posterior has converged, data faults alone explain the readings.
     """
-    faults = certain_data_faults(look)
-    if not faults and (rivals := ambiguous_faults(look)):
-        faults = certain_data_faults(full_posterior(base, unsure=rivals))
+    faults = certain_data_faults(posterior)
+    if not faults and (rivals := ambiguous_faults(posterior)):
+        faults = certain_data_faults(full_posterior(base, fault_keys=rivals))
     return faults
 
 
-def _probable_fault_notes(look: FullPosterior) -> Iterator[Note]:
+def _probable_fault_notes(posterior: FullPosterior) -> Iterator[Note]:
     """Yield a note on each fault that is probable, but not certain enough to be corrected."""
-    for fault, probability in probable_faults(look):
-        text = fault_message(look.before.problem, fault)
+    for fault, probability in probable_faults(posterior):
+        text = fault_message(posterior.before.problem, fault)
         yield Note(f"perhaps ({100 * probability:.0f} % likely; it is kept): {text}", "slip")
 
 
-def _noise_square_ratios(look: FullPosterior) -> dict[str, float]:
-    """Return the square of the noise that the best explanation leaves, over that assumed, by kind
-    of reading: one instrument may be quiet beside another.
+def _noise_square_ratios(posterior: FullPosterior) -> dict[str, float]:
+    """Return the ratio of the squared noise of the best explanation to that assumed, by kind of
+    reading, because the noise of one instrument alone may be overstated.
     """
-    kinds = {kind for factor in look.before.problem.factors for kind in factor.readings.kind}
+    kinds = {kind for factor in posterior.before.problem.factors for kind in factor.readings.kind}
     chi2, dof = dict.fromkeys(kinds, 0.0), dict.fromkeys(kinds, 0.0)
-    for one in noise_scales(look.after):
+    for one in noise_scales(posterior.after):
         chi2[one.setup.kind] += one.chi2
         dof[one.setup.kind] += one.dof
     return {kind: min(chi2[kind] / dof[kind], 1.0) if dof[kind] > 0 else 1.0 for kind in kinds}
 
 
-def _fit_with_narrow_priors(read: Estimate) -> Estimate:
+def _fit_with_narrow_priors(estimate: Estimate) -> Estimate:
     """Return the fit with narrow priors, so that faulty readings cannot pull parameters far off.
 
     The noise is estimated without the repeats that differ most.
     """
-    problem = _with_tolerance_priors(read.problem)
-    if (far := outlying_repeats(problem)).any():
-        problem = with_noise_reestimated(problem, far)
-    return read if problem is read.problem else _fit_nested(problem)
+    problem = _with_tolerance_priors(estimate.problem)
+    if (outlying := outlying_repeats(problem)).any():
+        problem = with_noise_reestimated(problem, outlying)
+    return estimate if problem is estimate.problem else _fit_nested(problem)
 
 
 def _with_tolerance_priors(problem: Problem) -> Problem:
     """Return the problem with the tolerance as each prior's standard deviation.
 
-    With an earlier calibration the priors stay as wide as they are: what changed since may be
-    anything.
+    After an earlier calibration the priors stay as they are, because parameters that changed since
+    then have wide ones.
     """
     return problem if problem.has_earlier_calibration else problem.with_prior_widths_reset()
 
@@ -229,35 +218,40 @@ def _fit_nested(problem: Problem) -> Estimate:
 
 
 def _find_misreading(
-    base: Estimate, look: FullPosterior, found: Sequence[Fault], otherwise: float = -np.inf
+    base: Estimate,
+    posterior: FullPosterior,
+    faults: Sequence[Fault],
+    other_evidence: float = -np.inf,
 ) -> Fault | None:
-    """Return the wrong sign, unit, label, shift or turn that explains readings clearly better;
-    ``None`` if there is none.
+    """Return the misreading that explains the readings clearly better; ``None`` if there is none.
 
     Args:
         base: fit to the readings as they stand.
-        look: its posterior, which may have corrected commands that a misreading explains.
-        found: faults that are known.
-        otherwise: evidence for what explains the readings otherwise.
+        posterior: its posterior, which may have corrected commands that a misreading explains.
+        faults: data faults found so far.
+        other_evidence: log evidence of another explanation of the readings.
     """
-    problem, tried = base.problem, list[tuple[float, Fault]]()
-    for _, one in rank_alternative_readings(look, setups_to_reinterpret(problem, found)):
+    problem, candidates = base.problem, list[tuple[float, Fault]]()
+    rows_by_setup = setups_to_reinterpret(problem, faults)
+    for _, alternative in rank_alternative_readings(posterior, rows_by_setup):
         try:
-            other = posterior_at_base_fit(
-                _fit_nested(with_misreading_corrected(problem, one.fault))
-            )
+            corrected = with_misreading_corrected(problem, alternative.fault)
+            other = posterior_at_base_fit(_fit_nested(corrected))
         except NumericsError:
             continue
         if other.mixture.probability_rare < EVEN_PROBABILITY:  # more noise explains anything
-            tried.append((other.evidence + one.log_odds, one.fault))
-    if not tried:
+            candidates.append((other.evidence + alternative.log_odds, alternative.fault))
+    if not candidates:
         return None
-    evidence, fault = best_of(tried, lambda one: one[0], LOG_ODDS_MARGIN)
-    return fault if evidence > max(look.evidence, otherwise) + _MISREADING_MARGIN else None
+    evidence, fault = best_of(candidates, lambda one: one[0], LOG_ODDS_MARGIN)
+    threshold = max(posterior.evidence, other_evidence) + _MISREADING_MARGIN
+    return fault if evidence > threshold else None
 
 
 def _with_all_rows(problem: Problem, fault: Fault) -> Fault:
-    """The fault with its setups as the readings had them first."""
+    """Return the fault with the setup numbers of the original readings; of a wrong sign or label
+    with all rows of these setups.
+    """
     setups = tuple(np.unique(problem.setup_of_row[fault.rows]).tolist())
     rows = fault.rows
     if fault.kind in ("sign", "label", "exchanged_labels"):
@@ -265,29 +259,12 @@ def _with_all_rows(problem: Problem, fault: Fault) -> Fault:
     return replace(fault, setups=setups, rows=rows)
 
 
-def tool_fault_notes(estimate: Estimate) -> Iterator[Note]:
-    """Yield a sentence for each reading of the tool that slipped and each instrument that was
-    moved, in a fit that sets nothing aside.
-
-    Raises:
-        InputError: where repeats scatter as those of no such instrument do.
-    """
-    problem = estimate.problem
-    if not problem.tool_factors:
-        return
-    check_scatter(problem)
-    for fault in certain_data_faults(posterior_with_corrected_commands(estimate)):
-        if fault.setups[0] not in problem.leg_setups:
-            text = f"{fault_message(problem, fault)}; close-loop sets it aside"
-            yield Note(text, "slip")
-
-
-def _merge_faults(found: Sequence[Fault], new: Sequence[Fault]) -> list[Fault]:
-    """Return all faults. One found on rows that a new misreading covers is dropped, to be searched
-    again.
+def _merge_faults(faults: Sequence[Fault], new: Sequence[Fault]) -> list[Fault]:
+    """Return all faults. A fault in setups that a new misreading covers is dropped, because it is
+    searched again.
     """
     misread = [set(f.setups) for f in new if f.kind in MISREADING_KINDS]
-    kept = [f for f in found if f.commands or not any(set(f.setups) <= s for s in misread)]
+    kept = [f for f in faults if f.commands or not any(set(f.setups) <= s for s in misread)]
     return [*kept, *new]
 
 
@@ -295,116 +272,107 @@ def _correct_faults(problem: Problem, faults: Sequence[Fault]) -> Problem:
     """Return the problem with misread readings restored, shifted datums split and wrong commands
     corrected.
 
-    Rows of other faults have no weight. Nor have those of wrong commands, which are corrected all
-    the same: the side from which the next rows were reached depends on them.
+    Rows of other faults get zero weight. So do those of wrong commands, which are corrected
+    nevertheless, because the approach of the next rows depends on them.
     """
     for fault in faults:
         if fault.kind in MISREADING_KINDS:
             problem = with_misreading_corrected(problem, fault)
-    faults = [f for f in faults if f.kind not in MISREADING_KINDS]
     factors = list(problem.factors)
-    silent = np.zeros(len(problem.measured), dtype=bool)
-    for fault in faults:
+    zero_weight = np.zeros(len(problem.measured), dtype=bool)
+    for fault in (f for f in faults if f.kind not in MISREADING_KINDS):
         k, _ = factors_and_rows(problem, fault.rows[:1])[0]
-        part = problem.factor_rows[k]
-        table = _corrected_table(factors[k].readings, fault, fault.rows - part.start)
-        factors[k] = factors[k].with_table(table)
-        silent[fault.rows] |= fault.excluded
-    problem = without_weight(
-        replace(_with_tolerance_priors(problem), factors=tuple(factors)), silent
-    )
+        rows = fault.rows - problem.factor_rows[k].start
+        factors[k] = factors[k].with_table(_corrected_table(factors[k].readings, fault, rows))
+        zero_weight[fault.rows] |= fault.excluded
+    problem = replace(_with_tolerance_priors(problem), factors=tuple(factors))
+    problem = without_weight(problem, zero_weight)
     return with_noise_reestimated(problem, outlying_repeats(problem))
 
 
-def _report_faults(read: Estimate, faults: Sequence[Fault]) -> tuple[ReportedFault, ...]:
-    """The faults with what each explains once those before it are set aside."""
-    problem, n = read.problem, len(read.problem.measured)
-    kept, shown = np.ones(n, dtype=bool), np.zeros((n, 0))
-    cost, rms = _least_cost(read, kept, shown)
-    blunders = []
+def _report_faults(estimate: Estimate, faults: Sequence[Fault]) -> tuple[ReportedFault, ...]:
+    """Return the faults with the decrease of the cost by each, earlier faults corrected."""
+    problem, n = estimate.problem, len(estimate.problem.measured)
+    kept, columns = np.ones(n, dtype=bool), np.zeros((n, 0))
+    cost, rms = _least_cost(estimate, kept, columns)
+    reported = []
     for fault in faults:
-        before, with_it = cost, rms
+        cost_with, rms_with = cost, rms
         rows = np.isin(np.arange(n), fault.rows)
-        free = datum_columns(problem, fault)
+        datums = datum_columns(problem, fault)
         if fault.kind == "moved":
-            free = read.nuisance.columns * rows[:, None]
-            free = free[:, free.any(axis=0)]
-        shown = np.hstack([shown, free])
-        if fault.excluded:
-            kept = kept & ~rows
-        cost, rms = _least_cost(read, kept, shown)
-        blunders.append(
+            datums = estimate.nuisance.columns * rows[:, None]
+            datums = datums[:, datums.any(axis=0)]
+        columns = np.hstack([columns, datums])
+        kept = kept & ~(rows & fault.excluded)
+        cost, rms = _least_cost(estimate, kept, columns)
+        reported.append(
             ReportedFault(
-                fault.kind,
-                factors_and_rows(problem, fault.rows),
-                tuple(problem.setups[s].name for s in fault.setups),
-                fault_message(problem, fault),
-                before - cost,
-                with_it,
-                rms,
-                fault.commands,
-                fault,
+                fault.kind, factors_and_rows(problem, fault.rows),
+                tuple(problem.setups[s].name for s in fault.setups), fault_message(problem, fault),
+                cost_with - cost, rms_with, rms, fault.commands,
             )
-        )
-    return tuple(blunders)
+        )  # fmt: skip
+    return tuple(reported)
 
 
-def _least_cost(estimate: Estimate, kept: NDArray[np.bool_], steps: Array) -> tuple[float, float]:
-    """Least cost of a linearised fit to some readings ``(n,)``, with steps free, and the root mean
-    square that it leaves of lengths.
+def _least_cost(estimate: Estimate, kept: NDArray[np.bool_], datums: Array) -> tuple[float, float]:
+    """Return the least cost of a linearised fit, and the rms of its residuals of lengths, metres.
+
+    Args:
+        estimate: point of linearisation.
+        kept: readings to fit ``(n,)``.
+        datums: columns of further free datums ``(n, k)``.
     """
-    problem, nuisance, at = estimate.problem, estimate.nuisance, estimate.at
     if not kept.any():
         return 0.0, 0.0
+    problem, nuisance, linearised = estimate.problem, estimate.nuisance, estimate.at
     weighing = problem.weighing.subset(kept)
-    columns = np.hstack([at.jacobian, nuisance.columns, steps])
-    known = joint_prior_rows(problem, nuisance)
-    known = np.hstack([known, np.zeros((len(known), steps.shape[1]))])
-    rows = np.vstack([weighing.whiten(columns[kept]), known])
-    rest = (problem.measured - at.value + at.jacobian @ at.x)[kept]
-    aim = np.zeros(len(rows))
-    aim[: len(rest)] = weighing.whiten(rest)
-    _, target = problem.prior_rows
-    aim[len(rest) :][: len(target)] = target
+    columns = np.hstack([linearised.jacobian, nuisance.columns, datums])
+    prior = np.pad(joint_prior_rows(problem, nuisance), ((0, 0), (0, datums.shape[1])))
+    rows = np.vstack([weighing.whiten(columns[kept]), prior])
+    residual = (problem.measured - linearised.value + linearised.jacobian @ linearised.x)[kept]
+    _, prior_target = problem.prior_rows
+    target = np.concatenate([weighing.whiten(residual), prior_target])
+    target = np.pad(target, (0, len(rows) - len(target)))
     scale = np.linalg.norm(rows, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
-    found = np.linalg.lstsq(rows / scale, aim, rcond=1e-10)[0] / scale
-    left = aim - rows @ found
-    rest = rest - columns[kept] @ found
-    return float(left @ left), rms_by_unit(rest, problem.angular[kept]).length
+    solution = np.linalg.lstsq(rows / scale, target, rcond=1e-10)[0] / scale
+    whitened = target - rows @ solution
+    residual = residual - columns[kept] @ solution
+    return float(whitened @ whitened), rms_by_unit(residual, problem.angular[kept]).length
 
 
-def without_faults(problem: Problem, blunders: Sequence[ReportedFault]) -> Problem:
-    """The problem without the faulty rows; a knocked setup becomes two, with a datum each.
+def without_faults(problem: Problem, faults: Sequence[ReportedFault]) -> Problem:
+    """Return the problem without the faulty rows; a knocked setup becomes two, with a datum each.
 
-    Noise that was taken from the repeats is taken from those that are left.
+    Noise that came from repeats is estimated again from those that remain.
 
     Raises:
-        InputError: where nothing is left of a campaign.
+        InputError: if no row of a campaign remains.
     """
     factors = list[Factor]()
     for k, factor in enumerate(problem.factors):
-        campaign, kept = factor.readings, np.ones(len(factor.readings), dtype=bool)
-        table = campaign
-        for blunder in blunders:
-            rows = np.array([row for c, row in blunder.rows if c == k], dtype=np.int64)
+        table, kept = factor.readings, np.ones(len(factor.readings), dtype=bool)
+        for fault in faults:
+            rows = np.array([row for c, row in fault.rows if c == k], dtype=np.int64)
             if len(rows):
-                table = _corrected_table(table, blunder, rows)
-                kept[rows] &= not blunder.excluded
+                table = _corrected_table(table, fault, rows)
+                kept[rows] &= not fault.excluded
         if not kept.any():
-            fault = next(b for b in blunders if any(c == k for c, _ in b.rows))
+            culprit = next(b for b in faults if any(c == k for c, _ in b.rows))
             raise InputError(
-                f"nothing is left of {campaign.name} once its faulty rows are set aside: measure "
-                f"it again ({fault.message})"
+                f"nothing is left of {factor.readings.name} once its faulty rows are set aside: "
+                f"measure it again ({culprit.message})"
             )
         factors.append(factor.with_table(table).subset(kept))
-    problem = replace(problem.with_prior_widths_reset(), factors=tuple(factors))
+    problem = replace(_with_tolerance_priors(problem), factors=tuple(factors))
     return with_noise_reestimated(problem)
 
 
 def _corrected_table(table: Readings, fault: Fault | ReportedFault, rows: Rows) -> Readings:
-    """A table with the command, or the datums, of some of its rows put right."""
-    if fault.commands:  # the side that the neighbours of these rows were reached from depends on it
+    """Return a table with the command, or the datums, of some rows corrected."""
+    if fault.commands:  # the approach of the next rows depends on it
         return with_command_corrected(table, rows, *fault.commands[0])
     if not fault.excluded:
         for part in split_by_datum(fault.kind, rows, table.setup, table.repeat):
@@ -413,16 +381,16 @@ def _corrected_table(table: Readings, fault: Fault | ReportedFault, rows: Rows) 
 
 
 def _split_setup(campaign: Readings, rows: Rows) -> Readings:
-    """Rows of one setup as a setup of their own; all that it has are one already."""
-    number = int(campaign.setup[rows[0]])
+    """Return the table with rows of a setup as a separate one, unless they are all its rows."""
+    number = campaign.setup[rows[0]]
     if len(rows) == np.sum(campaign.setup == number):
         return campaign
     old = campaign.setups[number]
-    taken = {s.name for s in campaign.setups}
+    names = {s.name for s in campaign.setups}
     name = f"{old.name}-from-line-{int(campaign.line[rows].min())}"
-    while name in taken:
+    while name in names:
         name += "-again"
     setup = campaign.setup.copy()
-    # The rest was split off by a later knock.
-    setup[rows[setup[rows] == setup[rows[0]]]] = len(campaign.setups)
+    # A later knock may have split off some of the rows before.
+    setup[rows[setup[rows] == number]] = len(campaign.setups)
     return replace(campaign, setups=(*campaign.setups, replace(old, name=name)), setup=setup)

@@ -1,16 +1,16 @@
 """Faults of the data as columns: a slip, a stand that was knocked, a dial set to zero anew, an
 instrument that was moved, a wrong command.
 
-Each adds to the readings as a cause of the machine does, and stands out in the same search.
+Each adds columns to the linear model as a cause of the machine does, and one search selects both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from orthoglide.explanation.faults import (
     Fault,
@@ -38,23 +38,21 @@ _EXPECTED_FAULTS = 0.5
 
 _FEWEST_BESIDE_KNOCK = 2  # readings on either side of a knock: fewer are slips
 _MOST_ZEROINGS = 12  # times that a dial is set to zero anew
-_MOST_KNOCKS = (
-    64  # moments at which a knock is tried; setups n times as long: at every n-th reading
-)
+_MOST_KNOCKS = 64  # moments at which a knock is tried; a longer setup is thinned to as many
 
 
 FaultKey = tuple[str, tuple[int, ...], tuple[tuple[int, int], ...]]
-"""A fault by its kind, drives, and table and line of every row."""
+"""A fault as its kind, its drives, and the table and line of every row."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FaultColumns:
-    """A fault that the data may have."""
+    """A possible data fault with its columns of the linear model."""
 
     fault: Fault  # its kind, rows and setups
-    columns: Array  # its rows by a unit of each of its coefficients (rows, q), metres or radians
-    unit: float  # of a coefficient, metres or radians
-    expected_count: float = 0.0  # faults like it, before the readings are seen
+    columns: Array  # its rows by one unit of each coefficient (rows, q), metres or radians
+    unit: float  # unit of a coefficient, metres or radians
+    expected_count: float = 0.0  # prior mean number of this fault
 
     @property
     def name(self) -> str:
@@ -65,7 +63,7 @@ class FaultColumns:
         return f"!{fault.kind}.{'+'.join(map(str, fault.setups))}.{rows}{drive}"
 
     def key(self, problem: Problem) -> FaultKey:
-        """What it is, whichever other rows there are: kind, drives, and the lines of its rows."""
+        """Return an identifier that does not depend on other rows: kind, drives, and lines."""
         lines = tuple((k, int(problem.factors[k].readings.line[row]))
                       for k, row in factors_and_rows(problem, self.fault.rows))  # fmt: skip
         return self.fault.kind, tuple(drive for drive, _ in self.fault.commands), lines
@@ -76,7 +74,7 @@ class FaultColumns:
         return self.columns.shape[1]
 
     def with_sizes(self, mean: Array) -> Fault:
-        """The fault with coefficients of some means ``(q,)``."""
+        """Return the fault with sizes from the means of its coefficients ``(q,)``."""
         sizes, fault = mean * self.unit, self.fault
         if fault.commands:
             ((drive, _),) = fault.commands
@@ -87,50 +85,51 @@ class FaultColumns:
         return replace(fault, size=float(size))
 
     def full_columns(self, n: int) -> Array:
-        """All readings by its coefficients ``(n, q)``."""
-        found = np.zeros((n, self.columns.shape[1]))
-        found[self.fault.rows] = self.columns
-        return found
+        """Return all readings by its coefficients ``(n, q)``."""
+        columns = np.zeros((n, self.coefficient_count))
+        columns[self.fault.rows] = self.columns
+        return columns
 
 
 def fault_columns(
-    problem: Problem, here: Linearised, corrected: Sequence[Fault] = ()
+    problem: Problem, linearised: Linearised, corrected: Sequence[Fault] = ()
 ) -> list[FaultColumns]:
-    """Every fault that the readings could have.
+    """Return every fault that the readings could have.
 
     Args:
         problem: the readings, with every parameter free.
-        here: where they are linearised.
-        corrected: wrong commands that are put right there.
+        linearised: point of linearisation.
+        corrected: wrong commands that are corrected at that point.
     """
-    by_command = command_derivatives(problem, here.x, here.value)
+    by_command = command_derivatives(problem, linearised.x, linearised.value)
     kinds = (
-        [*_slips(problem), *_slips_at_every_visit(problem)], list(_knocks(problem)), list(_zeroings(problem)),
-        list(_moved_instruments(problem, here.reading_poses)), list(_wrong_commands(problem, by_command, corrected)),
+        [*_slips(problem), *_slips_at_every_visit(problem)],
+        list(_knocks(problem)), list(_zeroings(problem)),
+        list(_moved_instruments(problem, linearised.reading_poses)),
+        list(_wrong_commands(problem, by_command, corrected)),
     )  # fmt: skip
-    # Readings of dials may mean something else, too, which is a kind besides.
-    each = _EXPECTED_FAULTS / max(sum(map(bool, kinds)) + bool(problem.campaigns), 1)
-    return [replace(s, expected_count=each / len(kind)) for kind in kinds for s in kind]
+    # Misread dials are one more kind, which `alternative_readings` lists.
+    per_kind = _EXPECTED_FAULTS / max(sum(map(bool, kinds)) + bool(problem.campaigns), 1)
+    return [replace(one, expected_count=per_kind / len(kind)) for kind in kinds for one in kind]
 
 
 def _slips(problem: Problem) -> Iterator[FaultColumns]:
-    """Every reading alone, of points of the tool all coordinates together."""
+    """Yield a slip of every reading; of a point of the tool, of all its coordinates together."""
     for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
-        point = factor.visit_number
-        order = np.argsort(point, kind="stable")
-        cuts = np.flatnonzero(np.diff(point[order])) + 1
+        visit = factor.visit_number
+        order = np.argsort(visit, kind="stable")
+        cuts = np.flatnonzero(np.diff(visit[order])) + 1
         for rows in np.split(order, cuts):
             if not factor.noise.weighted[rows].all():
                 continue
-            own = rows + part.start
-            setup = int(problem.setup_of_row[own[0]])
-            yield FaultColumns(
-                Fault("outlier", own, (setup,)), np.eye(len(own)) * _SLIP_UNIT, _SLIP_UNIT
-            )
+            stacked = rows + part.start
+            setup = int(problem.setup_of_row[stacked[0]])
+            columns = np.eye(len(stacked)) * _SLIP_UNIT
+            yield FaultColumns(Fault("outlier", stacked, (setup,)), columns, _SLIP_UNIT)
 
 
 def _slips_at_every_visit(problem: Problem) -> Iterator[FaultColumns]:
-    """One dial at one station, off by the same amount at all visits: a burr, or a mistyped sheet."""
+    """One dial at one station, off by equal amounts at all visits: a burr, or a mistyped sheet."""
     for setup in problem.leg_setups:
         rows = weighted_rows(problem, setup)
         for visits in (rows[problem.station[rows] == k] for k in np.unique(problem.station[rows])):
@@ -140,39 +139,34 @@ def _slips_at_every_visit(problem: Problem) -> Iterator[FaultColumns]:
 
 
 def _knocks(problem: Problem) -> Iterator[FaultColumns]:
-    """All readings of a dial from some moment on."""
+    """Yield a shift of all readings of a dial from some moment on."""
     for setup in problem.leg_setups:
         rows = weighted_rows(problem, setup)
-        places = range(_FEWEST_BESIDE_KNOCK, len(rows) - _FEWEST_BESIDE_KNOCK + 1)
-        step = max(len(places) // _MOST_KNOCKS, 1)
-        for cut in places[::step]:
+        cuts = range(_FEWEST_BESIDE_KNOCK, len(rows) - _FEWEST_BESIDE_KNOCK + 1)
+        for cut in cuts[:: max(len(cuts) // _MOST_KNOCKS, 1)]:
             after = rows[cut:]
-            shown = np.full((len(after), 1), _SLIP_UNIT)
-            yield FaultColumns(Fault("knocked_stand", after, (setup,)), shown, _SLIP_UNIT)
+            columns = np.full((len(after), 1), _SLIP_UNIT)
+            yield FaultColumns(Fault("knocked_stand", after, (setup,)), columns, _SLIP_UNIT)
 
 
 def _zeroings(problem: Problem) -> Iterator[FaultColumns]:
-    """A dial whose readings have another zero at each repeat, or all of a campaign."""
+    """Yield a separate datum at each repeat, for each dial and for all dials of a campaign."""
     first = 0
     for campaign in problem.campaigns:
-        own = range(first, first + len(campaign.setups))
-        first += len(campaign.setups)
-        each = [anew for s in own if (anew := _zeroing_of_setup(problem, s)) is not None]
-        yield from each
-        if len(each) > 1:
-            rows = np.concatenate([one.fault.rows for one in each])
-            widths = np.cumsum([0, *(one.columns.shape[1] for one in each)])
-            shown = np.zeros((len(rows), int(widths[-1])))
-            at = 0
-            for one, (a, b) in zip(each, pairwise(widths), strict=True):
-                shown[at : at + len(one.columns), a:b] = one.columns
-                at += len(one.columns)
-            setups = tuple(s for one in each for s in one.fault.setups)
-            yield FaultColumns(Fault("zeroed", rows, setups), shown, _SLIP_UNIT)
+        last = first + len(campaign.setups)
+        each = (_zeroing_of_setup(problem, setup) for setup in range(first, last))
+        of_dials = [zeroing for zeroing in each if zeroing is not None]
+        first = last
+        yield from of_dials
+        if len(of_dials) > 1:
+            rows = np.concatenate([one.fault.rows for one in of_dials])
+            columns = np.asarray(block_diag(*(one.columns for one in of_dials)))
+            setups = tuple(s for one in of_dials for s in one.fault.setups)
+            yield FaultColumns(Fault("zeroed", rows, setups), columns, _SLIP_UNIT)
 
 
 def _zeroing_of_setup(problem: Problem, setup: int) -> FaultColumns | None:
-    """A dial whose readings have another zero at each repeat, where repeats follow each other."""
+    """Return a separate datum of a dial at each repeat; ``None`` unless repeats are in sequence."""
     rows = weighted_rows(problem, setup)
     repeat = problem.dial_column("repeat")[rows]
     starts = np.flatnonzero(np.diff(repeat)) + 1
@@ -180,79 +174,78 @@ def _zeroing_of_setup(problem: Problem, setup: int) -> FaultColumns | None:
         return None
     stations = len(np.unique(problem.station[rows]))
     if 2 * len(starts) > len(rows) - stations or len(starts) > _MOST_ZEROINGS:
-        return None  # too short for a datum of their own, or more resets than anybody makes
+        return None  # too few readings for separate datums, or more resets than anybody makes
     later = rows[starts[0] :]
-    shown = (group_ids(repeat[starts[0] :])[:, None] == np.arange(len(starts))) * _SLIP_UNIT
-    return FaultColumns(Fault("zeroed", later, (setup,)), shown, _SLIP_UNIT)
+    columns = (group_ids(repeat[starts[0] :])[:, None] == np.arange(len(starts))) * _SLIP_UNIT
+    return FaultColumns(Fault("zeroed", later, (setup,)), columns, _SLIP_UNIT)
 
 
-def _moved_instruments(problem: Problem, seen: tuple[ReadingPoses, ...]) -> Iterator[FaultColumns]:
-    """An instrument at the tool that stands elsewhere from some moment on."""
+def _moved_instruments(
+    problem: Problem, reading_poses: tuple[ReadingPoses, ...]
+) -> Iterator[FaultColumns]:
+    """Yield a shift of an instrument at the tool from some moment on."""
     first = len(problem.leg_setups)
     for number, (k, factor, setup, _) in enumerate(problem.tool_setups, first):
         readings, start = factor.readings, problem.factor_rows[k].start
         rows = np.flatnonzero((factor.setup == setup) & factor.noise.weighted)
         rows = rows[np.argsort(readings.order[rows], kind="stable")]
-        own = factor.nuisances(seen[k]).columns
-        own = own[:, own[rows].any(axis=0)]
-        width = max(own.shape[1], 1)
-        if not own.shape[1]:
+        nuisances = factor.nuisances(reading_poses[k]).columns
+        nuisances = nuisances[:, nuisances[rows].any(axis=0)]
+        if not (width := nuisances.shape[1]):
             continue
-        own = own / np.abs(own).max(axis=0) * _SLIP_UNIT
-        places = [
+        nuisances = nuisances / np.abs(nuisances).max(axis=0) * _SLIP_UNIT
+        cuts = [
             cut for cut in range(width + 1, len(rows) - width)
             if readings.order[rows[cut]] != readings.order[rows[cut - 1]]
         ]  # fmt: skip
-        for cut in places[:: max(len(places) // _MOST_KNOCKS, 1)]:
+        for cut in cuts[:: max(len(cuts) // _MOST_KNOCKS, 1)]:
             after = rows[cut:]
-            yield FaultColumns(Fault("moved", after + start, (number,)), own[after], _SLIP_UNIT)
+            fault = Fault("moved", after + start, (number,))
+            yield FaultColumns(fault, nuisances[after], _SLIP_UNIT)
 
 
 def posture_of_reading(problem: Problem) -> Rows:
-    """Posture of each reading ``(n,)``: one for each campaign, leg and command, as a leg is
-    measured at a time; -1 where no dial is.
+    """Return the number of each reading's posture ``(n,)``, -1 for readings without a dial.
+
+    Postures differ by campaign, leg and command, because one leg is measured at a time.
     """
-    campaigns = problem.campaigns
-    number = np.repeat(np.arange(len(campaigns)), [len(c) for c in campaigns])
-    found = np.full(len(problem.measured), -1)
-    if len(number):
-        told = [number, problem.dial_column("leg"), problem.dial_column("command")]
-        found[: len(number)] = group_ids(np.column_stack(told))
-    return found
+    posture = np.full(len(problem.measured), -1)
+    if campaigns := problem.campaigns:
+        campaign = np.repeat(np.arange(len(campaigns)), [len(c) for c in campaigns])
+        keys = [campaign, problem.dial_column("leg"), problem.dial_column("command")]
+        posture[: len(campaign)] = group_ids(np.column_stack(keys))
+    return posture
 
 
-def command_derivatives(problem: Problem, x: Array, value: Array) -> Array:
+def command_derivatives(problem: Problem, x: Array, predicted: Array) -> Array:
     """Return the derivative of every reading of a dial by the commands of its posture ``(n, 3)``.
 
     Args:
-        problem: with dials.
-        x: its unknowns ``(P,)``, SI.
-        value: the readings there ``(n,)``, metres.
+        problem: the readings.
+        x: values of its unknowns ``(P,)``, SI.
+        predicted: the readings predicted from ``x`` ``(n,)``, metres.
     """
-    found = np.zeros((len(value), len(LEGS)))
+    derivatives = np.zeros((len(predicted), len(LEGS)))
     for k, (campaign, rows) in enumerate(zip(problem.campaigns, problem.leg_rows, strict=True)):
         values = problem.values(k, x)
         for drive in range(len(LEGS)):
-            moved = replace(
-                campaign, command=campaign.command + _DIFFERENCE_STEP * np.eye(3)[drive]
-            )
-            read = problem.machine.model.readings(values, moved)
-            found[rows, drive] = (read - value[rows]) / _DIFFERENCE_STEP
-    return found
+            command = campaign.command + _DIFFERENCE_STEP * np.eye(3)[drive]
+            readings = problem.machine.model.readings(values, replace(campaign, command=command))
+            derivatives[rows, drive] = (readings - predicted[rows]) / _DIFFERENCE_STEP
+    return derivatives
 
 
 def _wrong_commands(
     problem: Problem, by_command: Array, corrected: Sequence[Fault]
 ) -> Iterator[FaultColumns]:
-    """Every posture's command on every drive; with one reading in a posture, a wrong command is the
-    same as a slip.
+    """Yield a wrong command of each drive at every posture with at least two readings; at a single
+    reading it would be a slip.
     """
     posture = posture_of_reading(problem)
-    weighted = np.concatenate([f.noise.weighted for f in problem.factors])
-    posture[~weighted] = -1
+    posture[~np.concatenate([f.noise.weighted for f in problem.factors])] = -1
     for fault in corrected:
-        shown = by_command[fault.rows][:, [fault.commands[0][0]]] * _COMMAND_UNIT
-        yield FaultColumns(fault, shown, _COMMAND_UNIT)
+        columns = by_command[fault.rows][:, [fault.commands[0][0]]] * _COMMAND_UNIT
+        yield FaultColumns(fault, columns, _COMMAND_UNIT)
         posture[fault.rows] = -1
     order = np.argsort(posture, kind="stable")
     order = order[posture[order] >= 0]
@@ -267,22 +260,24 @@ def _wrong_commands(
 
 
 def with_command_corrected(campaign: Readings, rows: Rows, drive: int, size: float) -> Readings:
-    """The campaign with another command in some rows, metres, and the approach that follows."""
+    """Return the campaign with the commands of some rows changed, metres, and the approach
+    derived again.
+    """
     command = campaign.command.copy()
     command[rows, drive] += size
-    moved = replace(campaign, command=command)
+    corrected = replace(campaign, command=command)
     derived = campaign.approach == campaign.derived_approach
-    approach = np.where(derived, moved.derived_approach, campaign.approach)
-    return replace(moved, approach=approach)
+    approach = np.where(derived, corrected.derived_approach, campaign.approach)
+    return replace(corrected, approach=approach)
 
 
 def with_commands_corrected(problem: Problem, faults: Sequence[Fault]) -> Problem:
-    """The problem with the likeliest commands in the rows of faults of that kind."""
+    """Return the problem with the likeliest commands in the rows of wrong commands."""
     factors = list(problem.leg_factors)
     for fault in faults:
         drive, size = fault.commands[0]
         k = campaign_index(problem, fault.rows)
         within = fault.rows - problem.leg_rows[k].start
-        moved = with_command_corrected(factors[k].readings, within, drive, size)
-        factors[k] = factors[k].with_table(moved)
+        table = with_command_corrected(factors[k].readings, within, drive, size)
+        factors[k] = factors[k].with_table(table)
     return problem.with_leg_factors(factors)

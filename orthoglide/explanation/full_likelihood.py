@@ -1,8 +1,8 @@
-"""The likelihood of readings, and of other data in their place, under the full model.
+"""The likelihood of readings, and of alternative readings, under the full model.
 
 Every parameter may deviate by a multiple of its tolerance, which gives whitened readings the
-covariance ``S = 1 + A D A^T``. Other data r' have the log likelihood ``-r'^T S^-1 r' / 2`` up to a
-constant: one factorisation serves all of them.
+covariance ``S = 1 + A D A^T``. Alternative readings r' have the log likelihood
+``-r'^T S^-1 r' / 2`` up to a constant, so one factorisation serves all of them.
 """
 
 from __future__ import annotations
@@ -19,13 +19,12 @@ from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 
 WIDEST_DATUM = 1e-2
-"""Widest standard deviation of a nuisance of an instrument, metres or radians: where a dial's zero
-may be."""
+"""Largest standard deviation of a nuisance of an instrument, such as a datum, metres or radians."""
 
 # Added to the diagonal of 1 + A^T A, relative to its largest entry, so that rounding of the largest
 # sums keeps it positive definite.
 _SUM_ROUNDING = 1e-15
-_ROUNDING = 1e-12  # the same of A A^T, relative to the largest variance: far below the noise
+_ROUNDING = 1e-12  # added to A A^T, relative to its largest entry: far below the noise
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,28 +60,28 @@ class InverseCovariance:
 
     def log_likelihood(self, rows: Array) -> Array:
         """Return the log likelihood ``(h,)`` of rows ``(n, h)``."""
-        shown = solve_triangular(self.cholesky, self.columns.T @ rows, lower=True)
-        square = np.sum(rows**2, axis=0) - np.sum(shown**2, axis=0)
+        projected = solve_triangular(self.cholesky, self.columns.T @ rows, lower=True)
+        square = np.sum(rows**2, axis=0) - np.sum(projected**2, axis=0)
         return np.asarray(-(square + _log_determinant(self.cholesky)) / 2)
 
 
-def _log_determinant(root: Array) -> float:
-    """Log determinant of the matrix whose Cholesky factor is ``root``."""
-    return 2 * float(np.log(np.diag(root)).sum())
+def _log_determinant(cholesky: Array) -> float:
+    """Log determinant of the matrix whose Cholesky factor is ``cholesky``."""
+    return 2 * float(np.log(np.diag(cholesky)).sum())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DeletionResidual:
-    """Some readings compared with what all others foretell of them."""
+    """Difference of some readings from their prediction by all others."""
 
-    difference: Array  # difference of each (k,), metres
-    mahalanobis_square: float  # of all together, in units of their covariance
-    log_det: float  # of the inverse of that, in units of their noise
+    difference: Array  # (k,), metres
+    mahalanobis_square: float  # of the difference, by its covariance
+    log_det: float  # log determinant of the inverse covariance, in units of the noise
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FullLikelihood:
-    """The readings under the full model, in units of their noise."""
+    """Likelihood of readings under the full model, in units of their noise."""
 
     weighing: Weighing
     columns: Array  # of the machine, in standard deviations (n, C)
@@ -90,21 +89,24 @@ class FullLikelihood:
     residual: Array  # (n,)
 
     @classmethod
-    def from_linear_model(cls, about: LinearisedModel, share: float, free: float) -> FullLikelihood:
+    def from_linear_model(
+        cls, model: LinearisedModel, parameter_scale: float, free_form_scale: float
+    ) -> FullLikelihood:
         """Linearise the readings about the posterior.
 
         Args:
-            about: the full linear model.
-            share: background scale of the parameters, in tolerances.
-            free: background scale of the free-form errors.
+            model: the full linear model.
+            parameter_scale: background scale of the parameters, in tolerances.
+            free_form_scale: background scale of the free-form errors.
         """
-        nuisance = about.nuisance
-        known = np.maximum(nuisance.precision, WIDEST_DATUM**-2.0)
-        columns, expected = in_standard_deviations(about, about.rows, share, free)
-        weigh = nuisance.weighing.whiten
+        nuisance = model.nuisance
+        precision = np.maximum(nuisance.precision, WIDEST_DATUM**-2.0)
+        scales = parameter_scale, free_form_scale
+        columns, expected = in_standard_deviations(model, model.rows, *scales)
+        whiten = nuisance.weighing.whiten
         return cls(
-            nuisance.weighing, weigh(columns), weigh(nuisance.columns / np.sqrt(known)),
-            weigh(about.problem.measured - about.value_at_zero - expected),
+            nuisance.weighing, whiten(columns), whiten(nuisance.columns / np.sqrt(precision)),
+            whiten(model.problem.measured - model.value_at_zero - expected),
         )  # fmt: skip
 
     @cached_property
@@ -112,20 +114,20 @@ class FullLikelihood:
         return InverseCovariance.from_columns(np.hstack([self.columns, self.instruments]))
 
     def _block_cholesky(self, rows: Rows) -> Array:
-        """Cholesky factor of the part of ``S^-1`` of some rows ``(k, k)``."""
-        white = self._inverse_covariance.downdate[rows]
-        part = (1 + _ROUNDING) * np.eye(len(rows)) - white @ white.T
-        return np.asarray(np.linalg.cholesky(part), dtype=np.float64)
+        """Return the Cholesky factor of a diagonal block of ``S^-1`` ``(k, k)``."""
+        block = self._inverse_covariance.downdate[rows]
+        inverse_block = (1 + _ROUNDING) * np.eye(len(rows)) - block @ block.T
+        return np.asarray(np.linalg.cholesky(inverse_block), dtype=np.float64)
 
     def log_likelihood(self, change: Array) -> Array:
-        """Log likelihood of changed readings ``(h,)``, changes ``(n, h)`` in metres."""
+        """Return the log likelihood ``(h,)`` of readings with changes ``(n, h)``, metres."""
         return self._inverse_covariance.log_likelihood(
             self.residual[:, None] + self.weighing.whiten(change)
         )
 
     @cached_property
     def _weighted_residual(self) -> Array:
-        """``S^-1`` times the residuals of the readings as they stand ``(n,)``."""
+        """``S^-1`` times the residual of the readings as they stand ``(n,)``."""
         return self._inverse_covariance.apply(self.residual)
 
     @cached_property
@@ -133,79 +135,73 @@ class FullLikelihood:
         return {}
 
     def deletion_residual(self, rows: Rows) -> DeletionResidual:
-        """Compare some readings with what all others foretell of them."""
+        """Return the difference of some readings from their prediction by all others."""
         key = rows.tobytes()
         if key not in self._deletion_residuals:
-            root = self._block_cholesky(rows)
-            white = solve_triangular(root, self._weighted_residual[rows], lower=True)
-            off = solve_triangular(root, white, lower=True, trans="T") * self.weighing.sigma[rows]
-            self._deletion_residuals[key] = DeletionResidual(
-                off, float(white @ white), _log_determinant(root)
-            )
+            cholesky = self._block_cholesky(rows)
+            whitened = solve_triangular(cholesky, self._weighted_residual[rows], lower=True)
+            scaled = solve_triangular(cholesky, whitened, lower=True, trans="T")
+            difference, square = scaled * self.weighing.sigma[rows], float(whitened @ whitened)
+            log_det = _log_determinant(cholesky)
+            self._deletion_residuals[key] = DeletionResidual(difference, square, log_det)
         return self._deletion_residuals[key]
 
     def deletion_gain(self, rows: Rows, change: Array | None = None) -> float:
-        """Return the gain of log likelihood once some rows have no weight.
+        """Return the gain of log likelihood by zero weight of some rows.
 
         Args:
-            rows: without weight.
-            change: of the readings ``(n,)``, metres; none where absent.
+            rows: rows of zero weight.
+            change: change of the readings ``(n,)``, metres.
         """
         if change is None:
-            found = self.deletion_residual(rows)
-            return (found.mahalanobis_square - found.log_det) / 2
-        root = self._block_cholesky(rows)
-        past = self._weighted_residual + self._inverse_covariance.apply(
-            self.weighing.whiten(change)
-        )
-        white = solve_triangular(root, past[rows], lower=True)
-        return (float(white @ white) - _log_determinant(root)) / 2
+            deleted = self.deletion_residual(rows)
+            return (deleted.mahalanobis_square - deleted.log_det) / 2
+        cholesky = self._block_cholesky(rows)
+        whitened_change = self._inverse_covariance.apply(self.weighing.whiten(change))
+        weighted = self._weighted_residual + whitened_change
+        whitened = solve_triangular(cholesky, weighted[rows], lower=True)
+        return (float(whitened @ whitened) - _log_determinant(cholesky)) / 2
 
     def relabelling_bound(self, rows: Rows) -> float:
-        """Return the log likelihood that other labels of some rows could gain at most: by how much
-        the rows are less likely, given all others, than in the mean.
+        """Return an upper bound of the gain of log likelihood by other labels of some rows: by how
+        much less likely the rows are, given all others, than on average.
         """
         return (self.deletion_residual(rows).mahalanobis_square - len(rows)) / 2
 
     def relabelled_log_likelihood(
         self, rows: Rows, columns: Array, instruments: Array, residual: Array
     ) -> float:
-        """Return the log likelihood if whole setups have other columns ``(k, C)``, nuisances and
-        residuals ``(k,)``.
+        """Return the log likelihood with other columns ``(k, C)``, nuisances and residual ``(k,)``
+        of whole setups.
         """
-        count = self.columns.shape[1]
-        both = np.zeros((len(self.residual), count + self.instruments.shape[1]))
-        both[:, :count], both[:, count:] = self.columns, self.instruments
-        both[rows, :count], both[rows, count:] = columns, 0.0
-        nuisances = np.zeros((len(both), instruments.shape[1]))
+        machine, others = self.columns.copy(), self.instruments.copy()
+        machine[rows], others[rows] = columns, 0.0
+        nuisances = np.zeros((len(machine), instruments.shape[1]))
         nuisances[rows] = instruments
-        left = self.residual.copy()
-        left[rows] = residual
-        return float(
-            InverseCovariance.from_columns(np.hstack([both, nuisances])).log_likelihood(
-                left[:, None]
-            )[0]
-        )
+        relabelled = self.residual.copy()
+        relabelled[rows] = residual
+        inverse = InverseCovariance.from_columns(np.hstack([machine, others, nuisances]))
+        return float(inverse.log_likelihood(relabelled[:, None])[0])
 
     def expected_noise(self, change: Array) -> Array:
-        """Return the expected noise of changed readings ``(n,)``, metres: what the model leaves."""
+        """Return the expected noise of changed readings ``(n,)``, metres."""
         return self.weighing.metres(
             self._inverse_covariance.apply(self.residual + self.weighing.whiten(change))
         )
 
 
 def in_standard_deviations(
-    about: LinearisedModel, rows: Array, share: float, free: float
+    model: LinearisedModel, rows: Array, parameter_scale: float, free_form_scale: float
 ) -> tuple[Array, Array]:
-    """Return rows ``(n, C)`` by a standard deviation of each coefficient, and their expected value
-    ``(n,)``. Parameters of an earlier calibration have its mean and covariance.
+    """Return rows ``(n, C)`` scaled to a standard deviation of each coefficient, and their prior
+    mean ``(n,)``. Parameters of an earlier calibration have its mean and covariance.
     """
-    sd = np.sqrt(about.linear.spike(share, free))
+    sd = np.sqrt(model.linear.spike(parameter_scale, free_form_scale))
     columns = rows * sd
-    matrix, target = about.prior_rows
+    matrix, target = model.prior_rows
     if not len(target):
         return columns, np.zeros(len(rows))
-    spoken = np.flatnonzero(matrix.any(axis=0))
-    root = np.linalg.inv(matrix[:, spoken] * about.units[spoken])
-    columns[:, spoken] = rows[:, spoken] @ root
-    return columns, np.asarray(columns[:, spoken] @ target)
+    calibrated = np.flatnonzero(matrix.any(axis=0))
+    root = np.linalg.inv(matrix[:, calibrated] * model.units[calibrated])
+    columns[:, calibrated] = rows[:, calibrated] @ root
+    return columns, np.asarray(columns[:, calibrated] @ target)

@@ -5,7 +5,8 @@ The readings are linearised at the posterior mean, repeatedly until the mean is 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -69,9 +70,9 @@ class FullPosterior:
     @property
     def evidence(self) -> float:
         """Log evidence of the best explanation, less the log factor of widened base priors."""
-        widths = np.array([u.prior_width for u in self.before.problem.unknowns])
-        fit = self.mixture.log_weight(self.mixture.best) - self.linearised.unexplainable_chi2 / 2
-        return float(fit - np.log(widths).sum())
+        log_widths = np.log([u.prior_width for u in self.before.problem.unknowns])
+        log_weight = self.mixture.log_weight(self.mixture.best)
+        return float(log_weight - self.linearised.unexplainable_chi2 / 2 - log_widths.sum())
 
     @property
     def chi2_per_dof(self) -> float:
@@ -87,23 +88,20 @@ class FullPosterior:
 
     def sized_fault(self, suspect: FaultColumns) -> Fault:
         """Return an active data fault with its size in the best explanation."""
-        mixture = self.mixture
-        names = [g.name for g in mixture.linear.groups]
-        at = mixture.linear.groups[names.index(suspect.name)].coefficients
-        return suspect.with_sizes(mixture.likeliest_mean(mixture.best)[at])
+        group = next(g for g in self.mixture.linear.groups if g.name == suspect.name)
+        mean = self.mixture.likeliest_mean(self.mixture.best)
+        return suspect.with_sizes(mean[group.coefficients])
 
     @property
     def next_point(self) -> Array:
         """Next point of linearisation ``(P,)``, SI: the mean, inactive dial effects at zero."""
-        known, effect_of = (
-            self.linearised.parameter_count,
-            self.before.problem.machine.catalogue.effect_of,
-        )
+        count = self.linearised.parameter_count
+        effect_of = self.before.problem.machine.catalogue.effect_of
         of_dial = np.array([effect_of(n).of_dial for n in self.linearised.problem.names])
         for group, _ in self.mixture.best:
-            places = self.mixture.linear.groups[group].coefficients
-            of_dial[places[places < known]] = False
-        return np.where(of_dial, 0.0, (self.mean * self.linearised.units)[:known])
+            coefficients = self.mixture.linear.groups[group].coefficients
+            of_dial[coefficients[coefficients < count]] = False
+        return np.where(of_dial, 0.0, (self.mean * self.linearised.units)[:count])
 
     @cached_property
     def moments(self) -> AveragedMoments:
@@ -117,13 +115,14 @@ class FullPosterior:
         Translations of the whole machine keep their full tolerances as prior, whatever the scale of
         the background.
         """
-        count, along = self.linearised.parameter_count, self.linearised.translations
-        seen = self.mixture.linear.columns[:, :count] @ along
-        missing = max(1 - min(self.background_scale, 1.0) ** 2, 1e-6)
-        spread = np.linalg.inv(np.eye(along.shape[1]) / missing + seen.T @ seen)
-        found = self.moments.covariance.copy()
-        found[:count, :count] += along @ spread @ along.T
-        return found
+        count, translations = self.linearised.parameter_count, self.linearised.translations
+        signatures = self.mixture.linear.columns[:, :count] @ translations
+        missing_variance = max(1 - min(self.background_scale, 1.0) ** 2, 1e-6)
+        prior_precision = np.eye(translations.shape[1]) / missing_variance
+        added = np.linalg.inv(prior_precision + signatures.T @ signatures)
+        covariance = self.moments.covariance.copy()
+        covariance[:count, :count] += translations @ added @ translations.T
+        return covariance
 
     @cached_property
     def _full_tolerance_variance(self) -> Array:
@@ -132,20 +131,20 @@ class FullPosterior:
         A small background scale is learned from visible coefficients and only assumed for invisible
         ones. A later visit with another sheet must not be tested against that assumption.
         """
-        found, at = np.zeros(len(self.covariance)), np.arange(self.linearised.parameter_count)
-        variance, spike = self.mixture.likeliest_variance(at)
-        held = (spike < 1.0) & (variance < spike) & (spike > _LEAST_PRIOR_VARIANCE)
-        precision = 1 / variance[held] - 1 / spike[held] + 1.0
-        found[at[held]] = 1 / precision
-        return found
+        added, index = np.zeros(len(self.covariance)), np.arange(self.linearised.parameter_count)
+        variance, spike = self.mixture.likeliest_variance(index)
+        shrunk = (spike < 1.0) & (variance < spike) & (spike > _LEAST_PRIOR_VARIANCE)
+        precision = 1 / variance[shrunk] - 1 / spike[shrunk] + 1.0
+        added[index[shrunk]] = 1 / precision
+        return added
 
     @property
     def converged(self) -> bool:
         """True if the linearisation is valid at the mean, which fits no worse than the base."""
         before, after = self.before.scores, self.after.scores
         # Few readings leave no degree of freedom: a chi2 difference below one is negligible.
-        near = after.chi2 <= before.chi2 + max(after.dof, 1.0)
-        return near and self.linearised.linearisation_error < _NOT_LINEAR
+        fits_no_worse = after.chi2 <= before.chi2 + max(after.dof, 1.0)
+        return fits_no_worse and self.linearised.linearisation_error < _NOT_LINEAR
 
     @property
     def background_scale(self) -> float:
@@ -160,30 +159,24 @@ class FullPosterior:
         plate's shape.
         """
         columns = self.mixture.scales[0].basis.columns
-        place = {n: k for k, n in enumerate(self.linearised.problem.names)}
-        plate = {e.name for e in self.linearised.problem.machine.catalogue.effects if e.of_body}
+        names, catalogue = self.linearised.problem.names, self.linearised.problem.machine.catalogue
 
-        def shown(name: Parameter) -> float:
+        def signal(name: Parameter) -> float:
             # A plate has one shape, however many setups probe it.
-            same = [n for n in place if (n.effect, n.direction) == (name.effect, name.direction)]
-            each = same if name.effect in plate else [name]
-            return _DETECTABLE_TOLERANCES * float(
-                np.linalg.norm(columns[:, [place[n] for n in each]].sum(1))
-            )
+            of_plate, key = catalogue[name.effect].of_body, (name.effect, name.direction)
+            copies = [k for k, n in enumerate(names)
+                      if n == name or (of_plate and (n.effect, n.direction) == key)]  # fmt: skip
+            return _DETECTABLE_TOLERANCES * float(np.linalg.norm(columns[:, copies].sum(axis=1)))
 
-        return tuple(n for n in self.linearised.varied_parameters if shown(n) < _DETECTABLE_SIGMAS)
+        return tuple(n for n in self.linearised.varied_parameters if signal(n) < _DETECTABLE_SIGMAS)
 
     @cached_property
     def free_form_errors(self) -> tuple[FreeForm, ...]:
         """Free-form errors probable enough to enter the calibrated machine."""
-        likely = {
-            g.name
-            for g, p in zip(self.mixture.linear.groups, self.mixture.inclusion, strict=True)
-            if g.free_form and p > LEAST_PROBABILITY
-        }
-        return tuple(
-            p for p in self.linearised.free_form_errors if p.name in likely and p.of_machine
-        )
+        groups, likely = self.mixture.linear.groups, self.mixture.inclusion > LEAST_PROBABILITY
+        probable = {groups[k].name for k in np.flatnonzero(likely)}
+        errors = self.linearised.free_form_errors
+        return tuple(error for error in errors if error.name in probable and error.of_machine)
 
     def machine_parameters(self, mean: Array) -> tuple[tuple[str, ...], Array, Array]:
         """Return names, values (SI) and weights by coefficient of the last campaign's machine.
@@ -191,67 +184,53 @@ class FullPosterior:
         Args:
             mean: of all coefficients ``(C,)``.
         """
-        names, matrix = self.linearised.problem.machine_parameters(
-            self.linearised.problem.last_factor
-        )
-        scale, start = self.linearised.units, self.linearised.parameter_count
-        weights = np.hstack([matrix, np.zeros((len(names), len(scale) - start))])
-        found = list(names)
-        for place in self.free_form_errors:
-            at = self.linearised.coefficients(place)
-            rows = np.zeros((len(at), len(scale)))
-            rows[np.arange(len(at)), at] = 1.0
-            weights, found = np.vstack([weights, rows]), [*found, *place.effect.motions]
-        weights = weights * scale
-        return tuple(found), weights @ mean, weights
+        problem = self.linearised.problem
+        names, matrix = problem.machine_parameters(problem.last_factor)
+        units, count = self.linearised.units, self.linearised.parameter_count
+        blocks = [np.pad(matrix, [(0, 0), (0, len(units) - count)])]
+        for error in self.free_form_errors:
+            blocks.append(np.arange(len(units)) == self.linearised.coefficients(error)[:, None])
+            names = (*names, *error.effect.motions)
+        weights = np.vstack(blocks) * units
+        return tuple(names), weights @ mean, weights
 
     @cached_property
     def machine(self) -> Machine:
         """The calibrated machine: posterior mean and covariance."""
-        start = self.before.problem.machine
-        known = start.catalogue
-        start = start.with_effects(
-            p.effect for p in self.free_form_errors if p.effect.name not in known
-        )
+        machine, effects = self.before.problem.machine, [p.effect for p in self.free_form_errors]
+        machine = machine.with_effects(e for e in effects if e.name not in machine.catalogue)
         names, values, weights = self.machine_parameters(self.mean)
-        spread, alone = (
-            weights @ self.covariance @ weights.T,
-            weights**2 @ self._full_tolerance_variance,
-        )
-        kept = dict(zip(names, values.tolist(), strict=True))
-        return start.with_posterior(kept, Posterior(names, values, spread, alone))
+        covariance = weights @ self.covariance @ weights.T
+        at_full_tolerance = weights**2 @ self._full_tolerance_variance
+        posterior = Posterior(names, values, covariance, at_full_tolerance)
+        return machine.with_posterior(dict(zip(names, values.tolist(), strict=True)), posterior)
 
     @cached_property
     def after(self) -> Estimate:
         """Estimate at the posterior mean, scored, with the learned prior in place of tolerances."""
-        about, mixture, prior = self.linearised, self.mixture, self.moments.prior
-        count, scale = about.parameter_count, about.units
-        known = _inverse_root(prior[:count, :count]) / scale[:count]
-        earlier = self.before.problem
-        rows, target = [known], [np.zeros(len(known))]
-        if earlier.earlier_posterior is not None:
-            matrix, goal = about.prior_rows
-            rows, target = [*rows, matrix], [*target, goal]
-        problem = replace(
-            about.problem,
-            prior_override=(np.vstack(rows), np.concatenate(target)),
-            free_form_errors=self._curve_nuisances(prior),
-        )
-        x = (self.mean * scale)[:count]
-        at = linearise(problem, x)
-        if (near := update_instrument_poses(problem, at)) is not problem:
-            problem, at = near, linearise(near, x)
-        estimate = make_estimate(problem, nuisances(problem, at.reading_poses), at, "posterior",
-                            len(mixture.children), self.linearised.linearisation_error)  # fmt: skip
+        linearised, mixture, prior = self.linearised, self.mixture, self.moments.prior
+        count, units = linearised.parameter_count, linearised.units
+        prior_root = _inverse_root(prior[:count, :count]) / units[:count]
+        matrix, target = linearised.prior_rows  # empty without an earlier calibration
+        prior_rows = np.vstack([prior_root, matrix]), np.concatenate([np.zeros(count), target])
+        curves = self._curve_nuisances(prior)
+        problem = replace(linearised.problem, prior_override=prior_rows, free_form_errors=curves)
+        x = (self.mean * units)[:count]
+        fit = linearise(problem, x)
+        if (moved := update_instrument_poses(problem, fit)) is not problem:
+            problem, fit = moved, linearise(moved, x)
+        estimate = make_estimate(problem, nuisances(problem, fit.reading_poses), fit, "posterior",
+                                 len(mixture.children), linearised.linearisation_error)  # fmt: skip
         # Base parameters that could be wrong in place of the reported causes.
-        far = () if self.alternative is None else self.alternative.warnings
-        instead = [n.partition(":")[0] for n in far if n.kind == "tolerance"]
-        told = [Note(f"these readings fit as well if {n}: measure it", "instead") for n in instead]
+        notes = [
+            Note(f"these readings fit as well if {clause}: measure it", "instead")
+            for clause in ([] if self.alternative is None else _exceeded_limits(self.alternative))
+        ]
         return replace(
             estimate,
-            covariance=self.covariance[:count, :count] * scale[:count] * scale[:count, None],
+            covariance=self.covariance[:count, :count] * units[:count] * units[:count, None],
             weak=self.before.weak,
-            warnings=(*estimate.warnings, *told),
+            warnings=(*estimate.warnings, *notes),
         )
 
     def _curve_nuisances(self, prior: Array) -> NuisanceBlock | None:
@@ -261,13 +240,13 @@ class FullPosterior:
         """
         linear, best = self.mixture.linear, {k for k, _ in self.mixture.best}
         likely = [k in best or p > LEAST_PROBABILITY for k, p in enumerate(self.mixture.inclusion)]
-        each = zip(linear.groups, likely, strict=True)
-        out = [g.coefficients for g, out in each if (g.free_form or g.of_data) and out]
-        at = np.concatenate([*out, np.flatnonzero(linear.plate_shapes)]).astype(np.intp)
-        if not len(at):
+        groups = [linear.groups[k] for k in np.flatnonzero(likely)]
+        spans = [group.coefficients for group in groups if group.free_form or group.of_data]
+        coefficients = np.concatenate([*spans, np.flatnonzero(linear.plate_shapes)]).astype(np.intp)
+        if not len(coefficients):
             return None
-        sd = np.where(linear.plate_shapes, 1.0, np.sqrt(np.diag(prior)))[at]
-        return NuisanceBlock(self.linearised.rows[:, at], sd)
+        sd = np.where(linear.plate_shapes, 1.0, np.sqrt(np.diag(prior)))[coefficients]
+        return NuisanceBlock(self.linearised.rows[:, coefficients], sd)
 
 
 def posterior_at_base_fit(before: Estimate) -> FullPosterior:
@@ -280,33 +259,28 @@ def posterior_with_corrected_commands(before: Estimate) -> FullPosterior:
 
     The base is fitted again after each correction, until the corrections are stationary.
     """
-    try:
-        return _correct_commands(before)
-    except ClosureError as error:
-        raise SolverError(_closure_message(before)) from error
-
-
-def _correct_commands(before: Estimate) -> FullPosterior:
-    found, done = posterior_at_base_fit(before), dict[str, float]()
-    for _ in range(_LINEARISATIONS):
-        told = {s.name: s for s in found.active_faults if s.fault.commands}
-        sizes = {name: found.sized_fault(one).size for name, one in told.items()}
-        if sizes.keys() == done.keys() and all(
-            abs(size - done[name]) < _COMMAND_CONVERGED for name, size in sizes.items()
-        ):
-            break
-        done, wrong = sizes, [found.sized_fault(one) for one in told.values()]
-        problem = with_commands_corrected(before.problem, wrong)
-        fit = solve(problem, method="nested", widen=False) if wrong else before
-        found = _posterior_at(fit, (), corrected=wrong, suspected_faults=True)
-    return found
+    corrected = dict[str, Fault]()
+    with _closure_explained(before):
+        posterior = posterior_at_base_fit(before)
+        for _ in range(_LINEARISATIONS):
+            active = [s for s in posterior.active_faults if s.fault.commands]
+            wrong = {s.name: posterior.sized_fault(s) for s in active}
+            if wrong.keys() == corrected.keys() and all(
+                abs(wrong[name].size - corrected[name].size) < _COMMAND_CONVERGED for name in wrong
+            ):
+                break
+            corrected, faults = wrong, list(wrong.values())
+            problem = with_commands_corrected(before.problem, faults)
+            fit = solve(problem, method="nested", widen=False) if wrong else before
+            posterior = _posterior_at(fit, (), corrected=faults, suspected_faults=True)
+    return posterior
 
 
 def full_posterior(
     before: Estimate,
     given: Sequence[str] = (),
-    look: FullPosterior | None = None,
-    unsure: Collection[FaultKey] = (),
+    first_posterior: FullPosterior | None = None,
+    fault_keys: Collection[FaultKey] = (),
 ) -> FullPosterior:
     """Return the posterior of the full model; the causes in ``given`` are active in any case.
 
@@ -316,8 +290,8 @@ def full_posterior(
     Args:
         before: the fit.
         given: names of declared causes.
-        look: first posterior of the same fit, or of the fit at its tolerances.
-        unsure: keys of the data faults that are searched for.
+        first_posterior: of the same fit, or of the fit at its tolerances.
+        fault_keys: of the data faults that are searched for.
 
     Raises:
         SolverError: if the mean does not converge.
@@ -325,91 +299,99 @@ def full_posterior(
     # Changes since a calibration, or between campaigns, never ask for a widened base.
     unknowns = before.problem.unknowns
     if before.problem.earlier_posterior is not None or any(u.name.campaign for u in unknowns):
-        return _converge(before, given, look, unsure)
-    at_tolerance = before.problem.with_prior_widths_reset()
-    held = at_tolerance is before.problem
+        return _converge(before, given, first_posterior, fault_keys)
+    narrow_problem = before.problem.with_prior_widths_reset()
+    already_narrow = narrow_problem is before.problem
     try:
-        narrow = before
-        if not held:
-            narrow = solve(at_tolerance, widen=False) if look is None else look.before
-        other = _converge(narrow, given, look, unsure)
+        if already_narrow:
+            narrow_fit = before
+        elif first_posterior is not None:
+            narrow_fit = first_posterior.before
+        else:
+            narrow_fit = solve(narrow_problem, widen=False)
+        narrow = _converge(narrow_fit, given, first_posterior, fault_keys)
     except NumericsError:
-        if held:
+        if already_narrow:
             raise
-        return _converge(before, given, None, unsure)
-    wide = widen_priors(before) if held else before
-    if held and wide is before:
-        return other
-    unsettled = other.linearised.linearisation_error >= _CONVERGED
+        return _converge(before, given, None, fault_keys)
+    wide_fit = widen_priors(before) if already_narrow else before
+    if already_narrow and wide_fit is before:
+        return narrow
+    not_converged = narrow.linearised.linearisation_error >= _CONVERGED
     try:
-        found = _converge(wide, given, None, unsure)
+        wide = _converge(wide_fit, given, None, fault_keys)
     except SolverError:
-        if unsettled and not held:
+        if not_converged and not already_narrow:
             raise
-        return other
-    if unsettled:
+        return narrow
+    if not_converged:
         # A wide base that needs further causes may have been biased by them.
-        return other if held and found.mixture.best else found
-    less = found.evidence - other.evidence
-    if less > _DECISIVE_LOG_BAYES_FACTOR:
-        return found
-    return replace(other, alternative=wide if less > -_DECISIVE_LOG_BAYES_FACTOR else None)
+        return narrow if already_narrow and wide.mixture.best else wide
+    log_bayes_factor = wide.evidence - narrow.evidence
+    if log_bayes_factor > _DECISIVE_LOG_BAYES_FACTOR:
+        return wide
+    undecided = log_bayes_factor > -_DECISIVE_LOG_BAYES_FACTOR
+    return replace(narrow, alternative=wide_fit if undecided else None)
 
 
 def _converge(
     before: Estimate,
     given: Sequence[str],
-    look: FullPosterior | None = None,
-    unsure: Collection[FaultKey] = (),
+    first_posterior: FullPosterior | None = None,
+    fault_keys: Collection[FaultKey] = (),
 ) -> FullPosterior:
-    """Return the posterior linearised at its mean, starting from ``look`` where it is given."""
-    try:
-        found = (
-            look
-            if look is not None and not given
-            else _posterior_at(before, given, suspected_faults=unsure)
-        )
-        best = found
+    """Return the posterior linearised at its mean, starting from ``first_posterior`` if given."""
+    with _closure_explained(before):
+        if first_posterior is None or given:
+            best = posterior = _posterior_at(before, given, suspected_faults=fault_keys)
+        else:
+            best = posterior = first_posterior
         for _ in range(_LINEARISATIONS - 1):
-            if found.linearised.linearisation_error < _CONVERGED:
+            if posterior.linearised.linearisation_error < _CONVERGED:
                 break
-            found = _posterior_at(before, given, found, suspected_faults=unsure)
+            posterior = _posterior_at(before, given, posterior, suspected_faults=fault_keys)
             # Two explanations may alternate, each at the linearisation of the other.
-            best = best_of((best, found), lambda one: -one.linearised.linearisation_error)
-    except ClosureError as error:
-        raise SolverError(_closure_message(before)) from error
+            best = best_of((best, posterior), lambda p: -p.linearised.linearisation_error)
     return best
 
 
 def _posterior_at(
     before: Estimate,
     given: Sequence[str],
-    last: FullPosterior | None = None,
+    previous: FullPosterior | None = None,
     corrected: Sequence[Fault] = (),
     suspected_faults: bool | Collection[FaultKey] = False,
 ) -> FullPosterior:
-    """Return the posterior, linearised at the base fit or at the mean of ``last``."""
-    at, start = (None, ()) if last is None else (last.next_point, last.mixture.active_groups)
-    about = linearise_full_model(before, at, corrected, suspected_faults)
-    found = FullPosterior(before, about, Mixture(about.linear, given, start))
-    return replace(
-        found,
-        linearised=replace(about, linearisation_error=about.linearisation_error_at(found.mean)),
-    )
+    """Return the posterior, linearised at the base fit or at the mean of ``previous``."""
+    point = None if previous is None else previous.next_point
+    start = () if previous is None else previous.mixture.active_groups
+    linearised = linearise_full_model(before, point, corrected, suspected_faults)
+    mixture = Mixture(linearised.linear, given, start)
+    error = linearised.linearisation_error_at(mixture.mean)
+    return FullPosterior(before, replace(linearised, linearisation_error=error), mixture)
 
 
-def _closure_message(before: Estimate) -> str:
-    """Return the message that a machine does not close over its stroke: why, and what to do."""
-    far = [note.partition(":")[0] for note in before.warnings if note.kind == "tolerance"]
-    if not far:
-        return (
-            "the machine found does not close: the readings, or their units, are not those "
-            "of this machine"
+@contextmanager
+def _closure_explained(before: Estimate) -> Iterator[None]:
+    """Replace an error of closure by a message that says why, and what to do."""
+    try:
+        yield
+    except ClosureError as error:
+        limits = "; ".join(_exceeded_limits(before))
+        message = (
+            f"the machine found does not reach all of its stroke: {limits}: put these right in the "
+            "controller or on the machine, or give a shorter stroke in the machine file"
+            if limits
+            else "the machine found does not close: the readings, or their units, are not those of "
+            "this machine"
         )
-    return (
-        f"the machine found does not reach all of its stroke: {'; '.join(far)}: put these right "
-        f"in the controller or on the machine, or give a shorter stroke in the machine file"
-    )
+        raise SolverError(message) from error
+
+
+def _exceeded_limits(estimate: Estimate) -> list[str]:
+    """Return a clause for each base parameter that is far beyond its tolerance."""
+    notes = (note for note in estimate.warnings if note.kind == "tolerance")
+    return [note.partition(":")[0] for note in notes]
 
 
 def _inverse_root(covariance: Array) -> Array:

@@ -1,17 +1,19 @@
-"""``identify``: what a user asks, put together as a problem, solved and checked."""
+"""``identify``: assembles the problem from readings and machine, solves and checks it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
 
 from orthoglide.errors import InputError, check_choice
-from orthoglide.explanation.data_faults import tool_fault_notes
+from orthoglide.explanation.credible_faults import certain_data_faults
+from orthoglide.explanation.faults import fault_message
+from orthoglide.explanation.full_posterior import posterior_with_corrected_commands
 from orthoglide.explanation.recalibration import account_for_changes
-from orthoglide.explanation.repeats import with_refuted_noise_enlarged
+from orthoglide.explanation.repeats import check_scatter, with_refuted_noise_enlarged
 from orthoglide.fit import Estimate, Problem, assemble, solve
 from orthoglide.fit.assembling import read_tables
 from orthoglide.fit.crosscheck import verify
@@ -19,11 +21,12 @@ from orthoglide.fit.plausible import check_drive_order, check_plausible
 from orthoglide.fit.solving import Method
 from orthoglide.instruments import Frame
 from orthoglide.machine import Machine, MachineSource
+from orthoglide.notes import Note
 from orthoglide.observations import ReadingsOrPath
 from orthoglide.parameters import split_campaign
 from orthoglide.threads import on_one_thread
 
-_EXACT_SIGMA = 1e-2  # of the noise; leaves a ten-thousandth of what a free datum takes up
+_EXACT_SIGMA = 1e-2  # sd of an exact posture, in units of the noise: weights it ten thousandfold
 
 Weighting = Literal["readings", "deviations"]
 
@@ -73,25 +76,25 @@ def identify(
     check_choice("weighting", weighting, get_args(Weighting))
     check_choice("method", method, get_args(Method))
     machine = Machine.of(machine)
-    chosen = machine.catalogue.base if free is None else free
-    read = read_tables(campaigns, machine)
-    check_plausible(read, machine, frame)
+    free_names = machine.catalogue.base if free is None else free
+    tables = read_tables(campaigns, machine)
+    check_plausible(tables, machine, frame)
     problem = assemble(
-        read, machine, chosen,
+        tables, machine, free_names,
         per_campaign=own, priors=priors, noise=noise, bounds=bounds, frame=frame,
     )  # fmt: skip
     _check_per_campaign(problem)
     problem = with_refuted_noise_enlarged(problem)
     if weighting == "deviations":
         problem = _with_exact_first_postures(problem)
-    found = account_for_changes(solve(problem, method=method), method)
-    check_drive_order(found)
-    warnings = (*found.warnings, *tool_fault_notes(found))
-    return replace(found, warnings=warnings, verification=verify(found))
+    estimate = account_for_changes(solve(problem, method=method), method)
+    check_drive_order(estimate)
+    warnings = (*estimate.warnings, *_tool_fault_notes(estimate))
+    return replace(estimate, warnings=warnings, verification=verify(estimate))
 
 
 def _check_per_campaign(problem: Problem) -> None:
-    """Refuse what is own to each campaign and not free."""
+    """Raise an error if a parameter is specific to campaigns but not free."""
     for name in problem.per_campaign:
         plain, _ = split_campaign(name)
         if not any(plain in (n.plain, n.effect) for n in problem.names):
@@ -99,23 +102,42 @@ def _check_per_campaign(problem: Problem) -> None:
 
 
 def _with_exact_first_postures(problem: Problem) -> Problem:
-    """Averaged readings, equal weights, each setup's first posture and the dials' places exact."""
+    """Return the problem of the papers: averaged readings with equal weights.
+
+    The first posture of each setup and the placements of the dials are exact.
+    """
     factors = []
     for factor in problem.leg_factors:
-        every = factor.readings
-        # One row a setup and posture, as the papers average their repeats.
-        table = np.column_stack([every.setup, every.command])
-        _, first, station = np.unique(table, axis=0, return_index=True, return_inverse=True)
+        readings = factor.readings
+        # One row for each setup and posture, as the papers average their repeats.
+        table = np.column_stack([readings.setup, readings.command])
+        _, first_index, station = np.unique(table, axis=0, return_index=True, return_inverse=True)
         station = station.reshape(-1)
-        mean = np.bincount(station, every.reading) / np.bincount(station)
-        kept = np.sort(first)
-        some = factor.subset(kept).with_readings(mean[station[kept]])
-        sigma = np.full(len(kept), problem.noise.typical)
-        _, first = np.unique(some.setup, return_index=True)
-        first = first[[s.observation.from_datum for s in some.readings.setups]]
-        sigma[first] *= _EXACT_SIGMA
-        step = np.full(len(kept), problem.noise.resolution)
-        noise = replace(some.noise, sigma=sigma, common=np.zeros(len(kept)), step=step)
-        beliefs = replace(some.instrument_priors, dial_placement_sd=0.0)
-        factors.append(replace(some, noise=noise, instrument_priors=beliefs))
+        mean = np.bincount(station, readings.reading) / np.bincount(station)
+        first_rows = np.sort(first_index)
+        averaged = factor.subset(first_rows).with_readings(mean[station[first_rows]])
+        sigma = np.full(len(first_rows), problem.noise.typical)
+        _, first_index = np.unique(averaged.setup, return_index=True)
+        first_index = first_index[[s.observation.from_datum for s in averaged.readings.setups]]
+        sigma[first_index] *= _EXACT_SIGMA
+        step = np.full(len(first_rows), problem.noise.resolution)
+        noise = replace(averaged.noise, sigma=sigma, common=np.zeros(len(first_rows)), step=step)
+        instrument_priors = replace(averaged.instrument_priors, dial_placement_sd=0.0)
+        factors.append(replace(averaged, noise=noise, instrument_priors=instrument_priors))
     return problem.with_leg_factors(factors)
+
+
+def _tool_fault_notes(estimate: Estimate) -> Iterator[Note]:
+    """Yield a note on each slip of a tool reading and each moved instrument in a fit that excludes
+    no rows.
+
+    Raises:
+        InputError: if repeats scatter more than those of any such instrument.
+    """
+    problem = estimate.problem
+    if not problem.tool_factors:
+        return
+    check_scatter(problem)
+    for fault in certain_data_faults(posterior_with_corrected_commands(estimate)):
+        if fault.setups[0] not in problem.leg_setups:
+            yield Note(f"{fault_message(problem, fault)}; close-loop sets it aside", "slip")

@@ -1,7 +1,8 @@
-"""A level that counts the other way, is read about the other axis, or shows degrees.
+"""A level that counts in the opposite direction, is read about the other axis, or shows degrees.
 
-Zeros and lengths turn no platform: the base fits such readings as well as any, and causes that turn
-it are found for them. Only the weighing of everything tells that those of others would do.
+Zeros and leg lengths do not turn the platform, so the base model fits such readings equally well,
+and causes that turn it are found for them. Only the evidence of the full model prefers the correct
+interpretation.
 """
 
 from __future__ import annotations
@@ -26,42 +27,43 @@ _DEGREE = np.pi / 180 / 1e-3  # a reading in degrees that was taken for millirad
 
 @dataclass(frozen=True)
 class _LevelInterpretation:
-    """What readings of a level may mean instead."""
+    """An alternative interpretation of the readings of a level."""
 
-    signs: tuple[float, float] = (1.0, 1.0)  # by which those about x and about y are multiplied
-    exchanged: bool = False  # whether those about x are about y
-    factor: float = 1.0  # of all of them
-    clause: str = ""  # how they fit, and what to do
+    signs: tuple[float, float] = (1.0, 1.0)  # factors of readings about x and about y
+    exchanged: bool = False  # whether x and y are exchanged
+    factor: float = 1.0  # of all readings
+    clause: str = ""  # how the readings fit, and what to do
 
     def applied_to(self, points: Readings) -> Readings:
-        """The same readings with that meaning."""
-        level = points.angular
-        sign = np.where(level, np.take(self.signs, points.axis % 2), 1.0) * points.sign
-        axis = np.where(level & self.exchanged, 1 - points.axis, points.axis)
-        reading = np.where(level, self.factor, 1.0) * points.reading
+        """Return the readings with that interpretation."""
+        angular = points.angular
+        sign = np.where(angular, np.take(self.signs, points.axis % 2), 1.0) * points.sign
+        axis = np.where(angular & self.exchanged, 1 - points.axis, points.axis)
+        reading = np.where(angular, self.factor, 1.0) * points.reading
         return replace(points, sign=sign, axis=axis, reading=reading)
 
 
 _LEVEL_INTERPRETATIONS = (
-    _LevelInterpretation((-1, -1), clause="with the opposite sign: look which way it counts, right-handed about "
-                          "x and y, and put -x and -y as directions"),
-    _LevelInterpretation((-1, 1), clause="with the opposite sign about x: look which way it counts there, and put "
-                         "-x as direction"),
-    _LevelInterpretation((1, -1), clause="with the opposite sign about y: look which way it counts there, and put "
-                         "-y as direction"),
+    _LevelInterpretation((-1, -1), clause="with the opposite sign: look which way it counts, "
+                         "right-handed about x and y, and put -x and -y as directions"),
+    _LevelInterpretation((-1, 1), clause="with the opposite sign about x: look which way it counts "
+                         "there, and put -x as direction"),
+    _LevelInterpretation((1, -1), clause="with the opposite sign about y: look which way it counts "
+                         "there, and put -y as direction"),
     _LevelInterpretation(exchanged=True, clause="with x and y exchanged: correct the directions"),
-    _LevelInterpretation(factor=_DEGREE, clause="as degrees: put them into milliradians, 17.45 a degree"),
+    _LevelInterpretation(factor=_DEGREE, clause="as degrees: put them into milliradians, 17.45 a "
+                         "degree"),
 )  # fmt: skip
 
 
-def check_levels(known: FullPosterior) -> None:
-    """Refuse readings of levels that have a far likelier machine if they mean something else, by
-    the posterior of the readings as they stand.
+def check_levels(posterior: FullPosterior) -> None:
+    """Refuse readings of levels that are far likelier with another interpretation than with the
+    posterior of the readings as they stand.
 
     Raises:
-        InputError: naming file and setups, what they would mean and what to do.
+        InputError: names file and setups, the interpretation, and what to do.
     """
-    problem = known.before.problem
+    problem = posterior.before.problem
     levels = [
         f"{source(f.readings)}, setup {s.name!r}"
         for _, f, _, s in problem.tool_setups
@@ -69,38 +71,38 @@ def check_levels(known: FullPosterior) -> None:
     ]
     if not levels:
         return
-    least = known.evidence + REQUIRED_EVIDENCE + np.log(len(_LEVEL_INTERPRETATIONS))
-    likelier = [(e, s) for s, e in _interpretation_evidence(known.before) if e > least]
+    threshold = posterior.evidence + REQUIRED_EVIDENCE + np.log(len(_LEVEL_INTERPRETATIONS))
+    likelier = [(e, s) for s, e in _interpretation_evidence(posterior.before) if e > threshold]
     if likelier:
-        _, sense = best_of(likelier, lambda one: one[0], LOG_ODDS_MARGIN)
+        _, interpretation = best_of(likelier, lambda one: one[0], LOG_ODDS_MARGIN)
         raise InputError(
             f"{'; '.join(levels)}: the readings of the level have a far likelier machine, and fit "
-            f"it, {sense.clause}"
+            f"it, {interpretation.clause}"
         )
 
 
-def _interpretation_evidence(before: Estimate) -> Iterator[tuple[_LevelInterpretation, float]]:
-    """Log of what the readings weigh with each other meaning that could be likelier."""
-    problem, least = before.problem, _rough_evidence(before) + REQUIRED_EVIDENCE
-    for sense in _LEVEL_INTERPRETATIONS:
+def _interpretation_evidence(estimate: Estimate) -> Iterator[tuple[_LevelInterpretation, float]]:
+    """Yield each interpretation that may be likelier, with its log evidence."""
+    problem, threshold = estimate.problem, _rough_evidence(estimate) + REQUIRED_EVIDENCE
+    for interpretation in _LEVEL_INTERPRETATIONS:
         factors = tuple(
-            f if f.on_legs else replace(f, readings=sense.applied_to(f.readings))
+            f if f.on_legs else replace(f, readings=interpretation.applied_to(f.readings))
             for f in problem.factors
         )
         try:
-            fit = solve(replace(problem, factors=factors), method="nested", start=before.x)
-            found = full_posterior(fit) if _rough_evidence(fit) > least else None
+            fit = solve(replace(problem, factors=factors), method="nested", start=estimate.x)
+            posterior = full_posterior(fit) if _rough_evidence(fit) > threshold else None
         except NumericsError:
             continue
-        if found is not None and found.converged:
-            yield sense, found.evidence
+        if posterior is not None and posterior.converged:
+            yield interpretation, posterior.evidence
 
 
 def _rough_evidence(fit: Estimate) -> float:
-    """The same where every effect may be off by some tolerances, up to what all meanings share."""
-    known = signatures(fit)
-    columns = known.columns * known.tolerance * _PRIOR_WIDTH
-    inside = np.eye(columns.shape[1]) + columns.T @ columns
-    seen = columns.T @ known.residual
-    square = known.residual @ known.residual - seen @ np.linalg.solve(inside, seen)
+    """Return the log evidence with every effect off by some tolerances, up to a common constant."""
+    linear = signatures(fit)
+    columns = linear.columns * linear.tolerance * _PRIOR_WIDTH
+    inner = np.eye(columns.shape[1]) + columns.T @ columns
+    projected = columns.T @ linear.residual
+    square = linear.residual @ linear.residual - projected @ np.linalg.solve(inner, projected)
     return float(-square / 2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,20 +52,22 @@ SLAB_SCALES = (0.3, 1.0, 3.0, 10.0)
 
 @dataclass(frozen=True)
 class UnknownNoise:
-    """Noise of unknown size: what remains unexplained shows it, down to a floor."""
+    """Noise of unknown size, estimated from the unexplained chi2, down to a floor."""
 
     chi2: float  # of the readings where no group is active
     dof: float  # degrees of freedom: what noise of the declared size makes of it
     floor: float = 1.0  # least chi2 per degree of freedom
 
     def log_likelihood_gain(self, explained: Array | float) -> Array:
-        """Return the log likelihood gained where so much of chi2 is explained ``(...)``."""
-        share = (self.chi2 - np.append(np.asarray(explained), 0.0)) / (self.dof * self.floor)
-        lack = self.dof / 2 * np.where(share > 1, 1 + np.log(np.maximum(share, 1)), share)
-        return np.asarray(lack[-1] - lack[:-1].reshape(np.shape(explained)))
+        """Return the log likelihood gained by explaining chi2 ``(...)``."""
+        ratio = (self.chi2 - np.append(np.asarray(explained), 0.0)) / (self.dof * self.floor)
+        deviance = self.dof / 2 * np.where(ratio > 1, 1 + np.log(np.maximum(ratio, 1)), ratio)
+        return np.asarray(deviance[-1] - deviance[:-1].reshape(np.shape(explained)))
 
     def variance(self, explained: float) -> float:
-        """Return the variance of the noise where so much of chi2 is explained, as declared: 1."""
+        """Return the noise variance, relative to the declared one, if ``explained`` of chi2 is
+        explained.
+        """
         return max(self.floor, (self.chi2 - explained) / self.dof)
 
 
@@ -79,7 +82,7 @@ class Group:
     relative_prior: float = 1.0  # prior probability, relative to a single cause of the catalogue
     unit: float = 1.0  # standard deviation of its slab at tau one, tolerances
     # prior mean number of a data fault or a change; None for errors of the machine, whose prior
-    # follows from `chance`
+    # follows from `relative_prior`
     expected: float | None = None
     of_data: bool = False  # whether it is a data fault
 
@@ -104,16 +107,16 @@ class LinearModel:
     # scales that the effects' background may have, in tolerances
     background_scales: tuple[float, ...] = BACKGROUND_SCALES
     slab_scales: tuple[float, ...] = SLAB_SCALES  # scales of active groups
-    # share beyond which a background is unlikely, and log of its weight
+    # scale beyond which a background is unlikely, and the log of its prior weight
     wide_background: tuple[float, float] = (max(BACKGROUND_SCALES), 0.0)
     noise_weight: float = RARE_LOG_PRIOR  # log of the prior weight of noise larger than declared
-    # power of its ratio to the declared noise with which that weight falls: without repeats noise
-    # is the less likely the larger it is
+    # power of its ratio to the declared noise with which that weight falls: without repeats, larger
+    # noise is less likely
     noise_decay: float = 0.0
     # residual of station means orthogonal to all columns: its square, its degrees of freedom, and
     # visits per station; zero if no direction was dropped
     station_remainder: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    # log prior odds of each slab, against all being as likely; none where they are
+    # log prior odds of each slab, relative to equal probabilities; empty if they are equal
     slab_log_odds: tuple[float, ...] = ()
     max_active: int = 6  # active groups in one state
     # noise of unknown size; the search then has one background alone, of one tolerance
@@ -121,28 +124,26 @@ class LinearModel:
 
     @cached_property
     def log_odds_by_slab(self) -> dict[float, float]:
-        """Log prior odds of each slab, against all being as likely."""
-        return dict(
-            zip(self.slab_scales, self.slab_log_odds or (0.0,) * len(self.slab_scales), strict=True)
-        )
+        """Log prior odds of each slab, relative to equal probabilities."""
+        odds = self.slab_log_odds or (0.0,) * len(self.slab_scales)
+        return dict(zip(self.slab_scales, odds, strict=True))
 
     def log_likelihood_gain(self, explained: Array, before: Array) -> Array:
-        """Return the log likelihood gained where more of chi2 is explained ``(scales, ...)``.
+        """Return the log likelihood gained by explaining more of chi2 ``(scales, ...)``.
 
         Args:
-            explained: by how much more ``(scales, ...)``.
-            before: how much is explained already ``(scales,)``.
+            explained: additional chi2 explained ``(scales, ...)``.
+            before: chi2 explained already ``(scales,)``.
         """
         if self.unknown_noise is None:
             return explained / 2
         before = before.reshape(-1, *[1] * (explained.ndim - 1))
-        return self.unknown_noise.log_likelihood_gain(
-            before + explained
-        ) - self.unknown_noise.log_likelihood_gain(before)
+        gain = self.unknown_noise.log_likelihood_gain
+        return gain(before + explained) - gain(before)
 
-    def spike(self, share: float, free_share: float) -> Array:
+    def spike(self, background_scale: float, free_form_scale: float) -> Array:
         """Return the prior variance of each inactive coefficient ``(C,)``."""
-        background = np.where(self.free_form, free_share, share)
+        background = np.where(self.free_form, free_form_scale, background_scale)
         return np.where(np.isfinite(self.fixed_sd), self.fixed_sd, background) ** 2
 
     @cached_property
@@ -153,17 +154,18 @@ class LinearModel:
         errors.
         """
         fixed, A = np.isfinite(self.fixed_sd), self.columns
-        known = A[:, fixed] * self.fixed_sd[fixed]
-        some = (known, A[:, self.free_form & ~fixed], A[:, ~self.free_form & ~fixed], self.stations)
-        fixed_one, free, background, stations = (rows @ rows.T for rows in some)
-        return fixed_one, free, background, stations
+        free, background = A[:, self.free_form & ~fixed], A[:, ~self.free_form & ~fixed]
+        parts = A[:, fixed] * self.fixed_sd[fixed], free, background, self.stations
+        of_fixed, of_free, of_background, of_stations = (columns @ columns.T for columns in parts)
+        return of_fixed, of_free, of_background, of_stations
 
     @cached_property
     def group_columns(self) -> Array:
         """Visible columns of all groups side by side ``(m, K)``."""
-        none = np.zeros((len(self.columns), 0))  # where nothing is seen through the noise
-        both = zip(self.groups, self.visible_directions, strict=True)
-        return np.hstack([none, *(self.columns[:, g.coefficients] @ seen for g, seen in both)])
+        blocks = [np.zeros((len(self.columns), 0))]  # there may be no group
+        for group, directions in zip(self.groups, self.visible_directions, strict=True):
+            blocks.append(self.columns[:, group.coefficients] @ directions)
+        return np.hstack(blocks)
 
     @cached_property
     def visible_directions(self) -> tuple[Array, ...]:
@@ -171,15 +173,15 @@ class LinearModel:
 
         The slab is isotropic in the group's parameters, so any rotation of them is equivalent.
         """
-        found = []
+        directions = []
         for group in self.groups:
-            turned = np.eye(1)
+            rotation = np.eye(1)
             if group.size > 1:
-                shown = group.unit * self.columns[:, group.coefficients] @ group.weights
-                _, size, turn = np.linalg.svd(shown, full_matrices=False)
-                turned = turn[: max(1, int((size * max(self.slab_scales) > _UNSEEN).sum()))].T
-            found.append(group.unit * group.weights @ turned)
-        return tuple(found)
+                signatures = group.unit * self.columns[:, group.coefficients] @ group.weights
+                _, sizes, vectors = np.linalg.svd(signatures, full_matrices=False)
+                rotation = vectors[: max(1, int((sizes * max(self.slab_scales) > _UNSEEN).sum()))].T
+            directions.append(group.unit * group.weights @ rotation)
+        return tuple(directions)
 
 
 class Basis:
@@ -188,26 +190,26 @@ class Basis:
     All background scales share these directions and differ in their weights only.
 
     Attributes:
-        free_share: scale of the inactive free functions.
+        free_form_scale: scale of the inactive free functions.
         noise: sd of an independent error of each station, in sigmas of a reading.
         whiten: from rows of the linear model to whitened ones ``(m, m)``.
         residual: whitened residual ``(m,)``.
-        by_group: whitened columns of all groups, see :attr:`Linear.by_group`.
-        grows: variance that a background of one tolerance adds to each direction ``(m,)``.
+        group_columns: whitened columns of all groups, see :attr:`LinearModel.group_columns`.
+        background_variance: that a background of one tolerance adds to each direction ``(m,)``.
         log_det: of the covariance without background.
     """
 
-    def __init__(self, linear: LinearModel, free_share: float, noise: float) -> None:
-        self.linear, self.free_form_scale, self.noise = linear, free_share, noise
+    def __init__(self, linear: LinearModel, free_form_scale: float, noise: float) -> None:
+        self.linear, self.free_form_scale, self.noise = linear, free_form_scale, noise
         fixed, free, background, stations = linear.prior_covariances
-        cov = fixed + free_share**2 * free + noise**2 * stations
+        cov = fixed + free_form_scale**2 * free + noise**2 * stations
         cov[np.diag_indices_from(cov)] += 1.0
         root = np.linalg.cholesky(cov)
         self.log_det = 2 * float(np.log(np.diag(root)).sum())
         whiten = solve_triangular(root, np.eye(len(root)), lower=True)
-        grows, turn = np.linalg.eigh(whiten @ background @ whiten.T)
-        self.background_variance = np.maximum(grows, 0.0)
-        self.whiten = turn.T @ whiten
+        variance, vectors = np.linalg.eigh(whiten @ background @ whiten.T)
+        self.background_variance = np.maximum(variance, 0.0)
+        self.whiten = vectors.T @ whiten
         self.residual = self.whiten @ linear.residual
         self.group_columns = self.whiten @ linear.group_columns
 
@@ -220,22 +222,22 @@ class Basis:
 class Scale:
     """One point of the grid of scales: the linear model whitened by its background."""
 
-    def __init__(self, basis: Basis, share: float) -> None:
-        self.basis, self.background_scale = basis, share
+    def __init__(self, basis: Basis, background_scale: float) -> None:
+        self.basis, self.background_scale = basis, background_scale
         self.free_form_scale, self.noise = basis.free_form_scale, basis.noise
-        self.spike = basis.linear.spike(share, basis.free_form_scale)
-        self.weight = 1 / np.sqrt(1 + share**2 * basis.background_variance)
+        self.spike = basis.linear.spike(background_scale, basis.free_form_scale)
+        self.weight = 1 / np.sqrt(1 + background_scale**2 * basis.background_variance)
         # Larger noise than declared is rare only if repeats determine the noise.
-        self.rare = (share > 1) + (basis.noise > 0 and basis.linear.noise_weight < 0)
-        square, count, visits = basis.linear.station_remainder
-        beyond, weight = basis.linear.wide_background
-        alike = 1 + basis.noise**2 * visits
+        self.rare = (background_scale > 1) + (basis.noise > 0 and basis.linear.noise_weight < 0)
+        chi2, dof, visits = basis.linear.station_remainder
+        widest_usual, weight = basis.linear.wide_background
+        variance = 1 + basis.noise**2 * visits
         self.log_z = (
-            RARE_LOG_PRIOR * (share > 1)
+            RARE_LOG_PRIOR * (background_scale > 1)
             + basis.linear.noise_weight * (basis.noise > 0)
             - basis.linear.noise_decay * float(np.log1p(basis.noise**2)) / 2
-            + weight * (share > beyond)
-            - 0.5 * (square / alike + count * float(np.log(alike)))
+            + weight * (background_scale > widest_usual)
+            - 0.5 * (chi2 / variance + dof * float(np.log(variance)))
             - 0.5 * float(self.residual @ self.residual)
             - 0.5 * basis.log_det
             + float(np.log(self.weight).sum())
@@ -264,34 +266,33 @@ def scale_grid(linear: LinearModel) -> tuple[Scale, ...]:
     """Return the grid of scales."""
     if linear.unknown_noise is not None:
         return (Scale(Basis(linear, 0.0, 0.0), 1.0),)
-    quiet = [Basis(linear, free, 0.0) for free in FREE_FORM_SCALES]
-    noisy = [Basis(linear, FREE_FORM_SCALES[0], noise) for noise in NOISE_SCALES]
-    found = [Scale(basis, share) for share in linear.background_scales for basis in quiet]
-    shares = [share for share in linear.background_scales if share in _BACKGROUND_SCALES_WITH_NOISE]
-    return (*found, *(Scale(basis, share) for share in shares for basis in noisy))
+    declared_noise = [Basis(linear, free, 0.0) for free in FREE_FORM_SCALES]
+    larger_noise = [Basis(linear, FREE_FORM_SCALES[0], noise) for noise in NOISE_SCALES]
+    fewer = [s for s in linear.background_scales if s in _BACKGROUND_SCALES_WITH_NOISE]
+    grid = [*product(linear.background_scales, declared_noise), *product(fewer, larger_noise)]
+    return tuple(Scale(basis, scale) for scale, basis in grid)
 
 
 def identity_group(
     name: str,
-    places: Sequence[int] | NDArray[np.intp],
+    indices: Sequence[int] | NDArray[np.intp],
     *,
     free_form: bool,
     relative_prior: float = 1.0,
 ) -> Group:
     """Return a group whose parameters are the coefficients themselves."""
-    return Group(
-        name, np.array(places, dtype=np.intp), np.eye(len(places)), free_form, relative_prior
-    )
+    coefficients = np.array(indices, dtype=np.intp)
+    return Group(name, coefficients, np.eye(len(coefficients)), free_form, relative_prior)
 
 
 def drop_unseen_directions(linear: LinearModel) -> LinearModel:
-    """The same in the few directions of the readings in which anything could show."""
-    every = np.column_stack([linear.columns, linear.stations, linear.residual])
-    if len(every) > every.shape[1]:
-        every = np.asarray(np.linalg.qr(every, mode="r"))
-    values, vectors = np.linalg.eigh(every[:, :-1] @ every[:, :-1].T)
-    every = vectors[:, values > _LEAST_DIRECTION**2].T @ every
+    """Return the model in the directions of the readings that the coefficients move."""
+    rows = np.column_stack([linear.columns, linear.stations, linear.residual])
+    if len(rows) > rows.shape[1]:
+        rows = np.asarray(np.linalg.qr(rows, mode="r"))
+    values, vectors = np.linalg.eigh(rows[:, :-1] @ rows[:, :-1].T)
+    rows = vectors[:, values > _LEAST_DIRECTION**2].T @ rows
     count = linear.columns.shape[1]
     return replace(
-        linear, columns=every[:, :count], stations=every[:, count:-1], residual=every[:, -1]
+        linear, columns=rows[:, :count], stations=rows[:, count:-1], residual=rows[:, -1]
     )

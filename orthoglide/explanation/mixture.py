@@ -23,10 +23,8 @@ from orthoglide.ordering import LOG_ODDS_MARGIN, descending, largest, ranked
 
 _NEGLIGIBLE = 1e-4  # weight below which a state is left out of averages
 _MOST_TERMS = 60  # most states and scales in an average
-_LEAST_RELATIVE_WEIGHT, _MOST_LIKELY_STATES = (
-    0.05,
-    8,
-)  # weight of explanations over that of the likeliest, and their number
+_LEAST_RELATIVE_WEIGHT = 0.05  # of a likely explanation, over that of the likeliest
+_MOST_LIKELY_STATES = 8  # most likely explanations
 
 LEAST_PROBABILITY = 0.05
 """Least probability of a free-form error that enters the calibrated machine."""
@@ -48,26 +46,24 @@ class Mixture(Search):
     def weights(self) -> dict[State, Array]:
         """Posterior probabilities ``(scales,)`` of all visited states, with sum one."""
         logs: dict[State, Array] = dict(self.visited)
+        least = self.log_weight(self.best) - 12
         for state, table in self.children.items():
-            pooled = table.max(axis=0)
-            for group, tau in zip(
-                *np.nonzero(pooled > self.log_weight(self.best) - 12), strict=True
-            ):
-                child = tuple(sorted((*state, (int(group), self.linear.slab_scales[tau]))))
+            for group, tau in np.argwhere(table.max(axis=0) > least).tolist():
+                child = tuple(sorted((*state, (group, self.linear.slab_scales[tau]))))
                 logs.setdefault(child, table[:, group, tau])
         logs = {s: v for s, v in logs.items() if self._given_groups <= {g for g, _ in s}}
-        every = np.stack(list(logs.values()))
-        raw = np.exp(every - every.max())
-        return dict(zip(logs, raw / raw.sum(), strict=True))
+        log_weights = np.stack(list(logs.values()))
+        weights = np.exp(log_weights - log_weights.max())
+        return dict(zip(logs, weights / weights.sum(), strict=True))
 
     @cached_property
     def inclusion(self) -> Array:
         """Probability that each group is active ``(groups,)``."""
-        found = np.zeros(len(self.linear.groups))
+        probabilities = np.zeros(len(self.linear.groups))
         for state, weight in self.weights.items():
             for group in {g for g, _ in state}:
-                found[group] += float(weight.sum())
-        return found
+                probabilities[group] += float(weight.sum())
+        return probabilities
 
     def without(self, member: int) -> State:
         """Return the best state without one of its groups."""
@@ -76,19 +72,19 @@ class Mixture(Search):
     @cached_property
     def strongest(self) -> tuple[int, ...]:
         """Groups of the best state, in the order of how much the fit needs them."""
-        left = {}
+        needs = {}
         for member, _ in self.best:
-            self.child_log_weights(rest := self.without(member))
-            left[member] = self.log_weight(rest)
-        return tuple(ranked(left, lambda member: -left[member], LOG_ODDS_MARGIN))
+            self.child_log_weights(smaller := self.without(member))
+            needs[member] = -self.log_weight(smaller)
+        return tuple(ranked(needs, lambda member: needs[member], LOG_ODDS_MARGIN))
 
     @cached_property
     def mean_scales(self) -> tuple[float, float, float]:
         """Posterior mean scales of the catalogue, the free functions and the excess noise."""
         by_scale = np.sum(list(self.weights.values()), axis=0)
-        each = np.array([(s.background_scale, s.free_form_scale, s.noise) for s in self.scales])
-        named, free, noise = (by_scale @ each).tolist()
-        return named, free, noise
+        grid = np.array([(s.background_scale, s.free_form_scale, s.noise) for s in self.scales])
+        background, free, noise = (by_scale @ grid).tolist()
+        return background, free, noise
 
     @property
     def _declared_noise_scales(self) -> NDArray[np.bool_]:
@@ -99,21 +95,18 @@ class Mixture(Search):
     @cached_property
     def likely_explanations(self) -> tuple[tuple[State, Scale], ...]:
         """Likely states, each with a scale without station errors, most probable first."""
-        plain = self._declared_noise_scales
-        weight = {state: float(found[plain].sum()) for state, found in self.weights.items()}
+        declared_noise = self._declared_noise_scales
+        weight = {s: float(by_scale[declared_noise].sum()) for s, by_scale in self.weights.items()}
         order = ranked(weight, lambda state: weight[state])[:_MOST_LIKELY_STATES]
-        likely = [
-            state for state in order if weight[state] >= _LEAST_RELATIVE_WEIGHT * weight[order[0]]
-        ]
-        at = [largest(np.where(plain, self.weights[s], -np.inf)) for s in likely]
-        return tuple((s, self.scales[k]) for s, k in zip(likely, at, strict=True))
+        likely = [s for s in order if weight[s] >= _LEAST_RELATIVE_WEIGHT * weight[order[0]]]
+        best_scales = [largest(np.where(declared_noise, self.weights[s], -np.inf)) for s in likely]
+        return tuple((s, self.scales[k]) for s, k in zip(likely, best_scales, strict=True))
 
     def likeliest_background(self) -> Scale:
         """Return the likeliest scale within tolerances, at the declared noise, no group active."""
-        within = self._declared_noise_scales & np.array(
-            [s.background_scale <= 1 for s in self.scales]
-        )
-        return self.scales[largest(np.where(within, self.visited[()], -np.inf), LOG_ODDS_MARGIN)]
+        within = np.array([s.background_scale <= 1 for s in self.scales])
+        allowed = self._declared_noise_scales & within
+        return self.scales[largest(np.where(allowed, self.visited[()], -np.inf), LOG_ODDS_MARGIN)]
 
     def restricted_to(self, names: Collection[str]) -> tuple[tuple[State, Scale], ...]:
         """Return the likely explanations whose active groups are all in ``names``.
@@ -121,19 +114,14 @@ class Mixture(Search):
         If there is none, return the best state restricted to ``names`` over the likeliest
         background.
         """
-        groups = self.linear.groups
-        found = [
-            one
-            for one in self.likely_explanations
-            if all(groups[g].name in names for g, _ in one[0])
-        ]
-        if found:
-            return tuple(found)
-        state = tuple(one for one in self.best if groups[one[0]].name in names)
+        allowed = {k for k, group in enumerate(self.linear.groups) if group.name in names}
+        matching = [e for e in self.likely_explanations if allowed.issuperset(g for g, _ in e[0])]
+        if matching:
+            return tuple(matching)
+        state = tuple((group, tau) for group, tau in self.best if group in allowed)
         by_scale = np.sum(list(self.weights.values()), axis=0)
-        return (
-            (state, self.scales[largest(np.where(self._declared_noise_scales, by_scale, -np.inf))]),
-        )
+        likeliest = largest(np.where(self._declared_noise_scales, by_scale, -np.inf))
+        return ((state, self.scales[likeliest]),)
 
     @cached_property
     def probability_rare(self) -> float:
@@ -145,38 +133,33 @@ class Mixture(Search):
         """Probability of a background beyond all tolerances."""
         return self._probability_of_scales([s.background_scale > 1 for s in self.scales])
 
-    def _probability_of_scales(self, scales: list[bool]) -> float:
+    def _probability_of_scales(self, mask: list[bool]) -> float:
         """Return the total probability of the scales in a mask."""
-        return float(sum(weight[np.array(scales)].sum() for weight in self.weights.values()))
+        return float(sum(weight[np.array(mask)].sum() for weight in self.weights.values()))
 
     @property
-    def _sound_scales(self) -> list[int]:
+    def _sound_scales(self) -> NDArray[np.intp]:
         """Indices of the scales of a machine that is sound apart from its active groups."""
-        return [
-            k
-            for k, s in enumerate(self.scales)
-            if s.background_scale <= SOUND_BACKGROUND and s.noise == 0
-        ]
+        sound = [s.background_scale <= SOUND_BACKGROUND and s.noise == 0 for s in self.scales]
+        return np.flatnonzero(sound)
 
     def log_bayes_factors_if_sound(self) -> Array:
         """Return log Bayes factors of single groups on a sound machine ``(groups, taus)``."""
-        return np.asarray(
-            self.child_log_weights(())[self._sound_scales].max(axis=0)
-            - self.visited[()][self._sound_scales].max()
-        )
+        sound, table = self._sound_scales, self.child_log_weights(())
+        return np.asarray(table[sound].max(axis=0) - self.visited[()][sound].max())
 
-    def moments_if_sound(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
+    def moments_if_sound(self, state: State, index: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return mean ``(C,)`` and covariance ``(k, k)`` in a state on a sound machine."""
-        sound = [self.scales[k] for k in self._sound_scales]
-        logs = self._log_z(sound, *self._active_directions(sound, state))
-        return self.moments(state, sound[largest(logs, LOG_ODDS_MARGIN)], at)
+        scales = [self.scales[k] for k in self._sound_scales]
+        logs = self._log_z(scales, *self._active_directions(scales, state))
+        return self.moments(state, scales[largest(logs, LOG_ODDS_MARGIN)], index)
 
     def next_log_bayes_factors(self) -> Array:
         """Return log Bayes factors of each group added to the best state ``(groups,)``."""
         table = self.child_log_weights(self.best)
-        top = self.log_weight(self.best)
+        log_weight = self.log_weight(self.best)
         with np.errstate(divide="ignore"):
-            pooled = np.log(np.exp(table - top).sum(axis=(0, 2)))
+            pooled = np.log(np.exp(table - log_weight).sum(axis=(0, 2)))
         return np.asarray(pooled + self.cost)
 
     def precision(self, state: State, scale: Scale, *, plate_shapes: bool = False) -> Array:
@@ -185,39 +168,36 @@ class Mixture(Search):
         Plate shapes that no effect names are included only if ``plate_shapes`` is true.
         """
         columns = self.linear.columns
-        out = columns @ self._slab_root(state)
-        spike = (
-            scale.spike if plate_shapes else np.where(self.linear.plate_shapes, 0.0, scale.spike)
-        )
-        cov = (columns * spike) @ columns.T + out @ out.T
+        slabs = columns @ self._slab_root(state)
+        excluded = self.linear.plate_shapes & (not plate_shapes)
+        cov = (columns * np.where(excluded, 0.0, scale.spike)) @ columns.T + slabs @ slabs.T
         return np.asarray(np.linalg.inv(cov + np.eye(len(cov))), dtype=np.float64)
 
     def _slab_root(self, state: State) -> Array:
         """Return a root of the slab covariance of a state's active groups ``(C, q)``."""
         count = len(self.linear.fixed_sd)
-        spread = np.zeros((count, 0))
-        for group, tau in state:
-            g = self.linear.groups[group]
-            part = np.zeros((count, g.size))
-            part[g.coefficients] = g.weights * tau * g.unit
-            spread = np.hstack([spread, part])
-        return spread
+        blocks = [np.zeros((count, 0))]
+        for group, tau in ((self.linear.groups[k], tau) for k, tau in state):
+            blocks.append(np.zeros((count, group.size)))
+            blocks[-1][group.coefficients] = group.weights * tau * group.unit
+        return np.hstack(blocks)
 
-    def likeliest_moments(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
+    def likeliest_moments(self, state: State, index: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return mean ``(C,)`` and covariance ``(k, k)`` in a state at its likeliest scales."""
-        return self.moments(state, self._likeliest_scale(state), at)
+        return self.moments(state, self._likeliest_scale(state), index)
 
     def likeliest_mean(self, state: State) -> Array:
-        """Mean ``(C,)`` of the same."""
+        """Return the mean of all coefficients ``(C,)`` in a state at its likeliest scales."""
         return self._mean(state, self._likeliest_scale(state))
 
-    def likeliest_variance(self, at: NDArray[np.intp]) -> tuple[Array, Array]:
+    def likeliest_variance(self, index: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return posterior and prior variance of coefficients in the best state ``(k,)``."""
         scale = self._likeliest_scale(self.best)
-        prior = scale.spike[at] + np.sum(self._slab_root(self.best)[at] ** 2, axis=1)
-        return np.diag(self._covariance(self.best, scale, at)), prior
+        prior = scale.spike[index] + np.sum(self._slab_root(self.best)[index] ** 2, axis=1)
+        return np.diag(self._covariance(self.best, scale, index)), prior
 
     def _likeliest_scale(self, state: State) -> Scale:
+        """Return the scale of largest weight in a state."""
         if len(self.scales) == 1:
             return self.scales[0]
         if state in self.visited:
@@ -243,87 +223,94 @@ class Mixture(Search):
         Returns:
             From group to its coefficient; the one that explains most first.
         """
-        rest = self.without(member)
-        left, shrink = self._active_directions(self.scales, rest)
+        smaller = self.without(member)
+        left, shrink = self._active_directions(self.scales, smaller)
         explained = self._gains(left, shrink)[0][0, :, -1]
-        free, noise = self.linear.unknown_noise, 1.0
-        if free is not None:
-            noise = free.variance(float(self._explained(left, shrink)[0] + explained[member]))
-        near = explained >= explained[member] - rise * noise
-        near[[g for g, _ in self.best]] = False
-        others = np.flatnonzero(near)
-        found = {}
-        for other in others[descending(explained[others], LOG_ODDS_MARGIN * noise)].tolist():
-            state = tuple(sorted((*rest, (other, self.linear.slab_scales[-1]))))
-            found[other] = float(
-                self.likeliest_mean(state)[self.linear.groups[other].coefficients[0]]
-            )
-        return found
+        unknown_noise, noise_variance = self.linear.unknown_noise, 1.0
+        if unknown_noise is not None:
+            given = self._explained(left, shrink)[0]
+            noise_variance = unknown_noise.variance(float(given + explained[member]))
+        fits = explained >= explained[member] - rise * noise_variance
+        fits[[g for g, _ in self.best]] = False
+        others, sizes = np.flatnonzero(fits), dict[int, float]()
+        order = descending(explained[others], LOG_ODDS_MARGIN * noise_variance)
+        for other in others[order].tolist():
+            state = tuple(sorted((*smaller, (other, self.linear.slab_scales[-1]))))
+            coefficient = self.linear.groups[other].coefficients[0]
+            sizes[other] = float(self.likeliest_mean(state)[coefficient])
+        return sizes
 
     def size_and_spread(self, member: int) -> tuple[float, float, float]:
-        """Return mean and standard deviation of a group of one coefficient in the best state, and
-        the standard deviation that is added by the other states that contain it.
-        """
-        at = self.linear.groups[member].coefficients
-        mean, cov = self.likeliest_moments(self.best, at)
-        size, variance = float(mean[at[0]]), float(cov[0, 0])
-        more = total = 0.0
-        for (weight, state, scale), m in zip(self._terms, self._means, strict=True):
-            if any(g == member for g, _ in state):
-                spread = float(self._covariance(state, scale, at)[0, 0])
-                more += weight * (spread - variance + (float(m[at[0]]) - size) ** 2)
-                total += weight
-        return size, float(np.sqrt(variance)), float(np.sqrt(max(more / max(total, 1e-300), 0.0)))
+        """Return the size of a group of one coefficient in the best state, and two standard
+        deviations.
 
-    def moments(self, state: State, scale: Scale, at: NDArray[np.intp]) -> tuple[Array, Array]:
+        The first is that within the best state. The second is added by the other states that
+        contain the group.
+        """
+        index = self.linear.groups[member].coefficients
+        mean, covariance = self.likeliest_moments(self.best, index)
+        size, variance = float(mean[index[0]]), float(covariance[0, 0])
+        added = total = 0.0
+        for (weight, state, scale), other_mean in zip(self._terms, self._means, strict=True):
+            if any(g == member for g, _ in state):
+                other_variance = float(self._covariance(state, scale, index)[0, 0])
+                shift = float(other_mean[index[0]]) - size
+                added += weight * (other_variance - variance + shift**2)
+                total += weight
+        spread = max(added / max(total, 1e-300), 0.0)
+        return size, float(np.sqrt(variance)), float(np.sqrt(spread))
+
+    def moments(self, state: State, scale: Scale, index: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return mean ``(C,)`` and covariance ``(k, k)`` of some coefficients in a state."""
-        return self._mean(state, scale), self._covariance(state, scale, at)
+        return self._mean(state, scale), self._covariance(state, scale, index)
 
     def _mean(self, state: State, scale: Scale) -> Array:
         """Return the mean of all coefficients in a state at a scale ``(C,)``."""
         (left,), (shrink,) = self._active_directions([scale], state)
-        spread = self._slab_root(state)
-        once = shrink_along(scale.residual, left, shrink)
-        along = scale.products_with_columns(shrink_along(once, left, shrink))
-        return np.asarray(scale.spike * along + spread @ (spread.T @ along))
+        slab_root = self._slab_root(state)
+        shrunk_once = shrink_along(scale.residual, left, shrink)
+        products = scale.products_with_columns(shrink_along(shrunk_once, left, shrink))
+        return np.asarray(scale.spike * products + slab_root @ (slab_root.T @ products))
 
-    def _covariance(self, state: State, scale: Scale, at: NDArray[np.intp]) -> Array:
+    def _covariance(self, state: State, scale: Scale, index: NDArray[np.intp]) -> Array:
         """Return the covariance of some coefficients in a state at a scale ``(k, k)``."""
         (left,), (shrink,) = self._active_directions([scale], state)
         columns = shrink_along(scale.columns, left, shrink)
-        spread = self._slab_root(state)
+        slab_root = self._slab_root(state)
         # Prior covariance: diagonal of the spike, plus the slabs of the active groups.
-        seen = columns * scale.spike + (columns @ spread) @ spread.T
-        prior = np.diag(scale.spike[at]) + spread[at] @ spread[at].T
-        noise, free = 1.0, self.linear.unknown_noise
-        if free is not None:
-            noise = free.variance(float(self._explained(left[None], shrink[None])[0]))
-        return np.asarray(noise * (prior - seen[:, at].T @ seen[:, at]))
+        explained = columns * scale.spike + (columns @ slab_root) @ slab_root.T
+        prior = np.diag(scale.spike[index]) + slab_root[index] @ slab_root[index].T
+        noise_variance, unknown_noise = 1.0, self.linear.unknown_noise
+        if unknown_noise is not None:
+            explained_chi2 = float(self._explained(left[None], shrink[None])[0])
+            noise_variance = unknown_noise.variance(explained_chi2)
+        return np.asarray(noise_variance * (prior - explained[:, index].T @ explained[:, index]))
 
-    def _covariances(self, at: NDArray[np.intp]) -> Callable[[State, Scale], Array]:
+    def _covariances(self, index: NDArray[np.intp]) -> Callable[[State, Scale], Array]:
         """Return a function of state and scale: the covariance of some coefficients ``(k, k)``.
 
         Prior less gain cancels to rounding errors where the readings determine a direction a
         million times better than the prior. Here the other coefficients are marginalised as
         noise, and precisions are added.
         """
-        linear, others = self.linear, np.ones(len(self.linear.fixed_sd), dtype=bool)
-        others[at] = False
+        linear, marginalised = self.linear, np.ones(len(self.linear.fixed_sd), dtype=bool)
+        marginalised[index] = False
         fixed = np.isfinite(linear.fixed_sd)
         kinds = (fixed, linear.free_form & ~fixed, ~linear.free_form & ~fixed)
-        size = np.where(fixed, linear.fixed_sd, 1.0)
-        rows = (linear.columns[:, others & kind] * size[others & kind] for kind in kinds)
-        known, free, background = (part @ part.T for part in rows)
+        scaled = linear.columns * np.where(fixed, linear.fixed_sd, 1.0)
+        blocks = (scaled[:, marginalised & kind] for kind in kinds)
+        fixed_part, free, background = (block @ block.T for block in blocks)
 
         def covariance(state: State, scale: Scale) -> Array:
-            spread = self._slab_root(state)
-            noise = known + scale.free_form_scale**2 * free + scale.background_scale**2 * background
+            slab_root = self._slab_root(state)
+            noise = fixed_part + scale.free_form_scale**2 * free
+            noise += scale.background_scale**2 * background
             noise += scale.noise**2 * linear.prior_covariances[3] + np.eye(len(noise))
-            sd = np.sqrt(scale.spike[at])
-            shown = np.hstack([linear.columns[:, at] * sd, linear.columns @ spread])
-            shown = solve_triangular(np.linalg.cholesky(noise), shown, lower=True)
-            precision = np.eye(shown.shape[1]) + shown.T @ shown
-            units = np.hstack([np.diag(sd), spread[at]])
+            sd = np.sqrt(scale.spike[index])
+            columns = np.hstack([linear.columns[:, index] * sd, linear.columns @ slab_root])
+            columns = solve_triangular(np.linalg.cholesky(noise), columns, lower=True)
+            precision = np.eye(columns.shape[1]) + columns.T @ columns
+            units = np.hstack([np.diag(sd), slab_root[index]])
             half = solve_triangular(np.linalg.cholesky(precision), units.T, lower=True)
             return np.asarray(half.T @ half)
 
@@ -332,12 +319,12 @@ class Mixture(Search):
     @cached_property
     def _terms(self) -> tuple[tuple[float, State, Scale], ...]:
         """Weight, state and scale of every term of the averages."""
-        states, every = list(self.weights), np.stack(list(self.weights.values()))
-        likely = np.flatnonzero(every > _NEGLIGIBLE)
-        order = likely[descending(every.flat[likely])[:_MOST_TERMS]]
-        at = [divmod(int(k), len(self.scales)) for k in order]
-        total = sum(float(every[k]) for k in at)
-        return tuple((float(every[k]) / total, states[k[0]], self.scales[k[1]]) for k in at)
+        states, weights = list(self.weights), np.stack(list(self.weights.values()))
+        likely = np.flatnonzero(weights > _NEGLIGIBLE)
+        order = likely[descending(weights.flat[likely])[:_MOST_TERMS]]
+        index = [divmod(int(k), len(self.scales)) for k in order]
+        total = sum(float(weights[k]) for k in index)
+        return tuple((float(weights[k]) / total, states[k[0]], self.scales[k[1]]) for k in index)
 
     @cached_property
     def _means(self) -> list[Array]:
@@ -360,37 +347,35 @@ class Mixture(Search):
         Returns:
             As many draws ``(n, k)``.
         """
-        at = np.flatnonzero(weights.any(axis=0))
-        upto = np.cumsum([weight for weight, _, _ in self._terms])
-        term = np.searchsorted(upto[:-1], (np.arange(len(normal)) + 0.5) / len(normal))
-        drawn, covariance = np.empty(normal.shape), self._covariances(at)
+        index = np.flatnonzero(weights.any(axis=0))
+        cumulated = np.cumsum([weight for weight, _, _ in self._terms])
+        term = np.searchsorted(cumulated[:-1], (np.arange(len(normal)) + 0.5) / len(normal))
+        drawn, covariance = np.empty(normal.shape), self._covariances(index)
         for k in np.unique(term):
             _, state, scale = self._terms[k]
-            root = symmetric_root(weights[:, at] @ covariance(state, scale) @ weights[:, at].T)
-            some = term == k
-            drawn[some] = weights @ self._means[k] + normal[some] @ root.T
+            own = weights[:, index]
+            root = symmetric_root(own @ covariance(state, scale) @ own.T)
+            in_term = term == k
+            drawn[in_term] = weights @ self._means[k] + normal[in_term] @ root.T
         return drawn
 
-    def averaged_moments(self, known: int) -> AveragedMoments:
+    def averaged_moments(self, count: int) -> AveragedMoments:
         """Return the moments of the coefficients, averaged over states and scales.
 
-        The covariance covers the first ``known`` coefficients, and others whose group is active
-        with a probability above ``LEAST_SHARE``.
+        The covariance covers the first ``count`` coefficients, and others whose group is active
+        with a probability above ``LEAST_PROBABILITY``.
         """
-        best = {g for g, _ in self.best}
-        likely = [
-            g.coefficients
-            for k, (g, p) in enumerate(zip(self.linear.groups, self.inclusion, strict=True))
-            if p > LEAST_PROBABILITY or k in best
-        ]
-        at = np.unique(np.concatenate([np.arange(known), *likely]).astype(int))
+        likely = self.inclusion > LEAST_PROBABILITY
+        likely[[group for group, _ in self.best]] = True
+        spans = [self.linear.groups[k].coefficients for k in np.flatnonzero(likely)]
+        index = np.unique(np.concatenate([np.arange(count), *spans]).astype(int))
         size = len(self.linear.fixed_sd)
-        second, prior = np.zeros((size, size)), np.zeros((size, size))
-        block, covariance = np.ix_(at, at), self._covariances(at)
-        for (weight, state, scale), m in zip(self._terms, self._means, strict=True):
-            cov = covariance(state, scale)
-            second[block] += weight * (cov + np.outer(m[at], m[at]))
-            spread = self._slab_root(state)[at]
-            prior[block] += weight * (np.diag(scale.spike[at]) + spread @ spread.T)
-        second[block] -= np.outer(self.mean[at], self.mean[at])
-        return AveragedMoments(self.mean, second, prior)
+        second_moment, prior = np.zeros((size, size)), np.zeros((size, size))
+        block, covariance_of = np.ix_(index, index), self._covariances(index)
+        for (weight, state, scale), mean in zip(self._terms, self._means, strict=True):
+            covariance = covariance_of(state, scale)
+            second_moment[block] += weight * (covariance + np.outer(mean[index], mean[index]))
+            slab_root = self._slab_root(state)[index]
+            prior[block] += weight * (np.diag(scale.spike[index]) + slab_root @ slab_root.T)
+        second_moment[block] -= np.outer(self.mean[index], self.mean[index])
+        return AveragedMoments(self.mean, second_moment, prior)

@@ -1,10 +1,9 @@
-"""The likeliest of other data that the readings may be, by one factorisation of each.
+"""The likeliest alternative readings, each compared by one factorisation of the full model.
 
-Whole turns of the dial's hand are among them: nobody read the small hand, which counts them, or
-somebody misread it. Where only the large hand was read, all readings of a setup lie within one
-turn. How many turns each lacks is rounded from what all other readings foretell of a setup; of all
-setups at once, from the machine as it was, then from what the readings with these turns corrected
-leave.
+Whole turns of a dial's hand are among them: the small hand, which counts them, was not read or was
+misread. If only the large hand was read, all readings of a setup lie within one turn. The missing
+turns of a setup are rounded from its deletion residual; those of all setups at once from the
+residual of the readings, and then from what the readings with these turns corrected leave.
 """
 
 from __future__ import annotations
@@ -32,208 +31,213 @@ from orthoglide.fit import Problem
 from orthoglide.geometry import Array
 from orthoglide.ordering import LOG_ODDS_MARGIN, descending
 
-_MOST_READINGS = 10_000  # readings: of more, four matrices of readings by unknowns take over 0.4 GB
+_MOST_READINGS = 10_000  # readings: for more, four matrices by unknowns take over 0.4 GB
 _MOST_RANKED = 5  # alternatives that are searched in full
 
 _BACKGROUND_SCALES = ((0.01, 0.003), (0.1, 0.1), (1.0, 0.1), (1.0, 3.0))
-"""Tolerances by which everything may be off, and units by which free functions may."""
+"""Background scales of the parameters, in tolerances, and of the free-form errors."""
 
 
 def rank_alternative_readings(
-    known: FullPosterior, order: Mapping[int, Rows]
+    posterior: FullPosterior, rows_by_setup: Mapping[int, Rows]
 ) -> list[tuple[float, AlternativeReadings]]:
-    """The likeliest of other data, those that fit better than the readings as they stand do, with
-    by how much.
+    """Return the alternative readings that fit better than the readings as they stand, the
+    likeliest first, each with its gain of log evidence.
 
     Args:
-        known: the readings as they stand.
-        order: rows of each setup in which no such fault is known, in the order they were taken.
+        posterior: of the readings as they stand.
+        rows_by_setup: rows of each setup without a misreading, in the order they were taken.
     """
-    about = known.linearised
-    if len(about.value_at_zero) > _MOST_READINGS:
+    model = posterior.linearised
+    if len(model.value_at_zero) > _MOST_READINGS:
         return []
-    several = list_alternative_readings(about.problem, order)
-    if not several:
+    alternatives = list_alternative_readings(model.problem, rows_by_setup)
+    if not alternatives:
         return []
-    wide = [FullLikelihood.from_linear_model(about, *scales) for scales in _BACKGROUND_SCALES]
-    several = [*several, *turn_alternatives(about.problem, wide, order)]
-    nothing = np.zeros((len(about.value_at_zero), 1))
-    each = np.array([w.log_likelihood(nothing)[0] for w in wide])
-    plain = np.logaddexp.reduce(each)
-    odd = {s: max(p + w.relabelling_bound(rows) for p, w in zip(each, wide, strict=True)) - plain
-           for s, rows in order.items()}  # fmt: skip
-    changes = np.stack([one.change for one in several], axis=1)
-    by_scale = np.stack([w.log_likelihood(changes) for w in wide])
+    likelihoods = _likelihoods(model)
+    alternatives = [*alternatives, *turn_alternatives(model.problem, likelihoods, rows_by_setup)]
+    no_change = np.zeros((len(model.value_at_zero), 1))
+    by_background = np.array([w.log_likelihood(no_change)[0] for w in likelihoods])
+    as_read = np.logaddexp.reduce(by_background)
+    pairs = list(zip(by_background, likelihoods, strict=True))
+    bounds = {s: max(p + w.relabelling_bound(rows) for p, w in pairs) - as_read
+              for s, rows in rows_by_setup.items()}  # fmt: skip
+    changes = np.stack([alternative.change for alternative in alternatives], axis=1)
+    by_scale = np.stack([w.log_likelihood(changes) for w in likelihoods])
     scores = np.logaddexp.reduce(by_scale, axis=0)
-    # Beside faults that stand out of the readings as they are, or in place of them.
-    beside, cost = _with_active_faults_fixed(known)
+    # A misreading may come beside the data faults that are active, or in place of them.
+    model_with_faults, cost = _with_active_faults_fixed(posterior)
     if cost:
-        again = [FullLikelihood.from_linear_model(beside, *scales) for scales in _BACKGROUND_SCALES]
-        plain = max(
-            plain, np.logaddexp.reduce([w.log_likelihood(nothing)[0] for w in again]) - cost
-        )
-        scores = np.maximum(
-            scores, np.logaddexp.reduce([w.log_likelihood(changes) for w in again]) - cost
-        )
-    by_others: dict[tuple[int, ...], int] = {}  # scales that the readings of other setups speak for
-    for k, one in enumerate(several):
-        if one.labels and one.log_odds + sum(odd[s] for s in one.labels) < 0:
+        both = np.hstack([no_change, changes])
+        each = [w.log_likelihood(both) for w in _likelihoods(model_with_faults)]
+        with_faults = np.logaddexp.reduce(each) - cost
+        as_read = max(as_read, with_faults[0])
+        scores = np.maximum(scores, with_faults[1:])
+    # The background that the readings of all other setups favour, by relabelled setups.
+    backgrounds: dict[tuple[int, ...], int] = {}
+    for k, alternative in enumerate(alternatives):
+        fault, labels = alternative.fault, alternative.labels
+        if labels and alternative.log_odds + sum(bounds[s] for s in labels) < 0:
             scores[k] = -np.inf
-        elif one.labels:
-            setups = one.fault.setups
-            if setups not in by_others:
-                rest = [
-                    p + w.deletion_gain(one.fault.rows) for p, w in zip(each, wide, strict=True)
-                ]
-                by_others[setups] = int(np.argmax(rest))
-            at = by_others[setups]
-            scores[k] = _relabelled_log_likelihood(about, wide[at], _BACKGROUND_SCALES[at], one)
-        elif len(one.zero_weight):
-            change = one.change if one.change.any() else None
-            alone = [p + w.deletion_gain(one.zero_weight, change)
-                     for p, w in zip(by_scale[:, k], wide, strict=True)]  # fmt: skip
-            scores[k] = np.logaddexp.reduce(alone)
-    gains = scores + np.array([one.log_odds for one in several]) - plain
-    best = descending(gains, LOG_ODDS_MARGIN)[:_MOST_RANKED]
-    return [(float(gains[k]), several[k]) for k in best if gains[k] > 0]
+        elif labels:
+            if fault.setups not in backgrounds:
+                others = [p + w.deletion_gain(fault.rows) for p, w in pairs]
+                backgrounds[fault.setups] = int(np.argmax(others))
+            best = backgrounds[fault.setups]
+            scores[k] = _relabelled_log_likelihood(
+                model, likelihoods[best], _BACKGROUND_SCALES[best], alternative
+            )
+        elif len(alternative.zero_weight):
+            change = alternative.change if alternative.change.any() else None
+            deleted = [p + w.deletion_gain(alternative.zero_weight, change)
+                       for p, w in zip(by_scale[:, k], likelihoods, strict=True)]  # fmt: skip
+            scores[k] = np.logaddexp.reduce(deleted)
+    gains = scores + np.array([alternative.log_odds for alternative in alternatives]) - as_read
+    order = descending(gains, LOG_ODDS_MARGIN)[:_MOST_RANKED]
+    return [(float(gains[k]), alternatives[k]) for k in order if gains[k] > 0]
 
 
-def _with_active_faults_fixed(known: FullPosterior) -> tuple[LinearisedModel, float]:
-    """Everything with faults of the data that stand out of the readings as they are, and the log
-    odds against these.
+def _likelihoods(model: LinearisedModel) -> list[FullLikelihood]:
+    return [FullLikelihood.from_linear_model(model, *scales) for scales in _BACKGROUND_SCALES]
+
+
+def _with_active_faults_fixed(posterior: FullPosterior) -> tuple[LinearisedModel, float]:
+    """Return the full model with a fixed prior scale of active data faults, and the log odds
+    against these faults.
     """
-    about, linear, cost = known.linearised, known.linearised.linear, 0.0
+    model, linear, cost = posterior.linearised, posterior.linearised.linear, 0.0
     fixed = linear.fixed_sd.copy()
-    for k, tau in known.mixture.best:
+    for k, tau in posterior.mixture.best:
         if linear.groups[k].of_data:
             fixed[linear.groups[k].coefficients] = tau
-            cost += float(known.mixture.cost[k])
-    return replace(about, linear=replace(linear, fixed_sd=fixed)), cost
+            cost += float(posterior.mixture.cost[k])
+    return replace(model, linear=replace(linear, fixed_sd=fixed)), cost
 
 
 def _relabelled_log_likelihood(
-    about: LinearisedModel,
-    wide: FullLikelihood,
+    model: LinearisedModel,
+    likelihood: FullLikelihood,
     scales: tuple[float, float],
-    one: AlternativeReadings,
+    alternative: AlternativeReadings,
 ) -> float:
-    """Log likelihood of readings under other labels, of which the places are not known."""
-    problem, changed = about.problem, np.sort(one.fault.rows)
+    """Return the log likelihood of readings under other labels, with setups at unknown places."""
+    problem, changed = model.problem, np.sort(alternative.fault.rows)
     k = campaign_index(problem, changed)
-    factor = (
-        with_misreading_corrected(problem, one.fault)
-        .factors[k]
-        .subset(changed - problem.leg_rows[k].start)
-    )
+    relabelled = with_misreading_corrected(problem, alternative.fault).factors[k]
+    factor = relabelled.subset(changed - problem.leg_rows[k].start)
     names, matrix = problem.elementary_parameters(k)
-    here = factor.linearise(problem.machine.model, problem.values(k, about.point), names)
-    jacobian = here.jacobian @ matrix
+    linearised = factor.linearise(problem.machine.model, problem.values(k, model.point), names)
+    jacobian = linearised.jacobian @ matrix
     count = jacobian.shape[1]
-    rows = np.zeros((len(changed), about.rows.shape[1]))
-    rows[:, :count] = jacobian * about.units[:count]
-    rows[:, ~about.rows.any(axis=0)] = 0.0
-    part = wide.weighing.subset(changed)
-    columns, expected = in_standard_deviations(about, rows, *scales)
-    rest = problem.measured[changed] - here.value + jacobian @ about.point - expected
-    own = factor.nuisances(here.reading_poses)
-    instrument = part.whiten(own.columns * np.minimum(own.sd, WIDEST_DATUM))
-    return wide.relabelled_log_likelihood(
-        changed, part.whiten(columns), instrument, part.whiten(rest)
+    rows = np.zeros((len(changed), model.rows.shape[1]))
+    rows[:, :count] = jacobian * model.units[:count]
+    rows[:, ~model.rows.any(axis=0)] = 0.0
+    weighing = likelihood.weighing.subset(changed)
+    columns, expected = in_standard_deviations(model, rows, *scales)
+    residual = problem.measured[changed] - linearised.value + jacobian @ model.point - expected
+    nuisances = factor.nuisances(linearised.reading_poses)
+    instrument = weighing.whiten(nuisances.columns * np.minimum(nuisances.sd, WIDEST_DATUM))
+    return likelihood.relabelled_log_likelihood(
+        changed, weighing.whiten(columns), instrument, weighing.whiten(residual)
     )
 
 
 HAND_TURNS = (1e-3, 5e-4, 2e-4, 2.54e-3, 2.54e-4)
-"""What the large hand of a dial shows by one turn, metres; the most usual first."""
+"""Travel by one turn of the large hand of a dial, metres; the most usual first."""
 
-_DIVISION_RANGE = (40, 300)  # of a turn, that a dial may have
-_USUAL_DIVISIONS = (100, 200)  # that most have
-_UNUSUAL_PENALTY = 3.0  # log odds against others
-_ROUNDS = 4  # of readings with their turns put right
+_DIVISION_RANGE = (40, 300)  # fewest and most divisions of a turn
+_USUAL_DIVISIONS = (100, 200)  # divisions of most dials
+_UNUSUAL_PENALTY = 3.0  # log odds against other divisions
+_ROUNDS = 4  # corrections of the turns
 _EQUAL_DECIMALS = 9  # decimals of a metre: five turns of 0.2 mm are one of 1 mm
 
 
 def turn_alternatives(
-    problem: Problem, several: Sequence[FullLikelihood], order: Mapping[int, Rows]
+    problem: Problem, likelihoods: Sequence[FullLikelihood], rows_by_setup: Mapping[int, Rows]
 ) -> list[AlternativeReadings]:
-    """Whole turns that readings of each setup, or of several together, are likeliest to be off.
+    """Return the likeliest whole turns by which readings of each setup, or of all, are off.
 
     Args:
         problem: the readings.
-        several: the same on machines of several backgrounds.
-        order: rows of each setup in which no such fault is known.
+        likelihoods: their likelihood under several backgrounds.
+        rows_by_setup: rows of each setup without a misreading.
     """
     found: dict[bytes, AlternativeReadings] = {}
     least, most = _DIVISION_RANGE
-    for wide in several:
-        by_others = {s: wide.deletion_residual(own).difference for s, own in order.items()}
+    steps = {s: float(problem.step[rows].max()) for s, rows in rows_by_setup.items()}
+    for likelihood in likelihoods:
+        deviations = {
+            s: likelihood.deletion_residual(rows).difference for s, rows in rows_by_setup.items()
+        }
         for turn in HAND_TURNS:
-            # What the hand of a dial of some step, 0 where there is none, may show by a turn.
-            steps = {s: float(problem.step[own].max()) for s, own in order.items()}
-            rows = {s: order[s] for s, d in steps.items() if not d or least <= turn / d <= most}
-            alone = np.zeros((len(rows), len(problem.measured)))
-            for off, (s, own) in zip(alone, rows.items(), strict=True):
-                off[own] = turn * _whole_turns(by_others[s], turn)
-            for off in (*alone, _joint_turns(wide, rows, turn)):
-                if any(_are_turns(off[own], problem.station[own]) for own in rows.values()):
-                    one = _turn_alternative(problem, rows, off, turn)
-                    found.setdefault((np.round(off, _EQUAL_DECIMALS) + 0.0).tobytes(), one)
+            # Dials whose step, 0 if unknown, allows such a hand.
+            able = [s for s, step in steps.items() if not step or least <= turn / step <= most]
+            dials = {s: rows_by_setup[s] for s in able}
+            per_setup = np.zeros((len(dials), len(problem.measured)))
+            for off, (s, rows) in zip(per_setup, dials.items(), strict=True):
+                off[rows] = turn * _whole_turns(deviations[s], turn)
+            for off in (*per_setup, _joint_turns(likelihood, dials, turn)):
+                if any(_are_turns(off[rows], problem.station[rows]) for rows in dials.values()):
+                    alternative = _turn_alternative(problem, dials, off, turn)
+                    found.setdefault((np.round(off, _EQUAL_DECIMALS) + 0.0).tobytes(), alternative)
     return list(found.values())
 
 
 def _are_turns(off: Array, station: Rows) -> bool:
-    """Whether readings in time order ``(k,)`` may be turns off: a single one is a slip, all from
-    some moment on are a stand that was knocked, and what was at one visit to most places and not at
-    the next is no reading of a hand.
+    """Return whether readings in time order ``(k,)`` may be off by turns.
+
+    A single one is a slip, and a single step is a knocked stand. Most stations must be off by the
+    same turns at each visit, because the hand is read at the same place.
     """
-    hit = np.unique(station[off != 0])
-    alike = sum(np.ptp(off[station == s]) == 0 for s in hit)
+    affected = np.unique(station[off != 0])
+    constant = sum(np.ptp(off[station == s]) == 0 for s in affected)
     steps = np.count_nonzero(np.diff(off))
-    return bool(np.count_nonzero(off) > 1 and steps > 1 and 2 * alike >= len(hit))
+    return bool(np.count_nonzero(off) > 1 and steps > 1 and 2 * constant >= len(affected))
 
 
 def _turn_alternative(
     problem: Problem, rows: Mapping[int, Rows], off: Array, turn: float
 ) -> AlternativeReadings:
-    hit = tuple(s for s, own in rows.items() if off[own].any())
-    tried = sum(_log_count_of_turns(problem, rows[s], off[rows[s]], turn) for s in hit)
-    spoilt = np.flatnonzero(off)
-    fault = Fault("turns", spoilt, hit, turn, sizes=tuple(off[spoilt].tolist()))
-    return AlternativeReadings(fault, -off, float(np.log(EXPECTED_COUNT)) - tried)
+    setups = tuple(s for s, setup_rows in rows.items() if off[setup_rows].any())
+    log_count = sum(_log_count_of_turns(problem, rows[s], off[rows[s]], turn) for s in setups)
+    affected = np.flatnonzero(off)
+    fault = Fault("turns", affected, setups, turn, sizes=tuple(off[affected].tolist()))
+    return AlternativeReadings(fault, -off, float(np.log(EXPECTED_COUNT)) - log_count)
 
 
-def _whole_turns(left: Array, turn: float) -> Array:
-    """Whole turns in what a fit leaves of a setup's readings ``(k,)``, whatever its datum; none in
-    most of them.
+def _whole_turns(residual: Array, turn: float) -> Array:
+    """Return the whole turns in the residual of a setup ``(k,)`` with any datum, less their most
+    frequent number.
     """
-    share = left / turn
-    datum = np.angle(np.exp(2j * np.pi * share).sum()) / (2 * np.pi)
-    whole = np.rint(share - datum)
+    turns = residual / turn
+    datum = np.angle(np.exp(2j * np.pi * turns).sum()) / (2 * np.pi)
+    whole = np.rint(turns - datum)
     values, count = np.unique(whole, return_counts=True)
     return np.asarray(whole - values[count.argmax()])
 
 
-def _joint_turns(wide: FullLikelihood, rows: Mapping[int, Rows], turn: float) -> Array:
-    """Whole turns of all setups at once ``(n,)``, metres; zeros where they do not settle."""
-    left = wide.weighing.metres(wide.residual)
-    before = np.zeros(len(left))
+def _joint_turns(likelihood: FullLikelihood, rows: Mapping[int, Rows], turn: float) -> Array:
+    """Return the whole turns of all setups at once ``(n,)``, metres; zeros if not converged."""
+    residual = likelihood.weighing.metres(likelihood.residual)
+    last = np.zeros(len(residual))
     for _ in range(_ROUNDS):
-        off = np.zeros(len(left))
-        for own in rows.values():
-            off[own] = turn * _whole_turns(left[own], turn)
-        if np.array_equal(off, before):
+        off = np.zeros(len(residual))
+        for setup_rows in rows.values():
+            off[setup_rows] = turn * _whole_turns(residual[setup_rows], turn)
+        if np.array_equal(off, last):
             return off
-        left, before = off + wide.expected_noise(-off), off
-    return np.zeros(len(left))
+        residual, last = off + likelihood.expected_noise(-off), off
+    return np.zeros(len(residual))
 
 
-def _log_count_of_turns(problem: Problem, own: Rows, off: Array, turn: float) -> float:
-    """Log number of ways in which a setup may be so far off: all within one turn, wherever that
-    begins, or each station by as many turns either way.
+def _log_count_of_turns(problem: Problem, rows: Rows, off: Array, turn: float) -> float:
+    """Return the log number of equally plausible ways in which a setup is off by turns: all
+    readings within one turn, or each station by its own number of turns.
     """
-    divisions = turn / max(float(problem.step[own].max()), 1e-300)
+    divisions = turn / max(float(problem.step[rows].max()), 1e-300)
     unusual = 0.0 if np.isclose(divisions, _USUAL_DIVISIONS, rtol=0.01).any() else _UNUSUAL_PENALTY
-    stations, first = np.unique(problem.station[own], return_index=True)
-    several = np.abs(off[first]) / turn
-    each = np.log(2 * len(stations) * several[several > 0]).sum()
-    within = float(np.ptp(problem.measured[own])) < turn
-    return unusual + float(min(each, np.log(2 * len(stations)) if within else np.inf))
+    stations, first = np.unique(problem.station[rows], return_index=True)
+    whole = np.abs(off[first]) / turn
+    by_station = np.log(2 * len(stations) * whole[whole > 0]).sum()
+    one_turn = float(np.ptp(problem.measured[rows])) < turn
+    return unusual + float(min(by_station, np.log(2 * len(stations)) if one_turn else np.inf))

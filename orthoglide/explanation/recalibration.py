@@ -1,8 +1,8 @@
-"""A machine that was calibrated before: what that says now, and what has changed since.
+"""Changes of a machine since an earlier calibration.
 
-The earlier calibration is a prior ``x ~ N(m, C)``. Of a parameter that changed since it says
-nothing any more: it was repaired, or broke, by as much as it likes. Which ones have is decided by
-the evidence of the new readings, all at once (`change_model`).
+The earlier calibration is a prior ``x ~ N(m, C)``. It says nothing of a parameter that changed by
+repair or damage since then. The evidence of the new readings decides jointly which parameters
+changed (`change_model`).
 """
 
 from __future__ import annotations
@@ -32,9 +32,8 @@ from orthoglide.machine_file import MachineFile, Posterior
 from orthoglide.parameters import Parameter
 
 _UNCHANGED_PLATE_WIDTH, _BENT_PLATE_WIDTH = 0.02, 0.1
-"""Tolerances by which a plate may differ without a change: it is what it was, and what readings
-showed of it then stands in the machine's own numbers; and by which none is an ideal bowl."""
-
+"""Prior widths of a plate's shape, in tolerances: of an unchanged plate, whose shape the earlier
+calibration contains, and of one that may differ from an ideal bowl."""
 
 _AMBIGUITY_CLAUSES = {
     "averaged_over": "could not tell causes apart ({} among them) and has their average",
@@ -44,153 +43,161 @@ _AMBIGUITY_CLAUSES = {
 
 def ambiguity_clause(spec: MachineFile) -> str:
     """Return a clause on what an earlier calibration left ambiguous; empty if nothing."""
-    for kept, words in _AMBIGUITY_CLAUSES.items():
-        several = spec.provenance.get(kept, ())
-        if isinstance(several, Sequence) and several:
-            return words.format(", ".join(map(str, several)))
+    for key, words in _AMBIGUITY_CLAUSES.items():
+        ambiguous = spec.provenance.get(key, ())
+        if isinstance(ambiguous, Sequence) and ambiguous:
+            return words.format(", ".join(map(str, ambiguous)))
     return ""
 
 
 def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate:
-    """The fit with everything let go that has changed since the earlier calibration that is its
-    prior; as it is where there is none, or nothing has changed.
+    """Return the fit with the parameters released that changed since the earlier calibration; the
+    same fit if there was none, or nothing changed.
     """
-    first = estimate.problem
-    known = first.earlier_posterior
-    if known is None or not first.has_earlier_calibration:
+    problem = estimate.problem
+    earlier = problem.earlier_posterior
+    if earlier is None or not problem.has_earlier_calibration:
         return estimate
-    found = _find_changes(estimate, known)
-    if not found:
+    estimates = _find_changes(estimate, earlier)
+    if not estimates:
         return estimate
-    gone = [one.parameter for one in found]
+    changed = [change.parameter for change in estimates]
     method = "nested" if method == "auto" else method
-    left = known.without(gone)
-    free = _with_parameters_released(first, left, gone)
-    now = solve(free, method=method, start=free.zero_padded(estimate.x))
-    return replace(now, changes=tuple(_reported_changes(known, left, now, found)))
+    remaining = earlier.without(changed)
+    released = _with_parameters_released(problem, remaining, changed)
+    fit = solve(released, method=method, start=released.zero_padded(estimate.x))
+    return replace(fit, changes=tuple(_reported_changes(earlier, remaining, fit, estimates)))
 
 
-def _find_changes(estimate: Estimate, known: Posterior) -> tuple[ChangeEstimate, ...]:
-    """What changed; beside plates that are bent a little where that leaves as much to tell, for a
-    shape that is not quite a bowl's must not rule the plate out.
+def _find_changes(estimate: Estimate, earlier: Posterior) -> tuple[ChangeEstimate, ...]:
+    """Return the changes found beside slightly bent plates if these are as many, because a plate
+    need not be an ideal bowl to be a cause; otherwise those beside unchanged plates.
     """
-    wide = _with_plate_shapes(estimate.problem, _UNCHANGED_PLATE_WIDTH)
-    found = _search_changes(estimate, known, wide)
-    if not found or len(wide.unknowns) == len(estimate.x):
-        return found
-    loose = _search_changes(
-        estimate, known, _with_plate_shapes(estimate.problem, _BENT_PLATE_WIDTH)
+    flat = _with_plate_shapes(estimate.problem, _UNCHANGED_PLATE_WIDTH)
+    changes = _search_changes(estimate, earlier, flat)
+    if not changes or len(flat.unknowns) == len(estimate.x):
+        return changes
+    with_bent_plates = _search_changes(
+        estimate, earlier, _with_plate_shapes(estimate.problem, _BENT_PLATE_WIDTH)
     )
-    return loose if len(loose) == len(found) else found
+    return with_bent_plates if len(with_bent_plates) == len(changes) else changes
 
 
 def _search_changes(
-    estimate: Estimate, known: Posterior, wide: Problem
+    estimate: Estimate, earlier: Posterior, problem: Problem
 ) -> tuple[ChangeEstimate, ...]:
     """Return the changes of calibrated parameters; without dials also of plates and patterns."""
-    first = estimate.problem
-    names = [name for name in first.names if name in known.names]
+    calibrated = estimate.problem
+    names = [name for name in calibrated.names if name in earlier.names]
     if not names:
         return ()
-    several = changeable_parameters(wide, [*names, *wide.names[len(first.names) :]])
-    candidates = [ChangeCandidate(n, 0, s, wide.machine.tolerance(n)) for n, s in several.items()]
-    return most_probable_changes(wide, wide.zero_padded(estimate.x), candidates)
+    changeable = changeable_parameters(problem, [*names, *problem.names[len(calibrated.names) :]])
+    candidates = [
+        ChangeCandidate(n, 0, s, problem.machine.tolerance(n)) for n, s in changeable.items()
+    ]
+    return most_probable_changes(problem, problem.zero_padded(estimate.x), candidates)
 
 
-def _with_plate_shapes(problem: Problem, bent: float) -> Problem:
-    """The problem with the shapes of probed plates, of which a calibration keeps nothing, and which
-    may differ by ``bent`` tolerances without a change; with dials, who know the machine, as it is.
+def _with_plate_shapes(problem: Problem, width: float) -> Problem:
+    """Return the problem with free shapes of probed plates, which a calibration does not contain,
+    with a prior width in tolerances; with dials the same problem.
     """
     if problem.campaigns:
         return problem
     shapes = [effect.name for effect in excited_effects(problem) if effect.of_body]
-    wide = with_free(problem, shapes, release=False)
-    added = share_plate_shapes(wide.unknowns[len(problem.unknowns) :], problem.machine.catalogue)
-    narrow = (replace(unknown, prior_width=bent) for unknown in added)
+    extended = with_free(problem, shapes, release=False)
+    new_unknowns = share_plate_shapes(
+        extended.unknowns[len(problem.unknowns) :], problem.machine.catalogue
+    )
+    narrow = (replace(unknown, prior_width=width) for unknown in new_unknowns)
     return replace(problem, unknowns=(*problem.unknowns, *narrow))
 
 
 def _with_parameters_released(
-    problem: Problem, left: Posterior, names: Collection[Parameter]
+    problem: Problem, remaining: Posterior, names: Collection[Parameter]
 ) -> Problem:
-    """The problem in which some parameters may be anything, and the rest is as known before.
+    """Return the problem with wide priors of some parameters and the earlier ones of all others.
 
-    A pattern that changed is an unknown beside its legs, by how much each is not what it was.
+    A pattern that changed is an unknown beside its legs: the change of the pattern.
     """
-    more = [name for name in names if name not in problem.names]
-    wide = with_free(problem, more, release=False) if more else problem
+    patterns = [name for name in names if name not in problem.names]
+    extended = with_free(problem, patterns, release=False) if patterns else problem
     unknowns = (
         replace(u, prior_width=max(SLAB_WIDTHS)) if u.name.plain in names else u
-        for u in wide.unknowns
+        for u in extended.unknowns
     )
-    return replace(wide, unknowns=tuple(unknowns), earlier_posterior=left)
+    return replace(extended, unknowns=tuple(unknowns), earlier_posterior=remaining)
 
 
 def _reported_changes(
-    known: Posterior, left: Posterior, now: Estimate, found: Sequence[ChangeEstimate]
+    earlier: Posterior, remaining: Posterior, fit: Estimate, estimates: Sequence[ChangeEstimate]
 ) -> Iterator[Change]:
     """Yield the changes found, with the values of both visits."""
-    last, catalogue = now.problem.factors[now.problem.last_factor], now.problem.machine.catalogue
-    spec = now.problem.machine.spec
-    old, unclear = Path(spec.file).name or "earlier calibration", bool(ambiguity_clause(spec))
-    for one in found:
-        average = unclear and catalogue.effect_of(one.parameter).controller != "zero"
-        if one.parameter in known.names:
-            summed = summed_members(tuple(one.sizes), catalogue)
-            places = [now.names.index(name) for name in summed]
-            before, apart = _value_before(known, left, now, summed)
+    last, catalogue = fit.problem.factors[fit.problem.last_factor], fit.problem.machine.catalogue
+    spec = fit.problem.machine.spec
+    earlier_name, unclear = (
+        Path(spec.file).name or "earlier calibration",
+        bool(ambiguity_clause(spec)),
+    )
+    for estimate in estimates:
+        average = unclear and catalogue.effect_of(estimate.parameter).controller != "zero"
+        if estimate.parameter in earlier.names:
+            summed = summed_members(tuple(estimate.sizes), catalogue)
+            places = [fit.names.index(name) for name in summed]
+            before, apart = _value_before(earlier, remaining, fit, summed)
             unseen = 0.0
-            if (
-                known.conditional_variance is not None
-            ):  # were it alone off by about its tolerance then
-                several = (known.conditional_variance[known.names.index(name)] for name in summed)
-                unseen = float(np.sqrt(max(several)))
-            apart = math.hypot(apart, unseen, one.sigma_between_sets)
-            sigma = float(np.sqrt(now.covariance[np.ix_(places, places)].sum()))
-            after = float(now.x[places].sum())
-            if average:  # the search knows by how much, from what no average does
-                before, apart = after - next(iter(one.sizes.values())), one.sigma
+            variances = earlier.conditional_variance  # each parameter alone off by its tolerance
+            if variances is not None:
+                unseen = float(np.sqrt(max(variances[earlier.names.index(n)] for n in summed)))
+            apart = math.hypot(apart, unseen, estimate.sigma_between_sets)
+            sigma = float(np.sqrt(fit.covariance[np.ix_(places, places)].sum()))
+            after = float(fit.x[places].sum())
+            if average:  # the search estimates the change without the earlier average
+                before, apart = after - next(iter(estimate.sizes.values())), estimate.sigma
         else:
-            before = 0.0  # of a plate, which was taken for flat; of a pattern its share
-            if not catalogue.effect_of(one.parameter).of_body:
-                weights = catalogue.elementary_weights(one.parameter)
-                shares = (w * known.mean[known.names.index(part)] for part, w in weights.items())
+            before = 0.0  # a plate was assumed flat; a pattern is the projection of its legs
+            if not catalogue.effect_of(estimate.parameter).of_body:
+                weights = catalogue.elementary_weights(estimate.parameter)
+                shares = (w * earlier.mean[earlier.names.index(n)] for n, w in weights.items())
                 before = float(sum(shares) / sum(w * w for w in weights.values()))
-            place = [n.plain for n in now.problem.names].index(one.parameter)
-            after = before + float(now.x[place])
-            sigma = float(np.sqrt(now.covariance[place, place]))
-            apart, unseen = math.hypot(sigma, one.sigma_between_sets), 0.0
+            place = [n.plain for n in fit.problem.names].index(estimate.parameter)
+            after = before + float(fit.x[place])
+            sigma = float(np.sqrt(fit.covariance[place, place]))
+            apart, unseen = math.hypot(sigma, estimate.sigma_between_sets), 0.0
         yield Change(
-            one.parameter, tuple(one.sizes), "", (old, last.name), one.evidence, catalogue,
-            before, after, apart, sigma, tuple(one.sizes.values()), unseen_before=unseen,
+            estimate.parameter, tuple(estimate.sizes), "", (earlier_name, last.name),
+            estimate.evidence, catalogue,
+            before, after, apart, sigma, tuple(estimate.sizes.values()), unseen_before=unseen,
             vague=average,
         )  # fmt: skip
 
 
 def _value_before(
-    known: Posterior, left: Posterior, now: Estimate, members: tuple[Parameter, ...]
+    earlier: Posterior, remaining: Posterior, fit: Estimate, members: tuple[Parameter, ...]
 ) -> tuple[float, float]:
-    """Sum of some parameters at the earlier calibration, and the sigma of its change since.
+    """Return the sum of some parameters at the earlier calibration, and the sigma of its change.
 
-    What both visits leave open alike, where the machine sits as a whole, is in no difference: of
-    ``s - w^T x``, s the sum now, x what did not change, and w the regression of the sum upon that;
-    or of two sums that know nothing of each other, where that is less.
+    The pose of the whole machine, which both visits leave undetermined, cancels in the difference
+    of ``s - w^T x``: s is the sum now, x the unchanged parameters, and w the regression of the sum
+    on x. The variance of two independent sums is used if it is smaller.
     """
-    at = [known.names.index(name) for name in members]
-    kept = [n for n in now.names if n in left.names and n not in members]
-    rest = [known.names.index(n) for n in kept]
-    sd = np.sqrt(np.maximum(np.diag(known.covariance), 1e-300))
-    unit = known.covariance / sd / sd[:, None]
-    across = (unit[np.ix_(rest, at)] * sd[at]).sum(axis=1)
-    among = np.linalg.pinv(unit[np.ix_(rest, rest)], rcond=1e-9, hermitian=True)
-    unknown = known.covariance[np.ix_(at, at)].sum() - across @ among @ across
-    slope, places = (among @ across) / sd[rest], [now.names.index(n) for n in kept]
-    alone = np.isin(now.names, members).astype(float)
-    weights = alone.copy()
+    members_at = [earlier.names.index(name) for name in members]
+    unchanged = [n for n in fit.names if n in remaining.names and n not in members]
+    unchanged_at = [earlier.names.index(n) for n in unchanged]
+    sd = np.sqrt(np.maximum(np.diag(earlier.covariance), 1e-300))
+    correlation = earlier.covariance / sd / sd[:, None]
+    cross = (correlation[np.ix_(unchanged_at, members_at)] * sd[members_at]).sum(axis=1)
+    block = correlation[np.ix_(unchanged_at, unchanged_at)]
+    slope = np.linalg.pinv(block, rcond=1e-9, hermitian=True) @ cross
+    earlier_variance = earlier.covariance[np.ix_(members_at, members_at)].sum()
+    conditional_variance = earlier_variance - cross @ slope
+    slope, places = slope / sd[unchanged_at], [fit.names.index(n) for n in unchanged]
+    sum_weights = np.isin(fit.names, members).astype(float)
+    weights = sum_weights.copy()
     weights[places] = -slope
-    given = weights @ now.covariance @ weights + max(unknown, 0.0)
-    apart = alone @ now.covariance @ alone + known.covariance[np.ix_(at, at)].sum()
-    before = float(known.mean[at].sum())
-    if given < apart:  # what did not change tells more of what there was than the calibration did
-        before += float(slope @ (now.x[places] - known.mean[rest]))
-    return before, float(np.sqrt(min(given, apart)))
+    regressed_variance = weights @ fit.covariance @ weights + max(conditional_variance, 0.0)
+    independent_variance = sum_weights @ fit.covariance @ sum_weights + earlier_variance
+    before = float(earlier.mean[members_at].sum())
+    if regressed_variance < independent_variance:  # unchanged parameters tell more of the sum
+        before += float(slope @ (fit.x[places] - earlier.mean[unchanged_at]))
+    return before, float(np.sqrt(min(regressed_variance, independent_variance)))

@@ -1,8 +1,8 @@
-"""Which of many faults of the data could stand out: one score test of all of them.
+"""Screening of data faults: a score test of all of them, after which few are kept.
 
-With ``S = 1 + A D A^T`` the covariance of whitened readings, of a background of some scale, and r
-what they say, columns F of a fault have the products ``F^T S^-1 F`` and ``F^T S^-1 r``, and gain
-what they would gain where nothing else stands out.
+With ``S = 1 + A D A^T`` the covariance of whitened readings over a background, and r their
+residual, the columns F of a fault give its log Bayes factor from ``F^T S^-1 F`` and ``F^T S^-1
+r``, with no cause active.
 """
 
 from __future__ import annotations
@@ -19,118 +19,120 @@ from orthoglide.fit.least_squares import Nuisances
 from orthoglide.geometry import Array
 from orthoglide.ordering import LOG_ODDS_MARGIN, descending
 
-_KEPT_PER_KIND = 10  # of each kind, by each background
+_KEPT_PER_KIND = 10  # faults kept of each kind, for each background
 _SCREENING_MARGIN = 5.0
-"""Log odds that a fault may lack of standing out alone: another that hides it may give as much."""
+"""Log odds that a fault may lack to be active alone: another fault may hide as much of it."""
 
-_MOST_DENSE_NUMBERS = (
-    2e6  # numbers: of more, what the background can imitate of a fault is left out
-)
+_MOST_DENSE_NUMBERS = 2e6  # size of the faults' columns, above which they are scored sparsely
 
 
 def screen_data_faults(
-    several: Sequence[FaultColumns],
+    suspects: Sequence[FaultColumns],
     problem: Problem,
     nuisance: Nuisances,
     rows: Array,
-    rest: Array,
-    compact: tuple[Array, Array],
+    residual: Array,
+    whitened: tuple[Array, Array],
     backgrounds: Sequence[Array],
-    also: Collection[str] = (),
+    required: Collection[str] = (),
 ) -> list[FaultColumns]:
-    """Those that gain most, of each kind and by each background.
+    """Return the faults with the largest log Bayes factors, of each kind and for each background.
 
     Args:
-        several: faults.
+        suspects: all possible faults.
         problem: the readings.
         nuisance: of these.
         rows: readings by coefficient ``(n, C)``.
-        rest: what they are to explain ``(n,)``.
-        compact: the same whitened and past the nuisances, ``(m, C)`` and ``(m,)``.
+        residual: readings less the prediction at zero ``(n,)``.
+        whitened: rows and residual, whitened and projected, ``(m, C)`` and ``(m,)``.
         backgrounds: standard deviations of the coefficients ``(C,)``.
-        also: names of those that are to be among them.
+        required: names of faults that are kept in any case.
     """
-    if not several:
+    if not suspects:
         return []
-    kinds = np.array([s.fault.kind for s in several])
-    dense = len(rest) * sum(s.coefficient_count for s in several) <= _MOST_DENSE_NUMBERS
-    shown = None
-    if dense:
-        shown = nuisance.project(np.hstack([s.full_columns(len(rest)) for s in several]))
-        shown = np.pad(shown, [(0, len(compact[1]) - len(shown)), (0, 0)])
-    least = (
-        np.log(len(SLAB_SCALES) / np.array([s.expected_count for s in several])) - _SCREENING_MARGIN
-    )
-    chosen = dict.fromkeys(k for k, s in enumerate(several) if s.name in also)
-    found, residual = compact
-    gram, met = found.T @ found, found.T @ residual
+    kinds = np.array([s.fault.kind for s in suspects])
+    columns, whitened_residual = whitened
+    fault_columns, n = None, len(residual)
+    if n * sum(s.coefficient_count for s in suspects) <= _MOST_DENSE_NUMBERS:
+        fault_columns = nuisance.project(np.hstack([s.full_columns(n) for s in suspects]))
+        fault_columns = np.pad(fault_columns, [(0, len(columns) - len(fault_columns)), (0, 0)])
+    cost = np.log(len(SLAB_SCALES) / np.array([s.expected_count for s in suspects]))
+    chosen = {k for k, s in enumerate(suspects) if s.name in required}
+    gram, products = columns.T @ columns, columns.T @ whitened_residual
     for sd in backgrounds:
-        if shown is not None:
-            spread = found * sd
-            root = np.linalg.cholesky(spread @ spread.T + np.eye(len(spread)))
-            gains = _log_bayes_factors(
-                several, np.linalg.solve(root, shown), np.linalg.solve(root, residual)
-            )
+        if fault_columns is not None:
+            scaled = columns * sd
+            root = np.linalg.cholesky(scaled @ scaled.T + np.eye(len(scaled)))
+            white = (np.linalg.solve(root, side) for side in (fault_columns, whitened_residual))
+            gains = _log_bayes_factors(suspects, *white)
         else:
-            inside = sd[:, None] * gram * sd + np.eye(len(sd))
-            left = rest - rows @ (sd * np.linalg.solve(inside, sd * met))
-            gains = _log_bayes_factors_by_rows(
-                several, problem, left - nuisance.explained_residual(left)
-            )
+            precision = sd[:, None] * gram * sd + np.eye(len(sd))
+            past = residual - rows @ (sd * np.linalg.solve(precision, sd * products))
+            past = past - nuisance.explained_residual(past)
+            gains = _log_bayes_factors_by_rows(suspects, problem, past)
         for kind in dict.fromkeys(kinds.tolist()):
-            own = np.flatnonzero(kinds == kind)
-            best = own[descending(gains[own], LOG_ODDS_MARGIN)[:_KEPT_PER_KIND]]
-            chosen.update(dict.fromkeys(int(k) for k in best if gains[k] > least[k]))
-    return [several[k] for k in sorted(chosen)]
+            of_kind = np.flatnonzero(kinds == kind)
+            best = of_kind[descending(gains[of_kind], LOG_ODDS_MARGIN)[:_KEPT_PER_KIND]]
+            chosen.update(int(k) for k in best if gains[k] > cost[k] - _SCREENING_MARGIN)
+    return [suspects[k] for k in sorted(chosen)]
 
 
-def _log_bayes_factors(several: Sequence[FaultColumns], shown: Array, white: Array) -> Array:
-    """Log Bayes factor of each, at its best scale, from whitened columns side by side."""
-    sizes = np.array([s.coefficient_count for s in several])
+def _log_bayes_factors(suspects: Sequence[FaultColumns], columns: Array, residual: Array) -> Array:
+    """Return log Bayes factors of the faults at their best scales, from columns side by side."""
+    sizes = np.array([s.coefficient_count for s in suspects])
     first = np.cumsum(sizes) - sizes
-    met, found = shown.T @ white, np.empty(len(several))
-    square = np.array([white @ white])
+    products, log_bayes_factors = columns.T @ residual, np.empty(len(suspects))
+    chi2 = np.array([residual @ residual])
     for size in np.unique(sizes).tolist():
-        own = np.flatnonzero(sizes == size)
-        at = first[own][:, None] + np.arange(size)
-        columns = shown[:, at]
-        inner = np.einsum("mgi,mgj->gij", columns, columns)
-        found[own] = _best_log_bayes_factors(inner, met[at], square)
-    return found
+        of_size = np.flatnonzero(sizes == size)
+        column_index = first[of_size][:, None] + np.arange(size)
+        blocks = columns[:, column_index]
+        gram = np.einsum("mgi,mgj->gij", blocks, blocks)
+        log_bayes_factors[of_size] = _best_log_bayes_factors(gram, products[column_index], chi2)
+    return log_bayes_factors
 
 
 def _log_bayes_factors_by_rows(
-    several: Sequence[FaultColumns], problem: Problem, left: Array
+    suspects: Sequence[FaultColumns], problem: Problem, residual: Array
 ) -> Array:
-    """The same of few columns among many readings, which nothing else imitates.
+    """Return the log Bayes factor of each fault at its best scale, from the rows that it moves.
+
+    It neglects that other coefficients can imitate a fault, which holds for few columns among many
+    readings.
 
     Args:
-        several: the faults.
+        suspects: the faults.
         problem: the readings.
-        left: of these, past background and nuisances ``(n,)``.
+        residual: of these, with background and nuisances projected out ``(n,)``.
     """
     weight = 1 / (problem.sigma**2 + problem.common**2)
-    sizes = np.array([s.coefficient_count for s in several])
-    found = np.empty(len(several))
+    sizes = np.array([s.coefficient_count for s in suspects])
+    log_bayes_factors = np.empty(len(suspects))
     single = np.flatnonzero(sizes == 1).tolist()
     if len(single):
-        rows = np.concatenate([several[k].fault.rows for k in single])
-        shown = np.concatenate([several[k].columns[:, 0] for k in single])
-        counts = [len(several[k].fault.rows) for k in single]
+        rows = np.concatenate([suspects[k].fault.rows for k in single])
+        columns = np.concatenate([suspects[k].columns[:, 0] for k in single])
+        counts = [len(suspects[k].fault.rows) for k in single]
         first = np.cumsum([0, *counts[:-1]])
-        inner = np.add.reduceat(shown**2 * weight[rows], first)
-        met = np.add.reduceat(shown * weight[rows] * left[rows], first)
-        square = np.add.reduceat(left[rows] ** 2 * weight[rows], first)
-        found[single] = _best_log_bayes_factors(inner[:, None, None], met[:, None], square)
+        gram = np.add.reduceat(columns**2 * weight[rows], first)
+        products = np.add.reduceat(columns * weight[rows] * residual[rows], first)
+        chi2 = np.add.reduceat(residual[rows] ** 2 * weight[rows], first)
+        log_bayes_factors[single] = _best_log_bayes_factors(
+            gram[:, None, None], products[:, None], chi2
+        )
     for k in np.flatnonzero(sizes > 1).tolist():
-        rows, columns = several[k].fault.rows, several[k].columns
-        weighed = columns * weight[rows, None]
-        square = np.array(float(left[rows] ** 2 @ weight[rows]))
-        found[k] = _best_log_bayes_factors(columns.T @ weighed, weighed.T @ left[rows], square)
-    return found
+        rows, fault_block = suspects[k].fault.rows, suspects[k].columns
+        weighted = fault_block * weight[rows, None]
+        chi2 = np.array(float(residual[rows] ** 2 @ weight[rows]))
+        log_bayes_factors[k] = _best_log_bayes_factors(
+            fault_block.T @ weighted, weighted.T @ residual[rows], chi2
+        )
+    return log_bayes_factors
 
 
-def _best_log_bayes_factors(inner: Array, met: Array, square: Array) -> Array:
-    """Log Bayes factors ``(...)`` of groups at their best scales; arguments as of `gained`."""
-    each = (explained_by_group(inner, met, square, tau) for tau in SLAB_SCALES)
-    return np.asarray(np.max([explained / 2 - occam for explained, occam in each], axis=0))
+def _best_log_bayes_factors(gram: Array, products: Array, chi2: Array) -> Array:
+    """Return log Bayes factors ``(...)`` at the best scale; arguments as of
+    :func:`explained_by_group`.
+    """
+    by_scale = (explained_by_group(gram, products, chi2, tau) for tau in SLAB_SCALES)
+    return np.asarray(np.max([explained / 2 - occam for explained, occam in by_scale], axis=0))

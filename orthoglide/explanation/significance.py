@@ -1,4 +1,4 @@
-"""Whether a fit, or the posterior, leaves more of the readings than their noise explains."""
+"""Tests of the lack of fit of a fit, or of the posterior, against the noise."""
 
 from __future__ import annotations
 
@@ -20,160 +20,162 @@ from orthoglide.geometry import Array
 from orthoglide.observations import Readings
 
 SIGNIFICANT = 0.003
-"""Probability of calling what is left significant where nothing is: one false alarm in 300."""
+"""Largest p-value of a significant lack of fit: one false alarm in 300."""
 
 DRAWS = 1999
 """Draws of the noise from which thresholds are taken."""
 
-_GRID_TOLERANCE = 1e-6  # of a step, by which binary fractions miss it
+_GRID_TOLERANCE = 1e-6  # rounding error of readings as binary fractions, in steps
 
 BACKGROUND = 0.02
-"""Share of its tolerance that every other effect has on a machine with nothing wrong."""
+"""Size of every effect on a sound machine, in tolerances."""
 
 
 @dataclass(frozen=True)
 class LackOfFitTest:
-    """Whether a fit leaves anything beyond the noise, whatever its shape."""
+    """Test of the residual against the noise."""
 
-    p_value: float  # of as much being left by noise alone; nan where that was not looked at
-    # probability that the machine is beyond its tolerances altogether, or that the noise is larger
-    # than the repeats show
+    p_value: float  # probability of a residual this large by noise alone; nan if not tested
+    # probability that the whole machine is beyond its tolerances, or that the noise is larger than
+    # the repeats show
     rare: float = 0.0
-    shaped: float = 0.0  # `p_value` where probed plates may have shapes that no effect names
-    # `p_value` where what may stand out counts that is not likely enough to be told
-    with_unreported: float = 0.0
-    # `p_value` of the base model alone
-    base_p_value: float = 1.0
-    # whether errors of at most one tolerance of everything explain the readings, stations that are
-    # left out included
+    shaped: float = 0.0  # `p_value` with plate shapes that no effect names
+    with_unreported: float = 0.0  # `p_value` with causes too improbable to be reported
+    base_p_value: float = 1.0  # `p_value` of the base model alone
+    # whether errors within all tolerances explain the readings, and predict stations left out
     explained_within_tolerances: bool = False
 
 
 def estimate_lack_of_fit(estimate: Estimate) -> LackOfFitTest:
-    """Test what a fit leaves against the noise: :attr:`Scores.lack_of_fit_p`."""
+    """Return the lack-of-fit test of a fit: :attr:`Scores.lack_of_fit_p`."""
     p = estimate.scores.lack_of_fit_p
     p = p if np.isfinite(p) else 1.0
     return LackOfFitTest(p, base_p_value=p)
 
 
 def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int) -> Array:
-    """Whitened, projected residuals ``(m, draws)`` of a machine with nothing wrong.
+    """Return whitened, projected residuals ``(m, draws)`` of a sound machine.
 
-    Noise with its rounding, placements and estimate, and a little of everything else: no machine
-    is described to the last nanometre, so ``BACKGROUND`` of its tolerance of every other effect is
-    not a cause, even where readings are precise enough to show it.
+    They contain the noise with its rounding, placements and estimate, and ``BACKGROUND``
+    tolerances of every effect: precise readings show such small errors, which are no causes.
     """
     problem = signatures.estimate.problem
     readings = _draw_noise(problem, signatures, rng, draws)
     rows = signatures.whiten(readings)
     if problem.noise.source == "repeats":
         drawn = [problem.with_readings(r).campaigns for r in readings.T]
-        total, single = (
-            _single_reading_variance(problem, given) for given in (drawn, [problem.campaigns])
-        )
-        rows = rows * np.sqrt(single / np.maximum(total, 1e-300))
-    # A prior that holds an unknown back leaves something of it in the readings.
-    known = len(problem.prior_rows[0])
-    padded = np.zeros((len(signatures.fitted_basis), draws))
-    padded[signatures.count :][:known] = rng.standard_normal((known, draws))
-    rows += project_out(signatures.fitted_basis, padded)
-    little = rng.standard_normal((len(signatures.names), draws))
-    little *= BACKGROUND * signatures.tolerance[:, None]
-    return np.asarray(rows + signatures.columns @ little)
+        drawn_variance = _single_reading_variance(problem, drawn)
+        estimated_variance = _single_reading_variance(problem, [problem.campaigns])
+        rows = rows * np.sqrt(estimated_variance / np.maximum(drawn_variance, 1e-300))
+    # Where a prior shrinks an unknown, part of it remains in the residual.
+    prior_count = len(problem.prior_rows[0])
+    prior_rows = np.zeros((len(signatures.fitted_basis), draws))
+    prior_rows[signatures.count :][:prior_count] = rng.standard_normal((prior_count, draws))
+    rows += project_out(signatures.fitted_basis, prior_rows)
+    background = rng.standard_normal((len(signatures.names), draws))
+    background *= BACKGROUND * signatures.tolerance[:, None]
+    return np.asarray(rows + signatures.columns @ background)
 
 
 def _single_reading_variance(problem: Problem, drawn: Sequence[Sequence[Readings]]) -> Array:
-    """Variance of one reading from the repeats of each of some draws of all campaigns."""
+    """Return the variance of one reading, estimated from the repeats of each draw of all
+    campaigns.
+    """
     steps = [f.noise.step for f in problem.leg_factors]
-    kept = [readings_of_finest_step(campaigns, steps) for campaigns in drawn]
-    variance = np.array([repeat_variance(campaigns)[0] for campaigns, _ in kept])
-    return total_variance(variance, kept[0][1])
+    finest = [readings_of_finest_step(campaigns, steps) for campaigns in drawn]
+    variance = np.array([repeat_variance(campaigns)[0] for campaigns, _ in finest])
+    return total_variance(variance, finest[0][1])
 
 
 def _draw_noise(
     problem: Problem, signatures: Signatures, rng: np.random.Generator, draws: int
 ) -> Array:
-    """Noise of all readings ``(n, draws)``, metres: scatter, rounding, placement, datum."""
+    """Draw noise of all readings ``(n, draws)``, metres: scatter, rounding, placement, datum."""
     n, resolution = len(problem.measured), problem.step
-    dials = problem.leg_rows[-1].stop if problem.leg_rows else 0
+    leg_row_count = problem.leg_rows[-1].stop if problem.leg_rows else 0
     variance = problem.sigma**2 + problem.common**2 - resolution**2 / 12
     scatter = np.sqrt(np.maximum(variance, 0.0))
     noise = rng.standard_normal((n, draws)) * scatter[:, None]
     nuisance = signatures.estimate.nuisance
-    placed = nuisance.precision > 0  # where the dials stand
-    if placed.any():
-        places = rng.standard_normal((int(placed.sum()), draws))
-        places /= np.sqrt(nuisance.precision[placed])[:, None]
-        noise += nuisance.columns[:, placed] @ places
-    step = resolution[:dials, None]
-    rounded = dials and (step > 0).all()
-    if rounded and on_grid(problem.measured[:dials], resolution[:dials], _GRID_TOLERANCE):
-        value, setup = signatures.estimate.at.value[:dials, None], problem.setup_of_row[:dials]
+    has_prior = nuisance.precision > 0  # the placements of the dials
+    if has_prior.any():
+        placements = rng.standard_normal((int(has_prior.sum()), draws))
+        placements /= np.sqrt(nuisance.precision[has_prior])[:, None]
+        noise += nuisance.columns[:, has_prior] @ placements
+    of_legs = slice(leg_row_count)
+    step, measured = resolution[of_legs, None], problem.measured[of_legs]
+    all_rounded = leg_row_count and (step > 0).all()
+    if all_rounded and on_grid(measured, resolution[of_legs], _GRID_TOLERANCE):
+        value, setup = signatures.estimate.at.value[of_legs, None], problem.setup_of_row[of_legs]
         datum = rng.uniform(0, 1, (len(problem.leg_setups), draws))[setup] * step
-        shown = np.round((value + datum + noise[:dials]) / step) * step
-        noise[:dials] = shown - value - datum
+        reading = np.round((value + datum + noise[of_legs]) / step) * step
+        noise[of_legs] = reading - value - datum
         return np.asarray(noise)
     return np.asarray(noise + rng.uniform(-0.5, 0.5, (n, draws)) * resolution[:, None])
 
 
-_SPANNED_DIRECTION = 1e-6  # of the largest: directions that stations span
-_LEAST_DOF = 2.0  # degrees of freedom: less is no test of the mean
+_SPANNED_DIRECTION = 1e-6  # least singular value of a direction of the stations, over the largest
+_LEAST_DOF = 2.0  # least degrees of freedom for a test of the mean
 _RELIABLE_NOISE_DOF = 30.0
-"""Degrees of freedom behind the noise of an instrument of the tool: with fewer it may be off by a
-quarter, so that more of it than the repeats show is not rare; ``p_value`` counts that."""
+"""Least degrees of freedom of a reliable noise estimate. With fewer, the noise may be off by a
+quarter, so that noise larger than the repeats show is not rare; ``p_value`` allows for that."""
 
-_SUFFICIENT_P_VALUE = 0.05  # probability from which an explanation leaves nothing
+_SUFFICIENT_P_VALUE = 0.05  # from which an explanation fits, and no other one is tried
 
 
-def posterior_lack_of_fit(posterior: FullPosterior, found: CredibleSets) -> LackOfFitTest:
-    """Test what explanations by name or place leave against the noise: the likeliest, and where it
-    leaves something those that are nearly as likely, of which one may be the truth. What is not
-    told explains something where the mean of all, which is the machine, fits with it.
+def posterior_lack_of_fit(posterior: FullPosterior, sets: CredibleSets) -> LackOfFitTest:
+    """Test the residual of the reported explanations against the noise.
 
-    With ``S = 1 + A D A^T`` the rest ``S^-1 r`` has the covariance ``S^-1`` where the explanation
-    is right: its chi2 is a sum of squares, each weighed by an eigenvalue of that. Of the station
-    means, which see best what repeats at every visit; where the noise is declared the smaller of
-    that and a test of everything, allowed for being two.
+    The likeliest explanation is tested first. If it does not fit, others that are nearly as likely
+    are tested. Unreported causes count only as far as the posterior mean, which is the calibrated
+    machine, fits too.
 
-    A posterior that did not settle was not looked at where it is: what it leaves is not known.
+    With ``S = 1 + A D A^T`` the residual ``S^-1 r`` has the covariance ``S^-1`` if the explanation
+    is right. Its chi2 is then a sum of squares, each weighted by an eigenvalue. Station means are
+    tested, as they show best what repeats at every visit. If the noise is declared, all readings
+    are tested as well, and the smaller p-value is corrected for two tests.
+
+    The test is not made if the posterior did not converge.
     """
     mixture = posterior.mixture
-    base = estimate_lack_of_fit(posterior.before).p_value
+    base_p = estimate_lack_of_fit(posterior.before).p_value
     if not posterior.converged:
-        return LackOfFitTest(np.nan, mixture.probability_rare, base_p_value=base)
-    reported = mixture.restricted_to(found.names)
-    p = untold = _largest_p_value(posterior, reported)
+        return LackOfFitTest(np.nan, mixture.probability_rare, base_p_value=base_p)
+    reported = mixture.restricted_to(sets.names)
+    p = unreported = _largest_p_value(posterior, reported)
     if p < _SUFFICIENT_P_VALUE:
-        untold = max(p, _largest_p_value(posterior, mixture.likely_explanations))
-        mean = posterior.after.scores
-        p = max(p, min(untold, mean.lack_of_fit_p) if mean.dof >= _LEAST_DOF else untold)
+        unreported = max(p, _largest_p_value(posterior, mixture.likely_explanations))
+        scores = posterior.after.scores
+        of_mean = scores.lack_of_fit_p if scores.dof >= _LEAST_DOF else np.inf
+        p = max(p, min(unreported, of_mean))
     shaped = 0.0
     if mixture.linear.plate_shapes.any():
         shaped = _p_value(posterior, mixture.precision(*reported[0], plate_shapes=True))
-    few = any(dof < _RELIABLE_NOISE_DOF for _, dof in posterior.before.problem.repeat_dof)
-    rare = mixture.probability_beyond_tolerance if few else mixture.probability_rare
-    return LackOfFitTest(
-        p, rare, shaped, untold, base, base < SIGNIFICANT and _is_diffuse(posterior)
-    )
+    few_repeats = any(dof < _RELIABLE_NOISE_DOF for _, dof in posterior.before.problem.repeat_dof)
+    rare = mixture.probability_beyond_tolerance if few_repeats else mixture.probability_rare
+    diffuse = base_p < SIGNIFICANT and _is_diffuse(posterior)
+    return LackOfFitTest(p, rare, shaped, unreported, base_p, diffuse)
 
 
 def _is_diffuse(posterior: FullPosterior) -> bool:
-    """Whether a background of at most one tolerance explains the readings, and predicts stations
-    that are left out better than the base alone by more than the standard error.
+    """Return whether a background within tolerances explains the readings.
+
+    It must also predict stations that are left out better than the base alone, by more than the
+    standard error.
     """
     mixture = posterior.mixture
     p = _p_value(posterior, mixture.precision((), mixture.likeliest_background()))
     if p < SIGNIFICANT:
         return False
     before, after = posterior.before, posterior.after
-    fall, error = cross_validation_improvement(before.rows, after.rows)
-    return fall > error
+    improvement, error = cross_validation_improvement(before.rows, after.rows)
+    return improvement > error
 
 
 def _largest_p_value(
     posterior: FullPosterior, explanations: Sequence[tuple[State, Scale]]
 ) -> float:
-    """Probability of as much being left by noise alone, by the first that leaves nothing."""
+    """Return the largest p-value of some explanations, or the first that suffices."""
     p = 0.0
     for state, scale in explanations:
         p = max(p, _p_value(posterior, posterior.mixture.precision(state, scale)))
@@ -183,22 +185,23 @@ def _largest_p_value(
 
 
 def _p_value(posterior: FullPosterior, inverse: Array) -> float:
-    """Probability of as much being left by noise alone, the inverse covariance given."""
+    """Return the p-value of the residual, given the inverse covariance of an explanation."""
     linear, problem = posterior.mixture.linear, posterior.before.problem
-    rest = inverse @ linear.residual
-    vectors, size, _ = np.linalg.svd(linear.stations, full_matrices=False)
-    means = vectors[:, size > _SPANNED_DIRECTION * size.max(initial=1.0)]
-    square, count, _ = linear.station_remainder
-    known = problem.noise_dof
-    p = _tail_probability(means.T @ rest, means.T @ inverse @ means, square, count, known)
-    if count == 0 and not np.isfinite(known) and not problem.common.any():
-        p = smaller_p_value(p, _tail_probability(rest, inverse, 0.0, 0.0, np.inf))
+    residual = inverse @ linear.residual
+    vectors, singular, _ = np.linalg.svd(linear.stations, full_matrices=False)
+    means = vectors[:, singular > _SPANNED_DIRECTION * singular.max(initial=1.0)]
+    chi2, dof, _ = linear.station_remainder
+    noise_dof, precision = problem.noise_dof, means.T @ inverse @ means
+    p = _tail_probability(means.T @ residual, precision, chi2, dof, noise_dof)
+    if dof == 0 and not np.isfinite(noise_dof) and not problem.common.any():
+        p = smaller_p_value(p, _tail_probability(residual, inverse, 0.0, 0.0, np.inf))
     return p if np.isfinite(p) else 1.0
 
 
 def _tail_probability(
-    rest: Array, spread: Array, square: float, count: float, known: float
+    residual: Array, covariance: Array, chi2: float, dof: float, noise_dof: float
 ) -> float:
-    """Probability of a rest this large ``(k,)`` of covariance ``(k, k)``, and of more squares."""
-    shares = np.asarray(1 - np.linalg.eigvalsh(spread), dtype=np.float64)
-    return chi2_p_value(float(rest @ rest) + square, round(len(rest) + count), shares, known)
+    """Return the p-value of a residual ``(k,)``, given its covariance, and of a further chi2."""
+    weights = np.asarray(1 - np.linalg.eigvalsh(covariance), dtype=np.float64)
+    total = float(residual @ residual) + chi2
+    return chi2_p_value(total, round(len(residual) + dof), weights, noise_dof)

@@ -1,6 +1,8 @@
-"""What readings and tool cannot tell apart, and what moves the machine as a whole."""
+"""Parameters with equal effects on readings and tool, and translations of the whole machine."""
 
 from __future__ import annotations
+
+from itertools import combinations
 
 import numpy as np
 
@@ -11,77 +13,80 @@ from orthoglide.parameters import Parameter
 from orthoglide.prediction import Conditions
 
 _REPLACED_TOLERANCES = 3.0
-"""Tolerances of a parameter that another may replace if no reading and no tool shows it."""
+"""Tolerances of a parameter by which readings and tool must not distinguish it from its twin."""
 
-_TRANSLATION_LIMIT = 1e-6  # metres: what changes the shape by less moves the machine as a whole
+_TRANSLATION_LIMIT = 1e-6  # metres: least change of shape of what is no translation
 
 
 def tool_slopes(problem: Problem, x: Array, commands: Array | None = None) -> Array:
-    """TCP of the last campaign's machine by unknown ``(g, 3, P)``, SI: at some commands ``(g, 3)``,
-    metres, or throughout the workspace.
+    """Return the Jacobian of the last campaign's TCP by unknown ``(g, 3, P)``, SI.
+
+    It is taken at ``commands`` ``(g, 3)``, metres, or throughout the workspace.
     """
-    machine, last = problem.machine, problem.last_factor
-    names, matrix = problem.machine_parameters(last)
-    values = machine.catalogue.machine_values(problem.values(last, x))
-    at = None if commands is None else Conditions.from_commands(commands)
-    return tcp_slopes(machine.with_only(values), names, at) @ matrix
+    machine, last_factor = problem.machine, problem.last_factor
+    names, matrix = problem.machine_parameters(last_factor)
+    values = machine.catalogue.machine_values(problem.values(last_factor, x))
+    conditions = None if commands is None else Conditions.from_commands(commands)
+    return tcp_slopes(machine.with_only(values), names, conditions) @ matrix
 
 
 def translations(slopes: Array) -> Array:
-    """Orthonormal directions ``(P, 3)`` of the parameters that move the machine as a whole.
+    """Return orthonormal directions ``(P, 3)`` of the parameters that translate the whole machine.
 
     Args:
         slopes: TCP by parameter over the workspace, in tolerances ``(g, 3, P)``, metres.
     """
     mean = slopes.mean(axis=0)
-    shape = (slopes - mean).reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes)) / _TRANSLATION_LIMIT
-    directions = np.linalg.solve(np.eye(shape.shape[1]) + shape.T @ shape, mean.T)
-    return np.asarray(np.linalg.qr(directions)[0])
+    shape_slopes = (
+        (slopes - mean).reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes)) / _TRANSLATION_LIMIT
+    )
+    penalty = np.eye(shape_slopes.shape[1]) + shape_slopes.T @ shape_slopes
+    return np.asarray(np.linalg.qr(np.linalg.solve(penalty, mean.T))[0])
 
 
 def twins(
-    wide: Problem, free: int, columns: Array, slopes: Array
+    full_problem: Problem, base_count: int, columns: Array, slopes: Array
 ) -> dict[Parameter, tuple[tuple[Parameter, float], ...]]:
-    """Parameters of which a few tolerances show the same as those of an earlier one, readings and
-    tool alike: they are one cause.
+    """Return the twins of each parameter: later ones with equal effects on readings and tool.
+
+    Each twin comes with the value that is equivalent to one unit of the parameter.
 
     Args:
-        wide: its unknowns ``P``; those of dials are no twins.
-        free: the first so many are free already and stay.
+        full_problem: has ``P`` unknowns; those of dials have no twins.
+        base_count: number of its first unknowns, which are never replaced.
         columns: readings ``(m, P)``, whitened, in tolerances.
         slopes: of the TCP ``(g, 3, P)``, in tolerances, metres.
     """
-    names, noise = wide.names, wide.noise.typical
-    of_dial = wide.machine.catalogue.effect_of
-    # What campaigns have for themselves is one parameter here, by the sum of its copies.
-    copies: dict[Parameter, list[int]] = {}
+    names, noise = full_problem.names, full_problem.noise.typical
+    of_dial = full_problem.machine.catalogue.effect_of
+    # The copies of a parameter that is specific to campaigns count as one, by their sum.
+    copies_of: dict[Parameter, list[int]] = {}
     for k, name in enumerate(names):
         if not of_dial(name).of_dial:
-            copies.setdefault(name.plain, []).append(k)
-    plain = list(copies)
-    shown = np.stack([columns[:, at].sum(axis=1) for at in copies.values()], axis=1)
-    tool = np.stack([slopes[:, :, at].sum(axis=2).ravel() for at in copies.values()], axis=1)
+            copies_of.setdefault(name.plain, []).append(k)
+    plain = list(copies_of)
+    shown = np.stack([columns[:, k].sum(axis=1) for k in copies_of.values()], axis=1)
+    tool = np.stack([slopes[:, :, k].sum(axis=2).ravel() for k in copies_of.values()], axis=1)
     tool /= np.sqrt(len(slopes))
     length = np.linalg.norm(shown, axis=0)
     unit = shown / np.where(length > 0, length, 1.0)
     cosine = unit.T @ unit
-    found: dict[Parameter, tuple[tuple[Parameter, float], ...]] = {}
-    gone: set[int] = set()
-    for one in range(len(plain)):
-        for other in range(one + 1, len(plain)):
-            if {one, other} & gone or not length[one] or not length[other]:
-                continue
-            if min(copies[plain[other]]) < free:
-                continue
-            factor = float(cosine[one, other]) * length[other] / length[one]
-            if abs(cosine[one, other]) < 0.99 or abs(factor) < _TRANSLATION_LIMIT:
-                continue
-            apart = np.linalg.norm(shown[:, other] - factor * shown[:, one])
-            moved = np.linalg.norm(tool[:, other] - factor * tool[:, one])
-            if _REPLACED_TOLERANCES * apart < 1.0 and _REPLACED_TOLERANCES * moved < noise / 2:
-                gone.add(other)
-                twin = plain[other]
-                for name in (plain[one], *(names[k] for k in copies[plain[one]])):
-                    stands = (twin.at(name.campaign), 1 / factor)
-                    found[name] = tuple(dict.fromkeys((*found.get(name, ()), stands)))
-    return found
+    twins_of: dict[Parameter, tuple[tuple[Parameter, float], ...]] = {}
+    replaced: set[int] = set()
+    for i, j in combinations(range(len(plain)), 2):
+        if {i, j} & replaced or not length[i] or not length[j]:
+            continue
+        factor = float(cosine[i, j]) * length[j] / length[i]
+        if abs(cosine[i, j]) < 0.99 or abs(factor) < _TRANSLATION_LIMIT:
+            continue
+        in_readings = np.linalg.norm(shown[:, j] - factor * shown[:, i])
+        in_tool = np.linalg.norm(tool[:, j] - factor * tool[:, i])
+        equal = (
+            _REPLACED_TOLERANCES * in_readings < 1.0 and _REPLACED_TOLERANCES * in_tool < noise / 2
+        )
+        if equal and min(copies_of[plain[j]]) >= base_count:
+            replaced.add(j)
+            for name in (plain[i], *(names[k] for k in copies_of[plain[i]])):
+                twin = plain[j].at(name.campaign), 1 / factor
+                twins_of[name] = tuple(dict.fromkeys((*twins_of.get(name, ()), twin)))
+    return twins_of

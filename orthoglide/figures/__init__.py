@@ -1,7 +1,7 @@
 """Figures as SVG.
 
-Texts stay texts and colours are named (see `style`), so that the page can give them its own font
-and its colours of day and night. The same result gives the same bytes.
+Texts remain texts and colours are named (see `style`), so that the page can apply its own font
+and its light and dark colours. Equal results give equal bytes.
 """
 
-# Modules are imported by name, when something is to be drawn: matplotlib takes its time.
+# The modules are imported only to draw, as the import of matplotlib is slow.

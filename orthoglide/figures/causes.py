@@ -1,4 +1,4 @@
-"""What each cause makes of the readings, its rivals beside it, and curves without a name."""
+"""Predicted readings of each cause and its rivals, and curves of free-form errors."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.lines import Line2D
 
-_MOST_PANELS = 6
-_MIN_PATTERN = 0.15  # of the largest: setups that show less of a cause are left out
-_MIN_DIFFERENCE = 0.03  # of what is left: less is no difference between approaches
+_MOST_PANELS = 6  # setups, or places, of a figure
+_MIN_PATTERN = 0.15  # smallest pattern of a cause that is drawn, relative to the largest
+_MIN_DIFFERENCE = 0.03  # smallest difference between approaches, relative to the residuals' range
 _CURVES = (  # the chosen cause, then its rivals
     (style.FIT, "-", 2.6, 0.75),
     (style.PALETTE["minus"], "--", 1.3, 1.0),
@@ -31,51 +31,53 @@ _CURVES = (  # the chosen cause, then its rivals
 
 @dataclass(frozen=True)
 class Pattern:
-    """One setup: what is left without a cause, and what each rival makes of it; mm or mrad."""
+    """Residuals of one setup without a cause and the predictions of causes, mm or mrad."""
 
     mounting: Mounting  # the setup
     x: Array  # by station
-    side: Array  # of the approach of the touched leg's own axis, by station
-    residual: Array  # mean of what is left, by station
-    noise: Array  # two sigmas of that mean
-    curves: tuple[Array, ...]  # what the causes predict, by station
+    side: Array  # direction of approach of the touched leg's axis, by station
+    residual: Array  # mean residual, by station
+    noise: Array  # two standard deviations of that mean
+    curves: tuple[Array, ...]  # predictions of the causes, by station
 
     @property
     def distinct_sides(self) -> list[float]:
-        """Sides of the approach where the cause looks different from either; else none."""
+        """Both directions of approach if the prediction depends on them; else none."""
         up, down = (
-            dict(zip(np.round(self.x[at], 3).tolist(), self.curves[0][at], strict=True))
-            for at in (self.side == 1, self.side == -1)
+            dict(zip(np.round(self.x[rows], 3).tolist(), self.curves[0][rows], strict=True))
+            for rows in (self.side == 1, self.side == -1)
         )
-        apart = [abs(up[x] - down[x]) for x in up if x in down]
-        differ = apart and max(apart) > _MIN_DIFFERENCE * float(np.ptp(self.residual))
+        differences = [abs(up[x] - down[x]) for x in up if x in down]
+        differ = differences and max(differences) > _MIN_DIFFERENCE * float(np.ptp(self.residual))
         return [1.0, -1.0] if differ else []
 
 
 def drawn_explanations(cause: Cause) -> tuple[Explanation, ...]:
-    """Return the explanations of a credible set whose predicted readings are known, to be drawn."""
+    """Return the explanations of a credible set that have predicted readings."""
     return tuple(one for one in cause.explanations if len(one.shown))
 
 
-def _patterns(cause: Cause, read: ReadingsShown) -> list[Pattern]:
-    residual = read.measured - read.after + cause.chosen.shown
+def _patterns(cause: Cause, readings: ReadingsShown) -> list[Pattern]:
+    residual = readings.measured - readings.after + cause.chosen.shown
     predicted = [one.shown for one in drawn_explanations(cause)]
-    found = []
-    for mounting in read.mountings:
+    patterns = []
+    for mounting in readings.mountings:
         rows = mounting.rows
-        _, first, station = np.unique(read.station[rows], return_index=True, return_inverse=True)
-        noise = read.sigma[rows[first]] / np.sqrt(np.bincount(station))
-        found.append(
+        _, first, station = np.unique(
+            readings.station[rows], return_index=True, return_inverse=True
+        )
+        noise = readings.sigma[rows[first]] / np.sqrt(np.bincount(station))
+        patterns.append(
             Pattern(
                 mounting,
                 mounting.x[first],
                 mounting.side[first],
                 _station_means(residual[rows], station),
-                2e3 * np.hypot(noise, read.common[rows[first]]),
+                2e3 * np.hypot(noise, readings.common[rows[first]]),
                 tuple(_station_means(p[rows], station) for p in predicted),
             )
         )
-    return found
+    return patterns
 
 
 def _station_means(values: Array, station: NDArray[np.intp]) -> Array:
@@ -84,28 +86,33 @@ def _station_means(values: Array, station: NDArray[np.intp]) -> Array:
 
 
 def _largest_patterns(patterns: list[Pattern]) -> list[Pattern]:
-    """Return the setups in which a cause shows most, in the order of the file."""
+    """Return the setups with the largest effect of a cause, in the order of the file."""
     size = np.array([np.sqrt(np.mean(p.curves[0] ** 2)) for p in patterns])
-    most = set(descending(size)[:_MOST_PANELS])
-    return [p for k, p in enumerate(patterns) if k in most and size[k] >= _MIN_PATTERN * size.max()]
+    shown = set(descending(size)[:_MOST_PANELS])
+    return [
+        p for k, p in enumerate(patterns) if k in shown and size[k] >= _MIN_PATTERN * size.max()
+    ]
 
 
-def draw_signatures(cause: Cause, read: ReadingsShown, place: int) -> Drawing:
-    """Return the figure of what a cause and its rivals predict; its ``place`` counts from 1."""
-    patterns = _largest_patterns(_patterns(cause, read))
+def draw_signatures(cause: Cause, readings: ReadingsShown, place: int) -> Drawing:
+    """Return the figure of predictions of a cause and its rivals; ``place`` counts from 1."""
+    patterns = _largest_patterns(_patterns(cause, readings))
     width, height = style.PANEL_SIZE[0], 2.1
     figure, corners = style.panel_grid(len(patterns), height, strip=0.3)
-    reach: dict[str, float] = {}
-    for one in patterns:
-        most, unit = 1.15 * float(np.max(np.abs(one.residual) + one.noise)), one.mounting.unit
-        reach[unit] = max(reach.get(unit, 0.0), most)
+    limits: dict[str, float] = {}
+    for pattern in patterns:
+        unit, largest = (
+            pattern.mounting.unit,
+            float(np.max(np.abs(pattern.residual) + pattern.noise)),
+        )
+        limits[unit] = max(limits.get(unit, 0.0), 1.15 * largest)
     for (left, top), pattern in zip(corners, patterns, strict=True):
         axes = style.place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 0.75)
         handles = _draw_pattern(axes, pattern)
-        far = reach[pattern.mounting.unit]
-        axes.set_ylim(-far, far)
+        limit = limits[pattern.mounting.unit]
+        axes.set_ylim(-limit, limit)
         style.few_ticks(axes)
-    names = [one.name for one in drawn_explanations(cause)]
+    names = [drawn.name for drawn in drawn_explanations(cause)]
     figure.legend(handles, names, loc="upper left", ncols=4, bbox_to_anchor=(0.0, 1.0),
                   borderaxespad=0.2, handlelength=2.2)  # fmt: skip
     title = "What is to be explained, and what each cause makes of it"
@@ -118,8 +125,8 @@ def _draw_pattern(axes: Axes, pattern: Pattern) -> list[Line2D]:
     handles = []
     for curve, (colour, dash, width, alpha) in zip(pattern.curves, _CURVES, strict=False):
         for side in sides or [0.0]:
-            at = np.flatnonzero(pattern.side == side) if sides else np.arange(len(pattern.x))
-            order = at[np.lexsort([curve[at], pattern.x[at]])]
+            rows = np.flatnonzero(pattern.side == side) if sides else np.arange(len(pattern.x))
+            order = rows[np.lexsort([curve[rows], pattern.x[rows]])]
             (line,) = axes.plot(pattern.x[order], curve[order], color=colour, linestyle=dash,
                                 linewidth=width, alpha=alpha)  # fmt: skip
         handles.append(line)
@@ -127,8 +134,8 @@ def _draw_pattern(axes: Axes, pattern: Pattern) -> list[Line2D]:
     axes.vlines(pattern.x, pattern.residual - pattern.noise, pattern.residual + pattern.noise,
                 color=style.DATA, linewidth=0.8)  # fmt: skip
     for side in sides or [0.0]:
-        at = pattern.side == side if sides else np.ones(len(pattern.x), dtype=bool)
-        axes.plot(pattern.x[at], pattern.residual[at], color=style.DATA, linestyle="none",
+        rows = pattern.side == side if sides else np.ones(len(pattern.x), dtype=bool)
+        axes.plot(pattern.x[rows], pattern.residual[rows], color=style.DATA, linestyle="none",
                   marker=marks.get(side, "o"), markersize=4.2, markeredgewidth=0)  # fmt: skip
     axes.axhline(0, color=style.MUTED, linewidth=0.6)
     axes.set_title(pattern.mounting.title)
@@ -139,34 +146,30 @@ def _draw_pattern(axes: Axes, pattern: Pattern) -> list[Line2D]:
     return handles
 
 
-def draw_located(found: Located, place: int) -> Drawing:
+def draw_located(located: Located, place: int) -> Drawing:
     """Return the figure of free-form errors with their 95 % bands; its ``place`` counts from 1."""
     width, height = style.PANEL_SIZE[0], 2.1
-    shown = found.members[:_MOST_PANELS]
+    shown = located.members[:_MOST_PANELS]
     figure, corners = style.panel_grid(len(shown), height)
     for (left, top), curve in zip(corners, shown, strict=True):
         axes = style.place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 0.75)
         _draw_curve(axes, curve)
         style.few_ticks(axes)
-    return style.panel_drawing(
-        f"located-{place}", "What was found, by place", figure, corners, height
-    )
+    title = "What was found, by place"
+    return style.panel_drawing(f"located-{place}", title, figure, corners, height)
 
 
 _AXIS_LABELS = {
-    "travel": "travel, mm",
-    "approach": "travel, mm",
+    "travel": "travel, mm", "approach": "travel, mm", "time": "time, s", "reading": "reading, mm",
     "reversal": "way since the drive turned, mm",
-    "time": "time, s",
-    "reading": "reading, mm",
-}
+}  # fmt: skip
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> None:
-    at = curve.at * (1.0 if curve.against == "time" else 1e3)
+    x = curve.at * (1.0 if curve.against == "time" else 1e3)
     value, band = curve.value * 1e3, 1.96e3 * curve.sigma
-    axes.fill_between(at, value - band, value + band, color=style.BAND, linewidth=0)
-    axes.plot(at, value, color=style.FIT, linewidth=1.6)
+    axes.fill_between(x, value - band, value + band, color=style.BAND, linewidth=0)
+    axes.plot(x, value, color=style.FIT, linewidth=1.6)
     axes.axhline(0, color=style.MUTED, linewidth=0.6)
     axes.set_title(curve.name)
     axes.set_xlabel(_AXIS_LABELS.get(curve.against, "command, mm"), labelpad=2)

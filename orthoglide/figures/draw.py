@@ -1,4 +1,4 @@
-"""All figures of a result, or one by its name; those of the workspace and of the parameters."""
+"""All figures of a result, or one by its name; the figures of workspace and parameters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from orthoglide.result import ReadingsShown, Result, Workspace
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_MAX_OPACITY = 0.7  # opacity of a cell at the top of the scale
+_MAX_OPACITY = 0.7  # opacity of the cell with the largest value
 
 
 def draw(result: Result) -> list[Drawing]:
@@ -29,8 +29,8 @@ def draw(result: Result) -> list[Drawing]:
     with figure_style():
         causes = enumerate(result.effects, start=1)
         drawings = [draw_signatures(cause, result.readings, k) for k, cause in causes]
-        drawings += [draw_located(f, k) for k, f in enumerate(result.located, start=1)]
-        return drawings + [made() for made in _result_figures(result).values()]
+        drawings += [draw_located(located, k) for k, located in enumerate(result.located, start=1)]
+        return drawings + [drawn_by() for drawn_by in _result_figures(result).values()]
 
 
 def draw_one(result: Result, what: str) -> Drawing:
@@ -38,50 +38,50 @@ def draw_one(result: Result, what: str) -> Drawing:
     ``identify`` ``"parameters"``.
 
     Raises:
-        InputError: for a figure that there is not, or not of this result.
+        InputError: if this result has no such figure.
     """
     return _draw_named(_result_figures(result), what)
 
 
 def draw_fit(
-    read: ReadingsShown, noise: ByUnit, found: Framed, catalogue: Catalogue, what: str
+    readings: ReadingsShown, noise: ByUnit, fit: Framed, catalogue: Catalogue, what: str
 ) -> Drawing:
     """Return one figure of a fit: ``"residuals"``, ``"readings"`` or ``"parameters"``.
 
     Args:
-        read: the readings, and what the nominal machine and the fit predict of them.
-        noise: standard deviation of one of them.
-        found: the fit, whose columns are what it found.
-        catalogue: of its effects.
-        what: the figure.
+        readings: the readings with their predictions by the nominal machine and by the fit.
+        noise: standard deviation of a reading.
+        fit: the fit, whose columns are the identified parameters.
+        catalogue: effects of the fit.
+        what: name of the figure.
 
     Raises:
-        InputError: for a figure that there is not.
+        InputError: if there is no such figure.
     """
-    return _draw_named(_fit_figures(read, read.nominal, noise, found, catalogue), what)
+    return _draw_named(_fit_figures(readings, readings.nominal, noise, fit, catalogue), what)
 
 
 _FigureMakers = dict[str, Callable[[], Drawing]]
 
 
 def _result_figures(result: Result) -> _FigureMakers:
-    read, space = result.readings, result.workspace
-    before = read.before if result.improved else read.nominal
+    readings, space = result.readings, result.workspace
+    before = readings.before if result.improved else readings.nominal
     noise = result.noise.single_reading
-    found = _fit_figures(read, before, noise, result, result.catalogue)
+    makers = _fit_figures(readings, before, noise, result, result.catalogue)
     if space is not None:
-        del found["parameters"]
-        found["workspace"] = lambda: draw_workspace(space, result.improved)
-    return found
+        del makers["parameters"]
+        makers["workspace"] = lambda: draw_workspace(space, result.improved)
+    return makers
 
 
 def _fit_figures(
-    read: ReadingsShown, before: Array, noise: ByUnit, found: Framed, catalogue: Catalogue
+    readings: ReadingsShown, before: Array, noise: ByUnit, fit: Framed, catalogue: Catalogue
 ) -> _FigureMakers:
     return {
-        "residuals": lambda: draw_residuals(read, before, noise),
-        "readings": lambda: draw_readings(read, before),
-        "parameters": lambda: draw_parameters(found.columns, catalogue),
+        "residuals": lambda: draw_residuals(readings, before, noise),
+        "readings": lambda: draw_readings(readings, before),
+        "parameters": lambda: draw_parameters(fit.columns, catalogue),
     }
 
 
@@ -94,64 +94,54 @@ def _draw_named(figures: _FigureMakers, what: str) -> Drawing:
 # --- The workspace --------------------------------------------------------------------------
 
 
-def draw_workspace(space: Workspace, effects: bool) -> Drawing:
+def draw_workspace(space: Workspace, improved: bool) -> Drawing:
     """Return the figure of the TCP's error and its uncertainty at three heights; darker is larger.
 
     Args:
-        space: of the result.
-        effects: whether any were added; the base model is all there is otherwise.
+        space: the TCP over the workspace.
+        improved: whether the final model differs from the base model.
     """
-    at, chosen = _levels(space)
+    places, shown_levels = _levels(space)
     rows = [
         ("predicted error now", space.nominal, style.DATA),
         ("with offsets and lengths set", space.before, style.DATA),
         ("95 % radius afterwards", space.sure, style.FIT),
     ]
-    if not effects:
+    if not improved:
         del rows[1]
-    scale = {
-        c: max(float(v.max()) for _, v, drawn in rows if drawn == c)
-        for c in (style.DATA, style.FIT)
-    }
+    scale = dict[str, float]()  # largest value by colour
+    for _, values, colour in rows:
+        scale[colour] = max(scale.get(colour, 0.0), float(values.max()))
     width, height = style.PANEL_SIZE[0], 2.5
-    panels = [(*row, level) for row in rows for level in chosen]
+    panels = [(*row, level) for row in rows for level in shown_levels]
     figure, corners = style.panel_grid(len(panels), height)
     for (left, top), (what, values, colour, level) in zip(corners, panels, strict=True):
-        there = np.abs(at[:, 2] - level) < 1e-3
+        on_level = np.abs(places[:, 2] - level) < 1e-3
         axes = style.place_axes(figure, left + 0.5, top + 0.32, width - 0.6, height - 0.78)
-        _draw_level(axes, at[there], values[there] * 1e3, colour, scale[colour] * 1e3)
-        _label(axes, space.axis)
+        _draw_level(axes, places[on_level], values[on_level] * 1e3, colour, scale[colour] * 1e3)
+        axes.set_xlabel(f"{space.axis.format('x')}, mm", labelpad=2)
+        axes.set_ylabel(f"{space.axis.format('y')}, mm", labelpad=3)
         axes.set_title(f"{what}, z {signed(level, 0)} mm")
-    return style.panel_drawing(
-        "workspace", "The TCP over the workspace, mm", figure, corners, height
-    )
+    title = "The TCP over the workspace, mm"
+    return style.panel_drawing("workspace", title, figure, corners, height)
 
 
 def _levels(space: Workspace) -> tuple[Array, Array]:
     """Return places ``(g, 3)`` and the lowest, middle and highest of their levels, millimetres."""
-    at = np.round(space.at * 1e3, 6) + 0.0
-    levels = np.unique(at[:, 2])
-    return at, np.unique(levels[[0, len(levels) // 2, -1]])
+    places = np.round(space.at * 1e3, 6) + 0.0
+    levels = np.unique(places[:, 2])
+    return places, np.unique(levels[[0, len(levels) // 2, -1]])
 
 
-def _label(axes: Axes, axis: str) -> None:
-    axes.set_xlabel(f"{axis.format('x')}, mm", labelpad=2)
-    axes.set_ylabel(f"{axis.format('y')}, mm", labelpad=3)
-
-
-def _draw_level(axes: Axes, at: Array, values: Array, colour: str, most: float) -> None:
+def _draw_level(axes: Axes, at: Array, values: Array, colour: str, largest: float) -> None:
     from matplotlib.colors import to_rgba
 
     (xs, x), (ys, y) = (np.unique(np.round(at[:, k], 6), return_inverse=True) for k in (0, 1))
-    places = 3 if most < 0.1 else 2
+    decimals = 3 if largest < 0.1 else 2
+    opacity = (0.05 + (_MAX_OPACITY - 0.05) * values / max(largest, 1e-12)).tolist()
     cells = [
-        (
-            i,
-            j,
-            to_rgba(colour, 0.05 + (_MAX_OPACITY - 0.05) * v / max(most, 1e-12)),
-            f"{v:.{places}f}",
-        )
-        for i, j, v in zip(x.tolist(), y.tolist(), values.tolist(), strict=True)
+        (i, j, to_rgba(colour, alpha), f"{v:.{decimals}f}")
+        for i, j, v, alpha in zip(x.tolist(), y.tolist(), values.tolist(), opacity, strict=True)
     ]
     _draw_cells(axes, cells, [signed(v, 0) for v in xs], [signed(v, 0) for v in ys])
 
@@ -197,34 +187,34 @@ def draw_parameters(columns: Mapping[str, Sequence[Any]], catalogue: Catalogue) 
         strips.setdefault(catalogue.effect_of(name), []).append(k)
     heights = [0.72 + 0.24 * len(members) for members in strips.values()]
     figure = style.new_figure(style.SINGLE_WIDTH, sum(heights) + 0.3)
-    short = [name.removeprefix(f"{catalogue.effect_of(name).name}.") for name in names]
-    margin = min(0.2 + 0.06 * max(map(len, short)), 1.7)
+    labels = [name.removeprefix(f"{catalogue.effect_of(name).name}.") for name in names]
+    margin = min(0.2 + 0.06 * max(map(len, labels)), 1.7)
     top = 0.3
     for (effect, members), height in zip(strips.items(), heights, strict=True):
         axes = style.place_axes(
             figure, margin, top + 0.2, style.SINGLE_WIDTH - margin - 0.12, height - 0.58
         )
         handles = _draw_strip(axes, columns, effect, members)
-        axes.set_yticks(range(len(members)), [short[k] for k in members], color=style.INK)
+        axes.set_yticks(range(len(members)), [labels[k] for k in members], color=style.INK)
         top += height
+    corner = (margin / style.SINGLE_WIDTH - 0.02, 1.0)
     figure.legend(
         handles, ("value, 95 % interval", "tolerance, ± 1 sigma"), loc="upper left", ncols=2,
-        bbox_to_anchor=(margin / style.SINGLE_WIDTH - 0.02, 1.0), borderaxespad=0.1, handlelength=1.4,
+        bbox_to_anchor=corner, borderaxespad=0.1, handlelength=1.4,
     )  # fmt: skip
-    return Drawing(
-        "parameters", "Identified values against their tolerances", style.svg_text(figure)
-    )
+    title = "Identified values against their tolerances"
+    return Drawing("parameters", title, style.svg_text(figure))
 
 
 def _draw_strip(
     axes: Axes, columns: Mapping[str, Sequence[Any]], effect: Effect, members: list[int]
 ) -> list[Any]:
     unit = effect.unit
-    value, low, high, expected = (
+    value, low, high, tolerances = (
         np.array(columns[title], dtype=float)[members]
         for title in ("value", "lower", "upper", "tolerance")
     )
-    half, tolerance = (high - low) / 2, float(expected[0])
+    half, tolerance = (high - low) / 2, float(tolerances[0])
     rows = np.arange(len(members))
     band = axes.axvspan(-tolerance, tolerance, color=style.BAND, alpha=0.25, linewidth=0)
     axes.axvline(0, color=style.MUTED, linewidth=0.6)

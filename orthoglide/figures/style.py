@@ -1,4 +1,4 @@
-"""What all figures share: SVG, colours, type, and places on the sheet."""
+"""Common style of all figures: SVG, colours, fonts, and the layout of panels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Okabe and Ito's colours, which the colour-blind can tell apart; each hex stands for its name.
+# Okabe and Ito's colours, which colour-blind readers can distinguish.
 PALETTE = {
     "ink": "#1f2a33",
     "muted": "#66727c",
@@ -35,21 +35,21 @@ DATA, FIT, BEFORE, BAND = (PALETTE[name] for name in ("data", "fit", "before", "
 
 POINTS_PER_INCH = 72.0  # SVG units an inch
 SINGLE_WIDTH = 3.9  # inches: width of a figure that fits a phone
-PANEL_SIZE = (3.0, 2.75)  # inches: one of the small multiples
-LABEL_POSITION = -0.195  # of the axes: where the small multiples carry the name of their scale
+PANEL_SIZE = (3.0, 2.75)  # inches: width and height of a panel
+LABEL_POSITION = -0.195  # of the width of the axes: place of a panel's unit
 
 
 @dataclass(frozen=True, repr=False)
 class Drawing:
     """One figure."""
 
-    name: str  # of its file
-    title: str  # what it shows, in a phrase
-    svg: str  # the text of its file
-    # places (x, y, width, height) in units of the SVG that a page may show by themselves, in the
-    # order of the axes; empty for a figure that stays whole
+    name: str  # name of its file
+    title: str  # its content, a phrase
+    svg: str  # text of its file
+    # boxes (x, y, width, height) in units of the SVG that a page may show separately, in the order
+    # of the axes; empty for a figure that is shown whole
     panels: tuple[tuple[float, float, float, float], ...] = ()
-    axes: int = 1  # how many axes each panel holds
+    axes: int = 1  # number of axes of each panel
 
     def __repr__(self) -> str:
         return f"<Drawing {self.name}: {self.title}>"
@@ -61,12 +61,12 @@ class Drawing:
         """Write the figure as an SVG file.
 
         Args:
-            path: where to.
+            path: path of the file.
             overwrite: whether an existing file may be replaced.
 
         Raises:
             InputError: for a name that does not end in ``.svg``.
-            FileError: where a file stands already and may not be replaced, or none can be written.
+            FileError: if the file exists and may not be replaced, or cannot be written.
         """
         if not os.fspath(path).lower().endswith(".svg"):
             raise InputError("figures are drawn as SVG: choose a name that ends in .svg")
@@ -150,11 +150,12 @@ def few_ticks(axes: Axes, across: int = 4, up: int = 4) -> None:
 def panel_grid(
     count: int, height: float, strip: float = 0.0
 ) -> tuple[Figure, list[tuple[float, float]]]:
-    """A figure of small multiples, three abreast; ``height`` of each, and ``strip`` that is kept
-    free above all, are inches.
+    """Return a figure for panels, three in a row, and the top left corner of each, inches.
 
-    Returns:
-        The figure, and the top left corner of each, inches.
+    Args:
+        count: number of panels.
+        height: height of a panel, inches.
+        strip: height above all panels that is left free, inches.
     """
     across = min(3, count)
     lines = -(-count // across)
@@ -167,13 +168,6 @@ def panel_drawing(
     axes: int = 1,
 ) -> Drawing:  # fmt: skip
     """Return a drawing whose panels a page may arrange; arguments as for :func:`panel_grid`."""
-    places = tuple(
-        (
-            x * POINTS_PER_INCH,
-            y * POINTS_PER_INCH,
-            PANEL_SIZE[0] * POINTS_PER_INCH,
-            height * POINTS_PER_INCH,
-        )
-        for x, y in corners
-    )
-    return Drawing(name, title, svg_text(figure), places, axes)
+    width, points = PANEL_SIZE[0], POINTS_PER_INCH
+    boxes = tuple((x * points, y * points, width * points, height * points) for x, y in corners)
+    return Drawing(name, title, svg_text(figure), boxes, axes)

@@ -1,4 +1,4 @@
-"""What an import gives: a machine file, readings, and notes for the owner."""
+"""Results of an import: a machine file, readings, and notes for the owner."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from orthoglide.notes import Note
 from orthoglide.observations import Readings, readings_from_rows
 from orthoglide.observations.schema import APPROACH, COMMANDS, TEMPERATURE, TRAVEL
 
-_DIGITS = 9  # of millimetres that are kept
+_DIGITS = 9  # decimals of millimetres in a file
 _MAX_NAME_LENGTH = 60  # characters of a name
-_FEW_TOUCHES = 30  # touches: endstops, towers, arms and a plane, 15 numbers, leave half of them
+_FEW_TOUCHES = 30  # twice the 15 numbers of endstops, towers, arms and a plane
 _COLD, _HOT = -40.0, 100.0  # degrees Celsius, of a frame or a bed on which a plate is touched
 
 
 @dataclass(frozen=True)
 class Imported:
-    """What a printer stored.
+    """Result of an import.
 
     Attributes:
-        machine: nominal, with the firmware's numbers kept in its provenance.
+        machine: nominal machine, with the firmware's numbers in its provenance.
         campaigns: readings, a campaign for each list of the file.
-        notes: what an owner should know, in sentences.
-        together: names of the campaigns that go with one another; none where that is not known.
+        notes: remarks for the owner, in sentences.
+        together: names of the campaigns that belong together; empty if this is unknown.
     """
 
     machine: MachineFile
@@ -45,7 +45,7 @@ class Imported:
 
     @property
     def apart(self) -> tuple[Note, ...]:
-        """Notes of campaigns that are not of one plate and one set of numbers."""
+        """Notes on campaigns that are not of one plate and one set of numbers."""
         return tuple(note for note in self.notes if note.kind == "apart")
 
 
@@ -69,16 +69,11 @@ class Row:
         """Return the reading as a row of a file."""
         touches, legs = OBSERVATIONS[self.kind].touches, LinearDelta.names.legs
         second = [None] * 3 if self.second is None else self.second
+        beside = [0.0] * 2 if self.beside is None else self.beside
         cells: dict[str, float | None] = {
             **dict(zip(TRAVEL.names(legs), self.travel, strict=True)),
             **dict(zip(COMMANDS[TRAVEL].names(legs), second, strict=True)),
-            **dict(
-                zip(
-                    TOOL_OFFSET_COLUMNS,
-                    [0.0] * 2 if self.beside is None else self.beside,
-                    strict=False,
-                )
-            ),
+            **dict(zip(TOOL_OFFSET_COLUMNS, beside, strict=False)),
             "reading_mm": self.reading,
             "sigma_mm": self.sigma,
         }
@@ -99,18 +94,18 @@ def plain_name(text: str, default: str) -> str:
     return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-")[:_MAX_NAME_LENGTH] or default
 
 
-def note_few_touches(most: int) -> Iterator[Note]:
-    """Yield that the longest list of touches is too short to tell of causes, where it is."""
-    if most < _FEW_TOUCHES:
+def note_few_touches(touch_count: int) -> Iterator[Note]:
+    """Yield a note if the longest list of touches is too short to find causes."""
+    if touch_count < _FEW_TOUCHES:
         yield Note(
-            f"{most} touches of the plate leave hardly anything to look for a cause with: probe a "
-            f"grid of 9 by 9 or more over a round bed's full radius",
+            f"{touch_count} touches of the plate leave hardly anything to look for a cause with: "
+            f"probe a grid of 9 by 9 or more over a round bed's full radius",
             "mesh",
         )
 
 
 def temperature_cell(temperature: float) -> str:
-    """Return a temperature as a file of readings has it; empty where it is none of a machine."""
+    """Return a temperature as a cell of a file; empty if no machine has such a temperature."""
     return f"{temperature:g}" if _COLD < temperature < _HOT else ""
 
 
@@ -119,25 +114,22 @@ def _millimetres(value: float | None) -> str:
 
 
 def readings_from_cells(
-    name: str,
-    rows: Sequence[Mapping[str, str]],
-    machine: MachineFile,
-    lines: Sequence[int] = (),
-    file: str = "",
-) -> Readings:
+    name: str, rows: Sequence[Mapping[str, str]], machine: MachineFile,
+    lines: Sequence[int] = (), file: str = "",
+) -> Readings:  # fmt: skip
     """Return rows as the readings of a machine.
 
     Args:
-        name: of the readings.
-        rows: by column the cells of a file of readings, one row at least.
-        machine: whose commands they are.
-        lines: line of each row in the file that it was read from.
+        name: name of the readings.
+        rows: cells of a file of readings by column, at least one row.
+        machine: machine of the commands.
+        lines: line of each row in its file.
         file: name of that file, for errors.
 
     Raises:
-        FileError: where the readings cannot be used as they stand.
+        FileError: if the readings cannot be used.
     """
-    used = {key for row in rows for key, cell in row.items() if cell}
-    cells = [{key: cell for key, cell in row.items() if key in used} for row in rows]
-    (found,) = readings_from_rows(cells, machine, name=name, lines=lines, file=file)
-    return found
+    used_columns = {key for row in rows for key, cell in row.items() if cell}
+    cells = [{key: cell for key, cell in row.items() if key in used_columns} for row in rows]
+    (readings,) = readings_from_rows(cells, machine, name=name, lines=lines, file=file)
+    return readings

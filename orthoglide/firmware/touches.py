@@ -10,17 +10,15 @@ from dataclasses import dataclass, field
 from orthoglide.errors import FileError
 
 MIN_PLACES = 3
-"""Places that tell of a plane: a list of fewer is none."""
+"""Places that determine a plane: a list of fewer is left out."""
 
 _HEIGHT_MAP = re.compile(r"RepRapFirmware height map file", re.IGNORECASE)
 _NUMBER = r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?|nan"
 _LABELLED = [re.compile(rf"(?<![A-Za-z]){axis}\s*[:=]\s*({_NUMBER})", re.I) for axis in "xyz"]
 _CONSOLE = re.compile(rf"\bprobe at ({_NUMBER}),({_NUMBER}) is z=", re.I)  # of Klipper
 _BED_LINE = re.compile(r"\bbed\s+x\s*[:=]", re.IGNORECASE)
-_POSITION = re.compile(r"\bE\s*:|\bCount\b", re.IGNORECASE)  # where a tool stands, no touch
-_BED_TEMPERATURE = re.compile(
-    rf"(?<![A-Za-z])B\s*:\s*({_NUMBER})\s*/", re.IGNORECASE
-)  # of the bed, in a log
+_POSITION = re.compile(r"\bE\s*:|\bCount\b", re.IGNORECASE)  # of a tool, not of a touch
+_BED_TEMPERATURE = re.compile(rf"(?<![A-Za-z])B\s*:\s*({_NUMBER})\s*/", re.I)  # in a log
 _PROBING = re.compile(r"\bG(?:29|32|33)\b")  # commands after which the plate is touched anew
 _COMMENT = re.compile(r"^\s*(?:#|//|;\s*[A-Za-z]).*")
 _UNTOUCHED = ("", "nan", "-", "null", "none", "n/a")
@@ -30,9 +28,9 @@ _AXES = {
 }  # fmt: skip
 _UNITS = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "micron": 1e-3, "microns": 1e-3,
           "m": 1e3, "cm": 10.0, "in": 25.4, "inch": 25.4, "inches": 25.4}  # fmt: skip
-_EQUAL_PLACES = 0.01  # millimetres: places that are one
+_EQUAL_PLACES = 0.01  # millimetres: grid on which places are compared
 _METRES_LIMIT = (
-    1.0  # millimetres: places of a list that is in metres are not further from the centre
+    1.0  # largest coordinate of a list in metres, whose numbers are taken as millimetres
 )
 _MAX_COORDINATE = 1e5  # millimetres: no plate is wider
 _MAX_MAP_LINES = 1000  # of a height map
@@ -53,28 +51,28 @@ class Touch:
 
     @property
     def place(self) -> tuple[int, int]:
-        """Where it is, so that equal places are equal."""
+        """Place on a grid, so that equal places compare equal."""
         return round(self.x / _EQUAL_PLACES), round(self.y / _EQUAL_PLACES)
 
 
 @dataclass
 class TouchLists:
-    """What was found in a file."""
+    """Lists of touches in a file, and lines that were left out."""
 
     lists: list[list[Touch]] = field(default_factory=list)  # touches of one probing each
-    # lines that were left out, by the reason, each with what stands there
+    # lines that were left out, by the reason, each with the value in it
     left_out: dict[str, dict[int, str]] = field(default_factory=dict)
     last_places: set[tuple[int, int]] = field(default_factory=set)  # of the last list
     starts_list: bool = True  # whether the next touch is the first of a probing
     temperature: float = math.nan  # last recorded one, degrees Celsius
 
-    def leave_out(self, why: str, line: int, value: str = "") -> None:
-        """Leave a line out."""
-        self.left_out.setdefault(why, {}).setdefault(line, value.strip())
+    def leave_out(self, reason: str, line: int, value: str = "") -> None:
+        """Record that a line is left out."""
+        self.left_out.setdefault(reason, {}).setdefault(line, value.strip())
 
     def add(self, touch: Touch) -> None:
-        """Add a touch to the last list, or to a new one where a probing begins: on a new heading,
-        or where a place is touched again that is not the one before.
+        """Add a touch to the last list, or to a new one if a probing begins: after a new heading,
+        or when a place other than the previous one is touched again.
         """
         if not (abs(touch.x) < _MAX_COORDINATE and abs(touch.y) < _MAX_COORDINATE):
             self.leave_out("no place on a plate", touch.line, f"x {touch.x:g}, y {touch.y:g}")
@@ -82,8 +80,8 @@ class TouchLists:
         if not math.isfinite(touch.z):
             self.leave_out("not touched", touch.line, f"x {touch.x:g}, y {touch.y:g}")
             return
-        again = touch.place in self.last_places and touch.place != self.lists[-1][-1].place
-        if self.starts_list or again:
+        is_repeated = touch.place in self.last_places and touch.place != self.lists[-1][-1].place
+        if self.starts_list or is_repeated:
             self.lists.append([])
             self.last_places.clear()
         self.lists[-1].append(touch)
@@ -92,39 +90,39 @@ class TouchLists:
 
 
 def read_touches(lines: Sequence[str], file: str) -> TouchLists:
-    """Read the lines of a file by what stands in them."""
-    read = TouchLists()
+    """Read the lines of a file in the format that is recognised."""
+    touch_lists = TouchLists()
     lines = [_CONSOLE.sub(r"Bed X:\1 Y:\2 Z:", line) for line in lines]
     if any(_HEIGHT_MAP.search(line) for line in lines):
-        _read_maps(lines, file, read)
+        _read_maps(lines, file, touch_lists)
     elif any(all(p.search(line) for p in _LABELLED) for line in lines):
-        _read_labelled(lines, read)
+        _read_labelled(lines, touch_lists)
     else:
-        _read_table(lines, file, read)
-    return read
+        _read_table(lines, file, touch_lists)
+    return touch_lists
 
 
-def _read_labelled(lines: Sequence[str], read: TouchLists) -> None:
-    """Read lines that name x, y and z; of a log those of touches only."""
-    bed = any(map(_BED_LINE.search, lines))
+def _read_labelled(lines: Sequence[str], touch_lists: TouchLists) -> None:
+    """Read lines that name x, y and z; in a log, only those of touches."""
+    has_bed_lines = any(map(_BED_LINE.search, lines))
     for number, line in enumerate(lines, start=1):
-        cells = [found[1] for pattern in _LABELLED if (found := pattern.search(line))]
-        touch = _BED_LINE.search(line) if bed else not _POSITION.search(line)
-        if warm := _BED_TEMPERATURE.search(line):
-            read.temperature = _number(warm[1])
-        if touch and len(cells) == len(_LABELLED):
+        cells = [match[1] for pattern in _LABELLED if (match := pattern.search(line))]
+        is_touch = _BED_LINE.search(line) if has_bed_lines else not _POSITION.search(line)
+        if temperature := _BED_TEMPERATURE.search(line):
+            touch_lists.temperature = _number(temperature[1])
+        if is_touch and len(cells) == len(_LABELLED):
             x, y, z = map(_number, cells)
-            read.add(Touch(number, x, y, z, read.temperature))
+            touch_lists.add(Touch(number, x, y, z, touch_lists.temperature))
         elif _PROBING.search(line):
-            read.starts_list = True
+            touch_lists.starts_list = True
 
 
-def _read_maps(lines: Sequence[str], file: str, read: TouchLists) -> None:
+def _read_maps(lines: Sequence[str], file: str, touch_lists: TouchLists) -> None:
     """Read height maps: a heading, names of sizes, the sizes, and a row of heights for each y."""
     rows = [(k, line) for k, line in enumerate(lines, start=1) if line.strip()]
     starts = [k for k, (_, line) in enumerate(rows) if _HEIGHT_MAP.search(line)]
     for start, end in zip(starts, [*starts[1:], len(rows)], strict=True):
-        block, read.starts_list = rows[start + 1 : end], True
+        block, touch_lists.starts_list = rows[start + 1 : end], True
         try:
             (_, names), (_, values), *heights = block
             sizes = _sizes(_cells(names), _cells(values))
@@ -140,16 +138,17 @@ def _read_maps(lines: Sequence[str], file: str, read: TouchLists) -> None:
             ) from None
         radius = _number(sizes.get("radius", "-1"))
         swapped = sizes.get("axis0", "x").lower() == "y"
-        _read_heights(heights, (across, along), radius if radius > 0 else math.inf, swapped, read)
+        radius = radius if radius > 0 else math.inf
+        _read_heights(heights, (across, along), radius, swapped, touch_lists)
 
 
 def _sizes(names: Sequence[str], values: Sequence[str]) -> dict[str, str]:
-    """Return sizes of a height map by their names of today: ``xmin`` was ``min0`` before."""
-    found = dict(zip((name.lower() for name in names), values, strict=False))
-    for name in [*found]:
+    """Return sizes of a height map by their present names: ``xmin`` is now ``min0``."""
+    sizes = dict(zip((name.lower() for name in names), values, strict=False))
+    for name in [*sizes]:
         if name[0] in "xy":
-            found[f"{name[1:]}{'xy'.index(name[0])}"] = found[name]
-    return found
+            sizes[f"{name[1:]}{'xy'.index(name[0])}"] = sizes[name]
+    return sizes
 
 
 def _span(sizes: Mapping[str, str], axis: int) -> list[float]:
@@ -162,79 +161,79 @@ def _span(sizes: Mapping[str, str], axis: int) -> list[float]:
 
 
 def _read_heights(
-    rows: Sequence[tuple[int, str]],
-    spans: tuple[Sequence[float], Sequence[float]],
-    radius: float,
-    swapped: bool,
-    read: TouchLists,
-) -> None:
-    """Read the heights of a map. A bare 0 is what stands for a place that was not touched, and no
-    place beyond the radius is.
+    rows: Sequence[tuple[int, str]], spans: tuple[Sequence[float], Sequence[float]], radius: float,
+    swapped: bool, touch_lists: TouchLists,
+) -> None:  # fmt: skip
+    """Read the heights of a map.
+
+    A bare 0 denotes a place that was not touched, and no place beyond the radius is touched.
     """
     across, along = spans
     for (number, line), y in zip(rows, along, strict=False):
         cells = _cells(line)
         if len(cells) != len(across):
-            read.leave_out(f"{len(cells)} heights where {len(across)} belong", number, line)
+            touch_lists.leave_out(f"{len(cells)} heights where {len(across)} belong", number, line)
             continue
         for x, cell in zip(across, cells, strict=True):
             if math.hypot(x, y) <= radius + _EQUAL_PLACES:
                 place = (y, x) if swapped else (x, y)
-                read.add(Touch(number, *place, math.nan if cell == "0" else _number(cell)))
+                touch_lists.add(Touch(number, *place, math.nan if cell == "0" else _number(cell)))
     if len(rows) < len(along):
-        read.leave_out(f"{len(rows)} rows of {len(along)}; more are missing below", *rows[-1])
+        reason = f"{len(rows)} rows of {len(along)}; more are missing below"
+        touch_lists.leave_out(reason, *rows[-1])
     for number, line in rows[len(along) :]:
-        read.leave_out(f"more than the {len(along)} rows of the height map", number, line)
+        touch_lists.leave_out(f"more than the {len(along)} rows of the height map", number, line)
 
 
-def _read_table(lines: Sequence[str], file: str, read: TouchLists) -> None:
-    """Read a table of x, y, z with or without a line of names, which may be a comment."""
+def _read_table(lines: Sequence[str], file: str, touch_lists: TouchLists) -> None:
+    """Read a table of x, y, z, with or without a line of names, which may be a comment."""
     columns: Columns = {axis: (axis, 1.0) for axis in range(3)}
-    named = False
+    has_names = False
     for number, line in enumerate(lines, start=1):
         cells, comment = _cells(line.lstrip("#/; ")), bool(_COMMENT.match(line))
-        if found := _columns(cells):
-            columns, named, read.starts_list = found, True, True
+        if named_columns := _columns(cells):
+            columns, has_names, touch_lists.starts_list = named_columns, True, True
         elif comment or not line.strip():
             continue
-        elif (touch := _row(number, cells, columns)) and (named or len(cells) == 3):
-            read.add(touch)
+        elif (touch := _row(number, cells, columns)) and (has_names or len(cells) == 3):
+            touch_lists.add(touch)
         else:
-            read.leave_out("no row of x, y and z", number, line)
-    every = [touch for touches in read.lists for touch in touches]
-    if len(every) >= MIN_PLACES and max(max(abs(t.x), abs(t.y)) for t in every) < _METRES_LIMIT:
+            touch_lists.leave_out("no row of x, y and z", number, line)
+    touches = [t for part in touch_lists.lists for t in part]
+    if len(touches) >= MIN_PLACES and all(max(abs(t.x), abs(t.y)) < _METRES_LIMIT for t in touches):
         raise FileError(
             "has all places within a millimetre of the centre: give millimetres, or the unit "
-            "behind the names of the columns (x_m)", file=file, line=every[0].line,
+            "behind the names of the columns (x_m)", file=file, line=touches[0].line,
         )  # fmt: skip
 
 
 def _row(line: int, cells: Sequence[str], columns: Columns) -> Touch | None:
-    """Return the touch of a row, its height nan where none was given; ``None`` of another row."""
+    """Return the touch of a row, with height nan if none is given; ``None`` for another row."""
     if max(column for column, _ in columns.values()) >= len(cells):
         return None
     x, y, z = (_number(cells[columns[axis][0]]) * columns[axis][1] for axis in range(3))
-    warm, _ = columns.get(_TEMPERATURE, (-1, 1.0))
-    temperature = _number(cells[warm]) if warm >= 0 else math.nan
-    touched = math.isfinite(z) or cells[columns[2][0]].lower() in _UNTOUCHED
-    return Touch(line, x, y, z, temperature) if math.isfinite(x + y) and touched else None
+    temperature_column, _ = columns.get(_TEMPERATURE, (-1, 1.0))
+    temperature = _number(cells[temperature_column]) if temperature_column >= 0 else math.nan
+    is_height = math.isfinite(z) or cells[columns[2][0]].lower() in _UNTOUCHED
+    return Touch(line, x, y, z, temperature) if math.isfinite(x + y) and is_height else None
 
 
 def _columns(cells: Sequence[str]) -> Columns:
-    """Return the columns of a row of names; empty where it does not name all axes."""
-    found: dict[int, tuple[int, float]] = {}
+    """Return the columns of a row of names; empty if it does not name all axes."""
+    columns: dict[int, tuple[int, float]] = {}
     for column, cell in enumerate(cells):
         words = re.findall(r"[a-zµμ]+", cell.lower())
         axes = [_AXES[word] for word in words if word in _AXES]
-        if axes and axes[0] not in found:
+        if axes and axes[0] not in columns:
             unit = next((size for name, size in _UNITS.items() if name in words), 1.0)
-            found[axes[0]] = (column, unit)
-    return found if found.keys() >= {0, 1, 2} else {}
+            columns[axes[0]] = (column, unit)
+    return columns if columns.keys() >= {0, 1, 2} else {}
 
 
 def _cells(line: str) -> list[str]:
-    """Return the cells of a line, parted by semicolons, tabs, commas or blanks; a comma between
-    digits is a decimal one unless commas part the cells.
+    """Return the cells of a line, separated by semicolons, tabs, commas or blanks.
+
+    A comma between digits is a decimal comma, unless commas separate the cells.
     """
     line = line.strip().strip("\ufeff")
     blanks = line.split()
@@ -246,7 +245,7 @@ def _cells(line: str) -> list[str]:
 
 
 def _number(cell: str) -> float:
-    """Return a number with a decimal point or comma; nan of anything else."""
+    """Return a number with a decimal point or comma; nan for anything else."""
     try:
         value = float(cell.strip().strip('"').replace(",", "."))
     except ValueError:

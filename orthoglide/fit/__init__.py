@@ -3,17 +3,17 @@
 In the order of the data:
 
 - ``plausible``: readings that no such machine gives are refused.
-- ``repeats``, ``roughness``: what readings show of an instrument's noise, and ``noise``: the
-  standard deviation that each counts with.
+- ``repeats``, ``roughness``: noise that readings show, and ``noise``: the standard deviation of
+  each reading.
 - ``factors``: a table of readings with its noise and its instruments in place.
-- ``unknown``: what is identified; ``problem``: the unknowns and factors of one identification, and
-  ``assembling``: how it is put together; ``excited``: which effects its readings could show.
+- ``unknowns``: the parameters to identify; ``problem``: unknowns and factors of an identification,
+  ``assembling``: its construction; ``excitation``: effects that its readings could show.
 - ``weighing``: rows in units of their noise; ``least_squares``: the linear problem around a point.
-- ``solving``: which method is taken, and what is asked of its answer; ``nested``: Gauss-Newton;
-  ``nlp``: a programme with the closures as constraints.
-- ``crosscheck``: the same by the reduction, and every posture closed once more by Pinocchio.
-- ``scores``: how well a fit does; ``estimate``: its values with all that belongs to them.
-- ``notes``, ``noise_notes``: what a user should know of it; ``shown``: its readings for figures.
+- ``solving``: choice of the method, and tests of its answer; ``nested``: Gauss-Newton; ``nlp``: a
+  programme with the closures as constraints.
+- ``crosscheck``: comparison with the reduction, and with postures closed by Pinocchio.
+- ``scores``: goodness of fit; ``estimate``: identified values with their uncertainty.
+- ``notes``, ``noise_notes``: notes for the user; ``reading_tables``: readings for figures.
 """
 
 from orthoglide.fit.assembling import (

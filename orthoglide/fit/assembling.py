@@ -1,4 +1,4 @@
-"""Problems put together from what a user gives: readings or their paths, and what is free."""
+"""Problems assembled from the user's input: readings or their paths, and free parameters."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from orthoglide.observations import (
 )
 from orthoglide.parameters import Parameter, split_campaign
 
-_MIN_POINTS = 3  # of the tool: a point's three coordinates decide about its place at most
+_MIN_POINTS = 3  # TCP points: the frame alone needs three
 
 
 def assemble(
@@ -47,29 +47,29 @@ def assemble(
     check_choice("frame", frame, get_args(Frame))
     check_list("free", free)
     check_list("own", per_campaign)
-    tables = sorted(
-        (p for one in _as_list(given) for p in split_legs_and_tool(one)), key=lambda t: t.of_tool
-    )
-    beliefs = machine_instrument_priors(machine, frame)
-    level, noises = noise_of(tables, machine.spec, noise)
-    told = noise is not None and all(t.of_tool for t in tables)
+    tables = [part for item in _as_list(given) for part in split_legs_and_tool(item)]
+    tables = sorted(tables, key=lambda table: table.of_tool)
+    instrument_priors = machine_instrument_priors(machine, frame)
+    summary, row_noises = noise_of(tables, machine.spec, noise)
+    tool_only = all(table.of_tool for table in tables)
     factors = []
-    for table, rows in zip(tables, noises, strict=True):
+    for table, row_noise in zip(tables, row_noises, strict=True):
         if table.by_point and len(table.points().p) < _MIN_POINTS:
             raise InputError(
                 f"{table.name}: these are too few TCP points to identify anything: measure three "
                 f"or more"
             )
-        factor = Factor.from_readings(table, machine, rows, beliefs)
-        factor = factor if told else factor.with_roughness(machine)
+        factor = Factor.from_readings(table, machine, row_noise, instrument_priors)
+        if noise is None or not tool_only:
+            factor = factor.with_roughness(machine)
         factors.append(factor.without_outlying_touches(machine))
-    if all(t.of_tool for t in tables):
-        rated = rms_noise([f.readings for f in factors], [f.noise.total for f in factors])
-        level = replace(level, typical=rated)
-    known = machine.posterior  # an earlier calibration says nothing where its file gives no sigmas
+    if tool_only:
+        rms = rms_noise([f.readings for f in factors], [f.noise.total for f in factors])
+        summary = replace(summary, typical=rms)
+    posterior = machine.posterior  # without sigmas in the machine file it is no information
     return build_problem(
-        machine, factors, free, level, per_campaign=per_campaign, priors=priors, bounds=bounds,
-        earlier_posterior=known if priors and np.diag(known.covariance).any() else None,
+        machine, factors, free, summary, per_campaign=per_campaign, priors=priors, bounds=bounds,
+        earlier_posterior=posterior if priors and np.diag(posterior.covariance).any() else None,
     )  # fmt: skip
 
 
@@ -84,31 +84,31 @@ def build_problem(
     bounds: Mapping[str, float] | None = None,
     earlier_posterior: Posterior | None = None,
 ) -> Problem:
-    """Put an identification together; arguments as of :func:`identify`, but readings with their
-    noise, those of legs first, that noise in one figure, and what an earlier calibration says. What
-    is own to each campaign need not be free.
+    """Return the problem of an identification; arguments as of :func:`identify`, but factors, those
+    of legs first, their noise in one figure, and the posterior of an earlier calibration.
+    Parameters in ``per_campaign`` need not be free.
 
     Raises:
-        InputError: where these do not fit together.
+        InputError: where the arguments do not fit together.
     """
     if not factors:
         raise InputError("there is no campaign: give at least one file of readings")
-    nothing = Problem(
+    unfreed = Problem(
         machine, tuple(factors), (), noise, priors, (), tuple(per_campaign), earlier_posterior
     )
-    stems = [s.name for s in nothing.factors]
+    stems = [factor.name for factor in unfreed.factors]
     for name in per_campaign:
         plain, stem = split_campaign(name)
         if stem and stem not in stems:
             raise InputError(f"{name}: there is no campaign {stem!r}, only {', '.join(stems)}")
-        expand_names(machine.catalogue, [plain], nothing.factors)
-    unknowns = build_unknowns(machine, nothing.factors, free, per_campaign)
-    if not unknowns:  # all of instruments that none of these readings are of
+        expand_names(machine.catalogue, [plain], unfreed.factors)
+    unknowns = build_unknowns(machine, unfreed.factors, free, per_campaign)
+    if not unknowns:  # all are parameters of instruments without readings
         raise InputError(NOTHING_FREE)
     if bounds:
         unknowns = with_bounds(unknowns, bounds)
-    every = tuple(machine.values for _ in nothing.factors)
-    return replace(nothing, unknowns=unknowns, held=_held_values(every, unknowns))
+    values_by_factor = tuple(machine.values for _ in unfreed.factors)
+    return replace(unfreed, unknowns=unknowns, held=_held_values(values_by_factor, unknowns))
 
 
 def _held_values(
@@ -116,63 +116,56 @@ def _held_values(
 ) -> tuple[dict[str, float], ...]:
     """Return the values of each factor that no unknown sets, which stay held."""
     free = [{n for u in unknowns for n in u.weights[k]} for k in range(len(held))]
-    return tuple(
-        {n: v for n, v in values.items() if n not in set_here}
-        for values, set_here in zip(held, free, strict=True)
-    )
+    return tuple({n: v for n, v in held[k].items() if n not in free[k]} for k in range(len(held)))
 
 
 def with_free(problem: Problem, names: Sequence[str], *, release: bool = True) -> Problem:
-    """The same problem with more freed; what is free already is not freed twice.
+    """Return the problem with further unknowns behind its own.
 
     Args:
         problem: to be extended.
         names: effects, parameters or structured members; with ``@`` only that campaign's.
-        release: whether values that were held are let go; else the unknowns are changes of them.
-
-    Returns:
-        The problem with the new unknowns behind those that it has.
+        release: whether their held values are released; if not, the unknowns are changes of them.
     """
     present = set(problem.names)
     added: list[Unknown] = []
     for name in names:
         plain, stem = split_campaign(name)
-        for unknown in build_unknowns(
-            problem.machine, problem.factors, [plain], problem.per_campaign
-        ):
-            wanted = not stem or unknown.name.campaign in ("", stem)
-            if wanted and unknown.name not in present:
+        own = problem.per_campaign
+        for unknown in build_unknowns(problem.machine, problem.factors, [plain], own):
+            in_campaign = not stem or unknown.name.campaign in ("", stem)
+            if in_campaign and unknown.name not in present:
                 present.add(unknown.name)
                 added.append(unknown)
-    # With more freed, whether a value is beyond its tolerance is asked anew.
+    # With further unknowns, other values may exceed their tolerances.
     unknowns = (*problem.with_prior_widths_reset().unknowns, *added)
     held = _held_values(problem.held, unknowns) if release else problem.held
     return replace(problem, unknowns=unknowns, held=held)
 
 
 def with_effects_freed(problem: Problem, effects: Sequence[str]) -> Problem:
-    """The same problem with all single parameters of effects that no unknown sets yet: changes of
-    what is held.
+    """Return the problem with all single parameters of effects that no unknown sets yet, as changes
+    of the held values.
     """
     taken = {p for u in problem.unknowns for parts in u.weights for p in parts}
-    found: dict[Parameter, None] = {}
+    names: dict[Parameter, None] = {}
     for unknown in build_unknowns(problem.machine, problem.factors, list(effects)):
         if not any(p in taken for parts in unknown.weights for p in parts):
-            found[unknown.name.plain] = None
-    return with_free(problem, tuple(found), release=False)
+            names[unknown.name.plain] = None
+    return with_free(problem, tuple(names), release=False)
 
 
 def read_legs_and_tool(
     given: ReadingsOrPath | Sequence[ReadingsOrPath], machine: Machine
 ) -> tuple[tuple[Readings, ...], tuple[Readings, ...]]:
-    """Return readings of legs, and of the tool apart; paths are read.
+    """Return the readings of legs, and those of the tool; paths are read.
 
     Raises:
         InputError: where there is neither, or a file cannot be read.
     """
-    read = read_tables(given, machine)
-    legs = tuple(r for r in read if not r.of_tool)
-    return legs, tuple(r for r in read if r.of_tool)
+    tables = read_tables(given, machine)
+    legs = tuple(table for table in tables if not table.of_tool)
+    return legs, tuple(table for table in tables if table.of_tool)
 
 
 def readings_of(
@@ -183,10 +176,10 @@ def readings_of(
     Raises:
         InputError: as :func:`read_legs_and_tool`, and for files with a row a point.
     """
-    read = read_tables(given, machine)
-    if any(r.by_point for r in read):
+    tables = read_tables(given, machine)
+    if any(table.by_point for table in tables):
         raise InputError("TCP points are no campaign of readings: give them as tcp")
-    return tuple(read)
+    return tuple(tables)
 
 
 def points_of(given: ReadingsOrPath, machine: Machine) -> Readings:
@@ -214,19 +207,19 @@ def read_tables(
     Raises:
         InputError: where nothing was given, or a file cannot be read.
     """
-    read: list[Readings] = []
-    for one in _as_list(given):
-        if isinstance(one, str | PathLike):
-            read += read_readings(one, machine.spec)
+    tables: list[Readings] = []
+    for item in _as_list(given):
+        if isinstance(item, str | PathLike):
+            tables += read_readings(item, machine.spec)
         else:
-            check_given(one, machine.spec)
-            read += split_legs_and_tool(one)
-    if not read:
+            check_given(item, machine.spec)
+            tables += split_legs_and_tool(item)
+    if not tables:
         raise InputError("there is no campaign: give at least one file of readings")
-    return read
+    return tables
 
 
 def _as_list(given: Any) -> list[Any]:
     """One or several as a list; a path is one, and so is a data frame, which is none of them."""
-    one = isinstance(given, str | Mapping) or hasattr(given, "columns")
-    return [given] if one or not isinstance(given, Iterable) else list(given)
+    is_single = isinstance(given, str | Mapping) or hasattr(given, "columns")
+    return [given] if is_single or not isinstance(given, Iterable) else list(given)

@@ -1,4 +1,4 @@
-"""``Estimate``: what an identification found, how sure it is, and how it was checked."""
+"""``Estimate``: identified values with their uncertainty, scores and checks."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ class Estimate(Framed):
     """Result of :func:`~orthoglide.identify`.
 
     Attributes:
-        problem: what was asked of which readings.
+        problem: that was solved.
         x: identified values ``(P,)``, SI, in the order of ``names``.
         covariance: ``(P, P)``, SI, the noise of the readings multiplied by ``sigma_scale``.
         sigma_scale: sqrt(chi2 / dof) where lack of fit remains, else 1.
         scores: of this fit.
-        weak: directions that the readings hardly see.
+        weak: directions that the readings hardly determine.
         check: against the reduction and system (11); ``None`` where they cannot represent it.
         method: ``nlp``, ``nested``, ``pinocchio`` or ``reduction``.
         iterations: of the solver.
         optimality: step that a Newton iteration would still make, in sigmas.
-        warnings: what a user should know, in sentences.
+        warnings: notes for the user, in sentences.
         at: linearisation at the fit.
         nuisance: datums and placements of the fit.
-        rows: its readings as predicted, and how much each decides of that.
-        changes: what is not what an earlier calibration found.
+        rows: predicted readings, and the influence of each on its prediction.
+        changes: differences from an earlier calibration.
         verification: by Pinocchio, of a finished result.
     """
 
@@ -119,8 +119,7 @@ class Estimate(Framed):
     @property
     def on_bound(self) -> tuple[str, ...]:
         """Names of values that ended on a bound."""
-        near = self.problem.on_bound(self.x)
-        return tuple(name for name, hit in zip(self.names, near, strict=True) if hit)
+        return tuple(self.names[k] for k in np.flatnonzero(self.problem.on_bound(self.x)))
 
     @property
     def predicted(self) -> Array:
@@ -134,39 +133,41 @@ class Estimate(Framed):
 
     @cached_property
     def _before_calibration(self) -> tuple[Linearised, FittedRows]:
-        """The readings as the machine as it was explains them, about whose tool a ball or a frame
-        stands elsewhere than about the calibrated one's.
-        """
-        fixed, nuisance = replace(self.problem, unknowns=(), earlier_posterior=None), self.nuisance
-        at = linearise(fixed, np.zeros(0))
-        if (near := update_instrument_poses(fixed, at)) is not fixed:
-            fixed, at = near, linearise(near, np.zeros(0))
-            nuisance = nuisances(fixed, at.reading_poses)
-        return at, FittedRows.from_fit(fixed, nuisance, at)
+        """Readings predicted by the uncalibrated machine, with balls and frames placed by it."""
+        nuisance = self.nuisance
+        problem = replace(self.problem, unknowns=(), earlier_posterior=None)
+        linear = linearise(problem, np.zeros(0))
+        if (placed := update_instrument_poses(problem, linear)) is not problem:
+            problem, linear = placed, linearise(placed, np.zeros(0))
+            nuisance = nuisances(problem, linear.reading_poses)
+        return linear, FittedRows.from_fit(problem, nuisance, linear)
 
     @cached_property
     def nominal(self) -> Scores:
-        """Scores of the machine as it was before (the unknowns at zero)."""
-        at, rows = self._before_calibration
-        return score(rows, at)
+        """Scores of the uncalibrated machine (the unknowns at zero)."""
+        linearised, rows = self._before_calibration
+        return score(rows, linearised)
 
     @property
     def predicted_before(self) -> Array:
-        """Readings ``(n,)`` that the machine as it was predicts, datums fitted, metres."""
+        """Readings ``(n,)`` predicted by the uncalibrated machine, datums fitted, metres."""
         return self._before_calibration[1].predicted
 
     @property
     def machine(self) -> Machine:
-        """The calibrated machine: the last campaign's where values are own to each."""
+        """The calibrated machine; of values specific to a campaign, those of the last one."""
         return self.machine_of(self.problem.last_factor)
 
     def machine_of(self, campaign: int) -> Machine:
-        """The calibrated machine as one campaign saw it; dials are left out."""
-        found = Posterior(self.names, self.x, self.covariance)
-        found = found.transformed(*self.problem.machine_parameters(campaign))
-        start = self.problem.machine
-        values = {**start.values, **dict(zip(found.names, found.mean.tolist(), strict=True))}
-        return start.with_posterior(values, found.joined(start.posterior))
+        """Return the calibrated machine of one campaign, without parameters of dials."""
+        posterior = Posterior(self.names, self.x, self.covariance)
+        posterior = posterior.transformed(*self.problem.machine_parameters(campaign))
+        initial = self.problem.machine
+        values = {
+            **initial.values,
+            **dict(zip(posterior.names, posterior.mean.tolist(), strict=True)),
+        }
+        return initial.with_posterior(values, posterior.joined(initial.posterior))
 
     def __str__(self) -> str:
         lines = []
@@ -176,8 +177,8 @@ class Estimate(Framed):
             text = f"{name:<24} {size} {unit.name}"
             lines.append(text + ("   (on its bound)" if name in self.on_bound else ""))
         s = self.scores
-        known = np.isfinite(s.deviation_rms)
-        deviations = f"deviations {s.deviation_rms * 1e3:.3f} mm, " if known else ""
+        has_deviations = np.isfinite(s.deviation_rms)
+        deviations = f"deviations {s.deviation_rms * 1e3:.3f} mm, " if has_deviations else ""
         lines.append(
             f"residual rms {_residual_text(s.left)}, {deviations}chi2 {s.chi2:.1f} on {s.dof:.0f} "
             f"degrees of freedom"
@@ -195,8 +196,8 @@ class Estimate(Framed):
 
     @property
     def columns(self) -> dict[str, list[Any]]:
-        """What was identified, a row a parameter in the units of files: value, sigma, the limits
-        of the 95 % interval, unit and tolerance.
+        """Table of the identified parameters in the units of files: value, sigma, the limits of the
+        95 % interval, unit and tolerance.
         """
         units = [self.unit(name) for name in self.names]
         si = np.array([unit.si for unit in units])
@@ -219,7 +220,7 @@ class Estimate(Framed):
                 tolerances.
 
         Raises:
-            InputError: for a figure that there is not.
+            InputError: for an unknown figure.
         """
         from orthoglide.figures.draw import draw_fit
         from orthoglide.fit.reading_tables import fitted_readings
@@ -230,6 +231,6 @@ class Estimate(Framed):
         )
 
 
-def _residual_text(left: ByUnit) -> str:
+def _residual_text(rms: ByUnit) -> str:
     """Return the residual rms as text, to 0.1 um and 0.1 urad."""
-    return " and ".join(f"{value:.4f} {unit}" for unit, value in left.shown.items())
+    return " and ".join(f"{value:.4f} {unit}" for unit, value in rms.shown.items())

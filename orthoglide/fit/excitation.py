@@ -1,4 +1,4 @@
-"""Which effects the readings at hand could show at all: those whose conditions they vary."""
+"""Effects that readings could show: those whose conditions they vary."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from orthoglide.geometry import Array
 
 
 def excited_effects(problem: Problem) -> tuple[Effect, ...]:
-    """Effects beyond the base whose conditions the readings vary."""
+    """Return the effects beyond the base whose conditions the readings vary."""
     catalogue = problem.machine.catalogue
     return tuple(
         effect
@@ -35,10 +35,12 @@ def axes_approached_from_both_sides(approach: Array) -> NDArray[np.bool_]:
     return np.asarray((approach > 0).any(axis=0) & (approach < 0).any(axis=0))
 
 
-def _column_varies(what: str) -> Callable[[Problem], bool]:
+def _column_varies(column: str) -> Callable[[Problem], bool]:
+    """Return a test whether finite values of a column differ in any table."""
+
     def vary(problem: Problem) -> bool:
         for factor in problem.factors:
-            values = getattr(factor.readings, what, None)
+            values = getattr(factor.readings, column, None)
             if values is None:
                 continue
             known = values[np.isfinite(values).reshape(len(values), -1).all(axis=1)]

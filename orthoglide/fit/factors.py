@@ -1,8 +1,7 @@
-"""Readings with their noise and their instruments in place: what a problem is the sum of.
+"""Factors, the terms of a problem: readings with their noise and instruments in place.
 
-A factor predicts its rows, differentiates them, and has nuisances: numbers that the rows contain
-besides the machine, such as a dial's datum, where it stands, or the frame of a tracker. Nuisances
-are fitted with everything else.
+A factor predicts and differentiates its rows. Its nuisances are parameters of the instruments, such
+as a dial's datum and placement or the frame of a tracker; they are fitted with all others.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ class NuisanceBlock:
     """Nuisances of one factor."""
 
     columns: Array  # derivative of its rows by them (n, k)
-    sd: Array  # standard deviation about zero (k,); infinite where nothing is known
+    sd: Array  # prior standard deviation about zero (k,); infinite without a prior
 
 
 @dataclass(frozen=True)
@@ -44,17 +43,15 @@ class Factor:
 
     readings: Readings
     noise: RowNoise
-    instrument_priors: InstrumentPriors  # of how instruments stand
+    instrument_priors: InstrumentPriors  # of placements
     instrument_poses: tuple[InstrumentPose, ...]  # of every setup
-    # on the plates over their largest measured radius (n, 2), along their own axes, which turn with
-    # them; of the nominal machine, which is near enough
+    # places on plates over their largest measured radius (n, 2), along axes that turn with the
+    # plate; by the nominal machine, which is accurate enough
     normalized_plate_xy: Array
     # height of outlying touches of a plate above the surface through the others (n,), metres;
     # 0 of all other readings
     outlier_height: Array
-    exclusion_sentences: tuple[
-        str, ...
-    ] = ()  # a sentence for each outlying touch that was excluded
+    exclusion_sentences: tuple[str, ...] = ()  # one for each outlying touch that was excluded
 
     @classmethod
     def from_readings(
@@ -62,34 +59,29 @@ class Factor:
         readings: Readings,
         machine: Machine,
         noise: RowNoise,
-        beliefs: InstrumentPriors | None = None,
+        instrument_priors: InstrumentPriors | None = None,
     ) -> Factor:
-        """Return readings with their instruments about where a machine has them.
+        """Return readings with their instruments placed by a machine.
 
         Args:
             readings: of legs, or of the tool.
-            machine: its nominal poses say where plates, balls and frames are.
+            machine: its nominal poses place plates, balls and frames.
             noise: of the readings.
-            beliefs: of how instruments stand; as the machine file says where absent.
+            instrument_priors: of placements; those of the machine file where absent.
         """
-        if beliefs is None:
-            beliefs = machine_instrument_priors(machine)
-        n = len(readings)
-        made = cls(
-            readings, noise, beliefs, (InstrumentPose(),) * len(readings.setups), np.zeros((n, 2)),
-            np.zeros(n),
-        )  # fmt: skip
-        if made.on_legs:
-            return made
-        p, beside = machine.forward(readings.command), readings.beside
-        made = replace(made, normalized_plate_xy=_normalized_plate_xy(readings, p + beside))
-        return made.with_instrument_poses(
-            ReadingPoses(np.zeros((n, 0)), p + beside, beside), initial=True
-        )
+        priors = instrument_priors or machine_instrument_priors(machine)
+        n, poses = len(readings), (InstrumentPose(),) * len(readings.setups)
+        factor = cls(readings, noise, priors, poses, np.zeros((n, 2)), np.zeros(n))
+        if factor.on_legs:
+            return factor
+        p = machine.forward(readings.command) + readings.beside
+        factor = replace(factor, normalized_plate_xy=_normalized_plate_xy(readings, p))
+        nominal = ReadingPoses(np.zeros((n, 0)), p, readings.beside)
+        return factor.with_instrument_poses(nominal, initial=True)
 
     @classmethod
     def from_planned(cls, readings: Readings, machine: Machine) -> Factor:
-        """Return readings that were not taken yet, with the noise to reckon with."""
+        """Return readings that were not taken yet, with their expected noise."""
         sigma, n = expected_sigma(readings, machine.spec), len(readings)
         noise = replace(RowNoise.zeros(n), sigma=sigma, expected=sigma)
         return cls.from_readings(readings, machine, noise)
@@ -128,8 +120,8 @@ class Factor:
 
     @cached_property
     def visit_number(self) -> Ints:
-        """Number of the visit at which each row was read ``(n,)``: coordinates of one point of the
-        tool are wrong together.
+        """Number of the visit at which each row was read ``(n,)``, one for all coordinates of a
+        point of the tool.
         """
         if not self.readings.by_point:
             return np.arange(len(self.readings))
@@ -152,26 +144,27 @@ class Factor:
     # Other factors -------------------------------------------------------------------------
 
     def with_readings(self, reading: Array) -> Factor:
-        """Return the same for other values ``(n,)``, metres or radians."""
+        """Return the factor with other values ``(n,)``, metres or radians."""
         return replace(self, readings=self.readings.with_readings(reading))
 
     def with_table(self, readings: Readings) -> Factor:
-        """Return the same with a changed table of as many rows."""
-        more = len(readings.setups) - len(self.instrument_poses)
-        stands = (*self.instrument_poses, *(InstrumentPose(),) * more)
-        return replace(self, readings=readings, instrument_poses=stands)
+        """Return the factor with a changed table of as many rows."""
+        added = len(readings.setups) - len(self.instrument_poses)
+        poses = (*self.instrument_poses, *(InstrumentPose(),) * added)
+        return replace(self, readings=readings, instrument_poses=poses)
 
     def subset(self, rows: NDArray[Any]) -> Factor:
         """Return some of the rows, by indices or booleans ``(n,)``."""
-        used = np.unique(self.setup[rows])
+        setups = np.unique(self.setup[rows])
         return replace(
             self, readings=self.readings.subset(rows), noise=self.noise.subset(rows),
-            instrument_poses=tuple(self.instrument_poses[k] for k in used), normalized_plate_xy=self.normalized_plate_xy[rows],
+            instrument_poses=tuple(self.instrument_poses[k] for k in setups),
+            normalized_plate_xy=self.normalized_plate_xy[rows],
             outlier_height=self.outlier_height[rows],
         )  # fmt: skip
 
     def with_noise(self, rows: NDArray[np.intp], noise: RowNoise) -> Factor:
-        """Return the same with other noise of some rows."""
+        """Return the factor with other noise of some rows."""
         return replace(self, noise=self.noise.with_rows(rows, noise))
 
     def without_weight(self, rows: NDArray[np.bool_]) -> Factor:
@@ -179,33 +172,32 @@ class Factor:
         visits = np.isin(self.visit_number, self.visit_number[rows])
         return replace(self, noise=self.noise.without_weight(visits))
 
-    def with_instrument_poses(self, seen: ReadingPoses, initial: bool = False) -> Factor:
-        """Return the same with instruments standing where a machine has them.
+    def with_instrument_poses(self, reading_poses: ReadingPoses, initial: bool = False) -> Factor:
+        """Return the factor with instruments placed by a machine; itself if their poses stay.
 
         Args:
-            seen: where it takes the readings.
-            initial: whether nothing is known of the stands yet; else they are near.
+            reading_poses: the machine's, in which the readings are taken.
+            initial: whether the present instrument poses are no estimates yet.
         """
-        r, known, stands = self.readings, self.noise.weighted, list(self.instrument_poses)
+        r, poses = self.readings, list(self.instrument_poses)
         for k, setup in enumerate(r.setups):
-            rows = np.flatnonzero((self.setup == k) & known)
-            read = np.isfinite(r.reading[rows])
-            rows = rows[read] if read.any() else rows
+            rows = np.flatnonzero((self.setup == k) & self.noise.weighted)
+            finite = np.isfinite(r.reading[rows])
+            rows = rows[finite] if finite.any() else rows
             if not len(rows):
                 continue
             taken = SetupReadings(
-                seen.p[rows], seen.offset_from_tool[rows], r.axis[rows], r.sign[rows] * r.reading[rows],
-                self.sigma[rows],
+                reading_poses.p[rows], reading_poses.offset_from_tool[rows], r.axis[rows],
+                r.sign[rows] * r.reading[rows], self.sigma[rows],
             )  # fmt: skip
-            found = setup.observation.estimate_pose(
-                taken, None if initial else stands[k], self.instrument_priors
-            )
-            if not found.is_close_to(stands[k]):
-                stands[k] = found
-        same = all(new is old for new, old in zip(stands, self.instrument_poses, strict=True))
-        return self if same else replace(self, instrument_poses=tuple(stands))
+            start = None if initial else poses[k]
+            pose = setup.observation.estimate_pose(taken, start, self.instrument_priors)
+            if not pose.is_close_to(poses[k]):
+                poses[k] = pose
+        unchanged = all(new is old for new, old in zip(poses, self.instrument_poses, strict=True))
+        return self if unchanged else replace(self, instrument_poses=tuple(poses))
 
-    # What a machine makes of them ----------------------------------------------------------
+    # Predictions ---------------------------------------------------------------------------
 
     @cached_property
     def measurement_model(self) -> MeasurementModel:
@@ -217,7 +209,7 @@ class Factor:
         return self.measurement_model.conditions()
 
     def predict(self, model: Model, values: Mapping[str, float]) -> Array:
-        """Return the rows ``(n,)`` to expect, nuisances apart."""
+        """Return the predicted rows ``(n,)``, without nuisances."""
         return self.measurement_model.predict(model, values)
 
     def linearise(
@@ -227,145 +219,138 @@ class Factor:
         return self.measurement_model.linearise(model, values, names)
 
     def joint_response(self, model: Model, values: Mapping[str, float]) -> JointResponse:
-        """Return how the rows follow virtual joints that move as functions of the conditions."""
+        """Return the response of the rows to virtual joints that move with the conditions."""
         return self.measurement_model.joint_response(model, values)
 
-    def nuisance_sd(self, setup: int) -> Array:
+    def nuisance_sd(self, number: int) -> Array:
         """Return standard deviations of a setup's nuisances ``(K,)``."""
-        own = self.readings.setups[setup]
-        return own.observation.nuisance_sds(
-            own, self.readings.axis[self.setup == setup], self.instrument_priors
-        )
+        setup, axis = self.readings.setups[number], self.readings.axis[self.setup == number]
+        return setup.observation.nuisance_sds(setup, axis, self.instrument_priors)
 
-    def nuisances(self, seen: ReadingPoses) -> NuisanceBlock:
-        """Return what each setup's instrument brings, setup by setup for each of its numbers, and
-        once what setups have together.
+    def nuisances(self, reading_poses: ReadingPoses) -> NuisanceBlock:
+        """Return the nuisances of all instruments: number by number, each for all setups; nuisances
+        that setups share have one column.
         """
         n, columns, sd = len(self.readings), list[Array](), list[float]()
-        together = dict[tuple[int, str], int]()
-        known = [self.nuisance_sd(k) for k in range(len(self.readings.setups))]
-        for j in range(max(map(len, known), default=0)):
-            for k, own in enumerate(known):
-                if j >= len(own) or own[j] == 0:
+        shared_columns = dict[tuple[int, str], int]()
+        sd_by_setup = [self.nuisance_sd(k) for k in range(len(self.readings.setups))]
+        for j in range(max(map(len, sd_by_setup), default=0)):
+            for k, setup_sd in enumerate(sd_by_setup):
+                if j >= len(setup_sd) or setup_sd[j] == 0:
                     continue
                 column = np.zeros(n)
                 rows = self.setup == k
-                column[rows] = seen.nuisance_jacobian[rows, j]
-                if np.abs(column).max(initial=0.0) == 0:  # what no row shows is no nuisance
+                column[rows] = reading_poses.nuisance_jacobian[rows, j]
+                if not column.any():  # without effect on any row
                     continue
                 setup = self.readings.setups[k]
                 if name := setup.observation.shared_nuisance_name(setup, j):
-                    at = together.setdefault((j, name), len(columns))
-                    if at < len(columns):
-                        columns[at] = columns[at] + column
+                    index = shared_columns.setdefault((j, name), len(columns))
+                    if index < len(columns):
+                        columns[index] = columns[index] + column
                         continue
                 columns.append(column)
-                sd.append(float(own[j]))
+                sd.append(float(setup_sd[j]))
         return NuisanceBlock(np.array(columns).reshape(-1, n).T, np.array(sd))
 
     # Its noise -----------------------------------------------------------------------------
 
     def with_roughness(self, machine: Machine) -> Factor:
-        """Return the same with the noise that plates' roughness shows, where none was declared."""
+        """Return the factor with noise from the plates' roughness, where none was declared."""
         r, p = self.readings, machine.forward(self.readings.command) + self.readings.beside
-        sigma, shown = self.sigma.copy(), self.noise.from_repeats.copy()
-        off_surface = np.zeros(len(r))
+        sigma, from_repeats = self.sigma.copy(), self.noise.from_repeats.copy()
+        outlier_height = np.zeros(len(r))
         for k, setup in enumerate(r.setups):
             rows = self.setup == k
             if not setup.observation.touches:
                 continue
             height = p[rows, 2] - r.reading[rows]
-            rough, off = roughness(self.normalized_plate_xy[rows], height, r.approach[rows])
-            most = np.minimum(rough, MAX_NOISE_RATIO * self.noise.expected[rows])
-            rougher = ~np.isfinite(r.sigma[rows]) & (most > sigma[rows])
-            sigma[rows], shown[rows] = np.where(rougher, most, sigma[rows]), shown[rows] | rougher
+            xy = self.normalized_plate_xy[rows]
+            plate_noise, outliers = roughness(xy, height, r.approach[rows])
+            capped = np.minimum(plate_noise, MAX_NOISE_RATIO * self.noise.expected[rows])
+            rougher = ~np.isfinite(r.sigma[rows]) & (capped > sigma[rows])
+            sigma[rows] = np.where(rougher, capped, sigma[rows])
+            from_repeats[rows] |= rougher
             if np.bincount(self.station[rows]).max(initial=0) <= 1:
-                off_surface[rows] = off
-        noise = replace(self.noise, sigma=sigma, from_repeats=shown)
-        return replace(self, noise=noise, outlier_height=off_surface)
+                outlier_height[rows] = outliers
+        noise = replace(self.noise, sigma=sigma, from_repeats=from_repeats)
+        return replace(self, noise=noise, outlier_height=outlier_height)
 
     def without_outlying_touches(self, machine: Machine) -> Factor:
-        """Return the same without touches that are none of their surface, which it names."""
+        """Return the factor without outlying touches, with a sentence on each."""
         if not self.outlier_height.any():
             return self
-        kept, r = self.outlier_height == 0, self.readings
+        rows_kept, r = self.outlier_height == 0, self.readings
         p = machine.forward(r.command) + r.beside
-        said = list[str]()
-        for k in np.flatnonzero(~kept):
-            off = self.outlier_height[k] * 1e3
-            above = off > 0
-            what = "a speck on the plate" if above else "a dent in the plate"
+        sentences = list[str]()
+        for k in np.flatnonzero(~rows_kept):
+            height = self.outlier_height[k] * 1e3
+            above = height > 0
+            cause = "a speck on the plate" if above else "a dent in the plate"
             name = r.setups[r.setup[k]].name
-            said.append(
+            sentences.append(
                 f"{source(r)}, line {r.line[k]}, setup {name!r}: the touch at x "
-                f"{plain(p[k, 0] * 1e3, 0)}, y {plain(p[k, 1] * 1e3, 0)} mm is {abs(off):.2f} mm "
-                f"{'above' if above else 'below'} the surface of all others, as {what} or a bad "
+                f"{plain(p[k, 0] * 1e3, 0)}, y {plain(p[k, 1] * 1e3, 0)} mm is "
+                f"{abs(height):.2f} mm "
+                f"{'above' if above else 'below'} the surface of all others, as {cause} or a bad "
                 f"touch is, and does not count: {'clean' if above else 'look at'} the plate and "
                 f"probe again"
             )
-        return replace(self.subset(kept), exclusion_sentences=tuple(said))
+        return replace(self.subset(rows_kept), exclusion_sentences=tuple(sentences))
 
-    def noise_and_expected(self, setup: int) -> tuple[float, float]:
-        """Return the noise of a setup's readings, and what is usual of them: root mean squares."""
-        rows = self.setup == setup
-        each = (self.noise.total, self.noise.expected)
-        own, usual = (float(np.sqrt(np.mean(s[rows] ** 2))) for s in each)
-        return own, usual
+    def noise_and_expected(self, number: int) -> tuple[float, float]:
+        """Return the root mean squares of a setup's noise, and of its expected noise."""
+        sigmas = np.stack([self.noise.total, self.noise.expected])[:, self.setup == number]
+        noise, expected = np.sqrt(np.mean(sigmas**2, axis=1)).tolist()
+        return noise, expected
 
     def noise_by_kind(self) -> Iterator[tuple[str, Array, NoiseSource]]:
-        """Yield each kind of readings with the standard deviations of its rows ``(n,)``, all
-        counted, and where they come from; what a plate's roughness says is said by repeats, too.
+        """Yield each kind of readings with the total standard deviations of its rows ``(n,)`` and
+        their source; a plate's roughness counts as repeats.
         """
         for kind in dict.fromkeys(self.readings.kind):
             rows = self.readings.of_kind(kind) & self.noise.weighted
-            told = np.isfinite(self.readings.sigma[rows]).all()
-            shown = self.noise.from_repeats[rows].any()
-            where: NoiseSource = "declared" if told else "repeats" if shown else "machine"
-            yield kind, self.noise.total[rows], where
+            declared = np.isfinite(self.readings.sigma[rows]).all()
+            from_repeats = self.noise.from_repeats[rows].any()
+            found: NoiseSource = "repeats" if from_repeats else "machine"
+            yield kind, self.noise.total[rows], "declared" if declared else found
 
     @cached_property
     def repeat_dof(self) -> tuple[tuple[int, int], ...]:
-        """How many readings have their noise from repeats, by kind, and the degrees of freedom
-        behind it.
-        """
-        kinds = [
-            (kind, len(own)) for kind, own, where in self.noise_by_kind() if where == "repeats"
-        ]
-        of = self.readings
-        each = (repeat_variance([of.subset(of.of_kind(kind))]) for kind, _ in kinds)
-        found = zip(kinds, each, strict=True)
-        return tuple((n, dof) for (_, n), (_, dof) in found if dof >= MIN_REPEAT_DOF)
+        """Number of readings whose noise is from repeats, by kind, with its degrees of freedom."""
+        counts = list[tuple[int, int]]()
+        for kind, sigma, origin in self.noise_by_kind():
+            if origin == "repeats":
+                readings = self.readings.subset(self.readings.of_kind(kind))
+                counts.append((len(sigma), repeat_variance([readings])[1]))
+        return tuple((n, dof) for n, dof in counts if dof >= MIN_REPEAT_DOF)
 
     @property
     def noise_capped(self) -> NDArray[np.bool_]:
-        """Readings ``(n,)`` whose noise is the largest roughness that is assumed of a plate, as
-        their heights scatter by more.
-        """
-        return np.asarray(
-            self.readings.touching & (self.sigma == MAX_NOISE_RATIO * self.noise.expected)
-        )
+        """Touches ``(n,)`` whose noise is capped: their heights scatter by more than that."""
+        capped = self.sigma == MAX_NOISE_RATIO * self.noise.expected
+        return np.asarray(self.readings.touching & capped)
 
-    def approach_known(self, setup: int) -> bool:
-        """Return whether it is known from which side a setup's places were come to, on every axis;
-        of distances, which have two ends, it never is, and is not asked.
+    def approach_known(self, number: int) -> bool:
+        """Return whether the approach of every axis was recorded in a setup; true of distances, for
+        which it is not needed.
         """
-        approach = self.readings.approach[self.setup == setup]
-        return self.readings.setups[setup].observation.paired or bool(approach.all())
+        approach = self.readings.approach[self.setup == number]
+        return self.readings.setups[number].observation.paired or bool(approach.all())
 
 
 def machine_instrument_priors(machine: Machine, frame: Frame = "rigid") -> InstrumentPriors:
-    """Return what a machine file says of how instruments stand."""
+    """Return the priors of placements in a machine file."""
     return InstrumentPriors(machine.spec.dial.placement, machine.spec.surface_slope or 0.0, frame)
 
 
 def _normalized_plate_xy(readings: Readings, p: Array) -> Array:
-    """Places over the largest measured radius of each plate, along axes that turn with it."""
-    place = p[:, :2].copy()
+    """Return places over the largest measured radius of each plate, along axes of the plate."""
+    xy = p[:, :2].copy()
     for k, setup in enumerate(readings.setups):
         rows = readings.setup == k
-        place[rows] /= np.hypot(*p[rows, :2].T).max(initial=1e-3)
+        xy[rows] /= np.hypot(*p[rows, :2].T).max(initial=1e-3)
         angle = np.deg2rad(setup.turned)
-        place[rows] = place[rows] @ np.array(
-            [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-        )
-    return place
+        sine, cosine = np.sin(angle), np.cos(angle)
+        xy[rows] = xy[rows] @ np.array([[cosine, -sine], [sine, cosine]])
+    return xy

@@ -2,8 +2,7 @@
 
 Minimised is ``|V (y - f(x) - U z)|^2 + |W x - t|^2 + sum(precision z^2)``, where ``V`` weighs rows
 by their noise (see `fit.weighing`), ``U`` holds the nuisances of all factors (see `fit.factors`),
-and ``W``, ``t`` what is known before. The
-nuisances z are linear and are projected out.
+and ``W``, ``t`` are the priors. The nuisances z are linear and are projected out.
 """
 
 from __future__ import annotations
@@ -29,37 +28,35 @@ class Linearised:
     """Predicted rows around one point."""
 
     x: Array  # unknowns (P,), SI
-    value: Array  # rows (n,), nuisances apart, metres
+    value: Array  # rows (n,), without nuisances, metres
     jacobian: Array  # (n, P)
-    reading_poses: tuple[
-        ReadingPoses, ...
-    ]  # for each factor, what its instruments need to know of the poses
+    reading_poses: tuple[ReadingPoses, ...]  # poses in which each factor's readings are taken
 
 
 def linearise(problem: Problem, x: Array) -> Linearised:
-    """Predicted rows of all factors and their derivatives, by the general mechanism."""
-    found = []
+    """Return the predicted rows of all factors and their derivatives."""
+    by_factor = []
     for k, factor in enumerate(problem.factors):
         names, matrix = problem.elementary_parameters(k)
         linear = factor.linearise(problem.machine.model, problem.values(k, x), names)
-        found.append((linear.value, linear.jacobian @ matrix, linear.reading_poses))
-    values, jacobians, seen = zip(*found, strict=True)
-    return Linearised(x, np.concatenate(values), np.concatenate(jacobians), seen)
+        by_factor.append((linear.value, linear.jacobian @ matrix, linear.reading_poses))
+    values, jacobians, reading_poses = zip(*by_factor, strict=True)
+    return Linearised(x, np.concatenate(values), np.concatenate(jacobians), reading_poses)
 
 
 def predict(problem: Problem, x: Array) -> Array:
-    """Predicted rows ``(n,)`` of all factors, nuisances apart, by the general mechanism."""
+    """Return the predicted rows ``(n,)`` of all factors, without nuisances."""
     model = problem.machine.model
     return np.concatenate(
         [f.predict(model, problem.values(k, x)) for k, f in enumerate(problem.factors)]
     )
 
 
-def update_instrument_poses(problem: Problem, at: Linearised) -> Problem:
-    """The problem with instruments' frames brought to a machine; itself where they are there."""
+def update_instrument_poses(problem: Problem, linear: Linearised) -> Problem:
+    """Return the problem with instruments placed by a machine; itself if their poses stay."""
     factors = tuple(
-        f if f.on_legs else f.with_instrument_poses(seen)
-        for f, seen in zip(problem.factors, at.reading_poses, strict=True)
+        f if f.on_legs else f.with_instrument_poses(poses)
+        for f, poses in zip(problem.factors, linear.reading_poses, strict=True)
     )
     if all(new is old for new, old in zip(factors, problem.factors, strict=True)):
         return problem
@@ -67,13 +64,13 @@ def update_instrument_poses(problem: Problem, at: Linearised) -> Problem:
 
 
 def project_out(basis: Array, rows: Array) -> Array:
-    """Rows ``(m, ...)`` without their part along orthonormal columns ``(m, q)``."""
+    """Return rows ``(m, ...)`` without their part along orthonormal columns ``(m, q)``."""
     return np.asarray(rows - basis @ (basis.T @ rows))
 
 
 def whiten_and_project(weighing: Weighing, basis: Array, rows: Array) -> Array:
-    """Rows ``(n, ...)``, metres, in units of their noise, past orthonormal columns ``(m, q)`` that
-    have more rows, of what is known before: ``(m, ...)``.
+    """Return rows ``(n, ...)``, metres, whitened and without their part along orthonormal columns
+    ``(m, q)``, whose rows beyond ``n`` are those of priors: ``(m, ...)``.
     """
     padded = np.zeros((len(basis), *rows.shape[1:]))
     padded[: len(rows)] = weighing.whiten(rows)
@@ -85,7 +82,7 @@ class Nuisances:
     """Columns that the rows contain besides the model."""
 
     columns: Array  # (n, k), factor by factor
-    precision: Array  # about zero (k,): 0 where nothing is known of one
+    precision: Array  # prior precision about zero (k,); 0 without a prior
     weighing: Weighing  # the noise of the rows
 
     @cached_property
@@ -112,21 +109,18 @@ class Nuisances:
         """Return rows ``(n, ...)``, whitened and projected past the nuisances ``(n + k, ...)``."""
         return whiten_and_project(self.weighing, self.basis, rows)
 
-    def explained_residual(self, rest: Array) -> Array:
+    def explained_residual(self, residual: Array) -> Array:
         """Return the part of residuals ``(n, ...)`` that the nuisances explain, metres."""
-        basis = self.basis[: len(rest)]
-        return self.weighing.metres(basis @ (basis.T @ self.weighing.whiten(rest)))
+        basis = self.basis[: len(residual)]
+        return self.weighing.metres(basis @ (basis.T @ self.weighing.whiten(residual)))
 
 
-def nuisances(problem: Problem, seen: tuple[ReadingPoses, ...]) -> Nuisances:
-    """Nuisances of all factors, by what a linearisation saw; they are frozen for a fit."""
-    blocks = [f.nuisances(s) for f, s in zip(problem.factors, seen, strict=True)]
-    widths = np.cumsum([0, *(b.columns.shape[1] for b in blocks)])
-    columns = np.zeros((len(problem.measured), int(widths[-1])))
-    for block, rows, first, end in zip(
-        blocks, problem.factor_rows, widths[:-1], widths[1:], strict=True
-    ):
-        columns[rows, first:end] = block.columns
+def nuisances(problem: Problem, reading_poses: tuple[ReadingPoses, ...]) -> Nuisances:
+    """Return the nuisances of all factors, frozen at the poses of a linearisation."""
+    from scipy.linalg import block_diag
+
+    blocks = [f.nuisances(poses) for f, poses in zip(problem.factors, reading_poses, strict=True)]
+    columns = block_diag(*(block.columns for block in blocks))
     if problem.free_form_errors is not None:
         columns = np.hstack([columns, problem.free_form_errors.columns])
         blocks.append(problem.free_form_errors)
@@ -140,8 +134,8 @@ class NormalEquations:
 
     residual: Array  # (n + k,), dimensionless
     jacobian: Array  # (n + k, P), a unit of SI
-    prior: Array  # rows of what is known before (q, P)
-    target: Array  # what these should give (q,)
+    prior: Array  # rows of the priors (q, P)
+    target: Array  # their expected values (q,)
     x: Array  # (P,)
 
     @property
@@ -161,8 +155,8 @@ class NormalEquations:
     @property
     def gradient(self) -> Array:
         """Half the gradient of the cost by the unknowns ``(P,)``."""
-        known = self.prior.T @ (self.prior @ self.x - self.target)
-        return np.asarray(known - self.jacobian.T @ self.residual)
+        prior_gradient = self.prior.T @ (self.prior @ self.x - self.target)
+        return np.asarray(prior_gradient - self.jacobian.T @ self.residual)
 
     @property
     def information(self) -> Array:
@@ -171,142 +165,130 @@ class NormalEquations:
 
     @property
     def hat_eigenvalues(self) -> Array:
-        """Eigenvalues of the hat matrix ``(P,)``: how far the data determine the unknowns."""
-        scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
-        full = self.information / scale / scale[:, None]
+        """Eigenvalues of the hat matrix ``(P,)``: shares of unknowns that the data determine."""
+        information = self.information
+        scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
         data = self.jacobian.T @ self.jacobian / scale / scale[:, None]
-        hat = np.linalg.lstsq(full, data, rcond=1e-14)[0]
+        hat = np.linalg.lstsq(information / scale / scale[:, None], data, rcond=1e-14)[0]
         return np.asarray(np.clip(np.linalg.eigvals(hat).real, 0.0, 1.0))
 
 
-def normal_equations(problem: Problem, at: Linearised, nuisance: Nuisances) -> NormalEquations:
-    """The projected problem at a linearisation."""
-    residual = nuisance.project(problem.measured - at.value)
-    jacobian = nuisance.project(at.jacobian)
-    return NormalEquations(residual, jacobian, *problem.prior_rows, at.x)
+def normal_equations(problem: Problem, linear: Linearised, nuisance: Nuisances) -> NormalEquations:
+    """Return the projected problem at a linearisation."""
+    residual = nuisance.project(problem.measured - linear.value)
+    jacobian = nuisance.project(linear.jacobian)
+    return NormalEquations(residual, jacobian, *problem.prior_rows, linear.x)
 
 
 def joint_prior_rows(problem: Problem, nuisance: Nuisances) -> Array:
-    """Rows of what is known before, of unknowns and nuisances ``(q + k, P + k)``."""
+    """Return the rows of the priors of unknowns and nuisances ``(q + k, P + k)``."""
     from scipy.linalg import block_diag
 
     matrix, _ = problem.prior_rows
     return np.asarray(block_diag(matrix, nuisance.augmented[len(problem.measured) :]))
 
 
-def fitted_basis(problem: Problem, nuisance: Nuisances, at: Linearised) -> Array:
-    """Orthonormal columns of everything fitted, with its priors ``(n + q + k, P + k)`` or fewer.
+def fitted_basis(problem: Problem, nuisance: Nuisances, linear: Linearised) -> Array:
+    """Return orthonormal columns of all fitted parameters with their priors
+    ``(n + q + k, P + k)``, or fewer columns.
 
     The first ``n`` rows are those of the readings: their squares sum to the leverage.
     """
-    every = np.hstack([at.jacobian, nuisance.columns])
-    return orthonormal(
-        np.vstack([nuisance.weighing.whiten(every), joint_prior_rows(problem, nuisance)])
-    )
+    columns = nuisance.weighing.whiten(np.hstack([linear.jacobian, nuisance.columns]))
+    return orthonormal(np.vstack([columns, joint_prior_rows(problem, nuisance)]))
 
 
 def orthonormal(columns: Array) -> Array:
-    """Return orthonormal columns ``(m, rank)`` that span some columns ``(m, k)``, which are scaled
-    in place: of many readings a copy would be large.
+    """Return orthonormal columns ``(m, rank)`` that span ``columns`` ``(m, k)``; these are scaled
+    in place to save memory.
 
-    A setup may have fewer readings than numbers. A column that follows from those before it adds
-    nothing, and left in, its rounding would become a direction of other readings.
+    A setup may have fewer readings than nuisances. Columns that depend on those before are left
+    out: their rounding errors would become directions of other readings.
     """
     scale = np.linalg.norm(columns, axis=0)
     columns /= np.where(scale > 0, scale, 1.0)
     basis, triangle = np.linalg.qr(columns)
-    new = np.abs(np.diag(triangle)) > _RANK_TOLERANCE
-    return basis if new.all() else np.linalg.qr(columns[:, new])[0]
+    independent = np.abs(np.diag(triangle)) > _RANK_TOLERANCE
+    return basis if independent.all() else np.linalg.qr(columns[:, independent])[0]
 
 
 def covariance(jacobian: Array, prior: Array) -> tuple[Array, Array]:
-    """Covariance of the unknowns and the directions that nothing determines.
-
-    Columns are scaled to unit length first, so that units do not matter.
+    """Return the covariance ``(P, P)`` of the unknowns, of its determined part, and the directions
+    ``(u, P)`` that nothing determines, SI.
 
     Args:
         jacobian: whitened, projected ``(m, P)``.
-        prior: rows of what is known before ``(q, P)``.
-
-    Returns:
-        Covariance ``(P, P)`` (of the determined part) and undetermined directions ``(u, P)``, SI.
+        prior: rows of the priors ``(q, P)``.
     """
     augmented = np.vstack([jacobian, prior, np.zeros((jacobian.shape[1],) * 2)])
+    # Columns are scaled to unit length, so that units do not matter.
     scale = np.linalg.norm(augmented, axis=0)
-    blind = scale <= 0
-    scale = np.where(blind, 1.0, scale)
-    _, singular, right = np.linalg.svd(augmented / scale, full_matrices=False)
-    seen = singular > 1e-7 * max(float(singular.max(initial=0.0)), 1e-300)
-    root = (right[seen].T / singular[seen]) / scale[:, None]
-    unseen = right[~seen] / scale
-    return root @ root.T, unseen
+    scale = np.where(scale <= 0, 1.0, scale)
+    _, singular, directions = np.linalg.svd(augmented / scale, full_matrices=False)
+    determined = singular > 1e-7 * max(float(singular.max(initial=0.0)), 1e-300)
+    root = (directions[determined].T / singular[determined]) / scale[:, None]
+    return root @ root.T, directions[~determined] / scale
 
 
-# An unknown whose sigma is ten times what it would be alone hides behind others.
-_WEAK_SINGULAR_VALUE = 0.1
-_REPORTED_SHARE = 0.05
-# Of what the unknown seen best shows at its tolerance: less is rounding.
-_ROUNDING_SHARE = 1e-9
-# Singular value of unit columns below which a direction shows nothing but rounding.
-_UNSEEN_SINGULAR_VALUE = 1e-6
+_WEAK_SINGULAR_VALUE = 0.1  # an unknown whose sigma is ten times that of it alone is weak
+_UNSEEN_SINGULAR_VALUE = 1e-6  # of unit columns: below it a direction shows rounding only
+_REPORTED_SHARE = 0.05  # of the largest component of a direction: smaller ones are not reported
+_ROUNDING_SHARE = 1e-9  # of the largest effect at tolerance: less is rounding
 
 
 def weak_directions(
     problem: Problem, jacobian: Array, covariance: Array, *, scale: float = 1.0
 ) -> tuple[WeakDirection, ...]:
-    """Find the weak directions.
+    """Return the directions that the readings hardly determine, weakest first.
 
     Args:
-        problem: whose unknowns these are.
-        jacobian: whitened and projected ``(m, P)``, SI, priors apart.
+        problem: gives the unknowns.
+        jacobian: whitened and projected ``(m, P)``, SI, without priors.
         covariance: of the unknowns as reported ``(P, P)``, SI, scaled.
         scale: of the reported sigmas.
-
-    Returns:
-        Weakest first; empty where every unknown is seen well.
     """
     names = problem.names
     norm = np.linalg.norm(jacobian, axis=0)
-    # An unknown of which only rounding shows is not seen at all.
-    shown = norm * problem.tolerance
-    norm = np.where(shown > _ROUNDING_SHARE * shown.max(initial=0.0), norm, 0.0)
-    seen = np.where(norm > 0, norm, 1.0)
+    # An unknown whose effect is rounding counts as without effect.
+    effect_size = norm * problem.tolerance
+    norm = np.where(effect_size > _ROUNDING_SHARE * effect_size.max(initial=0.0), norm, 0.0)
+    column_norm = np.where(norm > 0, norm, 1.0)
     # Rows of zeros let fewer readings than unknowns span all directions.
-    columns = np.where(norm > 0, jacobian, 0.0) / seen
+    columns = np.where(norm > 0, jacobian, 0.0) / column_norm
     padded = np.vstack([columns, np.zeros((len(names), len(names)))])
-    _, singular, right = np.linalg.svd(padded, full_matrices=False)
+    _, singular, right_vectors = np.linalg.svd(padded, full_matrices=False)
     weak = singular < _WEAK_SINGULAR_VALUE
     if not weak.any():
         return ()
-    # In SI, where the basis has the fewest unknowns a direction, so that legs stand apart.
-    blind = singular < _UNSEEN_SINGULAR_VALUE
-    found = []
-    for k, direction in enumerate(canonical_basis(right[weak] / seen, right[blind] / seen)):
-        left = float(np.linalg.norm(columns @ (direction * seen)))
-        sigma = scale / left if k >= blind.sum() else float("inf")
+    # In SI the basis has the fewest unknowns a direction, which separates the legs.
+    unseen, right_vectors = singular < _UNSEEN_SINGULAR_VALUE, right_vectors / column_norm
+    directions = []
+    for k, direction in enumerate(canonical_basis(right_vectors[weak], right_vectors[unseen])):
+        response = float(np.linalg.norm(columns @ (direction * column_norm)))
+        sigma = scale / response if k >= unseen.sum() else float("inf")
         with_priors = float(np.sqrt(max(direction @ covariance @ direction, 0.0)))
-        size = np.abs(direction)
-        unit = problem.machine.catalogue.effect_of(names[largest(size)]).unit
-        kept = np.flatnonzero(size >= _REPORTED_SHARE * size.max())
-        sign = np.sign(direction[kept[0]])
-        shares: dict[str, float] = {names[k]: float(sign * direction[k]) for k in kept}
-        found.append(WeakDirection(shares, sigma / unit.si, with_priors / unit.si, unit.name))
+        magnitude = np.abs(direction)
+        unit = problem.machine.catalogue.effect_of(names[largest(magnitude)]).unit
+        reported = np.flatnonzero(magnitude >= _REPORTED_SHARE * magnitude.max())
+        sign = np.sign(direction[reported[0]])
+        shares: dict[str, float] = {names[j]: float(sign * direction[j]) for j in reported}
+        directions.append(WeakDirection(shares, sigma / unit.si, with_priors / unit.si, unit.name))
     # Sigmas range over decades: equal are those of nearly equal logarithm.
-    return tuple(ranked(found, lambda d: float(np.log(d.sigma)), RELATIVE_MARGIN))
+    return tuple(ranked(directions, lambda d: float(np.log(d.sigma)), RELATIVE_MARGIN))
 
 
 def explained_by_two(
-    one: Array, two: Array, cross: Array, x: Array, y: Array
+    first: Array, second: Array, cross: Array, x: Array, y: Array
 ) -> tuple[Array, Array]:
-    """What two columns with normal priors of size one explain of a residual, and the determinant of
-    ``1 + A^T A``, which is no less than 1: where both show the same, rounding may leave less.
+    """Return the square that two columns with standard normal priors explain of a residual, and the
+    determinant of ``1 + A^T A``, kept at 1 or more where rounding makes it less.
 
     Args:
-        one: square of the first column, and 1.
-        two: of the second.
-        cross: their product.
-        x: of the first and the residual.
-        y: of the second and it.
+        first: square of the first column, plus 1.
+        second: square of the second column, plus 1.
+        cross: product of the columns.
+        x: product of the first column and the residual.
+        y: product of the second column and the residual.
     """
-    spread = np.maximum(one * two - cross**2, 1.0)
-    return (x**2 * two + y**2 * one - 2 * x * y * cross) / spread, spread
+    spread = np.maximum(first * second - cross**2, 1.0)
+    return (x**2 * second + y**2 * first - 2 * x * y * cross) / spread, spread

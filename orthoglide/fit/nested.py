@@ -24,53 +24,48 @@ from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
 
 _MAX_STEPS = 60
-# Steps, in standard deviations of what the readings leave of each unknown: digits that are printed
-# do not depend on where a fit started.
+# Steps, in standard deviations of each unknown alone: the printed digits must not depend on the
+# start.
 _STEP_TOLERANCE = 1e-10
-_NEWTON_THRESHOLD = 1e-7  # steps from which second derivatives are not worth their time
-_ROUNDING_STEP = 1e-4  # steps that no longer shrink are rounding of the closures: times the misfit
-_COST_TOLERANCE = (
-    1e-9  # of the cost: less is lost in its rounding, and so are steps along weak directions
-)
-_SLOW_RATIO = 0.3  # Gauss-Newton that shrinks its steps less than this is worth second derivatives
+_NEWTON_THRESHOLD = 1e-7  # steps below which second derivatives are not worth their time
+_ROUNDING_STEP = 1e-4  # smaller steps that stop shrinking are rounding; times the misfit
+_COST_TOLERANCE = 1e-9  # of the cost: smaller changes, by weak directions too, are rounding
+_SLOW_RATIO = 0.3  # ratio of successive Gauss-Newton steps from which Newton's are tried
 
 
 def solve_nested(
     problem: Problem, nuisance: Nuisances, start: Linearised
 ) -> tuple[Linearised, int]:
-    """Minimise the cost over the unknowns, from the linearisation ``start``.
+    """Return the linearisation at the minimum of the cost, and the number of steps from ``start``.
 
-    Gauss-Newton, and Newton with differenced gradients where that is slow: along weak directions
-    the curvature of the model outweighs the readings.
-
-    Returns:
-        The linearisation where it ended, and how many steps that took.
+    Steps are Gauss-Newton's, or Newton's with differenced gradients where those converge slowly:
+    along weak directions the curvature of the model outweighs the readings.
 
     Raises:
-        SolverError: where the steps do not settle.
+        SolverError: where the steps do not converge.
     """
-    at, previous, cost = start, np.inf, np.inf
+    linear, previous, cost = start, np.inf, np.inf
     for iteration in range(_MAX_STEPS):
-        here = normal_equations(problem, at, nuisance)
-        # On its bound and pushed outward an unknown stays; the others settle among themselves.
-        free = np.flatnonzero(~(problem.on_bound(at.x) & (here.gradient * at.x < 0)))
-        scale = 1 / np.sqrt(np.maximum(np.diag(here.information), 1e-300))[free]
-        slope = float(np.max(np.abs(here.gradient[free]) * scale, initial=0.0))
-        step = np.zeros(len(at.x))
-        inner = here.information[np.ix_(free, free)] * scale * scale[:, None]
-        right = -here.gradient[free] * scale
-        step[free] = scale * np.linalg.lstsq(inner, right, rcond=1e-14)[0]
+        equations = normal_equations(problem, linear, nuisance)
+        # An unknown that the gradient pushes against its bound stays there.
+        free = np.flatnonzero(~(problem.on_bound(linear.x) & (equations.gradient * linear.x < 0)))
+        scale = 1 / np.sqrt(np.maximum(np.diag(equations.information), 1e-300))[free]
+        descent = -equations.gradient[free] * scale
+        slope = float(np.max(np.abs(descent), initial=0.0))
+        step = np.zeros(len(linear.x))
+        information = equations.information[np.ix_(free, free)] * scale * scale[:, None]
+        step[free] = scale * np.linalg.lstsq(information, descent, rcond=1e-14)[0]
         size = float(np.max(np.abs(step[free]) / scale, initial=0.0))
-        if slope > _NEWTON_THRESHOLD and size > _NEWTON_THRESHOLD and size > _SLOW_RATIO * previous:
-            step[free] = _newton_step(problem, nuisance, here, free, scale)
+        if min(slope, size) > _NEWTON_THRESHOLD and size > _SLOW_RATIO * previous:
+            step[free] = _newton_step(problem, nuisance, equations, free, scale)
             size = float(np.max(np.abs(step[free]) / scale))
-        misfit = max(1.0, float(np.sqrt(here.cost / len(problem.measured))))
-        flat = slope <= _NEWTON_THRESHOLD and here.cost > cost * (1 - _COST_TOLERANCE)
+        misfit = max(1.0, float(np.sqrt(equations.cost / len(problem.measured))))
+        flat = slope <= _NEWTON_THRESHOLD and equations.cost > cost * (1 - _COST_TOLERANCE)
         stalled = size >= previous / 2 and (flat or size <= _ROUNDING_STEP * misfit)
         if size <= _STEP_TOLERANCE or stalled:
-            return at, iteration
-        at = linearise(problem, _line_search(problem, nuisance, here, step))
-        previous, cost = size, here.cost
+            return linear, iteration
+        linear = linearise(problem, _line_search(problem, nuisance, equations, step))
+        previous, cost = size, equations.cost
     raise SolverError(
         "the identification did not settle; free fewer parameters, or keep the priors",
         evidence={"last_step_in_sigmas": size},
@@ -78,40 +73,38 @@ def solve_nested(
 
 
 def _newton_step(
-    problem: Problem,
-    nuisance: Nuisances,
-    here: NormalEquations,
-    free: NDArray[np.intp],
+    problem: Problem, nuisance: Nuisances, equations: NormalEquations, free: NDArray[np.intp],
     scale: Array,
-) -> Array:
+) -> Array:  # fmt: skip
+    """Return a Newton step of the ``free`` unknowns, its Hessian from differenced gradients."""
     hessian = np.empty((len(free), len(free)))
     for column, k in enumerate(free):
         # Small against the curvature of the machine, large against rounding.
         width = max(1e-2 * scale[column], 1e-4 * problem.tolerance[k])
         ends = []
         for side in (1, -1):
-            x = here.x.copy()
+            x = equations.x.copy()
             x[k] += side * width
             ends.append(normal_equations(problem, linearise(problem, x), nuisance).gradient[free])
         hessian[:, column] = (ends[0] - ends[1]) / (2 * width)
     hessian = (hessian + hessian.T) / 2 * scale * scale[:, None]
     values, vectors = np.linalg.eigh(hessian)
-    # Modulus and floor keep the step a descent where the cost is not convex.
-    turned = vectors.T @ (-here.gradient[free] * scale)
-    return scale * (vectors @ (turned / np.maximum(np.abs(values), 1e-8)))
+    # Absolute value and floor keep the step a descent where the cost is not convex.
+    rotated = vectors.T @ (-equations.gradient[free] * scale)
+    return scale * (vectors @ (rotated / np.maximum(np.abs(values), 1e-8)))
 
 
 def _line_search(
-    problem: Problem, nuisance: Nuisances, here: NormalEquations, step: Array
+    problem: Problem, nuisance: Nuisances, equations: NormalEquations, step: Array
 ) -> Array:
-    """Halve the step until the cost falls; unknowns stay within their bounds."""
-    allowed = here.cost + _COST_TOLERANCE * max(here.cost, 1.0)
+    """Return the unknowns, within their bounds, after a step halved until the cost falls."""
+    allowed = equations.cost + _COST_TOLERANCE * max(equations.cost, 1.0)
     factor = min(1.0, float(np.min(problem.bound / np.maximum(np.abs(step), 1e-300))))
     for _ in range(30):
-        x = np.clip(here.x + factor * step, -problem.bound, problem.bound)
+        x = np.clip(equations.x + factor * step, -problem.bound, problem.bound)
         with suppress(ClosureError):
             residual = nuisance.project(problem.measured - predict(problem, x))
-            if float(residual @ residual) + here.prior_chi2(x) <= allowed:
+            if float(residual @ residual) + equations.prior_chi2(x) <= allowed:
                 return x
         factor /= 2
-    return np.asarray(np.clip(here.x + factor * step, -problem.bound, problem.bound))
+    return np.asarray(np.clip(equations.x + factor * step, -problem.bound, problem.bound))

@@ -33,34 +33,31 @@ from orthoglide.observations.arrays import group_ids
 from orthoglide.units import NOISE_LIMITS
 
 NoiseSource = Literal["declared", "machine", "repeats"]
-"""Where a standard deviation comes from; ``machine``: the machine file, or what is usual."""
+"""Source of a standard deviation; ``machine``: the machine file, or the usual figure."""
 
 NO_WEIGHT = 1e6
-"""Factor on the standard deviation of a reading that is not to count."""
+"""Factor on the standard deviation of a reading without weight."""
 
 PUBLISHED_REPEATABILITY = LegDial.repeatability
-"""Metres: the repeatability stated in 2008, section 4.1; used where nothing better is known."""
+"""Metres: the repeatability stated in 2008, section 4.1; the default."""
 
-_NEGLIGIBLE_SHARE = 0.01  # share of a variance below which a part of it is not kept apart
-_SIGMAS_PER_STEP = 4.0  # sigmas within a step of the dial: no scatter makes two digits of one value
-_MEAN_RANGE = 2 / np.sqrt(np.pi)  # sigmas that two readings are apart, in the mean
-_MAX_EDGE_SHARE = (
-    0.25  # share of stations at such edges that is no chance, beside what scatter makes
-)
+_NEGLIGIBLE_SHARE = 0.01  # share of a variance below which a component is neglected
+_SIGMAS_PER_STEP = 4.0  # sigmas within a step of the dial: scatter alone shows one digit
+_MEAN_RANGE = 2 / np.sqrt(np.pi)  # mean difference of two readings, sigmas
+_MAX_EDGE_SHARE = 0.25  # share of stations at rounding edges, beyond those that scatter explains
 
 
 @dataclass(frozen=True, repr=False)
 class RowNoise:
     """Noise of the readings of one table."""
 
-    sigma: Array  # standard deviation of each (n,), metres or radians: what averaging reduces
+    sigma: Array  # standard deviation of each (n,), metres or radians, reduced by averaging
     # standard deviation of the rounding error that all visits to a station share; 0 where scatter
     # makes it independent (n,)
     common: Array
     step: Array  # of every reading's instrument, as far as it is counted (n,)
-    # what the machine file or the kind's default says, or what is declared (n,)
-    expected: Array
-    from_repeats: NDArray[np.bool_]  # whether repeats, or a plate's roughness, say it (n,)
+    expected: Array  # by declaration, machine file or default of the kind (n,)
+    from_repeats: NDArray[np.bool_]  # whether it is from repeats or a plate's roughness (n,)
     weighted: NDArray[np.bool_]  # whether the readings have any weight (n,)
 
     @property
@@ -70,10 +67,10 @@ class RowNoise:
 
     @classmethod
     def zeros(cls, n: int) -> RowNoise:
-        """Return the noise of ``n`` readings of which nothing is known yet: zeros, to be filled."""
+        """Return zeros for the noise of ``n`` readings, to be filled."""
         sigma, common, step, expected = np.zeros((4, n))
-        no = np.zeros(n, dtype=bool)
-        return cls(sigma, common, step, expected, no, ~no)
+        all_false = np.zeros(n, dtype=bool)
+        return cls(sigma, common, step, expected, all_false, ~all_false)
 
     def fill(self, rows: NDArray[Any], noise: RowNoise) -> None:
         """Put the noise of some rows in its place."""
@@ -92,8 +89,8 @@ class RowNoise:
 
     def without_weight(self, rows: NDArray[np.bool_]) -> RowNoise:
         """Return the noise with some rows ``(n,)``, booleans, without any weight."""
-        more = rows & self.weighted
-        sigma = np.where(more, NO_WEIGHT * self.sigma, self.sigma)
+        removed = rows & self.weighted
+        sigma = np.where(removed, NO_WEIGHT * self.sigma, self.sigma)
         return replace(self, sigma=sigma, weighted=self.weighted & ~rows)
 
 
@@ -132,13 +129,13 @@ class Noise:
 
 
 def instrument_of(spec: MachineFile, observation: Observation) -> Instrument:
-    """Return what a machine file says of the instrument of a kind of readings."""
-    own, dial = spec.instruments.get(observation.kind), spec.dial
-    if own is not None or not observation.dials:
-        return own or Instrument()
-    one = dial.repeatability
-    total = None if one is None else one * observation.dials**0.5
-    return Instrument(dial.resolution, total)
+    """Return the instrument of a kind of readings by the machine file."""
+    instrument, dial = spec.instruments.get(observation.kind), spec.dial
+    if instrument is not None or not observation.dials:
+        return instrument or Instrument()
+    dial_sigma = dial.repeatability
+    sigma = None if dial_sigma is None else dial_sigma * observation.dials**0.5
+    return Instrument(dial.resolution, sigma)
 
 
 def noise_of(
@@ -147,62 +144,61 @@ def noise_of(
     declared: float | None = None,
     steps: Sequence[Array] | None = None,
 ) -> tuple[Noise, tuple[RowNoise, ...]]:
-    """Return the noise of readings, and apart from it the rounding that averaging does not reduce.
+    """Return the noise of readings in one figure, and that of the rows of each table.
 
     A figure declared for the run counts first (of dials on legs, where there are any), then the
     ``sigma`` of the rows, then the machine file's repeatability, then the scatter of repeats
-    (successive differences, so that slow drift does not count), then what is usual of the kind.
-    What an instrument rounds away is added, and never less: step^2 / 12, where the step is the
-    instrument's, or the coarser one that its readings show.
+    (successive differences, so that slow drift does not count), then the usual figure of the kind.
+    The variance of rounding is added: step^2 / 12, where the step is the instrument's, or the
+    coarser one that its readings show.
 
     Args:
         given: tables of readings.
-        spec: of the machine, says how its instruments read.
+        spec: of the machine, with its instruments.
         declared: standard deviation of one reading, metres; replaces all others.
-        steps: of every reading's instrument, by table, each ``(n,)``, metres, where it is known.
+        steps: of every reading's instrument, by table, each ``(n,)``, metres; by default they are
+            found from the readings.
 
     Raises:
-        InputError: where ``declared`` is nothing that an instrument scatters by.
+        InputError: where ``declared`` is no plausible noise of an instrument.
     """
-    each = tuple(RowNoise.zeros(len(one)) for one in given)
-    on_legs = any(one.on_legs.any() for one in given)
+    row_noises = tuple(RowNoise.zeros(len(table)) for table in given)
+    on_legs = any(table.on_legs.any() for table in given)
     levels, noises = dict[str, NoiseLevel](), dict[str, Noise]()
-    of_kind = dict.fromkeys(o for one in given for o, _ in one.observations)
-    for observation in of_kind:
-        found = [(k, one.of_kind(observation.kind)) for k, one in enumerate(given)]
-        found = [(k, own) for k, own in found if own.any()]
-        tables = [given[k].subset(own) for k, own in found]
-        told = None if on_legs and not observation.on_leg else declared
-        known = None if steps is None else [steps[k][own] for k, own in found]
-        of = _KindNoise(observation, instrument_of(spec, observation), tables, told, known)
-        noises[observation.kind], levels[observation.kind] = of.summary, of.level
-        for (k, own), one in zip(found, of.rows(), strict=True):
-            each[k].fill(own, one)
-    first = next(iter(noises.values()), Noise(float("nan"), "machine", 0.0))
+    for observation in dict.fromkeys(o for table in given for o, _ in table.observations):
+        kind = observation.kind
+        chosen = [(k, table.of_kind(kind)) for k, table in enumerate(given)]
+        chosen = [(k, rows) for k, rows in chosen if rows.any()]
+        of_kind = _KindNoise(
+            observation,
+            instrument_of(spec, observation),
+            [given[k].subset(rows) for k, rows in chosen],
+            None if on_legs and not observation.on_leg else declared,
+            None if steps is None else [steps[k][rows] for k, rows in chosen],
+        )
+        noises[kind], levels[kind] = of_kind.summary, of_kind.level
+        for (k, rows), noise in zip(chosen, of_kind.rows(), strict=True):
+            row_noises[k].fill(rows, noise)
+    summary = next(iter(noises.values()), Noise(float("nan"), "machine", 0.0))
     if not on_legs:
-        first = _tool_noise(given, each, noises, first)
-    return replace(first, levels=levels), each
-
-
-def _tool_noise(
-    given: Sequence[Readings], rows: Sequence[RowNoise], noises: Mapping[str, Noise], first: Noise
-) -> Noise:
-    """The one figure of readings of the tool alone."""
-    typical = rms_noise(given, [r.total for r in rows]) if rows else first.typical
-    told = all(one.source == "declared" for one in noises.values())
-    return replace(first, typical=typical, source="declared" if told else "machine")
+        all_declared = all(noise.source == "declared" for noise in noises.values())
+        summary = replace(summary, source="declared" if all_declared else "machine")
+        if given:
+            typical = rms_noise(given, [noise.total for noise in row_noises])
+            summary = replace(summary, typical=typical)
+    return replace(summary, levels=levels), row_noises
 
 
 def rms_noise(given: Sequence[Readings], sigma: Sequence[Array]) -> float:
-    """Return the root mean square of the noise of lengths, or of turns where there are none.
+    """Return the root mean square of the noise of lengths, or of angles where there are none.
 
     Args:
         given: tables of readings.
         sigma: standard deviations of each ``(n,)``, metres or radians.
     """
-    every, turned = np.concatenate(sigma), np.concatenate([one.angular for one in given])
-    of = every[~turned] if (~turned).any() else every
-    return float(np.sqrt(np.mean(of**2)))
+    sigmas, angular = np.concatenate(sigma), np.concatenate([table.angular for table in given])
+    used = sigmas[~angular] if (~angular).any() else sigmas
+    return float(np.sqrt(np.mean(used**2)))
 
 
 class _KindNoise:
@@ -219,102 +215,102 @@ class _KindNoise:
         self._observation, self._instrument, self._declared = observation, instrument, declared
         self._tables = tables
         resolution = instrument.resolution or 0.0
-        self._steps = (
-            [_instrument_steps(one, resolution) for one in tables] if steps is None else steps
-        )
-        every = np.concatenate([np.zeros(0), *self._steps])
-        sizes, count = np.unique(every, return_counts=True)
+        if steps is None:
+            steps = [_instrument_steps(table, resolution) for table in tables]
+        self._steps, finest, finest_tables = steps, resolution, tables
+        sizes, count = np.unique(np.concatenate([np.zeros(0), *steps]), return_counts=True)
         self._commonest_step = float(sizes[np.argmax(count)]) if len(sizes) else resolution
-        fine, finest = (
-            readings_of_finest_step(tables, self._steps) if len(sizes) else (tables, resolution)
-        )
-        self.level = _noise_level(
-            fine, observation, replace(instrument, resolution=finest), declared
-        )
+        if len(sizes):
+            finest_tables, finest = readings_of_finest_step(tables, steps)
+        instrument = replace(instrument, resolution=finest)
+        self.level = _noise_level(finest_tables, observation, instrument, declared)
         # A declared noise may refer to averaged or unrounded readings: rounding is added to it only
         # if the instrument is known to round, and the readings lie on its grid.
         self._is_declared = self.level.source == "declared"
-        # Steps of tables whose readings all are multiples of them, else 0; readings that were not
-        # taken yet count as such.
-        rounds = resolution > 0
+        # Steps of tables whose readings, as far as taken, are multiples of them; else 0.
         self._counted_steps = [
-            s * bool(rounds and s.all() and not (off_grid(one.reading, s) > GRID_TOLERANCE).any())
-            for one, s in zip(tables, self._steps, strict=True)
+            step * float(resolution > 0 and step.all() and _is_rounded(table.reading, step))
+            for table, step in zip(tables, steps, strict=True)
         ]
 
     @property
     def summary(self) -> Noise:
         """Noise of all readings of the kind as one figure."""
-        counted = any(s.any() for s in self._counted_steps)
-        step = self._commonest_step if not self._is_declared or counted else 0.0
+        rounding_counted = any(steps.any() for steps in self._counted_steps)
+        step = self._commonest_step if not self._is_declared or rounding_counted else 0.0
         typical = float(self.level.for_step(np.array([step]))[0])
-        told = self.level.total if self._is_declared else float("nan")
-        return Noise(typical, self.level.source, self._commonest_step, self.level.dof, told)
+        declared = self.level.total if self._is_declared else float("nan")
+        return Noise(typical, self.level.source, self._commonest_step, self.level.dof, declared)
 
     def rows(self) -> Iterator[RowNoise]:
         """Yield the noise of the rows of each table."""
         # Whether any station is visited twice from the same side.
-        again = any(len(np.unique(one.stations, axis=0)) < len(one) for one in self._tables)
-        usual = self._instrument.repeatability or self._observation.repeatability
-        for table, size, own in zip(self._tables, self._steps, self._counted_steps, strict=True):
-            given = np.isfinite(table.sigma) & (self._declared is None)
-            rounding = np.where(given | self._is_declared, own, size)
+        any_repeats = any(len(np.unique(one.stations, axis=0)) < len(one) for one in self._tables)
+        repeatability = self._instrument.repeatability or self._observation.repeatability
+        each = zip(self._tables, self._steps, self._counted_steps, strict=True)
+        for table, step, counted_step in each:
+            everywhere = np.ones(len(table), dtype=bool)
+            has_sigma = np.isfinite(table.sigma) & (self._declared is None)
+            rounding = np.where(has_sigma | self._is_declared, counted_step, step)
             total = self.level.for_step(rounding)
-            common = _common_rounding(total, rounding) if again else np.zeros(len(table))
-            declared = np.hypot(table.sigma, rounding / np.sqrt(12))
-            total = np.where(given, declared, total)
+            common = _common_rounding(total, rounding) if any_repeats else np.zeros(len(table))
+            total = np.where(has_sigma, np.hypot(table.sigma, rounding / np.sqrt(12)), total)
             if common.any():
-                part = np.sqrt(np.maximum(total**2 - common**2, _NEGLIGIBLE_SHARE * total**2))
-                total = np.where(
-                    common > 0, _widen_at_rounding_edges(table, part, common, rounding), total
-                )
-            expected = np.hypot(usual, size / np.sqrt(12))
-            told = given if self._declared is None else np.ones(len(table), dtype=bool)
-            repeats = ~told & (self.level.source == "repeats")
-            weighted = np.ones(len(table), dtype=bool)
-            assumed = np.where(repeats, expected, total)
-            yield RowNoise(total, common, rounding, assumed, repeats, weighted)
+                scatter = np.sqrt(np.maximum(total**2 - common**2, _NEGLIGIBLE_SHARE * total**2))
+                widened = _widen_at_rounding_edges(table, scatter, common, rounding)
+                total = np.where(common > 0, widened, total)
+            expected = np.hypot(repeatability, step / np.sqrt(12))
+            is_declared = has_sigma if self._declared is None else everywhere
+            from_repeats = ~is_declared & (self.level.source == "repeats")
+            assumed = np.where(from_repeats, expected, total)
+            yield RowNoise(total, common, rounding, assumed, from_repeats, everywhere)
+
+
+def _is_rounded(readings: Array, step: Array) -> bool:
+    """Return whether readings ``(n,)`` that were taken are multiples of their steps ``(n,)``."""
+    return not (off_grid(readings, step) > GRID_TOLERANCE).any()
 
 
 def expected_sigma(given: Readings, spec: MachineFile) -> Array:
-    """Return the noise to reckon with before anything is read ``(n,)``, metres or radians."""
-    found = np.empty(len(given))
+    """Return the noise to expect before anything is read ``(n,)``, metres or radians."""
+    sigma = np.empty(len(given))
     for observation, rows in given.observations:
-        own = instrument_of(spec, observation)
-        level = own.repeatability or observation.repeatability
-        found[rows] = np.hypot(level, (own.resolution or 0.0) / np.sqrt(12))
-    return np.where(np.isfinite(given.sigma), given.sigma, found)
+        instrument = instrument_of(spec, observation)
+        repeatability = instrument.repeatability or observation.repeatability
+        sigma[rows] = np.hypot(repeatability, (instrument.resolution or 0.0) / np.sqrt(12))
+    return np.where(np.isfinite(given.sigma), given.sigma, sigma)
 
 
 def _instrument_steps(given: Readings, resolution: float) -> Array:
-    """Step of every reading's instrument ``(n,)``: of a resolution that is known, or a coarser one
-    that readings show; else what all readings are multiples of.
+    """Return the step of every reading's instrument ``(n,)``: its known resolution, or a coarser
+    one that readings show; else the step of which all readings are multiples.
     """
     if resolution > 0:
         return dial_steps(given, resolution)
-    shown = 0.0 if given.on_legs.any() else apparent_step(given.reading)
-    return np.full(len(given), shown)
+    step = 0.0 if given.on_legs.any() else apparent_step(given.reading)
+    return np.full(len(given), step)
 
 
 def _common_rounding(total: Array, step: Array) -> Array:
-    """Rounding that repeats have in common ``(n,)``, metres; 0 where it is too small to matter."""
-    found = np.zeros(len(total))
+    """Return the rounding error that repeats share ``(n,)``, metres; 0 where negligible."""
+    common_by_row = np.zeros(len(total))
     for size in np.unique(step):
         rows = step == size
         common = float(common_rounding(total[rows][0], size))
         if common**2 >= _NEGLIGIBLE_SHARE * total[rows][0] ** 2:
-            found[rows] = common
-    return found
+            common_by_row[rows] = common
+    return common_by_row
 
 
 def _widen_at_rounding_edges(
     campaign: Readings, sigma: Array, common: Array, resolution: Array
 ) -> Array:
-    """Sigmas ``(n,)`` of dials, half a step where a station's visits show two neighbouring digits.
+    """Return sigmas ``(n,)`` of dials, at least half a step where a station's visits show two
+    neighbouring digits.
 
-    There the true value stands at the edge between them, and a quiet dial shows one or the other:
-    a whole step apart, which to its scatter elsewhere would be a slip, or a drift. Where more
-    stations than these show several digits, the dial is not as quiet as it was declared.
+    There the true value is at the edge between them, and a dial with little scatter shows one or
+    the other. The difference of a whole step would appear to be a slip, or a drift. Where too many
+    stations show several digits, the dial scatters more than declared, and no sigma is changed.
     """
     station = group_ids(campaign.stations)
     visits = np.bincount(station)
@@ -322,50 +318,44 @@ def _widen_at_rounding_edges(
     high = -low
     np.minimum.at(low, station, campaign.reading)
     np.maximum.at(high, station, campaign.reading)
-    apart = (high - low)[station]
+    spread = (high - low)[station]
     scatter = np.sqrt(np.maximum(sigma**2 + common**2 - resolution**2 / 12, 0.0))
     chance = _MEAN_RANGE * (visits[station] - 1) * scatter / resolution
-    again = visits[station] > 1
-    if again.any() and np.mean(apart[again] > 0.5 * resolution[again]) > _MAX_EDGE_SHARE + np.mean(
-        chance[again]
-    ):
+    differs = spread > 0.5 * resolution
+    again = np.flatnonzero(visits[station] > 1)
+    if len(again) and np.mean(differs[again]) > _MAX_EDGE_SHARE + np.mean(chance[again]):
         return sigma
-    edge = (
-        (apart > 0.5 * resolution)
-        & (apart < 1.5 * resolution)
-        & (resolution > _SIGMAS_PER_STEP * sigma)
-    )
+    edge = differs & (spread < 1.5 * resolution) & (resolution > _SIGMAS_PER_STEP * sigma)
     return np.where(edge, np.maximum(sigma, resolution / 2), sigma)
 
 
 def check_noise(noise: float, least: float = NOISE_LIMITS[0]) -> float:
-    """The noise, a zero without its sign; refuses what no instrument scatters by, such as
-    millimetres taken for metres.
+    """Return the noise, a negative zero as zero.
 
     Raises:
-        InputError: saying what is possible.
+        InputError: where it is not plausible, such as millimetres taken for metres.
     """
-    if not isinstance(noise, Real) or not least <= noise <= NOISE_LIMITS[1]:
+    most = NOISE_LIMITS[1]
+    if not isinstance(noise, Real) or not least <= noise <= most:
         raise InputError(
-            f"the noise must be a standard deviation in metres, from {least:g} to {NOISE_LIMITS[1]:g}, "
+            f"the noise must be a standard deviation in metres, from {least:g} to {most:g}, "
             f"not {noise!r}"
         )
     return noise + 0.0
 
 
 def _noise_level(
-    given: Sequence[Readings],
-    observation: Observation,
-    instrument: Instrument,
+    given: Sequence[Readings], observation: Observation, instrument: Instrument,
     declared: float | None,
-) -> NoiseLevel:
+) -> NoiseLevel:  # fmt: skip
+    """Return the noise of one kind of readings, by the order of sources in :func:`noise_of`."""
     step = instrument.resolution or 0.0
     rounding = step**2 / 12
     if declared is not None:
         return NoiseLevel(check_noise(declared), 0.0, "declared")
-    told = np.concatenate([np.zeros(0), *(one.sigma for one in given)])
-    if len(told) and np.isfinite(told).all():
-        return NoiseLevel(float(np.sqrt(np.mean(told**2))), 0.0, "declared")
+    declared_sigmas = np.concatenate([np.zeros(0), *(table.sigma for table in given)])
+    if len(declared_sigmas) and np.isfinite(declared_sigmas).all():
+        return NoiseLevel(float(np.sqrt(np.mean(declared_sigmas**2))), 0.0, "declared")
     if instrument.repeatability is not None:
         return NoiseLevel(float(np.sqrt(instrument.repeatability**2 + rounding)), step, "machine")
     variance, dof = repeat_variance(given)

@@ -25,14 +25,12 @@ from orthoglide.numerals import compact
 from orthoglide.observations import Readings, Setup, source
 from orthoglide.observations.repetition import repeat_steps
 
-_CHANCE = 1e-3  # probability of a note on readings whose noise is what a test takes it to be
+_CHANCE = 1e-3  # probability of a note on readings whose noise is as assumed
 # Degrees of freedom that a test needs: noise alone leaves a tenth of itself once in 4e8 such setups
 _MIN_DOF = 10.0
 
 # Repeats that scatter by more than declared
-_SUSPICIOUS_CHANCE = (
-    0.01  # probability under which other setups are taken to be noisier than declared too
-)
+_SUSPICIOUS_CHANCE = 0.01  # probability below which other setups count as noisier, too
 _MAX_NAMED_SETUPS = 2  # setups that are named one by one: more of them have a common cause
 _MIN_RATIO = 1.2  # smallest ratio to the declared noise that is reported
 
@@ -40,9 +38,7 @@ _MIN_RATIO = 1.2  # smallest ratio to the declared noise that is reported
 # but unmodelled errors of the machine remain in the residual, so the limit is a tenth; a fifth for
 # noise that was declared, which is not as wrong as a usual figure.
 _SMALL_RATIO, _SMALL_RATIO_DECLARED = 0.1, 0.2
-_COMPUTED_NOISE = (
-    1e-8  # metres or radians: readings of smaller declared noise are computed, not measured
-)
+_COMPUTED_NOISE = 1e-8  # metres or radians: readings of smaller noise are computed
 _ALLOWED_RATIO = 2.0  # factor by which the declared noise may be too large without a note
 _MAX_REPORTED_RATIO = 1e3  # ratio above which its value is not reported
 _DECLARED, _FROM_REPEATS = "as declared", "from their repeats"
@@ -58,7 +54,7 @@ class NoiseScale:
     rows: NDArray[np.intp]  # of all readings (m,)
     sigma: float  # standard deviation of one reading as assumed, root mean square, SI
     chi2: float  # of the residuals
-    dof: float  # what that is expected to be: the readings less what was fitted to them
+    dof: float  # expected chi2: number of readings less parameters fitted to them
 
     @property
     def scale(self) -> float:
@@ -78,27 +74,28 @@ def noise_scales(estimate: Estimate) -> tuple[NoiseScale, ...]:
     problem = estimate.problem
     square = problem.weighing.whiten(estimate.residuals) ** 2
     free = 1 - estimate.rows.leverage
-    found = []
-    for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
+    scales = []
+    for factor, factor_slice in zip(problem.factors, problem.factor_rows, strict=True):
         readings = factor.readings
         for number in np.unique(readings.setup):
-            own = (readings.setup == number) & factor.noise.weighted
-            if own.any():
-                rows = part.start + np.flatnonzero(own)
-                sigma = float(np.sqrt(np.mean(factor.noise.total[own] ** 2)))
+            chosen = (readings.setup == number) & factor.noise.weighted
+            if chosen.any():
+                rows = factor_slice.start + np.flatnonzero(chosen)
+                sigma = float(np.sqrt(np.mean(factor.noise.total[chosen] ** 2)))
                 chi2, dof = float(square[rows].sum()), max(float(free[rows].sum()), 0.0)
-                found.append(NoiseScale(readings, readings.setups[number], rows, sigma, chi2, dof))
-    return tuple(found)
+                scales.append(NoiseScale(readings, readings.setups[number], rows, sigma, chi2, dof))
+    return tuple(scales)
 
 
 def pool_noise_scales(several: Iterable[NoiseScale]) -> NoiseScale:
-    """Return the noise of several setups of one table as one."""
-    each = list(several)
-    rows = np.concatenate([one.rows for one in each])
-    size = np.array([len(one.rows) for one in each])
-    sigma = np.sqrt(np.average([one.sigma**2 for one in each], weights=size))
-    chi2, dof = sum(one.chi2 for one in each), sum(one.dof for one in each)
-    return NoiseScale(each[0].readings, each[0].setup, rows, float(sigma), chi2, dof)
+    """Return the noise of several setups of one table together."""
+    scales = list(several)
+    rows = [scale.rows for scale in scales]
+    variance = np.average([s.sigma**2 for s in scales], weights=[*map(len, rows)])
+    return replace(
+        scales[0], rows=np.concatenate(rows), sigma=float(np.sqrt(variance)),
+        chi2=sum(s.chi2 for s in scales), dof=sum(s.dof for s in scales),
+    )  # fmt: skip
 
 
 # Noise larger than declared -------------------------------------------------------------------
@@ -126,24 +123,24 @@ def noisy_dials(estimate: Estimate) -> Iterator[Note]:
     if problem.noise.source == "machine":
         figure = f"the machine file says {compact(declared * 1e3, 2)}"
         remedy = "correct repeatability under [dial_mm]"
-    every = _dial_repeats(estimate)
-    noisy = [one for one in every if _is_noisy([one], _CHANCE / len(every))]
-    others = [one for one in every if one not in noisy]
+    repeats = _dial_repeats(estimate)
+    noisy = [setup for setup in repeats if _is_noisy([setup], _CHANCE / len(repeats))]
+    others = [setup for setup in repeats if setup not in noisy]
     have_common_cause = (
-        2 * len(noisy) >= len(every) > 1
+        2 * len(noisy) >= len(repeats) > 1
         or len(noisy) > _MAX_NAMED_SETUPS
         or _is_noisy(others, _SUSPICIOUS_CHANCE, 1.0)
     )
-    if have_common_cause or (not noisy and _is_noisy(every)):
+    if have_common_cause or (not noisy and _is_noisy(repeats)):
         yield Note(
-            f"repeats of the dials scatter by {compact(_scatter(every) * 1e3, 2)} mm, where "
+            f"repeats of the dials scatter by {compact(_scatter(repeats) * 1e3, 2)} mm, where "
             f"{figure}: {remedy}, or look for what is loose",
             "scatter",
         )
         return
-    for one in noisy:
+    for setup in noisy:
         yield Note(
-            f"{one.label}: repeats scatter by {compact(_scatter([one]) * 1e3, 2)} mm, where "
+            f"{setup.label}: repeats scatter by {compact(_scatter([setup]) * 1e3, 2)} mm, where "
             f"{figure}, which those of other setups agree with: look for what is loose on this "
             f"dial, its stand and its leg, and read the setup again",
             "scatter",
@@ -161,10 +158,10 @@ def noisy_instruments(estimate: Estimate) -> Iterator[Note]:
         if declared is None or np.isfinite(factor.readings.sigma[chosen]).any():
             continue
         residuals = replace(factor.readings, reading=estimate.residuals[rows])
-        one = _repeats_of_setup(residuals, number, factor.noise.expected, problem.step[rows])
-        if _is_noisy([one]):
+        repeats = _repeats_of_setup(residuals, number, factor.noise.expected, problem.step[rows])
+        if _is_noisy([repeats]):
             yield Note(
-                f"{one.label}: repeats scatter by {compact(_scatter([one]) * 1e3, 2)} "
+                f"{repeats.label}: repeats scatter by {compact(_scatter([repeats]) * 1e3, 2)} "
                 f"{setup.observation.unit}, where the machine file says "
                 f"{compact(declared * 1e3, 2)}: correct repeatability under "
                 f"[instrument.{setup.kind}], or look for what is loose",
@@ -181,15 +178,15 @@ def _declared_dial_noise(problem: Problem) -> float | None:
 
 def _dial_repeats(estimate: Estimate) -> list[_Repeats]:
     """Return the repeats of every dial setup that has any."""
-    problem, found = estimate.problem, []
-    total = np.concatenate([f.noise.expected for f in problem.leg_factors])
+    problem, dial_repeats = estimate.problem, []
+    expected = np.concatenate([f.noise.expected for f in problem.leg_factors])
     for campaign, rows in zip(problem.campaigns, problem.leg_rows, strict=True):
         residuals = campaign.with_readings(estimate.residuals[rows])
         for k in np.unique(campaign.setup).tolist():
-            one = _repeats_of_setup(residuals, k, total[rows], problem.step[rows])
-            if len(one.differences):
-                found.append(one)
-    return found
+            repeats = _repeats_of_setup(residuals, k, expected[rows], problem.step[rows])
+            if len(repeats.differences):
+                dial_repeats.append(repeats)
+    return dial_repeats
 
 
 def _repeats_of_setup(residuals: Readings, number: int, sigma: Array, step: Array) -> _Repeats:
@@ -211,28 +208,34 @@ def _repeats_of_setup(residuals: Readings, number: int, sigma: Array, step: Arra
 
 
 def _is_noisy(
-    several: Sequence[_Repeats], chance: float = _CHANCE, times: float = _MIN_RATIO
+    repeats: Sequence[_Repeats], chance: float = _CHANCE, ratio: float = _MIN_RATIO
 ) -> bool:
-    """Return whether the repeats scatter by more than ``times`` the declared noise, and noise as
+    """Return whether the repeats scatter by more than ``ratio`` the declared noise, and noise as
     declared would scatter as much with a probability below ``chance``.
     """
     from scipy.special import chdtrc
 
-    count = sum(len(one.differences) for one in several)
+    count = sum(len(setup_repeats.differences) for setup_repeats in repeats)
     dof = 2 * count / 3  # successive differences share readings
     if dof < _MIN_DOF:
         return False
-    square = sum(float(np.sum(one.differences**2)) / 2 / one.sigma**2 for one in several) / count
-    return bool(square > times**2 and chdtrc(dof, dof * square) < chance)
+    mean_square = (
+        sum(
+            float(np.sum(setup_repeats.differences**2)) / 2 / setup_repeats.sigma**2
+            for setup_repeats in repeats
+        )
+        / count
+    )
+    return bool(mean_square > ratio**2 and chdtrc(dof, dof * mean_square) < chance)
 
 
-def _scatter(several: Sequence[_Repeats]) -> float:
+def _scatter(repeats: Sequence[_Repeats]) -> float:
     """Return the standard deviation of one reading without its rounding, metres."""
-    count = [len(one.differences) for one in several]
-    resolution = np.array([one.resolution for one in several])
-    total = [total_variance(np.mean(one.differences**2) / 2, one.resolution) for one in several]
-    mean = float(np.average(total - resolution**2 / 12, weights=count))
-    return float(np.sqrt(max(mean, 0.0)))
+    count = [len(setup.differences) for setup in repeats]
+    total = [total_variance(np.mean(s.differences**2) / 2, s.resolution) for s in repeats]
+    rounding = np.array([setup.resolution for setup in repeats]) ** 2 / 12
+    variance = float(np.average(total - rounding, weights=count))
+    return float(np.sqrt(max(variance, 0.0)))
 
 
 # Noise smaller than assumed -------------------------------------------------------------------
@@ -250,8 +253,8 @@ def _small_by_instrument(estimate: Estimate) -> Iterator[Note]:
     residuals are a small fraction of the assumed noise.
     """
     problem = estimate.problem
-    for table, several in groupby(noise_scales(estimate), key=lambda one: one.readings):
-        setups = list(several)
+    for table, scales in groupby(noise_scales(estimate), key=lambda scale: scale.readings):
+        setups = list(scales)
         dials = bool(table.on_legs.all())
         for noise in [pool_noise_scales(setups)] if dials else setups:
             origin = _noise_origin(problem, noise)
@@ -287,27 +290,22 @@ def _small_overall(estimate: Estimate) -> Iterator[Note]:
 def _small_sentence(noise: NoiseScale, origin: str) -> str:
     """Return the sentence on readings with small residuals, and what to do about them."""
     table, setup = noise.readings, noise.setup
-    unit, other = ("mrad", "degrees") if setup.observation.angular else ("mm", "inches")
-    times = 1 / max(noise.scale, 1 / _MAX_REPORTED_RATIO)
-    count = (
-        f"more than {_MAX_REPORTED_RATIO:.0f}"
-        if times >= _MAX_REPORTED_RATIO
-        else compact(times, 2)
-    )
-    where = source(table)
+    unit, unit_suspected = ("mrad", "degrees") if setup.observation.angular else ("mm", "inches")
+    ratio = 1 / max(noise.scale, 1 / _MAX_REPORTED_RATIO)
+    too_large = ratio >= _MAX_REPORTED_RATIO
+    count = f"more than {_MAX_REPORTED_RATIO:.0f}" if too_large else compact(ratio, 2)
+    label = source(table)
     if table.on_legs.all():
         place = f"{_IN_MACHINE_FILE}[dial_mm]"
     elif table.by_point:
         place = " in a column sigma_mm"
     else:
-        where, place = (
-            f"{where}, setup {setup.name!r}",
-            f"{_IN_MACHINE_FILE}[instrument.{setup.kind}]",
-        )
+        label = f"{label}, setup {setup.name!r}"
+        place = f"{_IN_MACHINE_FILE}[instrument.{setup.kind}]"
     return (
-        f"{where}: the readings are {count} times quieter than the noise assumed of them "
+        f"{label}: the readings are {count} times quieter than the noise assumed of them "
         f"({compact(noise.sigma * 1e3, 2)} {unit}, {origin or 'the usual figure'}): are they in "
-        f"another unit, as {other}? If not, "
+        f"another unit, as {unit_suspected}? If not, "
         f"{'correct' if origin else 'declare'} the instrument's noise"
         f"{'' if origin == _DECLARED else place}"
     )

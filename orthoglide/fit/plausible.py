@@ -1,8 +1,7 @@
-"""Readings that cannot be meant as they stand are refused: before any fit by what the machine can
-do, and after one by the columns of its commands.
+"""Refusal of implausible readings: before a fit by the kinematics of the machine, and after it by
+the order of the commands' columns.
 
-What a table and the machine file alone show was checked when the readings were read or given
-(`observations.checks`); here the machine itself says what is possible.
+Checks that need only the table and the machine file are made on reading (`observations.checks`).
 """
 
 from __future__ import annotations
@@ -29,51 +28,49 @@ from orthoglide.units import INCH
 
 _MIN_TOUCHES = 5  # of a plate: a plane goes through three
 _PLATE_FLATNESS, _TOUCH_NOISE = 1e-3, 1e-4
-"""Metres: a bed that somebody prints on is as flat, and touches are hardly better."""
+"""Metres: a bed in use for printing is at least as flat; touches are hardly more precise."""
 
 _MIN_MISFIT_RATIO = 10.0  # times by which touches are off as they are counted
 _MIN_READINGS = 8  # different readings: by chance one in eight is on the grid
 
 
-def check_plausible(given: Sequence[Readings], machine: Machine, frame: Frame = "rigid") -> None:
-    """Refuse readings in another unit or another frame than they are said to be.
+def check_plausible(tables: Sequence[Readings], machine: Machine, frame: Frame = "rigid") -> None:
+    """Refuse readings in another unit or another frame than declared.
 
     Args:
-        given: tables, each of legs or of the tool.
+        tables: tables, each of legs or of the tool.
         machine: near which they were taken.
         frame: how a tracker's may differ from the machine's.
 
     Raises:
         InputError: naming the file, the setup, what the readings seem to be and what to do.
     """
-    beliefs = machine_instrument_priors(machine, frame)
-    for readings in given:
+    instrument_priors = machine_instrument_priors(machine, frame)
+    for readings in tables:
         if readings.of_tool:
             _check_travel_sign(readings, machine)
-            _check_unit_and_frame(readings, machine, beliefs)
+            _check_unit_and_frame(readings, machine, instrument_priors)
         else:
             _check_dial_unit(readings, machine.spec.dial)
 
 
 def _check_dial_unit(campaign: Readings, dial: Dial) -> None:
-    """Refuse readings of which only the inches, or only the millimetres, are what a dial shows.
+    """Refuse readings that are multiples of the dial's step only in inches, or in millimetres.
 
-    A dial shows multiples of its step. Multiplied by 25.4 they hardly ever are any more.
+    Multiplied by 25.4, multiples of the step hardly ever are multiples of it.
     """
-    shown, step = np.unique(campaign.reading), dial.resolution
-    if (
-        step <= 0
-        or len(shown) < _MIN_READINGS
-        or np.mean(off_grid(shown, step) < GRID_TOLERANCE) > 0.5
-    ):
+    values, step = np.unique(campaign.reading), dial.resolution
+    if step <= 0 or len(values) < _MIN_READINGS:
         return
-    for factor, meant, taken in ((1 / INCH, "millimetres", "inches"),
-                                 (INCH, "inches", "millimetres")):  # fmt: skip
-        if on_grid(shown * factor, step):
+    if np.mean(off_grid(values, step) < GRID_TOLERANCE) > 0.5:
+        return
+    units = (1 / INCH, "millimetres", "inches"), (INCH, "inches", "millimetres")
+    for factor, intended, assumed in units:
+        if on_grid(values * factor, step):
             raise InputError(
                 f"{source(campaign)}: the readings are multiples of the dial's step of "
                 f"{dial.resolution * 1e3:g} mm only once they are multiplied by {factor:.4g}: "
-                f"they seem to be {meant} taken for {taken}; give reading_mm in millimetres, "
+                f"they seem to be {intended} taken for {assumed}; give reading_mm in millimetres, "
                 f"or correct resolution in the machine file"
             )
 
@@ -84,21 +81,23 @@ def _check_travel_sign(readings: Readings, machine: Machine) -> None:
         rows = (readings.setup == k) & ~readings.paired
         if not setup.observation.touches or rows.sum() < _MIN_TOUCHES:
             continue
-        own, zero = readings.subset(rows), machine.geometry.zero
-        now, other = (_plane_residual(own, command, machine)
-                      for command in (own.command, 2 * zero - own.command))  # fmt: skip
-        if other < _PLATE_FLATNESS and now > _MIN_MISFIT_RATIO * max(other, _TOUCH_NOISE):
-            found = "those of no plane" if np.isfinite(now) else "out of the machine's reach"
+        touches = readings.subset(rows)
+        opposite = 2 * machine.geometry.zero - touches.command
+        off = _plane_residual(touches, touches.command, machine)
+        off_opposite = _plane_residual(touches, opposite, machine)
+        limit = _MIN_MISFIT_RATIO * max(off_opposite, _TOUCH_NOISE)
+        if off_opposite < _PLATE_FLATNESS and off > limit:
+            heights = "those of no plane" if np.isfinite(off) else "out of the machine's reach"
             raise InputError(
-                f"{source(readings)}, setup {setup.name!r}: the heights are {found}; with travel "
-                f"counted the other way they fit a plane to {compact(other * 1e3, 1)} mm: set "
-                f"sign = {[-s for s in machine.spec.controller.sign]} under [controller]"
+                f"{source(readings)}, setup {setup.name!r}: the heights are {heights}; with travel "
+                f"counted the other way they fit a plane to {compact(off_opposite * 1e3, 1)} mm: "
+                f"set sign = {[-s for s in machine.spec.controller.sign]} under [controller]"
             )
 
 
 def _plane_residual(readings: Readings, command: Array, machine: Machine) -> float:
-    """Root mean square of touches about the plane through them, metres; infinite where the machine
-    does not reach some.
+    """Return the root mean square of touches about their plane, metres; infinite if some are out of
+    reach.
     """
     try:
         p = machine.forward(command)
@@ -106,36 +105,38 @@ def _plane_residual(readings: Readings, command: Array, machine: Machine) -> flo
         return float("inf")
     height = p[:, 2] - readings.sign * readings.reading
     plane = np.column_stack([np.ones(len(p)), p[:, :2]])
-    rest = height - plane @ np.linalg.lstsq(plane, height)[0]
-    return float(np.sqrt(np.sum(rest**2) / max(len(rest) - 3, 1)))
+    residual = height - plane @ np.linalg.lstsq(plane, height)[0]
+    return float(np.sqrt(np.sum(residual**2) / max(len(residual) - 3, 1)))
 
 
-def _check_unit_and_frame(readings: Readings, machine: Machine, beliefs: InstrumentPriors) -> None:
+def _check_unit_and_frame(
+    readings: Readings, machine: Machine, instrument_priors: InstrumentPriors
+) -> None:
     """Refuse setups whose readings fit only in another unit or another frame.
 
-    A machine that its owner can run stands within millimetres of the nominal one. Readings that are
-    further from it, and near once a unit or a frame is exchanged, are refused before any fit: a fit
-    would bend the machine for them.
+    A machine that runs is within millimetres of the nominal one. Readings that are further from it,
+    but near in another unit or frame, would distort any fit.
     """
     p, second = machine.forward(readings.command), np.zeros_like(readings.command)
     second[readings.paired] = machine.forward(readings.second[readings.paired])
     for k, setup in enumerate(readings.setups):
         rows = readings.setup == k
         value = readings.sign[rows] * readings.reading[rows]
-        taken = SetupReadings(p[rows], np.zeros_like(p[rows]), readings.axis[rows], value, value)
-        apart = np.linalg.norm(second[rows] - p[rows], axis=1)
-        if said := setup.observation.find_unit_or_frame_error(taken, apart, beliefs):
-            where = "" if readings.by_point else f", setup {setup.name!r}"
-            raise InputError(f"{source(readings)}{where}: {said}")
+        taken = SetupReadings(p[rows], 0 * p[rows], readings.axis[rows], value, value)
+        distance = np.linalg.norm(second[rows] - p[rows], axis=1)
+        error = setup.observation.find_unit_or_frame_error(taken, distance, instrument_priors)
+        if error:
+            place = "" if readings.by_point else f", setup {setup.name!r}"
+            raise InputError(f"{source(readings)}{place}: {error}")
 
 
 # After a fit ---------------------------------------------------------------------------------
 
 _MIN_SIGMA_SCALE = 20.0
-"""Times the noise by which an exchange is off, and more: a machine's own errors are rarely."""
+"""Ratio of residuals to noise from which drives may be exchanged: part errors rarely reach it."""
 
-_MIN_IMPROVEMENT = 10.0  # times nearer by which the readings must fit with the commands put right
-_TIE_RATIO = 2.0  # times as far off as the best: one dial alone need not tell which exchange it was
+_MIN_IMPROVEMENT = 10.0  # ratio of the residuals before and after the exchange
+_TIE_RATIO = 2.0  # orders with residuals up to this ratio above the best are not told apart
 
 
 def check_drive_order(estimate: Estimate) -> None:
@@ -144,40 +145,40 @@ def check_drive_order(estimate: Estimate) -> None:
     Raises:
         InputError: naming the files, and the drives.
     """
-    problem, now = estimate.problem, estimate.sigma_scale
-    if now < _MIN_SIGMA_SCALE or not problem.campaigns:
+    problem, scale = estimate.problem, estimate.sigma_scale
+    if scale < _MIN_SIGMA_SCALE or not problem.campaigns:
         return
-    names, several = problem.machine.geometry.leg_names, range(len(problem.campaigns))
-    which = [tuple(several), *((k,) for k in several if len(several) > 1)]
+    names, campaigns = problem.machine.geometry.leg_names, range(len(problem.campaigns))
+    subsets = [tuple(campaigns), *((k,) for k in campaigns if len(campaigns) > 1)]
     orders = [order for order in permutations(range(3)) if order != (0, 1, 2)]
-    tried = [
-        (_scale_with_exchanged_drives(problem, some, order), some, order)
-        for some in which
+    trials = [
+        (_scale_with_exchanged_drives(problem, subset, order), subset, order)
+        for subset in subsets
         for order in orders
     ]
-    best, some, order = min(tried)
-    if best * _MIN_IMPROVEMENT < now:
-        files = ", ".join(source(problem.campaigns[k]) for k in some)
-        moved = [f"of drive {names[k]} under {names[order[k]]}" for k in range(3) if order[k] != k]
-        told = f"with the commands {' and '.join(moved)}"
-        if sum(some == s and off < _TIE_RATIO * best for off, s, _ in tried) > 1:
-            told = "with the commands in another order of drives, which they cannot tell"
+    best, subset, order = min(trials)
+    if best * _MIN_IMPROVEMENT < scale:
+        files = ", ".join(source(problem.campaigns[k]) for k in subset)
+        drives = [f"of drive {names[k]} under {names[order[k]]}" for k in range(3) if order[k] != k]
+        exchange = f"with the commands {' and '.join(drives)}"
+        if sum(other < _TIE_RATIO * best for other, s, _ in trials if s == subset) > 1:
+            exchange = "with the commands in another order of drives, which they cannot tell"
         raise InputError(
-            f"{files}: the readings fit {now / best:.0f} times better {told}: "
+            f"{files}: the readings fit {scale / best:.0f} times better {exchange}: "
             f"exchange the columns, or else the legs and directions of all dials"
         )
 
 
 def _scale_with_exchanged_drives(
-    problem: Problem, some: tuple[int, ...], order: tuple[int, ...]
+    problem: Problem, subset: tuple[int, ...], order: tuple[int, ...]
 ) -> float:
-    """Times the noise by which readings are off with some campaigns' drives exchanged."""
-    factors, at = list(problem.leg_factors), list(order)
-    for k in some:
-        c = factors[k].readings
-        moves = replace(c.moves, command=c.moves.command[:, at])
-        c = replace(c, command=c.command[:, at], approach=c.approach[:, at], moves=moves)
-        factors[k] = factors[k].with_table(c)
+    """Return the ratio of residuals to noise with some campaigns' drives exchanged."""
+    factors, to = list(problem.leg_factors), list(order)
+    for k in subset:
+        old = factors[k].readings
+        moves = replace(old.moves, command=old.moves.command[:, to])
+        new = replace(old, command=old.command[:, to], approach=old.approach[:, to], moves=moves)
+        factors[k] = factors[k].with_table(new)
     try:
         return solve(problem.with_leg_factors(factors), method="nested").sigma_scale
     except NumericsError:

@@ -1,4 +1,4 @@
-"""What is asked of which readings: the unknowns, and the factors whose sum is minimised."""
+"""Problem of an identification: its unknowns, and the factors whose sum is minimised."""
 
 from __future__ import annotations
 
@@ -23,31 +23,30 @@ from orthoglide.observations import Readings, Setup
 from orthoglide.parameters import Parameter
 
 MAX_TOLERANCES = 3.0
-"""Tolerances from which a parameter is called far off, as the definition of *adequate* has it: one
-parameter in 370 of a machine as it is expected to be."""
+"""Tolerances beyond which a parameter is implausible: of a machine as expected, one in 370 is."""
 
 
 @dataclass(frozen=True, repr=False)
 class Problem:
     """An identification, ready to be solved by any of the methods.
 
-    Minimised is the sum of the squares of its factors, the tolerances as priors, and what an
-    earlier calibration says.
+    The sum of squares of its factors, its tolerances as priors and an earlier posterior is
+    minimised.
     """
 
     machine: Machine  # nominal dimensions, tolerances, and the parameters that are held
     factors: tuple[Factor, ...]  # all that was read: of legs first, then of the tool
-    unknowns: tuple[Unknown, ...]  # what is free, `P` of them
+    unknowns: tuple[Unknown, ...]  # the `P` free parameters
     noise: Noise  # of the readings in one figure
     priors: bool  # whether tolerances act as priors about zero
     held: tuple[Mapping[str, float], ...]  # for each factor, parameters that are not free, SI
-    # what has a value of its own in each campaign, free or not yet: effects and parameters; with
-    # `@` and a file's stem, from that campaign on
+    # effects and parameters, free or not, with a value for each campaign; with `@` and a file's
+    # stem, with another value from that campaign on
     per_campaign: tuple[str, ...] = ()
-    earlier_posterior: Posterior | None = None  # what an earlier calibration says
-    # rows and target `|W x - t|^2` in place of the tolerances and what was earlier
+    earlier_posterior: Posterior | None = None  # of an earlier calibration
+    # rows and target `|W x - t|^2` that replace the tolerances and the earlier posterior
     prior_override: tuple[Array, Array] | None = None
-    # rows by what stands out and has no parameters: free functions, as nuisances
+    # significant errors that no parameter describes: free functions, as nuisances
     free_form_errors: NuisanceBlock | None = None
 
     @cached_property
@@ -70,17 +69,12 @@ class Problem:
         """Whether an earlier calibration is known, from which the machine may have changed."""
         return self.earlier_posterior is not None and not self.machine.spec.is_measured
 
-    @property
-    def legs_only(self) -> bool:
-        """Whether all readings are taken on legs."""
-        return not self.tool_factors
-
     def with_leg_factors(self, on_legs: Sequence[Factor]) -> Problem:
-        """Return the same problem with other readings of legs, as many tables."""
+        """Return the problem with other readings of legs, as many tables."""
         return replace(self, factors=(*on_legs, *self.tool_factors))
 
     def zero_padded(self, x: Array) -> Array:
-        """Unknowns ``x`` of a problem that this one extends, its further ones at nothing behind."""
+        """Return unknowns ``x`` of a problem that this one extends, with zeros for the others."""
         return np.pad(x, (0, len(self.unknowns) - len(x)))
 
     @property
@@ -153,31 +147,26 @@ class Problem:
         given: standard deviation of one reading, metres or radians, root mean square, and its
         source.
         """
-        found: dict[str, tuple[float, NoiseSource]] = {}
+        noise = self.noise
+        by_kind: dict[str, tuple[float, NoiseSource]] = {}
         for kind in dict.fromkeys(k for f in self.leg_factors for k in f.readings.kind):
-            level = self.noise.levels.get(kind) if found else None
-            found[kind] = (
-                (self.noise.typical, self.noise.source)
-                if level is None
-                else (level.total, level.source)
-            )
-        told = self.noise.source == "declared" and not self.leg_factors
-        rated = [one for factor in self.tool_factors for one in factor.noise_by_kind()]
-        for kind in dict.fromkeys(kind for kind, _, _ in rated):
-            sigma = np.concatenate([own for k, own, _ in rated if k == kind])
-            sources = [source for k, _, source in rated if k == kind]
-            often = max(dict.fromkeys(sources), key=sources.count)
-            found[kind] = (float(np.sqrt(np.mean(sigma**2))), "declared" if told else often)
-        return {
-            kind: (sigma, "repeats" if kind in self.noise.refuted else source)
-            for kind, (sigma, source) in found.items()
-        }
+            level = noise.levels.get(kind) if by_kind else None
+            by_kind[kind] = (level.total, level.source) if level else (noise.typical, noise.source)
+        all_declared = noise.source == "declared" and not self.leg_factors
+        tool_noise = [rated for factor in self.tool_factors for rated in factor.noise_by_kind()]
+        for kind in dict.fromkeys(kind for kind, _, _ in tool_noise):
+            sigma = np.concatenate([sigmas for k, sigmas, _ in tool_noise if k == kind])
+            sources = [source for k, _, source in tool_noise if k == kind]
+            commonest = max(dict.fromkeys(sources), key=sources.count)
+            source: NoiseSource = "declared" if all_declared else commonest
+            by_kind[kind] = float(np.sqrt(np.mean(sigma**2))), source
+        for kind in noise.refuted & by_kind.keys():
+            by_kind[kind] = by_kind[kind][0], "repeats"
+        return by_kind
 
     @property
     def noise_source(self) -> NoiseSource:
-        """Where the noise comes from: that of the dials, where there are any, else of the first
-        instrument.
-        """
+        """Source of the noise of the first instrument: of the dials, where there are any."""
         return next(iter(self.noise_by_instrument.values()))[1]
 
     @property
@@ -195,22 +184,22 @@ class Problem:
 
     @cached_property
     def noise_dof(self) -> float:
-        """Degrees of freedom behind the noise of all readings together: each instrument's by its
-        share of them (Satterthwaite); infinite where none has it from repeats.
+        """Degrees of freedom of the noise of all readings, pooled over instruments by their numbers
+        of readings (Satterthwaite); infinite if no noise is from repeats.
         """
-        legs = sum(len(f.measured) for f in self.leg_factors)
-        each = ((legs, self.noise.dof), *self.repeat_dof)
-        unsure = sum((n / len(self.measured)) ** 2 / dof for n, dof in each)
-        return 1 / unsure if unsure > 0 else float("inf")
+        leg_count = sum(len(f.measured) for f in self.leg_factors)
+        counts = ((leg_count, self.noise.dof), *self.repeat_dof)
+        inverse = sum((n / len(self.measured)) ** 2 / dof for n, dof in counts)
+        return 1 / inverse if inverse > 0 else float("inf")
 
     @cached_property
     def weighing(self) -> Weighing:
-        """The noise of all rows, with what visits to a station have in common."""
+        """The noise of all rows, with the errors that visits to a station share."""
         return Weighing(self.sigma, self.common, self.station)
 
     @cached_property
     def tolerance(self) -> Array:
-        """Standard deviation to expect of the unknowns ``(P,)``, SI."""
+        """Expected standard deviations of the unknowns ``(P,)``, SI."""
         return np.array([u.tolerance for u in self.unknowns])
 
     @property
@@ -224,15 +213,15 @@ class Problem:
         return np.asarray(np.abs(self.without_entered_mean(x)) > MAX_TOLERANCES * self.tolerance)
 
     def without_entered_mean(self, x: Array) -> Array:
-        """Return the unknowns ``x`` ``(P,)`` past what parts of one set have in common, where an
-        owner entered that: it is weighed among the causes, and no tolerance of a part.
+        """Return the unknowns ``x`` ``(P,)`` without the mean of parts of one set, where an owner
+        entered it: the mean is a cause of its own, to which the tolerance of a part does not apply.
         """
-        past, effects = np.array(x, dtype=float), [name.effect for name in self.names]
+        deviation, effects = np.array(x, dtype=float), [name.effect for name in self.names]
         for effect in self.machine.spec.entered:
-            mine = [k for k, other in enumerate(effects) if other == effect]
-            if len(mine) > 1:
-                past[mine] -= past[mine].mean()
-        return past
+            members = [k for k, other in enumerate(effects) if other == effect]
+            if len(members) > 1:
+                deviation[members] -= deviation[members].mean()
+        return deviation
 
     @cached_property
     def prior_rows(self) -> tuple[Array, Array]:
@@ -242,9 +231,9 @@ class Problem:
         tolerances = np.diag(1 / self.prior_sd)
         if self.earlier_posterior is None:
             return tolerances, np.zeros(len(tolerances))
-        matrix, target, spoken = posterior_rows(self.earlier_posterior, self.unknowns)
-        rest = tolerances[~spoken]
-        return np.vstack([rest, matrix]), np.concatenate([np.zeros(len(rest)), target])
+        matrix, target, covered = posterior_rows(self.earlier_posterior, self.unknowns)
+        others = tolerances[~covered]
+        return np.vstack([others, matrix]), np.concatenate([np.zeros(len(others)), target])
 
     @cached_property
     def start(self) -> Array:
@@ -269,16 +258,18 @@ class Problem:
     def machine_parameters(self, factor: int) -> tuple[tuple[str, ...], Array]:
         """Return the machine parameters that the unknowns set, and the matrix ``(E, P)``."""
         names, matrix = self.elementary_parameters(factor)
-        kept = [k for k, n in enumerate(names) if not self.machine.catalogue.effect_of(n).of_dial]
-        return tuple(names[k] for k in kept), matrix[kept]
+        machine_rows = [
+            k for k, n in enumerate(names) if not self.machine.catalogue.effect_of(n).of_dial
+        ]
+        return tuple(names[k] for k in machine_rows), matrix[machine_rows]
 
     def values(self, factor: int, x: Array) -> dict[str, float]:
         """Return all parameters of a factor's machine and dials at unknowns ``x`` ``(P,)``, SI."""
         names, matrix = self.elementary_parameters(factor)
-        found = dict(self.held[factor])
+        values = dict(self.held[factor])
         for name, value in zip(names, matrix @ x, strict=True):
-            found[name] = found.get(name, 0.0) + float(value)
-        return found
+            values[name] = values.get(name, 0.0) + float(value)
+        return values
 
     @property
     def last_factor(self) -> int:
@@ -288,11 +279,11 @@ class Problem:
     @cached_property
     def setup_of_row(self) -> NDArray[np.int64]:
         """Setup of each row, numbered over all factors ``(n,)``."""
-        found, first = [], 0
+        setups, first = [], 0
         for factor in self.factors:
-            found.append(factor.setup + first)
+            setups.append(factor.setup + first)
             first += len(factor.setup_names)
-        return np.concatenate(found)
+        return np.concatenate(setups)
 
     @cached_property
     def setups(self) -> tuple[Setup, ...]:

@@ -1,4 +1,4 @@
-"""The readings of a fit as figures and tables show them."""
+"""Readings of a fit, as tables for figures and reports."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from orthoglide.result.display import Numbers
 if TYPE_CHECKING:
     from orthoglide.fit.estimate import Estimate
 
-_MIN_TRAVEL = 1e-3  # metres of travel from which a setup is drawn over it
+_MIN_TRAVEL = 1e-3  # metres: setups with less travel are drawn in the order of the file
 
 
 def fitted_readings(
-    fit: Estimate, base: Estimate, given: tuple[Readings, ...] = ()
+    fit: Estimate, base: Estimate, requested: tuple[Readings, ...] = ()
 ) -> ReadingsShown:
     """Return measured and predicted readings, setup by setup.
 
     Args:
         fit: the last fit.
         base: fit of the base model to the same readings.
-        given: readings of the request, of which ``fit`` uses a part; if empty, it uses all.
+        requested: readings of the request, of which ``fit`` uses a part; if empty, it uses all.
     """
     problem = fit.problem
     tables = [factor.readings for factor in problem.factors]
-    rows = [row_indices(some, all_) for some, all_ in zip(tables, given or tables, strict=True)]
+    rows = [row_indices(*pair) for pair in zip(tables, requested or tables, strict=True)]
     return ReadingsShown(
         mountings=tuple(_mountings(problem)),
-        file=np.repeat(np.arange(len(tables)), [len(some) for some in tables]),
+        file=np.repeat(np.arange(len(tables)), [len(part) for part in tables]),
         row=np.concatenate(rows),
         station=problem.station.astype(np.int64),
         measured=problem.measured,
@@ -59,34 +59,34 @@ def row_indices(part: Readings, whole: Readings) -> Numbers:
 
 
 def _mountings(problem: Problem) -> Iterator[Mounting]:
-    """All setups of a problem, in their order; of TCP points their coordinates."""
-    several = len(problem.campaigns) > 1
-    for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
-        read = factor.readings
-        for k, setup in enumerate(read.setups):
-            there = np.flatnonzero(factor.setup == k)
-            if not len(there):
+    """Yield all setups of a problem, in their order; of TCP points their coordinates."""
+    several_files = len(problem.campaigns) > 1
+    for factor, factor_slice in zip(problem.factors, problem.factor_rows, strict=True):
+        readings = factor.readings
+        for k, setup in enumerate(readings.setups):
+            chosen = np.flatnonzero(factor.setup == k)
+            if not len(chosen):
                 continue
-            x: Array = np.arange(1.0, len(there) + 1)
-            side: Array = np.zeros(len(there))
+            x: Array = np.arange(1.0, len(chosen) + 1)
+            side: Array = np.zeros(len(chosen))
             if setup.leg >= 0:
                 leg = setup.leg
-                travel = read.command[there, leg] - problem.machine.geometry.zero[leg]
+                travel = readings.command[chosen, leg] - problem.machine.geometry.zero[leg]
                 moves = np.ptp(travel) > _MIN_TRAVEL
-                name = _setup_label(read.name, setup.name) if several else setup.name
+                name = _setup_label(readings.name, setup.name) if several_files else setup.name
                 title = f"{name}: leg {LEGS[leg]}, read along {setup.direction}"
                 label = f"travel of carriage {LEGS[leg]}, mm" if moves else "place in the file"
-                x = travel * 1e3 if moves else read.order[there].astype(float)
-                side = read.approach[there, leg].astype(float)
+                x = travel * 1e3 if moves else readings.order[chosen].astype(float)
+                side = readings.approach[chosen, leg].astype(float)
             else:
-                name, label = _setup_label(read.name, setup.name), "reading"
+                name, label = _setup_label(readings.name, setup.name), "reading"
                 title = f"{name}, {setup.kind}"
-            rows = (part.start + there).astype(np.int64)
+            rows = (factor_slice.start + chosen).astype(np.int64)
             unit = setup.observation.unit
-            own = "" if read.by_point else setup.name
-            yield Mounting(own, name, title, label, rows, x, side, unit)
+            setup_name = "" if readings.by_point else setup.name
+            yield Mounting(setup_name, name, title, label, rows, x, side, unit)
 
 
 def _setup_label(file: str, setup: str) -> str:
-    """A setup by its file, whose name may have it already."""
+    """Return the label of a setup: its file's name, and its own unless that contains it."""
     return file if setup in file else f"{file} · {setup}"

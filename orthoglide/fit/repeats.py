@@ -1,4 +1,4 @@
-"""What repeats show of an instrument's scatter, and what its display rounds away."""
+"""Scatter of an instrument from repeats, and the rounding of its display."""
 
 from __future__ import annotations
 
@@ -12,11 +12,9 @@ from orthoglide.observations import Readings
 from orthoglide.observations.repetition import repeat_steps
 
 GRID_TOLERANCE = 0.06
-"""Steps by which six decimals of a millimetre, in metres or inches, miss a multiple of a dial's."""
+"""Distance from a multiple of a dial's step, in steps, that six printed decimals may make."""
 
-_MAX_SCATTER_STEPS = (
-    2.0  # scatter, in steps of a dial, from which its rounding is spread out evenly
-)
+_MAX_SCATTER_STEPS = 2.0  # scatter, in steps of a dial, from which rounding is independent
 _METRIC_STEPS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6, 1e-6)  # steps of instruments
 _INCH_STEPS = (25.4e-6, 12.7e-6)  # a thousandth and half of it: steps of dials
 _DISPLAY_TOLERANCE = 1e-3  # of a step, by which a figure that is printed in it may be off
@@ -28,79 +26,74 @@ MIN_REPEAT_DOF = 6  # degrees of freedom below which repeats say too little of t
 def readings_of_finest_step(
     campaigns: Sequence[Readings], step: Sequence[Array]
 ) -> tuple[Sequence[Readings], float]:
-    """Readings of the dials of the smallest step, which show best what readings scatter by, and
-    that step.
+    """Return the readings of dials with the finest step, which show scatter best, and that step.
 
     Args:
         campaigns: the readings.
         step: of every reading's dial, by campaign, each ``(n,)``, metres.
     """
     finest = float(np.concatenate(step).min())
-    if all((s == finest).all() for s in step):
+    if all((steps == finest).all() for steps in step):
         return campaigns, finest
-    kept = [(c, s == finest) for c, s in zip(campaigns, step, strict=True)]
-    return [c.subset(rows) for c, rows in kept if rows.any()], finest
+    each = zip(campaigns, (steps == finest for steps in step), strict=True)
+    return [campaign.subset(rows) for campaign, rows in each if rows.any()], finest
 
 
 def dial_steps(campaign: Readings, resolution: float) -> Array:
-    """Step of every reading's dial ``(n,)``, metres: the resolution, or a coarser one of which all
-    readings off the datum are multiples, of the campaign or else of one setup whose repeats show
-    that it is no other unit.
+    """Return the step of every reading's dial ``(n,)``, metres: the resolution, or a coarser step
+    of which all differences from the datum are multiples, in the campaign or in one setup whose
+    repeats show that it is not another unit.
 
     Args:
         campaign: the readings.
         resolution: of the machine's dial, metres; 0 where it does not round.
     """
-    found = np.full(len(campaign), resolution)
+    steps = np.full(len(campaign), resolution)
     if resolution <= 0:
-        return found
-    apart = [
-        _datum_differences(campaign.reading[campaign.setup == k])
-        for k in range(len(campaign.setups))
-    ]
-    whole = _coarser_step(np.concatenate(apart), resolution)
-    for k, readings in enumerate(apart):
-        rows, larger = campaign.setup == k, _coarser_step(readings, whole)
-        found[rows] = larger if _has_coarser_dial(campaign, rows, whole, larger) else whole
-    return found
+        return steps
+    setups = [campaign.setup == k for k in range(len(campaign.setups))]
+    differences = [_datum_differences(campaign.reading[rows]) for rows in setups]
+    common = _coarser_step(np.concatenate(differences), resolution)
+    for rows, setup_differences in zip(setups, differences, strict=True):
+        larger = _coarser_step(setup_differences, common)
+        steps[rows] = larger if _has_coarser_dial(campaign, rows, common, larger) else common
+    return steps
 
 
 def _has_coarser_dial(
     campaign: Readings, rows: NDArray[np.bool_], step: float, larger: float
 ) -> bool:
-    """Whether repeats in some rows ``(n,)`` scatter less, in steps, than the rest does in its own:
-    else these are readings of the same dial in a smaller unit.
+    """Return whether repeats in some rows ``(n,)`` scatter less, in their larger step, than others
+    in theirs; if not, they are readings of an equal dial in a smaller unit.
     """
     if larger == step:
         return False
-    own, dof = repeat_variance([campaign.subset(rows)])
-    rest, _ = repeat_variance([campaign.subset(~rows)])
-    less = own / larger**2 < rest / step**2 * np.sqrt(step / larger)
-    return bool(less and dof >= MIN_REPEAT_DOF)
+    variance, dof = repeat_variance([campaign.subset(rows)])
+    other_variance, _ = repeat_variance([campaign.subset(~rows)])
+    is_smaller = variance / larger**2 < other_variance / step**2 * np.sqrt(step / larger)
+    return bool(is_smaller and dof >= MIN_REPEAT_DOF)
 
 
 def _datum_differences(readings: Array) -> Array:
-    """Different readings of a setup less the first of them, metres; itself left out."""
-    read = readings[np.isfinite(readings)]
-    apart = np.unique(np.round(read - read[:1], 9))
-    return np.asarray(apart[apart != 0])
+    """Return the distinct nonzero differences of a setup's readings from its first one, metres."""
+    finite = readings[np.isfinite(readings)]
+    differences = np.unique(np.round(finite - finite[:1], 9))
+    return np.asarray(differences[differences != 0])
 
 
-def _coarser_step(apart: Array, step: float) -> float:
-    """The largest step that different readings are multiples of; a smaller one where that may be
-    by chance, which is of k readings ``(smaller / larger)^k``.
+def _coarser_step(differences: Array, step: float) -> float:
+    """Return the largest step of which all differences are multiples, unless by chance: ``k`` of
+    them are with probability ``(smaller / larger)^k``.
 
     Args:
-        apart: readings off their datum, all different in a setup ``(k,)``, metres.
-        step: that the dial has, metres.
+        differences: of readings from their datum, distinct in a setup ``(k,)``, metres.
+        step: of the dial, metres.
     """
     for larger in sorted((*_METRIC_STEPS, *_INCH_STEPS)):
-        few = larger <= step or (step / larger) ** len(apart) >= _CHANCE
-        if (
-            not few
-            and np.abs(apart).min() > larger / 2
-            and on_grid(apart, larger, _DISPLAY_TOLERANCE)
-        ):
+        if larger <= step or (step / larger) ** len(differences) >= _CHANCE:
+            continue
+        nonzero = np.abs(differences).min() > larger / 2
+        if nonzero and on_grid(differences, larger, _DISPLAY_TOLERANCE):
             step = larger
     return step
 
@@ -110,14 +103,14 @@ def off_grid(readings: Array, step: float | Array) -> Array:
     return np.abs(readings / step - np.round(readings / step))
 
 
-def on_grid(readings: Array, step: float | Array, miss: float = GRID_TOLERANCE) -> bool:
-    """Return whether readings ``(n,)`` are multiples of the step within ``miss`` steps."""
-    return bool((off_grid(readings, step) < miss).all())
+def on_grid(readings: Array, step: float | Array, tolerance: float = GRID_TOLERANCE) -> bool:
+    """Return whether readings ``(n,)`` are multiples of the step within ``tolerance`` steps."""
+    return bool((off_grid(readings, step) < tolerance).all())
 
 
 def apparent_step(readings: Array) -> float:
-    """The step that readings ``(n,)`` are multiples of, metres or radians; 0 where there is none,
-    or they are too few to tell.
+    """Return the step of which readings ``(n,)`` are multiples, metres or radians; 0 where there is
+    none, or too few readings.
     """
     for step in _METRIC_STEPS if len(readings) >= _MIN_READINGS_ON_GRID else ():
         if on_grid(readings, step, _DISPLAY_TOLERANCE) and np.ptp(readings) > step / 2:
@@ -126,7 +119,7 @@ def apparent_step(readings: Array) -> float:
 
 
 def common_rounding(sigma: ArrayLike, resolution: float) -> Array:
-    """Standard deviation of the rounding that repeats have in common, metres.
+    """Return the standard deviation of the rounding error that repeats share, metres.
 
     The rounding of a value x that scatters by s (both in steps of the dial) has the mean
     ``sum_k (-1)^k sin(2 pi k x) exp(-2 (pi k s)^2) / (pi k)``. Over all x its variance is a
@@ -146,7 +139,7 @@ def common_rounding(sigma: ArrayLike, resolution: float) -> Array:
 
 
 def total_variance(within: ArrayLike, resolution: float) -> Array:
-    """Variance of one rounded reading from that of repeats about their mean, square metres.
+    """Return the variance of one rounded reading from that of repeats, square metres.
 
     Repeats do not show the rounding that they share: with a scatter s before it, one reading
     has ``s^2 + step^2 / 12``, of which repeats show ``s^2 + step^2 / 12 - common(s)^2``. A dial
@@ -160,16 +153,16 @@ def total_variance(within: ArrayLike, resolution: float) -> Array:
         return np.asarray(within, dtype=float)
     scatter = np.concatenate([[0.0], np.geomspace(1e-3, _MAX_SCATTER_STEPS, 400)])
     total = (scatter**2 + 1 / 12) * resolution**2
-    shown = np.maximum.accumulate(total - common_rounding(np.sqrt(total), resolution) ** 2)
-    seen = np.asarray(within, dtype=float)
-    return np.asarray(np.interp(seen, shown, total) + np.maximum(seen - shown[-1], 0.0))
+    visible = np.maximum.accumulate(total - common_rounding(np.sqrt(total), resolution) ** 2)
+    variance = np.asarray(within, dtype=float)
+    return np.asarray(np.interp(variance, visible, total) + np.maximum(variance - visible[-1], 0.0))
 
 
 def repeat_variance(campaigns: Sequence[Readings]) -> tuple[float, int]:
-    """Variance of one reading from repeats, and its degrees of freedom.
+    """Return the variance of one reading from repeats, and its degrees of freedom.
 
-    Repeats share all that the machine is told, the approach of all three axes included; successive
-    ones are differenced, so that a slow drift hardly counts: ``mean (y_k+1 - y_k)^2 / 2``.
+    Repeats share the whole command, with the approach of all three axes. Successive ones are
+    differenced, so that slow drift hardly counts: ``mean (y_k+1 - y_k)^2 / 2``.
     """
     total, count = 0.0, 0
     for campaign in campaigns:

@@ -1,4 +1,4 @@
-"""What touches show of their noise: a plate's roughness, and touches that are none of it."""
+"""Noise of touches: the roughness of a plate, and outlying touches."""
 
 from __future__ import annotations
 
@@ -8,63 +8,62 @@ from orthoglide.geometry import Array
 from orthoglide.ordering import largest
 
 MAX_NOISE_RATIO = 3.0
-"""Times the noise that is usual of an instrument, from which that is said; of a plate's roughness
-no more counts as noise of its touches: the printers that are tested with have two at most."""
+"""Ratio of an instrument's noise to the usual one from which a note is made, and up to which
+roughness counts as noise of touches; the printers of the tests reach two at most."""
 
 SURFACE_DEGREE = 4
-"""Of the smoothest surface: no rigid cause makes more waves than a polynomial of this degree."""
+"""Degree of the smooth surface: rigid causes follow polynomials of this degree."""
 
-_APPROACH_DEGREE = 1  # degree of what approach from the other side adds
+_APPROACH_DEGREE = 1  # degree of the term that depends on the approach
 _MIN_DOF = 12
-_OUTLIER_RATIO = 6.0  # times what the other heights scatter, of one that is none of them
+_OUTLIER_RATIO = 6.0  # height of an outlier over the scatter of all others
 _MAX_OUTLIER_SHARE = 0.05  # share of a mesh: more are no single touches
 _MIN_ROUGHNESS = 1e-6  # metres: no plate is smoother
 
 
-def _polynomials(place: Array, degree: int) -> Array:
-    """Powers of both coordinates up to a degree ``(n, k)``."""
-    x, y = place.T
+def _polynomials(xy: Array, degree: int) -> Array:
+    """Return the products of powers of both coordinates up to a degree ``(n, k)``."""
+    x, y = xy.T
     powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
     return np.stack([x**i * y**j for i, j in powers], axis=1)
 
 
-def roughness(place: Array, height: Array, approach: Array) -> tuple[float, Array]:
-    """Standard deviation of heights about the smoothest surface, and by how much single ones are
-    off it ``(n,)``, metres; 0 where there are too few, or a height is as rough as the others.
+def roughness(xy: Array, height: Array, approach: Array) -> tuple[float, Array]:
+    """Return the standard deviation of heights about a smooth surface, and the heights of outliers
+    above it ``(n,)``, metres; 0 of all others, and with too few heights.
 
-    A bed is rough besides being bent: what no polynomial of the fourth degree follows, which is
-    more than any rigid cause makes, counts as noise of its touches. From the other side a machine
-    with lost motion shows another surface: smoother, as the drives' shares in the height are. A
-    touch that is far off the surface of all others is a speck, or a bad touch.
+    A bed is rough besides being bent: deviations from a polynomial of the fourth degree count as
+    noise of touches, as no rigid cause is less smooth. With lost motion the surface depends on the
+    approach, by a smoother term. An outlier is a speck, or a bad touch.
 
     Args:
-        place: on the plate over its radius ``(n, 2)``.
+        xy: on the plate over its radius ``(n, 2)``.
         height: ``(n,)``, metres.
         approach: of each axis ``(n, 3)``.
     """
-    smoother = _polynomials(place, _APPROACH_DEGREE)
-    columns = np.hstack(
-        [_polynomials(place, SURFACE_DEGREE), *(side[:, None] * smoother for side in approach.T)]
-    )
-    kept, stray, rough = np.ones(len(height), dtype=bool), np.zeros(len(height)), 0.0
-    while (fit := _fit_surface(columns[kept], height[kept])) is not None:
-        basis, rest, dof = fit
-        rough = float(np.sqrt(rest @ rest / dof))
-        # As all others have the surface, and by what they scatter about it.
+    smoother = _polynomials(xy, _APPROACH_DEGREE)
+    by_side = [side[:, None] * smoother for side in approach.T]
+    columns = np.hstack([_polynomials(xy, SURFACE_DEGREE), *by_side])
+    rows_kept, outlier_height, sigma = np.ones(len(height), dtype=bool), np.zeros(len(height)), 0.0
+    max_outliers = _MAX_OUTLIER_SHARE * len(height)
+    while (fit := _fit_surface(columns[rows_kept], height[rows_kept])) is not None:
+        basis, residual, dof = fit
+        sigma = float(np.sqrt(residual @ residual / dof))
+        # Height above the surface through all others, and their scatter about it.
         free = np.maximum(1 - np.sum(basis**2, axis=1), 1e-9)
-        others = np.sqrt(np.maximum(rest @ rest - rest**2 / free, 0.0) / (dof - 1))
-        off = rest / free
-        far = np.abs(off) * np.sqrt(free) / np.maximum(others, _MIN_ROUGHNESS)
-        worst = largest(far)
-        if far[worst] < _OUTLIER_RATIO or np.sum(~kept) >= _MAX_OUTLIER_SHARE * len(kept):
+        other_sigma = np.sqrt(np.maximum(residual @ residual - residual**2 / free, 0.0) / (dof - 1))
+        height_error = residual / free
+        ratio = np.abs(height_error) * np.sqrt(free) / np.maximum(other_sigma, _MIN_ROUGHNESS)
+        worst = largest(ratio)
+        if ratio[worst] < _OUTLIER_RATIO or np.sum(~rows_kept) >= max_outliers:
             break
-        at = np.flatnonzero(kept)[worst]
-        kept[at], stray[at] = False, off[worst]
-    return rough, stray
+        row = np.flatnonzero(rows_kept)[worst]
+        rows_kept[row], outlier_height[row] = False, height_error[worst]
+    return sigma, outlier_height
 
 
 def _fit_surface(columns: Array, height: Array) -> tuple[Array, Array, int] | None:
-    """Orthonormal columns, what they leave, and its degrees of freedom, where these are enough."""
+    """Return orthonormal columns, the residual and its degrees of freedom, if these suffice."""
     basis, size, _ = np.linalg.svd(columns, full_matrices=False)
     basis = basis[:, size > 1e-9 * size.max(initial=0.0)]
     dof = len(height) - basis.shape[1]

@@ -1,4 +1,4 @@
-"""What is identified: the unknowns that names stand for, and what is known of them before."""
+"""Unknowns of an identification, and their priors."""
 
 from __future__ import annotations
 
@@ -19,11 +19,10 @@ from orthoglide.machine_file import Posterior
 from orthoglide.parameters import Parameter, split_campaign
 
 _DRIFT_SHARE = 0.02
-"""Share of its tolerance by which a parameter drifts between visits without being a change: as much
-as the background of other effects that a machine with nothing wrong is allowed."""
+"""Share of its tolerance by which a parameter may drift between campaigns without having changed:
+the background of other effects that a sound machine is allowed."""
 
-# Beyond these a machine would not be an Orthoglide: they keep a solver from running away, and a
-# parameter that ends on one is reported.
+# Bounds keep a solver from diverging; a parameter on its bound is reported.
 _BOUND_SD = 50.0
 NOTHING_FREE = "nothing is free: name at least one parameter or family to identify"
 _MIN_BOUND = {"mm": 0.05, "rad": 0.1}  # SI, by the unit in files: 50 mm and 0.1 rad
@@ -36,159 +35,152 @@ class Unknown:
     name: Parameter  # as reported; one per campaign is named after the first that it holds for
     # for each factor, the weights of the elementary parameters that it sets
     weights: tuple[Mapping[str, float], ...]
-    tolerance: float  # standard deviation to expect, SI
+    tolerance: float  # expected standard deviation, SI
     start: float  # SI
     bound: float  # the value stays within plus and minus this, SI
-    prior_width: float = 1.0  # how many tolerances wide its prior is
+    prior_width: float = 1.0  # standard deviation of its prior, in tolerances
 
 
-def weight_matrix(names: Sequence[str], several: Sequence[Mapping[Any, float]]) -> Array:
-    """Weights of parameters in each of several that stand for some of them ``(E, P)``."""
-    place = {name: k for k, name in enumerate(names)}
-    matrix = np.zeros((len(names), len(several)))
-    for k, weights in enumerate(several):
+def weight_matrix(names: Sequence[str], weights_by_column: Sequence[Mapping[Any, float]]) -> Array:
+    """Return the weights of ``E`` parameters in each of ``P`` columns ``(E, P)``."""
+    row_index = {name: k for k, name in enumerate(names)}
+    matrix = np.zeros((len(names), len(weights_by_column)))
+    for k, weights in enumerate(weights_by_column):
         for name, weight in weights.items():
-            matrix[place[name], k] = weight
+            matrix[row_index[name], k] = weight
     return matrix
 
 
 def posterior_rows(
-    known: Posterior, unknowns: Sequence[Unknown]
+    posterior: Posterior, unknowns: Sequence[Unknown]
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """What is known of a machine's elementary parameters as whitened rows about ``P`` unknowns.
-
-    Returns:
-        Matrix ``(k, P)`` and target ``(k,)`` of ``|matrix x - target|^2``, and which of the
-        unknowns these speak of ``(P,)``.
+    """Return an earlier posterior as whitened rows of ``P`` unknowns: matrix ``(k, P)`` and target
+    ``(k,)`` of ``|matrix x - target|^2``, and which of the unknowns it covers ``(P,)``.
     """
-    place = {n: k for k, n in enumerate(known.names) if known.covariance[k, k] > 0}
-    spoken = np.array([u.name in place for u in unknowns], dtype=bool)
-    chosen = [place[u.name] for u, s in zip(unknowns, spoken, strict=True) if s]
-    matrix = np.zeros((len(chosen), len(unknowns)))
+    index = {n: k for k, n in enumerate(posterior.names) if posterior.covariance[k, k] > 0}
+    is_covered = np.array([u.name in index for u in unknowns], dtype=bool)
+    covered = [index[u.name] for u, s in zip(unknowns, is_covered, strict=True) if s]
+    matrix = np.zeros((len(covered), len(unknowns)))
     # Parameters that are not free stay at their mean: the covariance is conditioned on them.
-    fixed = [k for k in place.values() if k not in set(chosen)]
-    block = known.covariance[np.ix_(chosen, chosen)]
+    fixed = [k for k in index.values() if k not in set(covered)]
+    block = posterior.covariance[np.ix_(covered, covered)]
     if fixed:
-        scale = np.sqrt(np.diag(known.covariance)[fixed])
-        among = known.covariance[np.ix_(fixed, fixed)] / scale / scale[:, None]
-        across = known.covariance[np.ix_(chosen, fixed)] / scale
+        scale = np.sqrt(np.diag(posterior.covariance)[fixed])
+        among = posterior.covariance[np.ix_(fixed, fixed)] / scale / scale[:, None]
+        across = posterior.covariance[np.ix_(covered, fixed)] / scale
         block = block - across @ np.linalg.pinv(among, rcond=1e-9, hermitian=True) @ across.T
-    tolerance = np.array([u.tolerance for u, s in zip(unknowns, spoken, strict=True) if s])
+    tolerance = np.array([u.tolerance for u, s in zip(unknowns, is_covered, strict=True) if s])
     block = block + np.diag((_DRIFT_SHARE * tolerance) ** 2)
     sd = np.sqrt(np.diag(block))
     values, vectors = np.linalg.eigh(block / sd / sd[:, None])
     root = (vectors / np.sqrt(np.maximum(values, 1e-10 * values.max(initial=1.0)))).T / sd
-    matrix[:, spoken] = root
-    return matrix, root @ known.mean[chosen], spoken
+    matrix[:, is_covered] = root
+    return matrix, root @ posterior.mean[covered], is_covered
 
 
 def build_unknowns(
-    machine: Machine, sources: Sequence[Factor], free: Sequence[str], own: Sequence[str] = ()
+    machine: Machine, factors: Sequence[Factor], free: Sequence[str], own: Sequence[str] = ()
 ) -> tuple[Unknown, ...]:
-    """Unknowns for effects, parameters or structured members.
+    """Return the unknowns for effects, parameters or structured members.
 
     Args:
-        machine: tolerances, and where to start.
-        sources: what is own to a campaign is repeated for each.
-        free: what to identify.
-        own: effects or parameters that each campaign has for itself; ``axis_tilt.y.z@new`` has
-            one value before the campaign ``new`` and another from it on.
+        machine: gives tolerances and initial values.
+        factors: of all campaigns.
+        free: names to identify.
+        own: effects or parameters with a value for each campaign; ``axis_tilt.y.z@new`` has one
+            value before the campaign ``new`` and another from it on.
 
     Raises:
-        InputError: for names that are none, or campaigns of one name.
+        InputError: for unknown names, or two campaigns of one name.
     """
-    stems = [s.name for s in sources]
+    stems = [factor.name for factor in factors]
     if len(set(stems)) != len(stems):
         remedy = (
             "rename one file, or leave one out if they are identical"
-            if all(s.readings.file for s in sources)
+            if all(factor.readings.file for factor in factors)
             else "give one a name of its own, dataclasses.replace(campaign, name='second'), as "
             "from_frame(..., name='second') does"
         )
         raise InputError(f"two campaigns have the same name ({', '.join(stems)}): {remedy}")
     catalogue, unknowns = machine.catalogue, list[Unknown]()
-    for name in expand_names(catalogue, free, sources):
-        starts = [0] + [
-            k for k in range(1, len(stems)) if _changes_at_campaign(catalogue, name, stems[k], own)
-        ]
+    for name in expand_names(catalogue, free, factors):
+        later = range(1, len(stems))
+        starts = [0, *(k for k in later if _changes_at(stems[k], name, catalogue, own))]
         for first, end in pairwise([*starts, len(stems)]):
             parts = tuple(
-                _parameter_weights(catalogue, name, s) if first <= k < end else {}
-                for k, s in enumerate(sources)
+                _parameter_weights(catalogue, name, factor) if first <= k < end else {}
+                for k, factor in enumerate(factors)
             )
             if any(parts):
-                shown = name.at(stems[first]) if len(starts) > 1 else name
-                tolerance, unit = machine.tolerance(shown), catalogue.effect_of(shown).unit.name
+                reported = name.at(stems[first]) if len(starts) > 1 else name
+                tolerance = machine.tolerance(reported)
+                unit = catalogue.effect_of(reported).unit.name
                 bound = max(_BOUND_SD * tolerance, _MIN_BOUND.get(unit, 0.0))
                 start = machine.values.get(name, 0.0)
-                unknowns.append(Unknown(shown, parts, tolerance, start, bound))
+                unknowns.append(Unknown(reported, parts, tolerance, start, bound))
     return tuple(unknowns)
 
 
-def _changes_at_campaign(
-    catalogue: Catalogue, name: Parameter, stem: str, own: Sequence[str]
-) -> bool:
-    """Whether a parameter has another value from a campaign on than before it."""
-    if catalogue[name.effect].of_dial:
-        one_body = catalogue[name.effect].of_body and name.member  # measured again
-        return not one_body
-    for chosen in own:
-        plain, at = split_campaign(chosen)
-        if at in ("", stem) and plain in (name, name.effect):
-            return True
-    return False
+def _changes_at(stem: str, name: Parameter, catalogue: Catalogue, own: Sequence[str]) -> bool:
+    """Return whether a parameter has another value from a campaign on than before it."""
+    if catalogue[name.effect].of_dial:  # one body, such as a printed part, may be measured again
+        return not (catalogue[name.effect].of_body and name.member)
+    names = (split_campaign(given) for given in own)
+    return any(at in ("", stem) and plain in (name, name.effect) for plain, at in names)
 
 
 def expand_names(
-    catalogue: Catalogue, free: Sequence[str], sources: Sequence[Factor]
+    catalogue: Catalogue, free: Sequence[str], factors: Sequence[Factor]
 ) -> tuple[Parameter, ...]:
     """Return the parameters and structured members that names stand for.
 
     Raises:
         InputError: where these are none.
     """
-    setups = tuple(dict.fromkeys(s for source in sources for s in source.setup_names))
-    found = tuple(p.plain for p in catalogue.expand(free, setups))
-    if not found:
+    setups = tuple(dict.fromkeys(s for factor in factors for s in factor.setup_names))
+    parameters = tuple(p.plain for p in catalogue.expand(free, setups))
+    if not parameters:
         raise InputError(NOTHING_FREE)
-    return tuple(dict.fromkeys(found))
+    return tuple(dict.fromkeys(parameters))
 
 
 def _parameter_weights(
-    catalogue: Catalogue, name: Parameter, source: Factor
+    catalogue: Catalogue, name: Parameter, factor: Factor
 ) -> Mapping[str, float]:
     effect = catalogue[name.effect]
     if not effect.of_dial:
         return catalogue.elementary_weights(name)
-    setups = source.setups_of(effect)
+    setups = factor.setups_of(effect)
     if not setups or (name.setup and name.setup not in setups):  # another campaign's setup
         return {}
     return catalogue.elementary_weights(name, setups)
 
 
 def share_plate_shapes(
-    unknowns: Sequence[Unknown], catalogue: Catalogue, apart: Collection[str] = ()
+    unknowns: Sequence[Unknown], catalogue: Catalogue, separate: Collection[str] = ()
 ) -> tuple[Unknown, ...]:
     """Return the unknowns with one shape per plate, which all campaigns share; plates named in
-    ``apart`` keep one for each campaign.
+    ``separate`` keep one for each campaign.
     """
-    joined: dict[Parameter, Unknown] = {}
+    by_name: dict[Parameter, Unknown] = {}
     for unknown in unknowns:
-        plate = catalogue.effect_of(unknown.name).of_body and unknown.name.plain not in apart
+        plate = catalogue.effect_of(unknown.name).of_body and unknown.name.plain not in separate
         name = unknown.name.plain if plate else unknown.name
-        one = joined.setdefault(name, replace(unknown, name=name))
-        parts = tuple(a or b for a, b in zip(one.weights, unknown.weights, strict=True))
-        joined[name] = replace(one, weights=parts)
-    return tuple(joined.values())
+        shared = by_name.setdefault(name, replace(unknown, name=name))
+        parts = tuple(a or b for a, b in zip(shared.weights, unknown.weights, strict=True))
+        by_name[name] = replace(shared, weights=parts)
+    return tuple(by_name.values())
 
 
 def with_bounds(unknowns: Sequence[Unknown], bounds: Mapping[str, float]) -> tuple[Unknown, ...]:
-    """Unknowns with bounds of their own, each by the nearest of its names that has one."""
+    """Return unknowns with given bounds, each that of its most specific name."""
     names = [(u.name, u.name.plain, u.name.effect) for u in unknowns]
     for key, bound in bounds.items():
-        check_choice("free parameter", key, dict.fromkeys(n for own in names for n in own))
+        check_choice("free parameter", key, dict.fromkeys(n for forms in names for n in forms))
         if not bound > 0:
             raise InputError(f"the bound of {key} must be a positive number")
-    nearest = [[float(bounds[n]) for n in own if n in bounds] for own in names]
-    each = zip(unknowns, nearest, strict=True)
-    return tuple(replace(u, bound=own[0]) if own else u for u, own in each)
+    bounded = list[Unknown]()
+    for unknown, forms in zip(unknowns, names, strict=True):
+        given = [float(bounds[n]) for n in forms if n in bounds]
+        bounded.append(replace(unknown, bound=given[0]) if given else unknown)
+    return tuple(bounded)

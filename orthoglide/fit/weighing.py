@@ -1,8 +1,8 @@
-"""Readings in units of their noise, what a dial rounds away alike at every visit included.
+"""Readings in units of their noise, which includes the rounding error that visits share.
 
-The covariance of a station's readings is ``diag(sigma^2) + common^2``: a scatter of their own, and
-a rounding that they share. Its inverse root is a diagonal and one direction a station, so that
-nothing of rows times stations is ever held:
+The covariance of a station's readings is ``diag(sigma^2) + common^2``: independent scatter, and a
+rounding error that they share. Its inverse root is a diagonal and one direction a station, which
+needs no matrix of rows times stations:
 
     W = (1 - a u u^T) diag(1 / sigma),   u ~ 1 / sigma
     a = 1 - 1 / sqrt(1 + common^2 sum(1 / sigma^2))
@@ -25,8 +25,8 @@ from orthoglide.observations.arrays import group_ids
 class Weighing:
     """The inverse root of the covariance of rows."""
 
-    sigma: Array  # of each row, what averaging reduces (n,), metres
-    common: Array  # of each row, what its station has in common (n,), metres; one figure a station
+    sigma: Array  # of each row, reduced by averaging (n,), metres
+    common: Array  # of each row, shared by its station (n,), metres; one figure a station
     station: NDArray[np.int64]  # of each row (n,)
 
     def subset(self, rows: NDArray[Any]) -> Weighing:
@@ -40,7 +40,7 @@ class Weighing:
 
     @cached_property
     def _sorted(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Rows by station, and where each station begins among them."""
+        """Rows sorted by station, and the index of each station's first one among them."""
         order = np.argsort(self.station, kind="stable")
         return order, np.flatnonzero(np.diff(self.station[order], prepend=-1))
 
@@ -51,7 +51,7 @@ class Weighing:
 
     @cached_property
     def _stretch(self) -> Array:
-        """Standard deviation along ``direction``, in that of noise alone ``(n,)``."""
+        """Standard deviation along ``direction`` over that without common error ``(n,)``."""
         square = np.bincount(self.station, self.weight**2)[self.station]
         return np.sqrt(1 + self.common**2 * square)
 
@@ -69,8 +69,8 @@ class Weighing:
     @cached_property
     def mean_sigma(self) -> Array:
         """Standard deviation of each station's mean ``(stations,)``, metres."""
-        own = 1 / np.bincount(self.station, self.weight**2)
-        return np.sqrt(own + self.common[self.first_rows] ** 2)
+        variance = 1 / np.bincount(self.station, self.weight**2)
+        return np.sqrt(variance + self.common[self.first_rows] ** 2)
 
     def means(self, rows: Array) -> Array:
         """Mean of rows ``(n, ...)`` over each station ``(stations, ...)``, by their weights."""

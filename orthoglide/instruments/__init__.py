@@ -1,6 +1,6 @@
-"""Kinds of readings, each a file that owes all that the rest asks, and mountings of instruments."""
+"""Kinds of readings, one module each, and mountings of instruments."""
 
-# Imported in the order in which kinds are listed for people.
+# The order of these imports is the order in which kinds are listed for people.
 # isort: off
 from orthoglide.instruments.leg_dial import LegDial as LegDial
 from orthoglide.instruments.tcp import Coordinate as Coordinate
@@ -32,6 +32,6 @@ from orthoglide.instruments.observation import (
 )
 
 TOOL_OBSERVATIONS: dict[str, Observation] = {
-    k: one for k, one in OBSERVATIONS.items() if not one.on_leg
+    kind: observation for kind, observation in OBSERVATIONS.items() if not observation.on_leg
 }
-"""Kinds of readings of the tool, by what files call them."""
+"""Kinds of readings of the tool, by their name in files."""

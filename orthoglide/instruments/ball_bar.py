@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
 from orthoglide.geometry import Array
@@ -17,6 +16,7 @@ from orthoglide.instruments.observation import (
     MountingContext,
     Observation,
     ReadingVariables,
+    Rows,
     Setup,
     SetupReadings,
     Table,
@@ -30,15 +30,15 @@ from orthoglide.instruments.unit_and_frame_checks import wrong_bar_unit
 from orthoglide.numerals import compact
 
 BALL_CENTRE_SD = 1e-2
-"""How far the ball may be from where its readings about one machine have it, metres: as far as a
-machine that its owner can run is from another. Across the plane of a circle the readings do not
-say, and everywhere else they know it far better."""
+"""Prior standard deviation of the ball's centre about its estimate, metres: the deviation of a
+usable machine from its nominal. It matters only across the plane of a circle: other directions
+are known far better from the readings."""
 
-_MIN_PLANE_DISTANCE = 0.1  # of the extent of its places, how far a ball is from their plane
+_MIN_PLANE_DISTANCE = 0.1  # height of a ball above the plane of the points, over their extent
 
 
 class BallBar(Observation):
-    """Lengths, or deviations of them, about a ball that stands somewhere near its place."""
+    """Lengths, or deviations of lengths, from a ball whose centre is estimated."""
 
     kind = "ballbar"
     instrument_phrase = "a ball bar"
@@ -52,44 +52,42 @@ class BallBar(Observation):
     nuisance_count = 4
 
     def formula(self, row: ReadingVariables, effects: Sequence[Effect]) -> Any:
-        """Return the length from the ball, past the bar's own."""
+        """Return the distance from the ball plus the bar's offset."""
         p, ball = reading_point(row.pose, vector(row.mounting)), vector(row.mounting, 3)
-        away = add((1, p), (-1, ball), (-1, vector(row.nuisance)))
-        return length(away) + row.nuisance[3]
+        from_ball = add((1, p), (-1, ball), (-1, vector(row.nuisance)))
+        return length(from_ball) + row.nuisance[3]
 
-    def mounting_values(self, table: Table, rows: NDArray[np.intp], site: MountingContext) -> Array:
-        """Return where the place is beside the tool, and the ball."""
-        balls = np.array([stand.ball_centre for stand in site.instrument_poses]).reshape(-1, 3)
-        return np.hstack([table.beside[rows], balls[table.setup[rows]]])
+    def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
+        """Return the offset from the tool, and the centre of the ball."""
+        centres = np.array([pose.ball_centre for pose in context.instrument_poses]).reshape(-1, 3)
+        return np.hstack([table.beside[rows], centres[table.setup[rows]]])
 
-    def nuisance_sds(self, setup: Setup, axis: Ints, beliefs: InstrumentPriors) -> Array:
-        """Return what is known of the ball's centre, and that nothing is of the bar's length."""
+    def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
+        """Return the prior of the ball's centre; the bar's length has none."""
         return np.array([BALL_CENTRE_SD, BALL_CENTRE_SD, BALL_CENTRE_SD, np.inf])
 
     def estimate_pose(
-        self, taken: SetupReadings, near: InstrumentPose | None, beliefs: InstrumentPriors
+        self, readings: SetupReadings, initial: InstrumentPose | None, priors: InstrumentPriors
     ) -> InstrumentPose:
-        """Return where the readings have the ball; in the middle of their places before they are
-        taken.
-        """
-        about = None if near is None else near.ball_centre
+        """Return the centre of the ball; the middle of the points before readings are taken."""
+        initial_centre = None if initial is None else initial.ball_centre
         return InstrumentPose(
-            ball_centre=estimate_sphere_centre(taken.p, np.nan_to_num(taken.value), about)
+            ball_centre=estimate_sphere_centre(
+                readings.p, np.nan_to_num(readings.value), initial_centre
+            )
         )
 
     def placement_warnings(
-        self, stand: InstrumentPose, p: Array, axis: Ints
+        self, pose: InstrumentPose, p: Array, axis: Ints
     ) -> Iterator[tuple[str, str]]:
-        """Yield that the ball stands beside the one plane of all places, on a side that is not
-        known.
-        """
-        if (across := plane_normal(p)) is None:
+        """Yield that the ball is off the plane of all points, on a side that is not known."""
+        if (normal := plane_normal(p)) is None:
             return
         size = float(np.sqrt(np.mean((p - p.mean(axis=0)) ** 2)))
-        beside = float(abs((stand.ball_centre - p.mean(axis=0)) @ across))
-        if beside > _MIN_PLANE_DISTANCE * size:
+        height = float(abs((pose.ball_centre - p.mean(axis=0)) @ normal))
+        if height > _MIN_PLANE_DISTANCE * size:
             yield (
-                f"its places lie in one plane, and the ball {compact(beside * 1e3, 2)} mm beside "
+                f"its places lie in one plane, and the ball {compact(height * 1e3, 2)} mm beside "
                 f"it; on which side no reading says, below was taken: on the other one, what is "
                 f"told of the machine across that plane has the other sign; read places out of it "
                 f"as well",
@@ -97,7 +95,7 @@ class BallBar(Observation):
             )
 
     def find_unit_or_frame_error(
-        self, taken: SetupReadings, apart: Array, beliefs: InstrumentPriors
+        self, readings: SetupReadings, distance: Array, priors: InstrumentPriors
     ) -> str:
-        """Return which other unit the lengths seem to have."""
-        return wrong_bar_unit(taken.p, taken.value)
+        """Return a sentence on the unit that the lengths seem to have by mistake."""
+        return wrong_bar_unit(readings.p, readings.value)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
 from orthoglide.geometry import Array
@@ -18,6 +17,7 @@ from orthoglide.instruments.observation import (
     MountingContext,
     Observation,
     ReadingVariables,
+    Rows,
     Setup,
     SetupReadings,
     Table,
@@ -30,10 +30,9 @@ from orthoglide.instruments.unit_and_frame_checks import wrong_unit
 
 PRINTED = "printed"
 SHRINKAGE_BY_MATERIAL = {"": (0.0, 0.01), PRINTED: (0.003, 0.003), "metal": (0.0, 2e-4)}
-"""By material, by how much a part is smaller than it was commanded, and the standard deviation of
-that, over its length. Where the material is not known it may be anything; a print of usual plastics
-shrinks by 0.2 to 0.5 per cent as it cools; a rule, a jig or a milled part is true to two hundredths
-of a millimetre on 100 mm."""
+"""Shrinkage of a part over its commanded length, and its standard deviation, by material. An
+unknown material may be anything; prints of usual plastics shrink by 0.2 to 0.5 per cent as they
+cool; a rule, a jig or a milled part is true to two hundredths of a millimetre on 100 mm."""
 
 DISTANCE_OFFSET_SD = 2e-4
 """Metres: the width of pillars or holes of a setup, and the nozzle's own track on a print."""
@@ -60,42 +59,42 @@ class Distance(Observation):
         return effect.part is not None
 
     def allows_effect(self, setup: Setup, effect: Effect) -> bool:
-        """Return whether a part may be off in size by more than its material is: a printed one."""
+        """Return whether the part is printed: only its size may have an effect of its own."""
         return setup.material == PRINTED
 
-    def shared_nuisance_name(self, setup: Setup, number: int) -> str:
-        """Return that the printed parts of a file are one part."""
-        return PRINTED if number == 0 and setup.material == PRINTED else ""
+    def shared_nuisance_name(self, setup: Setup, index: int) -> str:
+        """Return one name for the scale of all printed parts of a file."""
+        return PRINTED if index == 0 and setup.material == PRINTED else ""
 
     def formula(self, row: ReadingVariables, effects: Sequence[Effect]) -> Any:
-        """Return the length between both places, times a scale and with an offset."""
-        beside = vector(row.mounting)
-        apart = add(
-            (1, reading_point(row.pose, beside)), (-1, reading_point(row.second_pose, beside))
+        """Return the distance between both points, times a scale and with an offset."""
+        offset = vector(row.mounting)
+        separation = add(
+            (1, reading_point(row.pose, offset)), (-1, reading_point(row.second_pose, offset))
         )
-        shown = length(apart) * (1 - row.mounting[3])
+        reading = length(separation) * (1 - row.mounting[3])
         for effect, value in zip(effects, row.effect_parameters, strict=True):
             if effect.part is not None:
-                shown = effect.part(shown, value)
-        return shown * (1 + row.nuisance[0]) + row.nuisance[1]
+                reading = effect.part(reading, value)
+        return reading * (1 + row.nuisance[0]) + row.nuisance[1]
 
-    def mounting_values(self, table: Table, rows: NDArray[np.intp], site: MountingContext) -> Array:
-        """Return where the places are beside the tool, and by how much parts are smaller."""
-        smaller = np.array([SHRINKAGE_BY_MATERIAL[setup.material][0] for setup in table.setups])
-        return np.column_stack([table.beside[rows], smaller[table.setup[rows]]])
+    def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
+        """Return the offset from the tool, and the shrinkage of the part."""
+        shrinkage = np.array([SHRINKAGE_BY_MATERIAL[setup.material][0] for setup in table.setups])
+        return np.column_stack([table.beside[rows], shrinkage[table.setup[rows]]])
 
-    def nuisance_sds(self, setup: Setup, axis: Ints, beliefs: InstrumentPriors) -> Array:
-        """Return what is known of the scale and the offset."""
+    def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
+        """Return the priors of the scale and the offset."""
         return np.array([SHRINKAGE_BY_MATERIAL[setup.material][1], DISTANCE_OFFSET_SD])
 
     def find_unit_or_frame_error(
-        self, taken: SetupReadings, apart: Array, beliefs: InstrumentPriors
+        self, readings: SetupReadings, distance: Array, priors: InstrumentPriors
     ) -> str:
-        """Return which other unit the distances seem to have."""
-        return wrong_unit(taken.value, apart)
+        """Return a sentence on the unit that the distances seem to have by mistake."""
+        return wrong_unit(readings.value, distance)
 
     def places(self, ring: Array) -> tuple[Array, Array | None]:
-        """Return every other place of the ring, every fourth, and opposites."""
+        """Return pairs of points of the ring that are two apart, four apart, and opposite."""
         count = len(ring)
         ends = np.array([(a, (a + k) % count) for k in (2, 4, count // 2) for a in range(count)
                          if k < count // 2 or a < count // 2])  # fmt: skip

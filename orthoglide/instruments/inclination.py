@@ -1,4 +1,4 @@
-"""A level at the tool: its turn, and the platform's, about a base axis."""
+"""A level at the tool: rotation of the platform about a base axis."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
 from orthoglide.geometry import Array
@@ -16,6 +15,7 @@ from orthoglide.instruments.observation import (
     MountingContext,
     Observation,
     ReadingVariables,
+    Rows,
     Setup,
     Table,
     add,
@@ -26,7 +26,7 @@ from orthoglide.instruments.observation import (
 
 
 class Inclination(Observation):
-    """Turns of the platform, right-handed about an axis."""
+    """Rotations of the platform, right-handed about an axis."""
 
     kind = "incline"
     instrument_phrase = "a level at the tool"
@@ -43,17 +43,17 @@ class Inclination(Observation):
     nuisance_count = 3
 
     def formula(self, row: ReadingVariables, effects: Sequence[Effect]) -> Any:
-        """Return the turn about the axis, the sine of the angle times the axis, past a datum."""
+        """Return the rotation about the axis (sine of the angle times its axis) plus a datum."""
         R = [vector(row.pose, 3 + 3 * k) for k in range(3)]
-        twice = [R[2][1] - R[1][2], R[0][2] - R[2][0], R[1][0] - R[0][1]]
-        return dot(vector(row.mounting), add((0.5, twice), (1, vector(row.nuisance))))
+        doubled = [R[2][1] - R[1][2], R[0][2] - R[2][0], R[1][0] - R[0][1]]
+        return dot(vector(row.mounting), add((0.5, doubled), (1, vector(row.nuisance))))
 
-    def mounting_values(self, table: Table, rows: NDArray[np.intp], site: MountingContext) -> Array:
-        """Return the axis that is read, with its sign."""
+    def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
+        """Return the axis of each row, with its sign."""
         return signed_axes(table, rows)
 
-    def nuisance_sds(self, setup: Setup, axis: Ints, beliefs: InstrumentPriors) -> Array:
-        """Return that nothing is known of a datum an axis."""
+    def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
+        """Return that the datum of each axis has no prior."""
         return np.full(3, np.inf)
 
     def places(self, ring: Array) -> tuple[Array, Array | None]:

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.effects import DialReading, Effect
 from orthoglide.geometry import Array, Geometry
@@ -21,6 +20,7 @@ from orthoglide.instruments.observation import (
     MountingContext,
     Observation,
     ReadingVariables,
+    Rows,
     Setup,
     Table,
     Vector,
@@ -33,45 +33,46 @@ BAR_WEIGHTS = {0: (0.5, 0.5), 1: (1.0, 0.0), 2: (0.0, 1.0)}
 """Shares of bars 1 and 2 in the line that a setup touches, by its bar."""
 
 DIAL_MOUNTING_SIZE = 13
-"""Numbers that say how a dial stands on a leg, see :func:`dial_mountings`."""
+"""Numbers that describe the mounting of a dial on a leg, see :func:`dial_mountings`."""
 
+PLACE_INDEX, SIGN_INDEX, TIME_INDEX = 11, 12, 13
+"""Positions in the mounting of a dial: its place along the leg, its sign, the time of a reading."""
 
 DATUM_INDEX, PLACEMENT_INDEX = 0, 1
-"""Nuisances of a dial: its datum, and how far beside its place along the leg it stands."""
+"""Nuisance parameters of a dial: its datum, and the error of its place along the leg."""
 
 
-def dial_mountings(table: Table, rows: NDArray[np.intp], geometry: Geometry) -> Array:
-    """Return how each row's dial stands on its leg ``(m, 13)``: shares of the bars, the leg's own
-    axis, the axis sensed, the axis that the dial turns toward, place and sign.
+def dial_mountings(table: Table, rows: Rows, geometry: Geometry) -> Array:
+    """Return the mounting of each row's dial ``(m, 13)``: weights of the bars, axis of the leg,
+    axis sensed, axis toward which a rolled dial turns, place along the leg, sign.
     """
-    found, axes = np.zeros((len(table.setups), DIAL_MOUNTING_SIZE)), np.eye(3)
-    for row, setup in zip(found, table.setups, strict=True):
+    mountings, axes = np.zeros((len(table.setups), DIAL_MOUNTING_SIZE)), np.eye(3)
+    for row, setup in zip(mountings, table.setups, strict=True):
         if setup.leg >= 0:
             slide, sensed = geometry.slides[setup.leg], axes[setup.axis]
             row[:2] = BAR_WEIGHTS[setup.bar]
             row[2:5], row[5:8], row[8:11] = slide, sensed, np.cross(slide, sensed)
-            row[11], row[12] = setup.gauge + geometry.r, setup.sign
-    return np.asarray(found[table.setup[rows]])
+            row[PLACE_INDEX], row[SIGN_INDEX] = setup.gauge + geometry.r, setup.sign
+    return np.asarray(mountings[table.setup[rows]])
 
 
 def dial_plane_crossing(ends: Any, mounting: Any, place: Any) -> Vector:
-    """Return where the touched line crosses a plane across the leg ``(3,)``, metres.
+    """Return the point where the touched line crosses a plane across the leg ``(3,)``, metres.
 
     Args:
-        ends: of the leg's bars (bar, end, xyz) ``(12,)``, metres.
-        mounting: how the dial stands, as :func:`dial_mountings` has it.
-        place: of the plane along the leg's own axis, metres.
+        ends: ends of the leg's bars (bar, end, xyz) ``(12,)``, metres.
+        mounting: of the dial, as :func:`dial_mountings` returns it.
+        place: of the plane along the leg's axis, metres.
     """
-    one, two, own = mounting[0], mounting[1], vector(mounting, 2)
-    start = add((one, vector(ends)), (two, vector(ends, 6)))
-    along = add((one, vector(ends, 3)), (two, vector(ends, 9)), (-1, start))
-    return add((1, start), ((place - dot(own, start)) / dot(own, along), along))
+    weight1, weight2, slide = mounting[0], mounting[1], vector(mounting, 2)
+    start = add((weight1, vector(ends)), (weight2, vector(ends, 6)))
+    line = add((weight1, vector(ends, 3)), (weight2, vector(ends, 9)), (-1, start))
+    return add((1, start), ((place - dot(slide, start)) / dot(slide, line), line))
 
 
 def dial_setup_error(setup: Setup) -> str:
-    """Return what is wrong with where a dial stands on a leg, as a clause."""
-    three = (0, 1, 2)
-    if setup.leg not in three or setup.axis not in three:
+    """Return what is wrong with the mounting of a dial on a leg, as a clause; empty if nothing."""
+    if not {setup.leg, setup.axis} <= {0, 1, 2}:
         return "legs and axes are 0, 1 or 2"
     if setup.leg == setup.axis:
         return "direction is the leg's own axis: name one across the leg"
@@ -82,7 +83,7 @@ def dial_setup_error(setup: Setup) -> str:
 
 
 class LegDial(Observation):
-    """Readings of a dial whose zero lies anywhere."""
+    """Readings of a dial with an arbitrary zero."""
 
     kind = "leg"
     instrument_phrase = "dials on the legs"
@@ -106,21 +107,21 @@ class LegDial(Observation):
         return dial_setup_error(setup)
 
     def formula(self, row: ReadingVariables, effects: Sequence[Effect]) -> Any:
-        """Return the crossing along the dial's direction, as the dial shows it."""
-        stands, sign, time = row.mounting, row.mounting[12], row.mounting[13]
-        place = stands[11] + row.nuisance[PLACEMENT_INDEX]
-        x = dial_plane_crossing(row.pose, stands, place)
-        reading, across = sign * dot(vector(stands, 5), x), sign * dot(vector(stands, 8), x)
+        """Return the crossing point along the dial's direction, as the dial shows it."""
+        mounting, sign, time = row.mounting, row.mounting[SIGN_INDEX], row.mounting[TIME_INDEX]
+        place = mounting[PLACE_INDEX] + row.nuisance[PLACEMENT_INDEX]
+        x = dial_plane_crossing(row.pose, mounting, place)
+        reading, across = sign * dot(vector(mounting, 5), x), sign * dot(vector(mounting, 8), x)
         for effect, value in zip(effects, row.effect_parameters, strict=True):
             if effect.dial is not None:
                 reading = effect.dial(DialReading(reading, across, time), value)
         return reading + row.nuisance[DATUM_INDEX]
 
-    def mounting_values(self, table: Table, rows: NDArray[np.intp], site: MountingContext) -> Array:
-        """Return how the dials stand, and the time of each reading."""
-        time = np.nan_to_num(table.time[rows])
-        return np.column_stack([dial_mountings(table, rows, site.geometry), time])
+    def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
+        """Return the mountings of the dials, and the time of each reading."""
+        mountings = dial_mountings(table, rows, context.geometry)
+        return np.column_stack([mountings, np.nan_to_num(table.time[rows])])
 
-    def nuisance_sds(self, setup: Setup, axis: Ints, beliefs: InstrumentPriors) -> Array:
-        """Return what is known of the datum, and of the dial's place along the leg."""
-        return np.array([np.inf, beliefs.dial_placement_sd])
+    def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
+        """Return the priors of the datum, which has none, and of the dial's place along the leg."""
+        return np.array([np.inf, priors.dial_placement_sd])

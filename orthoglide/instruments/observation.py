@@ -1,6 +1,6 @@
-"""Kinds of readings: formula, nuisances, place of the instrument, and words.
+"""Kinds of readings: formula, nuisance parameters, pose of the instrument, and texts.
 
-A formula is written once, for one row, with operations that numbers and CasADi's symbols share.
+A formula is written once, for one reading, with operations that numbers and CasADi's symbols share.
 Values, derivatives by the pose, nuisance columns and the nonlinear programme all come from it.
 """
 
@@ -19,44 +19,39 @@ from orthoglide.errors import InputError, check_choice
 from orthoglide.geometry import LEGS, Array, Geometry
 
 Ints = NDArray[np.int64]
+Rows = NDArray[np.intp]
 
 POSE_SIZE = 12
-"""Numbers of a closed posture that a reading follows: the tool's place and rotation, or the ends of
-one leg's bars."""
+"""Numbers that describe a posture: position and rotation of the tool, or the ends of one leg's
+bars."""
 
 
 @dataclass(frozen=True)
 class ReadingVariables:
     """Symbols or numbers of one reading."""
 
-    # place of the tool and rotation of the platform row by row, or ends of the bars of the leg that
-    # is read (bar, end, xyz), metres (12,)
+    # position of the tool and rotation of the platform row by row, or ends of the bars of the leg
+    # that is read (bar, end, xyz), metres (12,)
     pose: Any
-    second_pose: Any  # the same at the second command of a reading between two (12,)
-    mounting: Any  # numbers of the instrument in its place, see `Observation.mountings` (M,)
-    nuisance: Any  # numbers that a setup's readings contain besides the machine (K,)
-    effect_parameters: Sequence[Any]  # of the parameters of the instrument's effects (D,)
+    second_pose: Any  # pose at the second command of a reading between two (12,)
+    mounting: Any  # numbers of the mounting, see `Observation.mounting_values` (M,)
+    nuisance: Any  # nuisance parameters of the setup (K,)
+    effect_parameters: Sequence[Any]  # values of the parameters of the instrument's effects (D,)
 
 
 @dataclass(frozen=True)
 class InstrumentPose:
-    """Place of one setup's instrument, estimated from its readings.
+    """Pose of one setup's instrument, estimated from its readings."""
 
-    A tracker has a ``turn``, a ball bar a ``ball``, a probe a ``lift``.
-    """
-
-    rotation: Array = field(
-        default_factory=lambda: np.eye(3)
-    )  # its frame's axes in the base (3, 3)
-    ball_centre: Array = field(
-        default_factory=lambda: np.zeros(3)
-    )  # centre of its ball (3,), metres
-    # by how much places beside or below the tool are higher than at a platform that is level, in
-    # the mean of the readings, metres
+    # axes of a tracker's frame in the base (3, 3)
+    rotation: Array = field(default_factory=lambda: np.eye(3))
+    # centre of a ball bar's ball (3,), metres
+    ball_centre: Array = field(default_factory=lambda: np.zeros(3))
+    # of a probe: mean height of its offset from the tool above that at a level platform, metres
     mean_lift: float = 0.0
 
     def is_close_to(self, other: InstrumentPose) -> bool:
-        """Return whether both are equal as far as second orders of their difference matter."""
+        """Return whether second orders of the difference between both poses are negligible."""
         return bool(
             np.abs(self.rotation - other.rotation).max() <= SMALL_ROTATION
             and np.abs(self.ball_centre - other.ball_centre).max() <= SMALL_SHIFT
@@ -71,15 +66,11 @@ translation and a turn."""
 
 @dataclass(frozen=True)
 class InstrumentPriors:
-    """Prior knowledge of the places of instruments."""
+    """Prior knowledge of the poses of instruments; a standard deviation of 0 means exact."""
 
-    dial_placement_sd: float = (
-        0.0  # standard deviation of a dial's place along its leg, metres; 0: exact
-    )
-    # standard deviation of the slope of the surface that two dials were set to zero against; 0:
-    # exact, radians
-    surface_slope_sd: float = 0.0
-    tracker_frame: Frame = "rigid"  # of a tracker
+    dial_placement_sd: float = 0.0  # of a dial's place along its leg, metres
+    surface_slope_sd: float = 0.0  # of the surface against which two dials were zeroed, radians
+    tracker_frame: Frame = "rigid"
 
 
 @dataclass(frozen=True)
@@ -88,55 +79,53 @@ class MountingContext:
 
     geometry: Geometry  # of the machine
     instrument_poses: Sequence[InstrumentPose]  # of every setup
-    # places of all readings on their plates over the largest measured radius, along axes that turn
-    # with the plate (n, 2)
+    # positions of all readings on their plates over the largest measured radius, along axes that
+    # turn with the plate (n, 2)
     normalized_plate_xy: Array
-    effects: Sequence[Effect] = ()  # of the instrument, those that it takes
+    effects: Sequence[Effect] = ()  # that change readings of this kind
 
 
 TOOL_OFFSET_COLUMNS = ("beside_x_mm", "beside_y_mm", "beside_z_mm")
-"""Columns of where a probe touches or a tip stands, from the tool on the platform."""
+"""Columns of the offset of a probe or a tip from the tool, along the platform's axes."""
 
 MATERIAL_COLUMN = "material"
-"""Column of what a measured part is made of, which says how well its size is known."""
+"""Column of the material of a measured part, which sets the prior of its size."""
 
 PLATE_TURN_COLUMN = "turned_deg"
 """Column of how far a plate was turned on its seat, counter-clockwise from above."""
 
 SMALL_ROTATION = 1e-3
-"""Radians: the square of a smaller turn moves no more than parts of a micrometre."""
+"""Radians: the second order of a smaller rotation moves less than a micrometre."""
 
 SMALL_SHIFT = 1e-5
 """Metres: the square of a smaller shift over a machine's size is below a nanometre."""
 
-
 Table = Any
-"""Readings, as `observations` has them, with one entry a reading in each array."""
-
+"""A table of readings, `orthoglide.observations.Readings`, which a layer above defines."""
 
 OBSERVATIONS: dict[str, Observation] = {}
-"""All kinds of readings, by what files call them; the files beside this one fill it."""
+"""All kinds of readings by their name in files; each subclass of `Observation` registers itself."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """One mounting of one instrument, a dial on a leg where no kind is given.
+    """One mounting of one instrument; by default of a dial on a leg.
 
     Attributes:
         name: label, unique within its file.
-        leg: 0, 1 or 2: the leg that is read; -1 where the tool is.
+        leg: 0, 1 or 2: the leg that is read; -1 if the tool is read.
         axis: 0, 1 or 2: the base axis along which a leg is read, not the leg's own; -1 where each
             reading has its own axis, or none.
         sign: +1, or -1 where the dial counts against the axis.
         gauge: where the dial stands along the leg's own axis, metres, r removed.
         bar: 1 or 2 for a bar, 0 for the leg's median line.
-        kind: of its readings, a key of `OBSERVATIONS`.
-        gauge2: where the second dial stands of readings that are a difference of two, as ``gauge``.
-        beside: where it is taken: from the point of the tool that is commanded, along x, y and z
-            of the platform, metres; below it, of a longer tool, z is negative.
-        turned: of a plate, how far it was turned on its seat, counter-clockwise from above,
-            degrees: its shape turns with it.
-        material: of a part on which distances are read, see `distance.SIZES`.
+        kind: kind of its readings, a key of `OBSERVATIONS`.
+        gauge2: place of the second dial, as ``gauge``, if a reading is the difference of two.
+        beside: offset of the reading from the commanded point of the tool, along x, y and z of the
+            platform, metres; z is negative for a longer tool.
+        turned: rotation of a plate on its seat, counter-clockwise from above, degrees: its shape
+            turns with it.
+        material: of a part on which distances are read, a key of `SHRINKAGE_BY_MATERIAL`.
 
     Raises:
         InputError: where these do not fit together.
@@ -158,8 +147,8 @@ class Setup:
         check_choice("kind of reading", self.kind, OBSERVATIONS)
         if self.leg in OBSERVATIONS:
             raise InputError(f"setup {self.name!r}: name what is its kind: kind={self.leg!r}")
-        if trouble := self.observation.check(self):
-            raise InputError(f"setup {self.name!r}: {trouble}")
+        if problem := self.observation.check(self):
+            raise InputError(f"setup {self.name!r}: {problem}")
 
     @property
     def observation(self) -> Observation:
@@ -185,14 +174,12 @@ class Setup:
 
 @dataclass(frozen=True)
 class SetupReadings:
-    """Readings of one setup that say where its instrument stands."""
+    """Readings of one setup, from which the pose of its instrument is estimated."""
 
-    p: Array  # where a machine has the tool, or the place beside it (m, 3), metres
-    offset_from_tool: (
-        Array  # what of it is the place beside the tool, turned with the platform (m, 3), metres
-    )
+    p: Array  # measured point on the machine, the tool or a point beside it (m, 3), metres
+    offset_from_tool: Array  # part of p: from the tool, turned with the platform (m, 3), metres
     axis: Ints  # base axis that is read (m,)
-    value: Array  # readings, counted along that axis (m,); all nan where none is taken yet
+    value: Array  # readings, counted along that axis (m,); nan where not taken yet
     sigma: Array  # standard deviation of each (m,)
 
     @property
@@ -208,26 +195,25 @@ class Observation(ABC):
     """One kind of reading.
 
     Attributes:
-        kind: what files call its readings, and the machine file its table.
-        words: what takes the readings.
-        reads: what is read; ``{}`` or ``{0}`` stands for the axis, ``{1}`` for the leg.
-        fill: what to write on a sheet.
-        fitted: what a setup's readings contain besides the machine, for the documentation.
-        fill_place: what to write where its rows say places, if that is another way.
-        how: said behind ``words`` of readings that are proposed to tell causes apart; empty where
-            none are.
+        kind: name of the kind in files.
+        instrument_phrase: the instrument, in words.
+        quantity_phrase: what is read; ``{}`` or ``{0}`` stands for the axis, ``{1}`` for the leg.
+        sheet_instruction: what to write on a sheet.
+        nuisance_summary: the nuisance parameters, for the documentation.
+        sheet_instruction_place: what to write where commands are places, if it differs.
+        suggestion_suffix: follows ``instrument_phrase`` where such readings are proposed.
         repeatability: standard deviation of one reading where nothing is known.
-        quietest: least standard deviation that repeats may show, as copies show none.
-        angular: whether it reads radians; metres otherwise.
-        dials: on a leg that one reading is made of; 0 of what reads the tool.
-        protocol: of dials, the measuring protocol that makes most of them.
-        axes: base axes along or about which it reads; none where it has no direction.
+        least_noise: least standard deviation accepted from repeats, as copied readings show none.
+        angular: whether readings are in radians; metres otherwise.
+        dials: number of dials on a leg per reading; 0 if the tool is read.
+        protocol: measuring protocol recommended for dials.
+        axes: base axes along or about which it reads; empty if readings have no direction.
         touches: whether it touches a plate.
-        paired: whether it reads between two commands.
+        paired: whether a reading is between two commands.
         about_ball: whether it reads about a fixed ball.
-        setup_columns: columns of files that a mounting has besides its name.
-        postures: distinct postures that a setup needs.
-        nuisances: how many numbers a setup's readings contain besides the machine, `K`.
+        setup_columns: columns of files that belong to a mounting, besides its name.
+        min_postures: number of distinct postures that a setup needs.
+        nuisance_count: number `K` of nuisance parameters of a setup.
     """
 
     kind: ClassVar[str]
@@ -262,7 +248,7 @@ class Observation(ABC):
 
     @property
     def from_datum(self) -> bool:
-        """Whether its readings say something only against others of their setup."""
+        """Whether only differences between readings of a setup are informative."""
         return self.min_postures > 1
 
     @property
@@ -275,7 +261,7 @@ class Observation(ABC):
         return False
 
     def allows_effect(self, setup: Setup, effect: Effect) -> bool:
-        """Return whether a setup may have an effect that this kind takes."""
+        """Return whether an effect that changes readings of this kind may act in a setup."""
         return True
 
     def check(self, setup: Setup) -> str:
@@ -284,91 +270,90 @@ class Observation(ABC):
 
     @abstractmethod
     def formula(self, row: ReadingVariables, effects: Sequence[Effect]) -> Any:
-        """Return the reading to expect of one row.
+        """Return the expected reading.
 
         Args:
-            row: its symbols or numbers.
-            effects: of the instrument, those that it takes, in the order of their values.
+            row: symbols or numbers of the reading.
+            effects: effects of the instrument, in the order of their parameters.
         """
 
     @abstractmethod
-    def mounting_values(self, table: Table, rows: NDArray[np.intp], site: MountingContext) -> Array:
-        """Return the numbers of instruments in their places that the formula uses ``(m, M)``.
+    def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
+        """Return the numbers of the mountings that the formula uses ``(m, M)``.
 
         Args:
             table: the readings.
-            rows: some of them ``(m,)``, of this kind.
-            site: where its instruments stand.
+            rows: rows of this kind ``(m,)``.
+            context: poses of the instruments, and what else the numbers depend on.
         """
 
     @abstractmethod
-    def nuisance_sds(self, setup: Setup, axis: Ints, beliefs: InstrumentPriors) -> Array:
-        """Return standard deviations of the nuisances about zero ``(K,)``: infinite where nothing
-        is known, 0 of those that the setup has not.
+    def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
+        """Return prior standard deviations of the nuisance parameters, of mean zero ``(K,)``:
+        infinite where nothing is known, 0 where the setup does not have the parameter.
 
         Args:
-            setup: whose they are.
+            setup: the mounting.
             axis: base axes that the setup reads ``(m,)``.
-            beliefs: of how instruments stand.
+            priors: of the poses of instruments.
         """
 
-    def shared_nuisance_name(self, setup: Setup, number: int) -> str:
-        """Return what the nuisance of a number is called where all setups of a file that call it so
-        have it together; empty of one that the setup has for itself.
+    def shared_nuisance_name(self, setup: Setup, index: int) -> str:
+        """Return the name under which setups of a file share a nuisance parameter; empty if it is
+        specific to the setup.
         """
         return ""
 
     def estimate_pose(
-        self, taken: SetupReadings, near: InstrumentPose | None, beliefs: InstrumentPriors
+        self, readings: SetupReadings, initial: InstrumentPose | None, priors: InstrumentPriors
     ) -> InstrumentPose:
-        """Return where a setup's instrument stands by its readings.
+        """Return the pose of a setup's instrument, estimated from its readings.
 
         Args:
-            taken: the readings, and where a machine takes them.
-            near: about where it stands, if that is known.
-            beliefs: of how instruments stand.
+            readings: the readings, and the points where a machine takes them.
+            initial: initial estimate, if there is one.
+            priors: of the poses of instruments.
         """
-        return near or InstrumentPose()
+        return initial or InstrumentPose()
 
     def apply_pose_nuisances(
-        self, stand: InstrumentPose, nuisance: Array
+        self, pose: InstrumentPose, nuisance: Array
     ) -> tuple[InstrumentPose, Array]:
-        """Return where an instrument stands that is off its place by some of its nuisances, and
-        what of these is left ``(K,)``: all where they say it to any order.
+        """Return the pose that contains the nuisance parameters which displace the instrument, and
+        the remaining ones ``(K,)``: all of them where the formula is exact in them.
         """
-        return stand, nuisance
+        return pose, nuisance
 
     def find_unit_or_frame_error(
-        self, taken: SetupReadings, apart: Array, beliefs: InstrumentPriors
+        self, readings: SetupReadings, distance: Array, priors: InstrumentPriors
     ) -> str:
-        """Return what a setup's readings seem to be that cannot be meant as they stand, as a
-        sentence; empty where they can.
+        """Return a sentence on the unit or frame in which a setup's readings seem to be given by
+        mistake; empty where they are plausible.
 
         Args:
-            taken: the readings, and where the machine near which they were taken has the tool.
-            apart: distance to the place of the second command ``(m,)``, metres.
-            beliefs: of how instruments stand.
+            readings: the readings, and the points where the expected machine takes them.
+            distance: expected distance to the point of the second command ``(m,)``, metres.
+            priors: of the poses of instruments.
         """
         return ""
 
     def placement_warnings(
-        self, stand: InstrumentPose, p: Array, axis: Ints
+        self, pose: InstrumentPose, p: Array, axis: Ints
     ) -> Iterator[tuple[str, str]]:
-        """Yield what is odd in where a setup's instrument stands: sentences, each with its kind.
+        """Yield warnings about the estimated pose of an instrument: sentences, each with its kind.
 
         Args:
-            stand: by its readings.
-            p: where these were taken ``(m, 3)``, metres.
-            axis: that they read ``(m,)``.
+            pose: the estimate.
+            p: measured points ``(m, 3)``, metres.
+            axis: base axis of each reading ``(m,)``.
         """
         yield from ()
 
     def places(self, ring: Array) -> tuple[Array, Array | None]:
-        """Return places of a measuring sheet ``(k, 3)``, and the second ones where it reads between
-        two.
+        """Return the points of a measuring sheet ``(k, 3)``, and the second ones of a paired kind.
 
         Args:
-            ring: places on a circle of radius 1 about z ``(m, 3)``.
+            ring: points on a circle of radius 1 about z ``(m, 3)``.
         """
         return np.concatenate([ring, ring[:, [2, 0, 1]], ring[:, [1, 2, 0]]]), None
 
@@ -382,26 +367,26 @@ def vector(values: Any, first: int = 0) -> Vector:
     return [values[first + k] for k in range(3)]
 
 
-def dot(one: Vector, other: Vector) -> Any:
-    """Return the product of two vectors."""
-    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+def dot(u: Vector, v: Vector) -> Any:
+    """Return the scalar product of two vectors."""
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 
 
 def add(*terms: tuple[Any, Vector]) -> Vector:
-    """Return the sum of vectors, each with a factor before it."""
-    return [sum(factor * own[k] for factor, own in terms) for k in range(3)]
+    """Return the sum of vectors, each multiplied by its factor."""
+    return [sum(factor * v[k] for factor, v in terms) for k in range(3)]
 
 
-def length(along: Vector) -> Any:
+def length(v: Vector) -> Any:
     """Return the length of a vector."""
-    return dot(along, along) ** 0.5
+    return dot(v, v) ** 0.5
 
 
-def reading_point(pose: Any, beside: Vector) -> Vector:
-    """Return where a reading is taken, ``beside`` the tool on the platform."""
-    return add((1, vector(pose)), (1, [dot(vector(pose, 3 + 3 * k), beside) for k in range(3)]))
+def reading_point(pose: Any, offset: Vector) -> Vector:
+    """Return the point at an offset from the tool, along the platform's axes ``(3,)``."""
+    return add((1, vector(pose)), (1, [dot(vector(pose, 3 + 3 * k), offset) for k in range(3)]))
 
 
-def signed_axes(table: Table, rows: NDArray[np.intp]) -> Array:
-    """Return the axis that each row counts along, with its sign ``(m, 3)``."""
+def signed_axes(table: Table, rows: Rows) -> Array:
+    """Return the axis along which each row is counted, with its sign ``(m, 3)``."""
     return np.asarray(table.sign[rows, None] * np.eye(3)[table.axis[rows]])

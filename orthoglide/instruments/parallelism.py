@@ -10,12 +10,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
 from orthoglide.geometry import Array
 from orthoglide.instruments.leg_dial import (
     DIAL_MOUNTING_SIZE,
+    PLACE_INDEX,
+    SIGN_INDEX,
     dial_mountings,
     dial_plane_crossing,
     dial_setup_error,
@@ -26,6 +27,7 @@ from orthoglide.instruments.observation import (
     MountingContext,
     Observation,
     ReadingVariables,
+    Rows,
     Setup,
     Table,
     add,
@@ -35,7 +37,7 @@ from orthoglide.instruments.observation import (
 
 
 class Parallelism(Observation):
-    """What the dial at ``gauge2`` shows less what the dial at ``gauge`` shows."""
+    """Readings of the dial at ``gauge2`` minus those of the dial at ``gauge``."""
 
     kind = "parallelism"
     instrument_phrase = "two dials on a leg"
@@ -60,17 +62,18 @@ class Parallelism(Observation):
         return "its two dials stand at one place: correct gauge_mm or gauge2_mm"
 
     def formula(self, row: ReadingVariables, effects: Sequence[Effect]) -> Any:
-        """Return the difference of two crossings, and what the surface's slope makes of it."""
-        stands, other = row.mounting, row.mounting[DIAL_MOUNTING_SIZE]
-        one, two = (dial_plane_crossing(row.pose, stands, place) for place in (stands[11], other))
-        apart = dot(vector(stands, 5), add((1, two), (-1, one)))
-        return stands[12] * apart + row.nuisance[0] * (other - stands[11])
+        """Return the difference of two crossing points, plus the slope of the surface."""
+        mounting = row.mounting
+        first, second = mounting[PLACE_INDEX], mounting[DIAL_MOUNTING_SIZE]
+        x1, x2 = (dial_plane_crossing(row.pose, mounting, place) for place in (first, second))
+        difference = dot(vector(mounting, 5), add((1, x2), (-1, x1)))
+        return mounting[SIGN_INDEX] * difference + row.nuisance[0] * (second - first)
 
-    def mounting_values(self, table: Table, rows: NDArray[np.intp], site: MountingContext) -> Array:
-        """Return how the first dials stand, and the places of the second."""
-        second = np.array([s.gauge2 for s in table.setups])[table.setup[rows]] + site.geometry.r
-        return np.column_stack([dial_mountings(table, rows, site.geometry), second])
+    def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
+        """Return the mountings of the first dials, and the places of the second."""
+        second = np.array([s.gauge2 for s in table.setups])[table.setup[rows]] + context.geometry.r
+        return np.column_stack([dial_mountings(table, rows, context.geometry), second])
 
-    def nuisance_sds(self, setup: Setup, axis: Ints, beliefs: InstrumentPriors) -> Array:
-        """Return what is known of the surface's slope, radians."""
-        return np.array([beliefs.surface_slope_sd])
+    def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
+        """Return the prior of the surface's slope, radians."""
+        return np.array([priors.surface_slope_sd])

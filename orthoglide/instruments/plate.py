@@ -1,4 +1,4 @@
-"""A probe that touches a plate: the tool's height above it, the plate's own shape apart."""
+"""A probe that touches a plate: height of the tool above the plate and its shape."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
 from orthoglide.geometry import Array
@@ -19,6 +18,7 @@ from orthoglide.instruments.observation import (
     MountingContext,
     Observation,
     ReadingVariables,
+    Rows,
     Setup,
     SetupReadings,
     Table,
@@ -26,11 +26,11 @@ from orthoglide.instruments.observation import (
     vector,
 )
 
-_GRID_SIZE = 7  # places of a sheet along the plate's diameter
+_GRID_SIZE = 7  # points of a sheet along the plate's diameter
 
 
 class PlateTouch(Observation):
-    """Heights over a plane that lies anyhow; effects bend it."""
+    """Heights above a plane of free height and slopes, which effects bend."""
 
     kind = "plate"
     instrument_phrase = "a probe on a plate"
@@ -51,9 +51,9 @@ class PlateTouch(Observation):
         return bool(effect.plate)
 
     def formula(self, row: ReadingVariables, effects: Sequence[Effect]) -> Any:
-        """Return the tool's height above the plane and its shapes, which begin at the mounting's
-        fifth number. A probe is set against the nozzle, so the height that its place beside the
-        tool brings in the mean is none.
+        """Return the tool's height above the plane and its shapes, which begin at the fifth number
+        of the mounting. The mean height of the probe's offset is subtracted, as a probe is set
+        against the nozzle.
         """
         p = reading_point(row.pose, vector(row.mounting))
         height = p[2] - row.mounting[3]
@@ -62,25 +62,25 @@ class PlateTouch(Observation):
             height = height - value * row.mounting[4 + k]
         return height - plane
 
-    def mounting_values(self, table: Table, rows: NDArray[np.intp], site: MountingContext) -> Array:
-        """Return where the probe is beside the tool, by how much that lifts it, and a unit of each
-        of the plate's shapes there.
+    def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
+        """Return the probe's offset from the tool, its mean height, and the value of each shape of
+        the plate.
         """
-        lift = np.array([stand.mean_lift for stand in site.instrument_poses])[table.setup[rows]]
-        shapes = [shape for effect in site.effects for shape in effect.shapes.values()]
-        x, y = site.normalized_plate_xy[rows].T
-        bent = [np.broadcast_to(shape(x, y), x.shape) for shape in shapes]
-        return np.column_stack([table.beside[rows], lift, *bent])
+        lift = np.array([pose.mean_lift for pose in context.instrument_poses])[table.setup[rows]]
+        shapes = [shape for effect in context.effects for shape in effect.shapes.values()]
+        x, y = context.normalized_plate_xy[rows].T
+        shape_values = [np.broadcast_to(shape(x, y), x.shape) for shape in shapes]
+        return np.column_stack([table.beside[rows], lift, *shape_values])
 
-    def nuisance_sds(self, setup: Setup, axis: Ints, beliefs: InstrumentPriors) -> Array:
-        """Return that nothing is known of the plane's height and slopes."""
+    def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
+        """Return that the plane's height and slopes have no prior."""
         return np.full(3, np.inf)
 
     def estimate_pose(
-        self, taken: SetupReadings, near: InstrumentPose | None, beliefs: InstrumentPriors
+        self, readings: SetupReadings, initial: InstrumentPose | None, priors: InstrumentPriors
     ) -> InstrumentPose:
-        """Return by how much the place beside the tool is higher in the mean."""
-        return InstrumentPose(mean_lift=float(taken.offset_from_tool[:, 2].mean()))
+        """Return the mean height of the probe's offset from the tool."""
+        return InstrumentPose(mean_lift=float(readings.offset_from_tool[:, 2].mean()))
 
     def places(self, ring: Array) -> tuple[Array, Array | None]:
         """Return a grid over the disc."""

@@ -1,6 +1,6 @@
-"""Where an instrument stands by its own readings: the axes of its frame, the centre of its ball.
+"""Pose of an instrument from its own readings: axes of its frame, centre of its ball.
 
-What is left of either is small and is fitted with everything else.
+The errors of these estimates are small and are fitted with all other parameters.
 """
 
 from __future__ import annotations
@@ -11,18 +11,12 @@ from numpy.typing import NDArray
 from orthoglide.geometry import Array, rotation_columns
 from orthoglide.ordering import LOG_ODDS_MARGIN, best_of
 
-_MAX_FRAME_STEPS, _SINGULAR_VALUE_CUTOFF = (
-    30,
-    1e-3,
-)  # steps at most; of a turn, by which readings have to show it
-_MAX_CENTRE_STEPS, _STEP_TOLERANCE = 50, 1e-13  # at most; metres or radians
-_PLANARITY = 1e-2  # of its extent, by which a circle may leave its plane
-_MIN_OFFSET_SQUARED = (
-    0.25  # square of a distance from the plane, over a circle's radius: zeros make less
-)
-_CENTRE_PRIOR_WEIGHT = (
-    5e-3  # weight of a ball's place against a reading: a noise of 5 um in a millimetre
-)
+_MAX_FRAME_STEPS, _MAX_CENTRE_STEPS = 30, 50
+_STEP_TOLERANCE = 1e-13  # metres or radians
+_SINGULAR_VALUE_CUTOFF = 1e-3  # relative: rotations that the readings determine less are left out
+_PLANARITY = 1e-2  # largest distance of points from their plane, over their extent
+_MIN_OFFSET_SQUARED = 0.25  # squared height over radius; errors of zeros cause less
+_CENTRE_PRIOR_WEIGHT = 5e-3  # weight of the initial centre: noise of 5 um against a millimetre
 
 
 def estimate_frame(
@@ -33,90 +27,96 @@ def estimate_frame(
     sd: float,
     start: Array | None = None,
 ) -> Array:
-    """Axes of the frame ``(3, 3)``, in the base, in which coordinates were read past a datum each.
+    """Return the axes, in the base, of the frame in which coordinates were read ``(3, 3)``.
 
-    Gauss-Newton; a turn that no reading shows is none.
+    Each axis has a free datum. Gauss-Newton; rotations that the readings do not determine are zero.
 
     Args:
-        p: where the machine has what was read ``(n, 3)``, metres.
-        axis: of the frame that was read ``(n,)``.
-        value: read ``(n,)``, metres.
+        p: measured points on the machine ``(n, 3)``, metres.
+        axis: axis of the frame that was read ``(n,)``.
+        value: coordinates read ``(n,)``, metres.
         sigma: standard deviation of each ``(n,)``, metres.
-        sd: how well the frame is known to be the base's, radians; infinite where it is not.
-        start: the frame at first; the nearest of those along the base's axes if ``None``, or the
-            base's where something is known.
+        sd: prior standard deviation of the rotation from the base, radians; may be infinite.
+        start: initial frame; if ``None``, the base's, or without a prior the best of those along
+            the base's axes.
     """
     from scipy.spatial.transform import Rotation
 
-    rows, about = np.arange(len(p)), p - p.mean(axis=0)
+    rows, centred = np.arange(len(p)), p - p.mean(axis=0)
     datum = np.eye(3)[axis]
 
-    def left(turn: Array) -> tuple[Array, Array]:
-        """The small turn that is left, and what that leaves, in sigmas."""
-        seen = about @ turn.T
-        columns = np.hstack([rotation_columns(seen, axis), datum]) / sigma[:, None]
-        known = Rotation.from_matrix(turn).as_rotvec() / sd
-        rest = np.append((value - seen[rows, axis]) / sigma, -known)
+    def linearise(rotation: Array) -> tuple[Array, Array]:
+        """Return the Gauss-Newton step, and the whitened residuals after it."""
+        coordinates = centred @ rotation.T
+        columns = np.hstack([rotation_columns(coordinates, axis), datum]) / sigma[:, None]
+        deviation = Rotation.from_matrix(rotation).as_rotvec() / sd
+        residual = np.append((value - coordinates[rows, axis]) / sigma, -deviation)
         columns = np.vstack([columns, np.eye(3, 6) / sd])
-        size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        step = np.linalg.lstsq(columns / size, rest, rcond=_SINGULAR_VALUE_CUTOFF)[0] / size
-        return step[:3], rest - columns @ step
+        scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        step = np.linalg.lstsq(columns / scale, residual, rcond=_SINGULAR_VALUE_CUTOFF)[0] / scale
+        return step[:3], residual - columns @ step
 
-    def cost(turn: Array) -> float:
-        rest = left(turn)[1]
-        return float(rest @ rest)
+    def cost(rotation: Array) -> float:
+        residual = linearise(rotation)[1]
+        return float(residual @ residual)
 
     if start is not None:
-        turn = start
+        rotation = start
     elif np.isfinite(sd):
-        turn = np.eye(3)
+        rotation = np.eye(3)
     else:
-        every = Rotation.create_group("O").as_matrix()
-        turn = best_of(every, lambda one: -float(np.log(max(cost(one), 1e-300))), LOG_ODDS_MARGIN)
+        axis_rotations = Rotation.create_group("O").as_matrix()
+        rotation = best_of(
+            axis_rotations, lambda r: -float(np.log(max(cost(r), 1e-300))), LOG_ODDS_MARGIN
+        )
     for _ in range(_MAX_FRAME_STEPS):
-        step, _ = left(turn)
-        turn = Rotation.from_rotvec(step).as_matrix() @ turn
+        step, _ = linearise(rotation)
+        rotation = Rotation.from_rotvec(step).as_matrix() @ rotation
         if np.abs(step).max() < _STEP_TOLERANCE:
             break
-    return np.asarray(turn)
+    return np.asarray(rotation)
 
 
-def estimate_sphere_centre(p: Array, distance: Array, near: Array | None = None) -> Array:
-    """Centre of the sphere on which points ``(n, 3)`` lie at about these distances ``(n,)``.
+def estimate_sphere_centre(p: Array, distance: Array, initial: Array | None = None) -> Array:
+    """Return the centre of the sphere from which points ``(n, 3)`` have measured distances
+    ``(n,)``, up to a common offset.
 
-    Across a circle's plane its centre could be anywhere: there it stays near a place ``(3,)`` that
-    goes with the middle of the points, or as far below the plane as distances that are lengths say.
+    The distances do not determine the centre across the plane of a circle: there it stays near
+    the initial centre ``(3,)``. Without one, it is in the plane, or below it by the height that
+    distances which are lengths give.
     """
-    if near is None:
-        middle = p.mean(axis=0)
-        size = max(float(np.sqrt(np.mean((p - middle) ** 2))), 1e-9)
-        q = (p - middle) / size
-        right = np.sum(q * q, axis=1) - (distance / size) ** 2
+    if initial is None:
+        mean = p.mean(axis=0)
+        scale = max(float(np.sqrt(np.mean((p - mean) ** 2))), 1e-9)
+        q = (p - mean) / scale
+        squares = np.sum(q * q, axis=1) - (distance / scale) ** 2
         columns = np.column_stack([2 * q, np.ones(len(q))])
-        found = np.linalg.lstsq(columns, right, rcond=_PLANARITY)[0][:3]
-        if (across := plane_normal(p)) is not None and distance.min() > 0:
-            # Lengths say how far beside the plane it stands, and not on which side.
-            beside = np.mean((distance / size) ** 2 - np.sum((q - found) ** 2, axis=1))
-            if beside > _MIN_OFFSET_SQUARED:
-                found = found + np.sqrt(beside) * across
-        near = middle + size * found
-    centre, longer = near, 0.0
-    held = _CENTRE_PRIOR_WEIGHT * np.eye(3, 4)
+        solution = np.linalg.lstsq(columns, squares, rcond=_PLANARITY)[0][:3]
+        if (normal := plane_normal(p)) is not None and distance.min() > 0:
+            # Lengths give the height above the plane, but not the side.
+            squared_height = np.mean((distance / scale) ** 2 - np.sum((q - solution) ** 2, axis=1))
+            if squared_height > _MIN_OFFSET_SQUARED:
+                solution = solution + np.sqrt(squared_height) * normal
+        initial = mean + scale * solution
+    centre, bar_length = initial, 0.0
+    prior_rows = _CENTRE_PRIOR_WEIGHT * np.eye(3, 4)
     for _ in range(_MAX_CENTRE_STEPS):
-        toward = p - centre
-        length = np.maximum(np.linalg.norm(toward, axis=1), 1e-9)
-        slopes = np.column_stack([-toward / length[:, None], np.ones(len(p))])
-        rest = np.concatenate([distance - length - longer, _CENTRE_PRIOR_WEIGHT * (near - centre)])
-        step = np.linalg.lstsq(np.vstack([slopes, held]), rest, rcond=1e-9)[0]
-        centre, longer = centre + step[:3], longer + float(step[3])
+        from_centre = p - centre
+        length = np.maximum(np.linalg.norm(from_centre, axis=1), 1e-9)
+        jacobian = np.column_stack([-from_centre / length[:, None], np.ones(len(p))])
+        residual = np.concatenate(
+            [distance - length - bar_length, _CENTRE_PRIOR_WEIGHT * (initial - centre)]
+        )
+        step = np.linalg.lstsq(np.vstack([jacobian, prior_rows]), residual, rcond=1e-9)[0]
+        centre, bar_length = centre + step[:3], bar_length + float(step[3])
         if np.abs(step).max() < _STEP_TOLERANCE:
             break
     return np.asarray(centre)
 
 
 def plane_normal(p: Array) -> Array | None:
-    """Down across the plane in which points ``(n, 3)`` lie, of length 1; ``None`` where in none."""
-    _, size, ways = np.linalg.svd(p - p.mean(axis=0), full_matrices=False)
-    if len(size) < 3 or size[2] > _PLANARITY * size[1]:
+    """Return the downward unit normal of the plane of points ``(n, 3)``; ``None`` without plane."""
+    _, singular_values, directions = np.linalg.svd(p - p.mean(axis=0), full_matrices=False)
+    if len(singular_values) < 3 or singular_values[2] > _PLANARITY * singular_values[1]:
         return None
-    return np.asarray(-np.copysign(1.0, ways[2, 2]) * ways[2])
+    return np.asarray(-np.copysign(1.0, directions[2, 2]) * directions[2])

@@ -1,7 +1,7 @@
-"""Where three legs stand, how they and their directions are called: all that tells machines apart.
+"""Layouts: the placement of three legs, and names of legs and directions.
 
-A layout says for each leg where its rail starts, which way it slides and where its short links
-point. Nothing else knows whether a machine is an Orthoglide or a linear delta.
+A layout defines the start and direction of each leg's rail and the direction of its short links.
+All differences between an Orthoglide and a linear delta are in here.
 """
 
 from orthoglide.layout.free import FreeLeg as FreeLeg, FreeLegs as FreeLegs
@@ -10,4 +10,4 @@ from orthoglide.layout.linear_delta import LinearDelta as LinearDelta
 from orthoglide.layout.orthoglide import ORTHOGLIDE as ORTHOGLIDE, Orthoglide as Orthoglide
 
 DIRECTIONS: frozenset[str] = frozenset(Orthoglide.names.directions | LinearDelta.names.directions)
-"""All words for directions across a leg."""
+"""All names of directions across a leg."""

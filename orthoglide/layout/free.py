@@ -1,4 +1,4 @@
-"""Three legs given freely: where each carriage stands, which way it slides, how its links lie."""
+"""Three legs given freely: position of each carriage, direction of its slide and short links."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from orthoglide.parameters import MEMBERS
 from orthoglide.text import abbreviated
 
 _SMALLEST_BAR_DISTANCE = 1.6e-4
-"""Share of the bars' length by which lengths of a machine may be off: where the circles of bars and
-platform touch to within that, they touch. Of what is missing, or too much, the place beside the
-line of their centres would be the root: with bars of 300 mm a millimetre of 0.02 mm."""
+"""Fraction of the bars' length by which lengths may be off: circles of bars and platform that touch
+to within that count as touching. Else the joint would lie off the line of centres by the root of
+the error: with bars of 300 mm a millimetre for 0.02 mm."""
 
 _PERPENDICULAR_TOLERANCE = 1e-6
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,19}")  # parts of joints' and parameters' names
@@ -44,8 +44,8 @@ class FreeLeg:
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
             raise InputError(
-                f"layout: a leg cannot be called {abbreviated(self.name)!r}: take up to 20 letters and "
-                f"digits"
+                f"layout: a leg cannot be called {abbreviated(self.name)!r}: take up to 20 letters "
+                f"and digits"
             )
         if self.name in MEMBERS:
             raise InputError(
@@ -81,10 +81,10 @@ class FreeLeg:
 class FreeLegs:
     """Legs wherever they are; commands are travel from mechanical zero along the slides.
 
-    The bars of a leg lie across its short links at mechanical zero, where the platform is not
-    turned. So its joint at the platform lies in the plane through the carriage's joint across the
-    link, L from that joint and r from the middle of the platform; of the two places the one that
-    lies nearer to the plane across the slide through that middle.
+    The bars of a leg are perpendicular to its short links at mechanical zero, where the platform is
+    not rotated. Its joint at the platform therefore lies in the plane through the carriage's joint
+    perpendicular to the link, at distance L from that joint and r from the platform's middle. Of
+    the two solutions the one nearer to the plane across the slide through that middle counts.
 
     Attributes:
         free: the three legs.
@@ -102,14 +102,14 @@ class FreeLegs:
             raise InputError(f"layout: three legs need three names, not {', '.join(names)}")
         object.__setattr__(self, "tool", triple("layout: tool", self.tool))
         for leg in self.free:
-            _ = leg.axes  # which says what is wrong
+            _ = leg.axes  # raises an error for invalid directions
 
     @cached_property
     def names(self) -> LegNames:
-        """Of legs as given; directions are ``b`` and ``c``, each leg's own."""
+        """Names of the legs as given; directions are ``b`` and ``c`` of each leg."""
         one, two, three = (leg.name for leg in self.free)
-        held = ("zero", "bar_length", "place") if self.hanging else ("zero", "bar_length")
-        return LegNames((one, two, three), (("b", "c"),) * 3, held, _SLIDE_END_WORDS)
+        entries = ("zero", "bar_length", *["place"] * self.hanging)
+        return LegNames((one, two, three), (("b", "c"),) * 3, entries, _SLIDE_END_WORDS)
 
     @cached_property
     def hanging(self) -> bool:
@@ -122,47 +122,45 @@ class FreeLegs:
         one, two, three = (self._leg(leg, L, r) for leg in self.free)
         return one, two, three
 
-    def _leg(self, given: FreeLeg, L: float, r: float) -> Leg:
-        carriage, middle = np.array(given.origin), -np.array(self.tool)
-        # In the leg's own axes from the platform's middle: the carriage, the radius of the
-        # platform's circle, and where along the line to the carriage the bars' circle meets it.
-        a, b, c = (carriage - middle) @ given.axes
-        apart, radius = float(np.hypot(a, b)), float(np.sqrt(max(r**2 - c**2, 0.0)))
-        along = (apart**2 + radius**2 - L**2) / (2 * apart) if apart > 0 else np.inf
+    def _leg(self, leg: FreeLeg, L: float, r: float) -> Leg:
+        carriage, middle = np.array(leg.origin), -np.array(self.tool)
+        # In the leg's axes from the platform's middle: the carriage, the radius of the platform's
+        # circle, and the distance toward the carriage at which the bars' circle intersects it.
+        a, b, c = (carriage - middle) @ leg.axes
+        distance, radius = float(np.hypot(a, b)), float(np.sqrt(max(r**2 - c**2, 0.0)))
+        along = (distance**2 + radius**2 - L**2) / (2 * distance) if distance > 0 else np.inf
         if abs(c) > r or not -radius <= along <= radius + _SMALLEST_BAR_DISTANCE * L:
             raise InputError(
-                f"leg {given.name}: bars of {L * 1e3:g} mm do not reach from its origin to a joint "
+                f"leg {leg.name}: bars of {L * 1e3:g} mm do not reach from its origin to a joint "
                 f"{r * 1e3:g} mm from the platform's middle across its link: correct one of them"
             )
         touches = along > radius - _SMALLEST_BAR_DISTANCE * L
-        along, across = (apart - L, 0.0) if touches else (along, np.sqrt(radius**2 - along**2))
-        # In the leg's plane (a, b): toward the carriage, and to either side of that.
-        places = [
-            np.array([along * a - side * across * b, along * b + side * across * a]) / apart
+        along, across = (distance - L, 0.0) if touches else (along, np.sqrt(radius**2 - along**2))
+        # In the leg's plane (a, b): along the line to the carriage, and to either side of it.
+        joints = [
+            np.array([along * a - side * across * b, along * b + side * across * a]) / distance
             for side in (1.0, -1.0)
         ]
-        joint = min(places, key=lambda place: abs(place[0]))
+        joint = min(joints, key=lambda place: abs(place[0]))
         if a - joint[0] <= 0:
-            raise InputError(
-                f"leg {given.name}: its slide points toward the platform: turn it round"
-            )
-        platform = middle + given.axes @ np.array([joint[0], joint[1], c])
-        return Leg(given.name, carriage, platform, given.axes)
+            raise InputError(f"leg {leg.name}: its slide points toward the platform: turn it round")
+        platform = middle + leg.axes @ np.array([joint[0], joint[1], c])
+        return Leg(leg.name, carriage, platform, leg.axes)
 
     def zero(self, L: float) -> float:
         """Travel counts from mechanical zero."""
         return 0.0
 
     def stroke_fits(self, L: float, stroke: tuple[float, float]) -> bool:
-        """Whether carriages stay ahead of the tool by bars of length ``L`` over all of the
-        ``stroke``, metres; on parallel slides they may be as far as they like.
+        """Whether carriages stay ahead of the tool over the whole ``stroke``, metres, for bars of
+        length ``L``; parallel slides have no upper limit.
         """
         low, high = stroke
         return -L < low < 0 < high and (self.hanging or high < L)
 
     def points(self, L: float, r: float, stroke: tuple[float, float], count: int) -> Array | None:
-        """A cube about mechanical zero, half as wide as the shorter way of the ``stroke``, with
-        ``count`` points along each edge, whatever the bars ``L`` and the platform ``r``.
+        """Return a cube about mechanical zero with ``count`` points along each edge, whose edge is
+        the shorter side of the ``stroke``, whatever ``L`` and ``r`` are.
         """
         side = np.linspace(-0.5, 0.5, count) * min(-stroke[0], stroke[1])
         return np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)

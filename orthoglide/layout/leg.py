@@ -1,4 +1,4 @@
-"""One leg of a machine at mechanical zero, the names of three, and what a layout of them owes."""
+"""One leg at mechanical zero, the names of three legs, and the interface of layouts."""
 
 from __future__ import annotations
 
@@ -15,37 +15,37 @@ Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 
-def triple(what: str, given: object) -> Triple:
-    """Three finite numbers; ``what`` they are stands in messages.
+def triple(noun: str, values: object) -> Triple:
+    """Return three finite numbers; messages call them ``noun``.
 
     Raises:
         InputError: where they are not.
     """
-    array = as_float_array(what, given)
+    array = as_float_array(noun, values)
     if array.shape != (3,) or not np.isfinite(array).all():
-        raise InputError(f"{what} must be three finite numbers")
-    one, two, three = array.tolist()
-    return one, two, three
+        raise InputError(f"{noun} must be three finite numbers")
+    x, y, z = array.tolist()
+    return x, y, z
 
 
 @dataclass(frozen=True)
 class LegNames:
-    """How the legs of a layout and the directions across them are called."""
+    """Names of the legs of a layout, of directions across them, and of parts."""
 
     legs: tuple[str, str, str]  # the three legs
-    # for each leg the names of its directions b and c, as parameters carry them
+    # for each leg the names of its directions b and c in parameters
     across: tuple[tuple[str, str], tuple[str, str], tuple[str, str]]
-    # numbers that the machine's own controller or firmware holds; with the effects that these are
-    # every identification starts
+    # numbers of the machine's controller or firmware; every identification starts with the effects
+    # that these correct
     controller_entries: tuple[str, ...]
-    # in words where a carriage stands that went too far down and up its slide, and which way that
-    # is
+    # words for the position of a carriage that is too far down or up its slide, and for that
+    # direction
     slide_end_words: tuple[tuple[str, str], tuple[str, str]]
-    command: str = "travel"  # how commands are called, in columns of files
-    travel: str = "travel from mechanical zero"  # how travel from mechanical zero is called
-    axis: str = "axis"  # how a drive with its slide is called: an axis or a tower
-    bar: str = "bar"  # how a bar is called: a bar or a rod
-    # what its parts are called in place of an Orthoglide's: patterns, each with what replaces it
+    command: str = "travel"  # name of commands, in columns of files
+    travel: str = "travel from mechanical zero"  # name of that quantity
+    axis: str = "axis"  # name of a drive with its slide: axis or tower
+    bar: str = "bar"  # name of a bar: bar or rod
+    # nouns in place of those of an Orthoglide: patterns, each with its replacement
     noun_replacements: tuple[tuple[str, str], ...] = ()
 
     @property
@@ -55,7 +55,7 @@ class LegNames:
 
     @property
     def same_directions(self) -> bool:
-        """Whether the legs' directions have the same names, each leg's own meant."""
+        """Whether directions have the same names on all legs, relative to each leg."""
         return self.across[0] == self.across[1]
 
     def index(self, leg: str) -> int:
@@ -63,19 +63,17 @@ class LegNames:
         return self.legs.index(leg)
 
     def in_layout_words(self, text: str) -> str:
-        """Words of an Orthoglide's parts in the words of this layout."""
+        """Return a text about an Orthoglide in the words of this layout."""
         for pattern, noun in self.noun_replacements:
             text = re.sub(pattern, noun, text)
         return text
 
     def effect_words(self, name: str) -> str:
-        """Name of an effect in the words of this layout: a leg's length is that of its bars."""
+        """Return the name of an effect in the words of this layout."""
         words = name.replace("_", " ")
-        return (
-            self.in_layout_words(words.replace("leg length", "bar length"))
-            if self.noun_replacements
-            else words
-        )
+        if self.noun_replacements:  # a tower's length is not that of its bars
+            words = words.replace("leg length", "bar length")
+        return self.in_layout_words(words)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,13 +100,13 @@ class Leg:
 
 
 class Layout(Protocol):
-    """Where three legs stand. Immutable, compared by value."""
+    """Placement of three legs. Immutable, compared by value."""
 
     kind: ClassVar[str]  # its name in machine files
 
     @property
     def names(self) -> LegNames:
-        """Of legs and directions."""
+        """Names of legs and directions."""
 
     @property
     def hanging(self) -> bool:
@@ -130,7 +128,8 @@ class Layout(Protocol):
         """Whether travel from mechanical zero may run between these limits, metres."""
 
     def points(self, L: float, r: float, stroke: tuple[float, float], count: int) -> Array | None:
-        """Points ``(n, 3)`` that fill the workspace evenly; ``None``: commands over the stroke do.
+        """Return points ``(n, 3)`` that fill the workspace evenly; ``None`` where it is defined by
+        commands over the stroke.
 
         Args:
             L: length of the bars, metres.

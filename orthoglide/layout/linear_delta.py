@@ -25,8 +25,8 @@ _NOUN_REPLACEMENTS = (
     (r"\bleg(s?)\b", r"tower\1"),
 )
 _FLATTEST = float(np.sin(np.deg2rad(15.0)))
-"""Of an arm against the plate: flatter ones hold the tool's height badly, and errors of some
-millimetres leave them too short."""
+"""Sine of the least angle between arm and plate: flatter arms determine the tool's height badly,
+and errors of some millimetres make them too short."""
 
 
 @dataclass(frozen=True)
@@ -57,29 +57,29 @@ class LinearDelta:
 
     def __post_init__(self) -> None:
         radius = as_float_array("layout: radius", self.radius)
-        given = {
+        columns = {
             "radius": radius if radius.ndim else np.full(3, radius),
             "angles_deg": self.angles_deg,
             "tool": self.tool,
         }
-        for name, values in given.items():
+        for name, values in columns.items():
             object.__setattr__(self, name, triple(f"layout: {name}", values))
         if not min(self.radius) > 0:
             raise InputError("layout: the radius of every tower must be a positive length")
-        around = np.sort(np.mod(self.angles_deg, 360.0))
-        if not np.diff(around, append=around[0] + 360.0).min() > 10.0:
+        angles = np.sort(np.mod(self.angles_deg, 360.0))
+        if not np.diff(angles, append=angles[0] + 360.0).min() > 10.0:
             raise InputError("layout: the towers must stand at least 10 degrees apart")
         if np.hypot(*self.tool[:2]) >= min(self.radius):
             raise InputError("layout: the tool must stand between the towers")
 
     def outward(self) -> Array:
         """Direction from the centre to each tower ``(3, 3)``, by leg."""
-        angle = np.deg2rad(np.array(self.angles_deg))
-        return np.stack([np.cos(angle), np.sin(angle), np.zeros(3)], axis=1)
+        angles = np.deg2rad(np.array(self.angles_deg))
+        return np.stack([np.cos(angles), np.sin(angles), np.zeros(3)], axis=1)
 
     def legs(self, L: float, r: float) -> tuple[Leg, Leg, Leg]:
         """The three legs for bars of length ``L`` and a platform of radius ``r``, metres."""
-        up, found = np.array([0.0, 0.0, 1.0]), []
+        up, legs = np.array([0.0, 0.0, 1.0]), []
         for name, radius, out in zip(self.names.legs, self.radius, self.outward(), strict=True):
             platform = r * out - np.array(self.tool)
             height = L**2 - (radius - r) ** 2
@@ -90,8 +90,8 @@ class LinearDelta:
                 )
             carriage = platform + (radius - r) * out + np.sqrt(height) * up
             axes = np.stack([up, out, np.cross(up, out)], axis=1)
-            found.append(Leg(name, carriage, platform, axes))
-        a, b, c = found
+            legs.append(Leg(name, carriage, platform, axes))
+        a, b, c = legs
         return a, b, c
 
     def zero(self, L: float) -> float:
@@ -99,31 +99,31 @@ class LinearDelta:
         return 0.0
 
     def stroke_fits(self, L: float, stroke: tuple[float, float]) -> bool:
-        """Whether carriages stay above the tool by bars of length ``L`` at all of the ``stroke``,
-        metres; how high their towers are does not matter.
+        """Whether carriages stay above the tool over the whole ``stroke``, metres, for bars of
+        length ``L``; the height of the towers does not matter.
         """
         low, high = stroke
         return -L < low < 0 < high
 
     def reach(self, L: float, r: float, lowest: float) -> float:
-        """Radius on the plate within which no carriage goes below the travel ``lowest`` and no arm
-        is flatter than 15 degrees (or half as high as over the centre), metres.
+        """Return the radius on the plate within which all carriages stay above ``lowest`` and all
+        arms are steeper than 15 degrees (or half as high as over the centre), metres.
 
         Args:
             L: length of the arms, metres.
             r: radius of the platform, metres.
             lowest: travel from mechanical zero, metres.
         """
-        reach = []
+        radii = []
         for leg in self.legs(L, r):
             height = leg.carriage[2] - leg.platform[2]
-            flat = float(np.hypot(*(leg.carriage - leg.platform)[:2]))
-            least = max(height + lowest, min(_FLATTEST * L, height / 2))
-            reach.append(np.sqrt(L**2 - least**2) - flat)
-        return float(min(reach))
+            horizontal = float(np.hypot(*(leg.carriage - leg.platform)[:2]))
+            lowest_height = max(height + lowest, min(_FLATTEST * L, height / 2))
+            radii.append(np.sqrt(L**2 - lowest_height**2) - horizontal)
+        return float(min(radii))
 
     def points(self, L: float, r: float, stroke: tuple[float, float], count: int) -> Array | None:
-        """Points in a cylinder on the plate, as high as it is wide or as the towers allow.
+        """Return points in a cylinder on the plate, as high as it is wide or as the towers allow.
 
         Args:
             L: length of the arms, metres.
@@ -134,7 +134,7 @@ class LinearDelta:
         radius = self.reach(L, r, stroke[0])
         side = np.linspace(-radius, radius, count)
         heights = [leg.carriage[2] - leg.platform[2] for leg in self.legs(L, r)]
-        room = float(stroke[1] - (L - min(heights)))  # above the far side of the plate
-        z = np.linspace(0.0, min(2 * radius, max(room, 0.0)), count)
+        headroom = float(stroke[1] - (L - min(heights)))  # above the far side of the plate
+        z = np.linspace(0.0, min(2 * radius, max(headroom, 0.0)), count)
         grid = np.stack(np.meshgrid(side, side, z, indexing="ij"), axis=-1).reshape(-1, 3)
         return grid[np.hypot(grid[:, 0], grid[:, 1]) <= radius * (1 + 1e-9)]

@@ -44,8 +44,8 @@ class Orthoglide:
         return L
 
     def on_axis(self, L: float, leg: int, travel: Array) -> Array:
-        """Commands ``(..., 3)``, metres, that move the TCP of bars of length ``L`` by ``travel``
-        ``(...)``, metres, along a leg's slide (2008, section 2.4).
+        """Return commands ``(..., 3)``, metres, that move the TCP of bars of length ``L`` by
+        ``travel`` ``(...)``, metres, along a leg's slide (2008, section 2.4).
 
         Raises:
             UnreachableError: where the travel is not less than a bar's length.
@@ -64,7 +64,7 @@ class Orthoglide:
         return rho
 
     def stroke_fits(self, L: float, stroke: tuple[float, float]) -> bool:
-        """A carriage stays on its side of the origin, and within its bars' reach."""
+        """Whether a carriage stays on its side of the origin and within its bars' reach."""
         low, high = stroke
         return -L < low < 0 < high < L
 

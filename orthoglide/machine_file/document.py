@@ -1,7 +1,4 @@
-"""A TOML file that knows the line of each key, and its sections, whose keys are stated once.
-
-Sections are read, checked and written by their keys, and errors name the line.
-"""
+"""A parsed TOML file with the line of each key, and sections that read and write its tables."""
 
 from __future__ import annotations
 
@@ -28,7 +25,7 @@ class Document:
         file: its name, for errors.
 
     Raises:
-        FileError: where the text is not TOML, as do all methods where a value is not as it should.
+        FileError: if the text is not TOML; methods raise it for wrong values.
     """
 
     def __init__(self, text: str, file: str) -> None:
@@ -46,8 +43,8 @@ class Document:
             raise FileError(
                 "holds a number or nesting out of all range: remove it", file=file
             ) from None
-        if trouble := unprintable_problem(self.data):
-            raise FileError(trouble, file=file)
+        if problem := unprintable_problem(self.data):
+            raise FileError(problem, file=file)
 
     def fail(self, message: str, *path: str) -> NoReturn:
         """Refuse the file for the value at a path."""
@@ -55,12 +52,12 @@ class Document:
 
     def table(self, *path: str) -> dict[str, Any]:
         """Return the table at a path, which is empty where there is none."""
-        found: Any = self.data
+        value: Any = self.data
         for key in path:
-            found = found.get(key, {})
-        if not isinstance(found, dict):
+            value = value.get(key, {})
+        if not isinstance(value, dict):
             self.fail(f"{'.'.join(path)} must be a table, not a single value", *path)
-        return found
+        return value
 
     def plain_table(self, name: str) -> dict[str, Any]:
         """Return a table of any keys with ordinary floats in place of decimals."""
@@ -76,7 +73,7 @@ class Document:
                 )
 
     def value(self, parse: Callable[[Any], Any], *path: str) -> Any:
-        """Return the value at a path as ``parse`` makes it, whose ValueError names a remedy."""
+        """Return the parsed value at a path; a ValueError of ``parse`` names the remedy."""
         *within, key = path
         table = self.table(*within)
         if key not in table:
@@ -95,11 +92,9 @@ def key_hint(key: str, names: Collection[str]) -> str:
 
 def _toml_error(message: str, text: str) -> tuple[str, int]:
     reason, _, place = message.partition(" (at ")
-    line = re.match(r"line (\d+)", place)
-    lines = len(text.rstrip("\n").split("\n"))
-    return abbreviated(reason[:1].lower() + reason[1:], _MAX_REASON_LENGTH), int(
-        line[1]
-    ) if line else lines
+    match = re.match(r"line (\d+)", place)
+    line = int(match[1]) if match else len(text.rstrip("\n").split("\n"))
+    return abbreviated(reason[:1].lower() + reason[1:], _MAX_REASON_LENGTH), line
 
 
 _KEY = r"(?:\"[^\"]*\"|'[^']*'|[\w-]+)"
@@ -111,10 +106,10 @@ def _key_line(text: str, path: tuple[str, ...]) -> int | None:
     header: tuple[str, ...] = ()
     best: tuple[int, int | None] = (0, None)
     for number, line in enumerate(text.split("\n"), start=1):
-        if found := re.match(rf"\s*\[({_DOTTED})\]", line):
-            header = full = _split_dotted_key(found[1])
-        elif found := re.match(rf"\s*({_DOTTED})\s*=", line):
-            full = header + _split_dotted_key(found[1])
+        if match := re.match(rf"\s*\[({_DOTTED})\]", line):
+            header = full = _split_dotted_key(match[1])
+        elif match := re.match(rf"\s*({_DOTTED})\s*=", line):
+            full = header + _split_dotted_key(match[1])
         else:
             continue
         if full == path[: len(full)] and len(full) > best[0]:
@@ -131,11 +126,12 @@ class Key:
     """One key of a section.
 
     Attributes:
-        name: in the file, with its unit where the section's name does not say it.
-        kind: what its value is.
+        name: in the file, with its unit unless the section's name contains it.
+        kind: type, unit and range of its value.
         meaning: sentences for the documentation.
         required: whether a file must have it.
-        attribute: what holds it in Python: the name without ``_mm`` if empty, nothing if None.
+        attribute: name of the attribute in Python; if empty, the key without ``_mm``; None if there
+            is none.
     """
 
     name: str
@@ -156,7 +152,7 @@ class Section:
 
     Attributes:
         name: in the file; empty for the keys outside any table.
-        record: the class whose attributes hold its values.
+        record_class: the class whose attributes hold its values.
         keys: in the order of writing.
         tables: names of the tables within it.
     """
@@ -174,11 +170,11 @@ class Section:
         """
         path = path or ((self.name,) if self.name else ())
         document.check_keys((*(key.name for key in self.keys), *self.tables), *path)
-        found = {}
+        values = {}
         for key in self.keys:
             if key.required or key.name in document.table(*path):
-                found[key.field_name] = document.value(key.kind.read, *path, key.name)
-        return {name: value for name, value in found.items() if name is not None}
+                values[key.field_name] = document.value(key.kind.read, *path, key.name)
+        return {name: value for name, value in values.items() if name is not None}
 
     def build_record(self, document: Document, *path: str, **further: Any) -> Any:
         """Return the record of a table, with further values; arguments as for `read`.
@@ -195,5 +191,5 @@ class Section:
     def write(self, record: Any) -> dict[str, Any]:
         """Return a table of the file from the attributes of a record, without those of None."""
         values = record if isinstance(record, Mapping) else vars(record)
-        given = ((key, values.get(key.field_name)) for key in self.keys)
-        return {key.name: key.kind.write(value) for key, value in given if value is not None}
+        entries = ((key, values.get(key.field_name)) for key in self.keys)
+        return {key.name: key.kind.write(value) for key, value in entries if value is not None}

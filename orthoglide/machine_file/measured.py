@@ -1,4 +1,4 @@
-"""What an owner measured on the machine itself, by a calliper, a rule or a jig."""
+"""Dimensions that were measured on the machine itself, by a calliper, a rule or a jig."""
 
 from __future__ import annotations
 
@@ -13,25 +13,23 @@ from orthoglide.geometry import Array, Geometry
 from orthoglide.parameters import Parameter
 
 MEASURED_TRAVEL = 0.1
-"""Metres that a carriage is told to go for the measurement of its travel: a rule's length."""
+"""Commanded travel for the measurement of a carriage's travel, metres: the length of a rule."""
 
 _DRIVE_SCALE_SD = 1e-3
-"""Ratio by which drives of one kind differ: pulleys are alike, and belts stretch."""
+"""Standard deviation of the scale between drives of one machine: belts stretch differently."""
 
-_MAX_RELATIVE_DEVIATION = (
-    0.5  # of the nominal length: what differs by more is in another unit, or of another part
-)
+_MAX_RELATIVE_DEVIATION = 0.5  # from the nominal length: beyond, the unit or the part is another
 
 Pair = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Sizes with their standard deviations.
+    """Measured lengths with their standard deviations.
 
     Attributes:
-        rods: length of the bars between their pivots, in the mean of all, metres.
-        travel: how far a carriage went that was told to go `TRAVEL`, in the mean of all, metres.
+        rods: mean length of the bars between their pivots, metres.
+        travel: mean travel of the carriages at a command of `MEASURED_TRAVEL`, metres.
 
     Raises:
         InputError: where a length or a standard deviation is not above 0.
@@ -52,13 +50,15 @@ class Measured:
         self, catalogue: Catalogue, geometry: Geometry, tolerance: Mapping[str, float]
     ) -> Iterator[tuple[tuple[Parameter, ...], float, Array]]:
         """Yield parameters, the measured deviation of their mean, and their covariance ``(3, 3)``,
-        SI. The common part has the variance of the measurement; single bars differ by their
-        tolerance, and single drives by `_BELTS`.
+        SI.
+
+        The common part has the variance of the measurement. Single bars differ by their tolerance,
+        single drives by `_DRIVE_SCALE_SD`.
 
         Raises:
             InputError: where a length differs from the nominal one by more than half.
         """
-        for key, pair, held, nominal, scale in (
+        for key, pair, quantity, nominal, scale in (
             ("rods_mm", self.rods, "bar_length", geometry.L, 1.0),
             ("travel_of_100_mm", self.travel, "scale", MEASURED_TRAVEL, 1 / MEASURED_TRAVEL),
         ):
@@ -69,8 +69,8 @@ class Measured:
                     f"{key} is {pair[0] * 1e3:g} mm, where the machine has {nominal * 1e3:g} mm by "
                     f"its other numbers: correct one of them, in millimetres"
                 )
-            (name,) = (effect for effect in catalogue.correctable_by(held))
-            each = tolerance[name] if held == "bar_length" else _DRIVE_SCALE_SD
+            (name,) = (effect for effect in catalogue.correctable_by(quantity))
+            spread = tolerance[name] if quantity == "bar_length" else _DRIVE_SCALE_SD
             value, sigma = (pair[0] - nominal) * scale, pair[1] * scale
-            covariance = np.full((3, 3), sigma**2) + each**2 * np.eye(3)
+            covariance = np.full((3, 3), sigma**2) + spread**2 * np.eye(3)
             yield catalogue[name].parameters(), value, covariance

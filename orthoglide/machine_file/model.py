@@ -1,4 +1,4 @@
-"""What is known of one machine, in memory (SI)."""
+"""Content of a machine file in memory (SI)."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Dial:
 
     Attributes:
         resolution: step of the display.
-        repeatability: standard deviation of one reading, where it is known.
-        placement: standard deviation of where the dial stands along a leg.
+        repeatability: standard deviation of one reading, if known.
+        placement: standard deviation of the dial's place along a leg.
     """
 
     resolution: float = 1e-5
@@ -43,11 +43,11 @@ class Dial:
 
 @dataclass(frozen=True)
 class Instrument:
-    """How well an instrument other than a dial on a leg reads, metres (radians of a level).
+    """Accuracy of an instrument other than a dial on a leg, metres (radians of a level).
 
     Attributes:
-        resolution: step of its display, where it matters.
-        repeatability: standard deviation of one reading, where it is known.
+        resolution: step of its display, if it matters.
+        repeatability: standard deviation of one reading, if known.
     """
 
     resolution: float | None = None
@@ -63,24 +63,24 @@ class Controller:
     sign: tuple[int, int, int] = (1, 1, 1)
 
     def to_rho(self, travel: ArrayLike, geometry: Geometry) -> Array:
-        """Commands ``(..., 3)`` of controller values ``(..., 3)``, both metres."""
+        """Return commands ``(..., 3)`` from controller values ``(..., 3)``, both metres."""
         shown = np.asarray(travel, dtype=float)
         return geometry.zero + np.array(self.sign) * (shown - np.array(self.zero))
 
     def from_rho(self, rho: ArrayLike, geometry: Geometry) -> Array:
-        """Controller values ``(..., 3)`` of commands ``(..., 3)``, both metres."""
+        """Return controller values ``(..., 3)`` from commands ``(..., 3)``, both metres."""
         travel = np.asarray(rho, dtype=float) - geometry.zero
         return np.array(self.zero) + np.array(self.sign) * travel
 
 
 _STIFF_LEG_TORSION = 1e4
-"""Torsional stiffness of a leg, N m/rad, from which it matters: at ten times that, a mismatch of
-the bars shows by half (elastic equilibrium of bars of EA/L = 5e7 N/m)."""
+"""Torsional stiffness of a leg, N m/rad, from which it matters: at ten times that, half of a
+mismatch of the bars is visible (elastic equilibrium of bars of EA/L = 5e7 N/m)."""
 
 
 @dataclass(frozen=True)
 class Stiffness:
-    """Elastic constants, where they are known.
+    """Elastic constants, if known.
 
     Attributes:
         torsion: torsional stiffness of a leg, N m/rad; kept with the file, but not modelled.
@@ -99,19 +99,19 @@ class Stiffness:
             )
 
     def warnings(self, file: str) -> tuple[str, ...]:
-        """Return what a user should know of what a file says of it, in sentences."""
+        """Return warnings about the constants of a file."""
         if self.torsion is None:
             return ()
+        limit = f"{_STIFF_LEG_TORSION / 1e-3:.0e}"
         return (
-            f"{file}: torsion_Nmm_per_rad is no longer modelled. Below {_STIFF_LEG_TORSION / 1e-3:.0e} "
-            f"N mm/rad a leg's torsion changes results by less than 5 %; this file has "
-            f"{self.torsion / 1e-3:.3g}",
+            f"{file}: torsion_Nmm_per_rad is no longer modelled. Below {limit} N mm/rad a leg's "
+            f"torsion changes results by less than 5 %; this file has {self.torsion / 1e-3:.3g}",
         )
 
 
 @dataclass(frozen=True)
 class ParameterValue:
-    """An identified parameter: value and standard deviation in SI, and the unit files show."""
+    """An identified parameter: value and standard deviation in SI, and its unit in files."""
 
     value: float
     sigma: float
@@ -120,23 +120,22 @@ class ParameterValue:
 
 @dataclass(frozen=True)
 class DeltaKinematics:
-    """Kinematics of a delta without errors: the tool is where three spheres meet."""
+    """Kinematics of a delta without errors: the tool is the intersection of three spheres."""
 
-    # where the tool stood if an arm hung straight down from its carriage at mechanical zero, and
-    # had no length (3, 3), metres, by leg
+    # carriage joint minus platform joint of each leg at mechanical zero (3, 3), metres
     sphere_centres_at_zero: Array
     arm_lengths: Array  # length of each leg's arm (3,), metres
 
     def travel(self, p: Array) -> Array:
-        """Travel of the carriages from mechanical zero ``(n, 3)`` for places ``(n, 3)``, metres;
-        nan where an arm does not reach.
+        """Return the carriages' travel from mechanical zero ``(n, 3)`` for tool positions
+        ``(n, 3)``, metres; nan where an arm does not reach.
         """
-        apart = p[:, None] - self.sphere_centres_at_zero
-        square = self.arm_lengths**2 - np.sum(apart[:, :, :2] ** 2, axis=-1)
-        return np.asarray(apart[:, :, 2] + np.sqrt(np.where(square > 0, square, np.nan)))
+        offset = p[:, None] - self.sphere_centres_at_zero
+        square = self.arm_lengths**2 - np.sum(offset[:, :, :2] ** 2, axis=-1)
+        return np.asarray(offset[:, :, 2] + np.sqrt(np.where(square > 0, square, np.nan)))
 
     def places(self, travel: Array) -> Array:
-        """Places of the tool ``(n, 3)`` at a travel ``(n, 3)``, metres.
+        """Return the tool's positions ``(n, 3)`` at a travel ``(n, 3)``, metres.
 
         Raises:
             UnreachableError: where the arms do not meet.
@@ -153,7 +152,7 @@ class DeltaKinematics:
 
 @dataclass(frozen=True)
 class MachineFile:
-    """What a machine file holds, SI; of the Orthoglide of the 2008 chapter where nothing is given.
+    """Content of a machine file, SI; the Orthoglide of the 2008 chapter by default.
 
     Attributes:
         name: of the machine, for people.
@@ -162,22 +161,22 @@ class MachineFile:
         instruments: other instruments, by kind of reading.
         screw_pitch: lead of the drives' screws, metres; None: a screw error is no candidate.
         controller: the controller's zero and sign.
-        tolerance: standard deviation to expect, by family; defaults fill what is not given.
+        tolerance: expected standard deviation by effect; defaults fill what is not given.
         surface_slope: standard deviation of the slope of the reference surface of readings of kind
             ``parallelism``, radians; None: the surface is taken as exact.
-        measured: what an owner measured on the machine itself.
+        measured: dimensions measured on the machine itself.
         stiffness: elastic constants.
-        urdf: folder of a URDF and its closures that say where the joints are; ``""``: the
+        urdf: folder of a URDF and its closures that state where the joints are; if empty, the
             dimensions do.
         parameters: identified parameters of a calibrated machine, by name.
         provenance: where the parameters come from.
         catalogue: the effects that the parameters belong to.
         file: the file's name as the caller gave it, or ``""``.
         sha256: digest of the file, or ``""``.
-        posterior: covariance of the parameters, where it was kept.
-        warnings: what was noticed on reading and is no error.
+        posterior: covariance of the parameters, if it was kept.
+        warnings: remarks on reading that are no errors.
         build: class of the machine, ``laboratory`` or ``belts``, which sets the tolerances that are
-            not given; empty: belts of a linear delta, a laboratory of others.
+            not given; if empty, a linear delta has belts, other machines are of a laboratory.
     """
 
     name: str = "Orthoglide, nominal"
@@ -202,23 +201,21 @@ class MachineFile:
 
     @property
     def title(self) -> str:
-        """What a page calls the machine, whether it has a name or not."""
+        """Name of the machine for pages."""
         return self.name or "The machine"
 
     @property
     def independent(self) -> Posterior:
-        """The parameters as independent Gaussians with their standard deviations, but for what was
-        measured of several together.
-        """
-        known = {n: e for n, e in self.parameters.items() if e.sigma > 0}
-        mean = np.array([entry.value for entry in known.values()])
-        covariance = np.diag(np.square([entry.sigma for entry in known.values()]))
-        place = {name: k for k, name in enumerate(known)}
-        for names, _, among in self._measured_priors:
-            at = [place[name] for name in names if name in place]
-            if len(at) == len(names):
-                covariance[np.ix_(at, at)] = among
-        return Posterior(tuple(known), mean, covariance)
+        """The parameters as Gaussians, independent except where several were measured together."""
+        uncertain = {n: e for n, e in self.parameters.items() if e.sigma > 0}
+        mean = np.array([entry.value for entry in uncertain.values()])
+        covariance = np.diag(np.square([entry.sigma for entry in uncertain.values()]))
+        place = {name: k for k, name in enumerate(uncertain)}
+        for names, _, measured_covariance in self._measured_priors:
+            places = [place[name] for name in names if name in place]
+            if len(places) == len(names):
+                covariance[np.ix_(places, places)] = measured_covariance
+        return Posterior(tuple(uncertain), mean, covariance)
 
     @property
     def _measured_priors(self) -> list[tuple[tuple[Parameter, ...], float, Array]]:
@@ -226,37 +223,37 @@ class MachineFile:
 
     @property
     def is_measured(self) -> bool:
-        """Whether what is known of its parameters was measured on the machine itself, and is no
-        calibration from which it may have changed.
+        """Whether the parameters were measured on the machine itself: they are no earlier
+        calibration, from which the machine may have changed.
         """
         return self.measured != Measured() and self.posterior is None
 
     def with_measured(self) -> MachineFile:
-        """Return the same with what was measured among its parameters."""
-        known = {
-            str(name): ParameterValue(value, float(np.sqrt(among[k, k])), effect.unit.name)
-            for names, value, among in self._measured_priors
+        """Return the machine with the measured dimensions among its parameters."""
+        measured = {
+            str(name): ParameterValue(value, float(np.sqrt(covariance[k, k])), effect.unit.name)
+            for names, value, covariance in self._measured_priors
             for k, name in enumerate(names)
             if (effect := self.catalogue.effect_of(name))
             and (name not in self.parameters or not self.parameters[name].sigma)
         }
-        return replace(self, parameters={**self.parameters, **known}) if known else self
+        return replace(self, parameters={**self.parameters, **measured}) if measured else self
 
     @property
     def firmware(self) -> str:
-        """Mark of the firmware's numbers that travel was computed with; empty of others."""
+        """Mark of the firmware's numbers with which travel was computed; empty if none."""
         return str(firmware_table(self.provenance)[1].get(MARK_KEY, ""))
 
     @cached_property
     def printer(self) -> Printer | None:
-        """The numbers of the firmware that the machine was imported from; ``None`` of others."""
+        """The numbers of the firmware from which the machine was imported; ``None`` if none."""
         name, table = firmware_table(self.provenance)
         return add_on(name).stored(table) if name else None
 
     @property
     def kinematics(self) -> Kinematics | None:
-        """Where the controller of a delta sends the carriages for a place, by its firmware's
-        numbers where these are known; ``None`` of other machines.
+        """Kinematics of a delta's controller, from its firmware's numbers if known; ``None`` for
+        other machines.
         """
         if not isinstance(self.geometry.layout, LinearDelta):
             return None
@@ -268,33 +265,33 @@ class MachineFile:
         if self.name == MachineFile.name and self.geometry.layout != ORTHOGLIDE:
             object.__setattr__(self, "name", default_machine_name(self.geometry))
         object.__setattr__(self, "catalogue", self.catalogue.for_layout(self.geometry.layout))
-        known = self.catalogue
-        expected = known.belt_tolerance if self._has_belts else known.default_tolerance
-        object.__setattr__(self, "tolerance", {**expected, **self.tolerance})
+        catalogue = self.catalogue
+        defaults = catalogue.belt_tolerance if self._has_belts else catalogue.default_tolerance
+        object.__setattr__(self, "tolerance", {**defaults, **self.tolerance})
 
     @property
     def _has_belts(self) -> bool:
-        """Whether it is of the class of belts."""
-        hanging = isinstance(self.geometry.layout, LinearDelta)
-        return self.build == "belts" or (not self.build and hanging)
+        """Whether the machine is of class ``belts``."""
+        is_delta = isinstance(self.geometry.layout, LinearDelta)
+        return self.build == "belts" or (not self.build and is_delta)
 
     @property
     def entered(self) -> dict[str, float]:
-        """Standard deviations to expect, by family, of what parts of one set have in common beyond
-        their tolerances, because an owner entered it, SI; at least as much as the entered values of
-        parts that are alike differ by.
+        """Expected standard deviations, by effect, of the common error that parts of one set have
+        because their size was entered by hand, SI; at least the range of the entered values.
         """
-        found = dict(self.catalogue.common_tolerance) if self._has_belts else {}
-        for name, sd in found.items():
-            own = (
-                v for k, v in self.parameters.items() if self.catalogue.effect_of(k).name == name
-            )
-            found[name] = max(sd, float(np.ptp([0.0, *(v.value for v in own if not v.sigma)])))
-        return found
+        common_sds = dict(self.catalogue.common_tolerance) if self._has_belts else {}
+        for name, sd in common_sds.items():
+            values = [
+                v.value for k, v in self.parameters.items()
+                if not v.sigma and self.catalogue.effect_of(k).name == name
+            ]  # fmt: skip
+            common_sds[name] = max(sd, float(np.ptp([0.0, *values])))
+        return common_sds
 
 
 def default_machine_name(geometry: Geometry) -> str:
-    """Return what a machine of given dimensions is called until somebody names it."""
+    """Return the name of a machine of given dimensions that has no name of its own."""
     if geometry == Geometry():
         return MachineFile().name
     kinds = {"orthoglide": "Orthoglide", "linear-delta": "Linear delta", "legs": "Three legs"}

@@ -31,11 +31,11 @@ class _HasSpec(Protocol):
 
 
 AnyMachine = MachineFile | _HasSpec | Geometry | str | os.PathLike[str]
-"""A machine, its file as read, the path of that, or dimensions with all else as usual."""
+"""A machine, the content or path of its file, or dimensions with defaults for all else."""
 
 
 def machine_file_of(given: AnyMachine | None) -> MachineFile:
-    """Return the content of the file of a machine; that of the nominal machine for None.
+    """Return the content of a machine's file; that of the nominal machine for None.
 
     Raises:
         FileError: naming file, line and remedy.
@@ -45,26 +45,26 @@ def machine_file_of(given: AnyMachine | None) -> MachineFile:
         return read_machine_file(given)
     if isinstance(given, Geometry):
         return MachineFile(name=default_machine_name(given), geometry=given)
-    found = MachineFile() if given is None else getattr(given, "spec", given)
-    if not isinstance(found, MachineFile):
+    machine = MachineFile() if given is None else getattr(given, "spec", given)
+    if not isinstance(machine, MachineFile):
         raise InputError(
             f"a {type(given).__name__} is no machine: give a Machine, the path of its file, or a "
             f"Geometry"
         )
-    return found
+    return machine
 
 
 def read_machine_file(
     path: str | os.PathLike[str], catalogue: Catalogue = CATALOGUE
 ) -> MachineFile:
-    """Return a machine file and the covariance that is kept beside it.
+    """Return the content of a machine file and of the covariance file beside it.
 
     Args:
         path: the file (TOML, UTF-8), or the folder of a result with its ``calibrated.toml``.
         catalogue: the effects that it may name.
 
     Returns:
-        Its content in SI, with its digest, and the covariance kept in the ``.npz`` beside it.
+        The content in SI, with its digest and the covariance from the ``.npz`` beside it.
 
     Raises:
         FileError: naming the line and what would be right, or a covariance of another file.
@@ -79,16 +79,13 @@ def read_machine_file(
     if beside.exists():
         posterior = parse_posterior(files.read_bytes(beside), digest, printable_path(beside))
     warnings = machine.stiffness.warnings(machine.file)
-    if (
-        posterior is None
-        and not machine.is_measured
-        and any(entry.sigma for entry in machine.parameters.values())
-    ):
+    has_sigmas = any(entry.sigma for entry in machine.parameters.values())
+    if posterior is None and not machine.is_measured and has_sigmas:
         warnings += (
-            f"{machine.file}: there is no {printable_path(beside.name)} beside it with the covariance of "
-            f"its parameters: their sigmas are taken as independent",
+            f"{machine.file}: there is no {printable_path(beside.name)} beside it with the "
+            f"covariance of its parameters: their sigmas are taken as independent",
         )
-    # An explanation that the file does not take may have a place in the covariance all the same.
+    # The covariance may contain parameters of alternatives that the file does not contain.
     names = posterior.names if posterior else ()
     catalogue = with_free_forms(machine.catalogue, names, machine.geometry)
     return replace(
@@ -101,14 +98,14 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
     document = Document(text, file)
     top = schema.TOP.read(document)
     geometry = _geometry(document)
-    catalogue, named = catalogue.for_layout(geometry.layout), document.table("parameters")
-    catalogue = with_free_forms(catalogue, named, geometry)
+    catalogue, names = catalogue.for_layout(geometry.layout), document.table("parameters")
+    catalogue = with_free_forms(catalogue, names, geometry)
     tolerance = schema.tolerances(catalogue).read(document)
     document.check_keys(schema.INSTRUMENT_KINDS, "instrument")
-    found = MachineFile(
+    machine = MachineFile(
         **{"name": "", **top, **schema.DRIVE.read(document), **schema.CLASS.read(document)},
         **{
-            name: part.build_record(document) for name, part in schema.SECTIONS_BY_ATTRIBUTE.items()
+            k: section.build_record(document) for k, section in schema.SECTIONS_BY_ATTRIBUTE.items()
         },
         geometry=geometry,
         instruments={
@@ -117,34 +114,33 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
         },
         surface_slope=tolerance.pop("surface_slope", None),
         tolerance=tolerance,
-        parameters={name: _parameter(document, name, catalogue) for name in named},
+        parameters={name: _parameter(document, name, catalogue) for name in names},
         provenance=document.plain_table("provenance"),
         catalogue=catalogue,
         file=file,
     )
-    if found.printer and (objection := found.printer.objection(geometry)):
+    if machine.printer and (objection := machine.printer.objection(geometry)):
         document.fail(*objection)
-    return found.with_measured()
+    return machine.with_measured()
 
 
 def _geometry(document: Document) -> Geometry:
     values, layout = schema.GEOMETRY.read(document), _layout(document)
-    elsewhere = schema.LAYOUT_R.name in document.table("layout")
-    r = document.value(
-        schema.LAYOUT_R.kind.read, *(("layout", "r_mm") if elsewhere else ("geometry_mm", "r"))
-    )
+    in_layout = schema.LAYOUT_R.name in document.table("layout")
+    path = ("layout", "r_mm") if in_layout else ("geometry_mm", "r")
+    r = document.value(schema.LAYOUT_R.kind.read, *path)
     if values.setdefault("r", r) != r:
         document.fail("r_mm is not the r of [geometry_mm]: keep one", "layout", "r_mm")
     length, (low, high) = values["L"], values["stroke"]
     shortest = min(1e-3, length / 50)  # a micro-stage moves by less than a millimetre
-    for key, wrong, remedy in (
+    for key, is_wrong, remedy in (
         ("d", values["d"] >= length, "d is not shorter than L: are they exchanged?"),
         ("r", values["r"] >= length, "r is not shorter than L: are they exchanged?"),
         ("stroke", high - low < shortest, "stroke is too short: give millimetres, not metres"),
         ("stroke", not layout.stroke_fits(length, (low, high)), "the stroke must run from below 0 "
          "to above 0 and stay within L: correct one of them"),
     ):  # fmt: skip
-        if wrong:
+        if is_wrong:
             document.fail(remedy, "geometry_mm", key)
     try:
         return Geometry(**values, layout=layout)
@@ -158,7 +154,7 @@ def _layout(document: Document) -> Layout:
     section = schema.LAYOUTS[document.value(schema.KIND.kind.read, "layout", "kind")]
     if section.record_class is not FreeLegs:
         return cast(Layout, section.build_record(document))
-    section.read(document)  # an unknown key is what hides a leg
+    section.read(document)  # reports an unknown key, which may be a misspelt leg
     names, path = document.table("layout", "leg"), ("layout", "leg")
     if len(names) != 3:
         document.fail(f"has {len(names)} legs: give three tables, [layout.leg.NAME]", *path)
@@ -171,14 +167,12 @@ def _parameter(document: Document, name: str, catalogue: Catalogue) -> Parameter
     effect = effect_name(name)
     allowed = [other for other, entry in catalogue.items() if not entry.of_dial]
     if effect not in allowed:
-        told = key_hint(effect, allowed)
-        document.fail(
-            f"there is no parameter {abbreviated(name)!r}: {told} (effects of {CUSTOM_EFFECTS_HINT})",
-            *path,
-        )
+        hint = key_hint(effect, allowed)
+        where = f"(effects of {CUSTOM_EFFECTS_HINT})"
+        document.fail(f"there is no parameter {abbreviated(name)!r}: {hint} {where}", *path)
     if name not in catalogue[effect].motions and name not in catalogue.structured_members(effect):
         document.fail(
             f"{abbreviated(name)!r} names no parameter of {effect}: correct what follows it", *path
         )
-    found: ParameterValue = schema.parameter(catalogue[effect].unit).build_record(document, *path)
-    return found
+    section = schema.parameter(catalogue[effect].unit)
+    return cast(ParameterValue, section.build_record(document, *path))

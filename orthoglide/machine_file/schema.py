@@ -17,7 +17,7 @@ from orthoglide.machine_file.measured import Measured
 from orthoglide.quantities import TEXT, list_of, one_of, quantity
 from orthoglide.units import MM, NOISE_LIMITS, ONE, RAD, Unit
 
-INSTRUMENT_KINDS = tuple(kind for kind, one in OBSERVATIONS.items() if one.dials != 1)
+INSTRUMENT_KINDS = tuple(name for name, kind in OBSERVATIONS.items() if kind.dials != 1)
 """Kinds of readings that may have a table; one dial on a leg has ``[dial_mm]``."""
 
 _LENGTH = quantity(MM, -1e4, 1e4, closed=True)
@@ -73,8 +73,8 @@ GEOMETRY = Section("geometry_mm", Geometry, (
 ))
 DIAL = Section("dial_mm", model.Dial, (
     Key("resolution", quantity(MM, 5e-5, 10), "Step of the display."),
-    Key("repeatability", quantity(MM, 1e-7, NOISE_LIMITS[1] / MM.si), "Standard deviation of one reading. "
-        "If absent, it is estimated from the repeats."),
+    Key("repeatability", quantity(MM, 1e-7, NOISE_LIMITS[1] / MM.si),
+        "Standard deviation of one reading. If absent, it is estimated from the repeats."),
     Key("placement", quantity(MM, 0, 100, closed=True), "Standard deviation of `gauge_mm`."),
 ))
 INSTRUMENT = Section("instrument", model.Instrument, (
@@ -92,33 +92,34 @@ CONTROLLER = Section("controller", model.Controller, (
         "-1 where it counts toward the origin, by leg."),
 ))
 CLASS = Section("class", model.MachineFile, (
-    Key("kind", one_of(MACHINE_CLASSES), "`laboratory`, of ground steel, or `belts` on extrusions. If "
-        "absent, a linear delta has belts, and other machines are of a laboratory.",
+    Key("kind", one_of(MACHINE_CLASSES), "`laboratory`, of ground steel, or `belts` on extrusions. "
+        "If absent, a linear delta has belts, and other machines are of a laboratory.",
         attribute="build"),
 ))
 MEASURED = Section("measured", Measured, (
-    Key("rods_mm", list_of(_POSITIVE_LENGTH, 2), "Length of the bars between their pivots, in the mean "
-        "of all: `[272.1, 0.1]`."),
-    Key("travel_of_100_mm", list_of(_POSITIVE_LENGTH, 2), "How far a carriage went that was told to go "
-        "100 mm, in the mean of all: `[100.2, 0.05]`.", attribute="travel"),
+    Key("rods_mm", list_of(_POSITIVE_LENGTH, 2),
+        "Length of the bars between their pivots, in the mean of all: `[272.1, 0.1]`."),
+    Key("travel_of_100_mm", list_of(_POSITIVE_LENGTH, 2), "How far a carriage went that was told "
+        "to go 100 mm, in the mean of all: `[100.2, 0.05]`.", attribute="travel"),
 ))
 STIFFNESS = Section("stiffness", model.Stiffness, (
     Key("torsion_Nmm_per_rad", quantity(Unit("N mm/rad", 1e-3), 0, _MAX_STIFFNESS, closed=True),
         "Torsional stiffness of a leg. It is no longer modelled: a warning says from which value "
         "it matters.", attribute="torsion"),
-    Key("bar_N_per_mm", quantity(Unit("N/mm", 1e3), 0, _MAX_STIFFNESS), "Axial stiffness of a bar. If "
-        "absent, bars are rigid.", attribute="bar"),
+    Key("bar_N_per_mm", quantity(Unit("N/mm", 1e3), 0, _MAX_STIFFNESS),
+        "Axial stiffness of a bar. If absent, bars are rigid.", attribute="bar"),
 ))
 KIND = Key("kind", one_of((Orthoglide.kind, LinearDelta.kind, FreeLegs.kind)),
            "Kind of the layout.", required=True, attribute=None)
-LAYOUT_R = Key("r_mm", _PLATFORM_RADIUS, "The `r` of `[geometry_mm]`, if it is not given there.", attribute=None)
+LAYOUT_R = Key("r_mm", _PLATFORM_RADIUS, "The `r` of `[geometry_mm]`, if it is not given there.",
+               attribute=None)
 _TOOL = Key("tool_mm", _POINT, "The tool's tip from the middle of the platform's joints.")
 LAYOUTS = {
     Orthoglide.kind: Section("layout", Orthoglide, (KIND,)),
     LinearDelta.kind: Section("layout", LinearDelta, (
         KIND,
-        Key("radius_mm", list_of(quantity(MM, 1), 3, single_allowed=True), "Horizontal distance of the "
-            "towers' joints from the centre.", required=True),
+        Key("radius_mm", list_of(quantity(MM, 1), 3, single_allowed=True),
+            "Horizontal distance of the towers' joints from the centre.", required=True),
         Key("angles_deg", list_of(_ANGLE, 3, single_allowed=True),
             "Directions of the towers from the centre, counter-clockwise from +x."),
         LAYOUT_R,

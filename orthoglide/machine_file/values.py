@@ -1,4 +1,4 @@
-"""Values of parameters as a machine keeps them; those that cannot be meant are refused."""
+"""Values of parameters as a machine keeps them, and checks that refuse implausible ones."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from orthoglide.errors import FileError, InputError, check_mapping
 from orthoglide.machine_file.model import MachineFile, ParameterValue
 from orthoglide.numerals import compact
 
-_MAX_TOLERANCES = 500.0  # tolerances: so large is a value in another unit, a thousandth of SI
-_MAX_LENGTH_RATIO = 0.1  # of a bar: no length is off by so much
+_MAX_TOLERANCES = 500.0  # beyond, a value must be in another unit, such as a thousandth of SI
+_MAX_LENGTH_RATIO = 0.1  # largest error of a length over that of a bar
 
 
 def check_magnitudes(spec: MachineFile, values: Mapping[str, float]) -> None:
@@ -57,7 +57,7 @@ def check_sigmas(values: Mapping[str, float], sigmas: Mapping[str, float]) -> No
 def parameter_entries(
     catalogue: Catalogue, values: Mapping[str, float], sigmas: Mapping[str, float]
 ) -> dict[str, ParameterValue]:
-    """Return single parameters of a machine; structured members are spelt out and summed.
+    """Return elementary parameters of a machine; structured members are expanded and summed.
 
     Args:
         catalogue: of the machine's effects.
@@ -67,7 +67,7 @@ def parameter_entries(
     Raises:
         InputError: for a value that is no finite number, and a parameter of one campaign.
     """
-    given: dict[str, ParameterValue] = {}
+    entries: dict[str, ParameterValue] = {}
     for name, value in values.items():
         if not np.isfinite(value):
             raise InputError(f"{name} must be a finite number, not {value}")
@@ -79,14 +79,14 @@ def parameter_entries(
                     f"{name} is what the campaign {parameter.campaign} has for itself: a machine "
                     f"has {parameter.plain}"
                 )
-            so_far = given.get(part, ParameterValue(0.0, 0.0, unit))
-            both = float(np.hypot(so_far.sigma, weight * sigma))
-            given[part] = ParameterValue(so_far.value + weight * float(value), both, unit)
-    return given
+            entry = entries.get(part, ParameterValue(0.0, 0.0, unit))
+            combined_sd = float(np.hypot(entry.sigma, weight * sigma))
+            entries[part] = ParameterValue(entry.value + weight * float(value), combined_sd, unit)
+    return entries
 
 
 def refuse_structured_members(spec: MachineFile) -> None:
-    """Refuse structured members in a machine file, which spells out single parameters.
+    """Refuse structured members in a machine file, which has elementary parameters only.
 
     Raises:
         FileError: naming the member and what it stands for.

@@ -24,67 +24,63 @@ def write_machine_file(
 ) -> None:
     """Write a machine file that reads back exactly, with its covariance beside it.
 
-    Each file appears whole or not at all; one without the other is reported on reading.
+    Each file is written completely or not at all; a missing one is reported on reading.
 
     Args:
         machine: what to write.
-        path: where to; the covariance goes to the same name with ``.npz``.
+        path: of the machine file; the covariance goes to the same name with ``.npz``.
         overwrite: whether existing files may be replaced.
 
     Raises:
-        FileError: where a file stands already and may not be replaced, or none can be written.
-        InputError: where the machine holds what no machine file can.
+        FileError: if a file exists and may not be replaced, or cannot be written.
+        InputError: if a machine file cannot hold the machine.
     """
     target = as_path(path)
-    if machine.urdf:  # seen from the file, so that both may move together
-        seen = os.path.relpath(machine.urdf, target.resolve().parent)
-        machine = replace(machine, urdf=Path(seen).as_posix())
+    if machine.urdf:  # relative to the file, so that both may move together
+        relative = os.path.relpath(machine.urdf, target.resolve().parent)
+        machine = replace(machine, urdf=Path(relative).as_posix())
     contents = machine_file_contents(machine, str(path))
-    beside = posterior_path(target)
+    covariance_file = posterior_path(target)
     if not overwrite:
         files.check_new(target)
-        files.check_new(beside)  # it would be taken for this machine's
+        files.check_new(covariance_file)  # it would be read as this machine's
     elif machine.posterior is None:
-        with files.as_file_errors(beside):
-            beside.unlink(missing_ok=True)
+        with files.as_file_errors(covariance_file):
+            covariance_file.unlink(missing_ok=True)
     for name, content in reversed(contents.items()):
         files.write_file(target.with_name(name), content, overwrite=overwrite)
 
 
 def machine_file_contents(machine: MachineFile, path: str) -> dict[str, str | bytes]:
-    """Return a machine file and, where its covariance is known, the file of that, by name.
+    """Return the contents of the machine file and, if known, of the covariance file, by name.
 
     Raises:
-        InputError: where the machine holds what no machine file can.
+        InputError: if a machine file cannot hold the machine.
     """
     text = machine_text(machine, path)
-    found: dict[str, str | bytes] = {Path(path).name: text}
+    contents: dict[str, str | bytes] = {Path(path).name: text}
     if machine.posterior is not None:
-        found[posterior_path(path).name] = posterior_bytes(
-            machine.posterior, files.sha256(text.encode())
-        )
-    return found
+        digest = files.sha256(text.encode())
+        contents[posterior_path(path).name] = posterior_bytes(machine.posterior, digest)
+    return contents
 
 
 def machine_text(machine: MachineFile, file: str = "") -> str:
     """Return the text of a machine file, which reads back exactly; errors name the ``file``.
 
     Raises:
-        InputError: where the machine holds what no machine file can.
+        InputError: if a machine file cannot hold the machine.
     """
     import tomli_w
 
     try:
-        text = (
-            _averaging_comment(machine)
-            + tomli_w.dumps(_toml_tables(machine))
-            + _parameter_lines(machine)
-        )
+        tables = tomli_w.dumps(_toml_tables(machine))
+        text = _averaging_comment(machine) + tables + _parameter_lines(machine)
     except TypeError as error:
         raise InputError(f"a machine file cannot hold this provenance: {error}") from None
     # What could not be read back is never written.
-    again = parse_machine_file(text, file, machine.catalogue)
-    if replace(again, provenance=machine.provenance) != machine:
+    reread = parse_machine_file(text, file, machine.catalogue)
+    if replace(reread, provenance=machine.provenance) != machine:
         raise InputError("a machine file cannot hold this machine: it would read back differently")
     return text
 
@@ -94,14 +90,14 @@ def _toml_tables(machine: MachineFile) -> dict[str, Any]:
     tolerance = {
         name: value
         for name, value in machine.tolerance.items()
-        # Without need of it, a file that names a user's effect could not be read alone.
+        # Default tolerances of a user's effects are left out: a file with them needs the effects.
         if name in catalogue_of(catalogue.legs) or value != catalogue.default_tolerance.get(name)
     }
     tables = {
-        p.name: p.write(getattr(machine, name)) for name, p in schema.SECTIONS_BY_ATTRIBUTE.items()
+        s.name: s.write(getattr(machine, name)) for name, s in schema.SECTIONS_BY_ATTRIBUTE.items()
     } | {
         "geometry_mm": schema.GEOMETRY.write(machine.geometry),
-        "instrument": {k: schema.INSTRUMENT.write(one) for k, one in machine.instruments.items()},
+        "instrument": {k: schema.INSTRUMENT.write(i) for k, i in machine.instruments.items()},
         "drive": schema.DRIVE.write(machine),
         "class": {"kind": machine.build} if machine.build else {},
         "tolerance": schema.tolerances(catalogue).write(
@@ -119,12 +115,12 @@ def _toml_tables(machine: MachineFile) -> dict[str, Any]:
 
 
 def _averaging_comment(machine: MachineFile) -> str:
-    """What a reader of the values must know first, as a comment; empty where it is nothing."""
+    """Return a comment on values that are averages over alternatives; else empty."""
     rivals = machine.provenance.get("averaged_over")
     if not isinstance(rivals, list | tuple) or not rivals:
         return ""
-    found = machine.provenance.get("effects", ())
-    names = ", ".join(map(str, dict.fromkeys((*found, *rivals))))
+    effects = machine.provenance.get("effects", ())
+    names = ", ".join(map(str, dict.fromkeys((*effects, *rivals))))
     lines = textwrap.wrap(
         f"Averages: the readings cannot tell {names} apart. The values below are the mean over "
         f"these explanations, each weighed with its probability, and describe none of them alone.",
@@ -134,7 +130,7 @@ def _averaging_comment(machine: MachineFile) -> str:
 
 
 def _parameter_lines(machine: MachineFile) -> str:
-    """Return an inline table for each parameter; the TOML writer would take four lines for it."""
+    """Return an inline table for each parameter, where the TOML writer would take four lines."""
     lines = ["", "[parameters]"] if machine.parameters else []
     for name, value in machine.parameters.items():
         table = schema.parameter(machine.catalogue.effect_of(name).unit).write(value)

@@ -42,13 +42,10 @@ class ExpectedReadings:
     def of(cls, sheet: Readings, machine: Machine) -> Self:
         """Return the readings of a machine within some tolerances of what its file states."""
         linear = LinearReadings.of(machine, sheet, observable_names(machine, sheet, ()))
+        prior = _PRIOR_TOLERANCES**2 * linear.columns @ linear.columns.T
         noise = machine.spec.dial.resolution**2 * np.eye(len(sheet))
-        spread = (
-            _PRIOR_TOLERANCES**2 * linear.columns @ linear.columns.T
-            + linear.visit_covariance()
-            + noise
-        )
-        return cls(sheet, linear.station, machine.readings(sheet), np.asarray(spread))
+        covariance = np.asarray(prior + linear.visit_covariance() + noise)
+        return cls(sheet, linear.station, machine.readings(sheet), covariance)
 
     def objection(self, row: int, reading: float, taken: Mapping[int, float]) -> tuple[str, bool]:
         """Return what speaks against a reading and whether it is possible all the same.
@@ -62,14 +59,14 @@ class ExpectedReadings:
             A clause, empty where nothing speaks against it.
         """
         mounting = self.sheet.setup == self.sheet.setup[row]
-        same = {k: value for k, value in taken.items() if mounting[k]}
-        if not same:
+        in_mounting = {k: value for k, value in taken.items() if mounting[k]}
+        if not in_mounting:
             return "", True
         axis = self.sheet.setups[self.sheet.setup[row]].axis
-        span = float(np.ptp([reading, *same.values()]))
+        span = float(np.ptp([reading, *in_mounting.values()]))
         if span > DIAL_RANGE + np.ptp(self.sheet.command[mounting, axis]):
-            moved = f"the dial would have moved {span * 1e3:.1f} mm in this mounting"
-            return f"{moved}, which no leg does", False
+            clause = f"the dial would have moved {span * 1e3:.1f} mm in this mounting"
+            return f"{clause}, which no leg does", False
         done = np.array(list(taken))
         across = self.covariance[row, done]
         weights = np.linalg.solve(self.covariance[np.ix_(done, done)], across)
@@ -77,13 +74,12 @@ class ExpectedReadings:
         sd = float(np.sqrt(self.covariance[row, row] - weights @ across))
         if abs(reading - mean) <= _IMPLAUSIBLE_SIGMAS * sd:
             return "", True
-        if before := [value for k, value in same.items() if self.station[k] == self.station[row]]:
-            listed = ", ".join(plain(value * 1e3, 3) for value in before)
-            return (
-                f"it is out of step with its repeats: this dial showed {listed} here before",
-                True,
-            )
-        low, high = ((mean + side * _IMPLAUSIBLE_SIGMAS * sd) * 1e3 for side in (-1, 1))
+        station = self.station[row]
+        if repeats := [value for k, value in in_mounting.items() if self.station[k] == station]:
+            listed = ", ".join(plain(value * 1e3, 3) for value in repeats)
+            reason = f"it is out of step with its repeats: this dial showed {listed} here before"
+            return reason, True
+        low, high = ((mean + sign * _IMPLAUSIBLE_SIGMAS * sd) * 1e3 for sign in (-1, 1))
         return (
             f"after the readings before it, and with the tolerances of this machine, it should lie "
             f"between {plain(low, 2)} and {plain(high, 2)}"

@@ -57,15 +57,10 @@ class Record:
     def plan(self, sheet: Readings) -> list[Row]:
         """Return the rows of a sheet as this file has them, in the order they are gone through."""
         planned = campaign_rows(sheet.with_readings(np.full(len(sheet), np.nan)), self.machine_file)
-        columns = (
-            *_COLUMNS_BEFORE_COMMANDS,
-            *command_columns(planned[0]),
-            *_COLUMNS_AFTER_COMMANDS,
-        )
-        return [
-            {name: ({"kind": LegDial.kind} | row).get(name, "") for name in columns}
-            for row in planned
-        ]
+        commands = command_columns(planned[0])
+        columns = (*_COLUMNS_BEFORE_COMMANDS, *commands, *_COLUMNS_AFTER_COMMANDS)
+        kind = {"kind": LegDial.kind}
+        return [{name: (kind | row).get(name, "") for name in columns} for row in planned]
 
     def open(self, first: Readings) -> bool:
         """Read what the file contains, or begin it with a sheet; return whether it was there.
@@ -78,20 +73,20 @@ class Record:
             self._write(overwrite=False)
             return False
         text = files.decode(files.read_bytes(self.path), self.path).replace("\r\n", "\n")
-        whole = text[: text.rfind("\n") + 1]  # a row that was torn by a power cut is none
-        head, *lines = list(csv.reader(io.StringIO(whole, newline=""))) or [[]]
-        if tuple(head) != self._columns:
+        complete = text[: text.rfind("\n") + 1]  # a row that was torn by a power cut is none
+        header, *rows = list(csv.reader(io.StringIO(complete, newline=""))) or [[]]
+        if tuple(header) != self._columns:
             problem = "was not begun by this command with this machine file"
             raise FileError(
                 f"{problem}: choose another name for --out", file=printable_path(self.path), line=1
             )
-        for number, cells in enumerate(lines, start=2):
-            if len(cells) != len(head):
+        for number, cells in enumerate(rows, start=2):
+            if len(cells) != len(header):
                 text = "has another number of columns than the first line: restore it"
                 raise FileError(text, file=printable_path(self.path), line=number)
-        self.rows = [dict(zip(head, cells, strict=True)) for cells in lines]
+        self.rows = [dict(zip(header, cells, strict=True)) for cells in rows]
         self.idle = max(time.time() - self.path.stat().st_mtime, 0.0)
-        if whole != text:
+        if complete != text:
             self._write()
         return True
 
@@ -117,8 +112,8 @@ class Record:
         files.write_file(self.path, text, overwrite=overwrite)
 
     def campaign(self, rows: Sequence[Row]) -> Readings:
-        """Return some of the rows as a campaign, with mountings that were read at one station only
-        left out, as these say nothing.
+        """Return some of the rows as a campaign, without mountings that were read at one station
+        only: their datum is free, so they contain no information.
 
         Raises:
             FileError: where the readings cannot be used.
@@ -126,8 +121,8 @@ class Record:
         stations: dict[str, set[tuple[str, ...]]] = {}
         for row in rows:
             if row["kind"] != "move":
-                here = tuple(row[name] for name in command_columns(row))
-                stations.setdefault(row["setup"], set()).add(here)
+                command = tuple(row[name] for name in command_columns(row))
+                stations.setdefault(row["setup"], set()).add(command)
         unused = {"kind": "move", "reading_mm": ""}
         used = [row if len(stations.get(row["setup"], ())) > 1 else row | unused for row in rows]
         table = rows_table(used, printable_path(self.path))

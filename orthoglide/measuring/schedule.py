@@ -43,8 +43,7 @@ sheet by sheet. The first two together find every effect from a fifth more than 
 sweep sheet does, or less (``orthoglide.smallest_effects``)."""
 
 _CLEARANCE = 8e-3
-"""Metres that a dial keeps from the ends of its leg, over the whole stroke; on a machine of less
-than a workshop's size in proportion."""
+"""Metres that a dial keeps from the ends of its leg, over the whole stroke, times `dial_scale`."""
 
 _MIN_READINGS_NOTHING_WRONG = 90  # readings after which it is believed that nothing is wrong
 _MAX_SHEETS = 6  # after so many nobody goes on
@@ -73,26 +72,26 @@ def opening_sheet(machine: Machine, number: int = 0) -> Readings:
     clearance = _CLEARANCE * dial_scale(geometry)
     ends = (high + clearance) / geometry.L, 1 + (low - clearance) / geometry.L
     share = round(float(np.clip(share, *ends)), 3)
-    part = _INNER_STATIONS[number % len(_INNER_STATIONS)]
-    way = [part * high, high, part * high, 0.0, part * low, low, part * low, 0.0]
-    return leg_dial_campaign(geometry, "measure", [(share,)], labelled_postures(way), bar=bar)
+    inner = _INNER_STATIONS[number % len(_INNER_STATIONS)]
+    travels = [inner * high, high, inner * high, 0.0, inner * low, low, inner * low, 0.0]
+    return leg_dial_campaign(geometry, "measure", [(share,)], labelled_postures(travels), bar=bar)
 
 
-def next_step(closed: RunOutcome, number: int, room: int) -> NextStep:
+def next_step(outcome: RunOutcome, number: int, readings_left: int) -> NextStep:
     """Return what to do after so many sheets, where there is room for so many readings more."""
-    taken = sum(map(len, closed.request.campaigns))
+    taken = sum(map(len, outcome.request.campaigns))
     suggested = [
-        s for s in closed.next_measurements
+        s for s in outcome.next_measurements
         if s.aim == "trace" or (s.aim == "separate" and s.gain >= DECISIVE_SIGMAS)
     ]  # fmt: skip
     sheet = next_sheet(suggested)
     if sheet is not None:
         reason = suggested[0].reason.partition(":")[0]
-    elif not closed.found and taken < _MIN_READINGS_NOTHING_WRONG:
-        reason, sheet = "nothing was found yet", opening_sheet(closed.request.machine, number)
+    elif not outcome.found and taken < _MIN_READINGS_NOTHING_WRONG:
+        reason, sheet = "nothing was found yet", opening_sheet(outcome.request.machine, number)
     else:
-        return NextStep("no further readings within reach would tell more", settled=closed.stands)
-    if len(sheet) > room or number >= _MAX_SHEETS:
+        return NextStep("no further readings within reach would tell more", settled=outcome.stands)
+    if len(sheet) > readings_left or number >= _MAX_SHEETS:
         return NextStep(f"{reason}, and no more readings were to be taken")
     return NextStep(reason, _with_new_names(sheet, number))
 

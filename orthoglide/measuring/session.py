@@ -50,13 +50,13 @@ def parse_answer(answer: str) -> Decimal | AnswerWord:
     text = answer.strip().replace("−", "-")
     if text.lower() in _ANSWER_WORDS:
         return _ANSWER_WORDS[text.lower()]
-    found = _NUMBER.fullmatch(text)
-    if found is None:
+    number = _NUMBER.fullmatch(text)
+    if number is None:
         raise InputError(
             f"{abbreviated(text)!r} is no reading: type a number such as 12.34, or ? for help"
         )
-    in_mm = (found[2] or "mm").lower() == "mm"
-    value = Decimal(found[1].replace(",", ".")).scaleb(0 if in_mm else -3)
+    in_mm = (number[2] or "mm").lower() == "mm"
+    value = Decimal(number[1].replace(",", ".")).scaleb(0 if in_mm else -3)
     if abs(value) > _LARGEST_READING:
         raise InputError(f"{abbreviated(text)} is more than any dial shows: give millimetres")
     return value
@@ -90,26 +90,27 @@ class _SheetProgress:
         return self.first_row + len(self.rows)
 
 
+def _as_move(row: Row, posture: str) -> Row:
+    """Return the row of a move to the position of a reading that is not taken there."""
+    return row | {"kind": "move", "posture": posture, "repeat": ""}
+
+
 @dataclass(eq=False)
 class Session:
     """One campaign being measured: its file determines what is asked next."""
 
     machine: Machine  # as its file has it
     record: Record  # the campaign file
-    # puts a question and returns what is typed; `EOFError` at the end of input
-    ask: Callable[[str], str]
-    tell: Callable[[str], None]  # says something
+    ask: Callable[[str], str]  # returns the answer to a question; `EOFError` at the end of input
+    tell: Callable[[str], None]  # shows a message
     sheet: Readings | None = None  # to read first; the program's own where absent
     max_readings: int = MAX_READINGS  # readings after which no more are asked for
     clock: Callable[[], float] = time.time  # seconds; only differences count
     _start_time: float = field(default=0.0, init=False)
-    _parts: list[_SheetProgress] = field(
-        default_factory=list, init=False
-    )  # up to the row that is next
-    # True if this session moved the machine to the last row of the file
-    _machine_in_place: bool = field(default=False, init=False)
-    _announced_dials: str = field(default="", init=False)  # dials that were told last
-    _announced_position: str = field(default="", init=False)  # position that was told last
+    _parts: list[_SheetProgress] = field(default_factory=list, init=False)  # up to the next row
+    _machine_in_place: bool = field(default=False, init=False)  # at the last row of the file
+    _announced_dials: str = field(default="", init=False)  # dials announced last
+    _announced_position: str = field(default="", init=False)  # position announced last
 
     def run(self) -> SessionEnd | None:
         """Ask until the verdict is settled, or no more is to be read.
@@ -120,37 +121,38 @@ class Session:
         Raises:
             InputError: if the file or the sheet cannot be used.
         """
-        first, name = self.sheet or opening_sheet(self.machine), printable_path(self.record.path)
+        first = self.sheet or opening_sheet(self.machine)
+        file_name = printable_path(self.record.path)
         first = first if len(first.moves) else first.with_moves()
         if self.record.open(first):
-            self.tell(f"{name} holds {self.record.readings} readings: going on after them.")
+            self.tell(f"{file_name} holds {self.record.readings} readings: going on after them.")
         else:
-            self.tell(f"Readings go to {name}, each as soon as it is given. Answers:\n{HELP}")
-        last = max((float(row["time_s"] or 0) for row in self.record.rows), default=0.0)
-        self._start_time = self.clock() - last - self.record.idle
+            self.tell(f"Readings go to {file_name}, each as soon as it is given. Answers:\n{HELP}")
+        last_time = max((float(row["time_s"] or 0) for row in self.record.rows), default=0.0)
+        self._start_time = self.clock() - last_time - self.record.idle
         self._begin_sheet(first)
         while True:
             while self._rows_done < self._parts[-1].first_row:  # a reading was taken back
                 self._parts.pop()
-            part = self._parts[-1]
-            if self._rows_done < part.end:
-                if not self._read_next(part):
+            progress = self._parts[-1]
+            if self._rows_done < progress.end:
+                if not self._read_next(progress):
                     return None
                 continue
-            rows = self.record.rows[: int(self._sheet_rows[part.end - 1]["order"]) + 1]
+            rows = self.record.rows[: int(self._sheet_rows[progress.end - 1]["order"]) + 1]
             self.tell("\nComputing the verdict.")
-            closed = compute_outcome(build_request(self.record.campaign(rows), self.machine))
-            room = self.max_readings - sum(bool(row["reading_mm"]) for row in rows)
-            step = next_step(closed, len(self._parts), room)
+            outcome = compute_outcome(build_request(self.record.campaign(rows), self.machine))
+            readings_left = self.max_readings - sum(bool(row["reading_mm"]) for row in rows)
+            step = next_step(outcome, len(self._parts), readings_left)
             if step.sheet is None:
-                verdict = build_result(closed, Verdict)
+                verdict = build_result(outcome, Verdict)
                 return SessionEnd(verdict, step.settled, step.reason, self.record.readings)
             self.tell(f"\nNot settled yet, {step.reason}: {len(step.sheet)} readings more.")
             self._begin_sheet(step.sheet)
 
     @property
     def _sheet_rows(self) -> list[Row]:
-        """Rows of the file, without those that lead back, in the order of the sheets."""
+        """Rows of the file in the order of the sheets, without moves that lead back."""
         return [row for row in self.record.rows if row["posture"] != RETURN_POSTURE]
 
     @property
@@ -176,24 +178,25 @@ class Session:
             _SheetProgress(sheet, rows, start, ExpectedReadings.of(sheet, self.machine))
         )
 
-    def _read_next(self, part: _SheetProgress) -> bool:
+    def _read_next(self, progress: _SheetProgress) -> bool:
         """Go to the next place of a sheet and read it; return False if somebody asks to stop."""
-        before = part.rows[: self._rows_done - part.first_row]
-        planned, reading = part.rows[len(before)], sum(row["kind"] != "move" for row in before)
-        self._announce_mounting(part, planned["setup"])
+        count = self._rows_done - progress.first_row
+        planned = progress.rows[count]
+        reading = sum(row["kind"] != "move" for row in progress.rows[:count])
+        self._announce_mounting(progress, planned["setup"])
         if planned["kind"] == "move":
             self._move_without_reading(planned)
             return True
         if not self._machine_in_place and self.record.rows:
-            self._lead_back(part.sheet, reading)
+            self._lead_back(progress.sheet, reading)
         self._tell_position(planned, "go to", f"posture {planned['posture']}")
-        return self._ask_reading(part, planned, reading)
+        return self._ask_reading(progress, planned, reading)
 
-    def _ask_reading(self, part: _SheetProgress, planned: Row, reading: int) -> bool:
+    def _ask_reading(self, progress: _SheetProgress, planned: Row, reading: int) -> bool:
         """Ask for one reading until it is given, skipped, or the one before is taken back."""
-        answers = zip(part.rows, self._sheet_rows[part.first_row :], strict=False)
-        taken = [row["reading_mm"] for asked, row in answers if asked["kind"] != "move"]
-        known = {k: float(value) * 1e-3 for k, value in enumerate(taken) if value}
+        answers = zip(progress.rows, self._sheet_rows[progress.first_row :], strict=False)
+        cells = [row["reading_mm"] for sheet_row, row in answers if sheet_row["kind"] != "move"]
+        taken = {k: float(cell) * 1e-3 for k, cell in enumerate(cells) if cell}
         doubted = None
         while True:
             try:
@@ -208,9 +211,7 @@ class Session:
             if answer == "help":
                 self.tell(f"{HELP}\n{SETTLED_CRITERION}")
             elif answer == "skip":
-                self._append_row(
-                    planned | {"kind": "move", "posture": SKIPPED_POSTURE, "repeat": ""}
-                )
+                self._append_row(_as_move(planned, SKIPPED_POSTURE))
                 return True
             elif answer == "undo":
                 if self.record.take_back():
@@ -218,32 +219,33 @@ class Session:
                     return True
                 self.tell("  there is no reading to take back")
             else:
-                wrong, possible = part.expected.objection(reading, float(answer) * 1e-3, known)
-                if not wrong or (possible and answer == doubted):
-                    now = f"{max(self.clock() - self._start_time, 0.0):.0f}"
-                    self._append_row(planned | {"reading_mm": f"{answer:f}", "time_s": now})
+                metres = float(answer) * 1e-3
+                objection, possible = progress.expected.objection(reading, metres, taken)
+                if not objection or (possible and answer == doubted):
+                    seconds = f"{max(self.clock() - self._start_time, 0.0):.0f}"
+                    self._append_row(planned | {"reading_mm": f"{answer:f}", "time_s": seconds})
                     return True
-                doubted, judged = answer, "is implausible" if possible else "cannot be"
+                doubted, judgement = answer, "is implausible" if possible else "cannot be"
                 remedy = "Type the same again to keep it, or the right number."
                 remedy = remedy if possible else "Type the number again."
-                self.tell(f"  {answer:f} mm {judged}: {wrong}. {remedy}")
+                self.tell(f"  {answer:f} mm {judgement}: {objection}. {remedy}")
 
     def _append_row(self, row: Row) -> None:
         self.record.append(row)
         self._machine_in_place = True
 
-    def _announce_mounting(self, part: _SheetProgress, setup: str) -> None:
+    def _announce_mounting(self, progress: _SheetProgress, setup: str) -> None:
         """Say where the dials of a mounting stand, once."""
-        names = mounted_together(part.rows)[setup]
+        names = mounted_together(progress.rows)[setup]
         if self._announced_dials == " and ".join(names):
             return
         self._announced_dials, self._announced_position = " and ".join(names), ""
         self.tell(f"\nMount {'dials' if len(names) > 1 else 'a dial'}: {self._announced_dials}")
-        for one in part.sheet.setups:
-            if one.name in names:
-                otherwise = "give all its numbers with the other sign"
-                words = "\n    ".join(dial_words(one, self.machine, otherwise))
-                self.tell(f"  {one.name}\n    {words}")
+        for dial in progress.sheet.setups:
+            if dial.name in names:
+                remedy = "give all its numbers with the other sign"
+                words = "\n    ".join(dial_words(dial, self.machine, remedy))
+                self.tell(f"  {dial.name}\n    {words}")
         self.tell(f"  {command_convention(self.machine)}")
 
     def _move_without_reading(self, row: Row) -> None:
@@ -253,15 +255,13 @@ class Session:
 
     def _lead_back(self, sheet: Readings, reading: int) -> None:
         """Lead the machine back, so that it comes to the next place from the prescribed side."""
-        back = sheet.command[reading] - sheet.moves.overshoot * sheet.approach[reading]
-        alone = replace(sheet.subset([reading]), command=back[None], moves=Moves())
-        self._move_without_reading(
-            self.record.plan(alone)[0] | {"kind": "move", "posture": RETURN_POSTURE, "repeat": ""}
-        )
+        command = sheet.command[reading] - sheet.moves.overshoot * sheet.approach[reading]
+        target = replace(sheet.subset([reading]), command=command[None], moves=Moves())
+        self._move_without_reading(_as_move(self.record.plan(target)[0], RETURN_POSTURE))
 
-    def _tell_position(self, planned: Row, what: str, why: str) -> None:
-        cells = {name.split("_")[1]: planned[name] for name in command_columns(planned)}
-        place = "  ".join(f"{axis} {float(cell):.3f}" for axis, cell in cells.items())
-        if self._announced_position != place:
-            self.tell(f"{what:<7}  {place}  {why}")
-        self._announced_position = place
+    def _tell_position(self, planned: Row, action: str, purpose: str) -> None:
+        commands = {name.split("_")[1]: planned[name] for name in command_columns(planned)}
+        position = "  ".join(f"{axis} {float(cell):.3f}" for axis, cell in commands.items())
+        if self._announced_position != position:
+            self.tell(f"{action:<7}  {position}  {purpose}")
+        self._announced_position = position

@@ -1,4 +1,4 @@
-"""CasADi functions compiled by the C compiler of the machine, where it has one; cached on disk."""
+"""CasADi functions compiled by the C compiler of the computer, cached on disk."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _FLAGS, _SHARED = ("-O1", "-ffp-contract=off"), ("-fPIC", "-shared")
 
 
 def compiler() -> str | None:
-    """Path of the C compiler: ``$CC``, cc, gcc or clang; ``None`` where there is none.
+    """Return the path of the C compiler: ``$CC``, cc, gcc or clang.
 
-    ``ORTHOGLIDE_COMPILE=0`` in the environment says not to use it.
+    It is ``None`` where there is none, or with ``ORTHOGLIDE_COMPILE=0`` in the environment.
     """
     if os.environ.get("ORTHOGLIDE_COMPILE", "1") == "0":
         return None
@@ -33,17 +33,16 @@ def compiler() -> str | None:
 def compiled(
     names: Sequence[str], key: str, build: Callable[[], list[Any]] | None
 ) -> list[Any] | None:
-    """Return CasADi functions compiled to machine code, from the cache where they are.
+    """Return CasADi functions compiled to machine code, from the cache if possible.
 
     Args:
         names: of the functions.
-        key: tells libraries apart; the functions depend on nothing else.
-        build: returns the functions to compile; where absent, only the cache is looked at.
+        key: identifies the library; the functions depend on nothing else.
+        build: returns the functions to compile; where absent, only the cache is used.
 
     Returns:
         The functions in the same order, or ``None`` where there is no compiler, it fails, or the
-        cache has nothing: the caller goes on with interpreted functions, which return the same
-        numbers to the last bit.
+        cache is empty. Interpreted functions return the same numbers to the last bit.
     """
 
     def source() -> str:
@@ -55,21 +54,21 @@ def compiled(
     path = library(f"{key} {ca.CasadiMeta.version()}", source, _FLAGS, build=build is not None)
     try:
         return None if path is None else [ca.external(name, str(path)) for name in names]
-    except RuntimeError:  # where nothing may be run from the cache
+    except RuntimeError:  # the file system does not allow execution
         return None
 
 
 def library(
     content: str, source: Callable[[], str], flags: Sequence[str], *, build: bool
 ) -> Path | None:
-    """The compiled library of a source, from the cache where it is.
+    """Return the path of the compiled library of a source, from the cache if possible.
 
     Args:
-        content: tells sources apart.
-        source: writes it, in C.
-        flags: of the compiler. Where they ask for this computer's own instructions, other kinds of
-            computer that share the cache have libraries of their own.
-        build: whether to compile where the cache has nothing.
+        content: identifies the source.
+        source: returns the source in C.
+        flags: of the compiler. The compiler's target is part of the name of the library, so
+            different computers can share the cache.
+        build: whether to compile where the cache is empty.
 
     Returns:
         ``None`` where there is no compiler, it fails, or the cache is empty and ``build`` false.
@@ -78,25 +77,22 @@ def library(
     if command is None:
         return None
     try:
-        digest = _digest(
-            "\n".join([content, command, *flags, _compiler_target(command, tuple(flags))]).encode()
-        )
+        target = _compiler_target(command, tuple(flags))
+        digest = _digest("\n".join([content, command, *flags, target]).encode())
         folder = _cache_folder()
-        found = _cached_library(folder, digest)
-        return (
-            found
-            if found or not build
-            else _build_library(command, flags, source(), folder, digest)
-        )
+        cached = _cached_library(folder, digest)
+        if cached or not build:
+            return cached
+        return _build_library(command, flags, source(), folder, digest)
     except (OSError, subprocess.SubprocessError):
         return None
 
 
 @cache
 def _compiler_target(command: str, flags: tuple[str, ...]) -> str:
-    """What the compiler says of the computer that these flags compile for."""
-    asked = [command, *flags, "-dM", "-E", "-x", "c", "-"]
-    return subprocess.run(asked, check=True, input="", capture_output=True, text=True).stdout
+    """Return the compiler's macros, which describe the computer that it compiles for."""
+    command_line = [command, *flags, "-dM", "-E", "-x", "c", "-"]
+    return subprocess.run(command_line, check=True, input="", capture_output=True, text=True).stdout
 
 
 def _digest(content: bytes) -> str:
@@ -104,26 +100,27 @@ def _digest(content: bytes) -> str:
 
 
 def _cache_folder() -> Path:
-    """Where compiled functions are kept, made where it is missing, and nobody but the user can
-    write: ``$ORTHOGLIDE_CACHE``, else in the user's cache folder.
+    """Return the folder of compiled functions, which only the user can write; make it if missing.
+
+    It is ``$ORTHOGLIDE_CACHE``, else a folder in the user's cache folder.
 
     Raises:
-        PermissionError: where it is another's.
+        PermissionError: where it belongs to another user.
     """
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     folder = Path(os.environ.get("ORTHOGLIDE_CACHE") or Path(base) / "orthoglide")
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    found = folder.stat()
+    status = folder.stat()
     if hasattr(os, "getuid"):
-        if found.st_uid != os.getuid():
+        if status.st_uid != os.getuid():
             raise PermissionError(f"{folder} belongs to another user")
-        if found.st_mode & 0o022:
-            folder.chmod(found.st_mode & 0o755)
+        if status.st_mode & 0o022:
+            folder.chmod(status.st_mode & 0o755)
     return folder
 
 
 def _cached_library(folder: Path, digest: str) -> Path | None:
-    """The compiled library of a source, whose name tells its content: a damaged one is removed."""
+    """Return the cached library of a digest; a file that its name's checksum refutes is removed."""
     for library in sorted(folder.glob(f"closure-{digest}-*.so")):
         if library.stem.rpartition("-")[2] == _digest(library.read_bytes()):
             return library
@@ -134,8 +131,8 @@ def _cached_library(folder: Path, digest: str) -> Path | None:
 def _build_library(
     command: str, flags: Sequence[str], source: str, folder: Path, digest: str
 ) -> Path:
-    with tempfile.TemporaryDirectory(dir=folder) as made:
-        code, out = Path(made) / "closure.c", Path(made) / "closure.so"
+    with tempfile.TemporaryDirectory(dir=folder) as workspace:
+        code, out = Path(workspace) / "closure.c", Path(workspace) / "closure.so"
         code.write_text(source, encoding="utf-8")
         subprocess.run(
             [command, *flags, *_SHARED, str(code), "-o", str(out), "-lm"],
@@ -144,5 +141,5 @@ def _build_library(
             timeout=120,
         )
         library = folder / f"closure-{digest}-{_digest(out.read_bytes())}.so"
-        out.replace(library)  # whole or not at all, also where two processes build at once
+        out.replace(library)  # atomic, also where two processes build at once
     return library

@@ -16,7 +16,7 @@ class Constraints:
     (``log6(c1Mc2)``). Holds Pinocchio's scratch data: use one object a thread.
 
     Args:
-        tree: what :func:`~orthoglide.mechanism.tree.nominal_tree` or ``general_tree`` returns.
+        tree: from :func:`~orthoglide.mechanism.tree.nominal_tree` or ``general_tree``.
 
     Attributes:
         models, datas: Pinocchio's containers of constraint models and data.
@@ -28,19 +28,12 @@ class Constraints:
         self.models = pin.StdVec_ConstraintModel()
         self.datas = pin.StdVec_ConstraintData()
         for loop in tree.loops:
-            first, second = (
-                tree.model.frames[tree.frame(name)] for name in (loop.frame_1, loop.frame_2)
-            )
-            anchor = (
-                pin.PointAnchorConstraintModel
-                if loop.kind == "point"
-                else pin.FrameAnchorConstraintModel
-            )
-            places = (first.parentJoint, first.placement, second.parentJoint, second.placement)
-            self.models.append(pin.ConstraintModel(anchor(tree.model, *places)))
+            point = loop.kind == "point"
+            anchor = pin.PointAnchorConstraintModel if point else pin.FrameAnchorConstraintModel
+            self.models.append(pin.ConstraintModel(anchor(tree.model, *tree.loop_ends(loop))))
         for model in self.models:
             self.datas.append(model.createData())
-        # The containers hold copies: what is calculated with must be taken back from them.
+        # The containers hold copies, so calculations must use their elements.
         self._pairs = [
             (self.models[k], self.datas[k], self.datas[k].extract()) for k in range(len(tree.loops))
         ]
@@ -69,6 +62,8 @@ class Constraints:
         rows = self.newton_matrix()
         for loop, (_, _, view) in zip(self.tree.loops, self._pairs, strict=True):
             if loop.kind == "frame":
-                own, placement = self.tree.rows[loop.name], view.c1Mc2
-                rows[own] = pin.Jlog6(placement) @ placement.inverse().action @ rows[own]
+                loop_rows, placement = self.tree.rows[loop.name], view.c1Mc2
+                rows[loop_rows] = (
+                    pin.Jlog6(placement) @ placement.inverse().action @ rows[loop_rows]
+                )
         return rows

@@ -25,16 +25,16 @@ from orthoglide.mechanism.perfect_legs import SIDE_ROUNDING
 from orthoglide.mechanism.rows import CompilableFunctions, InPlaceFunction
 from orthoglide.mechanism.six_bars import INPUT_SIZE, LINES, OUTPUT_SIZE, ROTATION, TCP
 
-# Bars off by less than this share of their length are closed to rounding.
+# Bars are closed to rounding where their length is off by less than this fraction.
 _ROUNDING = 3e-15
-# Trace of a rotation by 60 degrees: a platform that turned by more is in another assembly mode.
+# Trace of a rotation by 60 degrees: a platform turned by more is in another assembly mode.
 _SMALLEST_TRACE = 2.0
-# Rounds of Newton's steps for postures that the first did not close: errors of centimetres.
+# Rounds of Newton's steps after the first, for postures with errors of centimetres.
 _MAX_NEWTON_ROUNDS = 5
-# Postures near mechanical zero, within that share of a bar's length from it, at which six bars are
-# held against Pinocchio before they are used: any would show another machine.
+# Postures, within that fraction of a bar's length from mechanical zero, at which six bars are
+# compared with Pinocchio before they are used: any posture would show a different machine.
 _CHECKED_POSTURES, _CHECKED_REGION = 2, 0.01
-# Interpreted closures that take as long as compiling does.
+# Number of interpreted closures that take as long as compiling.
 _WORTH_COMPILING = 50_000
 
 
@@ -65,12 +65,12 @@ class Outputs:
 
 
 class Engine(Protocol):
-    """Interface of what closes postures."""
+    """Interface of the engines that close postures."""
 
     mechanism: Mechanism
 
     def outputs(self, travel: Array, moves: Array) -> Outputs:
-        """Return what closed postures show.
+        """Return the outputs of closed postures.
 
         Raises:
             ClosureError: naming the first posture that does not close.
@@ -78,7 +78,7 @@ class Engine(Protocol):
         ...
 
     def tangent(self, travel: Array, moves: Array) -> tuple[Outputs, Array]:
-        """Return what postures show, and the derivative ``(n, 48, 33)`` by travel and moves.
+        """Return the outputs and their derivative ``(n, 48, 33)`` by travel and moves.
 
         Raises:
             ClosureError: naming the first posture that does not close.
@@ -87,7 +87,7 @@ class Engine(Protocol):
 
 
 def batch_index(shape: tuple[int, ...], index: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the place in a batch of ``shape`` of a posture numbered after flattening it."""
+    """Return the index in a batch of ``shape`` of a posture numbered in the flattened batch."""
     return tuple(int(k) for k in np.unravel_index(index[0], shape)) if index else ()
 
 
@@ -98,7 +98,7 @@ class PinocchioEngine:
         mechanism: three legs with virtual joints.
 
     Attributes:
-        worst: largest closure residual so far by loop, metres or radians.
+        largest_residual: largest closure residual so far by loop, metres or radians.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
@@ -115,13 +115,11 @@ class PinocchioEngine:
 
     def _close_each(self, travel: Array, moves: Array, tangents: bool) -> tuple[Outputs, Array]:
         n = len(travel)
-        values, by_given = (
-            np.empty((n, OUTPUT_SIZE)),
-            np.empty((n if tangents else 0, OUTPUT_SIZE, INPUT_SIZE)),
-        )
+        values = np.empty((n, OUTPUT_SIZE))
+        by_given = np.empty((n if tangents else 0, OUTPUT_SIZE, INPUT_SIZE))
         zero = self.mechanism.geometry.zero
         for k in range(n):
-            with self.mechanism.lock:  # what is shown is read off Pinocchio's scratch data
+            with self.mechanism.lock:  # the outputs are read from Pinocchio's scratch data
                 with _number_posture_in_errors(k, n):
                     posture = self.mechanism.close(zero + travel[k], moves[k].reshape(3, -1))
                 values[k] = self._posture_outputs(posture)
@@ -135,22 +133,21 @@ class PinocchioEngine:
     @cached_property
     def _bar_ends(self) -> list[tuple[bool, int]]:
         """Whether each bar end is a frame, and its number or the joint's, in the order of LINES."""
-        tree, found = self.mechanism.tree, list[tuple[bool, int]]()
+        tree, bar_ends = self.mechanism.tree, list[tuple[bool, int]]()
         for leg in tree.leg_names:
-            joints = [
-                tree.model.getJointId(f"{leg}_{name}") for name in ("bar1", "knuckle", "bar2")
-            ]
-            found += [(False, j) for j in joints] + [(True, tree.frame(f"{leg}_bar2_tip"))]
-        return found
+            for name in ("bar1", "knuckle", "bar2"):
+                bar_ends.append((False, tree.model.getJointId(f"{leg}_{name}")))
+            bar_ends.append((True, tree.frame(f"{leg}_bar2_tip")))
+        return bar_ends
 
     def _posture_outputs(self, posture: Posture) -> Array:
         """Outputs ``(48,)`` of the posture that was closed last."""
         model, data = self.mechanism.tree.model, self.mechanism.constraints.data
-        places = [
-            (pin.updateFramePlacement(model, data, k) if framed else data.oMi[k]).translation
-            for framed, k in self._bar_ends
+        bar_ends = [
+            (pin.updateFramePlacement(model, data, k) if is_frame else data.oMi[k]).translation
+            for is_frame, k in self._bar_ends
         ]
-        return np.concatenate([posture.p, posture.R.ravel(), *places])
+        return np.concatenate([posture.p, posture.R.ravel(), *bar_ends])
 
     def _posture_tangent(self, posture: Posture) -> Array:
         """Derivative ``(48, 33)`` of the outputs by travel and displacements."""
@@ -158,50 +155,45 @@ class PinocchioEngine:
         rates = self.mechanism.joint_rates(posture, np.concatenate([tree.drive, tree.virtual]))
         model, data, axes = tree.model, constraints.data, pin.LOCAL_WORLD_ALIGNED
         tool = pin.getFrameJacobian(model, data, self.mechanism.tool, axes) @ rates
-        turned = np.cross(tool[3:].T[:, :, None], posture.R[None], axis=1).reshape(INPUT_SIZE, 9).T
-        ends = [
-            (
-                pin.getFrameJacobian(model, data, k, axes)
-                if framed
-                else pin.getJointJacobian(model, data, k, axes)
-            )[:3]
-            @ rates
-            for framed, k in self._bar_ends
+        rotation = np.cross(tool[3:].T[:, :, None], posture.R[None], axis=1)
+        jacobian_of = {True: pin.getFrameJacobian, False: pin.getJointJacobian}
+        bar_ends = [
+            jacobian_of[is_frame](model, data, k, axes)[:3] @ rates
+            for is_frame, k in self._bar_ends
         ]
-        return np.concatenate([tool[:3], turned, *ends])
+        return np.concatenate([tool[:3], rotation.reshape(INPUT_SIZE, 9).T, *bar_ends])
 
 
 @contextmanager
 def _number_posture_in_errors(index: int, count: int) -> Iterator[None]:
-    """Let an error of one posture say which of a batch it is."""
+    """Add the number of the posture in its batch to a closure error."""
     try:
         yield
     except ClosureError as error:
-        which = f"posture {index + 1} of {count}: " if count > 1 else ""
-        raise ClosureError(f"{which}{error}", residuals=error.residuals, index=(index,)) from None
+        prefix = f"posture {index + 1} of {count}: " if count > 1 else ""
+        raise ClosureError(f"{prefix}{error}", residuals=error.residuals, index=(index,)) from None
 
 
 class SixBars:
-    """Closes many postures as a platform on six bars; Pinocchio closes what Newton leaves open.
+    """Closes many postures as a platform on six bars, and the remaining ones with Pinocchio.
 
     Args:
         mechanism: three legs with virtual joints, from whose tree the bars are read.
-        compile: ``True`` to compile at once, ``False`` never, ``None`` once many postures have been
-            asked for or an earlier run has left a compiled copy. Without a C compiler nothing
-            changes but speed.
+        compile: ``True`` to compile at once, ``False`` never, ``None`` after many postures or where
+            an earlier run has left a compiled copy. It only affects speed.
     """
 
     def __init__(self, mechanism: Mechanism, *, compile: bool | None = None) -> None:
         self.mechanism = mechanism
         self.constants = six_bars.constants(mechanism.tree)
         self._rounding = _ROUNDING * float(mechanism.spheres.lengths.max())
-        worth = -1 if compile is False else _WORTH_COMPILING
-        # Apart, as most runs need the closure first, and the tangent takes longest to compile.
+        rows = -1 if compile is False else _WORTH_COMPILING
+        # Two libraries, as most runs need the closure first, and the tangent compiles slowly.
         self._close = CompilableFunctions(
-            ("close", "close_from"), _library_key("close"), six_bars.closing_functions, 1, worth
+            ("close", "close_from"), _library_key("close"), six_bars.closing_functions, 1, rows
         )
         self._tangent = CompilableFunctions(
-            ("tangent",), _library_key("tangent"), lambda: [six_bars.tangent_function()], 1, worth
+            ("tangent",), _library_key("tangent"), lambda: [six_bars.tangent_function()], 1, rows
         )
         if compile:
             self._close.compile()
@@ -209,31 +201,28 @@ class SixBars:
         self._check_derivation()
 
     def _check_derivation(self) -> None:
-        """Refuse a tree that its closures do not make a platform on six bars.
+        """Raise an `InputError` for a tree that is no platform on six bars.
 
-        Raises:
-            InputError: where Pinocchio closes it otherwise, near mechanical zero.
+        This is the case where Pinocchio closes it differently near mechanical zero.
         """
         draws = np.random.default_rng(0)
-        within = min(map(abs, self.mechanism.geometry.stroke)) / 2
-        reach = min(_CHECKED_REGION * float(self.mechanism.spheres.lengths.max()), within)
+        stroke_limit = min(map(abs, self.mechanism.geometry.stroke)) / 2
+        reach = min(_CHECKED_REGION * float(self.mechanism.spheres.lengths.max()), stroke_limit)
         travel = reach * draws.uniform(-1, 1, (_CHECKED_POSTURES, 3))
         moves = np.zeros((_CHECKED_POSTURES, INPUT_SIZE - 3))
+        reference = PinocchioEngine(self.mechanism)
         try:
-            apart = (
-                self.outputs(travel, moves).values
-                - PinocchioEngine(self.mechanism).outputs(travel, moves).values
-            )
+            values, expected = (e.outputs(travel, moves).values for e in (self, reference))
         except ClosureError as error:
             raise InputError(
                 f"the machine does not close near mechanical zero ({error}): correct the joint "
                 f"origins in the URDF, or the dimensions"
             ) from None
-        worst = float(np.abs(apart).max())
-        if worst > CLOSED:
+        largest = float(np.abs(values - expected).max())
+        if largest > CLOSED:
             raise InputError(
                 f"the closures of the URDF do not make it a platform on six bars: its tool or a "
-                f"bar is {worst * 1e3:.3g} mm from where Pinocchio closes it. Close each "
+                f"bar is {largest * 1e3:.3g} mm from where Pinocchio closes it. Close each "
                 f"parallelogram by a point and tie the three platforms by two frames"
             )
 
@@ -243,7 +232,7 @@ class SixBars:
         return self._close.compiled
 
     def single(self) -> InPlaceFunction:
-        """Return the closure of one posture as an object that is evaluated in place, unchecked.
+        """Return the closure of one posture for evaluation in place, without checks.
 
         Constants ``(106,)``, travel ``(3,)`` and displacements ``(30,)`` in, outputs ``(48,)`` and
         check ``(3,)`` out.
@@ -260,21 +249,20 @@ class SixBars:
                 f"{travel.shape} and {moves.shape}"
             )
         values, check = self._close("close", self.constants, travel, moves)
-        # All postures are closed if the worst are; comparisons with NaN are false.
-        off, side, turned = check[0] if len(check) == 1 else _worst_check(check)
-        if not (off <= self._rounding and side < -SIDE_ROUNDING and turned > _SMALLEST_TRACE):
+        # All postures are closed if the worst ones are; comparisons with NaN are false.
+        misfit, side, trace = check[0] if len(check) == 1 else _worst_check(check)
+        if not (misfit <= self._rounding and side < -SIDE_ROUNDING and trace > _SMALLEST_TRACE):
             self._close_remaining(values, check, travel, moves)
         return Outputs(values)
 
     def _close_remaining(self, values: Array, check: Array, travel: Array, moves: Array) -> None:
-        """Close in place what the first round left open.
+        """Close in place the postures that the first round of Newton's steps did not close.
 
-        What six bars close to ``CLOSED`` is taken. The rest is closed, or refused, by Pinocchio.
+        Six bars are accepted at a residual of ``CLOSED``; Pinocchio closes or refuses the others.
         """
         for _ in range(_MAX_NEWTON_ROUNDS):
-            rows = np.flatnonzero(
-                ~_is_closed(check, self._rounding) & np.isfinite(values).all(axis=1)
-            )
+            open_rows = ~_is_closed(check, self._rounding) & np.isfinite(values).all(axis=1)
+            rows = np.flatnonzero(open_rows)
             if not rows.size:
                 break
             values[rows], check[rows] = self._close(
@@ -282,16 +270,14 @@ class SixBars:
             )
         reference = PinocchioEngine(self.mechanism)
         for row in np.flatnonzero(~_is_closed(check, CLOSED)):
-            with (
-                _number_posture_in_errors(int(row), len(travel)),
-                self._hint_at_travel(travel[row]),
-            ):
-                part = slice(row, row + 1)
+            part = slice(row, row + 1)
+            numbered = _number_posture_in_errors(int(row), len(travel))
+            with numbered, self._hint_at_travel(travel[row]):
                 values[row] = reference.outputs(travel[part], moves[part]).values[0]
 
     @contextmanager
     def _hint_at_travel(self, travel: Array) -> Iterator[None]:
-        """Let an error hint at commands that would be within the stroke if they were travel."""
+        """Add a hint to a closure error of a command that was probably meant as travel."""
         geometry = self.mechanism.geometry
         try:
             yield
@@ -305,29 +291,27 @@ class SixBars:
     def tangent(self, travel: Array, moves: Array) -> tuple[Outputs, Array]:
         """See :class:`Engine`."""
         outputs = self.outputs(travel, moves)
-        (by_given,) = self._tangent(
-            "tangent", self.constants, travel, moves, outputs.values[:, :12]
-        )
+        poses = outputs.values[:, :12]
+        (by_given,) = self._tangent("tangent", self.constants, travel, moves, poses)
         return outputs, by_given
 
 
-def _is_closed(check: Array, most: float) -> NDArray[np.bool_]:
+def _is_closed(check: Array, tolerance: float) -> NDArray[np.bool_]:
     """Return which postures ``(n,)`` are closed in the machine's assembly mode."""
-    return np.asarray(
-        (check[:, 0] <= most) & (check[:, 1] < -SIDE_ROUNDING) & (check[:, 2] > _SMALLEST_TRACE)
-    )
+    misfit, side, trace = check.T
+    return np.asarray((misfit <= tolerance) & (side < -SIDE_ROUNDING) & (trace > _SMALLEST_TRACE))
 
 
 def _worst_check(check: Array) -> tuple[float, float, float]:
-    """Return the largest misfit, the side nearest to the other mode and the smallest trace."""
+    """Return the largest misfit, the largest side and the smallest trace of all postures."""
     if not len(check):
         return 0.0, -1.0, 3.0
-    off, side, _ = check.max(axis=0)
-    return float(off), float(side), float(check[:, 2].min())
+    misfit, side, _ = check.max(axis=0)
+    return float(misfit), float(side), float(check[:, 2].min())
 
 
 @cache
 def _library_key(name: str) -> str:
-    """Key of a compiled library: the functions depend on the text of their module alone."""
+    """Return the key of a compiled library: the functions depend only on their module's text."""
     text = Path(six_bars.__file__).read_bytes()
     return f"{name} {hashlib.sha256(text).hexdigest()}"

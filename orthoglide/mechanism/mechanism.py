@@ -1,4 +1,4 @@
-"""The closed mechanism as Pinocchio defines it: a tree, constraint models, Newton's method."""
+"""The closed mechanism in Pinocchio: a tree, constraint models and Newton's method."""
 
 from __future__ import annotations
 
@@ -14,16 +14,10 @@ from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dgesv
 
 from orthoglide.errors import ClosureError, InputError, as_float_array, check_choice
-from orthoglide.geometry import Array, Geometry
+from orthoglide.geometry import Array, Geometry, Mode
 from orthoglide.mechanism.constraints import Constraints
 from orthoglide.mechanism.mobility import Mobility, mobility
-from orthoglide.mechanism.perfect_legs import (
-    Mode,
-    Spheres,
-    assembly_mode,
-    free_joints,
-    tool_position,
-)
+from orthoglide.mechanism.perfect_legs import Spheres, assembly_mode, free_joints, tool_position
 from orthoglide.mechanism.tree import (
     RELIEF_NAMES,
     VIRTUAL_NAMES,
@@ -38,11 +32,11 @@ CLOSED = 1e-11
 """Largest closure residual, metres and radians, that counts as closed."""
 
 _RELIEF_LIMIT = float(np.deg2rad(1.0))
-"""Angle of a relief joint, radians, beyond which a real leg would rather jam or bend: four times
-what errors of every kind at their tolerances turn the most twisted leg by (rms)."""
+"""Angle of a relief joint, radians, beyond which a real leg would jam or bend: four times the rms
+angle of the most twisted leg with errors of every kind at their tolerances."""
 
-_MAX_STEPS = 30  # four to eight do in the stroke; far beyond it Newton ends or never does
-_LONGEST_STEP = 0.5  # radians; keeps a cold start from jumping over to the other assembly mode
+_MAX_STEPS = 30  # within the stroke four to eight suffice
+_LONGEST_STEP = 0.5  # radians; keeps a cold start from jumping to the other assembly mode
 
 
 @dataclass(frozen=True)
@@ -70,13 +64,13 @@ class Mechanism:
     """A machine with closed loops: a Pinocchio model and its constraint models.
 
     By default three PRPaR legs with relief joints: 21 unknowns for 21 rows, which close for any
-    errors of the parts and equal the rigid PRPaR machine where the errors fit together. Threads
-    take turns.
+    errors of the parts and equal the rigid PRPaR machine where the errors are compatible. A lock
+    serialises threads.
 
     Args:
         geometry: nominal dimensions of the three legs, the published ones where absent.
-        urdf: folder with a URDF of three such legs and the file with its closures, which then says
-            where joints are; of the dimensions only the command at mechanical zero counts.
+        urdf: folder with a URDF of three such legs and the file with its closures, which define
+            the joints; of the dimensions only the command at mechanical zero is used.
     """
 
     def __init__(
@@ -96,27 +90,25 @@ class Mechanism:
 
     @classmethod
     def from_urdf(cls, folder: str | os.PathLike[str], tool: str = "") -> Mechanism:
-        """Return any machine with loops, from a folder with its URDF and what closes it.
+        """Return any machine with loops, from a folder with its URDF and its closures.
 
-        The folder holds ``orthoglide.urdf`` with ``orthoglide.closures.toml``, or ``robot.urdf``
+        The folder contains ``orthoglide.urdf`` with ``orthoglide.closures.toml``, or ``robot.urdf``
         with ``robot.yaml`` in the convention of Gepetto's parallel robots. No joints are added.
 
         Args:
             folder: with both files.
-            tool: the link whose place :meth:`close` reports; the first one named by the last
-                closure where absent.
+            tool: the link whose pose :meth:`close` reports; by default the first link of the last
+                closure.
 
         Raises:
-            FileError: where a file is missing or says what cannot be.
+            FileError: where a file is missing or invalid.
             InputError: where the tree has no link ``tool``.
         """
-        found = cls.__new__(cls)
-        found.geometry, found.looped = Geometry(), load(folder)
-        tree = nominal_tree(found.looped)
-        if tool:
-            tree = replace(tree, tool=tool)
-        found._set_tree(tree)
-        return found
+        mechanism = cls.__new__(cls)
+        mechanism.geometry, mechanism.looped = Geometry(), load(folder)
+        tree = nominal_tree(mechanism.looped)
+        mechanism._set_tree(replace(tree, tool=tool) if tool else tree)
+        return mechanism
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Constraint objects do not pickle: another process builds its own.
@@ -136,12 +128,12 @@ class Mechanism:
 
     @cached_property
     def spheres(self) -> Spheres:
-        """Legs without errors, of which closure in a given assembly mode starts."""
+        """Legs without errors, from which the closure in a given assembly mode starts."""
         return Spheres.of_tree(self.tree, self._command_at_zero)
 
     @property
     def _command_at_zero(self) -> Array:
-        """Command where the drives' joints are at zero."""
+        """Command at which the drives' joints are at zero."""
         return self.geometry.zero if self.has_legs else np.zeros(len(self.tree.drive))
 
     def close(
@@ -161,7 +153,7 @@ class Mechanism:
             displacements: of the virtual joints ``(3, 10)``, as in ``VIRTUAL_NAMES``.
             mode: assembly mode of three legs.
             legs: ``"rigid"`` keeps the relief joints at zero: least squares on all rows, which
-                refuses errors of the parts that do not fit together.
+                fails for incompatible errors of the parts.
             guess: a nearby posture to start from.
 
         Raises:
@@ -173,9 +165,8 @@ class Mechanism:
         if mode != "machine" and not self.has_legs:
             raise InputError("only three PRPaR legs have modes by name: give a guess to start from")
         with self.lock:
-            return self._close(
-                self._start_configuration(command, displacements, guess), mode, legs, guess
-            )
+            q = self._start_configuration(command, displacements, guess)
+            return self._close(q, mode, legs, guess)
 
     def _close(
         self, q: Array, mode: Mode, legs: Literal["relieved", "rigid"], guess: Posture | None
@@ -187,7 +178,7 @@ class Mechanism:
             except ClosureError:
                 if guess is not None or not self.has_legs:
                     raise
-        # Where Newton fails from neutral, and in the other mode, start from legs without errors.
+        # For the other mode, and where Newton's method failed, start from legs without errors.
         travel = q[None, self.tree.drive]
         p = tool_position(self.spheres, travel, mode)
         if np.isfinite(p).all():
@@ -195,9 +186,8 @@ class Mechanism:
         return self._check_posture(*self._newton(q, moving), mode, legs)
 
     def _newton(self, q: Array, moving: np.ndarray[Any, np.dtype[np.intp]]) -> tuple[Array, int]:
-        """Return the configuration where Newton's method ends, and its steps."""
-        step = np.zeros(self.tree.model.nv)
-        steps = 0
+        """Return the final configuration of Newton's method, and the number of steps."""
+        step, steps = np.zeros(self.tree.model.nv), 0
         while steps < _MAX_STEPS:
             steps += 1
             residual = self.constraints.residual(q)
@@ -208,24 +198,24 @@ class Mechanism:
                 break
             step[moving] = -change * (_LONGEST_STEP / max(largest, _LONGEST_STEP))
             q = pin.integrate(self.tree.model, q, step)
-            if largest < 1e-8:  # quadratic: the step just made leaves its square
+            if largest < 1e-8:  # quadratic convergence: the remaining error is its square
                 break
         return q, steps
 
     def _start_configuration(
         self, command: ArrayLike, displacements: ArrayLike | None, guess: Posture | None
     ) -> Array:
-        tree, given = self.tree, as_float_array("the command", command)
-        if given.shape != tree.drive.shape or not np.isfinite(given).all():
+        tree, positions = self.tree, as_float_array("the command", command)
+        if positions.shape != tree.drive.shape or not np.isfinite(positions).all():
             raise InputError(f"close takes one command {tree.drive.shape} of finite numbers")
         if guess is not None and not (isinstance(guess, Posture) and len(guess.q) == tree.model.nq):
             raise InputError("a guess must be a posture of this mechanism")
         q = pin.neutral(tree.model) if guess is None else guess.q.copy()
-        for joint, position in zip(self._drives, given - self._command_at_zero, strict=True):
-            # A joint without limits is held as cosine and sine.
-            turning = joint.nq == 2
+        for joint, position in zip(self._drives, positions - self._command_at_zero, strict=True):
+            # The configuration of a joint without limits is cosine and sine.
+            continuous = joint.nq == 2
             part = slice(joint.idx_q, joint.idx_q + joint.nq)
-            q[part] = (np.cos(position), np.sin(position)) if turning else position
+            q[part] = (np.cos(position), np.sin(position)) if continuous else position
         if displacements is not None and not self.has_legs:
             raise InputError("this machine has no virtual joints, so it takes no displacements")
         if self.has_legs:
@@ -240,7 +230,7 @@ class Mechanism:
         residual = self.constraints.residual(q)
         by_loop = self.tree.by_loop(residual)
         if not float(np.abs(residual).max(initial=0.0)) <= CLOSED:
-            worst, size = max(by_loop.items(), key=lambda item: np.nan_to_num(item[1], nan=np.inf))
+            loop, size = max(by_loop.items(), key=lambda item: np.nan_to_num(item[1], nan=np.inf))
             reason = (
                 "rigid PRPaR legs cannot take up these errors of the parts"
                 if legs == "rigid" and iterations < _MAX_STEPS
@@ -250,25 +240,27 @@ class Mechanism:
             )
             raise ClosureError(
                 f"the loops do not close: {reason}; the largest misfit is {size * 1e3:.3g} mm or "
-                f"mrad at {worst}",
+                f"mrad at {loop}",
                 residuals=by_loop,
             )
         placement = pin.updateFramePlacement(self.tree.model, self.constraints.data, self.tool)
         p, R = placement.translation.copy(), placement.rotation.copy()
         if self.has_legs:
-            found = assembly_mode(self.spheres, q[self.tree.drive], p)
-            if found != mode:
-                where = (
-                    f"in the {found} assembly mode" if found else "where the assembly modes meet"
+            posture_mode = assembly_mode(self.spheres, q[self.tree.drive], p)
+            if posture_mode != mode:
+                place = (
+                    f"in the {posture_mode} assembly mode"
+                    if posture_mode
+                    else "where the assembly modes meet"
                 )
                 raise ClosureError(
-                    f"the loops close {where}, not in the {mode} assembly mode",
+                    f"the loops close {place}, not in the {mode} assembly mode",
                     residuals=by_loop,
                 )
         return Posture(q, p, R, by_loop, iterations, self._relief_warnings(q))
 
     def _relief_warnings(self, q: Array) -> tuple[str, ...]:
-        """What must be said of legs whose relief joints turn further than legs give."""
+        """Return warnings for legs whose relief joints turn more than a leg plausibly gives."""
         angles = np.abs(q[self.tree.relief]).reshape(-1, len(RELIEF_NAMES)).max(axis=1)
         return tuple(
             f"leg {leg} must twist by {np.rad2deg(angle):.1f} degrees for the loops to close, more "
@@ -283,27 +275,27 @@ class Mechanism:
         return self.sensitivities(posture, self.tree.drive)[:3]
 
     def sensitivities(self, posture: Posture, by: np.ndarray[Any, np.dtype[np.intp]]) -> Array:
-        """Return how the tool moves ``(6, k)`` with joints ``by`` while the loops stay closed.
+        """Return the tool's velocity ``(6, k)`` for unit rates of joints, the loops closed.
 
-        The first three rows are its velocity, the others its angular velocity, base frame.
+        The first three rows are linear, the others angular, base frame.
 
         Args:
             posture: closed.
-            by: positions of drives or virtual joints in the velocity vector ``(k,)``.
+            by: indices of drives or virtual joints in the velocity vector ``(k,)``.
         """
         with self.lock:
-            moved = self.joint_rates(posture, by)
+            rates = self.joint_rates(posture, by)
             tool_rows = pin.getFrameJacobian(
                 self.tree.model, self.constraints.data, self.tool, pin.LOCAL_WORLD_ALIGNED
             )
-            return np.asarray(tool_rows @ moved)
+            return np.asarray(tool_rows @ rates)
 
     def joint_rates(self, posture: Posture, by: np.ndarray[Any, np.dtype[np.intp]]) -> Array:
         """Return the rates of all joints ``(nv, k)`` while the loops stay closed.
 
         Args:
             posture: closed.
-            by: positions in the velocity vector ``(k,)`` of joints that move at unit rate.
+            by: indices in the velocity vector ``(k,)`` of joints that move at unit rate.
         """
         rows, free = self.constraints.jacobian(posture.q), self.tree.free
         rates = np.zeros((self.tree.model.nv, len(by)))
@@ -324,20 +316,20 @@ class Mechanism:
 
 
 def _rebuild_mechanism(geometry: Geometry, looped: LoopedModel, tree: Tree) -> Mechanism:
-    found = Mechanism.__new__(Mechanism)
-    found.geometry, found.looped = geometry, looped
-    found._set_tree(tree)
-    return found
+    mechanism = Mechanism.__new__(Mechanism)
+    mechanism.geometry, mechanism.looped = geometry, looped
+    mechanism._set_tree(tree)
+    return mechanism
 
 
-def _solve_least_squares(matrix: Array, right: Array) -> Array:
+def _solve_least_squares(matrix: Array, right_side: Array) -> Array:
     """Return the least-squares solution of a linear system, by elimination where it is square.
 
-    Rows of a rigid mechanism repeat each other (a planar loop closed in space), so the system is
-    consistent and its rank is less than its number of rows.
+    Some rows of a rigid mechanism are redundant (a planar loop closed in space): its system is
+    consistent, and the rank is less than the number of rows.
     """
     if matrix.shape[0] == matrix.shape[1]:
-        _, _, solution, info = dgesv(matrix, right)
+        _, _, solution, info = dgesv(matrix, right_side)
         if info == 0:
             return np.asarray(solution)
-    return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-9)[0])
+    return np.asarray(np.linalg.lstsq(matrix, right_side, rcond=1e-9)[0])

@@ -1,4 +1,4 @@
-"""Legs without errors: where closure starts, and which commands bring the tool to a point.
+"""Legs without errors: start of the closure, and commands that bring the tool to a point.
 
 While the platform is not turned, leg i lets the tool move on a sphere about
 ``centre_i + slide_i t_i``: the middle of its bars' carriage ends less that of their platform ends.
@@ -7,25 +7,20 @@ While the platform is not turned, leg i lets the tool move on a sphere about
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from orthoglide.errors import UnreachableError
-from orthoglide.geometry import Array, Geometry
+from orthoglide.geometry import Array, Geometry, Mode
 from orthoglide.mechanism.tree import PASSIVE_NAMES, RELIEF_NAMES, Tree
 
-Mode = Literal["machine", "other"]
-"""The machine's own assembly mode, or its mirror image in the plane of the carriages."""
-
 SIDE_ROUNDING = 1e-15
-"""Dimensionless side of the carriages' plane (see `assembly_mode`) below which its sign is rounding. At a
-thousandth of a bar's length from the plane it is of the order of 1e-6 or more.
-"""
+"""Dimensionless side of the carriages' plane (see `assembly_mode`) below which its sign is noise: a
+thousandth of a bar's length from the plane it is of the order of 1e-6 or more."""
 
-_FAR = 10.0  # bars' lengths: points so far away were perhaps given in other units
+_FAR = 10.0  # bar lengths: points so far away were perhaps given in other units
 UNITS_REMEDY = "give metres in Python, millimetres on the command line and in files"
-"""What to do about a point so far away."""
+"""Remedy for a point so far away."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +76,8 @@ def free_joints(tree: Tree, spheres: Spheres, travel: Array, p: Array) -> Array:
         p: TCP ``(N, 3)``, metres.
 
     Returns:
-        Free joints ``(N, n)`` in the order of ``tree.free``. Where a leg is out of reach its
-        angles are clipped: closure then says by how much.
+        Free joints ``(N, n)`` in the order of ``tree.free``. The angles of a leg out of reach are
+        clipped; the closure then fails and reports the misfit.
     """
     spans = p[:, None] - spheres.centres_at(travel)
     passive = [_passive_angles(tree, spheres.lengths[leg], leg, spans[:, leg]) for leg in range(3)]
@@ -94,40 +89,34 @@ def commands(spheres: Spheres, p: Array) -> Array:
     """Return commands ``(N, 3)`` of legs without errors that hold the TCP at ``p`` ``(N, 3)``.
 
     Raises:
-        UnreachableError: naming the leg that is too short, and the point that it misses most; or
-            the point that lies farthest beyond the plane of the carriages.
+        UnreachableError: naming the leg that is too short and its farthest point, or the point
+            farthest beyond the plane of the carriages.
     """
     reach = p[:, None] - spheres.centres_at(np.zeros((1, 3)))  # from each leg's sphere at zero
     along = np.einsum("nli,li->nl", reach, spheres.slides)
     # Far points overflow a square.
     across = np.hypot.reduce(np.cross(reach, spheres.slides), axis=-1)
     excess = across - spheres.lengths
-    short = np.flatnonzero((excess >= 0).any(axis=0))
-    if short.size:
-        leg, worst = int(short[0]), int(np.argmax(excess[:, short[0]]))
+    short_legs = np.flatnonzero((excess >= 0).any(axis=0))
+    if short_legs.size:
+        leg, worst = int(short_legs[0]), int(np.argmax(excess[:, short_legs[0]]))
         size = float(excess[worst, leg])
-        shown = f"{size * 1e3:.3f}" if size < 1e3 else f"{size * 1e3:g}"
-        away = float(np.hypot.reduce(p[worst]))
-        far = (
-            f" for a point {away:g} m away: {UNITS_REMEDY}"
-            if away > _FAR * spheres.lengths[leg]
-            else ""
-        )
-        raise UnreachableError(
-            f"{_point_prefix(worst, p)}leg {spheres.names[leg]} is {shown} mm too short{far}",
-            leg=spheres.names[leg],
-            excess=size,
-            index=(worst,),
-        )
+        excess_text = f"{size * 1e3:.3f}" if size < 1e3 else f"{size * 1e3:g}"
+        distance = float(np.hypot.reduce(p[worst]))
+        name, hint = spheres.names[leg], ""
+        if distance > _FAR * spheres.lengths[leg]:
+            hint = f" for a point {distance:g} m away: {UNITS_REMEDY}"
+        message = f"{_point_prefix(worst, p)}leg {name} is {excess_text} mm too short{hint}"
+        raise UnreachableError(message, leg=name, excess=size, index=(worst,))
     travel = along + np.sqrt(spheres.lengths**2 - across**2)
     normal, offset = _carriage_plane(spheres, spheres.centres_at(travel))
     beyond = np.sum(normal * p, axis=1) - offset
     if (beyond >= 0).any():
         worst = int(np.argmax(beyond))
         raise UnreachableError(
-            f"{_point_prefix(worst, p)}the machine does not come to the far side of its carriages: the "
-            f"tool would stand {beyond[worst] * 1e3:.3f} mm beyond their plane, in the other "
-            f"assembly mode",
+            f"{_point_prefix(worst, p)}the machine does not come to the far side of its "
+            f"carriages: the tool would stand {beyond[worst] * 1e3:.3f} mm beyond their plane, in "
+            f"the other assembly mode",
             excess=float(beyond[worst]),
             index=(worst,),
         )
@@ -176,26 +165,26 @@ def tool_position(spheres: Spheres, travel: Array, mode: Mode = "machine") -> Ar
 
 
 def assembly_mode(spheres: Spheres, travel: Array, p: Array) -> Mode | None:
-    """Return the assembly mode in which a machine stands with its TCP at ``p`` ``(3,)``.
+    """Return the assembly mode of a machine with its TCP at ``p`` ``(3,)``.
 
-    Far from any plausible error of the parts the plane of the carriages without errors will do.
+    Errors of the parts are neglected in the plane of the carriages.
 
     Returns:
-        ``None`` where only rounding would tell the modes apart: the carriages stand in one line, or
-        in one plane with the tool or the origin.
+        ``None`` where the difference between the modes is rounding: the carriages stand in one
+        line, or in one plane with the tool or the origin.
     """
     (centres,), length = spheres.centres_at(travel[None]), float(spheres.lengths.max())
     normal = np.cross(centres[1] - centres[0], centres[2] - centres[0]) / length**2
-    far = spheres.slides[0] if spheres.hanging else centres[0] / length
-    side = float(normal @ (p - centres[0])) / length * float(normal @ far)
+    far_side = spheres.slides[0] if spheres.hanging else centres[0] / length
+    side = float(normal @ (p - centres[0])) / length * float(normal @ far_side)
     return None if abs(side) <= SIDE_ROUNDING else "machine" if side < 0 else "other"
 
 
 def _carriage_plane(spheres: Spheres, centres: Array) -> tuple[Array, Array]:
-    """Plane through the carriages ``(N, leg, 3)``, the platform's size taken out: unit normal
-    ``(N, 3)`` away from the machine's side, and offset.
+    """Return the plane through the spheres' centres ``(N, leg, 3)``: unit normal and offset.
 
-    A machine in its own assembly mode has ``normal . p < offset``.
+    The normal ``(N, 3)`` points away from the machine, which has ``normal . p < offset`` in its own
+    assembly mode.
     """
     normal = np.cross(centres[:, 1] - centres[:, 0], centres[:, 2] - centres[:, 0])
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)

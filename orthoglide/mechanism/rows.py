@@ -15,20 +15,20 @@ from orthoglide.mechanism.compiled import compiled
 _ROWS_PER_CALL = 256
 
 
-def blocks(count: int, size: int = _ROWS_PER_CALL) -> Iterator[slice]:
+def blocks(row_count: int, size: int = _ROWS_PER_CALL) -> Iterator[slice]:
     """Yield slices of rows, by default as many as one mapped call takes and the cache holds."""
-    for start in range(0, count, size):
-        yield slice(start, min(start + size, count))
+    for start in range(0, row_count, size):
+        yield slice(start, min(start + size, row_count))
 
 
 class InPlaceFunction:
-    """A CasADi function evaluated in place: write to ``given``, evaluate, read ``results``.
+    """A CasADi function evaluated in place: write ``arguments``, evaluate, read ``results``.
 
     Args:
         function: its results are dense.
 
     Attributes:
-        given: one array an argument, column by column.
+        arguments: one array an argument, column by column.
         results: one array a result, column by column.
         evaluate: computes the results.
     """
@@ -44,21 +44,18 @@ class InPlaceFunction:
 
 
 class RowFunction:
-    """A CasADi function of vectors, for rows of them.
-
-    It holds buffers that a lock guards.
+    """A CasADi function of vectors, evaluated for rows of them; a lock guards its buffers.
 
     Args:
         function: of column vectors; its results are dense.
-        shared: how many of its first arguments are the same for all rows.
+        shared: number of leading arguments that are common to all rows.
     """
 
     def __init__(self, function: Any, shared: int = 0) -> None:
         self.function, self._shared = function, shared
-        # CasADi stores columns.
-        self._shapes = [
-            (function.size2_out(k), function.size1_out(k)) for k in range(function.n_out())
-        ]
+        # CasADi stores matrices by columns.
+        outputs = range(function.n_out())
+        self._shapes = [(function.size2_out(k), function.size1_out(k)) for k in outputs]
         self._buffers: dict[int, tuple[Any, Any]] = {}
         self._lock = Lock()
 
@@ -68,12 +65,9 @@ class RowFunction:
         Args:
             arguments: ``(k,)`` the shared ones, ``(n, k)`` the others; the last sets n.
         """
+        evaluate = self._evaluate_row if len(arguments[-1]) == 1 else self._evaluate_rows
         with self._lock:
-            return (
-                self._evaluate_row(*arguments)
-                if len(arguments[-1]) == 1
-                else self._evaluate_rows(*arguments)
-            )
+            return evaluate(*arguments)
 
     def _evaluate_rows(self, *arguments: Array) -> list[Array]:
         n, shared = len(arguments[-1]), self._shared
@@ -89,7 +83,7 @@ class RowFunction:
         return [r[:, 0] if r.shape[1] == 1 else np.swapaxes(r, 1, 2) for r in results]
 
     def _evaluate_row(self, *arguments: Array) -> list[Array]:
-        """Results of one row, for which arguments are copied to where the function reads them."""
+        """Return the results of one row, copying arguments to the buffers of the function."""
         single = self.single
         for array, value in zip(single.arguments, arguments, strict=True):
             array[:] = value if value.ndim == 1 else value[0]
@@ -101,7 +95,7 @@ class RowFunction:
 
     @cached_property
     def single(self) -> InPlaceFunction:
-        """The function for one row, evaluated where its arguments lie."""
+        """The function for one row, evaluated in place."""
         return InPlaceFunction(self.function)
 
     def _buffer(self, size: int) -> tuple[Any, Any]:
@@ -112,14 +106,14 @@ class RowFunction:
 
 
 class CompilableFunctions:
-    """Functions of rows that are interpreted until it pays to compile them.
+    """Functions of rows, interpreted until compiling them is worthwhile.
 
     Args:
         names: of the functions.
-        key: tells compiled libraries apart; see :func:`~orthoglide.mechanism.compiled.compiled`.
+        key: identifies compiled libraries; see :func:`~orthoglide.mechanism.compiled.compiled`.
         build: returns the CasADi functions.
-        shared: how many first arguments are the same for all rows, of each function.
-        worth: rows after which compiling has paid; less than 0 for never.
+        shared: number of leading arguments of each function that are common to all rows.
+        worth: number of rows after which the functions are compiled; less than 0 for never.
     """
 
     def __init__(
@@ -135,29 +129,29 @@ class CompilableFunctions:
         self._rows: dict[str, RowFunction] = {}
         self.compiled = worth >= 0 and self._use_functions(compiled(self._names, key, None))
 
-    def _use_functions(self, found: list[Any] | None) -> bool:
-        if found is None:
+    def _use_functions(self, functions: list[Any] | None) -> bool:
+        if functions is None:
             return False
         self._rows = {
             name: RowFunction(function, self._shared)
-            for name, function in zip(self._names, found, strict=True)
+            for name, function in zip(self._names, functions, strict=True)
         }
         return True
 
     def __call__(self, name: str, *arguments: Array) -> list[Array]:
-        """Return what function ``name`` gives for rows of arguments, as :class:`RowFunction` does."""
+        """Return the results of function ``name`` for rows, as :class:`RowFunction` does."""
         self._rows_evaluated += len(arguments[-1])
         if not self.compiled and 0 <= self._compile_after <= self._rows_evaluated:
             self.compile()
         return self.rows(name)(*arguments)
 
     def rows(self, name: str) -> RowFunction:
-        """Return a function as it is now, compiled or not."""
+        """Return a function in its current form, compiled or not."""
         if not self._rows:
             self._use_functions(self._build())
         return self._rows[name]
 
     def compile(self) -> None:
-        """Compile the functions now, where there is a compiler."""
+        """Compile the functions now if there is a compiler."""
         self.compiled = self._use_functions(compiled(self._names, self._key, self._build))
         self._compile_after = -1  # tried once

@@ -1,4 +1,4 @@
-"""The closed machine as a platform on six bars: the engine behind everything that needs speed.
+"""The closed machine as a platform on six bars: the fast engine.
 
 With the relief joints every bar is a link between two ball joints, so closing the loops means
 finding the pose (p, R) of the platform at which six distances equal six bar lengths. With
@@ -41,7 +41,7 @@ OUTPUT_SIZE = 48
 
 VIRTUAL_PER_LEG = len(VIRTUAL_NAMES)
 INPUT_SIZE = 3 + 3 * VIRTUAL_PER_LEG
-"""Length of what is given of a posture: travel of the drives, then virtual joints leg by leg."""
+"""Length of the input of a posture: travel of the drives, then virtual joints leg by leg."""
 
 _START, _AXES, _SLIDE, _ROOTS, _POINTS, _WIDTHS, _LENGTHS, _SIZE = 0, 3, 12, 15, 21, 27, 33, 35
 CONSTANTS_SIZE = 3 * _SIZE + 1
@@ -70,24 +70,24 @@ def constants(tree: Tree) -> Array:
 
 
 def _leg_constants(tree: Tree, leg: str) -> Array:
-    """Constants of one leg: bar ends seen from carriage and platform, checked to be constant."""
+    """Return the constants of one leg: bar ends in the frames of carriage and platform, checked."""
     model, data = tree.model, tree.model.createData()
     carriage, tool = model.getJointId(f"{leg}_turn_c"), tree.frame(f"{leg}_tcp")
     bars = [model.getJointId(f"{leg}_bar{k}") for k in (1, 2)]
     knuckle = model.getJointId(f"{leg}_knuckle")
-    tip, loose = tree.frame(f"{leg}_knuckle_tip"), tree.frame(f"{leg}_bar2_tip")
+    knuckle_tip, bar2_tip = tree.frame(f"{leg}_knuckle_tip"), tree.frame(f"{leg}_bar2_tip")
 
-    def place(**joints: float) -> tuple[pin.SE3, list[Array], list[Array], list[float]]:
+    def evaluate(**joints: float) -> tuple[pin.SE3, list[Array], list[Array], list[float]]:
         q = np.zeros(model.nq)
         for joint, value in joints.items():
             q[model.joints[model.getJointId(f"{leg}_{joint}")].idx_q] = value
         pin.framesForwardKinematics(model, data, q)
         base_from_carriage, base_from_tool = data.oMi[carriage], data.oMf[tool]
         roots = [data.oMi[bar].translation for bar in bars]
-        ends = [data.oMi[knuckle].translation, data.oMf[tip].translation]
+        ends = [data.oMi[knuckle].translation, data.oMf[knuckle_tip].translation]
         lengths = [
             float(np.linalg.norm(end - root))
-            for end, root in zip((ends[0], data.oMf[loose].translation), roots, strict=True)
+            for end, root in zip((ends[0], data.oMf[bar2_tip].translation), roots, strict=True)
         ]
         return (
             base_from_carriage.copy(),
@@ -96,24 +96,21 @@ def _leg_constants(tree: Tree, leg: str) -> Array:
             lengths,
         )
 
-    rest = place()
-    probes = [place(slide=0.01), place(width1=1.0), place(width2=1.0)]
+    reference = evaluate()
+    probes = [evaluate(slide=0.01), evaluate(width1=1.0), evaluate(width2=1.0)]
     names = (*PASSIVE_NAMES, *RELIEF_NAMES)
     draws = np.random.default_rng(0)
-    for _ in range(3):  # any angles will do to see whether the ends stay where they are
-        angles = {joint: float(draws.uniform(-0.5, 0.5)) for joint in names}
-        _, *turned = place(**angles)
-        for what, at_rest, moved in zip(
-            ("carriage end", "platform end", "length"), rest[1:], turned, strict=True
-        ):
-            change = float(np.abs(np.array(at_rest) - np.array(moved)).max())
+    for _ in range(3):  # any angles show whether the ends are constant
+        turned = evaluate(**{joint: float(draws.uniform(-0.5, 0.5)) for joint in names})
+        for k, quantity in enumerate(("carriage end", "platform end", "length"), start=1):
+            change = float(np.abs(np.array(reference[k]) - np.array(turned[k])).max())
             if change > _BAR_END_TOLERANCE:
                 raise InputError(
-                    f"leg {leg}: the {what} of a bar changes by {change * 1e3:.3g} mm as the leg's "
-                    f"pivots turn, so they do not meet in one point: correct the joint origins in "
-                    f"the URDF"
+                    f"leg {leg}: the {quantity} of a bar changes by {change * 1e3:.3g} mm as the "
+                    f"leg's pivots turn, so they do not meet in one point: correct the joint "
+                    f"origins in the URDF"
                 )
-    base_from_carriage, roots, points, lengths = rest
+    base_from_carriage, roots, points, lengths = reference
     if not all(0 < length < _MAX_BAR_LENGTH for length in lengths):
         raise InputError(
             f"leg {leg}: the URDF has bars of {lengths[0]:.4g} and {lengths[1]:.4g} m: give their "
@@ -149,18 +146,17 @@ class _Leg:
         self.slide = c[_SLIDE:_ROOTS]
         turn_a, turn_b, turn_c = (_axis_rotation(axis, v[3 + axis]) for axis in range(3))
         turned = turn_a @ turn_b
-        # Axes about which the three turns act, seen from the carriage before it is turned.
+        # Axes of the three rotations, in the frame of the unrotated carriage.
         self.spins = (ca.SX([1, 0, 0]), turn_a[:, 1], turned[:, 2])
         turned = turned @ turn_c
         self.arms = [turned @ c[_ROOTS + 3 * k : _ROOTS + 3 * k + 3] for k in range(2)]
         centre = self.slide * travel + v[0:3]
         self.roots = [c[_START:_AXES] + self.axes @ (centre + arm) for arm in self.arms]
         self.widths = [c[_WIDTHS + 3 * k : _WIDTHS + 3 * k + 3] for k in range(2)]
-        self.points = [
-            c[_POINTS + 3 * k : _POINTS + 3 * k + 3] + v[8 + k] * self.widths[k] for k in range(2)
-        ]
+        tips = [c[_POINTS + 3 * k : _POINTS + 3 * k + 3] for k in range(2)]
+        self.points = [tips[k] + v[8 + k] * self.widths[k] for k in range(2)]
         self.lengths = [c[_LENGTHS + k] + v[6 + k] for k in range(2)]
-        self.tip = (c[_POINTS : _POINTS + 3] + c[_POINTS + 3 : _POINTS + 6]) / 2
+        self.tip = (tips[0] + tips[1]) / 2
 
 
 def _axis_rotation(axis: int, angle: Any) -> Any:
@@ -173,7 +169,7 @@ def _axis_rotation(axis: int, angle: Any) -> Any:
 
 
 class _Symbols:
-    """Inputs of the functions, and the legs that they make."""
+    """Inputs of the functions, and the legs as functions of them."""
 
     def __init__(self) -> None:
         self.constants = ca.SX.sym("constants", CONSTANTS_SIZE)
@@ -205,26 +201,24 @@ class _Symbols:
 def closing_functions() -> list[Any]:
     """Return CasADi functions that close the machine: from the three spheres, and from a pose.
 
-    The first takes (constants, travel (3,), moves (30,)), the second a pose (12,) besides: p and R
-    row by row. Both return (outputs (48,), check (3,)). The check has the largest difference
-    between a bar and its length, metres; a number without unit that is negative in the machine's
-    own assembly mode and 0 where the modes meet; and the trace of R.
+    The first takes (constants, travel (3,), moves (30,)), the second also a pose (12,): p and R row
+    by row. Both return (outputs (48,), check (3,)). The check contains the largest error of a bar's
+    length, metres; a dimensionless number that is negative in the machine's own assembly mode and 0
+    where the modes meet; and the trace of R.
     """
-    symbols = _Symbols()
-    pose = ca.SX.sym("pose", 12)
+    symbols, pose = _Symbols(), ca.SX.sym("pose", 12)
     names = ["outputs", "check"]
-    start = _spheres(symbols)
-    first = _closed(symbols, start, ca.SX.eye(3))
-    again = _closed(symbols, pose[0:3], ca.reshape(pose[3:12], 3, 3).T)
+    from_spheres = _closed(symbols, _spheres(symbols), ca.SX.eye(3))
+    from_pose = _closed(symbols, pose[0:3], ca.reshape(pose[3:12], 3, 3).T)
     inputs = ["constants", "travel", "moves"]
     return [
-        ca.Function("close", symbols.inputs, first, inputs, names),
-        ca.Function("close_from", [*symbols.inputs, pose], again, [*inputs, "pose"], names),
+        ca.Function("close", symbols.inputs, from_spheres, inputs, names),
+        ca.Function("close_from", [*symbols.inputs, pose], from_pose, [*inputs, "pose"], names),
     ]
 
 
 def _spheres(symbols: _Symbols) -> Any:
-    """TCP of an unturned platform, where three spheres about the carriages meet."""
+    """Return the TCP of an unrotated platform, where three spheres about the carriages meet."""
     centres = symbols.centres()
     squares = [((leg.lengths[0] + leg.lengths[1]) / 2) ** 2 for leg in symbols.legs]
     u, v = centres[1] - centres[0], centres[2] - centres[0]
@@ -237,7 +231,7 @@ def _spheres(symbols: _Symbols) -> Any:
 
 
 def _closed(symbols: _Symbols, p: Any, R: Any) -> list[Any]:
-    """Outputs and check after Newton's steps from a pose."""
+    """Return outputs and check after Newton's steps from a pose."""
     blocks = _blocks(_newton_rows(symbols, p, R)[0])
     for step in range(_NEWTON + _CHORD):
         rows, misses = _newton_rows(symbols, p, R)
@@ -248,22 +242,22 @@ def _closed(symbols: _Symbols, p: Any, R: Any) -> list[Any]:
         # Cayley's map of a small turn, column by column: R + 2 / (1 + h.h) h x (R + h x R).
         factor, old = 2 / (1 + ca.sumsqr(half)), ca.horzsplit(R)
         R = ca.horzcat(*[c + factor * ca.cross(half, c + ca.cross(half, c)) for c in old])
-    lines, off = [], ca.SX(0)
+    lines, misfit = [], ca.SX(0)
     for leg in symbols.legs:
         for k in range(2):
             end = p + R @ leg.points[k]
             lines += [leg.roots[k], end]
-            off = ca.fmax(off, ca.fabs(ca.norm_2(end - leg.roots[k]) - leg.lengths[k]))
+            misfit = ca.fmax(misfit, ca.fabs(ca.norm_2(end - leg.roots[k]) - leg.lengths[k]))
     outputs = ca.densify(ca.vertcat(p, ca.vec(R.T), *lines))
     centres = symbols.centres()
     normal = ca.cross(centres[1] - centres[0], centres[2] - centres[0])
     side = ca.dot(normal, p - centres[0]) * symbols.upward(normal, centres)
     side /= symbols.legs[0].lengths[0] ** 5
-    return ca.cse([outputs, ca.vertcat(off, side, ca.trace(R))])
+    return ca.cse([outputs, ca.vertcat(misfit, side, ca.trace(R))])
 
 
 def _newton_rows(symbols: _Symbols, p: Any, R: Any) -> tuple[list[list[Any]], list[Any]]:
-    """Rows of the Newton system ``[e, R point x e]`` of the six bars, and their right sides."""
+    """Return rows of the Newton system, ``[e, R point x e]`` of the six bars, and right sides."""
     rows, misses = [], []
     for leg in symbols.legs:
         for k in range(2):
@@ -275,7 +269,7 @@ def _newton_rows(symbols: _Symbols, p: Any, R: Any) -> tuple[list[list[Any]], li
 
 
 def _solve_newton_rows(blocks: _Blocks, right: list[Any]) -> tuple[Any, Any]:
-    """(dp, dw) that solve six rows of which the blocks are given."""
+    """Return (dp, dw) that solve six rows with given blocks."""
     shared, differences, inverse_sums, inverse_schur = blocks
     r_sum = ca.vertcat(*[right[2 * leg] + right[2 * leg + 1] for leg in range(3)])
     r_difference = ca.vertcat(*[right[2 * leg] - right[2 * leg + 1] for leg in range(3)])
@@ -285,7 +279,7 @@ def _solve_newton_rows(blocks: _Blocks, right: list[Any]) -> tuple[Any, Any]:
 
 
 class _Blocks(NamedTuple):
-    """What solves six rows: sums ``[S_p, S_w]`` and differences ``[D_p, D_w]`` of each leg's."""
+    """Block factors of six rows: sums ``[S_p, S_w]`` and differences ``[D_p, D_w]`` of a leg's."""
 
     shared: Any  # S_p^-1 S_w
     differences: Any  # D_p
@@ -294,15 +288,11 @@ class _Blocks(NamedTuple):
 
 
 def _blocks(rows: list[list[Any]]) -> _Blocks:
-    """Blocks that solve the six rows."""
+    """Return the block factors of the six rows."""
 
     def block(sign: int, columns: range) -> Any:
-        return ca.vertcat(
-            *[
-                ca.horzcat(*[rows[2 * leg][j] + sign * rows[2 * leg + 1][j] for j in columns])
-                for leg in range(3)
-            ]
-        )
+        pairs = [(rows[2 * leg], rows[2 * leg + 1]) for leg in range(3)]
+        return ca.vertcat(*[ca.horzcat(*[a[j] + sign * b[j] for j in columns]) for a, b in pairs])
 
     places, turns = range(3), range(3, 6)
     inverse_sums = _inverse(block(1, places))
@@ -333,12 +323,8 @@ def tangent_function() -> Any:
     shared, differences, inverse_sums, inverse_schur = _blocks(rows)
     # Columns of the inverse of all six rows, by the sum and the difference of each leg's.
     turn_by_sum = -inverse_schur @ differences @ inverse_sums
-    solution = (
-        inverse_sums - shared @ turn_by_sum,
-        -shared @ inverse_schur,
-        turn_by_sum,
-        inverse_schur,
-    )
+    point_by_sum, point_by_difference = inverse_sums - shared @ turn_by_sum, -shared @ inverse_schur
+    solution = (point_by_sum, point_by_difference, turn_by_sum, inverse_schur)
     arms = [[R @ point for point in leg.points] for leg in symbols.legs]
     columns: list[Any] = [None] * INPUT_SIZE
     for number in range(3):
@@ -354,29 +340,25 @@ def tangent_function() -> Any:
 
 
 def _leg_columns(
-    symbols: _Symbols,
-    number: int,
-    R: Any,
-    arms: list[list[Any]],
-    rows: list[list[Any]],
+    symbols: _Symbols, number: int, R: Any, arms: list[list[Any]], rows: list[list[Any]],
     solution: tuple[Any, ...],
-) -> dict[int, Any]:
-    """Derivative of the outputs by one drive and its leg's virtual joints, by place in given."""
+) -> dict[int, Any]:  # fmt: skip
+    """Return derivatives of the outputs by a drive and its leg's virtual joints, by input index."""
     leg, zero = symbols.legs[number], ca.SX(3, 1)
     virtual = 3 + VIRTUAL_PER_LEG * number
-    # By place: how the bars' roots move (base frame), their points (turned), their lengths.
+    # By input index: derivatives of the bars' roots (base frame), points (rotated) and lengths.
     moved: dict[int, tuple[list[Any], list[Any], list[Any]]] = {
         number: ([leg.axes @ leg.slide] * 2, [zero] * 2, [0, 0])
     }
     for axis in range(3):
         moved[virtual + axis] = ([leg.axes[:, axis]] * 2, [zero] * 2, [0, 0])
-        spun = [leg.axes @ ca.cross(leg.spins[axis], arm) for arm in leg.arms]
-        moved[virtual + 3 + axis] = (spun, [zero] * 2, [0, 0])
+        turned_roots = [leg.axes @ ca.cross(leg.spins[axis], arm) for arm in leg.arms]
+        moved[virtual + 3 + axis] = (turned_roots, [zero] * 2, [0, 0])
     for k in range(2):
-        one = [1 if k == bar else 0 for bar in range(2)]
-        wider = [R @ leg.widths[k] if k == bar else zero for bar in range(2)]
-        moved[virtual + 6 + k] = ([zero] * 2, [zero] * 2, one)
-        moved[virtual + 8 + k] = ([zero] * 2, wider, [0, 0])
+        lengthened = [1 if k == bar else 0 for bar in range(2)]
+        widened = [R @ leg.widths[k] if k == bar else zero for bar in range(2)]
+        moved[virtual + 6 + k] = ([zero] * 2, [zero] * 2, lengthened)
+        moved[virtual + 8 + k] = ([zero] * 2, widened, [0, 0])
     columns = {}
     for place, (roots, points, lengths) in moved.items():
         right = []
@@ -392,7 +374,7 @@ def _leg_columns(
         for other in range(3):
             for k in range(2):
                 end = dp + ca.cross(dw, arms[other][k])
-                own = other == number
-                parts += [roots[k] if own else zero, end + points[k] if own else end]
+                same_leg = other == number
+                parts += [roots[k] if same_leg else zero, end + points[k] if same_leg else end]
         columns[place] = ca.vertcat(*parts)
     return columns

@@ -1,8 +1,8 @@
-"""A Pinocchio model walked into CasADi expressions.
+"""A Pinocchio model as CasADi expressions.
 
-The wheels of Pinocchio carry no ``pinocchio.casadi``, so the tree is walked here: every joint is
-its placement followed by the exponential of its motion axis (a product of exponentials, Lynch and
-Park 2017, chapter 4). Expressions are SX: cheap to evaluate, to differentiate and to compile.
+The wheels of Pinocchio have no ``pinocchio.casadi``, so the kinematics are built here: every joint
+is its placement followed by the exponential of its motion axis (a product of exponentials, Lynch
+and Park 2017, chapter 4). Expressions are SX: cheap to evaluate, to differentiate and to compile.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from orthoglide.errors import InputError
 
-# Placements are read from text: what differs from an exact rotation by rounding costs operations.
+# Placements are read from text: rounding errors of exact rotations would cost operations.
 _ROUNDING = 1e-15
 
 
@@ -32,19 +32,19 @@ class Transform:
 
     @classmethod
     def identity(cls) -> Transform:
-        """The transform that changes nothing."""
+        """Return the identity."""
         return cls(ca.SX.eye(3), ca.SX.zeros(3))
 
     @classmethod
     def from_se3(cls, placement: pin.SE3) -> Transform:
-        """A constant transform."""
+        """Return a constant transform."""
         return cls(_constant(placement.rotation), _constant(placement.translation))
 
     def __matmul__(self, other: Transform) -> Transform:
         return Transform(self.R @ other.R, self.R @ other.t + self.t)
 
     def inverse(self) -> Transform:
-        """The transform the other way round."""
+        """Return the inverse transform."""
         return Transform(self.R.T, -(self.R.T @ self.t))
 
 
@@ -73,7 +73,7 @@ def _quaternion(q: Any) -> Any:
 
 
 def joint_transform(joint: Any, q: Any) -> Transform:
-    """Transform across one joint of a Pinocchio model.
+    """Return the transform across one joint of a Pinocchio model.
 
     Args:
         joint: an element of ``model.joints``.
@@ -83,9 +83,11 @@ def joint_transform(joint: Any, q: Any) -> Transform:
         InputError: for a kind of joint that is not supported.
     """
     kind = joint.shortname()
-    # By name too: helical and composite joints can have as many coordinates as these.
-    plain = kind.startswith(("JointModelR", "JointModelP"))
-    if plain and joint.nv == 1 and joint.nq <= 2:  # prismatic or revolute: its axis says which
+    # Also by name: helical and composite joints can have the same number of coordinates.
+    single_axis = kind.startswith(("JointModelR", "JointModelP"))
+    if (
+        single_axis and joint.nv == 1 and joint.nq <= 2
+    ):  # prismatic or revolute: its axis says which
         linear, angular = np.asarray(joint.createData().S).reshape(2, 3)
         if joint.nq == 2:  # without limits: (cos, sin)
             return Transform(_rotation(angular, q[0], q[1]), ca.SX(3, 1))
@@ -104,7 +106,7 @@ class SymbolicTree:
 
     Args:
         model: any tree of revolute, prismatic, spherical and free-flyer joints.
-        q: SX ``(nq,)`` to use; a fresh symbol where absent.
+        q: SX ``(nq,)``; a new symbol where absent.
     """
 
     def __init__(self, model: pin.Model, q: Any = None) -> None:
@@ -117,10 +119,9 @@ class SymbolicTree:
         steps = [Transform.identity()]
         for j in range(1, self.model.njoints):
             joint = self.model.joints[j]
-            placed = Transform.from_se3(self.model.jointPlacements[j])
-            steps.append(
-                placed @ joint_transform(joint, self.q[joint.idx_q : joint.idx_q + joint.nq])
-            )
+            placement = Transform.from_se3(self.model.jointPlacements[j])
+            q = self.q[joint.idx_q : joint.idx_q + joint.nq]
+            steps.append(placement @ joint_transform(joint, q))
         return steps
 
     def _chain(self, joint: int) -> list[int]:
@@ -131,7 +132,7 @@ class SymbolicTree:
         return chain[::-1]
 
     def joint(self, joint: int) -> Transform:
-        """``base_from_joint`` for a joint's number."""
+        """Return ``base_from_joint`` for a joint's number."""
         return self._product(self._chain(joint))
 
     def _product(self, joints: list[int]) -> Transform:
@@ -141,15 +142,15 @@ class SymbolicTree:
         return result
 
     def _frame(self, name: str) -> tuple[int, Transform]:
-        named = [frame for frame in self.model.frames if frame.name == name]
-        if not named:
+        candidates = [frame for frame in self.model.frames if frame.name == name]
+        if not candidates:
             raise InputError(f"the model has no frame {name!r}")
-        # A joint and a link may share a name: then the link is meant.
-        frame = next((f for f in named if f.type == pin.FrameType.BODY), named[0])
+        # Where a joint and a link share a name, the link counts.
+        frame = next((f for f in candidates if f.type == pin.FrameType.BODY), candidates[0])
         return int(frame.parentJoint), Transform.from_se3(frame.placement)
 
     def frame(self, name: str) -> Transform:
-        """``base_from_frame`` for a frame's name.
+        """Return ``base_from_frame`` for a frame's name.
 
         Raises:
             InputError: where the model has no such frame.
@@ -158,7 +159,7 @@ class SymbolicTree:
         return self.joint(joint) @ placement
 
     def relative(self, first: str, second: str) -> Transform:
-        """``first_from_second`` for two frames, through their nearest common joint only."""
+        """Return ``first_from_second`` for two frames, through their nearest common joint."""
         (joint_1, place_1), (joint_2, place_2) = self._frame(first), self._frame(second)
         chain_1, chain_2 = self._chain(joint_1), self._chain(joint_2)
         shared = 0
@@ -170,5 +171,5 @@ class SymbolicTree:
 
 
 def rotation_error(R: Any) -> Any:
-    """``0.5 vee(R - R^T)`` (3,): zero and regular at the identity, unlike acos of the trace."""
+    """Return ``0.5 vee(R - R^T)`` (3,), which is regular at the identity, unlike an angle."""
     return 0.5 * ca.vertcat(R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1])

@@ -1,6 +1,6 @@
 """The closures of the tree as CasADi functions, for the nonlinear programme.
 
-They are walked from the same Pinocchio model as the constraint models; six bars play no part.
+They are built from the same Pinocchio model as the constraint models, without the six bars.
 """
 
 from __future__ import annotations
@@ -52,11 +52,6 @@ def _outputs(walked: SymbolicTree, tree: Tree) -> Any:
     tcp = walked.frame(tree.tool)
     parts = [tcp.t, ca.vec(tcp.R.T)]
     for leg in tree.leg_names:
-        for start, end in (("bar1", "knuckle"), ("bar2", "")):
-            parts += [
-                walked.joint(tree.model.getJointId(f"{leg}_{start}")).t,
-                walked.joint(tree.model.getJointId(f"{leg}_{end}")).t
-                if end
-                else walked.frame(f"{leg}_bar2_tip").t,
-            ]
+        joints = [tree.model.getJointId(f"{leg}_{name}") for name in ("bar1", "knuckle", "bar2")]
+        parts += [*(walked.joint(joint).t for joint in joints), walked.frame(f"{leg}_bar2_tip").t]
     return ca.densify(ca.vertcat(*parts))

@@ -1,9 +1,9 @@
-"""The kinematic tree: a URDF in Pinocchio, with the joints a real machine has besides.
+"""The kinematic tree: a URDF in Pinocchio, with additional joints for errors of real machines.
 
-Four kinds of joint, and nothing else: *drives* move by command, *passive* joints close the loops,
-*relief* joints are the two a leg in which the PRPaR machine is overconstrained, *virtual* joints
-are where machines go wrong. Neither relief nor virtual joints are in the URDF; they are inserted
-here, from the tables below, so a new place for an error is one line.
+There are four kinds of joints: *drives* move by command, *passive* joints close the loops,
+*relief* joints (two a leg) remove the overconstraints of the PRPaR machine, and *virtual* joints
+carry the errors. Relief and virtual joints are not in the URDF: they are inserted from the tables
+below, where a new virtual joint is one line.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import os
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -25,14 +25,14 @@ from orthoglide.text import printable_path
 from orthoglide.urdf import Closure, read_looped_urdf, shipped_folder, write
 
 JointFactory = Callable[[], Any]
-"""Makes the Pinocchio model of a joint that the URDF lacks."""
+"""Returns the Pinocchio model of a joint that is not in the URDF."""
 
 
 def _slide(x: float, y: float, z: float) -> JointFactory:
     return lambda: pin.JointModelPrismaticUnaligned(np.array([x, y, z]))
 
 
-# Joints that follow a URDF joint and carry all that is behind it; the leg's a, b, c = x, y, z.
+# Joints that follow a URDF joint and carry all its descendants; the leg's a, b, c = x, y, z.
 JOINTS_AFTER: dict[str, dict[str, JointFactory]] = {
     "slide": {
         "travel": pin.JointModelPX, "lateral_b": pin.JointModelPY, "lateral_c": pin.JointModelPZ,
@@ -43,15 +43,15 @@ JOINTS_AFTER: dict[str, dict[str, JointFactory]] = {
     "knuckle": {"width1": _slide(0, 0, -1)},
 }  # fmt: skip
 
-# Relief joints stand before a URDF joint: the bar's torsion at bar 1's tip, and a revolute about
-# the short link at bar 2's root. A torsion placed nearer to the carriage gives another machine.
+# Relief joints precede a URDF joint: the bar's torsion at bar 1's tip, and a revolute about the
+# short link at bar 2's root. A torsion nearer to the carriage would be a different mechanism.
 JOINTS_BEFORE: dict[str, tuple[str, JointFactory]] = {
     "knuckle": ("relief_bar", pin.JointModelRX),
     "bar2": ("relief_link", pin.JointModelRZ),
 }
 
-# A joint between a body and one of its frames: here the short link's far end, so that the platform
-# keeps to the middle of a link that is too wide.
+# A joint between a body and one of its frames: the short link's far end, so that the platform stays
+# in the middle of a link that is too wide.
 JOINTS_BEFORE_FRAMES: dict[str, tuple[str, JointFactory]] = {
     "knuckle_tip": ("width2", _slide(0, 0, -1))
 }
@@ -72,7 +72,7 @@ _PARALLEL = 1e-3
 
 @dataclass(frozen=True)
 class Tree:
-    """A Pinocchio model with its loop closures, its joints sorted by who moves them.
+    """A Pinocchio model with its loop closures and its joints by kind.
 
     Attributes:
         model: the tree. Never changed after it is built.
@@ -96,12 +96,12 @@ class Tree:
 
     @cached_property
     def free(self) -> NDArray[np.intp]:
-        """Positions of all joints that closure moves: passive, then relief."""
+        """Positions of all joints that closing the loops moves: passive, then relief."""
         return np.concatenate([self.passive, self.relief])
 
     @cached_property
     def leg_names(self) -> tuple[str, ...]:
-        """Names of the legs: what stands before ``_slide`` in the names of the drives."""
+        """Names of the legs: the names of the drives without ``_slide``."""
         return tuple(motor.removesuffix("_slide") for motor in self.motors)
 
     @cached_property
@@ -113,7 +113,7 @@ class Tree:
 
     @cached_property
     def hanging(self) -> bool:
-        """Return whether the platform hangs below parallel rails."""
+        """Whether the platform hangs below parallel rails."""
         return bool((self.slides @ self.slides[0] > 1 - _PARALLEL).all())
 
     def frame(self, name: str) -> int:
@@ -122,22 +122,28 @@ class Tree:
         Raises:
             InputError: where the model has no such frame.
         """
-        # A joint and a link may share a name: then the link is meant.
-        named = [k for k, frame in enumerate(self.model.frames) if frame.name == name]
-        if not named:
+        # Where a joint and a link share a name, the link counts.
+        candidates = [k for k, frame in enumerate(self.model.frames) if frame.name == name]
+        if not candidates:
             raise InputError(f"the URDF has no link {name!r}")
         return next(
-            (k for k in named if self.model.frames[k].type != pin.FrameType.JOINT), named[0]
+            (k for k in candidates if self.model.frames[k].type != pin.FrameType.JOINT),
+            candidates[0],
         )
+
+    def loop_ends(self, loop: Closure) -> tuple[int, pin.SE3, int, pin.SE3]:
+        """Return joint and placement of both frames of a loop, as Pinocchio's constraints take."""
+        frame_1, frame_2 = (
+            self.model.frames[self.frame(name)] for name in (loop.frame_1, loop.frame_2)
+        )
+        return frame_1.parentJoint, frame_1.placement, frame_2.parentJoint, frame_2.placement
 
     @cached_property
     def rows(self) -> dict[str, slice]:
-        """Each loop's rows in the closure residual."""
+        """Rows of each loop in the closure residual."""
         ends = np.cumsum([loop.rows for loop in self.loops]).tolist()
-        return {
-            loop.name: slice(end - loop.rows, end)
-            for loop, end in zip(self.loops, ends, strict=True)
-        }
+        loops = zip(self.loops, ends, strict=True)
+        return {loop.name: slice(end - loop.rows, end) for loop, end in loops}
 
     def by_loop(self, residual: Array) -> dict[str, float]:
         """Return the largest entry of a closure residual by loop: metres, or radians for turns."""
@@ -148,7 +154,7 @@ class Tree:
 
 @dataclass(frozen=True)
 class LoopedModel:
-    """A Pinocchio model as its URDF has it, its text, what closes its loops, and its motors."""
+    """A Pinocchio model as in its URDF, with the closures, the motors and the text of the URDF."""
 
     model: pin.Model
     loops: tuple[Closure, ...]
@@ -157,40 +163,40 @@ class LoopedModel:
 
 
 def load(source: Geometry | str | os.PathLike[str] | None = None) -> LoopedModel:
-    """Return a machine's model and closures, read from its URDF and the file beside it.
+    """Return a machine's model and closures, read from its URDF and the closures file beside it.
 
     Args:
-        source: dimensions, whose files the generator writes first; or a folder with both files;
+        source: dimensions, from which both files are generated first; or a folder with both files;
             the published machine's files, which the package ships, where absent.
 
     Raises:
-        FileError: where a file is missing or says what cannot be.
+        FileError: where a file is missing or invalid.
     """
     if isinstance(source, Geometry) and source != Geometry():
         with tempfile.TemporaryDirectory() as folder:
             write(folder, source)
             return load(folder)
     folder_of = shipped_folder() if source is None or isinstance(source, Geometry) else source
-    found = read_looped_urdf(folder_of)
+    files = read_looped_urdf(folder_of)
     try:
-        model = pin.buildModelFromUrdf(str(found.path))
+        model = pin.buildModelFromUrdf(str(files.path))
     except (ValueError, RuntimeError):
         raise FileError(
             "Pinocchio finds no tree of links and joints in it, and prints why: correct it",
-            file=printable_path(found.path),
+            file=printable_path(files.path),
         ) from None
-    model = _replace_joints(model, found.replaced)
-    for motor in found.motors:
+    model = _replace_joints(model, files.replaced)
+    for motor in files.motors:
         if not model.existJointName(motor) or model.joints[model.getJointId(motor)].nv != 1:
             raise FileError(
                 f"{motor} is driven and no joint of one degree of freedom",
-                file=printable_path(found.path),
+                file=printable_path(files.path),
             )
-    return LoopedModel(model, found.closures, found.motors, found.urdf)
+    return LoopedModel(model, files.closures, files.motors, files.urdf)
 
 
 def nominal_tree(looped: LoopedModel) -> Tree:
-    """Return the tree as its URDF has it; of three PRPaR legs 18 joints, the legs rigid."""
+    """Return the tree without additional joints: 18 joints for three rigid PRPaR legs."""
     return _classify_joints(looped, looped.model)
 
 
@@ -198,15 +204,15 @@ def general_tree(looped: LoopedModel) -> Tree:
     """Return the tree of three PRPaR legs with relief and virtual joints inserted: 54 joints.
 
     Raises:
-        InputError: where the URDF has not the joints of three PRPaR legs.
+        InputError: where the URDF lacks joints of three PRPaR legs.
     """
     legs = [motor.removesuffix("_slide") for motor in looped.motors]
-    wanted = [f"{leg}_{name}" for leg in legs for name in ("slide", *PASSIVE_NAMES)]
-    missing = [name for name in wanted if not looped.model.existJointName(name)]
+    required = [f"{leg}_{name}" for leg in legs for name in ("slide", *PASSIVE_NAMES)]
+    missing = [name for name in required if not looped.model.existJointName(name)]
     if len(legs) != 3 or missing:
-        what = f"no joint {missing[0]}" if missing else f"{len(legs)} driven slides"
+        finding = f"no joint {missing[0]}" if missing else f"{len(legs)} driven slides"
         raise InputError(
-            f"a machine of this package has three PRPaR legs, and this URDF has {what}"
+            f"a machine of this package has three PRPaR legs, and this URDF has {finding}"
         )
     return _classify_joints(looped, _insert_extra_joints(looped.model))
 
@@ -218,16 +224,16 @@ def _classify_joints(looped: LoopedModel, model: pin.Model) -> Tree:
         full = [f"{leg}_{name}" for leg in legs for name in names]
         return [model.joints[model.getJointId(n)].idx_v for n in full if model.existJointName(n)]
 
-    def array(positions: list[int]) -> NDArray[np.intp]:
-        return np.array(positions, dtype=np.intp)
-
+    positions = partial(np.array, dtype=np.intp)
     drive = [model.joints[model.getJointId(motor)].idx_v for motor in looped.motors]
     relief, virtual, passive = places(RELIEF_NAMES), places(VIRTUAL_NAMES), places(PASSIVE_NAMES)
     sorted_already = {*drive, *relief, *virtual, *passive}
     passive += [k for k in range(model.nv) if k not in sorted_already]
     tool = looped.loops[-1].frame_1 if looped.loops else model.frames[-1].name
-    drives, loose, reliefs, virtuals = (array(k) for k in (drive, passive, relief, virtual))
-    return Tree(model, looped.loops, looped.motors, drives, loose, reliefs, virtuals, tool)
+    return Tree(
+        model, looped.loops, looped.motors, positions(drive), positions(passive),
+        positions(relief), positions(virtual), tool,
+    )  # fmt: skip
 
 
 def _replace_joints(source: pin.Model, replaced: Mapping[str, str]) -> pin.Model:
@@ -251,31 +257,31 @@ def _replace_joints(source: pin.Model, replaced: Mapping[str, str]) -> pin.Model
 
 
 def _insert_extra_joints(source: pin.Model) -> pin.Model:
-    """Copy the model joint by joint, putting the extra joints where the tables say."""
+    """Return a copy of the model with the extra joints of the tables inserted."""
     model = pin.Model()
     model.name = source.name
-    carrier = {0: 0}  # joint of the source -> joint of the copy that carries its bodies
+    copy_of = {0: 0}  # joint of the source -> joint of the copy that carries its bodies
 
     def add(parent: int, joint: Any, placement: pin.SE3, name: str) -> int:
         number = int(model.addJoint(parent, joint, placement, name))
-        model.addJointFrame(number)  # which Pinocchio's own algorithms on models look for
+        model.addJointFrame(number)  # Pinocchio's algorithms on models need it
         return number
 
     for j in range(1, source.njoints):
         leg, _, name = source.names[j].partition("_")
-        parent, placement = carrier[source.parents[j]], source.jointPlacements[j]
+        parent, placement = copy_of[source.parents[j]], source.jointPlacements[j]
         if name in JOINTS_BEFORE:
             extra, joint = JOINTS_BEFORE[name]
             parent = add(parent, joint(), placement, f"{leg}_{extra}")
             placement = pin.SE3.Identity()
-        here = add(parent, source.joints[j], placement, source.names[j])
+        last_joint = add(parent, source.joints[j], placement, source.names[j])
         for extra, joint in JOINTS_AFTER.get(name, {}).items():
-            here = add(here, joint(), pin.SE3.Identity(), f"{leg}_{extra}")
-        carrier[j] = here
-        model.appendBodyToJoint(here, source.inertias[j], pin.SE3.Identity())
+            last_joint = add(last_joint, joint(), pin.SE3.Identity(), f"{leg}_{extra}")
+        copy_of[j] = last_joint
+        model.appendBodyToJoint(last_joint, source.inertias[j], pin.SE3.Identity())
     for frame in source.frames[1:]:
         leg, _, name = frame.name.partition("_")
-        parent = carrier[frame.parentJoint]
+        parent = copy_of[frame.parentJoint]
         if frame.type != pin.FrameType.BODY:
             continue
         if name in JOINTS_BEFORE_FRAMES:

@@ -1,7 +1,7 @@
 """The visual model of a machine: bars that fit their pivots, rails bent along the carriages' paths.
 
-Pinocchio places the solids of a URDF as rigid bodies. A bar with a wrong length or a rail with a
-bow is another solid, so these are adapted here to the displacements of the virtual joints.
+Pinocchio places the solids of a URDF as rigid bodies. Bars of another length and bent rails are
+different solids, so these are adapted to the displacements of the virtual joints.
 """
 
 from __future__ import annotations
@@ -18,10 +18,8 @@ from orthoglide.geometry import Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES, LoopedModel, Tree
 
 _PIECES = 24  # of a rail: a bow of a tenth of its length bends by 2 degrees from piece to piece
-_RAIL_SHARE_OF_STROKE = 0.4  # of the stroke: a solid of the base at least as long can be a rail
-_PARALLEL_COSINE = (
-    0.999  # cosine of the angle between an edge of a solid and the slide that count as equal
-)
+_RAIL_SHARE_OF_STROKE = 0.4  # fraction of the stroke; shorter solids of the base are no rails
+_PARALLEL_COSINE = 0.999  # least cosine between an edge of a rail and its slide
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +30,7 @@ class RailPath:
         origin: nominal place of the carriage at mechanical zero ``(3,)``, metres.
         slide: nominal direction of the slide ``(3,)``, a unit vector.
         travel: stations over the stroke ``(k,)``, increasing, metres from mechanical zero.
-        aside: displacement of the carriage across the slide there ``(k, 3)``, metres.
+        lateral: displacement of the carriage across the slide there ``(k, 3)``, metres.
     """
 
     origin: Array
@@ -48,12 +46,12 @@ class RailPath:
         within = float(np.clip(travel, self.travel[0], self.travel[-1]))
         slopes = np.gradient(self.lateral, self.travel, axis=0)
         slope = np.array([np.interp(within, self.travel, column) for column in slopes.T])
-        aside = np.array([np.interp(within, self.travel, column) for column in self.lateral.T])
-        return aside + (travel - within) * slope, self.slide + slope
+        lateral = np.array([np.interp(within, self.travel, column) for column in self.lateral.T])
+        return lateral + (travel - within) * slope, self.slide + slope
 
 
 def visual_model(tree: Tree, looped: LoopedModel) -> Any:
-    """Return the solids of a URDF as ``pin.GeometryModel``, carried by the joints of a tree.
+    """Return the solids of a URDF as ``pin.GeometryModel``, attached to the joints of a tree.
 
     Args:
         tree: of the machine, with or without virtual joints.
@@ -76,19 +74,19 @@ def fit_bars(visual: Any, tree: Tree, displacements: Array) -> None:
         tree: the general tree.
         displacements: of the virtual joints ``(3, 10)``, metres and radians.
     """
-    of = {name: displacements[:, k] for k, name in enumerate(VIRTUAL_NAMES)}
+    by_name = {name: displacements[:, k] for k, name in enumerate(VIRTUAL_NAMES)}
     for leg, name in enumerate(tree.leg_names):
         knuckle = tree.model.getJointId(f"{name}_relief_bar")
         length = float(np.linalg.norm(tree.model.jointPlacements[knuckle].translation))
         for bar in ("1", "2"):
-            by = float(of[f"stretch{bar}"][leg])
+            stretch = float(by_name[f"stretch{bar}"][leg])
             for item in _solids_of_joint(visual, tree, f"{name}_stretch{bar}"):
                 share = -float(item.placement.translation[0]) / length
                 if 0.1 < share < 0.9:  # the bar itself, and not the bearing at one of its ends
-                    _scale(item, 0, 1 + by / length)
-                # The joint carries all of them as far as the bar's outer end goes.
-                _shift(item, [(1 - share) * by, 0.0, 0.0])
-        first, second = float(of["width1"][leg]), float(of["width2"][leg])
+                    _scale(item, 0, 1 + stretch / length)
+                # The joint moves all of them by the displacement of the bar's outer end.
+                _shift(item, [(1 - share) * stretch, 0.0, 0.0])
+        first, second = float(by_name["width1"][leg]), float(by_name["width2"][leg])
         for item in _solids_of_joint(visual, tree, f"{name}_width1"):
             width = 2 * abs(float(item.placement.translation[2]))
             if width > 0:
@@ -99,21 +97,21 @@ def fit_bars(visual: Any, tree: Tree, displacements: Array) -> None:
 def bend_rails(visual: Any, paths: Sequence[RailPath], near: float) -> list[str]:
     """Replace the rails among the solids of the base by pieces along the carriages' paths.
 
-    A rail is a box or cylinder as long as a good part of the stroke, parallel to the slide and
-    near the carriage's path. The base of a foreign URDF may have none.
+    A rail is a long box or cylinder, parallel to the slide and near the carriage's path. The base
+    of a foreign URDF may have none.
 
     Args:
         visual: the visual model, which is changed.
         paths: of the three carriages.
-        near: distance from the path up to which a solid is its rail, metres.
+        near: largest distance of a rail from its path, metres.
 
     Returns:
         Names of the solids that were replaced.
     """
     replaced = []
-    # Copies, for the model moves its solids where one is removed.
+    # Copies, as removing a solid moves the others in memory.
     for item in [pin.GeometryObject(o) for o in visual.geometryObjects if o.parentJoint == 0]:
-        path = next((one for one in paths if _rail_length(item, one, near) > 0), None)
+        path = next((path for path in paths if _rail_length(item, path, near) > 0), None)
         if path is None or not path.lateral.any():
             continue
         replaced.append(str(item.name))
@@ -129,11 +127,11 @@ def _pieces(item: Any, path: RailPath, length: float) -> list[Any]:
     pieces = []
     for k in range(_PIECES):
         step = length * ((k + 0.5) / _PIECES - 0.5)
-        aside, along = path.displacement_and_direction(centre + step)
+        lateral, along = path.displacement_and_direction(centre + step)
         turn = pin.Quaternion.FromTwoVectors(path.slide, along).matrix()
         piece = pin.GeometryObject(item)
         piece.name = f"{item.name}_piece{k}"
-        place = item.placement.translation + step * path.slide + aside
+        place = item.placement.translation + step * path.slide + lateral
         piece.placement = pin.SE3(turn @ item.placement.rotation, place)
         _scale(piece, axis, float(np.linalg.norm(along)) / _PIECES, turned=True)
         pieces.append(piece)
@@ -141,7 +139,7 @@ def _pieces(item: Any, path: RailPath, length: float) -> list[Any]:
 
 
 def _rail_length(item: Any, path: RailPath, near: float) -> float:
-    """Return the length of a solid that is the rail of a path, metres; 0 of any other."""
+    """Return the length of a solid that is the rail of a path, metres; 0 for any other solid."""
     if isinstance(item.geometry, coal.Box):
         half = np.array(item.geometry.halfSide)
     elif isinstance(item.geometry, coal.Cylinder):
@@ -157,7 +155,7 @@ def _rail_length(item: Any, path: RailPath, near: float) -> float:
 
 
 def _solids_of_joint(visual: Any, tree: Tree, joint: str) -> list[Any]:
-    """Return the solids that a joint carries."""
+    """Return the solids attached to a joint."""
     number = tree.model.getJointId(joint)
     return [item for item in visual.geometryObjects if item.parentJoint == number]
 
@@ -167,8 +165,8 @@ def _shift(item: Any, by: list[float]) -> None:
 
 
 def _scale(item: Any, axis: int, factor: float, turned: bool = False) -> None:
-    """Scale a solid along an axis of its link, or of its own where it is ``turned`` already."""
-    own = axis if turned else int(np.argmax(np.abs(item.placement.rotation[axis])))
+    """Scale a solid along an axis of its link, or of the solid itself if it is ``turned``."""
+    own_axis = axis if turned else int(np.argmax(np.abs(item.placement.rotation[axis])))
     scale = np.array(item.meshScale)
-    scale[own] *= factor
+    scale[own_axis] *= factor
     item.meshScale = scale

@@ -1,4 +1,4 @@
-"""What was measured: one table for readings of all kinds, read from files, checked and written."""
+"""Readings of all kinds in one table, read from files, checked and written."""
 
 from orthoglide.observations.approach import Moves as Moves, derive_approach as derive_approach
 from orthoglide.observations.checks import check_given as check_given

@@ -1,4 +1,4 @@
-"""Which way each axis moved last, from the sequence of commands; and moves that see to it."""
+"""Direction of each axis' last move, from the sequence of commands, and moves that ensure it."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from orthoglide.geometry import Array
 Ints = NDArray[np.int64]
 
 MIN_MOVE = 1e-6
-"""An axis counts as moved beyond this, in metres: sheets are rounded, encoders count microns."""
+"""Smallest move of an axis that counts, metres: sheets are rounded, encoders count microns."""
 
 APPROACH_NOT_RECORDED = "the side of approach is not recorded (approach_* is empty)"
 APPROACH_REMEDY = (
     "fill it in, or leave these columns out of a file that was gone through row by row"
 )
-"""What is lacking where nobody knows how a place was come to, and what to do, as clauses."""
+"""Clauses for missing approaches: what is missing, and what to do."""
 
 _OVERSHOOT = 1e-3  # metres
-_STROKE_DIVISOR = 4  # of the way to the nearer end: sheets go there in as many steps, or fewer
+_STROKE_DIVISOR = 4  # sheets go to the nearer end of the stroke in this many steps or fewer
 
 
 @dataclass(frozen=True, eq=False)
 class Moves:
-    """Commands that the machine goes through without a reading being taken."""
+    """Commands that the machine goes through without a reading."""
 
     # joint coordinates (m, 3), metres, r removed
     command: Array = field(default_factory=lambda: np.empty((0, 3)))
-    # place in the sequence that readings and moves share (m,)
+    # position in the sequence that readings and moves share (m,)
     order: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     # line in the file (m,), header line 1
     line: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    # how far moves that are planned go beyond a command to reach it from a side, metres
+    # distance by which planned moves pass a command to reach it from a side, metres
     overshoot: float = _OVERSHOOT
 
     def __post_init__(self) -> None:
@@ -48,9 +48,9 @@ class Moves:
 
 
 def stroke_overshoot(stroke: tuple[float, float]) -> float:
-    """How far beyond a command a machine goes to reach it from a side, metres.
+    """Return the distance by which a machine passes a command to reach it from a side, metres.
 
-    On a short stroke it is less than elsewhere: else there would be no room for it.
+    It is smaller on a short stroke, which has no room for more.
 
     Args:
         stroke: travel limits of the machine, metres.
@@ -62,90 +62,80 @@ def stroke_overshoot(stroke: tuple[float, float]) -> float:
 def derive_approach(
     command: ArrayLike, order: ArrayLike, moves: Moves | None = None, min_move: float = MIN_MOVE
 ) -> Array:
-    """Direction of each axis' last move, from the sequence of commands.
+    """Return the direction of each axis' last move, from the sequence of commands.
 
-    An axis that has not moved since its last move keeps its direction; the first posture counts as
-    reached in +.
+    An axis keeps its direction until it moves again; the first posture counts as reached in +.
 
     Args:
         command: commands of the readings ``(n, 3)``, metres.
-        order: place in the sequence ``(n,)``; equal places are one visit.
-        moves: commands gone through between the readings.
-        min_move: beyond what an axis counts as moved, metres.
+        order: position in the sequence ``(n,)``; equal positions are one visit.
+        moves: commands between the readings.
+        min_move: smallest move of an axis that counts, metres.
 
     Returns:
         +1 or -1, shape ``(n, 3)``.
     """
-    own = np.asarray(command, dtype=float).reshape(-1, 3)
     moves = moves or Moves()
-    rho = np.vstack([moves.command, own])
-    sequence = np.argsort(np.concatenate([moves.order, np.asarray(order)]), kind="stable")
+    rho, _, sequence = _with_moves(command, order, moves)
     approach = np.empty_like(rho)
     for k, places in enumerate(rho[sequence].T.tolist()):
-        found, way, at = [], 1.0, places[0] if places else 0.0
-        for place in places:  # a creep by less than it counts as moved adds up
-            if abs(place - at) > min_move:
-                way, at = math.copysign(1.0, place - at), place
-            found.append(way)
-        approach[sequence, k] = found
+        directions, direction, turning_point = [], 1.0, places[0] if places else 0.0
+        for place in places:  # moves too small to count add up
+            if abs(place - turning_point) > min_move:
+                direction, turning_point = math.copysign(1.0, place - turning_point), place
+            directions.append(direction)
+        approach[sequence, k] = directions
     return approach[len(moves) :]
 
 
 def built_up_lost_motion(
     command: ArrayLike, order: ArrayLike, lengths: Sequence[float], moves: Moves | None = None
 ) -> Array:
-    """Lost motion of each drive that builds up over a length after it turns round (Dahl 1968, *A
-    solid friction model*, whose friction it follows): half its approach after a long way.
+    """Return the lost motion of each drive, which builds up over a length after a reversal as in
+    the friction model of Dahl (1968, *A solid friction model*), to half the approach.
 
     Args:
         command: commands of the readings ``(n, 3)``, metres.
-        order: place in the sequence ``(n,)``; equal places are one visit.
-        lengths: of building up ``(K,)``, metres.
-        moves: commands gone through between the readings.
+        order: position in the sequence ``(n,)``; equal positions are one visit.
+        lengths: over which it builds up ``(K,)``, metres.
+        moves: commands between the readings.
 
     Returns:
-        Between -1/2 and 1/2, shape ``(K, n, 3)``; before the first row all is built up.
+        Between -1/2 and 1/2, shape ``(K, n, 3)``; complete at the first row.
     """
-    own = np.asarray(command, dtype=float).reshape(-1, 3)
     moves = moves or Moves()
-    rho, places = np.vstack([moves.command, own]), np.concatenate([moves.order, np.asarray(order)])
-    sequence = np.argsort(places, kind="stable")
-    goal = derive_approach(rho, places)[sequence] / 2
+    rho, positions, sequence = _with_moves(command, order, moves)
+    settled = derive_approach(rho, positions)[sequence] / 2
     step = np.abs(np.diff(rho[sequence], axis=0, prepend=rho[sequence][:1]))
-    kept = np.exp(-step / np.reshape(lengths, (-1, 1, 1)))
-    state = np.broadcast_to(goal, kept.shape).copy()
-    for k in range(1, len(goal)):
-        state[:, k] += (state[:, k - 1] - goal[k]) * kept[:, k]
-    found = np.empty_like(state)
-    found[:, sequence] = state
-    return found[:, len(moves) :]
+    remaining = np.exp(-step / np.reshape(lengths, (-1, 1, 1)))
+    state = np.broadcast_to(settled, remaining.shape).copy()
+    for k in range(1, len(settled)):
+        state[:, k] += (state[:, k - 1] - settled[k]) * remaining[:, k]
+    lost_motion = np.empty_like(state)
+    lost_motion[:, sequence] = state
+    return lost_motion[:, len(moves) :]
 
 
 def impossible_approach(
     command: Array, approach: Array, order: ArrayLike, moves: Moves
 ) -> NDArray[np.bool_]:
-    """Axes whose recorded direction cannot come from the sequence of commands.
+    """Return the axes whose recorded direction contradicts the sequence of commands ``(n, 3)``.
 
-    A gap in the order may hide a move, and so may what came before the first row: the direction
-    recorded there is taken as it is.
+    Moves before the first row and in gaps of the order are unknown: the direction recorded there
+    is accepted.
 
     Args:
         command: commands of the readings ``(n, 3)``, metres.
         approach: recorded directions ``(n, 3)``, 0 where unknown.
-        order: place in the sequence ``(n,)``.
-        moves: commands gone through between the readings.
-
-    Returns:
-        Booleans ``(n, 3)``.
+        order: position in the sequence ``(n,)``.
+        moves: commands between the readings.
     """
-    m = len(moves)
-    rho = np.vstack([moves.command, command])
-    recorded = np.vstack([np.zeros((m, 3)), approach])
-    place = np.concatenate([moves.order, np.asarray(order)])
+    rho, positions, sequence = _with_moves(command, order, moves)
+    recorded = np.vstack([np.zeros((len(moves), 3)), approach])
     wrong = np.zeros(rho.shape, dtype=bool)
     direction, before = np.zeros(3), -1
-    for row in np.argsort(place, kind="stable"):
-        if before < 0 or place[row] - place[before] > 1:
+    for row in sequence:
+        if before < 0 or positions[row] - positions[before] > 1:
             direction = np.zeros(3)
         else:
             step = rho[row] - rho[before]
@@ -153,40 +143,50 @@ def impossible_approach(
         wrong[row] = recorded[row] * direction < 0
         direction = np.where(direction == 0, recorded[row], direction)
         before = row
-    return wrong[m:]
+    return wrong[len(moves) :]
+
+
+def _with_moves(command: ArrayLike, order: ArrayLike, moves: Moves) -> tuple[Array, Ints, Ints]:
+    """Return commands ``(m + n, 3)`` and positions of moves and readings, and the indices that
+    sort them by position.
+    """
+    rho = np.vstack([moves.command, np.asarray(command, dtype=float).reshape(-1, 3)])
+    positions = np.concatenate([moves.order, np.asarray(order)])
+    return rho, positions, np.argsort(positions, kind="stable")
 
 
 def planned_moves(
-    command: Array, approach: Array, begins: ArrayLike, beyond: float
+    command: Array, approach: Array, begins: ArrayLike, overshoot: float
 ) -> tuple[Moves, Ints]:
-    """Moves that let commands, gone through in their order, be reached as they ask for.
+    """Return the moves by which commands, in their order, are reached from the required sides.
 
-    A command that the one before does not lead to from the side asked for is preceded by a move
-    beyond it; so is every row that begins a mounting, as nobody knows what the machine did
-    while the dial was mounted.
+    A move beyond the command precedes every command that would be reached from another side, and
+    the first of every mounting, during which the machine may have moved.
 
     Args:
-        command: commands ``(n, 3)``, metres, with room for an `overshoot` within the stroke.
-        approach: directions to be reached from ``(n, 3)``; 0: either.
+        command: commands ``(n, 3)``, metres, with room for the overshoot within the stroke.
+        approach: required directions ``(n, 3)``; 0: either.
         begins: whether a row is the first of a mounting ``(n,)``.
-        beyond: that overshoot, metres.
+        overshoot: distance of the moves beyond their commands, metres.
 
     Returns:
-        The moves, and the place of each row in the sequence of all ``(n,)``.
+        The moves, and the position of each row in the common sequence ``(n,)``.
     """
     before, direction = np.full(3, np.nan), np.zeros(3)
-    gone: list[Array] = []
-    places: list[int] = []
+    move_commands: list[Array] = []
+    move_orders: list[int] = []
     order: list[int] = []
     for row, first in enumerate(np.asarray(begins, dtype=bool).tolist()):
         step = command[row] - before
-        reached = np.where(np.abs(step) > MIN_MOVE, np.sign(step), direction)
-        if first or ((reached != approach[row]) & (approach[row] != 0)).any():
-            places.append(len(order) + len(places))
-            gone.append(command[row] - beyond * approach[row])
-            reached = approach[row]
-        order.append(len(order) + len(places))
-        before, direction = command[row], reached
-    place = np.array(places, dtype=np.int64)
-    moves = Moves(np.round(np.array(gone).reshape(-1, 3), 9), place, place + 2, beyond)
+        arrival = np.where(np.abs(step) > MIN_MOVE, np.sign(step), direction)
+        if first or ((arrival != approach[row]) & (approach[row] != 0)).any():
+            move_orders.append(len(order) + len(move_orders))
+            move_commands.append(command[row] - overshoot * approach[row])
+            arrival = approach[row]
+        order.append(len(order) + len(move_orders))
+        before, direction = command[row], arrival
+    position = np.array(move_orders, dtype=np.int64)
+    moves = Moves(
+        np.round(np.array(move_commands).reshape(-1, 3), 9), position, position + 2, overshoot
+    )
     return moves, np.array(order, dtype=np.int64)

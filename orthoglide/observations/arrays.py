@@ -1,4 +1,4 @@
-"""Readings as arrays that their value holds: all of one length, read-only, of possible numbers."""
+"""Arrays of a table of readings: checked, of equal length and read-only."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from orthoglide.observations.approach import Ints
 
 
 class ArraySpec(NamedTuple):
-    """What an array holds."""
+    """Type, shape and default of an array."""
 
-    dtype: type = np.float64  # its type of numbers
+    dtype: type = np.float64
     shape: tuple[int, ...] = ()  # of one entry
-    allows_nan: bool = False  # whether an entry may be nan
-    default: float | None = None  # every entry of an array that is not given; None: it must be
+    allows_nan: bool = False
+    default: float | None = None  # of every entry; None if the array must be given
 
     def default_array(self, n: int) -> Array:
-        """Return the array of ``n`` entries that stands for one that is not given."""
+        """Return an array of ``n`` default entries."""
         return np.full((n, *self.shape), self.default, dtype=float)
 
 
@@ -49,50 +49,59 @@ READING_ARRAYS: Mapping[str, ArraySpec] = {
 
 
 def group_ids(table: Array | Ints) -> Ints:
-    """Numbers from 0 of equal rows of a table, or of equal entries ``(n,)``."""
-    found = np.zeros(len(table), dtype=np.int64)
+    """Return an index from 0 for each distinct row of a table, or distinct entry ``(n,)``."""
+    ids = np.zeros(len(table), dtype=np.int64)
     for column in np.atleast_2d(np.transpose(table)):
-        if (column != column[:1]).any():  # else it tells none apart; columns sort quicker than rows
-            values, place = np.unique(column, return_inverse=True)
-            found = np.unique(found * len(values) + place, return_inverse=True)[1]
-    return found
+        if (column != column[:1]).any():  # constant columns do not count; columns sort faster
+            values, inverse = np.unique(column, return_inverse=True)
+            ids = np.unique(ids * len(values) + inverse, return_inverse=True)[1]
+    return ids
 
 
-def freeze_arrays(owner: Any, what: str, kinds: Mapping[str, ArraySpec], counted: str) -> None:
-    """Put arrays of their kind in place of what a frozen value was made with, as many entries as
-    the array ``counted`` has; ``what`` it is stands in messages.
+def freeze_arrays(
+    owner: Any, owner_name: str, specs: Mapping[str, ArraySpec], counted: str
+) -> None:
+    """Replace attributes of a frozen value by checked, read-only arrays.
+
+    Args:
+        owner: the value.
+        owner_name: its name in messages.
+        specs: specification of each array, by attribute.
+        counted: attribute whose length all arrays have.
 
     Raises:
         InputError: naming the array, and its right shape or the first wrong entry.
     """
     n = len(np.asarray(getattr(owner, counted)))
-    for name, kind in kinds.items():
+    for name, spec in specs.items():
         given = np.asarray(getattr(owner, name), dtype=np.float64)
-        if given.shape != (n, *kind.shape):
+        if given.shape != (n, *spec.shape):
             raise InputError(
-                f"{what}: {name} must have shape {(n, *kind.shape)} as there are {n} readings, "
-                f"not {given.shape}"
+                f"{owner_name}: {name} must have shape {(n, *spec.shape)} as there are {n} "
+                f"readings, not {given.shape}"
             )
-        wrong = np.flatnonzero(_invalid_entries(given, kind).any(axis=tuple(range(1, given.ndim))))
+        wrong = np.flatnonzero(_invalid_entries(given, spec).any(axis=tuple(range(1, given.ndim))))
         if len(wrong):
-            number = "a whole number" if kind.dtype is np.int64 else "a finite number"
+            number = "a whole number" if spec.dtype is np.int64 else "a finite number"
             raise InputError(
-                f"{what}: {name} of row {wrong[0]} (counted from 0) is "
+                f"{owner_name}: {name} of row {wrong[0]} (counted from 0) is "
                 f"{given[wrong[0]].tolist()}, not {number}: correct it"
             )
-        values: NDArray[Any] = given.astype(kind.dtype)
+        values: NDArray[Any] = given.astype(spec.dtype)
         values.setflags(write=False)
         object.__setattr__(owner, name, values)
     if not np.isin(owner.approach, (-1.0, 0.0, 1.0)).all():
-        raise InputError(f"{what}: approach is +1 or -1 for each axis, or 0 where it is not known")
+        raise InputError(
+            f"{owner_name}: approach is +1 or -1 for each axis, or 0 where it is not known"
+        )
 
 
-def source(given: Any) -> str:
-    """Where readings come from, for people: their file without its folder, or their name."""
-    return str(given.file.rpartition("/")[2] or given.name)
+def source(readings: Any) -> str:
+    """Return the origin of readings in words: their file without its folder, or their name."""
+    return str(readings.file.rpartition("/")[2] or readings.name)
 
 
-def _invalid_entries(given: Array, kind: ArraySpec) -> NDArray[np.bool_]:
-    if kind.dtype is np.int64:
+def _invalid_entries(given: Array, spec: ArraySpec) -> NDArray[np.bool_]:
+    if spec.dtype is np.int64:
         return np.asarray(given != np.round(given))
-    return np.asarray(np.isinf(given) if kind.allows_nan else ~np.isfinite(given))
+    return np.asarray(np.isinf(given) if spec.allows_nan else ~np.isfinite(given))

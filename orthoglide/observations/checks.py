@@ -1,7 +1,7 @@
-"""What can be noticed about a campaign before any fit.
+"""Checks of a campaign before any fit.
 
 Each check takes the campaign (or its commands), the machine and ``fail(message, row)``, which
-raises. What is no error is returned as a warning.
+raises. Remarks that are no errors are returned as warnings.
 """
 
 from __future__ import annotations
@@ -33,59 +33,56 @@ Fail = Callable[[str, int | None], NoReturn]
 """Raises the error for a row, counted from 0."""
 
 DECIMALS = 12
-"""Of a metre: to these commands are rounded on their way through the controller's zero and sign, so
-that binary fractions leave no trace and files come back as they were written."""
+"""Decimals of a metre to which commands are rounded on conversion from controller values: files are
+read back exactly as they were written."""
 
 STROKE_SLACK = 1e-6
-"""How far a command may lie beyond the stroke, metres."""
+"""Tolerated excess of a command over the stroke, metres."""
 
 DIAL_RANGE = 20e-3
-"""More than any dial shows besides what the command itself moves, metres."""
+"""Upper limit of the range of a dial, without the motion of the command, metres."""
 
 
-def check_commands(values: Array, travelled: bool, machine: MachineFile, fail: Fail) -> Array:
-    """Joint coordinates of commands as given, all within the stroke.
+def check_commands(values: Array, are_travel: bool, machine: MachineFile, fail: Fail) -> Array:
+    """Return the joint coordinates of commands ``(n, 3)``, metres; refuse those off the stroke.
 
     Args:
-        values: as in the file ``(n, 3)``, metres.
-        travelled: whether they are the controller's values, not joint coordinates.
-        machine: whose stroke and controller count.
+        values: commands as in the file ``(n, 3)``, metres.
+        are_travel: whether they are the controller's values, not joint coordinates.
+        machine: the machine, with stroke and controller.
         fail: raises the error.
-
-    Returns:
-        Commands rho ``(n, 3)``, metres.
     """
     geometry, controller = machine.geometry, machine.controller
 
-    def rho_of(given: Array, travel: bool) -> Array:
-        return np.round(controller.to_rho(given, geometry), DECIMALS) if travel else given
+    def rho_of(command: Array, is_travel: bool) -> Array:
+        return np.round(controller.to_rho(command, geometry), DECIMALS) if is_travel else command
 
-    def fits(given: Array, travel: bool) -> NDArray[np.bool_]:
-        return np.asarray(geometry.in_stroke(rho_of(given, travel), STROKE_SLACK).all(axis=-1))
+    def fits(command: Array, is_travel: bool) -> NDArray[np.bool_]:
+        return np.asarray(geometry.in_stroke(rho_of(command, is_travel), STROKE_SLACK).all(axis=-1))
 
-    outside = np.flatnonzero(~fits(values, travelled))
+    outside = np.flatnonzero(~fits(values, are_travel))
     if not len(outside):
-        return rho_of(values, travelled)
+        return rho_of(values, are_travel)
     row, names = int(outside[0]), geometry.leg_names
-    given, other = values[row], "rho" if travelled else "travel"
-    whose = "joint coordinates rho" if travelled else "the controller's, counted from its own zero"
-    if fits(given * 1e3, travelled):
+    command, other = values[row], "rho" if are_travel else "travel"
+    whose = "joint coordinates rho" if are_travel else "the controller's, counted from its own zero"
+    if fits(command * 1e3, are_travel):
         fail("the command is in metres: give millimetres", row)
-    if geometry.layout.zero(geometry.L) and fits(given, not travelled):
-        meant = controller.from_rho(given, geometry) if travelled else rho_of(given, True)
+    if geometry.layout.zero(geometry.L) and fits(command, not are_travel):
+        intended = controller.from_rho(command, geometry) if are_travel else rho_of(command, True)
         fail(
             f"the command's values are {whose}: name the columns {other}_{names[0]}_mm to "
-            f"{other}_{names[2]}_mm, or give {'travel' if travelled else 'rho'} "
-            f"{', '.join(compact(value * 1e3, 9) for value in meant)} mm",
+            f"{other}_{names[2]}_mm, or give {'travel' if are_travel else 'rho'} "
+            f"{', '.join(compact(value * 1e3, 9) for value in intended)} mm",
             row,
         )
-    axis = int(np.argmin(geometry.in_stroke(rho_of(given, travelled), STROKE_SLACK)))
+    axis = int(np.argmin(geometry.in_stroke(rho_of(command, are_travel), STROKE_SLACK)))
     limits = geometry.zero + np.array(geometry.stroke)[:, None]
-    if travelled:
+    if are_travel:
         limits = controller.from_rho(limits, geometry)
     low, high = sorted(limits[:, axis] * 1e3)
     fail(
-        f"the command {compact(given[axis] * 1e3, 9)} mm of axis {names[axis]} is outside its "
+        f"the command {compact(command[axis] * 1e3, 9)} mm of axis {names[axis]} is outside its "
         f"stroke of {compact(low, 6)} to {compact(high, 6)} mm: correct it, or the stroke in the "
         f"machine file",
         row,
@@ -93,22 +90,22 @@ def check_commands(values: Array, travelled: bool, machine: MachineFile, fail: F
 
 
 def check_layout(kinds: Sequence[str], machine: MachineFile, fail: Fail) -> None:
-    """Refuse readings of legs, by the kinds of the rows, where no dial is set against a leg."""
+    """Refuse rows of kinds that read legs on a machine without dials on its legs."""
     if machine.geometry.dialled:
         return
-    on_leg = [k for k, kind in enumerate(kinds) if kind == MOVE or OBSERVATIONS[kind].on_leg]
-    if len(on_leg) < len(kinds):
+    leg_rows = [k for k, kind in enumerate(kinds) if kind == MOVE or OBSERVATIONS[kind].on_leg]
+    if len(leg_rows) < len(kinds):
         return
     fail(
         f"dials on the legs are read on an Orthoglide only, and this machine's layout is "
         f"{machine.geometry.layout.kind}: name the kind of the reading in column kind "
         f"({', '.join(TOOL_OBSERVATIONS)})",
-        next((k for k in on_leg if kinds[k] != MOVE), 0),
+        next((k for k in leg_rows if kinds[k] != MOVE), 0),
     )
 
 
 def check_firmware(marks: Sequence[str], machine: MachineFile, fail: Fail) -> None:
-    """Refuse commands that were computed with other numbers of a firmware than the machine's."""
+    """Refuse commands that were computed with another firmware's numbers than the machine's."""
     if not machine.firmware:
         return
     for row, mark in enumerate(marks):
@@ -121,21 +118,21 @@ def check_firmware(marks: Sequence[str], machine: MachineFile, fail: Fail) -> No
             )
 
 
-def check_filled(given: Readings, fail: Fail) -> None:
-    """Refuse readings of which some were not taken yet."""
-    empty = np.flatnonzero(np.isnan(given.reading))
+def check_filled(readings: Readings, fail: Fail) -> None:
+    """Refuse tables in which readings are missing."""
+    empty = np.flatnonzero(np.isnan(readings.reading))
     if not len(empty):
         return
-    first = given.setups[given.setup[empty[0]]].observation
-    column = READINGS[first.unit].name + " or the height of the touch" * first.touches
-    if len(empty) == len(given):
+    observation = readings.setups[readings.setup[empty[0]]].observation
+    column = READINGS[observation.unit].name + " or the height of the touch" * observation.touches
+    if len(empty) == len(readings):
         fail(f"has no readings yet: fill in {column}", 0)
-    more = f", and in {len(empty) - 1} rows more" if len(empty) > 1 else ""
-    fail(f"{column} is empty{more}: fill it in or remove the row", int(empty[0]))
+    further = f", and in {len(empty) - 1} rows more" if len(empty) > 1 else ""
+    fail(f"{column} is empty{further}: fill it in or remove the row", int(empty[0]))
 
 
 def check_points(command: Array, p: Array, fail: Fail) -> None:
-    """Refuse measured positions of the tool ``(m, 3)`` that cannot be meant as they stand.
+    """Refuse implausible positions of the tool ``(m, 3)``.
 
     Args:
         command: joint coordinates ``(m, 3)``, metres.
@@ -157,98 +154,94 @@ def check_points(command: Array, p: Array, fail: Fail) -> None:
 
 
 def check_sequence(command: Array, order: Ints, lines: Sequence[int], fail: Fail) -> None:
-    """Refuses two commands ``(n, 3)``, of readings or moves, at one place in the order ``(n,)``."""
-    first: dict[int, int] = {}
+    """Refuse two commands ``(n, 3)``, of readings or moves, at one place in the order ``(n,)``."""
+    first_rows: dict[int, int] = {}
     for row, place in enumerate(order.tolist()):
-        before = first.setdefault(place, row)
-        if np.abs(command[row] - command[before]).max() > MIN_MOVE:
+        first_row = first_rows.setdefault(place, row)
+        if np.abs(command[row] - command[first_row]).max() > MIN_MOVE:
             fail(
-                f"order {place} stands for another command on line {lines[before]}: "
+                f"order {place} stands for another command on line {lines[first_row]}: "
                 "number the postures in the sequence the machine took",
                 row,
             )
 
 
-def check_readings(given: Readings, machine: MachineFile, fail: Fail) -> tuple[Note, ...]:
-    """Refuse readings, their commands already checked, that cannot be meant as they stand.
-
-    Returns:
-        Warnings of what is odd but possible.
-    """
-    legs, found = given.on_legs, list[Note]()
-    if legs.any():
-        campaign, at = given.subset(legs), np.flatnonzero(legs)
+def check_readings(readings: Readings, machine: MachineFile, fail: Fail) -> tuple[Note, ...]:
+    """Refuse implausible readings, whose commands are checked already, and return warnings."""
+    on_legs, warnings = readings.on_legs, list[Note]()
+    if on_legs.any():
+        campaign, leg_rows = readings.subset(on_legs), np.flatnonzero(on_legs)
 
         def fail_leg(message: str, row: int | None) -> NoReturn:
-            fail(message, None if row is None else int(at[row]))
+            fail(message, None if row is None else int(leg_rows[row]))
 
         for check in _CHECKS:
             check(campaign, machine, fail_leg)
-        found = [note for notice in NOTICES for note in notice(campaign, machine)]
+        warnings = [note for notice in NOTICES for note in notice(campaign, machine)]
     for rule in (_check_noise, _check_places, _check_distances, _check_bars, _check_duplicates):
-        rule(given, fail)
-    return tuple(found)
+        rule(readings, fail)
+    return tuple(warnings)
 
 
-def _check_noise(given: Readings, fail: Fail) -> None:
-    most = np.where(given.angular, MAX_ROTATION_SD, NOISE_LIMITS[1])
-    wrong = np.isfinite(given.sigma) & ((given.sigma < NOISE_LIMITS[0]) | (given.sigma > most))
+def _check_noise(readings: Readings, fail: Fail) -> None:
+    max_sigma = np.where(readings.angular, MAX_ROTATION_SD, NOISE_LIMITS[1])
+    wrong = np.isfinite(readings.sigma) & (
+        (readings.sigma < NOISE_LIMITS[0]) | (readings.sigma > max_sigma)
+    )
     if wrong.any():
         row = int(np.argmax(wrong))
         fail(
-            f"sigma is {given.sigma[row]:g}: give a standard deviation in metres from "
-            f"{NOISE_LIMITS[0]:g} to {most[row]:g}, or nan",
+            f"sigma is {readings.sigma[row]:g}: give a standard deviation in metres from "
+            f"{NOISE_LIMITS[0]:g} to {max_sigma[row]:g}, or nan",
             row,
         )
 
 
-def _check_places(given: Readings, fail: Fail) -> None:
-    for place, setup in enumerate(given.setups):
-        has, row = setup.observation.setup_columns, int(np.argmax(given.setup == place))
-        if (
-            any(setup.beside)
-            and not set(TOOL_OFFSET_COLUMNS) & set(has)
-            and not setup.observation.on_leg
-        ):
+def _check_places(readings: Readings, fail: Fail) -> None:
+    for index, setup in enumerate(readings.setups):
+        setup_columns, row = (
+            setup.observation.setup_columns,
+            int(np.argmax(readings.setup == index)),
+        )
+        takes_offset = setup.observation.on_leg or set(TOOL_OFFSET_COLUMNS) & set(setup_columns)
+        if any(setup.beside) and not takes_offset:
             empty = ", ".join(TOOL_OFFSET_COLUMNS)
             fail(f"a level shows the same wherever it stands: leave {empty} empty", row)
-        if setup.turned and PLATE_TURN_COLUMN not in has:
-            fail(
-                f"only a plate is turned on its seat ({PLATE_TURN_COLUMN}), nothing of a {setup.kind}",
-                row,
-            )
+        if setup.turned and PLATE_TURN_COLUMN not in setup_columns:
+            column = f"({PLATE_TURN_COLUMN})"
+            fail(f"only a plate is turned on its seat {column}, nothing of a {setup.kind}", row)
 
 
-def _check_distances(given: Readings, fail: Fail) -> None:
-    paired = given.paired & np.isfinite(given.reading)
-    near = (np.abs(given.second - given.command) < 1e-6).all(axis=1)
-    same = np.flatnonzero(paired & near & (given.reading > 0))
-    if len(same):
-        fail("the two commands of this distance are the same: correct one", int(same[0]))
-    short = np.flatnonzero(paired & (given.reading <= 0))
-    if len(short):
-        fail("a distance must be above 0: correct it", int(short[0]))
-    if paired.any() and given.reading[paired].max() < 1e-3:
+def _check_distances(readings: Readings, fail: Fail) -> None:
+    paired = readings.paired & np.isfinite(readings.reading)
+    coincident = (np.abs(readings.second - readings.command) < 1e-6).all(axis=1)
+    coinciding = np.flatnonzero(paired & coincident & (readings.reading > 0))
+    if len(coinciding):
+        fail("the two commands of this distance are the same: correct one", int(coinciding[0]))
+    not_positive = np.flatnonzero(paired & (readings.reading <= 0))
+    if len(not_positive):
+        fail("a distance must be above 0: correct it", int(not_positive[0]))
+    if paired.any() and readings.reading[paired].max() < 1e-3:
         fail("all distances are below 1 mm: give millimetres, not metres", 0)
 
 
-def _check_bars(given: Readings, fail: Fail) -> None:
-    bars = np.flatnonzero(given.about_ball & np.isfinite(given.reading))
-    # Lengths, not deviations: these are of any sign and near zero.
-    length = np.abs(given.reading[bars])
-    turned = given.reading[bars] < 0
-    if turned.any() and not turned.all() and length.min() > length.max() / 2:
-        wrong = turned if turned.mean() < 0.5 else ~turned
+def _check_bars(readings: Readings, fail: Fail) -> None:
+    bars = np.flatnonzero(readings.about_ball & np.isfinite(readings.reading))
+    # Only lengths are checked: deviations are near zero and of any sign.
+    length = np.abs(readings.reading[bars])
+    negative = readings.reading[bars] < 0
+    if negative.any() and not negative.all() and length.min() > length.max() / 2:
+        wrong = negative if negative.mean() < 0.5 else ~negative
         fail("this length has another sign than the others: correct it", int(bars[wrong][0]))
 
 
 def _check_motion(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
-    if np.ptp(campaign.command, axis=0).max() <= MIN_MOVE:
-        return  # one posture throughout: its own check says it better
-    if np.ptp(campaign.command, axis=0).max() <= (least := min_axis_motion(machine)):
+    # `_check_postures` reports a single posture
+    limit = min_axis_motion(machine)
+    if MIN_MOVE < np.ptp(campaign.command, axis=0).max() <= limit:
         fail(
-            f"no axis moves by more than {least * 1e3:g} mm: give the commands in millimetres, not "
-            f"metres",
+            f"no axis moves by more than {limit * 1e3:g} mm: give the commands in millimetres, "
+            f"not metres",
             0,
         )
 
@@ -259,8 +252,8 @@ def _check_gauges(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     def on_leg(place: Array) -> NDArray[np.bool_]:
         return (tip - machine.geometry.L < place) & (place < tip)
 
-    last = np.array([s.gauges[-1] for s in campaign.setups])[campaign.setup]
-    for column, gauge in (("gauge_mm", campaign.gauge), ("gauge2_mm", last)):
+    second_gauges = np.array([s.gauges[-1] for s in campaign.setups])[campaign.setup]
+    for column, gauge in (("gauge_mm", campaign.gauge), ("gauge2_mm", second_gauges)):
         metres = on_leg(gauge * 1e3) & (np.abs(gauge) < MIN_AXIS_MOTION)
         off = np.flatnonzero(~on_leg(gauge) | metres)
         if len(off) and metres[off[0]]:
@@ -276,12 +269,10 @@ def _check_gauges(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
 
 
 def _check_postures(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
-    for place, setup in enumerate(campaign.setups):
-        rows = np.flatnonzero(campaign.setup == place)
-        if (
-            setup.observation.from_datum
-            and np.ptp(campaign.command[rows], axis=0).max() <= MIN_MOVE
-        ):
+    for index, setup in enumerate(campaign.setups):
+        rows = np.flatnonzero(campaign.setup == index)
+        is_single = np.ptp(campaign.command[rows], axis=0).max() <= MIN_MOVE
+        if setup.observation.from_datum and is_single:
             fail(
                 f"setup {setup.name!r} has a single posture and its datum is free: measure a "
                 "second one or remove the setup",
@@ -289,22 +280,22 @@ def _check_postures(campaign: Readings, machine: MachineFile, fail: Fail) -> Non
             )
 
 
-def _check_duplicates(given: Readings, fail: Fail) -> None:
-    """Refuse a reading of a visit that was read already. An instrument at the tool is visited as
-    often as column order says, a dial on a leg as often as column repeat does.
+def _check_duplicates(readings: Readings, fail: Fail) -> None:
+    """Refuse two readings of one visit. Column order numbers the visits of instruments at the tool,
+    column repeat those of dials on a leg.
     """
-    seen = dict[Hashable, int]()
-    order = np.where(given.on_legs, 0, given.order)
-    visits = np.column_stack([np.round(given.stations, 9), given.repeat, order])
+    first_rows = dict[Hashable, int]()
+    order = np.where(readings.on_legs, 0, readings.order)
+    visits = np.column_stack([np.round(readings.stations, 9), readings.repeat, order])
     for row, visit in enumerate(map(tuple, visits.tolist())):
-        first = seen.setdefault(visit, row)
+        first = first_rows.setdefault(visit, row)
         if first != row:
-            same, remedy = "approach", "count it up in column repeat"
-            if not given.on_legs[row]:
-                same, remedy = "order", "number the visits in column order"
+            reason, remedy = "approach", "count it up in column repeat"
+            if not readings.on_legs[row]:
+                reason, remedy = "order", "number the visits in column order"
             fail(
-                f"the reading of line {given.line[first]} stands here again (same setup, command, "
-                f"{same} and repeat): remove one, or {remedy}",
+                f"the reading of line {readings.line[first]} stands here again (same setup, "
+                f"command, {reason} and repeat): remove one, or {remedy}",
                 row,
             )
 
@@ -312,9 +303,9 @@ def _check_duplicates(given: Readings, fail: Fail) -> None:
 def _check_clock(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     rows = np.lexsort((campaign.time, campaign.order))
     rows = rows[np.isfinite(campaign.time[rows])]
-    back = np.flatnonzero(np.diff(campaign.time[rows]) < 0)
-    if len(back):
-        before, row = rows[back[0]], rows[back[0] + 1]
+    decreases = np.flatnonzero(np.diff(campaign.time[rows]) < 0)
+    if len(decreases):
+        before, row = rows[decreases[0]], rows[decreases[0] + 1]
         fail(
             f"time_s runs back from line {campaign.line[before]} to here: count on from the start "
             "of the campaign, and number the rows in column order if they are sorted otherwise",
@@ -330,20 +321,19 @@ def _check_dial(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
             "give millimetres, not metres, or correct resolution in the machine file",
             0,
         )
-    for place, setup in enumerate(campaign.setups):
-        rows = np.flatnonzero((campaign.setup == place) & np.isfinite(campaign.reading))
+    for index, setup in enumerate(campaign.setups):
+        rows = np.flatnonzero((campaign.setup == index) & np.isfinite(campaign.reading))
         if not len(rows):
             continue
         reading = campaign.reading[rows]
         limit = DIAL_RANGE + np.ptp(campaign.command[rows, setup.axis])
-        # From nothing where there is no datum.
-        datum = [] if setup.observation.from_datum else [0.0]
-        every = np.concatenate([reading, datum])
-        if np.ptp(every) > limit:
-            row = rows[np.argmax(np.abs(reading - np.median(every)))]
+        datum = [] if setup.observation.from_datum else [0.0]  # else readings are absolute
+        values = np.concatenate([reading, datum])
+        if np.ptp(values) > limit:
+            row = rows[np.argmax(np.abs(reading - np.median(values)))]
             fail(
                 f"reading_mm is {compact(campaign.reading[row] * 1e3, 6)} in setup "
-                f"{setup.name!r}, whose readings span {np.ptp(every) * 1e3:.4g} mm"
+                f"{setup.name!r}, whose readings span {np.ptp(values) * 1e3:.4g} mm"
                 f"{' from 0' if datum else ''}, more "
                 "than its leg can move: correct a slip, or give millimetres",
                 int(row),
@@ -353,8 +343,8 @@ def _check_dial(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
 _CHECKS = (_check_motion, _check_gauges, _check_postures, _check_clock, _check_dial)
 
 
-def check_given(given: Readings, machine: MachineFile) -> None:
-    """Refuse readings for which a file that holds them would be refused.
+def check_given(readings: Readings, machine: MachineFile) -> None:
+    """Refuse readings that would be refused in a file.
 
     Raises:
         InputError: naming the row, counted from 0, and what would be right.
@@ -362,18 +352,18 @@ def check_given(given: Readings, machine: MachineFile) -> None:
 
     def fail(message: str, row: int | None = None) -> NoReturn:
         place = "" if row is None else f", row {row} (counted from 0)"
-        raise InputError(f"{given.name}{place}: {message} (arrays are in metres and radians)")
+        raise InputError(f"{readings.name}{place}: {message} (arrays are in metres and radians)")
 
-    if not isinstance(given, Readings):
+    if not isinstance(readings, Readings):
         raise InputError(
-            f"a {type(given).__name__} holds no readings: give a campaign, which "
+            f"a {type(readings).__name__} holds no readings: give a campaign, which "
             "og.Campaign.from_frame makes of a data frame, TCP points, or the path of a file"
         )
-    if not len(given):
+    if not len(readings):
         fail("has no readings: give some")
-    check_commands(given.command, False, machine, fail)
-    check_filled(given, fail)
-    if given.by_point:
-        points = given.points()
+    check_commands(readings.command, False, machine, fail)
+    check_filled(readings, fail)
+    if readings.by_point:
+        points = readings.points()
         check_points(points.command, points.p, fail)
-    check_readings(given, machine, fail)
+    check_readings(readings, machine, fail)

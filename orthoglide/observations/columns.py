@@ -1,4 +1,4 @@
-"""What the columns of a table hold together: commands, and mountings of instruments."""
+"""Commands and mountings of instruments from the columns of a table."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ _UNIQUE_NAME_REMEDY = (
     "give each mounting of a dial a name of its own",
     "give each instrument, each probe or tip, and each state of a plate its own setup",
 )
-"""What to do about one name of two setups, of dials and of the tool."""
+"""Remedies for two setups of one name, of dials and of the tool."""
 
 _COMMAND_TOLERANCE = 2e-9  # metres: commands that were rounded to a nanometre
-_PLACE_TOLERANCE = 1e-8  # metres: the same of commands and places, each rounded to a nanometre
-_PLACE_WITHOUT_HEIGHT = replace(PLACE, empty_value=NAN)  # empty of a place that is to be touched
+_PLACE_TOLERANCE = 1e-8  # metres: commands and places, both rounded to a nanometre
+_PLACE_WITHOUT_HEIGHT = replace(PLACE, empty_value=NAN)  # the height is empty before a touch
 
 
 def native_command_column(names: LegNames) -> Column:
@@ -55,132 +55,133 @@ def stated_commands(table: Table, machine: MachineFile | None = None) -> Column:
     """Return the columns in which a table states its commands.
 
     Raises:
-        FileError: where it states them in two ways that disagree, or in one of another layout.
+        FileError: if two ways of stating them disagree, or the columns are of another layout.
     """
-    delta = machine is not None and not machine.geometry.dialled
-    legs = machine.geometry.leg_names if machine is not None and delta else LEGS
-    own, other = (TRAVEL, PLACE) if delta else (RHO, TRAVEL)
-    stated = [set(c.names(legs)) & set(table.names) for c in (own, other)]
-    if not delta and "travel_a_mm" in table.names:
+    is_delta = machine is not None and not machine.geometry.dialled
+    legs = machine.geometry.leg_names if machine is not None and is_delta else LEGS
+    native, other = (TRAVEL, PLACE) if is_delta else (RHO, TRAVEL)
+    stated = [set(c.names(legs)) & set(table.names) for c in (native, other)]
+    if not is_delta and "travel_a_mm" in table.names:
         table.fail(
             "has the columns of a linear delta: give its machine file, with [layout], by --machine"
         )
-    if not stated[1] or (machine is not None and delta and machine.kinematics is None):
-        return own
+    if not stated[1] or (machine is not None and is_delta and machine.kinematics is None):
+        return native
     if not stated[0]:
         return other
     if machine is None or not _commands_agree(table, machine, legs):
+        both = f"{native.names(legs)[0]} and {other.names(legs)[0]}"
         table.fail(
-            f"has {own.names(legs)[0]} and {other.names(legs)[0]}, and they disagree: keep those "
-            f"of one kind"
-            if delta
+            f"has {both}, and they disagree: keep those of one kind"
+            if is_delta
             else "has both rho_ and travel_ columns: keep the three of one kind"
         )
-    return own  # as `compensate` writes them
+    return native  # `compensate` writes both
 
 
 def _commands_agree(table: Table, machine: MachineFile, legs: tuple[str, str, str]) -> bool:
-    """Return whether the commands of a table are the same in both ways in which it states them."""
+    """Return whether both ways in which a table states its commands agree."""
     if machine.geometry.dialled and not {*RHO.names(), *TRAVEL.names()} <= set(table.names):
         return False
-    travelled = machine.controller.to_rho(table.array(TRAVEL, legs), machine.geometry)
+    from_travel = machine.controller.to_rho(table.array(TRAVEL, legs), machine.geometry)
     if machine.geometry.dialled or machine.kinematics is None:
-        other, within = table.array(RHO), _COMMAND_TOLERANCE
+        expected, tolerance = table.array(RHO), _COMMAND_TOLERANCE
     else:
-        other, within = machine.kinematics.travel(table.array(PLACE)), _PLACE_TOLERANCE
-    return bool(np.abs(travelled - other).max(initial=0.0) <= within)
+        expected, tolerance = machine.kinematics.travel(table.array(PLACE)), _PLACE_TOLERANCE
+    return bool(np.abs(from_travel - expected).max(initial=0.0) <= tolerance)
 
 
 def commands(table: Table, column: Column, machine: MachineFile) -> Array:
     """Return the joint coordinates ``(n, 3)``, metres, of a table's commands, or of second ones.
 
     Raises:
-        FileError: for a command that cannot be read, or that the machine cannot reach.
+        FileError: for a command that is invalid, or that the machine cannot reach.
     """
     kinematics = machine.kinematics
     if kinematics is None or column not in (PLACE, COMMANDS[PLACE]):
         given = table.array(column, machine.geometry.leg_names)
-        travelled = column in (TRAVEL, COMMANDS[TRAVEL])
-        return check_commands(given, travelled, machine, table.fail)
-    each = (column, column, _PLACE_WITHOUT_HEIGHT if column is PLACE else column)
-    cells = [table.values(c, n) for c, n in zip(each, column.names(), strict=True)]
+        is_travel = column in (TRAVEL, COMMANDS[TRAVEL])
+        return check_commands(given, is_travel, machine, table.fail)
+    columns = (column, column, _PLACE_WITHOUT_HEIGHT if column is PLACE else column)
+    cells = [table.values(c, n) for c, n in zip(columns, column.names(), strict=True)]
     travel = kinematics.travel(np.nan_to_num(np.array(cells, dtype=float).T))
-    far = np.flatnonzero(np.isnan(travel).any(axis=1))
-    if len(far):
+    unreachable = np.flatnonzero(np.isnan(travel).any(axis=1))
+    if len(unreachable):
         names = ", ".join(column.names())
-        table.fail(f"{names} is a place that no arm reaches: correct it", int(far[0]))
+        table.fail(f"{names} is a place that no arm reaches: correct it", int(unreachable[0]))
     shown = machine.controller.from_rho(travel, machine.geometry)
     return check_commands(shown, True, machine, table.fail)
 
 
 def awaiting_touch(table: Table, column: Column) -> NDArray[np.bool_]:
-    """Return which rows state where to go down and not yet at what height it touched ``(n,)``."""
+    """Return the rows with a place above the plate whose height is not measured yet ``(n,)``."""
     if column is not PLACE:
         return np.zeros(len(table.rows), dtype=bool)
     return np.array([not cell for cell in table.cells(PLACE.names()[2])])
 
 
 def rows_of_kinds(kinds: Sequence[str], test: Callable[[Observation], Any]) -> NDArray[np.bool_]:
-    """Return which rows are of a kind that passes a test ``(n,)``, booleans; moves never are."""
-    passed = {kind for kind, one in OBSERVATIONS.items() if test(one)}
-    return np.array([kind in passed for kind in kinds], dtype=bool)
+    """Return the rows of kinds that pass a test ``(n,)``, booleans; moves never pass."""
+    kinds_passing = {kind for kind, observation in OBSERVATIONS.items() if test(observation)}
+    return np.array([kind in kinds_passing for kind in kinds], dtype=bool)
 
 
 def column_values(
-    table: Table, column: Column, own: NDArray[np.bool_], name: str = ""
+    table: Table, column: Column, rows_with_column: NDArray[np.bool_], name: str = ""
 ) -> list[Any]:
     """Return a column's values in the rows that have it, and None elsewhere."""
-    if own.all():
+    if rows_with_column.all():
         return table.values(column, name)
-    found: list[Any] = [None] * len(own)
-    rows = np.flatnonzero(own).tolist()
+    values: list[Any] = [None] * len(rows_with_column)
+    rows = np.flatnonzero(rows_with_column).tolist()
     for row, value in zip(rows, table.part(rows).values(column, name), strict=True):
-        found[row] = value
-    return found
+        values[row] = value
+    return values
 
 
 def read_setups(table: Table, kinds: Sequence[str]) -> tuple[tuple[Setup, ...], Ints]:
-    """Return the mountings in order of appearance, and the place in them of each row's.
+    """Return the mountings in order of appearance, and the index of each row's mounting.
 
     Raises:
-        FileError: for a mounting that cannot be, and a name of two.
+        FileError: for an impossible mounting, and two mountings of one name.
     """
     cells = {
-        name: column_values(table, column, own, name)
+        name: column_values(table, column, has_column, name)
         for column in COLUMNS
-        if (own := rows_of_kinds(kinds, column.is_fixed_in_setup)).any()
+        if (has_column := rows_of_kinds(kinds, column.is_fixed_in_setup)).any()
         for name in column.names()
     }
     keys = list(zip(*cells.values(), strict=True))
-    first: dict[tuple[Any, ...], int] = {}
+    first_rows: dict[tuple[Any, ...], int] = {}
     for row, key in enumerate(keys):
-        first.setdefault(key, row)
-    found = {
-        k: _make_setup(table, row, dict(zip(cells, k, strict=True))) for k, row in first.items()
+        first_rows.setdefault(key, row)
+    setups = {
+        k: _make_setup(table, row, dict(zip(cells, k, strict=True)))
+        for k, row in first_rows.items()
     }
-    before: dict[str, tuple[Any, ...]] = {}
-    for key, setup in found.items():
-        if (other := before.setdefault(setup.name, key)) is not key:
-            differing = next(n for n, a, b in zip(cells, key, other, strict=True) if a != b)
+    key_by_name: dict[str, tuple[Any, ...]] = {}
+    for key, setup in setups.items():
+        if (other_key := key_by_name.setdefault(setup.name, key)) is not key:
+            differing = next(n for n, a, b in zip(cells, key, other_key, strict=True) if a != b)
             remedy = _UNIQUE_NAME_REMEDY[int(rows_of_kinds(kinds, at_tool).any())]
             table.fail(
                 f"setup {setup.name!r} has another {differing} here than on line "
-                f"{table.lines[first[other]]}: {remedy}",
-                first[key],
+                f"{table.lines[first_rows[other_key]]}: {remedy}",
+                first_rows[key],
             )
-    places = {key: place for place, key in enumerate(found)}
-    return tuple(found.values()), np.array([places[key] for key in keys])
+    places = {key: place for place, key in enumerate(setups)}
+    return tuple(setups.values()), np.array([places[key] for key in keys])
 
 
 def _make_setup(table: Table, row: int, cells: Mapping[str, Any]) -> Setup:
     """Return a mounting from its cells by column."""
     values: dict[str, Any] = {}
     for column in COLUMNS:
-        own = tuple(cells[name] for name in column.names() if cells.get(name) is not None)
-        if column is DIRECTION and own:
-            values["axis"], values["sign"] = AXIS_AND_SIGN[own[0]]
-        elif own:
-            values[column.attribute] = own if column.is_triple else own[0]
+        given = tuple(cells[name] for name in column.names() if cells.get(name) is not None)
+        if column is DIRECTION and given:
+            values["axis"], values["sign"] = AXIS_AND_SIGN[given[0]]
+        elif given:
+            values[column.attribute] = given if column.is_triple else given[0]
     try:
         return Setup(**values)
     except InputError as error:

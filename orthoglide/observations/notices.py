@@ -1,4 +1,4 @@
-"""What is odd in readings of dials on legs and is no error: sentences for people."""
+"""Warnings about readings of dials on legs that are unusual, but no errors."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from orthoglide.observations.readings import Readings
 from orthoglide.observations.schema import APPROACH, SIGMAS, TEMPERATURE, TIME
 
 MIN_AXIS_MOTION = 1e-3
-"""An axis that moves by no more than this hardly moves, metres; on a stroke of less than ten times
-as much, a tenth of that counts."""
+"""Least range of commands over which an axis counts as moving, metres, or a tenth of the stroke if
+that is less."""
 
 STILL_DIAL_STEPS = 2 - 1e-6
-"""Steps of the dial: readings that spread by less, in every setup, hardly move."""
+"""Steps of the dial: below this spread in every setup, the dial is considered still."""
 
 ZERO_READING = 1e-8
-"""Readings all below this are a simulated perfect machine's zeros, metres."""
+"""Readings below this are zeros of a simulated perfect machine, metres."""
 
 _USUAL_GAUGES = (0.5, 0.25)
-"""Where dials stand, in lengths of the leg, whose owner measures from the tool's centre too."""
+"""Usual places of dials, in lengths of the leg."""
 
 _RULER_TOLERANCE = 1e-4
-"""How well a place is measured with a ruler or a drawing, metres."""
+"""Accuracy of a place taken from a ruler or a drawing, metres."""
 
 _MAX_LINES_NAMED = 5  # lines named in a warning
 
 
 def min_axis_motion(machine: MachineFile) -> float:
-    """Return by how much an axis moves that hardly moves, metres."""
+    """Return the least range of commands over which an axis counts as moving, metres."""
     low, high = machine.geometry.stroke
     return min(MIN_AXIS_MOTION, (high - low) / 10)
 
@@ -47,12 +47,12 @@ def _note_impossible_approaches(campaign: Readings, machine: MachineFile) -> Ite
         return
     columns = " and ".join(np.array(APPROACH.names())[wrong.any(axis=0)])
     lines = tuple(campaign.line[wrong.any(axis=1)].tolist())
-    shown = ", ".join(map(str, lines[:_MAX_LINES_NAMED])) + (
-        " ..." if len(lines) > _MAX_LINES_NAMED else ""
-    )
+    line_list = ", ".join(map(str, lines[:_MAX_LINES_NAMED]))
+    line_list += " ..." if len(lines) > _MAX_LINES_NAMED else ""
     yield Note(
-        f"{columns} cannot come from the order of the rows ({len(lines)} rows: line {shown}): if "
-        "the machine made further moves enter them as rows of kind move, else correct the columns",
+        f"{columns} cannot come from the order of the rows ({len(lines)} rows: line {line_list}): "
+        "if the machine made further moves enter them as rows of kind move, else correct the "
+        "columns",
         "approach",
         lines,
     )
@@ -72,8 +72,8 @@ def _note_still_legs(campaign: Readings, machine: MachineFile) -> Iterator[Note]
 def _note_gauges_with_r(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
     length, r = machine.geometry.L, machine.geometry.r
     gauge = np.array([place for s in campaign.setups for place in s.gauges])
-    beyond = gauge[:, None] - np.multiply(_USUAL_GAUGES, length)
-    if r > _RULER_TOLERANCE and (np.abs(beyond - r) <= _RULER_TOLERANCE).any(axis=1).all():
+    excess = gauge[:, None] - np.multiply(_USUAL_GAUGES, length)
+    if r > _RULER_TOLERANCE and (np.abs(excess - r) <= _RULER_TOLERANCE).any(axis=1).all():
         places = " and ".join(compact(place * 1e3, 6) for place in np.unique(gauge))
         yield Note(
             f"gauge_mm is {places} mm, which is half or a quarter of L with r = {r * 1e3:g} mm "
@@ -88,10 +88,10 @@ def _note_still_dial(campaign: Readings, machine: MachineFile) -> Iterator[Note]
     if not read.any():
         return
     spans = [
-        np.ptp(campaign.reading[read & (campaign.setup == place)])
-        for place in np.unique(campaign.setup[read])
+        np.ptp(campaign.reading[read & (campaign.setup == index)])
+        for index in np.unique(campaign.setup[read])
     ]
-    # Two steps of the dial are what rounding and a trembling finger make of a standing one.
+    # Rounding and touching make a still dial vary by up to two steps.
     if max(spans) < max(STILL_DIAL_STEPS * machine.dial.resolution, ZERO_READING):
         yield Note(
             f"no setup's readings move by more than {max(spans) * 1e3:.3g} mm: is the dial "

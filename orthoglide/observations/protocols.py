@@ -1,4 +1,4 @@
-"""Measuring protocols: which readings to take, in which order, before any is taken.
+"""Measuring protocols: tables of readings to take, in their order.
 
 All follow section 3 of the 2008 chapter: two dials at a time touch one leg while the nominal TCP
 moves along that leg's axis.
@@ -23,7 +23,7 @@ from orthoglide.text import MACHINE_OPTION
 ProtocolName = Literal["standard", "sweep", "two-gauges", "parallelism"]
 
 REPEATS = 3
-"""How often every posture is visited; the scatter of the repeats is the noise."""
+"""Visits of every posture; the scatter of the repeats gives the noise."""
 
 VISIT_SECONDS = 20.0
 """Time planned for a posture and its readings, seconds."""
@@ -38,27 +38,25 @@ _GAUGES: dict[str, tuple[tuple[float, ...], ...]] = {
     "two-gauges": ((0.35,), (0.65,)),
     "parallelism": ((0.35, 0.65),),
 }
-"""Where the dials stand, as fractions of the leg: those of one mounting, one mounting after the
-other."""
+"""Places of the dials by mounting, as fractions of the leg."""
 
 _SWEEP_UP = (0.33, 0.63, 1.0)
 _SWEEP_DOWN = (0.27, 0.55, 0.84, 1.0)
-"""Stations of a sweep, as parts of the upper and of the lower half stroke. Their distances differ,
-so that a wave shorter than they are draws no smooth curve: of steps of 16 to 30 mm on the default
-stroke, these leave most of a wave of any period from 6 to 60 mm beside the best parabola, 0.23 of
-it at least; equal steps leave 0.02."""
+"""Postures of a sweep, as fractions of the upper and of the lower half stroke. Uneven steps keep
+short waves from looking like smooth curves: with these (16 to 30 mm on the default stroke) the
+best parabola leaves at least 0.23 of a wave of period 6 to 60 mm; equal steps leave 0.02."""
 
-_LABEL_DECIMALS = 9  # decimals of a metre: a posture's label says where it is
+_LABEL_DECIMALS = 9  # decimals of a metre
 
 Posture = tuple[str, float]
 """A label and the travel from mechanical zero, metres."""
 
 
 def require_dial_layout(geometry: Geometry) -> None:
-    """Refuse a machine against whose legs no dial is set.
+    """Refuse a machine whose layout takes no dials on its legs.
 
     Raises:
-        InputError: saying what is read of it instead.
+        InputError: naming the readings that it takes instead.
     """
     if not isinstance(geometry, Geometry):
         raise InputError(f"a {type(geometry).__name__} is no geometry: give machine.geometry")
@@ -66,13 +64,14 @@ def require_dial_layout(geometry: Geometry) -> None:
         raise InputError(
             f"dials are set against an Orthoglide's legs, and this machine's layout is "
             f"{geometry.layout.kind}: give readings of its tool (kind plate, distance, incline, "
-            f"tcp or ballbar), for which orthoglide design --owns plate{MACHINE_OPTION} --out SHEET.csv "
-            f"writes a sheet, and orthoglide.tool_sheets(machine, ['plate']) gives it in Python"
+            f"tcp or ballbar), for which orthoglide design --owns plate{MACHINE_OPTION} --out "
+            f"SHEET.csv writes a sheet, and orthoglide.tool_sheets(machine, ['plate']) gives it in "
+            f"Python"
         )
 
 
 def protocol(kind: ProtocolName, geometry: Geometry | None = None) -> Readings:
-    """A campaign without readings, to be measured in its order.
+    """Return a campaign without readings, to be measured in its order.
 
     Args:
         kind: ``"standard"``: Zero, Max and Min of every axis with the dial at mid-leg, the
@@ -81,12 +80,11 @@ def protocol(kind: ProtocolName, geometry: Geometry | None = None) -> Readings:
             ``"two-gauges"``: the sweep with the dials at 0.35 and then at 0.65 of the leg;
             ``"parallelism"``: the standard postures with two dials along each direction, at 0.35
             and at 0.65 of the leg, whose difference is read.
-        geometry: whose stroke and length count; the nominal one if None.
+        geometry: whose stroke and length are used; the nominal one if None.
 
     Returns:
-        The campaign, readings nan; times are those planned, which no file is given before
-        something was read. Every mounting begins with a move, so that its first posture is
-        reached from a known side.
+        The campaign, with readings nan and planned times, which are not written to files. Every
+        mounting begins with a move, so that its first posture is reached from a known side.
 
     Raises:
         InputError: for an unknown kind, and a stroke over which a leg moves past a dial.
@@ -95,8 +93,8 @@ def protocol(kind: ProtocolName, geometry: Geometry | None = None) -> Readings:
     geometry = geometry or Geometry()
     require_dial_layout(geometry)
     low, high = geometry.stroke
-    named = [("zero", 0.0), ("max", high), ("min", low)]
-    postures = named if kind in ("standard", "parallelism") else _sweep_postures(geometry)
+    extremes = [("zero", 0.0), ("max", high), ("min", low)]
+    postures = extremes if kind in ("standard", "parallelism") else _sweep_postures(geometry)
     return leg_dial_campaign(geometry, kind, _GAUGES[kind], postures, REPEATS)
 
 
@@ -108,17 +106,17 @@ def leg_dial_campaign(
     repeats: int = 1,
     bar: int = 0,
 ) -> Readings:
-    """A campaign without readings, of two dials at a time on each leg in turn, while the nominal
-    TCP moves along that leg's axis.
+    """Return a campaign without readings, of two dials at a time on each leg in turn, while the
+    nominal TCP moves along that leg's axis.
 
     Args:
-        geometry: whose stroke and length count.
+        geometry: whose stroke and length are used.
         name: of the campaign.
-        gauges: where the dials stand, as fractions of the leg: one, or two whose difference is
-            read; those of one mounting, one mounting after the other.
+        gauges: places of the dials by mounting, as fractions of the leg: one, or two whose
+            difference is read.
         postures: in their order.
-        repeats: how often they are gone through.
-        bar: that is touched, as of `Setup`.
+        repeats: number of passes through the postures.
+        bar: that is touched, as in `Setup`.
 
     Raises:
         InputError: where a leg moves past a dial.
@@ -157,15 +155,15 @@ def leg_dial_campaign(
 def dial_setup(
     geometry: Geometry, leg: int, axis: int, share: float, bar: int = 0, second: float | None = None
 ) -> Setup:
-    """A mounting at a share of the leg, or of two dials at two shares, named after where it stands;
-    ``bar`` as of `Setup`.
+    """Return a mounting at a fraction of the leg, or of two dials at two fractions, named after
+    them; ``bar`` as in `Setup`.
     """
     name = f"{LEGS[leg]}{LEGS[axis]}-{share:g}" + (f"-bar{bar}" if bar else "")
     gauge = round(share * geometry.L, 9)
     if second is None:
         return Setup(name, leg, axis, 1, gauge, bar)
-    kind, other = Parallelism.kind, round(second * geometry.L, 9)
-    return Setup(f"{name}-{second:g}", leg, axis, 1, gauge, bar, kind, other)
+    kind, second_gauge = Parallelism.kind, round(second * geometry.L, 9)
+    return Setup(f"{name}-{second:g}", leg, axis, 1, gauge, bar, kind, second_gauge)
 
 
 def unread_campaign(
@@ -181,15 +179,15 @@ def unread_campaign(
     time: ArrayLike = np.nan,
     load: float = 0.0,
 ) -> Readings:
-    """A campaign whose rows, to be gone through in their order, have no readings yet.
+    """Return a campaign without readings, whose rows are in the order of measurement.
 
     Args:
-        geometry: whose stroke counts, for the moves.
+        geometry: whose stroke limits the moves.
         name: of the campaign.
         setups: the mountings.
         setup: index into them ``(n,)``.
         command: joint coordinates ``(n, 3)``, metres.
-        approach: directions to be reached from ``(n, 3)``; as the order gives them if None.
+        approach: required directions ``(n, 3)``; if None, those that follow from the order.
         posture: labels for people, ``n`` of them.
         repeat: number of the repetition ``(n,)``.
         time: planned, seconds ``(n,)``.
@@ -214,7 +212,7 @@ def unread_campaign(
 def _check_on_leg(
     geometry: Geometry, gauges: Sequence[tuple[float, ...]], travel: Sequence[float]
 ) -> None:
-    """Refuse dials, given as fractions of the leg, past which it moves at some travel, metres."""
+    """Refuse dials, at fractions of the leg, that it moves past within a travel, metres."""
     place = geometry.L * np.array([share for shares in gauges for share in shares])
     if place.min() <= max(travel) or place.max() >= geometry.L + min(travel):
         raise InputError(
@@ -226,7 +224,7 @@ def _check_on_leg(
 
 
 def _sweep_postures(geometry: Geometry) -> list[Posture]:
-    """Return the way from zero to one end and back, then to the other, without the last zero."""
+    """Return postures from zero to the upper end, to the lower end, and back up to before zero."""
     low, high = geometry.stroke
     up, down = high * np.array([0.0, *_SWEEP_UP]), low * np.array(_SWEEP_DOWN)
     return labelled_postures(np.concatenate([up, up[-2::-1], down, down[-2::-1]]))

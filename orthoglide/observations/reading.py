@@ -1,4 +1,4 @@
-"""Readings of all kinds from CSV files, data frames, and rows as results keep them."""
+"""Readings of all kinds from CSV files, data frames, and rows of results."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ from orthoglide.observations.schema import (
 from orthoglide.observations.table import Table, frame_table, read_table, rows_table
 from orthoglide.observations.tables import concatenated, from_points
 
-_HEAD_BYTES = 2**16  # bytes of a file that say what wrote it
+_HEAD_BYTES = 2**16  # bytes of a file that identify the program that wrote it
 
 ReadingsOrPath = Readings | str | os.PathLike[str]
 """Readings, or the path of their file."""
@@ -71,16 +71,16 @@ def read_campaign(
     machine_file: AnyMachine | None = None,
     require_readings: bool = True,
 ) -> Readings:
-    """Read a file of readings of any kinds and look for faults that need no fit.
+    """Read a file of readings of any kinds, and check it as far as no fit is needed.
 
     Args:
         path: the CSV file (UTF-8; commas, or semicolons with decimal points or commas).
-        machine_file: the machine whose stroke, dial and controller count, or its file; the nominal
-            one if None.
-        require_readings: False: a sheet not yet filled in is welcome.
+        machine_file: the machine, or its file, whose stroke, dial and controller are used; the
+            nominal one if None.
+        require_readings: if False, readings may be empty.
 
     Returns:
-        One table, with what was noticed and is no error in ``warnings``.
+        One table, with remarks that are no errors in ``warnings``.
 
     Raises:
         FileError: naming the line and what would be right.
@@ -94,13 +94,12 @@ def read_readings(
     *,
     require_readings: bool = True,
 ) -> tuple[Readings, ...]:
-    """Read a file of readings of any kinds, those of legs and of the tool apart.
+    """Read a file of readings of any kinds into separate tables of legs and of the tool.
 
     Args:
-        path: the CSV file, as for `read_campaign`.
-        machine_file: the machine whose stroke, dial and controller count, or its file; the nominal
-            one if None.
-        require_readings: False: a sheet not yet filled in is welcome.
+        path: as for `read_campaign`.
+        machine_file: as for `read_campaign`.
+        require_readings: as for `read_campaign`.
 
     Returns:
         A table of readings of legs, with the moves, a table of those of the tool, or both.
@@ -112,7 +111,7 @@ def read_readings(
         table = read_table(path)
         return readings_of_table(table, Path(table.file).stem, machine_file, require_readings)
     except FileError:
-        # What is no table of readings may be what a firmware wrote, which has a command of its own.
+        # The file may be output of a firmware, which another command imports.
         if Path(path).is_file():  # a pipe is read once
             with suppress(OSError), Path(path).open("rb") as stream:
                 refuse_foreign(Path(path), stream.read(_HEAD_BYTES), accepted=("archive",))
@@ -123,12 +122,11 @@ def read_tcp(path: str | os.PathLike[str], machine_file: AnyMachine | None = Non
     """Read a file with a row for each measured position of the tool.
 
     Args:
-        path: the CSV file, as for `read_campaign`.
-        machine_file: the machine whose layout, stroke and controller count, or its file; the
-            nominal one if None.
+        path: as for `read_campaign`.
+        machine_file: as for `read_campaign`.
 
     Returns:
-        Readings of kind ``tcp``, one for each coordinate that is not left empty.
+        Readings of kind ``tcp``, one for each coordinate that is not empty.
 
     Raises:
         FileError: naming the line and what would be right.
@@ -146,8 +144,8 @@ def readings_from_rows(
     file: str = "",
     sha256: str = "",
 ) -> tuple[Readings, ...]:
-    """Readings from rows of text, as a result keeps those of its files: of rows with points of the
-    tool one table, as `read_tcp` has it.
+    """Return readings from rows of text, as a result keeps those of its files; one table for rows
+    with points of the tool, as from `read_tcp`.
 
     Args:
         rows: from column to text; the first row names all columns.
@@ -172,13 +170,13 @@ def readings_from_frame(
     controller: Controller | None = None,
     require_readings: bool = True,
 ) -> Readings:
-    """Readings from a data frame with the columns of a file of readings.
+    """Return readings from a data frame with the columns of a file of readings.
 
     Args:
         df: a pandas data frame, or a mapping of columns; missing values are empty fields.
         name: of the readings.
         machine_file: as for `read_campaign`.
-        controller: to convert ``travel_*_mm``; the machine file's if None.
+        controller: converts ``travel_*_mm``; the machine file's if None.
         require_readings: as for `read_campaign`.
 
     Raises:
@@ -187,83 +185,76 @@ def readings_from_frame(
     machine = machine_file_of(machine_file)
     if controller is not None:
         machine = replace(machine, controller=controller)
-    found = readings_of_table(frame_table(df, name), name, machine, require_readings)
-    return replace(concatenated(found), file="")
+    tables = readings_of_table(frame_table(df, name), name, machine, require_readings)
+    return replace(concatenated(tables), file="")
 
 
 Readings.from_frame = staticmethod(readings_from_frame)
 
 
 def readings_of_table(
-    table: Table,
-    name: str,
-    machine_file: AnyMachine | None,
-    require_readings: bool = True,
+    table: Table, name: str, machine_file: AnyMachine | None, require_readings: bool = True
 ) -> tuple[Readings, ...]:
-    """Readings from a table of cells, those of legs and of the tool apart; moves go with legs.
+    """Return separate tables of readings of legs, with the moves, and of the tool.
 
     Raises:
         FileError: naming the line and what would be right.
     """
     machine = machine_file_of(machine_file)
-    of_points = set(POINT.names()) & set(table.names)
-    if of_points and not {SETUP.name, READINGS["mm"].name} & set(table.names):
+    point_columns = set(POINT.names()) & set(table.names)
+    if point_columns and not {SETUP.name, READINGS["mm"].name} & set(table.names):
         return (_points_of_table(table, name, machine),)
     kinds = table.values(KIND)
-    tool = rows_of_kinds(kinds, at_tool)
-    if not tool.any() or all(kinds[k] == MOVE for k in np.flatnonzero(~tool)):
+    of_tool = rows_of_kinds(kinds, at_tool)
+    if not of_tool.any() or {kinds[k] for k in np.flatnonzero(~of_tool)} <= {MOVE}:
         return (_one_table(table, name, machine, require_readings, kinds),)
-    halves = ((~tool, name), (tool, f"{name}-tool"))
-    return tuple(
-        _one_table(table.part(np.flatnonzero(rows)), called, machine, require_readings, kinds)
-        for rows, called in halves
+    legs, tool = (table.part(np.flatnonzero(rows)) for rows in (~of_tool, of_tool))
+    return (
+        _one_table(legs, name, machine, require_readings, kinds),
+        _one_table(tool, f"{name}-tool", machine, require_readings, kinds),
     )
 
 
 def _one_table(
-    table: Table, name: str, machine: MachineFile, require_readings: bool, every: Sequence[str]
+    table: Table, name: str, machine: MachineFile, require_readings: bool, file_kinds: Sequence[str]
 ) -> Readings:
-    """Return the readings of a table; ``every`` has the kinds of rows of its whole file."""
-    named, legs = table.values(KIND), machine.geometry.leg_names
-    kinds, moved = [k for k in named if k != MOVE], np.array([kind == MOVE for kind in named])
-    check_layout(named, machine, table.fail)
+    """Return the readings of a table; ``file_kinds``: kinds of all rows of its file."""
+    row_kinds, legs = table.values(KIND), machine.geometry.leg_names
+    kinds = [kind for kind in row_kinds if kind != MOVE]
+    is_move = np.array([kind == MOVE for kind in row_kinds])
+    check_layout(row_kinds, machine, table.fail)
     command = stated_commands(table, machine)
     warnings = table.check_names(
-        [*column_names(_allowed_columns(every, command), legs), *column_names((RHO, TRAVEL), legs)],
+        column_names([*_allowed_columns(file_kinds, command), RHO, TRAVEL], legs),
         column_names(_required_columns(kinds, command, require_readings), legs),
     )
-    if moved.all():
+    if is_move.all():
         table.fail("has moves only: add rows with readings", 0)
     check_firmware(table.values(FIRMWARE), machine, table.fail)
-    read, sequence = _read_sequence(table, moved, command, machine)
-    setups, setup = read_setups(read, kinds)
-    sequence["second"] = _second_commands(
-        read, rows_of_kinds(kinds, COMMANDS[command].applies_to), command, machine
-    )
-    fields = _row_values(read, kinds)
-    fields["reading"] = np.where(awaiting_touch(read, command), np.nan, fields["reading"])
-    made = Readings(
-        name=name, setups=setups, setup=setup, line=np.array(read.lines), file=read.file,
-        sha256=read.sha256, legs=machine.geometry.layout.names,
-        **fields | sequence,
+    moves, rows = (table.part(np.flatnonzero(k)) for k in (is_move, ~is_move))
+    sequence = _read_sequence(table, rows, is_move, command, machine)
+    setups, setup = read_setups(rows, kinds)
+    has_second = rows_of_kinds(kinds, COMMANDS[command].applies_to)
+    sequence["second"] = _second_commands(rows, has_second, command, machine)
+    fields = _row_values(rows, kinds)
+    fields["reading"] = np.where(awaiting_touch(rows, command), np.nan, fields["reading"])
+    readings = Readings(
+        name=name, setups=setups, setup=setup, line=np.array(rows.lines), file=rows.file,
+        sha256=rows.sha256, legs=machine.geometry.layout.names, **fields | sequence,
     )  # fmt: skip
     if require_readings:
-        check_filled(made, read.fail)
-    noticed = check_readings(made, machine, read.fail)
-    unread = _note_moves_with_readings(table.part(np.flatnonzero(moved)))
-    return replace(made, warnings=(*warnings, *unread, *noticed))
+        check_filled(readings, rows.fail)
+    notes = check_readings(readings, machine, rows.fail)
+    move_notes = _note_moves_with_readings(moves)
+    return replace(readings, warnings=(*warnings, *move_notes, *notes))
 
 
 def _allowed_columns(kinds: Sequence[str], command: Column) -> list[Column]:
     """Return the columns that a file may have; any of the schema where the tool is read."""
-    known = columns_for_command(command)
+    columns = columns_for_command(command)
     if rows_of_kinds(kinds, at_tool).any():
-        return known
-    return [
-        column
-        for column in known
-        if column is KIND or rows_of_kinds(kinds, column.applies_to).any()
-    ]
+        return columns
+    return [c for c in columns if c is KIND or rows_of_kinds(kinds, c.applies_to).any()]
 
 
 def _required_columns(
@@ -271,78 +262,80 @@ def _required_columns(
 ) -> list[Column]:
     """Return the columns that a file must have."""
 
-    def needed(column: Column) -> bool:
+    def is_required(column: Column) -> bool:
         if column in READINGS.values():
             return require_readings
         return column.required and column is not ORDER
 
-    named = [KIND] if rows_of_kinds(kinds, at_tool).any() else []
-    found = [column for column in columns_for_command(command) if needed(column)]
-    return named + [column for column in found if rows_of_kinds(kinds, column.applies_to).any()]
+    kind_column = [KIND] if rows_of_kinds(kinds, at_tool).any() else []
+    required = [c for c in columns_for_command(command) if is_required(c)]
+    return kind_column + [c for c in required if rows_of_kinds(kinds, c.applies_to).any()]
 
 
 def _read_sequence(
-    table: Table, gone: NDArray[np.bool_], command: Column, machine: MachineFile
-) -> tuple[Table, dict[str, Any]]:
-    """Return the rows with readings, and what depends on the sequence that all rows share.
+    table: Table, rows: Table, is_move: NDArray[np.bool_], command: Column, machine: MachineFile
+) -> dict[str, Any]:
+    """Return commands, order, approach and moves of the rows with readings, by attribute.
 
-    The order is that of the rows where no column states it; the approach as recorded, where it was,
-    else from the sequence.
+    Without a column of the order, the rows are in order. The approach is as recorded, or follows
+    from the order.
     """
     legs, rho = machine.geometry.leg_names, commands(table, command, machine)
     order = np.arange(1, len(table.rows) + 1)
     if ORDER.name in table.names:
         order = np.array(table.values(ORDER))
     check_sequence(rho, order, table.lines, table.fail)
-    beyond = stroke_overshoot(machine.geometry.stroke)
-    moves = Moves(rho[gone], order[gone], np.array(table.lines)[gone], beyond)
-    rho, order, read = rho[~gone], order[~gone], table.part(np.flatnonzero(~gone))
-    approach, given = read.array(APPROACH, legs), [n in read.names for n in APPROACH.names(legs)]
-    if not all(given):
-        approach = np.where(given, approach, derive_approach(rho, order, moves))
-    return read, {"command": rho, "order": order, "moves": moves, "approach": approach}
+    overshoot = stroke_overshoot(machine.geometry.stroke)
+    moves = Moves(rho[is_move], order[is_move], np.array(table.lines)[is_move], overshoot)
+    rho, order, approach = rho[~is_move], order[~is_move], rows.array(APPROACH, legs)
+    is_recorded = [name in rows.names for name in APPROACH.names(legs)]
+    if not all(is_recorded):
+        approach = np.where(is_recorded, approach, derive_approach(rho, order, moves))
+    return {"command": rho, "order": order, "moves": moves, "approach": approach}
 
 
 def _row_values(table: Table, kinds: Sequence[str]) -> dict[str, Any]:
-    """Return what each row has for itself, by attribute of `Readings`."""
-    found: dict[str, Any] = {}
+    """Return the values that belong to single rows, by attribute of `Readings`."""
+    fields: dict[str, Any] = {}
     for column in COLUMNS:
         if column.per_setup or column.is_triple or not column.attribute:
             continue
-        own = rows_of_kinds(kinds, column.applies_to)
-        given = not column.required or own.all()
-        values = table.values(column) if given else column_values(table, column, own)
-        before = found.get(column.attribute)
-        found[column.attribute] = values if before is None else np.where(own, values, before)
-    axes = [AXIS_AND_SIGN.get(cell, (0, 1)) for cell in found.pop(DIRECTION.attribute)]
+        has_column = rows_of_kinds(kinds, column.applies_to)
+        values: Any = column_values(table, column, has_column | (not column.required))
+        if column.attribute in fields:
+            values = np.where(has_column, values, fields[column.attribute])
+        fields[column.attribute] = values
+    axes = [AXIS_AND_SIGN.get(cell, (0, 1)) for cell in fields.pop(DIRECTION.attribute)]
     axis, sign = np.array(axes).T
-    return found | {"posture": tuple(found[POSTURE.attribute]), "axis": axis, "sign": sign}
+    return fields | {"posture": tuple(fields[POSTURE.attribute]), "axis": axis, "sign": sign}
 
 
 def _second_commands(
-    table: Table, own: NDArray[np.bool_], command: Column, machine: MachineFile
+    table: Table, has_second: NDArray[np.bool_], command: Column, machine: MachineFile
 ) -> Array:
     """Return the second commands ``(n, 3)`` of rows that have one, metres; nan elsewhere."""
-    found = np.full((len(own), 3), np.nan)
-    if own.any():
-        found[own] = commands(table.part(np.flatnonzero(own)), COMMANDS[command], machine)
-    return found
+    second = np.full((len(has_second), 3), np.nan)
+    if has_second.any():
+        rows = table.part(np.flatnonzero(has_second))
+        second[has_second] = commands(rows, COMMANDS[command], machine)
+    return second
 
 
 def _note_moves_with_readings(moves: Table) -> tuple[Note, ...]:
     cells = zip(moves.lines, moves.cells(READINGS["mm"].name), strict=True)
     lines = tuple(line for line, cell in cells if cell)
-    told = (
+    message = (
         f"the reading of line {', '.join(map(str, lines))} was ignored: a row of kind {MOVE} is "
         f"gone through, not read"
     )
-    return (Note(told, "reading", lines),) if lines else ()
+    return (Note(message, "reading", lines),) if lines else ()
 
 
 def _points_of_table(table: Table, name: str, machine: MachineFile) -> Readings:
+    """Return the readings of a table with a row for each point of the tool."""
     column, legs = stated_commands(table, machine), machine.geometry.leg_names
-    known = (column, RHO, TRAVEL, APPROACH, POINT, SIGMAS["mm"])
-    warnings = table.check_names(column_names(known, legs), column_names((column, POINT), legs))
+    allowed = (column, RHO, TRAVEL, APPROACH, POINT, SIGMAS["mm"])
+    warnings = table.check_names(column_names(allowed, legs), column_names((column, POINT), legs))
     p = table.array(POINT)
     command = commands(table, column, machine)
     check_points(command, p, table.fail)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from orthoglide.errors import InputError
 from orthoglide.frames import html_table
 from orthoglide.geometry import LEGS, Array
-from orthoglide.instruments import Observation, Setup
+from orthoglide.instruments import OBSERVATIONS, Observation, Setup
 from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.observations.approach import (
     Ints,
@@ -48,7 +48,7 @@ class Points:
 class Readings:
     """Readings of one file or several, of any kinds, with a setup each.
 
-    Only name, setups, commands and readings must be given; the rest has the defaults of an empty
+    Only name, setups, commands and readings must be given; other defaults are those of an empty
     cell.
 
     Attributes:
@@ -62,27 +62,26 @@ class Readings:
         temperature: degrees Celsius ``(n,)``, nan where not recorded.
         load: weight at the TCP along base -z ``(n,)``, newtons.
         repeat: number of the repetition ``(n,)``, from 1.
-        order: place in the sequence the machine went through ``(n,)``; that of the rows if absent.
+        order: position in the machine's sequence ``(n,)``; that of the rows if absent.
         posture: labels for people, never used in a computation.
         sigma: declared standard deviation of each reading ``(n,)``, nan where none is.
         line: line in the file ``(n,)``, header line 1.
-        axis: base axis that is read ``(n,)``, 0 where there is none; that of the setup where it
-            has one.
-        sign: +1, or -1 where the instrument counts against it ``(n,)``; that of the setup where
-            it has an axis.
+        axis: base axis that is read ``(n,)``, 0 where there is none; the setup's if it has one.
+        sign: +1, or -1 where the instrument counts against it ``(n,)``; the setup's if it has an
+            axis.
         second: the other command of a distance ``(n, 3)``, metres; nan for other kinds.
         file: the file's name as the caller gave it, or ``""``.
         sha256: digest of the file, or ``""``.
-        warnings: what was noticed on reading and is no error.
-        reference_temperature: what `temperature_rise` counts from; nan: the first one recorded.
-        legs: how the machine's legs and commands are called.
-        moves: commands gone through between the readings.
+        warnings: remarks on reading that are no errors.
+        reference_temperature: zero of `temperature_rise`; nan: the first one recorded.
+        legs: names of the machine's legs and commands.
+        moves: commands between the readings.
         by_point: whether its file has a row for each point of the tool, not for each reading.
         from_frame: readings from a data frame with the columns of their file.
         from_points: measured positions of the tool as readings.
         concatenated: one table of several, whose sequences follow each other.
-        to_frame: the rows of the file as a data frame, in the coordinates of a machine's controller
-            where that is given.
+        to_frame: the rows of the file as a data frame, with commands as a machine's controller
+            shows them if a machine is given.
     """
 
     from_frame: ClassVar[Callable[..., Readings]]
@@ -131,23 +130,18 @@ class Readings:
             raise InputError(f"{self.name}: {n} readings need {n} posture labels")
 
     def _fill(self, n: int, setup: Array) -> None:
-        """Take axes and signs from setups that have them, and defaults of what is not given."""
-        found: dict[str, Any] = {"order": np.arange(n), "posture": ("",) * n}
-        found["line"] = np.arange(n) + 2
-        found |= {
-            name: kind.default_array(n)
-            for name, kind in READING_ARRAYS.items()
-            if name not in found
-        }
-        for name, values in found.items():
+        """Set defaults, and axes and signs of setups that have them."""
+        defaults: dict[str, Any] = {name: k.default_array(n) for name, k in READING_ARRAYS.items()}
+        defaults |= {"order": np.arange(n), "line": np.arange(n) + 2, "posture": ("",) * n}
+        for name, values in defaults.items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, values)
         for name in ("axis", "sign"):
             values = np.array(getattr(self, name), dtype=float)
             if n and values.shape == setup.shape == (n,):
-                fixed = np.array([s.axis >= 0 for s in self.setups])[setup.astype(int)]
+                is_fixed = np.array([s.axis >= 0 for s in self.setups])[setup.astype(int)]
                 of_setup = np.array([float(getattr(s, name)) for s in self.setups])
-                values = np.where(fixed, of_setup[setup.astype(int)], values)
+                values = np.where(is_fixed, of_setup[setup.astype(int)], values)
             object.__setattr__(self, name, values)
 
     def __len__(self) -> int:
@@ -155,12 +149,11 @@ class Readings:
 
     def __repr__(self) -> str:
         missing = int(np.isnan(self.reading).sum())
-        left = f", {missing} of them to be taken" if missing else ""
+        unread = f", {missing} of them to be taken" if missing else ""
         kinds = ", ".join(dict.fromkeys(s.kind for s in self.setups if s.kind != "leg"))
-        what = f" ({kinds})" if kinds else ""
+        kinds = f" ({kinds})" if kinds else ""
         setups = "1 setup" if len(self.setups) == 1 else f"{len(self.setups)} setups"
-        size = f"{len(self)} readings in {setups}"
-        return f"<Readings {self.name!r}: {size}{what}{left}>"
+        return f"<Readings {self.name!r}: {len(self)} readings in {setups}{kinds}{unread}>"
 
     def _repr_html_(self) -> str:
         columns = {
@@ -172,7 +165,7 @@ class Readings:
         }
         return html_table(repr(self)[1:-1], columns)
 
-    # What each reading is -----------------------------------------------------------------
+    # Kinds and setups --------------------------------------------------------------------
 
     @property
     def kind(self) -> tuple[str, ...]:
@@ -181,17 +174,16 @@ class Readings:
 
     @property
     def observations(self) -> Iterator[tuple[Observation, NDArray[np.intp]]]:
-        """Kinds of readings that there are, each with its rows ``(m,)``."""
-        of = [s.observation for s in self.setups]
-        for one in dict.fromkeys(of[k] for k in np.unique(self.setup)):
-            yield one, np.flatnonzero(np.array([other is one for other in of])[self.setup])
+        """Kinds of the readings, each with its rows ``(m,)``."""
+        for kind in dict.fromkeys(self.setups[k].kind for k in np.unique(self.setup)):
+            yield OBSERVATIONS[kind], np.flatnonzero(self.of_kind(kind))
 
     def which(self, test: Callable[[Setup], Any]) -> NDArray[np.bool_]:
-        """Return which readings have a setup that passes a test ``(n,)``, booleans."""
+        """Return the readings whose setup passes a test ``(n,)``, booleans."""
         return np.array([bool(test(s)) for s in self.setups], dtype=bool)[self.setup]
 
     def of_kind(self, kind: str) -> NDArray[np.bool_]:
-        """Return which readings are of a kind ``(n,)``, booleans."""
+        """Return the readings of a kind ``(n,)``, booleans."""
         return self.which(lambda s: s.kind == kind)
 
     @property
@@ -206,7 +198,7 @@ class Readings:
 
     @property
     def angular(self) -> NDArray[np.bool_]:
-        """Which readings are turns, in radians ``(n,)``, booleans; others are lengths."""
+        """Which readings are angles, in radians ``(n,)``, booleans; others are lengths."""
         return self.which(lambda s: s.observation.angular)
 
     @property
@@ -226,36 +218,39 @@ class Readings:
 
     @property
     def leg(self) -> Ints:
-        """Leg that is read ``(n,)``; -1 where the tool is."""
+        """Leg that is read ``(n,)``; -1 where the tool is read."""
         return np.array([s.leg for s in self.setups], dtype=np.int64)[self.setup]
 
     @property
     def gauge(self) -> Array:
-        """Where the dial stands along its leg's axis ``(n,)``, metres, r removed."""
+        """Place of the dial along its leg's axis ``(n,)``, metres, r removed."""
         return np.array([s.gauge for s in self.setups])[self.setup]
 
     @property
     def beside(self) -> Array:
-        """Where each reading is taken, from the tool's point on the platform ``(n, 3)``, metres."""
+        """Offset of each reading from the tool, along the platform's axes ``(n, 3)``, metres."""
         return np.array([s.beside for s in self.setups]).reshape(-1, 3)[self.setup]
 
     @property
     def turned_by(self) -> Array:
-        """How far the plate of each reading was turned on its seat ``(n,)``, degrees."""
+        """Rotation of the plate of each reading on its seat ``(n,)``, degrees."""
         return np.array([s.turned for s in self.setups])[self.setup]
 
     @property
     def direction(self) -> tuple[str, ...]:
-        """Axis that is read, with its sign as files write it; empty where a kind has none."""
+        """Axis that is read, with its sign as in files; empty where a kind has none."""
         directed = self.which(lambda s: s.observation.axes)
-        each = zip(directed, self.axis, self.sign, strict=True)
-        return tuple((("-" if sign < 0 else "") + LEGS[k]) * bool(own) for own, k, sign in each)
+        signed_axes = zip(directed, self.axis, self.sign, strict=True)
+        return tuple(
+            (("-" if sign < 0 else "") + LEGS[k]) * bool(is_directed)
+            for is_directed, k, sign in signed_axes
+        )
 
     # Conditions ---------------------------------------------------------------------------
 
     @property
     def temperature_rise(self) -> Array:
-        """Temperature less the reference, or the first one recorded ``(n,)``, kelvin; else 0."""
+        """Temperature minus the reference, or the first one recorded ``(n,)``, kelvin; else 0."""
         return np.nan_to_num(self.temperature - self._reference())
 
     def _reference(self) -> float:
@@ -277,29 +272,27 @@ class Readings:
 
     @cached_property
     def derived_approach(self) -> Array:
-        """Approach as the order of readings and moves gives it ``(n, 3)``."""
+        """Approach that follows from the order of readings and moves ``(n, 3)``."""
         return derive_approach(self.command, self.order, self.moves)
 
     def built_up(self, lengths: Sequence[float]) -> Array:
-        """Lost motion of each drive that builds up over some lengths, metres: ``(K, n, 3)``."""
-        asked = tuple(lengths)
-        if asked not in self._built_up:  # row by row in Python: half a second for 100 000 readings
-            self._built_up[asked] = built_up_lost_motion(
-                self.command, self.order, asked, self.moves
-            )
-        return self._built_up[asked]
+        """Return the lost motion of each drive, built up over lengths in metres ``(K, n, 3)``."""
+        key = tuple(lengths)
+        if key not in self._built_up:  # row by row in Python: half a second for 100 000 readings
+            self._built_up[key] = built_up_lost_motion(self.command, self.order, key, self.moves)
+        return self._built_up[key]
 
     @cached_property
     def _built_up(self) -> dict[tuple[float, ...], Array]:
-        """What was asked of :meth:`built_up_lost_motion` so far."""
+        """Cache of :meth:`built_up`."""
         return {}
 
     # Other tables -------------------------------------------------------------------------
 
     def subset(self, rows: ArrayLike) -> Readings:
-        """Return some of the readings, with the setups they need.
+        """Return some of the readings, with their setups.
 
-        Temperatures still count from the first row of this table.
+        The temperature rise still counts from the first row of this table.
 
         Args:
             rows: booleans ``(n,)`` or indices.
@@ -317,58 +310,63 @@ class Readings:
         )
 
     def with_readings(self, reading: ArrayLike) -> Readings:
-        """Return the same table with other values ``(n,)``, metres or radians."""
+        """Return the table with other readings ``(n,)``, metres or radians."""
         return replace(self, reading=np.asarray(reading, dtype=float))
 
     def points(self) -> Points:
-        """Return the coordinates of the tool among the readings, point by point.
+        """Return the coordinates of the tool by point.
 
         Raises:
-            InputError: where there are readings of another kind.
+            InputError: if there are readings of another kind.
         """
         other = ~self.which(lambda s: s.observation.axes and not s.observation.on_leg)
         if (other | self.angular).any():
             raise InputError(f"{self.name} holds readings that are no coordinates of the tool")
-        of = group_ids(np.column_stack([self.setup, self.order]))
-        first = np.unique(of, return_index=True)[1]
+        point = group_ids(np.column_stack([self.setup, self.order]))
+        first = np.unique(point, return_index=True)[1]
         p = np.full((len(first), 3), np.nan)
-        p[of, self.axis] = self.sign * self.reading
+        p[point, self.axis] = self.sign * self.reading
         return Points(
             self.command[first], p, self.sigma[first], self.approach[first], self.line[first]
         )
 
     def with_moves(self) -> Readings:
-        """Return the same readings in the order of their rows, with the moves that their approach
-        takes.
+        """Return the readings in the order of their rows, with the moves that their approaches
+        require.
 
-        Two dials that are read at one visit were mounted together.
+        Two dials that are read at one visit are mounted together.
         """
-        begins = np.zeros(len(self), dtype=bool)
-        begins[np.unique(self.setup, return_index=True)[1]] = True
+        begins = self._first_of_setup
         begins[1:] &= (np.diff(self.command, axis=0) != 0).any(axis=1)
         moves, order = planned_moves(self.command, self.approach, begins, self.moves.overshoot)
         return replace(self, moves=moves, order=order, line=order + 2)
 
-    def in_order(self) -> Readings:
-        """Return the same rows gone through one after the other: their order from 1, the sides that
-        they are come to from, and the moves that this takes.
+    @property
+    def _first_of_setup(self) -> NDArray[np.bool_]:
+        """Which readings are the first of their setup ``(n,)``, booleans."""
+        is_first = np.zeros(len(self), dtype=bool)
+        is_first[np.unique(self.setup, return_index=True)[1]] = True
+        return is_first
 
-        Places are come to as the row before leads to them: the first of each setup from below on
-        every axis, one that was visited before from the same side again, as only such visits show
-        what the instrument scatters by. A plate is touched from above, whatever came before. Which
-        end of a distance the machine goes to first is not known, and no more is its side.
+    def in_order(self) -> Readings:
+        """Return the readings in the order of their rows, from 1, with approaches and moves.
+
+        The approach follows from the row before. The first reading of each setup is approached from
+        below on every axis, and repeat visits from the same side again, as only these show the
+        noise. A plate is always touched from above. The approach of a distance is unknown, as it is
+        not known which end is visited first.
         """
-        count, begins = len(self), np.zeros(len(self), dtype=bool)
-        begins[np.unique(self.setup, return_index=True)[1]] = True
-        approach = derive_approach(self.command, np.arange(count))
-        approach[begins] = 1.0
+        first_of_setup = self._first_of_setup
+        approach = derive_approach(self.command, np.arange(len(self)))
+        approach[first_of_setup] = 1.0
         _, first, visit = np.unique(
             np.column_stack([self.setup, self.command]),
             axis=0, return_index=True, return_inverse=True,
         )  # fmt: skip
-        known = ~(self.touching | self.paired)
-        approach = approach[first[visit.reshape(-1)]] * known[:, None]
-        moves, order = planned_moves(self.command, approach, begins & known, self.moves.overshoot)
+        has_side = ~(self.touching | self.paired)
+        approach = approach[first[visit.reshape(-1)]] * has_side[:, None]
+        begins = first_of_setup & has_side
+        moves, order = planned_moves(self.command, approach, begins, self.moves.overshoot)
         approach[self.touching] = -1.0
         return replace(
             self, order=order + 1, approach=approach, moves=replace(moves, order=moves.order + 1),

@@ -14,13 +14,13 @@ _MIN_EQUAL_REPEATS = 6  # equal repeats: fewer may be equal by chance
 
 
 def repeat_rows(campaign: Readings) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the rows of all repeat readings, station by station, and the row of the visit before
-    each, both ``(k,)``.
+    """Return the rows of all repeat readings, by station, and those of the visits before them,
+    both ``(k,)``.
     """
     table = campaign.stations
     order = np.lexsort([campaign.order, *table.T[::-1]])
-    same = np.all(np.diff(table[order], axis=0) == 0, axis=1)
-    return order[1:][same], order[:-1][same]
+    is_repeat = np.all(np.diff(table[order], axis=0) == 0, axis=1)
+    return order[1:][is_repeat], order[:-1][is_repeat]
 
 
 def repeat_steps(campaign: Readings) -> Array:
@@ -55,11 +55,11 @@ def shared_fraction(table: Readings, other: Readings) -> float:
             [readings.axis, readings.sign, readings.command, np.nan_to_num(readings.second),
              readings.repeat, readings.reading]
         )  # fmt: skip
-        each = zip(instruments, numbers.tolist(), strict=True)
-        return {(*instrument, *values) for instrument, values in each}
+        pairs = zip(instruments, numbers.tolist(), strict=True)
+        return {(*instrument, *values) for instrument, values in pairs}
 
-    wanted = keys(table)
-    return len(wanted & keys(other)) / max(len(wanted), 1)
+    keys_of_table = keys(table)
+    return len(keys_of_table & keys(other)) / max(len(keys_of_table), 1)
 
 
 def copied_files(tables: Sequence[Readings]) -> Iterator[str]:

@@ -1,7 +1,6 @@
-"""The columns of files of readings, each stated once, in the order of writing.
+"""The columns of files of readings, in the order of writing.
 
-Reading, checking and writing use these columns, and the tables of ``docs/files.md`` are printed
-from them.
+Reading, checking, writing and the tables of ``docs/files.md`` use these definitions.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ from orthoglide.quantities import Kind
 from orthoglide.units import MM, NOISE_LIMITS, ONE, RAD, Unit
 
 MAX_ROTATION_SD = 0.1
-"""The largest standard deviation of a turn, radians: a level in a telephone shows hundredths."""
+"""The largest standard deviation of an angle, radians: a level in a telephone shows hundredths."""
 
 MOVE = "move"
-"""The kind of a row that is a command which the machine goes through without a reading."""
+"""The kind of a row with a command but no reading."""
 
 _DEG = Unit("deg", 1.0)
 _MRAD = RAD.spoken
@@ -60,13 +59,9 @@ def number_kind(unit: Unit = ONE, low: float = -_MAX_VALUE, high: float = _MAX_V
     def write(value: float) -> str:
         return "" if value != value else str(units.from_si(value, unit.si))
 
-    unlimited = (low, high) == (-_MAX_VALUE, _MAX_VALUE)
-    return Kind(
-        "a number" if unlimited else f"{compact(low, 6)} to {compact(high, 6)}",
-        read,
-        write,
-        unit.behind.strip(),
-    )
+    limits = f"{compact(low, 6)} to {compact(high, 6)}"
+    allowed = "a number" if (low, high) == (-_MAX_VALUE, _MAX_VALUE) else limits
+    return Kind(allowed, read, write, unit.behind.strip())
 
 
 def integer_kind(low: int) -> Kind:
@@ -83,18 +78,20 @@ def integer_kind(low: int) -> Kind:
 
 
 def word_kind(meanings: Mapping[str, Any], remedy: str = "", empty_meaning: Any = None) -> Kind:
-    """Return the kind of a word that has a meaning; a meaning is written as its first word.
+    """Return the kind of a word with a meaning, which is written as the first word that has it.
 
     Args:
         meanings: from word to meaning.
-        remedy: of any other word, behind the word.
+        remedy: end of the message for any other word.
         empty_meaning: the meaning of an empty cell.
     """
-    shown: dict[Any, str] = {}
+    word_of: dict[Any, str] = {}
     for word, meaning in meanings.items():
-        shown.setdefault(meaning, word)
-    allowed = ", ".join(f"`{word}`" for meaning, word in shown.items() if meaning != empty_meaning)
-    shown[empty_meaning] = ""
+        word_of.setdefault(meaning, word)
+    allowed = ", ".join(
+        f"`{word}`" for meaning, word in word_of.items() if meaning != empty_meaning
+    )
+    word_of[empty_meaning] = ""
 
     def read(cell: str) -> Any:
         if cell not in meanings:
@@ -103,7 +100,7 @@ def word_kind(meanings: Mapping[str, Any], remedy: str = "", empty_meaning: Any 
             )
         return meanings[cell]
 
-    return Kind(allowed, read, shown.__getitem__)
+    return Kind(allowed, read, word_of.__getitem__)
 
 
 def _label(cell: str) -> str:
@@ -124,15 +121,14 @@ class Column:
 
     Attributes:
         name: in the file; ``{leg}`` or ``{axis}`` stands for each leg or base axis.
-        kind: what its cells are.
+        kind: type, unit and range of its cells.
         meaning: sentences for the documentation.
-        attribute: what holds its values: of a `Setup` where the column is of setups, else of
-            `Readings`.
-        empty: the value of an empty cell and of an absent column; None if cells must be filled in.
-        of: whether readings of a kind have it.
-        per_setup: whether a mounting has it once and for all, whatever its kind.
-        always: whether it is written even where it states nothing.
-        text: whether it is text in data frames; numbers otherwise.
+        attribute: attribute of its values: of `Setup` for columns of setups, else of `Readings`.
+        empty_value: value of an empty cell and an absent column; None if cells must be filled in.
+        applies_to: whether readings of a kind have the column.
+        per_setup: whether its value is fixed in a setup, whatever its kind.
+        always_written: whether default values are written.
+        is_text: whether it is text in data frames; numbers otherwise.
     """
 
     name: str
@@ -149,11 +145,11 @@ class Column:
         """Return the names in the file of a machine with these legs."""
         if not self.is_triple:
             return (self.name,)
-        each = zip(legs, LEGS, strict=True)
-        return tuple(self.name.format(leg=leg, axis=axis) for leg, axis in each)
+        letters = zip(legs, LEGS, strict=True)
+        return tuple(self.name.format(leg=leg, axis=axis) for leg, axis in letters)
 
     def is_fixed_in_setup(self, observation: Observation) -> bool:
-        """Return whether a mounting of a kind has it once and for all."""
+        """Return whether its value is fixed in a setup of a kind."""
         return self.applies_to(observation) and (
             self.per_setup or self.name in observation.setup_columns
         )
@@ -165,7 +161,7 @@ class Column:
 
     @property
     def required(self) -> bool:
-        """Return whether readings that have it need it."""
+        """Return whether its cells must be filled in."""
         return self.empty_value is None
 
 
@@ -182,9 +178,11 @@ def _setup_column(
     empty: Any = None,
     all_tool_kinds: bool = False,
 ) -> Column:
-    """Return a column of mountings: of the kinds that list it, or of all kinds of the tool."""
-    of = at_tool if all_tool_kinds else lambda observation: name in observation.setup_columns
-    return Column(name, kind, meaning, attribute, empty, of, per_setup=True)
+    """Return a column of setups: of the kinds that list it, or of all kinds of the tool."""
+    applies_to = (
+        at_tool if all_tool_kinds else lambda observation: name in observation.setup_columns
+    )
+    return Column(name, kind, meaning, attribute, empty, applies_to, per_setup=True)
 
 
 def _second_command_column(column: Column) -> Column:
@@ -220,7 +218,8 @@ LEG = replace(_setup_column("leg", word_kind({name: leg for leg, name in enumera
 DIRECTION = Column("direction",
     word_kind({mark + name: mark.strip("+") + name for mark in ("", "-", "+") for name in LEGS}),
     "The base axis along or about which is read, not the leg's own; with a minus if the instrument "
-    "counts against it.", "direction", applies_to=lambda observation: bool(observation.axes), is_text=True)
+    "counts against it.", "direction", applies_to=lambda observation: bool(observation.axes),
+    is_text=True)
 POSTURE = Column("posture", LABEL, "A label for people, which no computation uses.",
     "posture", "", always_written=True, is_text=True)
 RHO = Column("rho_{axis}_mm", number_kind(MM),
@@ -239,7 +238,8 @@ GAUGE2 = _setup_column("gauge2_mm", number_kind(MM),
 BAR = _setup_column("bar",
     word_kind({"1": 1, "2": 2, "1.0": 1, "2.0": 2}, "not 1, 2 or empty: correct it", 0),
     "The bar that is touched. If empty, the leg's median line is.", "bar", 0)
-REPEAT = Column("repeat", integer_kind(1), "Number of the repetition.", "repeat", 1, always_written=True)
+REPEAT = Column("repeat", integer_kind(1), "Number of the repetition.", "repeat", 1,
+    always_written=True)
 ORDER = Column("order", integer_kind(0),
     "Place in the sequence of the machine's moves. If the column is absent, the row counts.",
     "order", always_written=True)
@@ -258,17 +258,20 @@ READINGS = {
     for unit in (MM, _MRAD)
 }
 SIGMAS = {
-    unit.name: Column(f"sigma_{unit.name}", number_kind(unit, *_in_file_unit(unit, NOISE_LIMITS[0], most)),
+    unit.name: Column(f"sigma_{unit.name}",
+        number_kind(unit, *_in_file_unit(unit, NOISE_LIMITS[0], max_sigma)),
         "Standard deviation of this reading.", "sigma", NAN, _has_unit(unit.name))
-    for unit, most in ((MM, NOISE_LIMITS[1]), (_MRAD, MAX_ROTATION_SD))
+    for unit, max_sigma in ((MM, NOISE_LIMITS[1]), (_MRAD, MAX_ROTATION_SD))
 }
 BESIDE = replace(_setup_column(BESIDE_NAMES[0], number_kind(MM),
     "Where the setup is read, from the tool (`tool_mm`) along x, y and z of the platform: a probe "
-    "beside the nozzle, or a longer tool.", "beside", 0.0, all_tool_kinds=True), name="beside_{axis}_mm")
+    "beside the nozzle, or a longer tool.", "beside", 0.0, all_tool_kinds=True),
+    name="beside_{axis}_mm")
 TURN = _setup_column(PLATE_TURN_COLUMN, number_kind(_DEG, -360, 360),
     "How far the setup's plate was turned on its seat, counter-clockwise from above.",
     "turned", 0.0, all_tool_kinds=True)
-PART = replace(_setup_column(MATERIAL_COLUMN, word_kind({name: name for name in SHRINKAGE_BY_MATERIAL if name}, empty_meaning=""),
+PART = replace(_setup_column(MATERIAL_COLUMN,
+    word_kind({name: name for name in SHRINKAGE_BY_MATERIAL if name}, empty_meaning=""),
     "What the part is made of on which distances are read: `printed` parts are 0.3 ± 0.3 % "
     "smaller than they were commanded and all of a file are one part; `metal`, such as a rule, a "
     "jig or a milled part, is true to 0.02 %. If empty, anything within 1 % is as likely.",
@@ -276,8 +279,8 @@ PART = replace(_setup_column(MATERIAL_COLUMN, word_kind({name: name for name in 
 FIRMWARE = Column("firmware", LABEL,
     "Mark of the firmware's numbers with which an imported file's travel was computed. A file with "
     "another mark than the machine file's is refused.", "", "", at_tool, is_text=True)
-POINT = Column("p_{axis}_mm", number_kind(MM), "Measured position of the tool. A coordinate that was "
-    "not measured is empty.", "p", NAN)
+POINT = Column("p_{axis}_mm", number_kind(MM),
+    "Measured position of the tool. A coordinate that was not measured is empty.", "p", NAN)
 # fmt: on
 
 COMMANDS = {column: _second_command_column(column) for column in (RHO, TRAVEL, PLACE)}

@@ -1,4 +1,4 @@
-"""A CSV file or data frame as cells of text, with the line that each row stands on."""
+"""A CSV file or data frame as cells of text, with the line of each row."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _PRINTED_MINUS = re.compile(rf"^{MINUS}(?=[.,]?[0-9])")  # as this package print
 
 @dataclass(frozen=True)
 class Table:
-    """Cells of text by column, with the line each row stands on."""
+    """Cells of text by column, with the line of each row."""
 
     names: tuple[str, ...]  # the header
     rows: tuple[list[str], ...]  # cells, one list a row, as many as names
@@ -41,18 +41,18 @@ class Table:
     sha256: str = ""  # digest of the file, or `""`
 
     def fail(self, message: str, row: int | None = None) -> NoReturn:
-        """Refuses the table, for a row of it where one is to blame."""
+        """Refuse the table, at a row if one is given."""
         raise FileError(message, file=self.file, line=1 if row is None else self.lines[row])
 
     def cells(self, name: str) -> list[str]:
-        """Return the cells of a column; empty ones if there is none of that name."""
+        """Return the cells of a column; empty ones if it is absent."""
         if name not in self.names:
             return [""] * len(self.rows)
         place = self.names.index(name)
         return [cells[place] for cells in self.rows]
 
     def values(self, column: Column, name: str = "") -> list[Any]:
-        """Return the values of a column in SI, or of the one of its columns that is named.
+        """Return the values of a column in SI; ``name`` selects one column of three.
 
         Raises:
             FileError: for the first cell that cannot be read.
@@ -60,15 +60,15 @@ class Table:
         name = name or column.name
         if name not in self.names:
             return [column.empty_value] * len(self.rows)
-        cells, found = self.cells(name), dict[str, Any]()
+        cells, values = self.cells(name), dict[str, Any]()
         for cell in dict.fromkeys(cells):
             try:
-                found[cell] = column.kind.read(cell) if cell else column.empty_value
+                values[cell] = column.kind.read(cell) if cell else column.empty_value
             except ValueError as error:
                 self.fail(f"{name} is {abbreviated(cell)!r}, {error}", cells.index(cell))
             if not cell and column.required:
                 self.fail(f"{name} is empty: fill it in or remove the row", cells.index(cell))
-        return [found[cell] for cell in cells]
+        return [values[cell] for cell in cells]
 
     def array(self, column: Column, legs: tuple[str, str, str] = LEGS) -> Array:
         """Return the values of three columns ``(n, 3)``, by legs or base axes.
@@ -79,18 +79,20 @@ class Table:
         names = column.names(legs)
         return np.array([self.values(column, name) for name in names], dtype=float).T
 
-    def check_names(self, known: Iterable[str], needed: Iterable[str]) -> tuple[Note, ...]:
-        """Refuses missing and misspelt columns; returns warnings of those that are ignored."""
-        known = tuple(known)
-        if not set(known) & set(self.names):
-            small = " in small letters" * any(name != name.lower() for name in self.names)
-            self.fail(f"is no such sheet: the first line must name {', '.join(needed)}{small}")
-        unknown = [name for name in self.names if name not in known]
+    def check_names(self, allowed: Iterable[str], required: Iterable[str]) -> tuple[Note, ...]:
+        """Refuse missing and misspelt columns, and return warnings about ignored ones."""
+        allowed = tuple(allowed)
+        if not set(allowed) & set(self.names):
+            case_hint = " in small letters" * any(name != name.lower() for name in self.names)
+            self.fail(
+                f"is no such sheet: the first line must name {', '.join(required)}{case_hint}"
+            )
+        unknown = [name for name in self.names if name not in allowed]
         for name in unknown:
-            close = get_close_matches(name, known, n=1, cutoff=0.75)
+            close = get_close_matches(name, allowed, n=1, cutoff=0.75)
             if close and close[0] not in self.names:
                 self.fail(f"there is no column {abbreviated(name)!r}: did you mean {close[0]!r}?")
-        missing = [name for name in needed if name not in self.names]
+        missing = [name for name in required if name not in self.names]
         if missing:
             self.fail(f"has no column {', '.join(missing)}: add what is missing to the first line")
         return tuple(
@@ -100,21 +102,18 @@ class Table:
         )
 
     def part(self, rows: Sequence[int] | NDArray[np.intp]) -> Table:
-        """Some of the rows, by place."""
-        return replace(
-            self,
-            rows=tuple(self.rows[k] for k in rows),
-            lines=tuple(self.lines[k] for k in rows),
-        )
+        """Return the table of some rows, by index."""
+        lines = tuple(self.lines[k] for k in rows)
+        return replace(self, rows=tuple(self.rows[k] for k in rows), lines=lines)
 
 
 def read_table(path: str | os.PathLike[str]) -> Table:
-    """Reads a CSV file: UTF-8, columns parted by comma, semicolon or tab.
+    """Read a CSV file: UTF-8, columns separated by commas, semicolons or tabs.
 
-    Where semicolons or tabs part the columns a decimal comma is understood.
+    Decimal commas are accepted where semicolons or tabs separate the columns.
 
     Raises:
-        FileError: where the file is missing, empty, not text, or its rows are ragged.
+        FileError: if the file is missing, empty, not text, or its rows are ragged.
     """
     content = files.read_bytes(path)
     text = files.decode(content, path)
@@ -122,9 +121,9 @@ def read_table(path: str | os.PathLike[str]) -> Table:
     if header.lstrip()[:1] in ("{", "[") or _SCHEMA.search(text):
         raise FileError("is no CSV, but a result or a machine file: give the campaign's own file",
                         file=printable_path(path))  # fmt: skip
-    if told := _SEPARATOR.fullmatch(header):  # as a spreadsheet begins a file, for itself
+    if separator := _SEPARATOR.fullmatch(header):  # a spreadsheet's own first line
         text = text.replace(header, "", 1)
-    delimiter = told[1] if told else max(_DELIMITERS, key=header.count)
+    delimiter = separator[1] if separator else max(_DELIMITERS, key=header.count)
     names, rows, lines = _parse_cells(text, delimiter, printable_path(path))
     if delimiter != ",":
         rows = [[_decimal_point(cell) for cell in row] for row in rows]
@@ -132,20 +131,20 @@ def read_table(path: str | os.PathLike[str]) -> Table:
 
 
 def frame_table(df: Any, name: str) -> Table:
-    """Cells of a data frame or a mapping of columns; rows count as lines below a header.
+    """Return the cells of a data frame or a mapping of columns; rows count as lines below a header.
 
     Raises:
-        FileError: where it is none, or not as a file may be.
+        FileError: if it is neither, or invalid as a file.
     """
-    given = getattr(df, "columns", df if isinstance(df, Mapping) else None)
-    if given is None or not hasattr(df, "__getitem__"):
+    labels = getattr(df, "columns", df if isinstance(df, Mapping) else None)
+    if labels is None or not hasattr(df, "__getitem__"):
         raise FileError(
             f"is a {type(df).__name__}: give a data frame, or a mapping of columns", file=name
         )
-    names = [str(column) for column in given]
+    names = [str(column) for column in labels]
     _check_distinct(names, name)
     try:
-        columns = [[_frame_cell(value) for value in df[column]] for column in given]
+        columns = [[_frame_cell(value) for value in df[column]] for column in labels]
     except TypeError:
         raise FileError(
             "has a column that is no list: give a value for each row", file=name
@@ -159,7 +158,7 @@ def frame_table(df: Any, name: str) -> Table:
 def rows_table(
     rows: Sequence[Mapping[str, str]], file: str, lines: Sequence[int] = (), sha256: str = ""
 ) -> Table:
-    """Cells of rows by column, as results keep them.
+    """Return the cells of rows by column, as results keep them.
 
     Args:
         rows: from column to text, the first row naming all columns.
@@ -176,12 +175,12 @@ def _parse_cells(
     text: str, delimiter: str, file: str
 ) -> tuple[list[str], list[list[str]], list[int]]:
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
-    marked = "'" in text or MINUS in text  # marks of a spreadsheet, and of printed numbers
+    has_marks = "'" in text or MINUS in text  # marks of a spreadsheet, and of printed numbers
     rows, lines = [], []
     try:
         for row in reader:
             cells = [cell.strip() for cell in row]
-            if marked:
+            if has_marks:
                 cells = [_PRINTED_MINUS.sub("-", cell_text(cell)) for cell in cells]
             if any(cells):
                 rows.append(cells)
@@ -208,14 +207,12 @@ def _checked_table(
 ) -> Table:
     if len(names) > _MAX_COLUMNS:
         raise FileError(
-            f"names {len(names)} columns: give a sheet of {_MAX_COLUMNS} at most",
-            file=file,
-            line=1,
+            f"names {len(names)} columns: give a sheet of {_MAX_COLUMNS} at most", file=file, line=1
         )
     for row, line in zip((names, *rows), (1, *lines), strict=True):
-        if found := unprintable("".join(row)):
+        if character := unprintable("".join(row)):
             raise FileError(
-                f"holds the character {found}, which cannot be shown: remove it",
+                f"holds the character {character}, which cannot be shown: remove it",
                 file=file, line=line,
             )  # fmt: skip
     _check_distinct(names, file)

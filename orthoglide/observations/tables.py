@@ -1,10 +1,10 @@
-"""Tables of readings made of others: points of the tool, several in one, parts of one."""
+"""Tables of readings from points of the tool, from several tables, and from parts of a table."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,7 +45,7 @@ def from_points(
     if measured.shape != (m, 3):
         raise InputError(f"{name}: p must have shape (m, 3), not {measured.shape}")
     try:
-        shown: dict[str, Any] = {
+        arrays: dict[str, Any] = {
             "command": np.broadcast_to(np.asarray(command, float), (m, 3)),
             "approach": np.broadcast_to(np.asarray(approach, float), (m, 3)),
             "sigma": np.broadcast_to(np.asarray(sigma, float), m),
@@ -61,7 +61,7 @@ def from_points(
     setups = (Setup("points", kind=Coordinate.kind),) if len(point) else ()
     return Readings(
         name=name, setups=setups, setup=np.zeros_like(point), axis=axis, order=point,
-        reading=measured[point, axis], by_point=True, **{k: v[point] for k, v in shown.items()},
+        reading=measured[point, axis], by_point=True, **{k: v[point] for k, v in arrays.items()},
         **more,
     )  # fmt: skip
 
@@ -70,79 +70,76 @@ Readings.from_points = staticmethod(from_points)
 
 
 def concatenated(several: Sequence[Readings], name: str = "") -> Readings:
-    """Return one table of several, in their order, which keep their sequences one behind the other.
+    """Return one table of several, whose sequences follow each other.
 
     Args:
-        several: with setups of different names.
-        name: of the table; that of the first where absent.
+        several: tables whose setups have different names.
+        name: of the result; that of the first table where absent.
 
     Raises:
-        InputError: where two setups have one name, or the readings are of different machines.
+        InputError: if two setups have one name, or the readings are of different machines.
     """
     if not several:
         raise InputError("there are no readings: give at least one table of them")
-    if len({one.legs for one in several}) > 1:
+    if len({part.legs for part in several}) > 1:
         raise InputError(
             "one table is of one machine, and these call their legs otherwise: keep readings of "
             "different machines apart"
         )
-    given = _renumber_lines(renumber_orders(several))
-    first = np.cumsum([0, *(len(one.setups) for one in given)])
-    each = zip(given, first, strict=False)
-    arrays: dict[str, Any] = {
-        key: np.concatenate([getattr(one, key) for one in given]) for key in READING_ARRAYS
-    }
-    arrays["setup"] = np.concatenate([one.setup + shift for one, shift in each])
-    gone: dict[str, Any] = {
-        key: np.concatenate([getattr(one.moves, key) for one in given])
-        for key in ("command", "order", "line")
-    }
-    moves = replace(given[0].moves, **gone)
+    tables = _renumber(renumber_orders(several), "line")
+    arrays = _stacked(tables, READING_ARRAYS)
+    first_setup = np.cumsum([0, *(len(part.setups) for part in tables)])
+    arrays["setup"] += np.repeat(first_setup[:-1], [len(part) for part in tables])
+    moves = _stacked([part.moves for part in tables], ("command", "order", "line"))
     return replace(
-        given[0],
+        tables[0],
         **arrays,
-        name=name or given[0].name,
-        setups=tuple(s for one in given for s in one.setups),
-        posture=tuple(label for one in given for label in one.posture),
-        warnings=tuple(dict.fromkeys(w for one in given for w in one.warnings)),
-        moves=moves,
-        by_point=all(one.by_point for one in given),
+        name=name or tables[0].name,
+        setups=tuple(s for part in tables for s in part.setups),
+        posture=tuple(label for part in tables for label in part.posture),
+        warnings=tuple(dict.fromkeys(w for part in tables for w in part.warnings)),
+        moves=replace(tables[0].moves, **moves),
+        by_point=all(part.by_point for part in tables),
     )
 
 
 Readings.concatenated = staticmethod(concatenated)
 
 
+def _stacked(parts: Sequence[Any], names: Iterable[str]) -> dict[str, Any]:
+    return {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+
+
 def renumber_orders(given: Sequence[Readings]) -> list[Readings]:
-    """Return the same readings, the order of each behind that of the one before."""
-    found, last = list[Readings](), 0
-    for one in given:
-        order = np.concatenate([one.order, one.moves.order])
-        shift = last + 1 - order.min(initial=last + 1) if found else 0
-        moves = replace(one.moves, order=one.moves.order + shift)
-        found.append(replace(one, order=one.order + shift, moves=moves))
-        last = (order + shift).max(initial=last)
-    return found
+    """Return the tables with orders that follow each other."""
+    return _renumber(given, "order")
 
 
-def _renumber_lines(given: Sequence[Readings]) -> list[Readings]:
-    """Return the same readings, the lines of those that are of no file behind all before them."""
-    found, last = list[Readings](), 0
-    for one in given:
-        lines = np.concatenate([one.line, one.moves.line])
-        shift = 0 if one.file else max(last + 1 - lines.min(initial=last + 1), 0)
-        moves = replace(one.moves, line=one.moves.line + shift)
-        found.append(replace(one, line=one.line + shift, moves=moves))
-        last = max(last, lines.max(initial=0) + shift)
-    return found
-
-
-def split_legs_and_tool(given: Readings) -> tuple[Readings, ...]:
-    """Return readings of legs and of the tool apart, the latter called ``NAME-tool`` where there
-    are both; the moves go with those of legs.
+def _renumber(tables: Sequence[Readings], name: Literal["order", "line"]) -> list[Readings]:
+    """Return the tables with orders or lines that follow each other; lines of files are kept, and
+    others only move back.
     """
-    on_legs = given.on_legs
+    renumbered, last = list[Readings](), 0
+    for readings in tables:
+        numbers, of_moves = getattr(readings, name), getattr(readings.moves, name)
+        both = np.concatenate([numbers, of_moves])
+        shift = last + 1 - both.min(initial=last + 1)
+        if name == "line":
+            shift = 0 if readings.file else max(shift, 0)
+        elif not renumbered:
+            shift = 0
+        moves: Moves = replace(readings.moves, **{name: of_moves + shift})
+        renumbered.append(replace(readings, **{name: numbers + shift, "moves": moves}))
+        last = (both + shift).max(initial=last)
+    return renumbered
+
+
+def split_legs_and_tool(readings: Readings) -> tuple[Readings, ...]:
+    """Return separate tables of readings of legs, with the moves, and of the tool, which is named
+    ``NAME-tool`` if there are both.
+    """
+    on_legs = readings.on_legs
     if on_legs.all() or not on_legs.any():
-        return (given,)
-    legs, tool = given.subset(on_legs), given.subset(~on_legs)
-    return legs, replace(tool, name=f"{given.name}-tool", moves=Moves(), warnings=())
+        return (readings,)
+    legs, tool = readings.subset(on_legs), readings.subset(~on_legs)
+    return legs, replace(tool, name=f"{readings.name}-tool", moves=Moves(), warnings=())

@@ -1,6 +1,4 @@
-"""Which readings to take for an identification, and what they would tell: before any measurement,
-and next.
-"""
+"""Readings to take for an identification, before any measurement and next, and what they show."""
 
 from orthoglide.planning.aliasing import aliasing as aliasing
 from orthoglide.planning.designs import (
@@ -12,8 +10,6 @@ from orthoglide.planning.designs import (
     repeats_needed as repeats_needed,
 )
 from orthoglide.planning.detectable import (
-    Detectability as Detectability,
-    SmallestEffect as SmallestEffect,
     detectable_rows as detectable_rows,
     smallest_effects as smallest_effects,
 )
@@ -33,7 +29,6 @@ from orthoglide.planning.sheets import (
     tool_sheets as tool_sheets,
 )
 from orthoglide.planning.suggestions import (
-    DECISIVE_SIGMAS as DECISIVE_SIGMAS,
     Suggestion as Suggestion,
     next_sheet as next_sheet,
     suggest_deciding_visits as suggest_deciding_visits,

@@ -1,8 +1,8 @@
-"""Choosing readings: what a further reading is worth, and the readings that are worth most.
+"""Choosing readings: the gain of a further reading, and the readings of the largest gain.
 
 A step is the scalar observation ``d x + e`` of variance ``s2`` (see ``linear``): it adds
-``d' d / s2`` to the information on the unknowns. Two criteria say what it is worth: how closely
-some combinations of the unknowns are known, and how far rival explanations are apart.
+``d' d / s2`` to the information on the unknowns. Two criteria measure its gain: the precision of
+some combinations of the unknowns, and the separation of rival explanations.
 """
 
 from __future__ import annotations
@@ -58,8 +58,7 @@ class Criterion(ABC):
 
 @dataclass(frozen=True)
 class CombinationPrecision(Criterion):
-    """How closely combinations A of the unknowns are known: ``-log det(A' C A)`` with their
-    covariance C.
+    """Precision of combinations A of the unknowns: ``-log det(A' C A)`` with their covariance C.
 
     It is D-optimality where A is the identity, and the variance of one combination where A is a
     column. A step of negative variance takes a reading away.
@@ -83,41 +82,33 @@ class CombinationPrecision(Criterion):
         return -float(np.linalg.slogdet(self.combination_covariance)[1])
 
     def gains(self, steps: Steps) -> Array:
-        """Return ``-log(1 - d C A (A' C A)^-1 A' C d' / (s2 + d C d'))``: matrix determinant
-        lemma.
-        """
-        toward = steps.columns @ self.covariance
-        variance = steps.variance + np.sum(toward * steps.columns, axis=1)
-        along = toward @ self.combinations
-        shared = np.sum(along * np.linalg.solve(self.combination_covariance, along.T).T, axis=1)
-        # Rounding must not make a step tell everything.
-        return np.asarray(-np.log1p(-np.minimum(shared / variance, 1 - 1e-12)))
+        """Return ``-log(1 - d C A (A' C A)^-1 A' C d' / (s2 + d C d'))`` (determinant lemma)."""
+        dC = steps.columns @ self.covariance
+        dCA = dC @ self.combinations
+        variance = steps.variance + np.sum(dC * steps.columns, axis=1)
+        explained = np.sum(dCA * np.linalg.solve(self.combination_covariance, dCA.T).T, axis=1)
+        # Rounding must not let a step explain everything.
+        return np.asarray(-np.log1p(-np.minimum(explained / variance, 1 - 1e-12)))
 
 
 @dataclass(frozen=True)
 class RivalSeparation(Criterion):
-    """Rival explanations, as far apart as can be once each has been fitted again.
+    """How far rival explanations are separated once each has been fitted again.
 
-    The last columns of the readings are what each rival predicts of them. For an ordered pair
+    The last columns of the readings are the predictions of each rival. For an ordered pair
     (a, b), a true and b fitted, a step raises the expected chi2 of b by
     ``(d (x_a - x_b) expected)^2 / (s2 + d C_b d')``.
     """
 
-    prior_covariances: (
-        Array  # covariance of the unknowns under each rival before any step (K, P, P)
-    )
-    pairs: Array  # of rivals (q, 2); both ways round count
+    prior_covariances: Array  # of the unknowns under each rival before any step (K, P, P)
+    pairs: Array  # of rivals (q, 2); both orders count
     required_chi2: float = np.inf  # chi2 beyond which no more is wanted
 
     @classmethod
     def between(cls, prior_covariances: Array, pairs: Array, required_chi2: float = np.inf) -> Self:
         """Return the criterion before any step."""
-        return cls(
-            np.zeros((sum(prior_covariances.shape[:2]),) * 2),
-            prior_covariances,
-            np.asarray(pairs),
-            required_chi2,
-        )
+        information = np.zeros((sum(prior_covariances.shape[:2]),) * 2)
+        return cls(information, prior_covariances, np.asarray(pairs), required_chi2)
 
     @cached_property
     def _ordered_pairs(self) -> Array:
@@ -127,23 +118,23 @@ class RivalSeparation(Criterion):
     def _refitted_covariances(self) -> Array:
         """Covariance of the unknowns under each rival once fitted again ``(K, P, P)``."""
         size = self.prior_covariances.shape[1]
-        known = np.eye(size) + self.information[:size, :size] @ self.prior_covariances
+        update = np.eye(size) + self.information[:size, :size] @ self.prior_covariances
         # (C^-1 + W)^-1 = C (1 + W C)^-1, whatever C's rank.
-        return np.asarray(self.prior_covariances @ np.linalg.inv(known))
+        return np.asarray(self.prior_covariances @ np.linalg.inv(update))
 
     @cached_property
     def chi2(self) -> Array:
         """Expected chi2 of the second rival where the first is true, then exchanged ``(2 q,)``."""
         size, W = self.prior_covariances.shape[1], self.information
-        left = W[size:, size:] - W[size:, :size] @ self._refitted_covariances @ W[:size, size:]
+        R = W[size:, size:] - W[size:, :size] @ self._refitted_covariances @ W[:size, size:]
         a, b = self._ordered_pairs.T
-        return np.maximum(left[b, a, a] + left[b, b, b] - left[b, a, b] - left[b, b, a], 0.0)
+        return np.maximum(R[b, a, a] + R[b, b, b] - R[b, a, b] - R[b, b, a], 0.0)
 
     @property
     def sigmas(self) -> dict[tuple[int, int], float]:
         """Separation of each pair, the root of the smaller of its two chi2."""
-        least = np.sqrt(self.chi2.reshape(2, -1).min(axis=0))
-        return {(a, b): s for (a, b), s in zip(self.pairs.tolist(), least.tolist(), strict=True)}
+        separations = np.sqrt(self.chi2.reshape(2, -1).min(axis=0))
+        return dict(zip(map(tuple, self.pairs.tolist()), separations.tolist(), strict=True))
 
     @property
     def value(self) -> float:
@@ -152,22 +143,22 @@ class RivalSeparation(Criterion):
 
     @property
     def reached(self) -> bool:
-        """True if the least separated pair is far enough apart."""
+        """True if even the least separated pair is separated enough."""
         return bool(self.chi2.min() >= self.required_chi2)
 
     def gains(self, steps: Steps) -> Array:
         """Return the rise of ``value``."""
         size = self.prior_covariances.shape[1]
         unknowns, predicted = steps.columns[:, :size], steps.columns[:, size:]
-        raised = np.empty((len(unknowns), len(self._ordered_pairs)))
+        increases = np.empty((len(unknowns), len(self._ordered_pairs)))
         for rival, covariance in enumerate(self._refitted_covariances):
-            mine = self._ordered_pairs[:, 1] == rival
+            pairs_fitted = self._ordered_pairs[:, 1] == rival
             fitted = unknowns @ covariance
             expected = predicted - fitted @ self.information[:size, size:]
-            left = expected[:, self._ordered_pairs[mine, 0]] - expected[:, [rival]]
+            differences = expected[:, self._ordered_pairs[pairs_fitted, 0]] - expected[:, [rival]]
             variance = np.sum(fitted * unknowns, axis=1) + steps.variance
-            raised[:, mine] = left**2 / variance[:, None]
-        return np.asarray(-_log_mean_exp(-(self.chi2 + raised) / 2) - self.value)
+            increases[:, pairs_fitted] = differences**2 / variance[:, None]
+        return np.asarray(-_log_mean_exp(-(self.chi2 + increases) / 2) - self.value)
 
 
 C = TypeVar("C", bound=Criterion)
@@ -181,7 +172,7 @@ def choose(
     mounting_cost: float = 2.0,
     exchange: bool = False,
 ) -> tuple[tuple[int, ...], C]:
-    """Return the readings that serve a criterion best.
+    """Return the readings that raise a criterion most.
 
     Args:
         readings: to choose from.
@@ -202,22 +193,23 @@ def choose(
             f"ask for 2 readings, as the datum of a setup is free, to {_MAX_READINGS}, not {count}"
         )
     rows, best = _add_greedily(readings, start, [], count, mounting_cost)
+    setups = readings.campaign.setup
     for _ in range(_PASSES if exchange else 0):
-        before = best.value
-        for setup in dict.fromkeys(int(readings.campaign.setup[k]) for k in rows):
-            kept = [k for k in rows if readings.campaign.setup[k] != setup]
-            again, found = _add_greedily(
-                readings, start.with_rows(readings, kept), kept, count, mounting_cost
+        value_before = best.value
+        for setup in dict.fromkeys(setups[rows].tolist()):
+            rows_kept = [k for k in rows if setups[k] != setup]
+            new_rows, candidate = _add_greedily(
+                readings, start.with_rows(readings, rows_kept), rows_kept, count, mounting_cost
             )
-            if found.value > best.value + _MIN_RELATIVE_GAIN * abs(best.value):
-                rows, best = again, found
-        if best.value - before <= _MIN_RELATIVE_GAIN * abs(before):
+            if candidate.value > best.value + _MIN_RELATIVE_GAIN * abs(best.value):
+                rows, best = new_rows, candidate
+        if best.value - value_before <= _MIN_RELATIVE_GAIN * abs(value_before):
             break
     return tuple(rows), best
 
 
 def _add_greedily(
-    readings: LinearReadings, criterion: C, rows: Sequence[int], count: int, mounting: float
+    readings: LinearReadings, criterion: C, rows: Sequence[int], count: int, mounting_cost: float
 ) -> tuple[list[int], C]:
     """Take the step of most gain for its cost until the readings are used up."""
     taken = list(rows)
@@ -226,8 +218,7 @@ def _add_greedily(
         if not len(steps.rows):
             break
         gains = criterion.gains(steps)
-        worth = gains / np.where(steps.opens_mounting, mounting, 1.0)
-        k = largest(worth)
+        k = largest(gains / np.where(steps.opens_mounting, mounting_cost, 1.0))
         if not gains[k] > _MIN_GAIN:
             break
         criterion = criterion.with_step(steps, k)
@@ -236,5 +227,5 @@ def _add_greedily(
 
 
 def _log_mean_exp(x: Array) -> Array:
-    top = x.max(axis=-1, keepdims=True)
-    return np.asarray(np.log(np.mean(np.exp(x - top), axis=-1)) + top[..., 0])
+    maximum = x.max(axis=-1, keepdims=True)
+    return np.asarray(np.log(np.mean(np.exp(x - maximum), axis=-1)) + maximum[..., 0])

@@ -19,6 +19,7 @@ from orthoglide.planning.linear import LinearReadings, elementary_weights
 from orthoglide.planning.pool import reading_pool, sheet_from_pool
 from orthoglide.prediction import Conditions
 from orthoglide.report.terminal import console_text, table
+from orthoglide.simulation import varied_conditions
 from orthoglide.threads import on_one_thread
 from orthoglide.units import MM, Unit
 
@@ -28,9 +29,7 @@ if TYPE_CHECKING:
 TCP = "TCP"
 """Stands for the TCP where a parameter's name might stand."""
 
-_LOOSE_TOLERANCES = (
-    100.0  # tolerances: priors that keep a determinant finite and otherwise say nothing
-)
+_LOOSE_TOLERANCES = 100.0  # tolerances: priors that only keep a determinant finite
 _MIN_SINGULAR_RATIO = 1e-9  # of the largest singular value: rounding
 _MAX_REPEATS = 1000  # repeats: nobody visits a station more often
 _COMMANDS_PER_AXIS = 4  # commands along each axis: enough for a mean over the workspace
@@ -52,9 +51,7 @@ class Observability:
     """
 
     readings: int  # how many
-    # singular values (m,), largest first, sigmas a tolerance; 0 where a combination of the unknowns
-    # is not seen at all
-    singular: tuple[float, ...]
+    singular: tuple[float, ...]  # (m,), largest first, sigmas a tolerance; 0 where not determined
 
     @classmethod
     def of_jacobian(cls, jacobian: Array, readings: int) -> Observability:
@@ -82,8 +79,8 @@ class Observability:
         if self.rank < self.unknowns:
             return dict.fromkeys(("O1", "O2", "O3", "O4", "O5"), 0.0)
         o1 = np.exp(np.mean(np.log(s))) / np.sqrt(self.readings)
-        found = (o1, s[-1] / s[0], s[-1], s[-1] ** 2 / s[0], 1 / np.sum(1 / s))
-        return {f"O{k}": float(value) for k, value in enumerate(found, start=1)}
+        values = (o1, s[-1] / s[0], s[-1], s[-1] ** 2 / s[0], 1 / np.sum(1 / s))
+        return {f"O{k}": float(value) for k, value in enumerate(values, start=1)}
 
 
 def observability(
@@ -110,13 +107,14 @@ _INDEX_WORDS = {
 
 def index_table(compared: Sequence[tuple[str, Observability]]) -> str:
     """Return a table of observability indices, a column a campaign or protocol."""
-    names, several = zip(*compared, strict=True)
+    names, columns = zip(*compared, strict=True)
     rows = [
-        ("readings", *(str(one.readings) for one in several)),
-        ("unknowns seen", *(f"{one.rank} of {one.unknowns}" for one in several)),
+        ("readings", *(str(column.readings) for column in columns)),
+        ("unknowns seen", *(f"{column.rank} of {column.unknowns}" for column in columns)),
     ]
     for index, words in _INDEX_WORDS.items():
-        rows.append((f"{index}, {words}", *(f"{one.indices[index]:.2g}" for one in several)))
+        values = (f"{column.indices[index]:.2g}" for column in columns)
+        rows.append((f"{index}, {words}", *values))
     return console_text(table(("the larger the better", *names), rows))
 
 
@@ -184,24 +182,22 @@ def design(
     if not rows:
         raise InputError("through this noise no reading says anything: correct it")
     campaign = sheet_from_pool(pool, rows, "design")
-    seen = observability(machine, campaign, names, noise)
-    return Design(names, campaign, best.value - start.value, seen)
+    indices = observability(machine, campaign, names, noise)
+    return Design(names, campaign, best.value - start.value, indices)
 
 
 def observable_names(machine: Machine, pool: Readings, free: Sequence[str]) -> tuple[str, ...]:
-    """Return the parameters of the machine that names stand for; all that a design can show where
-    empty.
+    """Return the machine's parameters that names stand for; where empty, all that readings of the
+    pool can show.
 
     Raises:
         InputError: for effects of the dial, which belong to a mounting and not to a design, and for
-            those that no reading of the pool can show.
+            effects that no reading of the pool can show.
     """
     catalogue = machine.catalogue
-    given = {"approach"}
-    given |= {"load"} if pool.load.any() else set()
-    given |= set() if machine.spec.screw_pitch is None else {"pitch"}
+    conditions = varied_conditions(machine, pool) - {"time", "temperature"}  # no design plans them
     if not free:
-        free = [n for n, e in catalogue.items() if not e.of_dial and e.needs <= given]
+        free = [n for n, e in catalogue.items() if not e.of_dial and e.needs <= conditions]
     for name in free:
         effect = catalogue.effect_of(name)
         if effect.of_dial:
@@ -209,7 +205,7 @@ def observable_names(machine: Machine, pool: Readings, free: Sequence[str]) -> t
                 f"{name} belongs to one mounting of a dial: a design is for parameters of the "
                 "machine, leave it out"
             )
-        if not effect.needs <= given:
+        if not effect.needs <= conditions:
             raise InputError(
                 f"{name} shows in no reading that a design can choose (no load, warmth, drift or "
                 "screw pitch is known): leave it out"
@@ -224,26 +220,23 @@ def observable_names(machine: Machine, pool: Readings, free: Sequence[str]) -> t
 class Repeats:
     """How often every station must be visited for a wanted accuracy."""
 
-    # parameter, or `"TCP"`: root mean square over the workspace and its three axes, best
-    # translation removed
-    what: str
+    what: str  # parameter, or `"TCP"`: rms over workspace and axes after the best translation
     wanted: float  # standard deviation, SI
     repeats: int | None  # visits to every station; `None` where no number is enough
     sigma: float  # with that many; with one visit where none is enough
-    # residual with any number of repeats: rounding, placement, and what is not seen
-    floor: float
+    floor: float  # with any number of repeats: rounding, placement, undetermined combinations
     unit: Unit = MM  # of the standard deviations in files
 
     def __str__(self) -> str:
         wanted, sigma, floor = (v / self.unit.si for v in (self.wanted, self.sigma, self.floor))
-        asked = f"{self.what}, tolerances as priors: sigma {wanted:.3g}{self.unit.behind}"
+        request = f"{self.what}, tolerances as priors: sigma {wanted:.3g}{self.unit.behind}"
         if self.repeats is None:
             return (
-                f"{asked} is out of reach of repeats: {sigma:.3g} with one visit, {floor:.3g} with "
-                f"any number"
+                f"{request} is out of reach of repeats: {sigma:.3g} with one visit, "
+                f"{floor:.3g} with any number"
             )
         visits = "visit" if self.repeats == 1 else "visits"
-        return f"{asked} takes {self.repeats} {visits} to every station (then {sigma:.3g})"
+        return f"{request} takes {self.repeats} {visits} to every station (then {sigma:.3g})"
 
 
 def repeats_needed(
@@ -273,16 +266,15 @@ def repeats_needed(
     if not wanted > 0:
         raise InputError(f"the accuracy wanted of {what} must be a positive standard deviation")
     machine = Machine.of(machine)
-    _, first = np.unique(campaign.stations, axis=0, return_index=True)
-    once = campaign.subset(np.sort(first))
-    names = machine.catalogue.expand(free, [s.name for s in once.setups])
+    _, first_visits = np.unique(campaign.stations, axis=0, return_index=True)
+    single_visits = campaign.subset(np.sort(first_visits))
+    names = machine.catalogue.expand(free, [s.name for s in single_visits.setups])
     if what != TCP and what not in names:
-        known = ", ".join(names)
-        raise InputError(f"{what} is not identified here: it is TCP, or one of {known}")
-    slope, unit = _target_slopes(machine, names, what), MM
-    if what != TCP:
-        unit = machine.catalogue.effect_of(what).unit
-    readings = LinearReadings.of(machine, once, names, noise)
+        choices = ", ".join(names)
+        raise InputError(f"{what} is not identified here: it is TCP, or one of {choices}")
+    slope = _target_slopes(machine, names, what)
+    unit = MM if what == TCP else machine.catalogue.effect_of(what).unit
+    readings = LinearReadings.of(machine, single_visits, names, noise)
 
     def sigma(repeats: float) -> float:
         mean = readings.sigma * max(1 / np.sqrt(repeats), _MIN_SIGMA_SHARE)
@@ -292,22 +284,22 @@ def repeats_needed(
 
     if sigma(_MAX_REPEATS) > wanted:
         return Repeats(what, wanted, None, sigma(1), sigma(np.inf), unit)
-    few = 1 + bisect_left(range(1, _MAX_REPEATS), True, key=lambda n: sigma(n) <= wanted)
-    return Repeats(what, wanted, few, sigma(few), sigma(np.inf), unit)
+    visits = 1 + bisect_left(range(1, _MAX_REPEATS), True, key=lambda n: sigma(n) <= wanted)
+    return Repeats(what, wanted, visits, sigma(visits), sigma(np.inf), unit)
 
 
 def _target_slopes(machine: Machine, names: Sequence[str], what: str) -> Array:
-    """Return the derivatives ``(n, P)`` of a figure by names in tolerances: of the TCP's
-    coordinates over the workspace after their mean, or of one parameter.
+    """Return the derivatives ``(n, P)`` of a figure by names in tolerances: of one parameter, or
+    of the TCP's coordinates over the workspace, their mean removed.
     """
     if what != TCP:
         return np.array([[machine.tolerance(n) if n == what else 0.0 for n in names]])
-    moving = [n for n in names if not machine.catalogue.effect_of(n).of_dial]
-    parts, weights = elementary_weights(machine, moving)
-    where = Conditions.from_commands(
+    machine_names = [n for n in names if not machine.catalogue.effect_of(n).of_dial]
+    parts, weights = elementary_weights(machine, machine_names)
+    conditions = Conditions.from_commands(
         workspace_grid(machine.geometry, _COMMANDS_PER_AXIS, machine.spec.screw_pitch)
     )
-    slope = np.zeros((3 * len(where), len(names)))
-    moved = without_translation(tcp_slopes(machine, parts, where) @ weights)
-    slope[:, [names.index(n) for n in moving]] = moved.reshape(len(slope), -1)
+    slope = np.zeros((3 * len(conditions), len(names)))
+    tcp_slope = without_translation(tcp_slopes(machine, parts, conditions) @ weights)
+    slope[:, [names.index(n) for n in machine_names]] = tcp_slope.reshape(len(slope), -1)
     return slope

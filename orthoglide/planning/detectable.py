@@ -31,7 +31,7 @@ from orthoglide.units import Unit
 POWER = 0.95
 """Probability with which an effect of the size stated is found, or named."""
 
-_MIN_SINE = 1e-3  # sine between signatures that no size of effect would tell apart
+_MIN_SINE = 1e-3  # sine between signatures below which no size of an effect separates them
 _ROW_FACTOR = 2.0  # parameters of one effect found from sizes within this factor share a row
 
 
@@ -44,24 +44,17 @@ class SmallestEffect:
     tolerance: float  # of its parameter, SI
     unit: Unit  # of its parameter in files
     detectable: float  # size that is found with 95 % probability, SI
-    # size at which no other effect fits as well, with 95 % probability, SI; infinite where one
-    # always does
-    nameable: float
-    # candidate of another effect that is hardest to tell from it; empty: there is none
-    nearest: Parameter | str
+    nameable: float  # size at which no other effect fits as well, with 95 % probability; or inf
+    nearest: Parameter | str  # most similar candidate of another effect; empty: there is none
     elementary: bool  # whether it is a single parameter, no structured member
 
 
 @dataclass(frozen=True)
 class Detectability(Framed):
-    """What a protocol makes of the whole catalogue; as a table, a row for the parameters of an
-    effect that are found from about the same size.
-    """
+    """Detectable sizes of the catalogue; as a table, a row for each group of :attr:`alike`."""
 
-    # by candidate of one parameter, in the order of the catalogue
-    smallest: tuple[SmallestEffect, ...]
-    # parameters that these readings cannot show, whatever their size within reason
-    invisible: tuple[Parameter, ...]
+    smallest: tuple[SmallestEffect, ...]  # by candidate, in the order of the catalogue
+    invisible: tuple[Parameter, ...]  # parameters that these readings cannot show at any size
     threshold: float  # evidence that noise alone exceeds with the probability asked for
     legs: LegNames = CATALOGUE.legs  # names of the machine's legs and parts
     _index = "effect"
@@ -72,47 +65,46 @@ class Detectability(Framed):
     @property
     def by_effect(self) -> dict[str, list[SmallestEffect]]:
         """Single parameters by their effect."""
-        found: dict[str, list[SmallestEffect]] = {}
-        for one in self.smallest:
-            if one.elementary:
-                found.setdefault(one.effect, []).append(one)
-        return found
+        groups: dict[str, list[SmallestEffect]] = {}
+        for smallest in self.smallest:
+            if smallest.elementary:
+                groups.setdefault(smallest.effect, []).append(smallest)
+        return groups
 
     @property
     def alike(self) -> list[list[SmallestEffect]]:
-        """Single parameters of one effect together that are found from about the same size, the
-        easiest first: a further instrument shows parameters that are hard to see, which say nothing
-        of the others.
+        """Single parameters, grouped by effect and by about equal detectable size, the smallest
+        first: a further instrument may show parameters that are hard to see otherwise.
         """
         groups: list[list[SmallestEffect]] = []
         for members in self.by_effect.values():
-            least = 0.0
-            for one in ranked(members, lambda s: -float(np.log(s.detectable)), LOG_ODDS_MARGIN):
-                if not least or one.detectable > _ROW_FACTOR * least:
-                    least = one.detectable
+            limit = 0.0
+            for s in ranked(members, lambda s: -float(np.log(s.detectable)), LOG_ODDS_MARGIN):
+                if not limit or s.detectable > limit:
+                    limit = _ROW_FACTOR * s.detectable
                     groups.append([])
-                groups[-1].append(one)
+                groups[-1].append(s)
         return groups
 
     @property
     def columns(self) -> dict[str, list[Any]]:
         """A row for each group of :attr:`alike`, in the units of files."""
-        every = self.alike
-        hardest = [best_of(members, lambda s: s.nameable) for members in every]
-        found = [max(s.detectable for s in members) for members in every]
+        groups = self.alike
+        hardest = [best_of(members, lambda s: s.nameable) for members in groups]
+        sizes = [max(s.detectable for s in members) for members in groups]
         return {
             "effect": [s.effect for s in hardest],
             "unit": [s.unit.name for s in hardest],
             "tolerance": [s.tolerance / s.unit.si for s in hardest],
-            "found from": [v / s.unit.si for s, v in zip(hardest, found, strict=True)],
+            "found from": [v / s.unit.si for s, v in zip(hardest, sizes, strict=True)],
             "named from": [s.nameable / s.unit.si for s in hardest],
             "hardest": [s.name for s in hardest],
             "nearest": [s.nearest for s in hardest],
-            "parameters": [self._parameters(members) for members in every],
+            "parameters": [self._parameters(members) for members in groups],
         }
 
     def _parameters(self, members: Sequence[SmallestEffect]) -> str:
-        """Return those of one row, without their effect's name; nothing where they are all."""
+        """Return the parameters of a row without their effect's name; empty for all of them."""
         effect = members[0].effect
         hidden = sum(name.effect == effect for name in self.invisible)
         if len(members) == len(self.by_effect[effect]) + hidden:
@@ -120,34 +112,34 @@ class Detectability(Framed):
         return ", ".join(s.name.behind for s in self.by_effect[effect] if s in members)
 
 
-def detectable_rows(found: Detectability, beyond: float = 0.0) -> list[str]:
-    """Return rows of text, one for the parameters of an effect that are found from about the same
-    size: the largest sizes that one of them takes to be found, and to be named; below it what the
-    hardest of them looks like.
+def detectable_rows(sheet: Detectability, beyond: float = 0.0) -> list[str]:
+    """Return rows of text, one for each group of :attr:`Detectability.alike`: the sizes from which
+    all of it are found and named, and what the hardest of them looks like.
 
     Args:
-        found: of a sheet.
+        sheet: what it detects.
         beyond: tolerances; effects that are found and named from less have no row.
     """
+    legs = sheet.legs
     lines = [f"{'effect':<22}{'tolerance':>10}{'found from':>11}{'named from':>11}  unit"]
-    for row in zip(*found.columns.values(), strict=True):
+    for row in zip(*sheet.columns.values(), strict=True):
         effect, unit, tolerance, size, named, hardest, nearest, parameters = row
         if max(size, named) <= beyond * tolerance:
             continue
-        words = abbreviated(found.legs.effect_words(effect), 21)
-        shown = f"{named:.2g}" if np.isfinite(named) else "never"
-        lines.append(f"{words:<22}{tolerance:>10.2g}{size:>11.2g}{shown:>11}  {unit}")
+        words = abbreviated(legs.effect_words(effect), 21)
+        named_text = f"{named:.2g}" if np.isfinite(named) else "never"
+        lines.append(f"{words:<22}{tolerance:>10.2g}{size:>11.2g}{named_text:>11}  {unit}")
         if parameters:
             lines.append(f"    of {parameters}")
         if nearest:
-            one, other = (parameter_words(n, found.legs) for n in (hardest, nearest))
-            lines.append(f"    {one} looks like {other}")
+            alternative = parameter_words(nearest, legs)
+            lines.append(f"    {parameter_words(hardest, legs)} looks like {alternative}")
     groups: dict[str, list[str]] = {}
-    for name in found.invisible:
-        groups.setdefault(found.legs.effect_words(name.effect), []).append(name.behind)
+    for name in sheet.invisible:
+        groups.setdefault(legs.effect_words(name.effect), []).append(name.behind)
     if groups:
-        every = (f"{effect} ({', '.join(members)})" for effect, members in groups.items())
-        lines.append(f"not detectable: {', '.join(every)}")
+        effects = (f"{effect} ({', '.join(members)})" for effect, members in groups.items())
+        lines.append(f"not detectable: {', '.join(effects)}")
     return lines
 
 
@@ -184,64 +176,62 @@ def smallest_effects(
     machine = Machine.of(machine)
     check_list("names", names)
     machine.catalogue.expand(names)
-    seen = signatures(solve(predicted_problem(machine, campaign, noise), method="nested"))
-    scoring = Scoring.prepare(seen, seen.candidates)
-    threshold = _evidence_threshold(seen, scoring, level, seed)
+    model = signatures(solve(predicted_problem(machine, campaign, noise), method="nested"))
+    scoring = Scoring.prepare(model, model.candidates)
+    threshold = _evidence_threshold(model, scoring, level, seed)
     single = [c for c in scoring.candidates if c.size == 1]
-    length, cosine = _signature_cosines(seen, single)
-    found = []
+    length, cosine = _signature_cosines(model, single)
+    catalogue, smallest = machine.catalogue, []
     for k, candidate in enumerate(single):
         if names and not {candidate.effect, candidate.name} & set(names):
             continue
-        tolerance = float(np.abs(seen.weights_at_tolerance(candidate)).max())
+        tolerance = float(np.abs(model.weights_at_tolerance(candidate)).max())
         closest = largest(cosine[k])
         detectable, nameable = _smallest_sizes(length[k], float(cosine[k, closest]), threshold)
-        found.append(
+        smallest.append(
             SmallestEffect(
-                machine.catalogue.parameter(candidate.name),
+                catalogue.parameter(candidate.name),
                 candidate.effect,
                 tolerance,
-                machine.catalogue[candidate.effect].unit,
+                catalogue[candidate.effect].unit,
                 detectable * tolerance,
                 nameable * tolerance,
-                machine.catalogue.parameter(single[closest].name) if cosine[k, closest] > 0 else "",
-                candidate.name in seen.names,
+                catalogue.parameter(single[closest].name) if cosine[k, closest] > 0 else "",
+                candidate.name in model.names,
             )
         )
-    effect_of = machine.catalogue.effect_of
-    hidden = [n for n in seen.invisible if not names or {n, effect_of(n).name} & set(names)]
-    return Detectability(tuple(found), tuple(hidden), threshold, machine.catalogue.legs)
+    asked, effect_of = set(names), catalogue.effect_of
+    invisible = tuple(n for n in model.invisible if not asked or {n, effect_of(n).name} & asked)
+    return Detectability(tuple(smallest), invisible, threshold, catalogue.legs)
 
 
-def _evidence_threshold(seen: Signatures, scoring: Scoring, level: float, seed: int) -> float:
-    """Return the evidence that the best candidate exceeds on noise alone with a probability."""
+def _evidence_threshold(model: Signatures, scoring: Scoring, level: float, seed: int) -> float:
+    """Return the evidence that the best candidate exceeds with probability ``level`` on noise."""
     if not (isinstance(level, Real) and 0 < level < 1):
         raise InputError(f"level is a probability between 0 and 1, such as 0.01, not {level!r}")
-    drawn = noise_residuals(seen, np.random.default_rng(check_integer("seed", seed, 0)), DRAWS)
-    best = scoring.evidences(drawn).max(axis=0) if scoring.candidates else np.zeros(1)
-    return float(np.quantile(best, 1 - level))
+    rng = np.random.default_rng(check_integer("seed", seed, 0))
+    residuals = noise_residuals(model, rng, DRAWS)
+    best_evidence = scoring.evidences(residuals).max(axis=0) if scoring.candidates else np.zeros(1)
+    return float(np.quantile(best_evidence, 1 - level))
 
 
-def _signature_cosines(seen: Signatures, single: Sequence[Candidate]) -> tuple[Array, Array]:
-    """Return the lengths of signatures ``(k,)``, and cosines ``(k, k)`` between those of
-    different effects.
-    """
-    columns = np.column_stack(
-        [np.zeros((len(seen.residual), 0)), *(seen.signature(c) for c in single)]
-    )
+def _signature_cosines(model: Signatures, single: Sequence[Candidate]) -> tuple[Array, Array]:
+    """Return the lengths of signatures ``(k,)``, and cosines ``(k, k)`` of different effects."""
+    none = np.zeros((len(model.residual), 0))
+    columns = np.column_stack([none, *(model.signature(c) for c in single)])
     length = np.linalg.norm(columns, axis=0)
     cosine = np.abs(columns.T @ columns) / np.multiply.outer(length, length)
-    kinds = np.array([c.effect for c in single])
-    cosine[np.equal.outer(kinds, kinds)] = 0.0  # members of one effect are no rivals here
+    effects = np.array([c.effect for c in single])
+    cosine[np.equal.outer(effects, effects)] = 0.0  # members of one effect are no rivals here
     return length, cosine
 
 
 def _smallest_sizes(length: float, cosine: float, threshold: float) -> tuple[float, float]:
     """Return the sizes that are detected and named, in tolerances."""
-    detected = np.sqrt(noncentrality(length**2, threshold)) / length
+    detectable = np.sqrt(noncentrality(length**2, threshold)) / length
     sine = np.sqrt(max(1 - cosine**2, 0.0))
-    named = np.inf if sine < _MIN_SINE else required_separation() / (length * sine)
-    return float(detected), float(max(detected, named))
+    nameable = np.inf if sine < _MIN_SINE else required_separation() / (length * sine)
+    return float(detectable), float(max(detectable, nameable))
 
 
 def noncentrality(square: float, threshold: float) -> float:

@@ -1,10 +1,10 @@
-"""Readings linearised in what is asked for: what each, and one more, would tell.
+"""Readings linearised in the parameters asked for, and the information of one further reading.
 
 A reading is ``j x + datum + slope * place + rounding + noise``. Within a mounting the last four
 make readings correlated; a further reading, less what the chosen ones of its mounting predict of
 it, is ``d x + e`` with ``e`` independent of all else and of variance ``s2``. So every step is one
 scalar observation, and its gain by any criterion is a formula. A mounting begins with two readings:
-with a free datum, one says nothing.
+with a free datum, a single one contains no information.
 """
 
 from __future__ import annotations
@@ -33,20 +33,18 @@ from orthoglide.machine_file import MachineFile
 from orthoglide.observations import Readings
 from orthoglide.observations.arrays import group_ids
 from orthoglide.ordering import largest
+from orthoglide.prediction import ReadingPoses
 from orthoglide.simulation import simulate
 
 _DATUM_SIGMA = 1e-2  # metres: a dial's zero lies within its travel, which is as good as anywhere
-_MIN_SIGMA_SHARE = (
-    0.1  # of a reading's sigma: what is left of it besides the rounding that repeats share
-)
+_MIN_SIGMA_SHARE = 0.1  # of a reading's sigma: its least part besides the common rounding
 
 
 @dataclass(frozen=True)
 class Steps:
     """Readings that can be taken next."""
 
-    # of the campaign (k, 2); the first is -1 where the mounting stands already
-    rows: NDArray[np.int64]
+    rows: NDArray[np.int64]  # of the campaign (k, 2); first -1 where the mounting stands already
     columns: Array  # `d` (k, P)
     variance: Array  # `s2` (k,), square metres
 
@@ -65,7 +63,7 @@ class LinearReadings:
     """Readings of a campaign or a pool, with their derivatives and what they scatter by."""
 
     campaign: Readings  # without readings
-    columns: Array  # derivative of each reading (n, P) by whatever is asked for
+    columns: Array  # derivative of each reading (n, P) by the parameters asked for
     slope: Array  # by the dial's place (n,)
     sigma: Array  # standard deviation of one visit (n,), metres
     common: float  # of the rounding that all visits to a station share, metres
@@ -96,29 +94,28 @@ class LinearReadings:
         setups = tuple(s.name for s in campaign.setups)
         parts, weights = elementary_weights(machine, names, setups)
         at = machine.model.linearised(machine.values, campaign, parts)
-        _, (rows,) = noise_of([campaign], _with_repeatability(machine.spec), noise)
-        total = np.hypot(rows.sigma, rows.common)
-        slope = at.reading_poses.nuisance_jacobian[:, PLACEMENT_INDEX]
-        return cls.from_columns(machine, campaign, at.jacobian @ weights, slope, total)
+        _, (row_noise,) = noise_of([campaign], _with_repeatability(machine.spec), noise)
+        total = np.hypot(row_noise.sigma, row_noise.common)
+        return cls.from_columns(machine, campaign, at.jacobian @ weights, at.reading_poses, total)
 
     @classmethod
     def from_columns(
-        cls, machine: Machine, campaign: Readings, columns: Array, slope: Array, total: ArrayLike
+        cls,
+        machine: Machine,
+        campaign: Readings,
+        columns: Array,
+        poses: ReadingPoses,
+        total: ArrayLike,
     ) -> LinearReadings:
-        """Return readings whose derivatives are known.
+        """Return readings by their derivatives ``(n, P)``, and by the poses of their dials.
 
-        Args:
-            machine: its dial.
-            campaign: without readings.
-            columns: derivatives ``(n, P)``.
-            slope: by the dial's place ``(n,)``.
-            total: standard deviation of one reading, rounding counted, metres; a number or
-                ``(n,)``.
+        ``total`` is the standard deviation of one reading with rounding, metres, or ``(n,)``.
         """
         dial = machine.spec.dial
         sd = np.broadcast_to(np.asarray(total, dtype=float), (len(campaign),))
         common = float(common_rounding(np.sqrt(np.mean(sd**2)), dial.resolution))
         sigma = np.sqrt(np.maximum(sd**2 - common**2, (_MIN_SIGMA_SHARE * sd) ** 2))
+        slope = poses.nuisance_jacobian[:, PLACEMENT_INDEX]
         return cls(campaign, columns, slope, sigma, common, dial.placement)
 
     @cached_property
@@ -126,17 +123,15 @@ class LinearReadings:
         """Station of each row ``(n,)``."""
         return group_ids(self.campaign.stations)
 
-    def covariance(self, one: ArrayLike, other: ArrayLike) -> Array:
+    def covariance(self, rows: ArrayLike, other_rows: ArrayLike) -> Array:
         """Return the covariance ``(a, b)`` of visits in a mounting, parameters and datum given."""
-        i, j = np.asarray(one, dtype=np.int64), np.asarray(other, dtype=np.int64)
+        i, j = np.asarray(rows, dtype=np.int64), np.asarray(other_rows, dtype=np.int64)
         slopes = np.multiply.outer(self.slope[i], self.slope[j])
         shared = np.equal.outer(self.station[i], self.station[j]) * self.common**2
         return np.asarray(self.placement**2 * slopes + shared)
 
     def visit_covariance(self) -> Array:
-        """Return the covariance of one visit to each row ``(n, n)``, parameters given, datums
-        within a dial's travel.
-        """
+        """Return the covariance of one visit to each row ``(n, n)``, with prior of the datums."""
         rows = np.arange(len(self.campaign))
         together = np.equal.outer(self.campaign.setup, self.campaign.setup)
         shared = np.where(together, self.covariance(rows, rows) + _DATUM_SIGMA**2, 0.0)
@@ -156,62 +151,57 @@ class LinearReadings:
             if len(rows) < 2:
                 continue
             leg = self.campaign.setups[self.campaign.setup[rows[0]]].leg
-            own = self.campaign.command[rows, leg]
-            middle = largest(-np.abs(own - np.median(own)))
-            anchors = dict.fromkeys([largest(-own), middle, largest(own)])
+            travel = self.campaign.command[rows, leg]
+            middle = largest(-np.abs(travel - np.median(travel)))
+            anchors = dict.fromkeys([largest(-travel), middle, largest(travel)])
             pairs += [(rows[a], r) for a in anchors for r in rows if r != rows[a]]
         table = np.array(pairs, dtype=np.int64).reshape(-1, 2)
         first, second = table.T
-        single = self.sigma[first] ** 2 + self.sigma[second] ** 2 + 2 * self.common**2
-        apart = self.slope[second] - self.slope[first]
-        return Steps(
-            table,
-            self.columns[second] - self.columns[first],
-            single + (self.placement * apart) ** 2,
-        )
+        columns, slope = (v[second] - v[first] for v in (self.columns, self.slope))
+        variance = self.sigma[first] ** 2 + self.sigma[second] ** 2 + 2 * self.common**2
+        return Steps(table, columns, variance + (self.placement * slope) ** 2)
 
     def continuing_steps(self, setup: int, chosen: Sequence[int]) -> Steps:
         """Return the steps of one more reading, at any station, in a mounting that stands."""
-        rows, done = self.rows_by_setup[setup], np.asarray(chosen)
-        among = self.covariance(done, done) + _DATUM_SIGMA**2 + np.diag(self.sigma[done] ** 2)
-        across = self.covariance(rows, done) + _DATUM_SIGMA**2
+        rows, taken = self.rows_by_setup[setup], np.asarray(chosen)
+        sigma2, datum2 = self.sigma**2, _DATUM_SIGMA**2
+        among = self.covariance(taken, taken) + datum2 + np.diag(sigma2[taken])
+        across = self.covariance(rows, taken) + datum2
         weights = np.linalg.solve(among, across.T).T
-        single = self.covariance(rows, rows).diagonal() + _DATUM_SIGMA**2 + self.sigma[rows] ** 2
+        variance = self.covariance(rows, rows).diagonal() + datum2 + sigma2[rows]
         return Steps(
             np.column_stack([np.full(len(rows), -1), rows]).astype(np.int64),
-            self.columns[rows] - weights @ self.columns[done],
-            single - np.sum(weights * across, axis=1),
+            self.columns[rows] - weights @ self.columns[taken],
+            variance - np.sum(weights * across, axis=1),
         )
 
-    def next_steps(self, chosen: Sequence[int], room: int) -> Steps:
-        """Return all steps that ``room`` further readings allow, after those chosen."""
-        standing = dict.fromkeys(int(self.campaign.setup[k]) for k in chosen)
-        parts = []
-        if room >= 2:
-            every = self.opening_steps
-            new = ~np.isin(self.campaign.setup[every.rows[:, 0]], list(standing))
-            parts.append(Steps(every.rows[new], every.columns[new], every.variance[new]))
-        for setup in standing:
-            parts.append(
-                self.continuing_steps(setup, [k for k in chosen if self.campaign.setup[k] == setup])
-            )
+    def next_steps(self, chosen: Sequence[int], readings_left: int) -> Steps:
+        """Return all steps that ``readings_left`` further readings allow, after those chosen."""
+        rows_by_setup: dict[int, list[int]] = {}
+        for k in chosen:
+            rows_by_setup.setdefault(int(self.campaign.setup[k]), []).append(k)
+        steps = [self.continuing_steps(setup, rows) for setup, rows in rows_by_setup.items()]
+        if readings_left >= 2:
+            opening = self.opening_steps
+            new = ~np.isin(self.campaign.setup[opening.rows[:, 0]], list(rows_by_setup))
+            steps.insert(0, Steps(opening.rows[new], opening.columns[new], opening.variance[new]))
         return Steps(
-            np.concatenate([p.rows for p in parts]),
-            np.concatenate([p.columns for p in parts]),
-            np.concatenate([p.variance for p in parts]),
+            np.concatenate([s.rows for s in steps]),
+            np.concatenate([s.columns for s in steps]),
+            np.concatenate([s.variance for s in steps]),
         )
 
     def whitened(self, chosen: Sequence[int] | None = None) -> Array:
         """Return rows ``(m, P)`` by the unknowns with unit variance, datums projected out."""
-        every = np.arange(len(self.campaign))
-        rows = every if chosen is None else every[list(chosen)]
+        rows = np.arange(len(self.campaign))
+        rows = rows if chosen is None else rows[list(chosen)]
         blocks = [np.empty((0, self.columns.shape[1]))]
         for setup in np.unique(self.campaign.setup[rows]):
-            own = rows[self.campaign.setup[rows] == setup]
-            root = np.linalg.cholesky(self.covariance(own, own) + np.diag(self.sigma[own] ** 2))
-            both = np.linalg.solve(root, np.column_stack([np.ones(len(own)), self.columns[own]]))
-            datum = both[:, :1] / np.linalg.norm(both[:, 0])
-            blocks.append(both[:, 1:] - datum @ (datum.T @ both[:, 1:]))
+            k = rows[self.campaign.setup[rows] == setup]
+            root = np.linalg.cholesky(self.covariance(k, k) + np.diag(self.sigma[k] ** 2))
+            whitened = np.linalg.solve(root, np.column_stack([np.ones(len(k)), self.columns[k]]))
+            datum, columns = whitened[:, :1] / np.linalg.norm(whitened[:, 0]), whitened[:, 1:]
+            blocks.append(columns - datum @ (datum.T @ columns))
         return np.concatenate(blocks)
 
     def information(self, chosen: Sequence[int] | None = None) -> Array:
@@ -223,13 +213,11 @@ class LinearReadings:
 def elementary_weights(
     machine: Machine, names: Sequence[str], setups: tuple[str, ...] = ()
 ) -> tuple[tuple[str, ...], Array]:
-    """Return the elementary parameters that names stand for, and the matrix ``(E, P)`` from one
-    tolerance of each name to them, SI.
-    """
-    stands_for = [machine.catalogue.elementary_weights(name, setups) for name in names]
-    parts = tuple(dict.fromkeys(p for weights in stands_for for p in weights))
+    """Return elementary parameters, and the matrix ``(E, P)`` to them from names in tolerances."""
+    weights_by_name = [machine.catalogue.elementary_weights(name, setups) for name in names]
+    parts = tuple(dict.fromkeys(p for weights in weights_by_name for p in weights))
     tolerance = np.array([machine.tolerance(name) for name in names])
-    return parts, weight_matrix(parts, stands_for) * tolerance
+    return parts, weight_matrix(parts, weights_by_name) * tolerance
 
 
 def _with_repeatability(spec: MachineFile) -> MachineFile:
@@ -244,11 +232,11 @@ def predicted_problem(
     machine: Machine, sheet: Readings | Sequence[Readings], noise: float | None = None
 ) -> Problem:
     """Return the problem of zeros and lengths on the readings predicted for sheets."""
-    careful = replace(machine, spec=_with_repeatability(machine.spec))
-    # Exact, with their noise declared: repeats that agree are no witnesses of it.
+    rated = replace(machine, spec=_with_repeatability(machine.spec))
+    # Predictions are exact, so the noise is declared: it cannot be estimated from their repeats.
     sheets = [sheet] if isinstance(sheet, Readings) else sheet
-    several = [simulate(machine, one, exact=True) for one in sheets]
-    for k, one in enumerate(several):
-        if one.of_tool:
-            several[k] = replace(one, sigma=expected_sigma(one, machine.spec))
-    return assemble(several, careful, machine.catalogue.base, noise=noise)
+    predicted = [simulate(machine, readings, exact=True) for readings in sheets]
+    for k, readings in enumerate(predicted):
+        if readings.of_tool:
+            predicted[k] = replace(readings, sigma=expected_sigma(readings, machine.spec))
+    return assemble(predicted, rated, machine.catalogue.base, noise=noise)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -21,8 +22,7 @@ BARS: tuple[int, ...] = (0, 1, 2)
 """What they may touch: the leg's median line, bar 1, bar 2."""
 
 DIAL_TRAVEL = 5e-3
-"""Metres that the touched line may stray sideways at the dial, nominally, from mechanical zero; on
-a machine of less than a workshop's size in proportion."""
+"""Metres that the touched line may move sideways at the dial; see :func:`dial_scale`."""
 
 _STEPS_UP, _STEPS_DOWN = 3, 4  # of the upper and the lower half stroke
 _OFF_AXIS = 6e-3  # metres off the axis
@@ -46,37 +46,31 @@ def stations(leg: int, geometry: Geometry) -> list[Station]:
     a few millimetres to either side at three of them, reached in +.
     """
     low, high = geometry.stroke
-    own = np.concatenate(
-        [
-            low * np.arange(_STEPS_DOWN, 0, -1) / _STEPS_DOWN,
-            high * np.arange(_STEPS_UP + 1) / _STEPS_UP,
-        ]
-    )
-    found, sideways = [], _OFF_AXIS * dial_scale(geometry)
-    for travel in own:
+    down = low * np.arange(_STEPS_DOWN, 0, -1) / _STEPS_DOWN
+    travels = [*down, *(high * np.arange(_STEPS_UP + 1) / _STEPS_UP)]
+    reachable, offset = [], _OFF_AXIS * dial_scale(geometry)
+    for travel in travels:
         p = np.zeros(3)
         p[leg] = travel
-        found += _reachable_stations(f"{travel * 1e3:+.6g}", p, (1, -1), geometry)
-    for travel in (low / 2, 0.0, high / 2):
-        for axis in range(3):
-            for side in (1, -1):
-                if axis != leg:
-                    p = np.zeros(3)
-                    p[leg], p[axis] = travel, side * sideways
-                    label = f"{travel * 1e3:+.6g} {LEGS[axis]}{side * sideways * 1e3:+.6g}"
-                    found += _reachable_stations(label, p, (1,), geometry)
-    return found
+        reachable += _reachable_stations(f"{travel * 1e3:+.6g}", p, (1, -1), geometry)
+    others = [axis for axis in range(3) if axis != leg]
+    for travel, axis, side in product((low / 2, 0.0, high / 2), others, (1, -1)):
+        p = np.zeros(3)
+        p[leg], p[axis] = travel, side * offset
+        label = f"{travel * 1e3:+.6g} {LEGS[axis]}{side * offset * 1e3:+.6g}"
+        reachable += _reachable_stations(label, p, (1,), geometry)
+    return reachable
 
 
 def _reachable_stations(
     label: str, p: Array, sides: Sequence[int], geometry: Geometry
 ) -> list[Station]:
     rho = np.round(reduction.inverse(p, geometry=geometry), _COMMAND_DECIMALS)
-    beyond = stroke_overshoot(geometry.stroke)
+    overshoot = stroke_overshoot(geometry.stroke)
     return [
         Station(label, rho, p, side)
         for side in sides
-        if geometry.in_stroke(rho).all() and geometry.in_stroke(rho - side * beyond).all()
+        if geometry.in_stroke(rho).all() and geometry.in_stroke(rho - side * overshoot).all()
     ]
 
 
@@ -87,13 +81,14 @@ def dial_scale(geometry: Geometry) -> float:
 
 def visible(station: Station, setup: Setup, geometry: Geometry) -> bool:
     """Return whether a dial stays on its leg and within its travel at a station, nominally."""
-    own, p, small = station.command[setup.leg], station.p, dial_scale(geometry)
-    clearance = _CLEARANCE * small
-    if not p[setup.leg] + clearance <= setup.gauge <= own - clearance:
+    carriage, p, scale = station.command[setup.leg], station.p, dial_scale(geometry)
+    clearance = _CLEARANCE * scale
+    if not p[setup.leg] + clearance <= setup.gauge <= carriage - clearance:
         return False
-    share = (own - setup.gauge) / (own - p[setup.leg])  # of the platform in the touched point
-    aside = np.delete(p, setup.leg) * share
-    return bool(np.abs(aside).max() <= DIAL_TRAVEL * small)
+    # The touched point takes part in the platform's motion by its place along the leg.
+    share = (carriage - setup.gauge) / (carriage - p[setup.leg])
+    sideways = np.delete(p, setup.leg) * share
+    return bool(np.abs(sideways).max() <= DIAL_TRAVEL * scale)
 
 
 def reading_pool(geometry: Geometry, *, load: float = 0.0) -> Readings:
@@ -110,13 +105,12 @@ def reading_pool(geometry: Geometry, *, load: float = 0.0) -> Readings:
     setups: list[Setup] = []
     rows: list[tuple[int, Station]] = []
     for leg in range(3):
-        reach = stations(leg, geometry)
-        for axis in map(LEGS.index, geometry.layout.names.across[leg]):
-            for gauge in GAUGES:
-                for bar in BARS:
-                    setup = dial_setup(geometry, leg, axis, gauge, bar)
-                    rows += [(len(setups), s) for s in reach if visible(s, setup, geometry)]
-                    setups.append(replace(setup, name=f"next-{setup.name}"))
+        leg_stations = stations(leg, geometry)
+        axes = map(LEGS.index, geometry.layout.names.across[leg])
+        for axis, gauge, bar in product(axes, GAUGES, BARS):
+            setup = dial_setup(geometry, leg, axis, gauge, bar)
+            rows += [(len(setups), s) for s in leg_stations if visible(s, setup, geometry)]
+            setups.append(replace(setup, name=f"next-{setup.name}"))
     return unread_campaign(
         geometry,
         "next",
@@ -141,5 +135,4 @@ def sheet_from_pool(pool: Readings, chosen: Sequence[int], name: str = "next") -
     repeat = np.array([int(np.sum(rows[:i] == k)) + 1 for i, k in enumerate(rows)], dtype=np.int64)
     # All stations once, then again: repeats in a row would not see the mounting creep.
     order = np.lexsort([rows, repeat, pool.setup[rows]])
-    part = replace(pool.subset(rows[order]), name=name, repeat=repeat[order])
-    return part.with_moves()
+    return replace(pool.subset(rows[order]), name=name, repeat=repeat[order]).with_moves()

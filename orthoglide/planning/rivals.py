@@ -17,7 +17,6 @@ from orthoglide.explanation.class_members import ClassMembers
 from orthoglide.fit import Estimate, linearise, normal_equations
 from orthoglide.fit.factors import Factor
 from orthoglide.geometry import Array
-from orthoglide.instruments.leg_dial import PLACEMENT_INDEX
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings
 from orthoglide.ordering import LOG_ODDS_MARGIN, ranked
@@ -26,7 +25,7 @@ from orthoglide.planning.instrument_choice import suggest_instruments_for_places
 from orthoglide.planning.linear import LinearReadings
 from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.suggestions import DECISIVE_SIGMAS, Suggestion
-from orthoglide.prediction import Conditions
+from orthoglide.prediction import Conditions, ReadingPoses
 from orthoglide.result.fits import WeakDirection
 from orthoglide.text import listed
 
@@ -37,9 +36,7 @@ Pair = tuple[int, int]
 ENOUGH_SIGMAS = 6.0
 """Sigmas of separation beyond which no further reading is proposed."""
 
-_INSEPARABLE_SIGMAS = (
-    2.0  # sigmas by the whole pool: rivals that no reading within reach tells apart
-)
+_INSEPARABLE_SIGMAS = 2.0  # sigmas by the whole pool: no reading within reach separates less
 _MIN_SIGMAS = 1.0  # sigmas: less is not worth taking readings for
 _MAX_SIGMA_RATIO = 0.9  # of a sigma before: readings that leave more are not worth taking
 _MOST_DIRECTIONS = 2  # weak directions of a fit: further ones are known well enough
@@ -47,7 +44,7 @@ _MOUNTING_COST = 4.0  # readings that mounting a dial, with its first two, is wo
 _MAX_NAMED_PAIRS = 3  # pairs of rivals in a sentence: the least separated ones
 _MIN_SHAPE_RATIO = 0.02  # of the shift between two machines: less is no difference in shape
 _COMMANDS_PER_AXIS = 3  # commands along each axis: enough to compare two machines
-_MOST_PLACES, _PLACE_READINGS = 6, 12  # places that are parted, the likeliest; readings for them
+_MOST_PLACES, _PLACE_READINGS = 6, 12  # located errors to separate, the likeliest; readings
 
 
 @dataclass(frozen=True)
@@ -57,38 +54,35 @@ class Rival:
     words: str  # as it is quoted
     values: Values  # parameters of the machine, SI
     parts: tuple[str, ...]  # elementary parameters of the machine that its unknowns set
-    weights: Array  # of these for each unknown (E, P)
+    weights: Array  # of the elementary parameters for each unknown (E, P)
     covariance: Array  # of the unknowns (P, P), SI, tolerances as priors
 
     @classmethod
-    def of(cls, name: str, found: Estimate | Values, like: Estimate, scale: float) -> Rival:
+    def of(cls, name: str, source: Estimate | Values, reference: Estimate, scale: float) -> Rival:
         """Return an explanation by its own fit, or by its values and the unknowns of another fit.
 
         Args:
             name: of the cause: a parameter, a structured member, or any other name.
-            found: an estimate of the machine as it is now, or all its parameters, SI.
-            like: the fit whose readings, unknowns and nuisances count where there are values only.
+            source: an estimate of the machine as it is now, or all its parameters, SI.
+            reference: fit whose readings, unknowns and nuisances count if only values are given.
             scale: of the noise, where lack of fit remains.
         """
-        fit = found if isinstance(found, Estimate) else like
-        problem, at = fit.problem, fit.at
-        if not isinstance(found, Estimate):
-            parts = [dict(u.weights[problem.last_factor]) for u in problem.unknowns]
-            at = linearise(problem, np.array([_fitted_unknown(p, found) for p in parts]))
-        here = normal_equations(replace(problem, priors=True), at, fit.nuisance)
-        unit = problem.tolerance
-        scaled = here.information * unit * unit[:, None] / scale**2
-        covariance = np.linalg.inv(scaled) * unit * unit[:, None]
+        fit = source if isinstance(source, Estimate) else reference
+        problem, model, last = fit.problem, fit.at, fit.problem.last_factor
+        if not isinstance(source, Estimate):
+            parts = [dict(u.weights[last]) for u in problem.unknowns]
+            model = linearise(problem, np.array([_fitted_unknown(p, source) for p in parts]))
+        equations = normal_equations(replace(problem, priors=True), model, fit.nuisance)
+        unit = problem.tolerance * problem.tolerance[:, None]
+        covariance = np.linalg.inv(equations.information * unit / scale**2) * unit
         catalogue = problem.machine.catalogue
-        values = catalogue.machine_values(problem.values(problem.last_factor, at.x))
         with suppress(InputError):  # else it is a name for people
             name = f'"{cause_short(catalogue, name)}"'
-        return cls(name, values, *problem.machine_parameters(problem.last_factor), covariance)
+        values = catalogue.machine_values(problem.values(last, model.x))
+        return cls(name, values, *problem.machine_parameters(last), covariance)
 
     def weights_by_parameter(self, names: Sequence[str]) -> Array:
-        """Return the weights of elementary parameters for each unknown ``(n, P)``; 0 where none
-        sets one.
-        """
+        """Return the weights of elementary parameters ``(n, P)``; 0 for other parameters."""
         matrix = np.zeros((len(names), self.weights.shape[1]))
         matrix[[names.index(part) for part in self.parts]] = self.weights
         return matrix
@@ -114,17 +108,17 @@ def next_measurements(
     count: int = 12,
     directions: Sequence[WeakDirection] | None = None,
 ) -> tuple[Suggestion, ...]:
-    """Return the few readings that would tell most, out of those that the machine can reach.
+    """Return the few readings of the largest gain among all readings within reach.
 
-    Everything is linear around the fits, but for the readings that the rivals predict. Base
-    parameters, the rivals' own and the new datums and places are fitted again on old and new
-    readings together: what is counted is what no fit could explain away.
+    The computation is linear around the fits, except for the readings that the rivals predict. Base
+    parameters, the parameters of the rivals and new nuisances are fitted again on old and new
+    readings together, so that only separations count that no fit can remove.
 
     Args:
         fit: of the readings at hand.
         rivals: explanations between which these cannot decide: names with their fits, or with all
             parameters of the machine as it is now, SI, in the unknowns of ``fit``.
-        pairs: of rivals that are to be told apart, by place; all where absent.
+        pairs: of rivals to separate, by their indices; all where absent.
         count: readings to propose, at most, for each purpose.
         directions: to pin down; the fit's weakest two where absent, none where empty.
 
@@ -134,33 +128,37 @@ def next_measurements(
     machine = fit.problem.machine
     weak = fit.weak[:_MOST_DIRECTIONS] if directions is None else directions
     scale = max(fit.sigma_scale, 1.0)
-    several = [Rival.of(name, found, fit, scale) for name, found in rivals]
-    own = Rival.of("", fit, fit, scale)
-    names = tuple(dict.fromkeys(p for e in (own, *several) for p in e.parts))
-    choice = reading_pool(machine.geometry, load=_median_load(fit))
-    at = machine.model.linearised(own.values, choice, names)
-    total = fit.problem.noise.typical * scale
-    readings = LinearReadings.from_columns(
-        machine, choice, at.jacobian, at.reading_poses.nuisance_jacobian[:, PLACEMENT_INDEX], total
-    )
-    found: list[Suggestion] = []
-    every = [*combinations(range(len(several)), 2)] if pairs is None else pairs
-    if every:
-        predicted = [machine.model.readings(e.values, choice) for e in several]
-        both = replace(readings, columns=np.column_stack([at.jacobian, *predicted]))
-        found += _suggest_separating(machine, both, names, several, every, count)
+    candidates = [Rival.of(name, source, fit, scale) for name, source in rivals]
+    current = Rival.of("", fit, fit, scale)
+    names = tuple(dict.fromkeys(p for rival in (current, *candidates) for p in rival.parts))
+    pool = _loaded_pool(fit)
+    at = machine.model.linearised(current.values, pool, names)
+    readings = _linear_readings(fit, pool, at.jacobian, at.reading_poses)
+    suggestions: list[Suggestion] = []
+    pairs = [*combinations(range(len(candidates)), 2)] if pairs is None else pairs
+    if pairs:
+        predicted = [machine.model.readings(rival.values, pool) for rival in candidates]
+        extended = replace(readings, columns=np.column_stack([at.jacobian, *predicted]))
+        suggestions += _suggest_separating(machine, extended, names, candidates, pairs, count)
     for direction in weak:
-        found.append(_suggest_narrowing(readings, names, own, fit, direction, count))
-    return tuple(found)
+        suggestions.append(_suggest_narrowing(readings, names, current, fit, direction, count))
+    return tuple(suggestions)
 
 
-def _median_load(estimate: Estimate) -> float:
-    """Return the load at the TCP over the last campaign, newtons; 0 where none is known."""
-    if not estimate.problem.campaigns:
-        return 0.0
-    load = estimate.problem.campaigns[-1].load
-    known = load[np.isfinite(load)]
-    return float(np.median(known)) if len(known) else 0.0
+def _loaded_pool(fit: Estimate) -> Readings:
+    """Return the readings that can be chosen, under the median load of the last campaign."""
+    load = fit.problem.campaigns[-1].load if fit.problem.campaigns else np.zeros(1)
+    finite = load[np.isfinite(load)]
+    median = float(np.median(finite)) if len(finite) else 0.0
+    return reading_pool(fit.problem.machine.geometry, load=median)
+
+
+def _linear_readings(
+    fit: Estimate, pool: Readings, columns: Array, poses: ReadingPoses
+) -> LinearReadings:
+    """Return the readings of a pool by their derivatives, with the noise of a fit."""
+    sigma = fit.problem.noise.typical * max(fit.sigma_scale, 1.0)
+    return LinearReadings.from_columns(fit.problem.machine, pool, columns, poses, sigma)
 
 
 # -- rivals ----------------------------------------------------------------------------------------
@@ -174,62 +172,66 @@ def _suggest_separating(
     pairs: Sequence[Pair],
     count: int,
 ) -> list[Suggestion]:
-    """Return readings between pairs of rivals, and the groups of rivals that none tells apart; the
-    readings are by elementary parameters of these names, then as each rival predicts them.
+    """Return readings between pairs of rivals, and the groups of rivals that no reading separates.
+
+    The columns of the readings belong to the elementary parameters of these names, then to the
+    predictions of each rival.
     """
-    spread = np.stack([e.parameter_covariance(names) for e in rivals])
-    every = RivalSeparation.between(spread, np.array(pairs))
-    apart = replace(every, information=readings.information()).sigmas
-    weak = {pair: sigmas for pair, sigmas in apart.items() if sigmas < _INSEPARABLE_SIGMAS}
-    rows, end = tuple[int, ...](), None
-    while left := [pair for pair in apart if pair not in weak]:
-        start = RivalSeparation.between(spread, np.array(left), ENOUGH_SIGMAS**2)
-        rows, end = choose(readings, start, count, mounting_cost=_MOUNTING_COST)
-        if not (low := {pair: s for pair, s in end.sigmas.items() if s < _MIN_SIGMAS}):
+    covariances = np.stack([rival.parameter_covariance(names) for rival in rivals])
+    before = RivalSeparation.between(covariances, np.array(pairs))
+    separations = replace(before, information=readings.information()).sigmas
+    weak = {pair: sigmas for pair, sigmas in separations.items() if sigmas < _INSEPARABLE_SIGMAS}
+    rows, criterion = tuple[int, ...](), None
+    while remaining := [pair for pair in separations if pair not in weak]:
+        start = RivalSeparation.between(covariances, np.array(remaining), ENOUGH_SIGMAS**2)
+        rows, criterion = choose(readings, start, count, mounting_cost=_MOUNTING_COST)
+        if not (close := {pair: s for pair, s in criterion.sigmas.items() if s < _MIN_SIGMAS}):
             break
-        weak, rows, end = weak | low, (), None
-    found = []
-    if end is not None:
+        weak, rows, criterion = weak | close, (), None
+    suggestions, pool = [], readings.campaign
+    if criterion is not None:
         # Every station is visited again where there is room: a single visit may be misread.
-        again = tuple(k for k in rows if rows.count(k) == 1)
-        if again and len(rows) + len(again) <= count:
-            rows = (*rows, *again)
-            end = start.with_rows(readings, rows)
-        found.append(_separating_suggestion(readings.campaign, rows, rivals, end.sigmas))
+        repeated = tuple(k for k in rows if rows.count(k) == 1)
+        if repeated and len(rows) + len(repeated) <= count:
+            rows = (*rows, *repeated)
+            criterion = start.with_rows(readings, rows)
+        suggestions.append(_separating_suggestion(pool, rows, rivals, criterion.sigmas))
     for group, sigmas in _inseparable_groups(weak):
-        text = _inseparable_reason(machine, [rivals[k] for k in group], sigmas, readings)
-        found.append(Suggestion(text, "none", sigmas, readings.campaign))
-    return found
+        reason = _inseparable_reason(machine, [rivals[k] for k in group], sigmas, readings)
+        suggestions.append(Suggestion(reason, "none", sigmas, pool))
+    return suggestions
 
 
 def _separating_suggestion(
-    pool: Readings, rows: tuple[int, ...], rivals: Sequence[Rival], apart: Mapping[Pair, float]
+    pool: Readings, rows: tuple[int, ...], rivals: Sequence[Rival], sigmas: Mapping[Pair, float]
 ) -> Suggestion:
-    """Return the suggestion of readings by the sigmas that they set pairs of rivals apart."""
-    least = ranked(apart.items(), lambda item: -float(np.log(item[1])), LOG_ODDS_MARGIN)
+    """Return the suggestion of readings that separate pairs of rivals by so many sigmas."""
+    closest = ranked(sigmas.items(), lambda item: -float(np.log(item[1])), LOG_ODDS_MARGIN)
     text = "; ".join(
         f"{rivals[a].words} from {rivals[b].words} by {s:.1f} sigma"
-        for (a, b), s in least[:_MAX_NAMED_PAIRS]
+        for (a, b), s in closest[:_MAX_NAMED_PAIRS]
     )
-    more = len(least) - _MAX_NAMED_PAIRS
-    text += f" (and {more} further pairs by more)" if more > 0 else ""
-    gain = least[0][1]
+    further = len(closest) - _MAX_NAMED_PAIRS
+    text += f" (and {further} further pairs by more)" if further > 0 else ""
+    gain = closest[0][1]
     if gain < DECISIVE_SIGMAS:
         text += ": too little to decide, but the most that so few readings can do"
     reason = f"{_readings_and_setups(pool, rows)} expected to separate {text}"
     return Suggestion(reason, "separate", gain, pool, rows)
 
 
-def _inseparable_groups(apart: Mapping[Pair, float]) -> list[tuple[list[int], float]]:
-    """Return rivals of which no two can be told apart, and the most sigmas between any two; given
-    are those of the pairs that cannot be.
+def _inseparable_groups(separations: Mapping[Pair, float]) -> list[tuple[list[int], float]]:
+    """Return groups of which no two rivals can be separated, and the most sigmas between any two.
+
+    Args:
+        separations: of the inseparable pairs, sigmas.
     """
     groups: list[set[int]] = []
-    for pair in sorted(apart):
-        joined = (g | set(pair) for g in groups)
-        whole = next((j for j in joined if all(p in apart for p in _pairs(j))), set(pair))
-        groups = [g for g in groups if not g <= whole] + [whole]
-    return [(sorted(g), max(apart[p] for p in _pairs(g))) for g in groups]
+    for pair in sorted(separations):
+        unions = (g | set(pair) for g in groups)
+        merged = next((j for j in unions if all(p in separations for p in _pairs(j))), set(pair))
+        groups = [g for g in groups if not g <= merged] + [merged]
+    return [(sorted(g), max(separations[p] for p in _pairs(g))) for g in groups]
 
 
 def _pairs(group: set[int]) -> list[Pair]:
@@ -239,82 +241,73 @@ def _pairs(group: set[int]) -> list[Pair]:
 def _inseparable_reason(
     machine: Machine, rivals: Sequence[Rival], sigmas: float, readings: LinearReadings
 ) -> str:
-    """Return why no reading is proposed for rivals, and what it means for the TCP.
+    """Return why no reading is proposed for inseparable rivals, and what it means for the TCP.
 
     Args:
         machine: of the workspace.
         rivals: that are inseparable.
-        sigmas: the most that was found between two of them.
+        sigmas: largest separation of two of them.
         readings: that they were judged by.
     """
     conditions = Conditions.from_commands(
         workspace_grid(machine.geometry, _COMMANDS_PER_AXIS, machine.spec.screw_pitch)
     )
-    points = [machine.model.outputs(e.values, conditions).p for e in rivals]
-    apart = [p - q for p in points for q in points]
-    shift = max(float(np.linalg.norm(d.mean(axis=0))) for d in apart)
-    rest = max(float(np.linalg.norm(d - d.mean(axis=0), axis=1).max()) for d in apart)
-    level = float(readings.sigma.max())  # a smaller difference of the TCPs does not count
-    if max(shift, rest) < level:
-        tail = "their TCPs are the same, too"
-    elif rest < max(_MIN_SHAPE_RATIO * shift, level):
-        tail = f"their TCPs are the same but for a shift of {shift * 1e3:.2g} mm"
+    points = [machine.model.outputs(rival.values, conditions).p for rival in rivals]
+    differences = [p - q for p in points for q in points]
+    shift = max(float(np.linalg.norm(d.mean(axis=0))) for d in differences)
+    shape = max(float(np.linalg.norm(d - d.mean(axis=0), axis=1).max()) for d in differences)
+    noise = float(readings.sigma.max())  # a smaller difference of the TCPs does not count
+    if max(shift, shape) < noise:
+        consequence = "their TCPs are the same, too"
+    elif shape < max(_MIN_SHAPE_RATIO * shift, noise):
+        consequence = f"their TCPs are the same but for a shift of {shift * 1e3:.2g} mm"
     else:
-        tail = (
-            f"their TCPs differ by up to {rest * 1e3:.2g} mm after the best shift: measure the "
+        consequence = (
+            f"their TCPs differ by up to {shape * 1e3:.2g} mm after the best shift: measure the "
             "TCP, or look at the parts themselves"
         )
     return (
-        f"no few readings of a dial on a leg tell {listed(e.words for e in rivals)} apart (out of "
-        f"{len(readings.campaign)} within reach; {sigmas:.1f} sigma at most); {tail}"
+        f"no few readings of a dial on a leg tell {listed(r.words for r in rivals)} apart (out of "
+        f"{len(readings.campaign)} within reach; {sigmas:.1f} sigma at most); {consequence}"
     )
 
 
 def suggest_separating_places(posterior: FullPosterior, located: Located) -> tuple[Suggestion, ...]:
-    """Return readings, a dozen at most, that would part the likeliest places of a class, and which
-    of them none parts.
+    """Return at most a dozen readings that would separate the likeliest located errors of a class,
+    and a statement on those that none separates.
 
-    Each is a rival with its own free function, which new readings narrow as they do all else.
+    Each is a rival with its own free-form curve, which new readings narrow like all other unknowns.
     """
-    members = ClassMembers.from_posterior(posterior, located, _MOST_PLACES)
-    machine, fit = posterior.machine, posterior.after
-    if len(members.members) < 2:
+    located_class = ClassMembers.from_posterior(posterior, located, _MOST_PLACES)
+    machine, members = posterior.machine, located_class.members
+    if len(members) < 2:
         return ()
     if not machine.geometry.dialled:
-        return suggest_instruments_for_places(members)
-    pool = reading_pool(machine.geometry, load=_median_load(fit))
-    rows, seen = members.rows(Factor.from_planned(pool.with_moves(), machine))
-    expected = rows @ np.stack([one.mean for one in members.members], axis=1)
-    total = fit.problem.noise.typical * max(fit.sigma_scale, 1.0)
-    columns = np.hstack([rows, expected])
-    readings = LinearReadings.from_columns(
-        machine, pool, columns, seen.nuisance_jacobian[:, PLACEMENT_INDEX], total
-    )
-    names = tuple(str(k) for k in members.coefficients)
-    rivals = [
-        Rival(f'"{one.words}"', one.machine, names, np.eye(len(names)), one.covariance)
-        for one in members.members
-    ]
+        return suggest_instruments_for_places(located_class)
+    pool = _loaded_pool(posterior.after)
+    rows, reading_poses = located_class.rows(Factor.from_planned(pool.with_moves(), machine))
+    predicted = rows @ np.stack([member.mean for member in members], axis=1)
+    columns = np.hstack([rows, predicted])
+    readings = _linear_readings(posterior.after, pool, columns, reading_poses)
+    names = tuple(str(k) for k in located_class.coefficients)
+    identity = np.eye(len(names))
+    rivals = [Rival(f'"{m.words}"', m.machine, names, identity, m.covariance) for m in members]
     pairs = [*combinations(range(len(rivals)), 2)]
-    apart = [p for p in pairs if any(members.members[k].permanent for k in p)]
-    found = (
-        _suggest_separating(machine, readings, names, rivals, apart, _PLACE_READINGS)
-        if apart
-        else []
-    )
-    gone = [
-        rival.words for rival, one in zip(rivals, members.members, strict=True) if not one.permanent
-    ]
-    if len(gone) > 1:
+    pairs = [(a, b) for a, b in pairs if members[a].permanent or members[b].permanent]
+    suggestions = list[Suggestion]()
+    if pairs:
+        suggestions = _suggest_separating(machine, readings, names, rivals, pairs, _PLACE_READINGS)
+    temporary = [f'"{member.words}"' for member in members if not member.permanent]
+    if len(temporary) > 1:
         reason = (
-            f"no new readings tell {listed(gone)} apart: these belong to the session and to the "
-            f"dials that were read; look at the parts themselves"
+            f"no new readings tell {listed(temporary)} apart: these belong to the session and to "
+            f"the dials that were read; look at the parts themselves"
         )
-        found.append(Suggestion(reason, "none", 0.0, pool))
-    if any(place.of_dial for place in members.free_form_errors):
-        other = "; take another dial for them than before"
-        found = [replace(s, reason=s.reason + other) if s.chosen else s for s in found]
-    return tuple(found)
+        suggestions.append(Suggestion(reason, "none", 0.0, pool))
+    if any(error.of_dial for error in located_class.free_form_errors):
+        advice = "; take another dial for them than before"
+        suggestions = [replace(s, reason=s.reason + advice) if s.chosen else s for s in suggestions]
+    return tuple(suggestions)
 
 
 # -- weak directions -------------------------------------------------------------------------------
@@ -323,37 +316,34 @@ def suggest_separating_places(posterior: FullPosterior, located: Located) -> tup
 def _suggest_narrowing(
     readings: LinearReadings,
     names: tuple[str, ...],
-    own: Rival,
+    rival: Rival,
     estimate: Estimate,
     direction: WeakDirection,
     count: int,
 ) -> Suggestion:
-    """Return readings for one weak direction of the fit, in its own unknowns, each in its
-    tolerance.
-    """
+    """Return readings for one weak direction of the fit, its unknowns in tolerances."""
     shares, catalogue = direction.parameters, estimate.problem.machine.catalogue
-    d = np.array([shares.get(n, 0.0) for n in estimate.problem.names])
     tolerance = estimate.problem.tolerance
-    here = replace(
-        readings, columns=readings.columns @ (own.weights_by_parameter(names) * tolerance)
-    )
-    information = np.linalg.inv(own.covariance / tolerance / tolerance[:, None])
-    start = CombinationPrecision(np.asarray(information), (d * tolerance)[:, None])
-    rows, end = choose(here, start, count, mounting_cost=_MOUNTING_COST)
-    before, after = (float(np.sqrt(o.combination_covariance[0, 0])) for o in (start, end))
+    combination = np.array([shares.get(n, 0.0) for n in estimate.problem.names]) * tolerance
+    columns = readings.columns @ (rival.weights_by_parameter(names) * tolerance)
+    information = np.linalg.inv(rival.covariance / tolerance / tolerance[:, None])
+    start = CombinationPrecision(np.asarray(information), combination[:, None])
+    scaled, pool = replace(readings, columns=columns), readings.campaign
+    rows, end = choose(scaled, start, count, mounting_cost=_MOUNTING_COST)
+    before, after = (float(np.sqrt(c.combination_covariance[0, 0])) for c in (start, end))
     words = listed(f"the {parameter_words(catalogue.parameter(n), catalogue.legs)}" for n in shares)
-    together = "their weakest combination" if len(shares) > 1 else "it"
+    subject = "their weakest combination" if len(shares) > 1 else "it"
     if not rows or after > _MAX_SIGMA_RATIO * before:
         reason = (
             f"no {count} readings of a dial on a leg determine {words} noticeably better: of "
-            f"{together} they add hardly anything to what the tolerances say"
+            f"{subject} they add hardly anything to what the tolerances say"
         )
-        return Suggestion(reason, "none", before / after, here.campaign)
+        return Suggestion(reason, "none", before / after, pool)
     reason = (
-        f"{_readings_and_setups(here.campaign, rows)} expected to determine {words} better: the standard "
-        f"deviation of {together} falls to {100 * after / before:.0f} % of what it is"
+        f"{_readings_and_setups(pool, rows)} expected to determine {words} better: the standard "
+        f"deviation of {subject} falls to {100 * after / before:.0f} % of what it is"
     )
-    return Suggestion(reason, "narrow", before / after, here.campaign, rows)
+    return Suggestion(reason, "narrow", before / after, pool, rows)
 
 
 def _readings_and_setups(pool: Readings, rows: Sequence[int]) -> str:

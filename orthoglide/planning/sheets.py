@@ -1,6 +1,4 @@
-"""Measuring sheets of instruments: the readings that each would take of a machine, and the few of
-several sheets that together tell most.
-"""
+"""Measuring sheets of instruments, and the choice of the best few readings of several sheets."""
 
 from __future__ import annotations
 
@@ -29,7 +27,7 @@ KINDS = tuple(sorted(OBSERVATIONS, key=lambda kind: not OBSERVATIONS[kind].on_le
 INSTRUMENT_WORDS = {kind: OBSERVATIONS[kind].instrument_phrase for kind in KINDS}
 """Kinds of readings, and what takes them."""
 
-_DATUM_PRECISION = 1e-6  # precision of a datum, in readings: one of which nothing is known
+_DATUM_PRECISION = 1e-6  # precision of a datum, in readings: nearly unknown
 
 MIN_READINGS = 6
 """Readings that are worth choosing: a plate's own height and slopes take three."""
@@ -105,17 +103,17 @@ def tool_sheet(machine: Machine, instrument: Observation, extra_length: float = 
     Args:
         machine: as it is believed to be.
         instrument: that reads.
-        extra_length: by how much the tool is than the machine's, metres; the platform stays so much
-            higher.
+        extra_length: by which the tool is longer than the machine's, metres; the platform stays
+            higher by as much.
     """
     up = np.array([0.0, 0.0, extra_length])
-    points, others, ball = _instrument_points(machine, instrument, up)
+    points, other_ends, ball = _instrument_points(machine, instrument, up)
     axes = np.array(instrument.axes or (0,))
     n = len(points) * len(axes)
     command = np.repeat(_controller_commands(machine, points + up), len(axes), axis=0)
-    second = (
-        np.full((n, 3), np.nan) if others is None else _controller_commands(machine, others + up)
-    )
+    second = np.full((n, 3), np.nan)
+    if other_ends is not None:
+        second = _controller_commands(machine, other_ends + up)
     reading = np.full(n, np.nan)
     if instrument.about_ball:  # where the ball stands is said by its distance
         reading = np.linalg.norm(points - ball, axis=1)
@@ -137,19 +135,18 @@ def tool_sheet(machine: Machine, instrument: Observation, extra_length: float = 
 def _instrument_points(
     machine: Machine, instrument: Observation, up: Array
 ) -> tuple[Array, Array | None, Array]:
-    """Return points ``(n, 3)``, the other ends of distances, and the centre of a ball; the tool of
-    the machine must reach ``up`` above each.
-    """
-    t, high = np.arange(_RING_POINTS) * 2 * np.pi / _RING_POINTS, np.zeros(3)
-    ring = np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)
-    points, others = instrument.places(ring)
-    outline = ring
+    """Return points and other ends ``(n, 3)`` within reach ``up`` above, and a ball's centre."""
+    angle, centre = np.arange(_RING_POINTS) * 2 * np.pi / _RING_POINTS, np.zeros(3)
+    outline = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    points, other_ends = instrument.places(outline)
     if points[:, 2].any():
-        high = np.array([0.0, 0.0, 1.0]) if machine.geometry.layout.hanging else high
-        outline = points + high
+        if machine.geometry.layout.hanging:
+            centre = np.array([0.0, 0.0, 1.0])
+        outline = points + centre
     size = _largest_size(machine, lambda r: r * outline + up)
-    ball, others = size * high, None if others is None else np.round(size * others, _PLACE_DECIMALS)
-    return np.round(size * (points + high), _PLACE_DECIMALS) + 0.0, others, ball
+    if other_ends is not None:
+        other_ends = np.round(size * other_ends, _PLACE_DECIMALS)
+    return np.round(size * (points + centre), _PLACE_DECIMALS) + 0.0, other_ends, size * centre
 
 
 def _controller_commands(machine: Machine, p: Array) -> Array:
@@ -158,8 +155,8 @@ def _controller_commands(machine: Machine, p: Array) -> Array:
     They are rounded as in files, so that a second visit to a place is a repeat.
     """
     kinematics = machine.spec.kinematics
-    found = machine.with_only({}).inverse(p) if kinematics is None else kinematics.travel(p)
-    return np.asarray(np.round(found, DECIMALS))
+    commands = machine.with_only({}).inverse(p) if kinematics is None else kinematics.travel(p)
+    return np.asarray(np.round(commands, DECIMALS))
 
 
 def _largest_size(machine: Machine, points: Callable[[float], Array]) -> float:
@@ -177,54 +174,57 @@ def _largest_size(machine: Machine, points: Callable[[float], Array]) -> float:
 def choose_from_sheets(
     machine: Machine, sheets: Sequence[Readings], count: int
 ) -> tuple[Readings, ...]:
-    """Return the ``count`` readings, of sheets of one instrument each, that together tell most of
-    everything that could be wrong with a machine.
+    """Return the ``count`` readings, of sheets of one instrument each, that determine all
+    parameters of a machine best.
 
-    From all of them the one is dropped, again and again, without which the determinant of the
-    information falls least: of all parameters in their tolerances, what belongs to the setups
-    (a plate's height and slopes, an instrument's frame) fitted besides.
+    The reading whose loss lowers the determinant of the information least is dropped, again and
+    again. The information is on all parameters in their tolerances, with the nuisances of the
+    setups (a plate's height and slopes, an instrument's frame) fitted besides.
 
     Returns:
-        What is kept of each sheet; sheets of which nothing is are left out.
+        The readings kept of each sheet; sheets without any are left out.
 
     Raises:
         InputError: for too few readings.
     """
-    most = sum(map(len, sheets))
-    if not MIN_READINGS <= count <= most:
+    available = sum(map(len, sheets))
+    if not MIN_READINGS <= count <= available:
         raise InputError(
-            f"there are {most} readings of the tool to choose from: ask for {MIN_READINGS} to {most}, not "
-            f"{count}"
+            f"there are {available} readings of the tool to choose from: ask for {MIN_READINGS} to "
+            f"{available}, not {count}"
         )
     rows, parameters, prior = whitened_rows(machine, sheets)
-    known = CombinationPrecision(
-        np.diag(prior) + rows.T @ rows, np.eye(rows.shape[1])[:, :parameters]
+    information = np.diag(prior) + rows.T @ rows
+    precision = CombinationPrecision(information, np.eye(rows.shape[1])[:, :parameters])
+    remaining = np.arange(available)
+    while len(remaining) > count:
+        ones = np.ones(len(remaining))
+        removals = Steps(np.column_stack([-ones, remaining]), rows[remaining], -ones)
+        cheapest = largest(precision.gains(removals), RELATIVE_MARGIN)
+        precision = precision.with_step(removals, cheapest)
+        remaining = np.delete(remaining, cheapest)
+    ends = np.cumsum([len(sheet) for sheet in sheets])
+    rows_by_sheet = np.split(remaining, np.searchsorted(remaining, ends[:-1]))
+    return tuple(
+        sheet.subset(rows - end + len(sheet)).in_order()
+        for sheet, end, rows in zip(sheets, ends, rows_by_sheet, strict=True)
+        if len(rows)
     )
-    kept = np.arange(most)
-    while len(kept) > count:
-        gone = Steps(np.column_stack([-np.ones(len(kept)), kept]), rows[kept], -np.ones(len(kept)))
-        least = largest(known.gains(gone), RELATIVE_MARGIN)
-        known = known.with_step(gone, least)
-        kept = np.delete(kept, least)
-    owner = np.repeat(np.arange(len(sheets)), [len(s) for s in sheets])
-    first = np.cumsum([0, *(len(s) for s in sheets)])
-    chosen = [kept[owner[kept] == k] - first[k] for k in range(len(sheets))]
-    return tuple(s.subset(at).in_order() for s, at in zip(sheets, chosen, strict=True) if len(at))
 
 
 def whitened_rows(machine: Machine, sheets: Sequence[Readings]) -> tuple[Array, int, Array]:
-    """Return rows ``(n, P + k)`` by parameters in tolerances and by datums, ``P``, and precisions
-    before any reading.
+    """Return whitened rows ``(n, P + k)`` by parameters in tolerances and by datums, the number
+    ``P`` of parameters, and the prior precision of each column.
     """
     estimate = solve(predicted_problem(machine, sheets), method="nested")
     problem = estimate.problem
-    wide = with_effects_freed(problem, [effect.name for effect in excited_effects(problem)])
+    full = with_effects_freed(problem, [effect.name for effect in excited_effects(problem)])
     nuisance = estimate.nuisance
     weight = nuisance.weighing.weight[:, None]
-    columns = linearise(wide, wide.zero_padded(estimate.x)).jacobian * wide.tolerance * weight
-    datums = nuisance.columns * weight
+    jacobian = linearise(full, full.zero_padded(estimate.x)).jacobian
+    columns, datums = jacobian * full.tolerance * weight, nuisance.columns * weight
     size = np.linalg.norm(datums, axis=0)
     size[size == 0] = 1.0
-    known = nuisance.precision / size**2
-    prior = np.concatenate([np.ones(columns.shape[1]), np.maximum(known, _DATUM_PRECISION)])
+    precision = np.maximum(nuisance.precision / size**2, _DATUM_PRECISION)
+    prior = np.concatenate([np.ones(columns.shape[1]), precision])
     return np.hstack([columns, datums / size]), columns.shape[1], prior

@@ -1,4 +1,4 @@
-"""Suggestions of readings to take next, and those that follow a residual without an explanation."""
+"""Suggestions of readings to take next, and those for a residual without an explanation."""
 
 from __future__ import annotations
 
@@ -31,16 +31,15 @@ class Suggestion(Framed):
     """A few readings to take, and why.
 
     Attributes:
-        reason: what they are for and what is to be expected of them, in words.
+        reason: purpose and expected result, in words.
         aim: ``separate`` rivals; ``narrow`` a weak direction; ``trace`` an unexplained residual or
             a doubtful reading; ``none`` if no sheet is proposed, although another instrument may
             help.
         gain: separation of rivals in sigmas, the least of all pairs, or by another instrument the
             largest; of a direction the ratio of its standard deviations; nan for ``trace``.
         pool: the readings to choose from; ``None`` where another instrument is what helps.
-        chosen: those chosen, with repetitions; none where nothing helps.
-        what: what to measure, without what is to be expected of it; empty where that is all of
-            the reason.
+        chosen: rows of the pool, with repetitions; none where nothing helps.
+        what: what to measure, without the expected result; empty where that is the whole reason.
     """
 
     reason: str
@@ -53,11 +52,9 @@ class Suggestion(Framed):
     @property
     def campaign(self) -> Readings | None:
         """The readings without their values; ``None`` if no reading helps."""
-        return (
-            sheet_from_pool(self.pool, self.chosen)
-            if self.chosen and self.pool is not None
-            else None
-        )
+        if not self.chosen or self.pool is None:
+            return None
+        return sheet_from_pool(self.pool, self.chosen)
 
     @property
     def hopeless(self) -> bool:
@@ -95,9 +92,7 @@ def next_sheet(suggestions: Sequence[Suggestion]) -> Readings | None:
             key = (*pool.setups, len(pool))
             pools.setdefault(key, pool)
             visits[key] = visits.get(key, Counter()) | Counter(suggestion.chosen)
-    sheets = [
-        sheet_from_pool(pools[key], tuple(wanted.elements())) for key, wanted in visits.items()
-    ]
+    sheets = [sheet_from_pool(pools[k], tuple(counts.elements())) for k, counts in visits.items()]
     return Readings.concatenated(sheets) if sheets else None
 
 
@@ -105,76 +100,74 @@ def _trace_suggestion(
     reason: str, pool: Readings | None = None, rows: Sequence[int] = ()
 ) -> Suggestion:
     """Return a ``trace`` suggestion; rows of a pool that are given are visited twice."""
-    twice = np.repeat(np.asarray(rows, dtype=int), _VISITS)
-    return Suggestion(reason, "trace", float("nan"), pool, tuple(twice.tolist()))
+    visits = np.repeat(np.asarray(rows, dtype=int), _VISITS)
+    return Suggestion(reason, "trace", float("nan"), pool, tuple(visits.tolist()))
 
 
-def suggest_tracing(rest: SetupResidual, geometry: Geometry) -> Suggestion:
+def suggest_tracing(residual: SetupResidual, geometry: Geometry) -> Suggestion:
     """Return a sheet for the dial whose residual is largest; no rival explanation is needed.
 
-    Both bars of the leg are touched along the direction in which most is left, at every step of its
-    travel, reached from both sides: a curve tells a bend from a tilt, two sides lost motion, two
-    bars a twist from a shift.
+    Both bars of the leg are touched along the direction of the largest residual, at every step of
+    its travel, reached from both sides. A curve distinguishes a bend from a tilt, two sides show
+    lost motion, and two bars distinguish a twist from a shift.
     """
     pool = reading_pool(geometry)
     gauge = _GAUGE_FRACTION * geometry.L
-    dials = [
-        k
-        for k, s in enumerate(pool.setups)
-        if (s.leg, s.axis) == (rest.leg, rest.axis) and s.bar and abs(s.gauge - gauge) < 1e-6
-    ]
-    others = [axis for axis in range(3) if axis != rest.leg]
+    dial = residual.leg, residual.axis
+    setups = [
+        k for k, s in enumerate(pool.setups)
+        if (s.leg, s.axis) == dial and s.bar and abs(s.gauge - gauge) < 1e-6
+    ]  # fmt: skip
+    others = [axis for axis in range(3) if axis != residual.leg]
     # The two other drives have equal commands: the TCP is on the leg's axis.
     on_axis = np.ptp(pool.command[:, others], axis=1) < 1e-6
-    rows = np.flatnonzero(np.isin(pool.setup, dials) & on_axis)
-    axis = LEGS[rest.axis]
+    rows = np.flatnonzero(np.isin(pool.setup, setups) & on_axis)
+    axis = LEGS[residual.axis]
     reason = (
-        f"the residual is largest on {rest.reads}, so take {len(rows) * _VISITS} readings of both "
-        f"bars of the leg along {axis}, over its whole travel and from both sides, which "
+        f"the residual is largest on {residual.reads}, so take {len(rows) * _VISITS} readings of "
+        f"both bars of the leg along {axis}, over its whole travel and from both sides, which "
         f"distinguish a bent part, a turned part, lost motion and a wrong bar"
     )
     return _trace_suggestion(reason, pool, rows.tolist())
 
 
-def suggest_repeating(rest: SetupResidual) -> Suggestion:
-    """Return the advice to repeat the readings of an instrument at the tool at the places where its
-    residual is largest.
-    """
-    own = OBSERVATIONS[rest.kind]
-    sides = "" if own.touches or own.paired else " and coming from either side"
+def suggest_repeating(residual: SetupResidual) -> Suggestion:
+    """Return the advice to repeat readings of the tool where the residual is largest."""
+    instrument = OBSERVATIONS[residual.kind]
+    sides = "" if instrument.touches or instrument.paired else " and coming from either side"
     return _trace_suggestion(
-        f"the residual is largest in {rest.reads} ({rest.setup}), so read it again with the tool "
-        f"at {'; '.join(rest.where)} mm, three times each{sides}. If the error repeats, the "
-        f"machine or what the instrument stands on causes it; if not, look for a loose part, lost "
-        f"motion or a faulty instrument"
+        f"the residual is largest in {residual.reads} ({residual.setup}), so read it again with "
+        f"the tool at {'; '.join(residual.where)} mm, three times each{sides}. If the error "
+        f"repeats, the machine or what the instrument stands on causes it; if not, look for a "
+        f"loose part, lost motion or a faulty instrument"
     )
 
 
 def suggest_deciding_visits(posterior: FullPosterior, fault: DataRival) -> Suggestion:
-    """Return the advice to read again what shows either a defect of the machine or a fault of the
-    data: a posture of dials with its neighbours, else the reading itself.
+    """Return the advice to repeat a reading that shows a defect of the machine or a data fault: at
+    its posture and the neighbours for dials, else the reading itself.
 
-    A defect comes again and is smaller beside the place; a wrong command or a slip does not come
-    again.
+    A defect appears again and is smaller at neighbouring postures; a slip or a wrong command does
+    not appear again.
     """
     problem = posterior.linearised.problem
     tables = (f.readings for f in problem.factors if source(f.readings) == fault.file)
     table = next(t for t in tables if fault.rows[0] in t.line)
-    own = np.flatnonzero(np.isin(table.line, fault.rows) & table.on_legs)
-    if not len(own):
+    faulty_rows = np.flatnonzero(np.isin(table.line, fault.rows) & table.on_legs)
+    if not len(faulty_rows):
         return _trace_suggestion(
             f"line {fault.rows[0]} of {fault.file} once more: a defect of the machine appears "
             f"again, a slip does not"
         )
-    rows = np.flatnonzero(np.isin(table.setup, table.setup[own]))
-    apart = np.linalg.norm(table.command[rows] - table.command[own[0]], axis=1).round(6)
-    near = rows[np.isin(apart, np.unique(apart)[:_NEIGHBOUR_DISTANCES])]
-    visits = np.column_stack([table.stations[near], table.approach[near]])
-    once = table.subset(np.sort(near[np.unique(visits, axis=0, return_index=True)[1]]))
-    setups = [replace(s, name=f"{s.name}-line-{fault.rows[0]}") for s in once.setups]
+    rows = np.flatnonzero(np.isin(table.setup, table.setup[faulty_rows]))
+    distances = np.linalg.norm(table.command[rows] - table.command[faulty_rows[0]], axis=1).round(6)
+    nearest = rows[np.isin(distances, np.unique(distances)[:_NEIGHBOUR_DISTANCES])]
+    visits = np.column_stack([table.stations[nearest], table.approach[nearest]])
+    first = table.subset(np.sort(nearest[np.unique(visits, axis=0, return_index=True)[1]]))
+    setups = [replace(s, name=f"{s.name}-line-{fault.rows[0]}") for s in first.setups]
     pool = unread_campaign(
-        posterior.machine.geometry, "next", setups, once.setup, once.command, once.approach,
-        posture=once.posture,
+        posterior.machine.geometry, "next", setups, first.setup, first.command, first.approach,
+        posture=first.posture,
     )  # fmt: skip
     reason = (
         f"the posture of line {fault.rows[0]} and the nearest postures once more, "

@@ -1,4 +1,4 @@
-"""What the machine saw when a posture was taken, as arrays; equal conditions can be merged."""
+"""Conditions under which postures were taken, as arrays; equal conditions can be merged."""
 
 from __future__ import annotations
 
@@ -61,37 +61,38 @@ class Conditions:
         return Conditions(self.table[rows])
 
     @classmethod
-    def from_commands(cls, command: ArrayLike, **seen: ArrayLike) -> Conditions:
+    def from_commands(cls, command: ArrayLike, **others: ArrayLike) -> Conditions:
         """Return conditions for commands ``(..., 3)``.
 
         Args:
             command: rho, metres.
-            seen: ``approach (..., 3)``, and ``time``, ``warming``, ``load`` ``(...)``, or one for
+            others: ``approach (..., 3)``, and ``time``, ``warming``, ``load`` ``(...)``, or one for
                 all; 0 where not given.
 
         Raises:
-            InputError: for what is no finite number, does not fit the commands, or is no approach,
-                and for a condition that there is not.
+            InputError: for values that are not finite, do not fit the commands or are no approach,
+                and for an unknown condition.
         """
         rho = np.asarray(command, dtype=float)
         table = np.zeros((rho.size // 3, 9))
         table[:, :3] = rho.reshape(-1, 3)
-        for name, values in seen.items():
+        for name, values in others.items():
             if name == "command" or name not in _COLUMNS:
-                check_choice("condition", name, [known for known in _COLUMNS if known != "command"])
-            own = rho.shape[-1:] if name == "approach" else ()
+                check_choice("condition", name, [key for key in _COLUMNS if key != "command"])
+            columns = _COLUMNS[name]
+            shape = rho.shape if name == "approach" else rho.shape[:-1]
             try:
-                spread = np.broadcast_to(np.asarray(values, float), (*rho.shape[:-1], *own))
+                column = np.broadcast_to(np.asarray(values, float), shape)
             except (TypeError, ValueError):
                 raise InputError(
-                    f"{name} must be numbers of the shape {(*rho.shape[:-1], *own)}, as there are "
-                    f"commands, or one for all"
+                    f"{name} must be numbers of the shape {shape}, as there are commands, or one "
+                    f"for all"
                 ) from None
-            if not np.isfinite(spread).all():
+            if not np.isfinite(column).all():
                 raise InputError(f"{name} must be finite; leave out what is not known")
-            table[:, _COLUMNS[name]] = spread.reshape(len(table), *own)
-        side = table[:, 3:6]
-        if "approach" in seen and (side * side * side != side).any():
+            table[:, columns] = column.reshape(table[:, columns].shape)
+        approach = table[:, 3:6]
+        if "approach" in others and (approach * approach * approach != approach).any():
             raise InputError(
                 "approach must be +1 or -1, the direction of each drive's last move, or 0 where "
                 "unknown"
@@ -100,21 +101,21 @@ class Conditions:
 
     @classmethod
     def from_readings(cls, readings: Readings) -> Conditions:
-        """Return conditions of every reading; what was not recorded counts as 0."""
-        parts = (
+        """Return the conditions of every reading; 0 where they were not recorded."""
+        columns = (
             readings.command, readings.approach, np.nan_to_num(readings.time),
             readings.temperature_rise, readings.load,
         )  # fmt: skip
-        return cls(np.column_stack(parts))
+        return cls(np.column_stack(columns))
 
     def merged(self, needs: Collection[str]) -> tuple[Conditions, NDArray[np.intp]]:
-        """Distinct conditions and, for each row, which of them it has.
+        """Return the distinct conditions and, for each row, the index of its own among them.
 
         Args:
-            needs: what makes a difference besides the command: ``"approach"``, ``"time"``,
-                ``"temperature"``, ``"load"``; the rest is zero.
+            needs: the conditions that matter besides the command: ``"approach"``, ``"time"``,
+                ``"temperature"``, ``"load"``; others are set to zero.
         """
         names = ("approach", "approach", "approach", "time", "temperature", "load")
         table = self.table * [1.0, 1.0, 1.0, *(name in needs for name in names)]
-        place = group_ids(table)
-        return Conditions(table[np.unique(place, return_index=True)[1]]), place
+        posture = group_ids(table)
+        return Conditions(table[np.unique(posture, return_index=True)[1]]), posture

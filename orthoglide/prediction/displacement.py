@@ -26,29 +26,29 @@ mechanical zero, pitch of the screws; metres."""
 
 
 def dimensions(geometry: Geometry, pitch: float | None) -> Array:
-    """Return what the effects' bases need to know of a machine ``(5,)``, metres."""
+    """Return the dimensions that the bases of the effects depend on ``(5,)``, metres."""
     zero = geometry.layout.zero(geometry.L)
     return np.array([geometry.L, *geometry.stroke, zero, pitch or 0.0])
 
 
 def displacement_function(catalogue: Catalogue, has_pitch: bool) -> Any:
-    """CasADi function (dimensions ``(5,)``, parameters ``(P,)``, conditions ``(11,)``) ->
-    displacements ``(30,)``.
+    """Return the CasADi function (dimensions ``(5,)``, parameters ``(P,)``, conditions ``(11,)``)
+    -> displacements ``(30,)``.
 
-    Drives are summed first: what the rail does follows the carriage's true travel.
+    Drives are summed first, as errors of the rails depend on the carriage's true travel.
 
     Args:
-        catalogue: says the parameters and their order.
+        catalogue: gives the parameters and their order.
         has_pitch: whether the pitch of the screws is known.
 
     Raises:
         InputError: where an effect moves a joint that does not exist.
     """
-    size = ca.SX.sym("dimensions", DIMENSION_COUNT)
+    sizes = ca.SX.sym("dimensions", DIMENSION_COUNT)
     theta = ca.SX.sym("theta", len(catalogue.parameters))
-    seen = ca.SX.sym("conditions", CONDITION_COUNT)
+    vector = ca.SX.sym("conditions", CONDITION_COUNT)
     joints: dict[tuple[int, str], Any] = {}
-    for on_the_drive in (True, False):
+    for of_drive in (True, False):
         for k, (name, (leg, motions)) in enumerate(catalogue.motions.items()):
             for motion in motions:
                 if motion.joint not in VIRTUAL_NAMES:
@@ -56,24 +56,25 @@ def displacement_function(catalogue: Catalogue, has_pitch: bool) -> Any:
                         f"{name} moves {motion.joint!r}, which is no virtual joint: they are "
                         f"{', '.join(VIRTUAL_NAMES)}"
                     )
-                if (motion.joint == "travel") is on_the_drive:
-                    driven = None if on_the_drive else joints[leg, "travel"]
-                    conditions = leg_conditions(size, seen, leg, driven, has_pitch)
-                    place = (leg, motion.joint)
-                    joints[place] = joints.get(place, 0) + motion.basis(conditions) * theta[k]
-    moves = [
+                if (motion.joint == "travel") is of_drive:
+                    drive_error = None if of_drive else joints[leg, "travel"]
+                    conditions = leg_conditions(sizes, vector, leg, drive_error, has_pitch)
+                    joint = (leg, motion.joint)
+                    joints[joint] = joints.get(joint, 0) + motion.basis(conditions) * theta[k]
+    displacements = [
         joints.get((leg, name), ca.SX(1, 1)) for leg in range(len(LEGS)) for name in VIRTUAL_NAMES
     ]
-    return ca.Function("displacement", [size, theta, seen], [ca.densify(ca.vertcat(*moves))])
+    dense = ca.densify(ca.vertcat(*displacements))
+    return ca.Function("displacement", [sizes, theta, vector], [dense])
 
 
 def displacement_derivative(function: Any, by: int, name: str) -> Any:
-    """CasADi function of the derivative of the displacements by one of their arguments.
+    """Return the CasADi function of a derivative of the displacements.
 
     Args:
         function: as :func:`displacement_function` returns it.
-        by: 1 for the parameters ``(30, P)``, 2 for the conditions ``(30, 11)``: what rails and
-            drives do follows the command, and the give of drives the force on them.
+        by: 1 for the parameters ``(30, P)``, 2 for the conditions ``(30, 11)``: errors of rails and
+            drives depend on the command, and the compliance of drives on the force.
         name: of the function.
     """
     arguments = [ca.SX.sym(f"a{k}", function.size1_in(k)) for k in range(3)]
@@ -81,39 +82,40 @@ def displacement_derivative(function: Any, by: int, name: str) -> Any:
     return ca.Function(name, arguments, [ca.densify(derivative)])
 
 
-def leg_conditions(size: Any, seen: Any, leg: int, driven: Any, has_pitch: bool) -> LegConditions:
-    """Return what the effects of one leg see.
+def leg_conditions(
+    sizes: Any, vector: Any, leg: int, drive_error: Any, has_pitch: bool
+) -> LegConditions:
+    """Return the conditions on which the effects of one leg depend.
 
     Args:
-        size: dimensions ``(5,)``.
-        seen: conditions ``(11,)``, or ``(11, n)``.
+        sizes: dimensions ``(5,)``.
+        vector: conditions ``(11,)``, or ``(11, n)``.
         leg: 0, 1 or 2.
-        driven: what the drive adds to the commanded travel; ``None`` for the drive's own effects.
+        drive_error: travel beyond the commanded one; ``None`` for the effects of drives.
         has_pitch: whether the pitch of the screws is known.
     """
-    length, low, high, zero, pitch = (size[k] for k in range(DIMENSION_COUNT))
-    command = seen[leg]
+    length, low, high, zero, pitch = (sizes[k] for k in range(DIMENSION_COUNT))
+    command = vector[leg]
     return LegConditions(
         command=command,
         length=length,
         stroke=(low, high),
         pitch=pitch if has_pitch else None,
-        approach=seen[3 + leg],
-        time=seen[6],
-        warming=seen[7],
-        force=seen[8 + leg],
-        travel=None if driven is None else command - zero + driven,
+        approach=vector[3 + leg],
+        time=vector[6],
+        warming=vector[7],
+        force=vector[8 + leg],
+        travel=None if drive_error is None else command - zero + drive_error,
         zero=zero,
-        commands=tuple(seen[k] for k in range(len(LEGS))),
+        commands=tuple(vector[k] for k in range(len(LEGS))),
     )
 
 
-# Interpreted displacements that take as long as compiling them does.
-_COMPILATION_THRESHOLD = 200_000
+_COMPILATION_THRESHOLD = 200_000  # interpreting so many displacements takes as long as compiling
 
 
 class Displacements:
-    """Displacements of the virtual joints in numbers, for the effects of one catalogue.
+    """Numerical displacements of the virtual joints, for the effects of one catalogue.
 
     Args:
         catalogue: the effects.
@@ -122,8 +124,8 @@ class Displacements:
         compile: see :class:`~orthoglide.mechanism.engine.SixBars`.
 
     Attributes:
-        size: dimensions as the functions take them ``(5,)``.
-        place: of each parameter in the vector of all.
+        dimensions: as the functions take them ``(5,)``.
+        parameter_index: of each parameter in the vector of all.
     """
 
     def __init__(
@@ -131,23 +133,22 @@ class Displacements:
     ) -> None:
         self.catalogue, self.has_pitch = catalogue, pitch is not None
         self.dimensions, self._compile = dimensions(geometry, pitch), compile
-        self.parameter_index: dict[str, int] = {
-            name: k for k, name in enumerate(catalogue.parameters)
-        }
+        names: list[str] = list(catalogue.parameters)
+        self.parameter_index = {name: k for k, name in enumerate(names)}
 
     @cached_property
     def function(self) -> Any:
-        """The CasADi function, see :func:`displacement_function`."""
+        """The CasADi function; see :func:`displacement_function`."""
         return displacement_function(self.catalogue, self.has_pitch)
 
     @cached_property
     def _compiled(self) -> CompilableFunctions:
-        worth = -1 if self._compile is False else _COMPILATION_THRESHOLD
+        threshold = -1 if self._compile is False else _COMPILATION_THRESHOLD
         key, build = self.function.serialize(), lambda: [self.function]
-        found = CompilableFunctions(("displacement",), key, build, 2, worth)
+        functions = CompilableFunctions(("displacement",), key, build, 2, threshold)
         if self._compile:
-            found.compile()
-        return found
+            functions.compile()
+        return functions
 
     @cached_property
     def _parameter_jacobian(self) -> RowFunction:
@@ -158,8 +159,8 @@ class Displacements:
         return RowFunction(displacement_derivative(self.function, 2, "by_conditions"), 2)
 
     def parameter_vector(self, values: Mapping[str, float]) -> Array:
-        """Return all parameters of the machine ``(P,)``, SI, zero where not named; dials are
-        skipped.
+        """Return all parameters of the machine ``(P,)``, SI, zero where not named, without those of
+        dials.
 
         Raises:
             InputError: for a name that is no parameter.
@@ -174,14 +175,14 @@ class Displacements:
                 )
         return theta
 
-    def evaluate(self, theta: Array, seen: Array) -> Array:
+    def evaluate(self, theta: Array, conditions: Array) -> Array:
         """Return displacements ``(n, 30)`` for parameters ``(P,)`` under conditions ``(n, 11)``."""
-        return self._compiled("displacement", self.dimensions, theta, seen)[0]
+        return self._compiled("displacement", self.dimensions, theta, conditions)[0]
 
-    def parameter_jacobian(self, theta: Array, seen: Array) -> Array:
+    def parameter_jacobian(self, theta: Array, conditions: Array) -> Array:
         """Return the derivative ``(n, 30, P)`` of the displacements by the parameters."""
-        return self._parameter_jacobian(self.dimensions, theta, seen)[0]
+        return self._parameter_jacobian(self.dimensions, theta, conditions)[0]
 
-    def condition_jacobian(self, theta: Array, seen: Array) -> Array:
+    def condition_jacobian(self, theta: Array, conditions: Array) -> Array:
         """Return the derivative ``(n, 30, 11)`` of the displacements by the conditions."""
-        return self._condition_jacobian(self.dimensions, theta, seen)[0]
+        return self._condition_jacobian(self.dimensions, theta, conditions)[0]

@@ -1,4 +1,4 @@
-"""What a load at the TCP does: forces on the drives, and bars that give under their tension."""
+"""Forces on the drives and tensions of the bars under a load at the TCP."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from orthoglide.mechanism.tree import VIRTUAL_NAMES
 
 _STRETCH = VIRTUAL_NAMES.index("stretch1")
 STRETCHES = [VIRTUAL_PER_LEG * leg + _STRETCH + bar for leg in range(3) for bar in range(2)]
-"""Places of the bars' stretches among displacements ``(30,)``."""
+"""Indices of the bars' stretches among displacements ``(30,)``."""
 
 
 def drive_forces(engine: Engine, travel: Array, load: Array) -> Array:
@@ -26,8 +26,8 @@ def drive_forces(engine: Engine, travel: Array, load: Array) -> Array:
     """
     if not load.any():
         return np.zeros_like(travel)
-    _, by_given = engine.tangent(travel, np.zeros((len(travel), 3 * VIRTUAL_PER_LEG)))
-    return np.asarray(-load[:, None] * by_given[:, 2, :3])
+    _, tangent = engine.tangent(travel, np.zeros((len(travel), 3 * VIRTUAL_PER_LEG)))
+    return np.asarray(-load[:, None] * tangent[:, 2, :3])
 
 
 def drive_forces_by_command(engine: Engine, travel: Array, load: Array) -> Array:
@@ -37,57 +37,58 @@ def drive_forces_by_command(engine: Engine, travel: Array, load: Array) -> Array
     slides ``s_i``. Once more by rho_k: ``b_i . d2p/drho_j drho_k = -d_ij . d_ik``, where
     ``d_ij = db_i/drho_j``.
     """
-    shown, by_given = engine.tangent(travel, np.zeros((len(travel), 3 * VIRTUAL_PER_LEG)))
-    bars = shown.lines[:, :, 0, 1] - shown.lines[:, :, 0, 0]
-    by_command = by_given[:, :3, :3]
-    moved = np.repeat(np.swapaxes(by_command, 1, 2)[:, None], 3, axis=1)  # (n, i, j, xyz)
-    moved[:, range(3), range(3)] -= engine.mechanism.spheres.slides
+    outputs, tangent = engine.tangent(travel, np.zeros((len(travel), 3 * VIRTUAL_PER_LEG)))
+    bars = outputs.lines[:, :, 0, 1] - outputs.lines[:, :, 0, 0]
+    by_command = tangent[:, :3, :3]
+    bar_derivative = np.repeat(np.swapaxes(by_command, 1, 2)[:, None], 3, axis=1)  # (n, i, j, xyz)
+    bar_derivative[:, range(3), range(3)] -= engine.mechanism.spheres.slides
     up = np.linalg.inv(bars)[:, 2]
-    return np.asarray(np.einsum("n,ni,nijx,nikx->njk", load, up, moved, moved))
+    return np.asarray(np.einsum("n,ni,nijx,nikx->njk", load, up, bar_derivative, bar_derivative))
 
 
-def tensions(shown: Outputs, load: Array) -> Array:
+def tensions(outputs: Outputs, load: Array) -> Array:
     """Return the pull in the six bars ``(n, 6)`` that holds the platform under a load, newtons.
 
     Six bars are statically determinate: ``sum_k t_k u_k = (0, 0, -load)`` and, about the TCP,
     ``sum_k t_k (arm_k x u_k) = 0``.
 
     Args:
-        shown: closed postures.
+        outputs: closed postures.
         load: at the TCP along base -z ``(n,)``, newtons.
     """
     wrench = np.zeros((len(load), 6, 1))
     wrench[:, 2, 0] = -load
-    return np.asarray(np.linalg.solve(_bar_wrenches(shown), wrench)[..., 0])
+    return np.asarray(np.linalg.solve(_bar_wrenches(outputs), wrench)[..., 0])
 
 
-def tensions_tangent(shown: Outputs, by_given: Array, tension: Array) -> Array:
+def tensions_tangent(outputs: Outputs, tangent: Array, tension: Array) -> Array:
     """Return the derivative of :func:`tensions` ``(n, 6, k)``, from that of the outputs."""
-    n, k = len(tension), by_given.shape[2]
-    start, end = _bar_ends(shown)
+    n, k = len(tension), tangent.shape[2]
+    start, end = _bar_ends(outputs)
     span = end - start
     length = np.linalg.norm(span, axis=2)[..., None]
     unit = span / length
-    moved = by_given[:, LINES].reshape(n, 6, 2, 3, k)
-    by_span = moved[:, :, 1] - moved[:, :, 0]
-    by_unit = (
-        by_span - unit[..., None] * np.einsum("nbx,nbxk->nbk", unit, by_span)[:, :, None]
-    ) / (length[..., None])
-    by_arm = moved[:, :, 1] - by_given[:, None, TCP]
-    arm = end - shown.p[:, None]
+    by_end = tangent[:, LINES].reshape(n, 6, 2, 3, k)
+    by_span = by_end[:, :, 1] - by_end[:, :, 0]
+    along = unit[..., None] * np.einsum("nbx,nbxk->nbk", unit, by_span)[:, :, None]
+    by_unit = (by_span - along) / length[..., None]
+    by_arm = by_end[:, :, 1] - tangent[:, None, TCP]
+    arm = end - outputs.p[:, None]
     turning = np.cross(by_arm, unit[..., None], axis=2) + np.cross(arm[..., None], by_unit, axis=2)
     change = np.einsum("nb,nbxk->nxk", tension, np.concatenate([by_unit, turning], axis=2))
-    return np.asarray(-np.linalg.solve(_bar_wrenches(shown), change))
+    return np.asarray(-np.linalg.solve(_bar_wrenches(outputs), change))
 
 
-def _bar_ends(shown: Outputs) -> tuple[Array, Array]:
-    lines = shown.lines.reshape(len(shown.values), 6, 2, 3)
+def _bar_ends(outputs: Outputs) -> tuple[Array, Array]:
+    lines = outputs.lines.reshape(len(outputs.values), 6, 2, 3)
     return lines[:, :, 0], lines[:, :, 1]
 
 
-def _bar_wrenches(shown: Outputs) -> Array:
-    """Wrench on the platform's TCP of a unit pull in each bar, reversed: columns ``(n, 6, 6)``."""
-    start, end = _bar_ends(shown)
+def _bar_wrenches(outputs: Outputs) -> Array:
+    """Return the negative wrench about the TCP of a unit pull in each bar: columns of
+    ``(n, 6, 6)``.
+    """
+    start, end = _bar_ends(outputs)
     unit = (end - start) / np.linalg.norm(end - start, axis=2)[..., None]
-    both = np.concatenate([unit, np.cross(end - shown.p[:, None], unit)], axis=2)
-    return np.swapaxes(both, 1, 2)
+    wrenches = np.concatenate([unit, np.cross(end - outputs.p[:, None], unit)], axis=2)
+    return np.swapaxes(wrenches, 1, 2)

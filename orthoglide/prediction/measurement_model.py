@@ -46,16 +46,16 @@ the derivative of the readings by the coefficient of each function ``(n, K)``.""
 
 @dataclass(frozen=True)
 class ReadingPoses:
-    """What instruments need to know of the poses in which they read."""
+    """Poses in which instruments take their readings."""
 
     nuisance_jacobian: Array  # derivative of the readings by the nuisances of their setups (n, K)
-    p: Array  # where the tool, or the place beside it, is (n, 3), metres
-    offset_from_tool: Array  # the place beside the tool, turned with the platform (n, 3), metres
+    p: Array  # position of the tool, or of the place beside it that is read (n, 3), metres
+    offset_from_tool: Array  # of the place that is read, in the base frame (n, 3), metres
 
 
 @dataclass(frozen=True)
 class LinearRows:
-    """Predicted readings around one machine, nuisances apart."""
+    """Predicted readings around one machine, without nuisances."""
 
     value: Array  # (n,), metres or radians
     jacobian: Array  # by the parameters asked for (n, P), SI
@@ -71,10 +71,10 @@ class Formula:
         numbers: of a mounting, ``M``.
 
     Attributes:
-        function: of pose ``(12,)``, other pose ``(12,)``, mounting ``(M,)``, nuisances ``(K,)`` and
-            effects ``(max(D, 1),)``, the reading.
-        value: the same for rows.
-        tangent: the reading and its derivatives by pose, other pose, nuisances and effects.
+        function: (pose ``(12,)``, other pose ``(12,)``, mounting ``(M,)``, nuisances ``(K,)``,
+            effects ``(max(D, 1),)``) -> reading.
+        value: :attr:`function` for rows.
+        tangent: readings and their derivatives by pose, other pose, nuisances and effects.
     """
 
     def __init__(self, observation: Observation, effects: Sequence[Effect], numbers: int) -> None:
@@ -94,7 +94,7 @@ class Formula:
 
 @dataclass
 class Formulas:
-    """Formulas of all kinds for one catalogue, built when they are asked for."""
+    """Formulas of all kinds for one catalogue, built when they are needed."""
 
     catalogue: Catalogue
     _formulas: dict[tuple[str, int], Formula] = field(default_factory=dict)
@@ -103,9 +103,9 @@ class Formulas:
         """Return the effects of a kind's instrument, in the order of its formula."""
         return tuple(e for e in self.catalogue.instrument_effects if observation.is_affected_by(e))
 
-    def parameter_names(self, observation: Observation, setup: str) -> list[str]:
-        """Return names of the parameters of a setup's instrument ``D``."""
-        return [str(n) for e in self.effects(observation) for n in e.parameters((setup,))]
+    def parameter_names(self, observation: Observation, setup: str) -> tuple[str, ...]:
+        """Return the names of the ``D`` parameters of a setup's instrument."""
+        return tuple(str(n) for e in self.effects(observation) for n in e.parameters((setup,)))
 
     def formula(self, observation: Observation, numbers: int) -> Formula:
         """Return a kind's formula for mountings of ``numbers`` numbers."""
@@ -128,8 +128,8 @@ class KindReadings:
 
     def tangent(self, pose: Array, other: Array, rows: NDArray[np.intp]) -> list[Array]:
         """Return some readings and their derivatives by both poses, nuisances and effects."""
-        given = self.mounting_values[rows], self.nuisance[rows], self.effect_parameters[rows]
-        return self.formula.tangent(pose, other, *given)
+        row_values = self.mounting_values[rows], self.nuisance[rows], self.effect_parameters[rows]
+        return self.formula.tangent(pose, other, *row_values)
 
 
 @dataclass(frozen=True)
@@ -137,13 +137,13 @@ class RowDerivatives:
     """Derivatives of some rows of a table."""
 
     rows: NDArray[np.intp]  # (m,)
-    posture_index: NDArray[np.intp]  # place of each row's posture among those shown (m,)
+    posture_index: NDArray[np.intp]  # of each row's posture within `outputs` (m,)
     paired: NDArray[np.bool_]  # which rows have a second posture (m,)
     outputs: Outputs  # of the distinct postures
-    # by kind: the part, its rows, and their readings with derivatives by nuisances and effects
+    # by kind: itself, its rows, and their readings with derivatives by nuisances and effects
     derivatives_by_kind: tuple[Any, ...]
-    posture_jacobian: Array  # derivative by what moves the posture (m, P)
-    second_posture_jacobian: Array  # the same for the second postures of paired rows (k, P)
+    posture_jacobian: Array  # derivative by the quantities that move the posture (m, P)
+    second_posture_jacobian: Array  # derivative by way of the second postures of paired rows (k, P)
 
 
 class MeasurementModel:
@@ -151,54 +151,50 @@ class MeasurementModel:
 
     Args:
         readings: of any kinds; their values do not count.
-        stands: of every setup; in the base frame where absent.
-        place: on the plates over the largest measured radius ``(n, 2)``; nothing where absent.
-        nuisances: of every setup ``(setups, K)``; nothing where absent.
+        poses: of every setup's instrument; in the base frame where absent.
+        plate_xy: places on plates over their largest measured radius ``(n, 2)``; zero where absent.
+        nuisances: of every setup ``(setups, K)``; zero where absent.
     """
 
     def __init__(
         self,
         readings: Readings,
-        stands: Sequence[InstrumentPose] = (),
-        place: Array | None = None,
+        poses: Sequence[InstrumentPose] = (),
+        plate_xy: Array | None = None,
         nuisances: Array | None = None,
     ) -> None:
         self.readings, self.nuisances = readings, nuisances
-        self.instrument_poses = tuple(stands) or (InstrumentPose(),) * len(readings.setups)
-        self.normalized_plate_xy = np.zeros((len(readings), 2)) if place is None else place
+        self.instrument_poses = tuple(poses) or (InstrumentPose(),) * len(readings.setups)
+        self.normalized_plate_xy = np.zeros((len(readings), 2)) if plate_xy is None else plate_xy
         self.paired = np.flatnonzero(readings.paired)
         on_leg = readings.leg >= 0
         self.first_output = np.where(on_leg, LINES.start + POSE_SIZE * readings.leg, 0)
 
     def conditions(self) -> Conditions:
         """Return the conditions of every reading, then those of the second commands ``(N,)``."""
-        r, pairs = self.readings, self.paired
-        one = Conditions.from_readings(r)
-        if not len(pairs):
-            return one
-        other = one.table[pairs].copy()
-        other[:, :3], other[:, 3:6] = r.second[pairs], 0.0
-        return Conditions(np.concatenate([one.table, other]))
+        first = Conditions.from_readings(self.readings).table
+        second = first[self.paired]
+        second[:, :3], second[:, 3:6] = self.readings.second[self.paired], 0.0
+        return Conditions(np.concatenate([first, second]))
 
     def by_kind(self, model: Model, values: Mapping[str, float]) -> Iterator[KindReadings]:
         """Yield the readings of each kind, ready for their formulas."""
         r, formulas = self.readings, model.formulas
         for observation, rows in r.observations:
             effects = formulas.effects(observation)
-            site = MountingContext(
+            context = MountingContext(
                 model.geometry, self.instrument_poses, self.normalized_plate_xy, effects
             )
-            mounting = observation.mounting_values(r, rows, site)
+            mounting = observation.mounting_values(r, rows, context)
             names = tuple(
-                tuple(formulas.parameter_names(observation, s.name))
+                formulas.parameter_names(observation, s.name)
                 if s.observation is observation
                 else ()
                 for s in r.setups
             )
-            width = max(map(len, names))
-            table = np.zeros((len(r.setups), max(width, 1)))
-            for k, own in enumerate(names):
-                table[k, : len(own)] = [values.get(name, 0.0) for name in own]
+            table = np.zeros((len(r.setups), max(1, *map(len, names))))
+            for row, of_setup in zip(table, names, strict=True):
+                row[: len(of_setup)] = [values.get(name, 0.0) for name in of_setup]
             formula, setup = formulas.formula(observation, mounting.shape[1]), r.setup[rows]
             nuisance = np.zeros((len(rows), observation.nuisance_count))
             if self.nuisances is not None:
@@ -207,15 +203,14 @@ class MeasurementModel:
 
     def predict(self, model: Model, values: Mapping[str, float]) -> Array:
         """Return the predicted readings ``(n,)``, with the nuisances given to the constructor."""
-        conditions, at = model.merged_conditions(self, values)
-        rows, ends = np.arange(len(self.readings)), self._posture_indices(at)
-        pose, other = self._poses(model.outputs(values, conditions).values, rows, *ends)
-        found = np.empty(len(rows))
-        for part in self.by_kind(model, values):
-            k = part.rows
-            given = pose[k], other[k], part.mounting_values, part.nuisance, part.effect_parameters
-            found[k] = part.formula.value(*given)[0][:, 0]
-        return found
+        conditions, posture = model.merged_conditions(self, values)
+        predicted = np.empty(len(self.readings))
+        rows, postures = np.arange(len(predicted)), self._posture_indices(posture)
+        pose, other = self._poses(model.outputs(values, conditions).values, rows, *postures)
+        for kind in self.by_kind(model, values):
+            k, instrument = kind.rows, (kind.mounting_values, kind.nuisance, kind.effect_parameters)
+            predicted[k] = kind.formula.value(pose[k], other[k], *instrument)[0][:, 0]
+        return predicted
 
     def linearise(
         self, model: Model, values: Mapping[str, float], names: Sequence[str]
@@ -227,103 +222,96 @@ class MeasurementModel:
             values: all parameters that are not zero, SI.
             names: the parameters to differentiate by ``P``.
         """
-        conditions, at = model.merged_conditions(self, [*values, *names])
-        n, parts = len(self.readings), list(self.by_kind(model, values))
-        columns = np.array(
-            [k for k, n in enumerate(names) if n in model.displacement_model.parameter_index],
-            dtype=int,
-        )
-        machine = [names[k] for k in columns]
+        conditions, posture = model.merged_conditions(self, [*values, *names])
+        n, kinds = len(self.readings), list(self.by_kind(model, values))
+        machine_parameters = model.displacement_model.parameter_index
+        columns = np.flatnonzero([name in machine_parameters for name in names])
         value, jacobian = np.empty(n), np.zeros((n, len(names)))
-        most = max((part.nuisance.shape[1] for part in parts), default=0)
-        seen = ReadingPoses(np.zeros((n, most)), np.empty((n, 3)), np.empty((n, 3)))
+        width = max((kind.nuisance.shape[1] for kind in kinds), default=0)
+        poses = ReadingPoses(np.zeros((n, width)), np.empty((n, 3)), np.empty((n, 3)))
 
-        def moved(postures: NDArray[np.intp]) -> tuple[Outputs, Array]:
-            return model.sensitivities(values, conditions.subset(postures), machine)
+        def differentiate(postures: NDArray[np.intp]) -> tuple[Outputs, Array]:
+            machine_names = [names[k] for k in columns.tolist()]
+            return model.sensitivities(values, conditions.subset(postures), machine_names)
 
-        for block in self._derivative_blocks(at, parts, moved):
-            for part, rows, reading, by_nuisance, by_value in block.derivatives_by_kind:
+        for block in self._derivative_blocks(posture, kinds, differentiate):
+            for kind, rows, reading, by_nuisance, by_value in block.derivatives_by_kind:
                 value[rows] = reading[:, 0]
-                seen.nuisance_jacobian[rows, : by_nuisance.shape[1]] = by_nuisance
-                self._fill_instrument_columns(part, by_value, rows, names, jacobian)
-            along = block.posture_jacobian.copy()
-            along[block.paired] += block.second_posture_jacobian
-            jacobian[np.ix_(block.rows, columns)] = along
-            p, R = block.outputs.p[block.posture_index], block.outputs.R[block.posture_index]
-            swung = np.einsum("nij,nj->ni", R, self.readings.beside[block.rows])
-            seen.offset_from_tool[block.rows], seen.p[block.rows] = swung, p + swung
-        return LinearRows(value, jacobian, seen)
+                poses.nuisance_jacobian[rows, : by_nuisance.shape[1]] = by_nuisance
+                self._fill_instrument_columns(kind, by_value, rows, names, jacobian)
+            block.posture_jacobian[block.paired] += block.second_posture_jacobian
+            rows, outputs, place = block.rows, block.outputs, block.posture_index
+            jacobian[np.ix_(rows, columns)] = block.posture_jacobian
+            offset = np.einsum("nij,nj->ni", outputs.R[place], self.readings.beside[rows])
+            poses.offset_from_tool[rows], poses.p[rows] = offset, outputs.p[place] + offset
+        return LinearRows(value, jacobian, poses)
 
     def joint_response(self, model: Model, values: Mapping[str, float]) -> JointResponse:
-        """Return how the readings follow virtual joints that move as functions of conditions."""
-        conditions, at = model.merged_conditions(self, values)
-        n, parts, pairs = len(self.readings), list(self.by_kind(model, values)), self.paired
+        """Return the response of the readings to virtual joints that move with the conditions."""
+        conditions, posture = model.merged_conditions(self, values)
+        n, kinds, pairs = len(self.readings), list(self.by_kind(model, values)), self.paired
         slopes, second = np.zeros((n, JOINT_COUNT)), np.zeros((n, JOINT_COUNT))
 
-        def moved(postures: NDArray[np.intp]) -> tuple[Outputs, Array]:
-            shown, by_given = model.tangent(values, conditions.subset(postures))
-            return shown, by_given[:, :, by_given.shape[2] - JOINT_COUNT :]
+        def differentiate(postures: NDArray[np.intp]) -> tuple[Outputs, Array]:
+            outputs, tangent = model.tangent(values, conditions.subset(postures))
+            return outputs, tangent[:, :, tangent.shape[2] - JOINT_COUNT :]
 
-        for block in self._derivative_blocks(at, parts, moved):
+        for block in self._derivative_blocks(posture, kinds, differentiate):
             slopes[block.rows] = block.posture_jacobian
             second[block.rows[block.paired]] = block.second_posture_jacobian
 
         def follow(joints: Array, functions: Array) -> Array:
-            found = (slopes @ joints)[:, None] * functions[:n]
-            found[pairs] += (second[pairs] @ joints)[:, None] * functions[n:]
-            return np.asarray(found)
+            response = (slopes @ joints)[:, None] * functions[:n]
+            response[pairs] += (second[pairs] @ joints)[:, None] * functions[n:]
+            return np.asarray(response)
 
         return follow
 
     # Postures of the readings --------------------------------------------------------------
 
-    def _posture_indices(self, at: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Posture of each reading, and of its second command, each ``(n,)``: the same where there
-        is none.
-
-        Args:
-            at: posture of every condition ``(N,)``.
+    def _posture_indices(self, posture: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
+        """Return the posture of each reading, and that of its second command where it has one, each
+        ``(n,)``, from the posture of every condition ``(N,)``.
         """
         n = len(self.readings)
-        second = at[:n].copy()
-        second[self.paired] = at[n:]
-        return at[:n], second
+        second = posture[:n].copy()
+        second[self.paired] = posture[n:]
+        return posture[:n], second
 
     def _derivative_blocks(
         self,
-        at: NDArray[np.intp],
-        parts: Sequence[KindReadings],
-        moved: Callable[[NDArray[np.intp]], tuple[Outputs, Array]],
+        posture: NDArray[np.intp],
+        kinds: Sequence[KindReadings],
+        differentiate: Callable[[NDArray[np.intp]], tuple[Outputs, Array]],
     ) -> Iterator[RowDerivatives]:
         """Yield the derivatives of the readings in blocks of rows.
 
         Args:
-            at: posture of every condition ``(N,)``.
-            parts: the readings by kind.
-            moved: from numbers of distinct postures ``(k,)`` to their outputs and the derivative
-                of these ``(k, 48, P)``.
+            posture: of every condition ``(N,)``.
+            kinds: the readings by kind.
+            differentiate: from numbers of distinct postures ``(k,)`` to their outputs and the
+                derivative of these ``(k, 48, P)``.
         """
-        firsts, seconds = self._posture_indices(at)
-        order = np.argsort(firsts, kind="stable")
+        both = np.stack(self._posture_indices(posture))
+        order = np.argsort(both[0], kind="stable")
         for part in blocks(len(order), _ROWS):
             rows = order[part]
-            both = np.concatenate([firsts[rows], seconds[rows]])
-            postures, place = np.unique(both, return_inverse=True)
-            first, second = np.split(place.reshape(-1), 2)
-            shown, by = moved(postures)
-            pose, other = self._poses(shown.values, rows, first, second)
+            postures, index = np.unique(both[:, rows], return_inverse=True)
+            first, second = index.reshape(2, -1)
+            outputs, jacobian = differentiate(postures)
+            pose, other = self._poses(outputs.values, rows, first, second)
             by_pose, by_other = np.zeros((2, len(rows), POSE_SIZE))
-            found = []
-            for one, k, here in _kinds_within(parts, rows):
-                reading, by_pose[here], by_other[here], *more = one.tangent(
-                    pose[here], other[here], k
+            by_kind = []
+            for kind, kind_rows, k in _kinds_within(kinds, rows):
+                reading, by_pose[k], by_other[k], *derivatives = kind.tangent(
+                    pose[k], other[k], kind_rows
                 )
-                found.append((one, rows[here], reading, *more))
+                by_kind.append((kind, rows[k], reading, *derivatives))
             paired = np.isin(rows, self.paired)
             yield RowDerivatives(
-                rows, first, paired, shown, tuple(found),
-                self._chain_rule(by, by_pose, self.first_output[rows], first),
-                self._chain_rule(by, by_other[paired], 0, second[paired]),
+                rows, first, paired, outputs, tuple(by_kind),
+                self._chain_rule(jacobian, by_pose, self.first_output[rows], first),
+                self._chain_rule(jacobian, by_other[paired], 0, second[paired]),
             )  # fmt: skip
 
     def _poses(
@@ -333,32 +321,36 @@ class MeasurementModel:
         first: NDArray[np.intp],
         second: NDArray[np.intp],
     ) -> tuple[Array, Array]:
-        """Return what rows follow of their postures and of their second ones, each ``(m, 12)``."""
+        """Return the outputs of their postures, and of their second ones, that rows follow, each
+        ``(m, 12)``.
+        """
         columns = np.arange(POSE_SIZE)
         pose = outputs[first[:, None], self.first_output[rows, None] + columns]
         return pose, outputs[second[:, None], columns]
 
     @staticmethod
     def _chain_rule(
-        outputs: Array, slopes: Array, start: NDArray[np.int64] | int, at: NDArray[np.intp]
+        by_given: Array, by_output: Array, start: NDArray[np.int64] | int, posture: NDArray[np.intp]
     ) -> Array:
-        """Derivative of rows ``(m, P)`` by what moves their postures.
+        """Return the derivative of rows ``(m, P)`` by the quantities that move their postures.
 
         Args:
-            outputs: derivative of the postures' outputs ``(k, 48, P)``.
-            slopes: derivative of the rows by what they follow ``(m, 12)``.
-            start: first of the outputs that each follows ``(m,)``.
-            at: posture of each ``(m,)``.
+            by_given: derivative of the postures' outputs ``(k, 48, P)``.
+            by_output: derivative of the rows by the outputs that they follow ``(m, 12)``.
+            start: first of these outputs ``(m,)``.
+            posture: of each row ``(m,)``.
         """
-        start, found = np.broadcast_to(start, at.shape), np.empty((len(at), outputs.shape[2]))
+        start = np.broadcast_to(start, posture.shape)
+        jacobian = np.empty((len(posture), by_given.shape[2]))
         for k in np.unique(start):
-            own = np.flatnonzero(start == k)
-            found[own] = (slopes[own, None] @ outputs[at[own], k : k + POSE_SIZE])[:, 0]
-        return found
+            rows = np.flatnonzero(start == k)
+            outputs = by_given[posture[rows], k : k + POSE_SIZE]
+            jacobian[rows] = (by_output[rows, None] @ outputs)[:, 0]
+        return jacobian
 
     def _fill_instrument_columns(
         self,
-        part: KindReadings,
+        kind: KindReadings,
         by_value: Array,
         rows: NDArray[np.intp],
         names: Sequence[str],
@@ -366,20 +358,20 @@ class MeasurementModel:
     ) -> None:
         """Fill the columns of the instruments' parameters with derivatives ``(m, D)``."""
         setup = self.readings.setup[rows]
-        for k, own in enumerate(part.parameter_names):
-            for column, name in enumerate(own):
+        for number, parameter_names in enumerate(kind.parameter_names):
+            for column, name in enumerate(parameter_names):
                 if name in names:
-                    here = setup == k
-                    jacobian[rows[here], list(names).index(name)] = by_value[here, column]
+                    k = setup == number
+                    jacobian[rows[k], list(names).index(name)] = by_value[k, column]
 
 
 def _kinds_within(
-    parts: Sequence[KindReadings], rows: NDArray[np.intp]
+    kinds: Sequence[KindReadings], rows: NDArray[np.intp]
 ) -> Iterator[tuple[KindReadings, NDArray[np.intp], NDArray[np.intp]]]:
-    """Yield the parts that have some of the rows, each with indices into the part and indices into
+    """Yield the kinds that contain some of the rows, with indices into the kind's rows and into
     ``rows``, both ``(k,)``.
     """
-    for part in parts:
-        _, here, k = np.intersect1d(rows, part.rows, assume_unique=True, return_indices=True)
+    for kind in kinds:
+        _, k, kind_rows = np.intersect1d(rows, kind.rows, assume_unique=True, return_indices=True)
         if len(k):
-            yield part, k, here
+            yield kind, kind_rows, k

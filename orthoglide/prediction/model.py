@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from functools import cached_property
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
@@ -37,10 +38,14 @@ from orthoglide.prediction.load import (
 )
 from orthoglide.prediction.measurement_model import Formulas, LinearRows, MeasurementModel
 
-# Each round of stretching leaves of the last one's error the share of its length by which a bar
-# gives, a hundred-thousandth as a rule: three rounds, and some more where bars are of rubber.
+# Each round multiplies the error by the relative stretch of a bar, as a rule a hundred-thousandth:
+# three rounds are enough, except for bars of rubber.
 _MAX_ELASTIC_ROUNDS = 200
-_ELASTIC_TOLERANCE = 1e-14  # metres by which bars still change: what is left is that share of it
+_ELASTIC_TOLERANCE = 1e-14  # metres by which bars still change: the error left is far smaller
+
+
+Values = Mapping[str, float] | Array
+"""Parameters by name, SI, zero where not named; or all parameters of a machine ``(P,)``."""
 
 
 class Model:
@@ -75,30 +80,23 @@ class Model:
         self._compile, self._engine = compile, engine
 
     def __getstate__(self) -> dict[str, Any]:
-        """What it was made with: CasADi functions do not travel and are built again."""
+        """Return the arguments alone: CasADi functions cannot be pickled and are built again."""
         built = {n for n, v in vars(type(self)).items() if isinstance(v, cached_property)}
         return {n: v for n, v in vars(self).items() if n not in built}
 
-    def _copy_with(self, **changes: Any) -> Model:
-        """Return a model made as this one, but for some arguments."""
-        made: dict[str, Any] = {
-            "geometry": self.geometry, "pitch": self.pitch, "stiffness": self.stiffness,
-            "catalogue": self.catalogue, "urdf": self.urdf, "compile": self._compile,
-            "engine": self._engine,
-        }  # fmt: skip
-        return Model(**{**made, **changes})
-
     def by_pinocchio(self) -> Model:
-        """Return the same model, every posture closed by Pinocchio."""
-        return self._copy_with(engine="pinocchio")
+        """Return a copy of the model that closes every posture with Pinocchio."""
+        model = copy(self)
+        model._engine = "pinocchio"
+        return model
 
     def with_catalogue(self, catalogue: Catalogue) -> Model:
-        """Return the same model moved by other effects, which shares the engine."""
-        found = self._copy_with(catalogue=catalogue)
-        found.__dict__.update(
-            {n: vars(self)[n] for n in ("mechanism", "engine") if n in vars(self)}
-        )
-        return found
+        """Return a copy of the model moved by other effects, which shares the engine."""
+        model = copy(self)
+        model.catalogue = catalogue
+        built = vars(self).keys() & {"mechanism", "engine"}
+        vars(model).update({name: vars(self)[name] for name in built})
+        return model
 
     @cached_property
     def mechanism(self) -> Mechanism:
@@ -124,42 +122,39 @@ class Model:
     def _travel(self, conditions: Conditions) -> Array:
         return conditions.command - self.geometry.zero
 
-    def loaded_displacements(self, values: Mapping[str, float], conditions: Conditions) -> Array:
-        """Displacements of the virtual joints ``(n, 30)``, elastic bars included."""
-        return self._loaded_displacements(self.parameter_vector(values), conditions)
-
-    def _loaded_displacements(self, theta: Array, conditions: Conditions) -> Array:
-        moves = self.displacements_of_vector(theta, conditions)
+    def loaded_displacements(self, values: Values, conditions: Conditions) -> Array:
+        """Return the displacements of the virtual joints ``(n, 30)``, elastic bars included."""
+        displacements = self.displacements(values, conditions)
         if not self.is_elastic(conditions):
-            return moves
-        travel, loaded = self._travel(conditions), moves.copy()
+            return displacements
+        travel, loaded = self._travel(conditions), displacements.copy()
         for _ in range(_MAX_ELASTIC_ROUNDS):
             tension = tensions(self.engine.outputs(travel, loaded), conditions.load)
-            stretched = moves[:, STRETCHES] + tension * self._compliance
+            stretched = displacements[:, STRETCHES] + tension * self._compliance
             change = np.abs(stretched - loaded[:, STRETCHES]).max(axis=1)
             loaded[:, STRETCHES] = stretched
             if change.max() <= _ELASTIC_TOLERANCE * max(1.0, self.geometry.scale):
                 return loaded
-        worst, count = int(np.argmax(change)), len(moves)
+        worst, count = int(np.argmax(change)), len(displacements)
         which = f"posture {worst + 1} of {count}: " if count > 1 else ""
         raise ClosureError(f"{which}the bars find no equilibrium under the load", index=(worst,))
 
     def tensions(self, values: Mapping[str, float], conditions: Conditions) -> Array:
-        """Pull in the bars ``(n, leg, bar)`` that holds the platform under the load, newtons."""
+        """Return the pull in the bars ``(n, leg, bar)`` under the load, newtons."""
         return tensions(self.outputs(values, conditions), conditions.load).reshape(-1, 3, 2)
 
     def tangent(self, values: Mapping[str, float], conditions: Conditions) -> tuple[Outputs, Array]:
-        """What postures show, and its derivative ``(n, 48, 33)`` by travel and displacements."""
-        moves = self.loaded_displacements(values, conditions)
-        shown, by_given = self.engine.tangent(self._travel(conditions), moves)
+        """Return outputs, and their derivative ``(n, 48, 33)`` by travel and displacements."""
+        displacements = self.loaded_displacements(values, conditions)
+        outputs, tangent = self.engine.tangent(self._travel(conditions), displacements)
         if self.is_elastic(conditions):
-            tension = tensions(shown, conditions.load)
-            places = [3 + k for k in STRETCHES]
-            stretched = tensions_tangent(shown, by_given, tension) * self._compliance
+            tension = tensions(outputs, conditions.load)
+            columns = [3 + k for k in STRETCHES]
+            stretched = tensions_tangent(outputs, tangent, tension) * self._compliance
             # Stretches change the tensions too.
-            settled = np.linalg.solve(np.eye(6) - stretched[:, :, places], stretched)
-            by_given = by_given + by_given[:, :, places] @ settled
-        return shown, by_given
+            coupled = np.linalg.solve(np.eye(6) - stretched[:, :, columns], stretched)
+            tangent = tangent + tangent[:, :, columns] @ coupled
+        return outputs, tangent
 
     @cached_property
     def displacement_model(self) -> Displacements:
@@ -171,42 +166,41 @@ class Model:
         """Formulas of all kinds of readings."""
         return Formulas(self.catalogue)
 
-    def parameter_vector(self, values: Mapping[str, float]) -> Array:
-        """All parameters of the machine ``(P,)``, see :meth:`Displacements.vector`."""
+    def parameter_vector(self, values: Values) -> Array:
+        """Return all parameters of the machine ``(P,)``, SI."""
+        if isinstance(values, np.ndarray):
+            return values
         return self.displacement_model.parameter_vector(values)
 
     def condition_vectors(self, conditions: Conditions) -> Array:
-        """Conditions as the displacement function takes them ``(n, 11)``."""
-        seen = np.zeros((len(conditions), CONDITION_COUNT))
-        seen[:, : FORCE.start] = conditions.table[:, : FORCE.start]
+        """Return conditions as the displacement function takes them ``(n, 11)``."""
+        vectors = np.zeros((len(conditions), CONDITION_COUNT))
+        vectors[:, : FORCE.start] = conditions.table[:, : FORCE.start]
         if conditions.load.any():
-            seen[:, FORCE] = drive_forces(self.engine, self._travel(conditions), conditions.load)
-        return seen
+            vectors[:, FORCE] = drive_forces(self.engine, self._travel(conditions), conditions.load)
+        return vectors
 
-    def displacements(self, values: Mapping[str, float], conditions: Conditions) -> Array:
-        """Displacements of the virtual joints ``(n, 30)`` by parameters, metres and radians."""
-        return self.displacements_of_vector(self.parameter_vector(values), conditions)
-
-    def displacements_of_vector(self, theta: Array, conditions: Conditions) -> Array:
-        """Return displacements ``(n, 30)`` for all parameters ``(P,)`` of the machine."""
+    def displacements(self, values: Values, conditions: Conditions) -> Array:
+        """Return the displacements of the virtual joints ``(n, 30)``, metres and radians."""
+        theta = self.parameter_vector(values)
         if not len(conditions) or not theta.any():
             return np.zeros((len(conditions), 3 * VIRTUAL_PER_LEG))
         return self.displacement_model.evaluate(theta, self.condition_vectors(conditions))
 
     def jacobian(self, values: Mapping[str, float], conditions: Conditions) -> Array:
-        """dp/drho ``(n, 3, 3)``; what rails and drives do moves along with the command."""
-        _, by_given = self.tangent(values, conditions)
-        by_seen = self.displacement_model.condition_jacobian(
+        """Return dp/drho ``(n, 3, 3)``, with errors of rails and drives that change with rho."""
+        _, tangent = self.tangent(values, conditions)
+        by_conditions = self.displacement_model.condition_jacobian(
             self.parameter_vector(values), self.condition_vectors(conditions)
         )
-        moves = by_seen[:, :, COMMAND]
+        by_command = by_conditions[:, :, COMMAND]
         if conditions.load.any():
             forces = drive_forces_by_command(self.engine, self._travel(conditions), conditions.load)
-            moves = moves + by_seen[:, :, FORCE] @ forces
-        return np.asarray(by_given[:, :3, :3] + by_given[:, :3, 3:] @ moves)
+            by_command = by_command + by_conditions[:, :, FORCE] @ forces
+        return np.asarray(tangent[:, :3, :3] + tangent[:, :3, 3:] @ by_command)
 
     def outputs(self, values: Mapping[str, float], conditions: Conditions) -> Outputs:
-        """Poses and bars of closed postures.
+        """Return poses and bars of closed postures.
 
         Raises:
             ClosureError: naming the first posture that does not close.
@@ -215,94 +209,82 @@ class Model:
 
     def outputs_of_vector(self, theta: Array, conditions: Conditions) -> Outputs:
         """Return poses and bars of closed postures for all parameters ``(P,)`` of the machine."""
-        return self.engine.outputs(
-            self._travel(conditions), self._loaded_displacements(theta, conditions)
-        )
+        displacements = self.loaded_displacements(theta, conditions)
+        return self.engine.outputs(self._travel(conditions), displacements)
 
     def sensitivities(
         self, values: Mapping[str, float], conditions: Conditions, names: Sequence[str]
     ) -> tuple[Outputs, Array]:
-        """Poses and bars, and their derivative ``(n, 48, P)`` by parameters, loops closed; zero by
-        those of dials.
+        """Return poses and bars, and their derivative ``(n, 48, P)`` by parameters, loops closed;
+        zero by parameters of dials.
         """
-        n, theta = len(conditions), self.parameter_vector(values)
-        machine = [k for k, name in enumerate(names) if not self.catalogue.effect_of(name).of_dial]
-        places = [self.displacement_model.parameter_index[names[k]] for k in machine]
-        outputs, by_name = np.empty((n, OUTPUT_SIZE)), np.zeros((n, OUTPUT_SIZE, len(names)))
-        for part in blocks(n):  # small enough for the cache
-            some = conditions.subset(part)
-            shown, by_given = self.tangent(values, some)
-            by_theta = self.displacement_model.parameter_jacobian(
-                theta, self.condition_vectors(some)
-            )
-            outputs[part] = shown.values
-            by_name[part][:, :, machine] = by_given[:, :, 3:] @ by_theta[:, :, places]
+        model, theta = self.displacement_model, self.parameter_vector(values)
+        columns = [k for k, name in enumerate(names) if not self.catalogue.effect_of(name).of_dial]
+        machine_parameters = [model.parameter_index[names[k]] for k in columns]
+        outputs = np.empty((len(conditions), OUTPUT_SIZE))
+        by_name = np.zeros((*outputs.shape, len(names)))
+        for rows in blocks(len(conditions)):  # small enough for the cache
+            postures = conditions.subset(rows)
+            closed, tangent = self.tangent(values, postures)
+            by_theta = model.parameter_jacobian(theta, self.condition_vectors(postures))
+            outputs[rows] = closed.values
+            by_name[rows][:, :, columns] = tangent[:, :, 3:] @ by_theta[:, :, machine_parameters]
         return Outputs(outputs), by_name
 
     def merged(
         self, conditions: Conditions, names: Iterable[str]
     ) -> tuple[Conditions, np.ndarray[Any, Any]]:
-        """Distinct ones of ``n`` conditions, as far as the effects of ``names``, parameters in
-        play, tell them apart.
-
-        Returns:
-            The distinct ones, and the place among them of each ``(n,)``.
+        """Return the conditions that differ for the effects of the parameters ``names``, and for
+        each of ``n`` conditions its index among them ``(n,)``.
         """
         return conditions.merged(self._needed_conditions(names))
 
     def _needed_conditions(self, names: Iterable[str]) -> frozenset[str]:
-        """What tells conditions apart besides the command."""
-        used = {name: self.catalogue.effect_of(name) for name in names}
-        needs = frozenset[str]().union(*(e.needs for e in used.values() if not e.of_dial))
-        # Forces cost a closure of their own: no load where nothing gives way to it.
-        soft = frozenset() if self.stiffness.bar is None else frozenset({"load"})
-        return needs | soft
+        """Return the conditions besides the command that matter to parameters ``names``."""
+        effects = [self.catalogue.effect_of(name) for name in names]
+        # Forces cost a further closure: a load counts only where something gives way to it.
+        load = frozenset[str]() if self.stiffness.bar is None else frozenset({"load"})
+        return load.union(*(effect.needs for effect in effects if not effect.of_dial))
 
     @cached_property
     def _merged_cache(self) -> WeakKeyDictionary[Readings, dict[Any, Any]]:
-        """What is the same for every set of parameters: merged conditions."""
+        """Merged conditions of readings, by the conditions that matter."""
         return WeakKeyDictionary()
 
     def merged_conditions(
-        self, observed: MeasurementModel, names: Iterable[str]
+        self, measurement: MeasurementModel, names: Iterable[str]
     ) -> tuple[Conditions, NDArray[np.intp]]:
-        """Return :meth:`merged` conditions of readings, kept for the next call."""
-        kept, needs = (
-            self._merged_cache.setdefault(observed.readings, {}),
-            self._needed_conditions(names),
-        )
-        if needs not in kept:
-            kept[needs] = observed.conditions().merged(needs)
-        found: tuple[Conditions, NDArray[np.intp]] = kept[needs]
-        return found
+        """Return :meth:`merged` conditions of readings, cached for the next call."""
+        needs = self._needed_conditions(names)
+        cached = self._merged_cache.setdefault(measurement.readings, {})
+        if needs not in cached:
+            cached[needs] = measurement.conditions().merged(needs)
+        merged: tuple[Conditions, NDArray[np.intp]] = cached[needs]
+        return merged
 
     def joint_jacobian(self, values: Mapping[str, float], conditions: Conditions) -> Array:
-        """Derivative of poses and bars by the virtual joints ``(n, 48, 30)``, loops closed."""
+        """Return the derivative of poses and bars by the virtual joints ``(n, 48, 30)``."""
         return np.asarray(self.tangent(values, conditions)[1][:, :, 3:])
 
     def leg_conditions(
         self, values: Mapping[str, float], conditions: Conditions
     ) -> tuple[LegConditions, ...]:
-        """What the effects of each leg see in ``n`` postures, as arrays."""
-        seen = self.condition_vectors(conditions).T
-        moves = self.displacements(values, conditions)
-        size, drives = (
-            self.displacement_model.dimensions,
-            range(0, moves.shape[1], len(VIRTUAL_NAMES)),
-        )
+        """Return the conditions of each leg's effects in ``n`` postures, as arrays."""
+        vectors, sizes = self.condition_vectors(conditions).T, self.displacement_model.dimensions
+        drives = self.displacements(values, conditions)[:, :: len(VIRTUAL_NAMES)].T
         return tuple(
-            leg_conditions(size, seen, leg, moves[:, k], self.pitch is not None)
-            for leg, k in enumerate(drives)
+            leg_conditions(sizes, vectors, leg, drive_error, self.pitch is not None)
+            for leg, drive_error in enumerate(drives)
         )
 
     def readings(self, values: Mapping[str, float], readings: Readings) -> Array:
-        """Return readings ``(n,)`` to expect of instruments in the base frame, nuisances apart."""
+        """Return predicted readings ``(n,)`` of instruments in the base frame, no nuisances."""
         return MeasurementModel(readings).predict(self, values)
 
     def linearised(
         self, values: Mapping[str, float], readings: Readings, names: Sequence[str]
     ) -> LinearRows:
-        """Return the same with their derivative by parameters; arguments as of
-        :meth:`Observed.linearise`.
+        """Return predicted readings with their derivative by parameters; see
+        :meth:`MeasurementModel.linearise`.
         """
         return MeasurementModel(readings).linearise(self, values, names)

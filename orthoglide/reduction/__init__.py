@@ -1,9 +1,9 @@
 """The analytic reduction: three drives, three bars, one point (Pashkevich et al. 2006, 2008).
 
 ``forward`` and ``inverse`` are the quadratic and eq. (3), ``jacobians`` eq. (5); ``system11``,
-``covariance`` and ``solve`` the papers' linear calibration; ``observe`` and ``fit_readings`` the
-same without linearising; ``intersect_spheres`` the general form, with carriages anywhere. A
-derivation of its own: nothing here knows the general mechanism.
+``covariance`` and ``solve`` the papers' linear calibration; ``predict_readings`` and
+``fit_readings`` the nonlinear one; ``intersect_spheres`` the general form, with carriages anywhere.
+The derivation is independent of the general mechanism.
 """
 
 from orthoglide.reduction.deviations import predict_readings as predict_readings
@@ -29,4 +29,4 @@ from orthoglide.reduction.linear import (
     system8 as system8,
     system11 as system11,
 )
-from orthoglide.reduction.spheres import intersect_spheres as intersect_spheres, reading as reading
+from orthoglide.reduction.spheres import intersect_spheres as intersect_spheres

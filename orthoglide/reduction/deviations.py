@@ -1,4 +1,4 @@
-"""What the dials read on the reduction: readings of any leg at any command, with derivatives.
+"""Dial readings of the reduction, of any leg at any command, with derivatives.
 
 Leg i is the line from the TCP p to its carriage at ``R_i`` on base axis i, so a dial at own-axis
 coordinate g reads ``y = p_j (R_i - g) / (R_i - p_i)`` along direction j (2008, section 3.2).
@@ -20,7 +20,7 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Dials:
-    """Where and what a list of N dials touched."""
+    """Commands, legs, directions and places of N readings."""
 
     commands: Array  # (N, 3), metres
     legs: Indices  # (N,), 0, 1 or 2
@@ -31,25 +31,31 @@ class Dials:
     def checked(
         cls, commands: ArrayLike, legs: ArrayLike, axes: ArrayLike, gauges: ArrayLike
     ) -> Dials:
-        """Broadcast and check the four columns.
+        """Return the dials of four columns, broadcast and checked.
 
         Raises:
-            InputError: for shapes that do not fit, or a leg or axis that cannot be.
+            InputError: for incompatible shapes, or an impossible leg or axis.
         """
         rho = np.atleast_2d(vectors(commands, "commands"))
         try:
             columns = [np.broadcast_to(np.asarray(x), rho.shape[:1]) for x in (legs, axes, gauges)]
         except ValueError:
             raise InputError("legs, axes and gauges need one value for every command") from None
-        i, j = (np.asarray(x, dtype=np.intp) for x in columns[:2])
-        if np.any((i < 0) | (i > 2) | (j < 0) | (j > 2) | (i == j)):
+        dial_legs, dial_axes = (np.asarray(x, dtype=np.intp) for x in columns[:2])
+        if np.any(
+            (dial_legs < 0)
+            | (dial_legs > 2)
+            | (dial_axes < 0)
+            | (dial_axes > 2)
+            | (dial_legs == dial_axes)
+        ):
             raise InputError("legs and axes are 0, 1 or 2, and a dial reads across its leg")
-        return cls(rho, i, j, np.asarray(columns[2], dtype=float))
+        return cls(rho, dial_legs, dial_axes, np.asarray(columns[2], dtype=float))
 
 
 @dataclass(frozen=True)
 class PredictedReadings:
-    """Readings of one machine, with all that their derivatives need."""
+    """Readings of one machine, with intermediate values of their derivatives."""
 
     values: Array  # (N,), metres
     gradient: Array  # by offsets and lengths (N, 6), dimensionless
@@ -58,7 +64,7 @@ class PredictedReadings:
     _state: tuple[Indices, Indices, Array, Array, Array, Array]
 
     def curvature(self, weights: Array) -> Array:
-        """Weighted second derivatives ``w_n d2y_n`` by offsets and lengths, ``(N, 6, 6)``.
+        """Return weighted second derivatives ``w_n d2y_n`` by offsets and lengths, ``(N, 6, 6)``.
 
         From eq. (2) twice differentiated: ``(p - c_i) . p_ab = [a = b = L_i] - n_ia . n_ib`` with
         ``n_ia`` the derivative of ``p - c_i``.
@@ -74,27 +80,26 @@ class PredictedReadings:
         hessian[:, 1, 2] = hessian[:, 2, 1] = (reach - ahead) / reach**2
         hessian[:, 0, 2] = hessian[:, 2, 0] = across * (reach - 2 * ahead) / reach**3
         total = inner.transpose(0, 2, 1) @ (hessian * weights[:, None, None]) @ inner
-        pull = (self._inverse.transpose(0, 2, 1) @ by_tcp[:, :, None])[:, :, 0] * weights[:, None]
-        bend = self._tcp.transpose(0, 2, 1) @ self._tcp
-        total -= pull.sum(axis=1)[:, None, None] * bend
-        mixed = pull[:, :, None] * self._tcp
+        weighted_gradient = (self._inverse.transpose(0, 2, 1) @ by_tcp[:, :, None])[
+            :, :, 0
+        ] * weights[:, None]
+        second_order = self._tcp.transpose(0, 2, 1) @ self._tcp
+        total -= weighted_gradient.sum(axis=1)[:, None, None] * second_order
+        mixed = weighted_gradient[:, :, None] * self._tcp
         total[:, :3, :] += mixed
         total[:, :, :3] += mixed.transpose(0, 2, 1)
         diagonal = np.einsum("nii->ni", total)
-        diagonal += np.concatenate([-pull, pull], axis=1)
+        diagonal += np.concatenate([-weighted_gradient, weighted_gradient], axis=1)
         return np.asarray(total)
 
 
 def predicted(dials: Dials, six: Array, length: float) -> PredictedReadings:
-    """Readings and gradient of a machine with offsets and lengths ``six``, ``(6,)`` or ``(N, 6)``.
+    """Return readings and gradient of a machine.
 
     Args:
-        dials: what was touched.
-        six: three joint offsets and three leg lengths minus L, metres.
+        dials: of the readings.
+        six: three joint offsets and three leg lengths minus L, ``(6,)`` or ``(N, 6)``, metres.
         length: nominal length L of the bars, metres.
-
-    Returns:
-        The readings with their derivatives.
     """
     carriage = dials.commands + six[..., :3]
     bars = np.broadcast_to(length + six[..., 3:], carriage.shape)
@@ -124,10 +129,10 @@ def predict_readings(
     *,
     geometry: Geometry = NOMINAL,
 ) -> PredictedReadings:
-    """``y = p_j (R_i - g) / (R_i - p_i)``: what dials read on a machine with these parameters.
+    """Return the readings ``y = p_j (R_i - g) / (R_i - p_i)`` of dials (2008, section 3.2).
 
-    Not linearised (2008, section 3.2). The gradient is system (11) for any list of readings: its
-    rows are the differences between those of two postures at the nominal machine.
+    The gradient generalises system (11) to any list of readings: at the nominal machine the rows of
+    (11) are differences of its rows at two postures.
 
     Args:
         commands: ``(N, 3)``, metres.
@@ -145,6 +150,6 @@ def predict_readings(
         UnreachableError: where the legs do not meet.
         InputError: for columns that do not fit together.
     """
-    pair = np.broadcast_arrays(vectors(offsets, "offsets"), vectors(lengths, "lengths"))
+    parameters = np.broadcast_arrays(vectors(offsets, "offsets"), vectors(lengths, "lengths"))
     dials = Dials.checked(commands, legs, axes, gauges)
-    return predicted(dials, np.concatenate(pair, axis=-1), geometry.L)
+    return predicted(dials, np.concatenate(parameters, axis=-1), geometry.L)

@@ -1,4 +1,4 @@
-"""The reduction's own nonlinear least squares of a measuring campaign.
+"""Nonlinear least squares of a measuring campaign on the reduction.
 
 Minimises ``sum(((y - s f(S x) - U z) / sigma)^2) + sum((x / prior_sd)^2) + sum(precision z^2)``
 over parameters x and nuisances z. The nuisances are linear, so they are projected out once; on
@@ -20,13 +20,13 @@ from orthoglide.reduction.deviations import Dials, Indices, PredictedReadings, p
 from orthoglide.reduction.kinematics import NOMINAL
 
 RANK_TOLERANCE = 1e-9
-"""Directions seen less than this (relative, columns scaled) are left where they started."""
+"""Directions with smaller singular values (relative, columns scaled) keep their start values."""
 
 TOLERANCE = 1e-13
-"""Metres: a step no longer than this is the last."""
+"""Metres: the iteration ends with a step that is no longer."""
 
 LONGEST_STEP = 5e-3
-"""Metres: along weak directions a longer one can end in a minimum far from any machine."""
+"""Metres: along weak directions longer steps can end in a minimum far from any machine."""
 
 _MAX_STEPS = 60
 
@@ -35,14 +35,14 @@ _MAX_STEPS = 60
 class ReadingFit:
     """Result of ``fit_readings``."""
 
-    values: Array  # parameters (P,), metres; those held keep their start value
+    values: Array  # parameters (P,), metres; fixed ones keep their start value
     offsets_and_lengths: Array  # offsets and lengths of each campaign (G, 6), metres
     nuisance: Array  # z (k,)
     readings: Array  # fitted readings s f + U z (N,), metres
     residuals: Array  # readings minus fitted (N,), metres
     cost: float  # the objective, dimensionless
-    covariance: Array  # of the values at the given sigmas (P, P), square metres; zero where held
-    rank: int  # how many directions of the free parameters the data and priors determine
+    covariance: Array  # of the values at the given sigmas (P, P), square metres; zero where fixed
+    rank: int  # number of directions of the free parameters that data and priors determine
     converged: bool  # whether the last step stayed below the tolerance
     iterations: int  # steps taken
 
@@ -52,7 +52,7 @@ _CampaignMaps = tuple[tuple[slice | Indices, Array], ...]
 
 @dataclass(frozen=True)
 class _State:
-    """One x: readings, whitened residual without the nuisances' share, and the objective."""
+    """An iterate x: readings, whitened residual without the nuisances' share, and objective."""
 
     x: Array
     values: Array
@@ -63,9 +63,10 @@ class _State:
 
 @dataclass(frozen=True)
 class _Problem:
-    """The objective, its nuisances projected out; every campaign has a map to its six parameters.
+    """The objective without nuisances, which are projected out.
 
-    ``basis`` spans the whitened nuisances with their priors, ``inverse`` is their pseudoinverse.
+    Every campaign has a map to its six parameters. ``basis`` spans the whitened nuisances with
+    their priors, ``inverse`` is their pseudoinverse.
     """
 
     dials: Dials
@@ -81,27 +82,27 @@ class _Problem:
     inverse: Array
 
     def project(self, rows: Array) -> Array:
-        """Readings' rows ``(N, ...)``, padded by the nuisances' priors, without U's share."""
+        """Return rows ``(N, ...)``, padded for the nuisances' priors, without the share of U."""
         padded = np.zeros((len(self.basis), *rows.shape[1:]))
         padded[: len(rows)] = rows
         return np.asarray(padded - self.basis @ (self.basis.T @ padded))
 
     def evaluate(self, x: Array) -> _State:
-        six = np.empty((len(self.weight), 6))
+        six = np.empty((len(self.weight), 6))  # offsets and lengths of each reading
         for rows, six_from_x in self.campaign_maps:
             six[rows] = six_from_x @ x
         if self.nominal is None:
-            seen = predicted(self.dials, six, self.length)
-            values = seen.values
+            predictions = predicted(self.dials, six, self.length)
+            values = predictions.values
         else:
-            seen = self.nominal
-            values = seen.values + np.sum(seen.gradient * six, axis=-1)
+            predictions = self.nominal
+            values = predictions.values + np.sum(predictions.gradient * six, axis=-1)
         residual = self.project((self.target - values) * self.weight)
         cost = float(residual @ residual + np.sum((x * self.prior) ** 2))
-        return _State(x, values, residual, cost, seen)
+        return _State(x, values, residual, cost, predictions)
 
     def jacobian(self, state: _State) -> Array:
-        """Augmented rows: readings, nuisances' priors, parameters' priors; free columns."""
+        """Return rows of readings, nuisances' priors and parameters' priors; free columns."""
         gradient = state.observed.gradient * self.weight[:, None]
         columns = np.empty((len(self.weight), len(self.free)))
         for rows, six_from_x in self.campaign_maps:
@@ -109,29 +110,30 @@ class _Problem:
         return np.concatenate([self.project(columns), np.diag(self.prior)[:, self.free]])
 
     def curvature(self, state: _State) -> Array:
-        """Second derivatives of the model, weighted by the residual; free parameters."""
+        """Return second derivatives by free parameters, weighted by the residual."""
         total = np.zeros((len(self.free), len(self.free)))
         if self.nominal is not None:
             return total
-        bend = state.observed.curvature(state.residual[: len(self.weight)] * self.weight)
+        weights = state.residual[: len(self.weight)] * self.weight
+        reading_curvature = state.observed.curvature(weights)
         for rows, six_from_x in self.campaign_maps:
             columns = six_from_x[:, self.free]
-            total += columns.T @ bend[rows].sum(axis=0) @ columns
+            total += columns.T @ reading_curvature[rows].sum(axis=0) @ columns
         return total
 
     def step(self, state: _State) -> tuple[Array, float, Array]:
-        """Newton step of the free parameters, its gain, and the map from whitened coordinates."""
-        left, unwhiten = _factor(self.jacobian(state))
-        slope = left.T @ np.concatenate([state.residual, -state.x * self.prior])
-        bend = unwhiten.T @ self.curvature(state) @ unwhiten
-        values, vectors = np.linalg.eigh(np.eye(len(slope)) - (bend + bend.T) / 2)
+        """Return Newton's step of the free parameters, its gain, and the unwhitening map."""
+        basis, unwhiten = _factor(self.jacobian(state))
+        gradient = basis.T @ np.concatenate([state.residual, -state.x * self.prior])
+        curvature = unwhiten.T @ self.curvature(state) @ unwhiten
+        values, vectors = np.linalg.eigh(np.eye(len(gradient)) - (curvature + curvature.T) / 2)
         # Modulus and floor keep every step a descent where the curvature outweighs the readings.
-        whitened = vectors @ ((vectors.T @ slope) / np.maximum(np.abs(values), 0.01))
-        return unwhiten @ whitened, float(slope @ whitened), unwhiten
+        whitened = vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(values), 0.01))
+        return unwhiten @ whitened, float(gradient @ whitened), unwhiten
 
     def search(self, state: _State, step: Array, gain: float) -> _State | None:
-        """Halve the step until the objective falls; None where it never does."""
-        # Rounding of carriages and readings moves the objective so much: no fall shows below it.
+        """Return the state after halving the step until the objective falls; else ``None``."""
+        # Rounding of carriages and readings changes the objective by this much.
         size = self.length + np.abs(self.target) + np.abs(state.values)
         slack = 4e-16 * (float(np.linalg.norm(size * self.weight)) * state.cost**0.5 + state.cost)
         for share in 0.5 ** np.arange(40):
@@ -146,7 +148,7 @@ class _Problem:
         return None
 
     def solve(self, start: Array) -> tuple[_State, Array, bool, int]:
-        """Where Newton's method ends, its last map, whether it converged and after how many."""
+        """Return the final state, the unwhitening map, convergence and number of iterations."""
         state, iterations = self.evaluate(start), 0
         while True:
             step, gain, unwhiten = self.step(state)
@@ -160,27 +162,27 @@ class _Problem:
             state, iterations = moved, iterations + 1
 
     def fit(self, start: Array, signs: Array) -> ReadingFit:
-        """The result, with the nuisances and the covariance, as the dials count."""
+        """Return the result, with nuisances and covariance, in the dials' signs."""
         state, unwhiten, converged, iterations = self.solve(start)
-        left = self.target - state.values
-        z = self.inverse[:, : len(left)] @ (left * self.weight)
-        left = signs * (left - self.columns @ z)
+        residual = self.target - state.values
+        z = self.inverse[:, : len(residual)] @ (residual * self.weight)
+        residual = signs * (residual - self.columns @ z)
         covariance = np.zeros((len(start), len(start)))
         covariance[np.ix_(self.free, self.free)] = unwhiten @ unwhiten.T
         six = np.array([six_from_x @ state.x for _, six_from_x in self.campaign_maps])
         return ReadingFit(
-            state.x, six, z, signs * self.target - left, left, state.cost, covariance,
+            state.x, six, z, signs * self.target - residual, residual, state.cost, covariance,
             unwhiten.shape[1], converged, iterations,
         )  # fmt: skip
 
 
 def _factor(columns: Array, tolerance: float = RANK_TOLERANCE) -> tuple[Array, Array]:
-    """Orthonormal left vectors of the directions seen, and the map from these to the factors."""
+    """Return orthonormal left vectors of the determined directions, and the map to the columns."""
     scale = np.linalg.norm(columns, axis=0)
     scale[scale == 0] = 1.0
     left, singular, right = np.linalg.svd(columns / scale, full_matrices=False)
-    seen = singular > tolerance * max(singular.max(initial=0.0), 1e-300)
-    return left[:, seen], (right[seen].T / singular[seen]) / scale[:, None]
+    determined = singular > tolerance * max(singular.max(initial=0.0), 1e-300)
+    return left[:, determined], (right[determined].T / singular[determined]) / scale[:, None]
 
 
 def _positive(value: ArrayLike, shape: int, name: str) -> Array:
@@ -191,22 +193,22 @@ def _positive(value: ArrayLike, shape: int, name: str) -> Array:
 
 
 def _campaign_maps(maps: ArrayLike | None, group: ArrayLike | None, count: int) -> _CampaignMaps:
-    """Each campaign's readings and its map ``(6, P)``."""
-    found = np.eye(6)[None] if maps is None else np.asarray(maps, dtype=float)
-    groups = np.zeros(count, np.intp) if group is None else np.asarray(group, dtype=np.intp)
-    if found.ndim != 3 or found.shape[1] != 6 or groups.shape != (count,):
+    """Return the readings of each campaign and its map ``(6, P)``."""
+    campaign_maps = np.eye(6)[None] if maps is None else np.asarray(maps, dtype=float)
+    campaigns = np.zeros(count, np.intp) if group is None else np.asarray(group, dtype=np.intp)
+    if campaign_maps.ndim != 3 or campaign_maps.shape[1] != 6 or campaigns.shape != (count,):
         raise InputError("maps has the shape (G, 6, P) and group one campaign for every reading")
-    if np.any((groups < 0) | (groups >= len(found))):
+    if np.any((campaigns < 0) | (campaigns >= len(campaign_maps))):
         raise InputError("group runs from 0 to G - 1, a campaign for every map")
-    if len(found) == 1:
-        return ((slice(None), found[0]),)
-    return tuple((np.flatnonzero(groups == k), one) for k, one in enumerate(found))
+    if len(campaign_maps) == 1:
+        return ((slice(None), campaign_maps[0]),)
+    return tuple((np.flatnonzero(campaigns == k), m) for k, m in enumerate(campaign_maps))
 
 
 def _check_measured(
     measured: ArrayLike, sigma: ArrayLike, nuisance: ArrayLike | None, count: int
 ) -> tuple[Array, Array, Array]:
-    """Readings, their weights and the columns U, checked."""
+    """Return the readings, their weights and the columns U, checked."""
     readings = np.asarray(measured, dtype=float)
     if readings.shape != (count,) or not np.isfinite(readings).all():
         raise InputError("measured has one finite reading for every command, in metres")
@@ -217,10 +219,10 @@ def _check_measured(
 
 
 def _basis(whitened: Array, precision: ArrayLike) -> tuple[Array, Array]:
-    """Orthonormal columns of the nuisances with their priors, and the pseudoinverse."""
-    known = np.broadcast_to(np.asarray(precision, dtype=float), whitened.shape[1:])
-    left, unwhiten = _factor(np.concatenate([whitened, np.diag(np.sqrt(known))]), 1e-12)
-    return left, unwhiten @ left.T
+    """Return orthonormal columns of the nuisances with their priors, and the pseudoinverse."""
+    precisions = np.broadcast_to(np.asarray(precision, dtype=float), whitened.shape[1:])
+    basis, unwhiten = _factor(np.concatenate([whitened, np.diag(np.sqrt(precisions))]), 1e-12)
+    return basis, unwhiten @ basis.T
 
 
 def fit_readings(
@@ -242,10 +244,10 @@ def fit_readings(
     geometry: Geometry = NOMINAL,
     linear: bool = False,
 ) -> ReadingFit:
-    """Least ``|(y - s f(S x) - U z) / sigma|^2 + |x / prior_sd|^2 + sum(precision z^2)``.
+    """Minimise ``|(y - s f(S x) - U z) / sigma|^2 + |x / prior_sd|^2 + sum(precision z^2)``.
 
     Args:
-        commands: ``(N, 3)``, metres; the dials as for :func:`observe`.
+        commands: ``(N, 3)``, metres; the dials as for :func:`predict_readings`.
         legs: legs touched ``(N,)``.
         axes: base axes the dials read along ``(N,)``.
         gauges: places along the legs' own axes ``(N,)``, metres.
@@ -268,16 +270,16 @@ def fit_readings(
         NumericsError: where the start is singular.
     """
     dials = Dials.checked(commands, legs, axes, gauges)
-    counted = np.broadcast_to(np.asarray(signs, dtype=float), dials.legs.shape)
-    y, weight, columns = _check_measured(measured, sigma, nuisance, len(counted))
-    columns = counted[:, None] * columns  # s y = f + s U z: the dials' signs are gone
-    parts = _campaign_maps(maps, group, len(counted))
-    start = np.array(np.broadcast_to(np.asarray(x0, dtype=float), parts[0][1].shape[1:]))
+    dial_signs = np.broadcast_to(np.asarray(signs, dtype=float), dials.legs.shape)
+    readings, weight, columns = _check_measured(measured, sigma, nuisance, len(dial_signs))
+    columns = dial_signs[:, None] * columns  # s y = f + s U z: the dials' signs are gone
+    campaigns = _campaign_maps(maps, group, len(dial_signs))
+    start = np.array(np.broadcast_to(np.asarray(x0, dtype=float), campaigns[0][1].shape[1:]))
     prior = 1.0 / _positive(prior_sd, len(start), "prior_sd")
-    moving = np.flatnonzero(np.broadcast_to(np.asarray(free, dtype=bool), start.shape))
+    free_positions = np.flatnonzero(np.broadcast_to(np.asarray(free, dtype=bool), start.shape))
     nominal = predicted(dials, np.zeros(6), geometry.L) if linear else None
     problem = _Problem(
-        dials, geometry.L, nominal, parts, counted * y, weight, prior, moving, columns,
-        *_basis(columns * weight[:, None], precision),
+        dials, geometry.L, nominal, campaigns, dial_signs * readings, weight, prior,
+        free_positions, columns, *_basis(columns * weight[:, None], precision),
     )  # fmt: skip
-    return problem.fit(start, counted)
+    return problem.fit(start, dial_signs)

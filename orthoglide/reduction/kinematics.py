@@ -11,14 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.errors import InputError, NumericsError, UnreachableError
-from orthoglide.geometry import LEGS, Array, Geometry
+from orthoglide.errors import InputError, NumericsError, UnreachableError, check_choice
+from orthoglide.geometry import LEGS, Array, Geometry, Mode
 from orthoglide.reduction.spheres import (
     DEGENERATE,
     TOUCH_TOLERANCE,
-    Mode,
     batch_position,
-    check_mode,
     unreachable_error,
 )
 
@@ -30,7 +28,7 @@ CONFIGURATIONS: tuple[tuple[int, int, int], ...] = tuple(
 )
 """The eight signs of eq. (3), the machine's own first."""
 
-_BLOCK = 4096  # poses a pass: some twenty rows of doubles stay in the cache
+_BLOCK = 4096  # poses a pass, so that some twenty rows of doubles fit in the cache
 
 
 class Jacobians(NamedTuple):
@@ -41,7 +39,7 @@ class Jacobians(NamedTuple):
 
 
 def vectors(value: ArrayLike, name: str) -> Array:
-    """``value`` as floats ``(..., 3)``; a scalar stands for three alike."""
+    """Return ``value`` as floats ``(..., 3)``; a scalar stands for three equal ones."""
     array = np.asarray(value, dtype=float)
     if array.ndim == 0:
         return np.full(3, float(array))
@@ -80,23 +78,23 @@ def inverse(
     reach = bars * bars - across
     if not np.all(reach >= 0):
         raise out_of_reach(np.sqrt(across) - bars)
-    own = np.sqrt(reach)
+    own_axis = np.sqrt(reach)
     if np.any(np.abs(configuration := vectors(signs, "signs")) != 1):
         raise InputError("signs are +1 or -1, one a leg")
-    return np.asarray(tcp + configuration * own - vectors(offsets, "offsets"))
+    return np.asarray(tcp + configuration * own_axis - vectors(offsets, "offsets"))
 
 
 def out_of_reach(excess: Array) -> Exception:
-    """Return the error of poses beyond legs by ``excess`` ``(..., 3)``, metres; none below 0."""
+    """Return the error of poses out of reach by ``excess`` ``(..., 3)``, metres, if positive."""
     failed = ~(excess <= 0).all(axis=-1)
     index = tuple(int(i) for i in np.argwhere(failed)[0])
     leg = int(np.argmax(excess[index]))
     amount = float(excess[index][leg])
-    where = batch_position(index, int(failed.sum()))
+    place = batch_position(index, int(failed.sum()))
     if not np.isfinite(excess[index]).all():
-        return InputError(f"the pose{where} is not finite: give numbers in metres")
+        return InputError(f"the pose{place} is not finite: give numbers in metres")
     return UnreachableError(
-        f"the pose{where} is out of reach of leg {LEGS[leg]} by {amount * 1e3:.4g} mm; "
+        f"the pose{place} is out of reach of leg {LEGS[leg]} by {amount * 1e3:.4g} mm; "
         "bring the TCP nearer to that leg's axis",
         leg=LEGS[leg],
         excess=amount,
@@ -112,7 +110,7 @@ def forward(
     mode: Mode = "machine",
     geometry: Geometry = NOMINAL,
 ) -> Array:
-    """TCP of a command, by the quadratic ``A t^2 + B t + C = 0`` in t = |p|^2 / 2 (2008, (4)).
+    """Return the TCP of a command, by ``A t^2 + B t + C = 0`` in t = |p|^2 / 2 (2008, (4)).
 
     ``p_i = (k_i + t) / R_i`` with ``k_i = (R_i^2 - L_i^2) / 2``. The machine's assembly mode is the
     *minus* root, the intersection nearer the origin; it is taken as C over the larger root's
@@ -138,8 +136,8 @@ def forward(
 
 
 def intersect_legs(rho: Array, offsets: Array, bars: Array, mode: Mode = "machine") -> Array:
-    """``forward`` on arrays ``(..., 3)``, with the bars' lengths themselves."""
-    check_mode(mode)
+    """Return the TCP as :func:`forward`, from arrays ``(..., 3)`` with full bar lengths."""
+    check_choice("assembly mode", mode, ("machine", "other"))
     shape = np.broadcast_shapes(rho.shape, offsets.shape, bars.shape)
     flat = [_rows(array, shape) for array in (rho, offsets, bars)]
     count = int(np.prod(shape[:-1], dtype=int))
@@ -147,8 +145,8 @@ def intersect_legs(rho: Array, offsets: Array, bars: Array, mode: Mode = "machin
     missed: list[int] = []
     for start in range(0, count, _BLOCK):
         block = slice(start, min(start + _BLOCK, count))
-        part = [array.T if len(array) == 1 else array[block].T for array in flat]
-        missed += [start + k for k in _solve_block(part[0], part[1], part[2], mode, p[block].T)]
+        a, b, c = (array.T if len(array) == 1 else array[block].T for array in flat)
+        missed += [start + k for k in _solve_block(a, b, c, mode, p[block].T)]
     if missed:
         carriages, lengths = (np.broadcast_to(x, p.shape) for x in (flat[0] + flat[1], flat[2]))
         index = tuple(int(i) for i in np.unravel_index(missed[0], shape[:-1] or (1,)))
@@ -158,14 +156,14 @@ def intersect_legs(rho: Array, offsets: Array, bars: Array, mode: Mode = "machin
 
 
 def _rows(array: Array, shape: tuple[int, ...]) -> Array:
-    """As ``(1, 3)`` where one vector serves the batch, else ``(N, 3)``."""
+    """Return an array as ``(1, 3)`` where it is a single vector, else as ``(N, 3)``."""
     if array.size == 3:
         return array.reshape(1, 3)
     return np.broadcast_to(array, shape).reshape(-1, 3)
 
 
 def _solve_block(rho: Array, offsets: Array, bars: Array, mode: Mode, p: Array) -> list[int]:
-    """Fill p ``(3, n)``; which poses do not meet. Rows are axes: contiguous passes."""
+    """Fill p ``(3, n)`` and return the poses that do not meet. Rows are axes, for contiguity."""
     carriage = np.add(rho, offsets, order="C")
     with np.errstate(all="ignore"):
         inverse_r = np.divide(0.5, carriage)  # 1 / (2 R)
@@ -194,32 +192,32 @@ def _solve_block(rho: Array, offsets: Array, bars: Array, mode: Mode, p: Array) 
 def _unreachable_error(
     carriage: Array, bars: Array, index: tuple[int, ...], total: int
 ) -> InputError:
-    """The error of the first pose that fails, one of ``total``."""
-    where = batch_position(index, total)
+    """Return the error of the first pose that fails, one of ``total``."""
+    place = batch_position(index, total)
     if not np.isfinite(carriage + bars).all():
-        return InputError(f"the command{where} is not finite: give numbers in metres")
+        return InputError(f"the command{place} is not finite: give numbers in metres")
     if np.any(carriage == 0):
         leg = LEGS[int(np.argmax(carriage == 0))]
         return InputError(
-            f"carriage {leg} stands at the origin{where}, where the quadratic has no "
+            f"carriage {leg} stands at the origin{place}, where the quadratic has no "
             "coefficients: use intersect_spheres"
         )
     return unreachable_error(np.diag(carriage), bars, index, total)
 
 
 def row_inverse(p: Array, carriage: Array) -> Array:
-    """Inverse ``(..., 3, 3)`` of the matrix ``1 p^T - diag(R)`` of section 2.4.
+    """Return the inverse ``(..., 3, 3)`` of the matrix ``1 p^T - diag(R)`` of section 2.4.
 
-    ``1 - sum p_i / R_i`` measures how far the TCP is from the plane of the carriages.
+    ``1 - sum p_i / R_i`` is a distance of the TCP from the plane of the carriages.
     """
     u = 1.0 / carriage
     scaled = p * u
-    room = 1.0 - scaled.sum(axis=-1)
-    if np.any(np.abs(room) < DEGENERATE):
+    distance = 1.0 - scaled.sum(axis=-1)
+    if np.any(np.abs(distance) < DEGENERATE):
         raise NumericsError(
             "the TCP lies in the plane of the carriages: stay off singular postures"
         )
-    matrix = u[..., :, None] * (scaled / -room[..., None])[..., None, :]
+    matrix = u[..., :, None] * (scaled / -distance[..., None])[..., None, :]
     diagonal = np.einsum("...ii->...i", matrix)
     diagonal -= u
     return np.asarray(matrix)
@@ -235,8 +233,7 @@ def jacobians(
 ) -> Jacobians:
     """``M dp/drho = diag(p_i - R_i)`` and ``M dp/dL = diag(L_i)``, M = 1 p^T - diag(R) (2008, (5)).
 
-    Takes the TCP ``(..., 3)`` with the command that belongs to it; the rest is as for
-    :func:`forward`.
+    Takes the TCP ``(..., 3)`` of the command; the other arguments are as for :func:`forward`.
 
     Returns:
         J_rho and J_L, ``(..., 3, 3)`` each.

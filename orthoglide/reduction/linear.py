@@ -19,9 +19,7 @@ from orthoglide.reduction.kinematics import NOMINAL, vectors
 COLUMNS: tuple[str, ...] = tuple(f"{kind}.{leg}" for kind in ("offset", "length") for leg in LEGS)
 """Names of the six parameters, in the order of every vector of six here."""
 
-G: Array = np.array(
-    [[2.0, 0, 1, 0], [0, 2.0, 0, 1], [1, 0, 2.0, 0], [0, 1, 0, 2.0]],
-)
+G: Array = np.array([[2.0, 0, 1, 0], [0, 2.0, 0, 1], [1, 0, 2.0, 0], [0, 1, 0, 2.0]])
 """Eq. (14): covariance of four deviations that share two Zero readings, in units of sigma^2."""
 G.flags.writeable = False
 
@@ -38,7 +36,7 @@ class LinearSystem:
     noise: Array  # covariance of the deviations for readings of unit variance (rows, rows)
 
     def select(self, free: str | Sequence[str]) -> LinearSystem:
-        """The system of some parameters only.
+        """Return the system of some of the parameters.
 
         Args:
             free: ``"offsets"``, ``"lengths"``, ``"all"``, or names of columns.
@@ -46,17 +44,17 @@ class LinearSystem:
         Raises:
             InputError: for a name that is no column.
         """
-        kept: list[str] = []
+        selected: list[str] = []
         for name in [free] if isinstance(free, str) else free:
-            found = [c for c in self.columns if name in (c, f"{c[:-2]}s", "all")]
-            if not found:
+            matching = [c for c in self.columns if name in (c, f"{c[:-2]}s", "all")]
+            if not matching:
                 raise InputError(f"no such parameter: {name}; there are {', '.join(self.columns)}")
-            kept += found
-        places = [self.columns.index(name) for name in kept]
-        return replace(self, matrix=self.matrix[:, places], columns=tuple(kept))
+            selected += matching
+        places = [self.columns.index(name) for name in selected]
+        return replace(self, matrix=self.matrix[:, places], columns=tuple(selected))
 
     def ordered(self, deviations: dict[str, float]) -> Array:
-        """Deviations by row name as a vector in the system's order.
+        """Return deviations by row name as a vector in the system's order.
 
         Raises:
             InputError: where a row is missing.
@@ -110,8 +108,8 @@ def leg_deviations(angle: ArrayLike, offsets: ArrayLike = 0.0, lengths: ArrayLik
     """
     a, b, c = (np.asarray(x)[..., None] for x in coefficients(angle))
     off, length = vectors(offsets, "offsets"), vectors(lengths, "lengths")
-    own, read = b * (off - length), a * off - c * length
-    table = own[..., :, None] + read[..., None, :]
+    own_share, direction_share = b * (off - length), a * off - c * length
+    table = own_share[..., :, None] + direction_share[..., None, :]
     return np.asarray(table * (1.0 - np.eye(3)))
 
 
@@ -128,11 +126,11 @@ def system11(
         The 12 x 6 system with the noise of eq. (14), gauges at the middle of the legs.
     """
     # Deviations of each parameter alone, the parameter first: (6, leg, direction) at each end.
-    one = np.eye(6)
-    ends = [leg_deviations(a, one[:, :3], one[:, 3:]) for a in angles or stroke_angles(geometry)]
+    unit, ends = np.eye(6), angles or stroke_angles(geometry)
+    tables = [leg_deviations(angle, unit[:, :3], unit[:, 3:]) for angle in ends]
     matrix, rows = [], []
     for first, second in _BLOCKS:
-        for table, sign in zip(ends, "+-", strict=True):
+        for table, sign in zip(tables, "+-", strict=True):
             for direction, leg in ((first, second), (second, first)):
                 matrix.append(table[:, leg, direction])
                 rows.append(f"{LEGS[direction]}_{LEGS[leg]}{sign}")
@@ -141,7 +139,7 @@ def system11(
 
 
 def reduced_system(geometry: Geometry = NOMINAL) -> LinearSystem:
-    """The six differences Max - Min of system (11) (2006, end of section 3.2; 2008, Table 1).
+    """Return the differences Max - Min of system (11) (2006, end of 3.2; 2008, Table 1).
 
     The rows' noise is 2 sigma^2 each, independent.
     """
@@ -153,7 +151,7 @@ def reduced_system(geometry: Geometry = NOMINAL) -> LinearSystem:
 
 
 def system8(geometry: Geometry = NOMINAL) -> LinearSystem:
-    """System (8) of 2006, its right side mended: the offset columns of :func:`system11`, 12 x 3."""
+    """Return system (8) of 2006, corrected: the offset columns of :func:`system11`, 12 x 3."""
     return system11(geometry).select("offsets")
 
 

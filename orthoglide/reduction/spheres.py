@@ -1,21 +1,17 @@
 """The general form of the reduction: three spheres about any carriage points, with any lengths.
 
 Each leg is one bar of length ``lengths[i]`` from the carriage point ``centres[i]`` to the TCP, so
-the TCP is where three spheres meet. Nothing is assumed of where the carriages stand: this form
-checks every effect that only moves carriages or changes bars.
+the TCP is the intersection of three spheres. The carriages may be anywhere, so this form checks
+every effect that only moves carriages or changes bars.
 """
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.errors import InputError, UnreachableError
-from orthoglide.geometry import LEGS, Array
-
-Mode = Literal["machine", "other"]
+from orthoglide.errors import InputError, UnreachableError, check_choice
+from orthoglide.geometry import LEGS, Array, Mode
 
 DEGENERATE = 1e-9
 """Carriage triangles and TCP tetrahedra flatter than this (relative) count as singular."""
@@ -24,22 +20,16 @@ TOUCH_TOLERANCE = 4e-15
 """Legs that just touch give a discriminant of rounding size, of either sign (relative)."""
 
 
-def check_mode(mode: str) -> None:
-    """Raise ``InputError`` unless ``mode`` names an assembly mode."""
-    if mode not in ("machine", "other"):
-        raise InputError(f"there is no assembly mode {mode!r}: it is 'machine' or 'other'")
-
-
 def batch_position(index: tuple[int, ...], total: int) -> str:
-    """Words for the first pose of a batch that fails, one of ``total``."""
-    where = f" at index {index}" if index else ""
-    return f"{where} ({total} of the batch fail)" if total > 1 else where
+    """Return words for the first pose of a batch that fails, one of ``total``."""
+    place = f" at index {index}" if index else ""
+    return f"{place} ({total} of the batch fail)" if total > 1 else place
 
 
 def _gap(centres: Array, lengths: Array, leg: int) -> float:
-    """How much too short (> 0) or too long (< 0) a leg is for the circle of the two others.
+    """Return by how much a leg is too short (> 0) or too long (< 0) for the circle of the others.
 
-    Infinite where the two others do not meet, zero where all three do.
+    The gap is infinite where the two others do not meet, and zero where all three do.
     """
     j, k = (leg + 1) % 3, (leg + 2) % 3
     between = centres[k] - centres[j]
@@ -60,34 +50,34 @@ def _gap(centres: Array, lengths: Array, leg: int) -> float:
 def unreachable_error(
     centres: Array, lengths: Array, index: tuple[int, ...], total: int
 ) -> UnreachableError:
-    """The error for legs that do not meet: names the leg that lacks least.
+    """Return the error for legs that do not meet, which names the leg with the smallest gap.
 
     Args:
         centres: carriage points ``(3, 3)``, metres, by leg.
         lengths: bar lengths ``(3,)``, metres.
-        index: place in the batch.
-        total: how many poses of the batch do not meet.
+        index: index in the batch.
+        total: number of poses of the batch that do not meet.
 
     Returns:
         The error to raise; ``leg`` is empty where no two legs meet.
     """
-    where = batch_position(index, total)
+    place = batch_position(index, total)
     gaps = [_gap(centres, lengths, leg) for leg in range(3)]
     leg = int(np.argmin(np.abs(gaps)))
     if np.isinf(gaps[leg]):
-        apart = np.linalg.norm(centres - centres[[1, 2, 0]], axis=-1)
-        miss = float(np.max(apart - lengths - lengths[[1, 2, 0]]))
+        distances = np.linalg.norm(centres - centres[[1, 2, 0]], axis=-1)
+        miss = float(np.max(distances - lengths - lengths[[1, 2, 0]]))
         return UnreachableError(
-            f"no two legs meet{where}: their ends stay up to {miss * 1e3:.4g} mm apart; "
+            f"no two legs meet{place}: their ends stay up to {miss * 1e3:.4g} mm apart; "
             "bring the carriages nearer",
             excess=max(miss, 0.0),
             index=index,
         )
     others = " and ".join(LEGS[k] for k in range(3) if k != leg)
-    fault, remedy = ("short", "nearer") if gaps[leg] >= 0 else ("long", "further apart")
+    problem, remedy = ("short", "nearer") if gaps[leg] >= 0 else ("long", "further apart")
     return UnreachableError(
-        f"the legs do not meet{where}: leg {LEGS[leg]} is {abs(gaps[leg]) * 1e3:.4g} mm too "
-        f"{fault} for where legs {others} meet; bring the carriages {remedy}",
+        f"the legs do not meet{place}: leg {LEGS[leg]} is {abs(gaps[leg]) * 1e3:.4g} mm too "
+        f"{problem} for where legs {others} meet; bring the carriages {remedy}",
         leg=LEGS[leg],
         excess=abs(gaps[leg]),
         index=index,
@@ -95,9 +85,9 @@ def unreachable_error(
 
 
 def intersect_spheres(centres: ArrayLike, lengths: ArrayLike, mode: Mode = "machine") -> Array:
-    """The point p with ``|p - centres[i]| = lengths[i]`` for the three legs.
+    """Return the point p with ``|p - centres[i]| = lengths[i]`` for the three legs.
 
-    Of the two points, mirror images in the plane of the carriages, ``"machine"`` is the one on the
+    There are two such points, mirror images in the plane of the carriages: ``"machine"`` is on the
     side ``-(c_y - c_x) x (c_z - c_x)``, that of the origin on the Orthoglide.
 
     Args:
@@ -112,7 +102,7 @@ def intersect_spheres(centres: ArrayLike, lengths: ArrayLike, mode: Mode = "mach
         UnreachableError: where the legs do not meet.
         InputError: for carriages in one line or values that are not finite.
     """
-    check_mode(mode)
+    check_choice("assembly mode", mode, ("machine", "other"))
     c = np.asarray(centres, dtype=float)
     if c.shape[-2:] != (3, 3):
         raise InputError(f"centres have the shape (..., 3, 3), leg by coordinate, not {c.shape}")
@@ -136,29 +126,3 @@ def intersect_spheres(centres: ArrayLike, lengths: ArrayLike, mode: Mode = "mach
         raise unreachable_error(centre, bars[index], index, int(missed.sum()))
     height = np.sqrt(np.maximum(height2, 0.0) / ww) * (-1.0 if mode == "machine" else 1.0)
     return np.asarray(c[..., 0, :] + foot + height[..., None] * w)
-
-
-def reading(
-    centres: ArrayLike, p: ArrayLike, leg: ArrayLike, direction: ArrayLike, gauge: ArrayLike
-) -> Array:
-    """Coordinate of the leg's line where it crosses the plane own axis = gauge.
-
-    The line runs from the TCP p to the carriage c: ``p_j + (g - p_i) / (c_i - p_i) (c_j - p_j)``
-    (2008, section 3.2, for any posture and gauge).
-
-    Args:
-        centres: carriage points ``(..., 3, 3)``, metres.
-        p: TCP ``(..., 3)``, metres.
-        leg: the leg touched, 0, 1 or 2, shape ``(...)``.
-        direction: the base axis the dial reads along, shape ``(...)``.
-        gauge: the dial's place along the leg's own axis, metres, shape ``(...)``.
-
-    Returns:
-        Readings ``(...)``, metres.
-    """
-    c, tcp = np.asarray(centres, dtype=float), np.asarray(p, dtype=float)
-    own, read = np.eye(3)[np.asarray(leg)], np.eye(3)[np.asarray(direction)]
-    bar = np.sum(c * own[..., :, None], axis=-2) - tcp
-    reach = np.sum(bar * own, axis=-1)
-    share = (np.asarray(gauge, dtype=float) - np.sum(tcp * own, axis=-1)) / reach
-    return np.asarray(np.sum(tcp * read, axis=-1) + share * np.sum(bar * read, axis=-1))

@@ -1,4 +1,4 @@
-"""Finished campaigns of a rehearsal, kept as they come: a stopped run goes on from here."""
+"""File of the finished campaigns of a rehearsal, from which a stopped run is resumed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from orthoglide.text import printable_path
 
 
 def request_digests(scope: Scope, seed: int) -> dict[str, str]:
-    """Return what determines every campaign, digests of files in place of them."""
+    """Return what determines every campaign, files by their digests."""
     machine = machine_text(scope.machine.spec) + " ".join(scope.machine.catalogue)
     return {
         "the version of orthoglide": __version__,
@@ -65,28 +65,28 @@ class Journal:
 
     def _read(self, request: Mapping[str, str]) -> None:
         content = read_bytes(self.path)
-        whole = content[: content.rfind(b"\n") + 1]
+        complete = content[: content.rfind(b"\n") + 1]
         try:
-            first, *rest = map(json.loads, whole.decode().splitlines())
-            differs = [k for k, v in request.items() if first[k] != v]
-            self.finished = {r["number"]: Outcome.from_dict(r) for r in rest}
+            stored_request, *records = map(json.loads, complete.decode().splitlines())
+            differences = [k for k, v in request.items() if stored_request[k] != v]
+            self.finished = {record["number"]: Outcome.from_dict(record) for record in records}
         except (ValueError, TypeError, KeyError, AttributeError):
             raise FileError(
                 "holds no campaigns of a rehearsal: name another folder",
                 file=printable_path(self.path),
             ) from None
-        if differs:
+        if differences:
             raise FileError(
-                f"holds campaigns of another rehearsal, as {' and '.join(differs)} "
-                f"{'is' if len(differs) == 1 else 'are'} not the same: name another folder",
+                f"holds campaigns of another rehearsal, as {' and '.join(differences)} "
+                f"{'is' if len(differences) == 1 else 'are'} not the same: name another folder",
                 file=printable_path(self.path),
             )
-        if len(whole) < len(content):  # stopped while a line was written
+        if len(complete) < len(content):  # stopped while a line was written
             with as_file_errors(self.path):
-                os.truncate(self.path, len(whole))
+                os.truncate(self.path, len(complete))
 
     def add(self, outcome: Outcome) -> None:
-        """Keep one more, at once."""
+        """Write one more outcome to the file, at once."""
         self.finished[outcome.number] = outcome
         line = json.dumps(outcome.as_dict(), allow_nan=False) + "\n"
         with as_file_errors(self.path), self.path.open("a", encoding="utf-8") as file:

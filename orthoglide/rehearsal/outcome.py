@@ -20,8 +20,7 @@ from orthoglide.simulation import simulate, simulate_tcp
 from orthoglide.threads import on_one_thread
 from orthoglide.verdict import build_request
 
-_ACTIVE_SHARES = 2.0
-"""Times its share by which an effect is off that stands out of the others: one in twenty is."""
+_ACTIVE_SHARES = 2.0  # shares from which an effect counts as active: one in twenty reaches that
 
 
 @dataclass(frozen=True)
@@ -30,19 +29,18 @@ class Outcome:
 
     number: int  # of the campaign, from 0
     kind: str  # what was wrong, as in the table
-    cause: str = ""  # what stood out, as verdicts call it; empty where nothing did
-    size: float = 0.0  # of that, in tolerances or in the deviation to expect of such a place
+    cause: str = ""  # the active cause, as verdicts call it; empty if there was none
+    size: float = 0.0  # of that, in tolerances or in prior deviations of a free-form error
     words: str = ""  # what it was, as a clause
     word: str = ""  # the verdict
     named: tuple[str, ...] = ()  # causes that were named and were there
     located: tuple[str, ...] = ()  # places that it located and that were there
     false: tuple[str, ...] = ()  # claims that were wrong
     nominal_mm: float = float("nan")  # mean error of the tool of the machine as drawn
-    before_mm: float = float("nan")  # the same after zeros and lengths are put right
-    after_mm: float = float("nan")  # the same after everything found is compensated
-    stated_mm: float = float("nan")  # what the verdict says of that
-    # share of the tool's coordinates within their stated 95 % interval
-    inside: float = float("nan")
+    before_mm: float = float("nan")  # that error after zeros and lengths are corrected
+    after_mm: float = float("nan")  # that error after everything found is compensated
+    stated_mm: float = float("nan")  # that error as the verdict states it
+    inside: float = float("nan")  # share of the tool's coordinates in their stated 95 % interval
     seconds: float = 0.0  # that it took
     failed: str = ""  # why it came to no verdict; empty where it did
 
@@ -56,13 +54,13 @@ class Outcome:
         return {k: v for k, v in asdict(self).items() if v == v}
 
     @classmethod
-    def from_dict(cls, kept: Mapping[str, Any]) -> Outcome:
+    def from_dict(cls, fields: Mapping[str, Any]) -> Outcome:
         """Return the outcome that such fields describe.
 
         Raises:
             TypeError: where something else was kept.
         """
-        values: dict[str, Any] = dict(kept)
+        values: dict[str, Any] = dict(fields)
         for name in ("named", "located", "false"):
             values[name] = tuple(values[name])
         return cls(**values)
@@ -70,23 +68,21 @@ class Outcome:
 
 @on_one_thread
 def run_campaign(scope: Scope, number: int, seed: int) -> Outcome:
-    """Return the outcome of one campaign; its number and the seed determine every draw, and a
-    failure is an outcome as well.
-    """
+    """Return the outcome of one campaign, determined by number and seed; it may be a failure."""
     kind, began = kind_of_campaign(scope, number), time.perf_counter()
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
-    about: dict[str, Any] = {"number": number, "kind": kind.name}
+    fields: dict[str, Any] = {"number": number, "kind": kind.name}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what libraries tell programmers, in every process
             drawn = draw_machine(scope, kind, rng)
-            about |= {"cause": drawn.cause, "size": round(drawn.size, 2), "words": drawn.words}
-            about |= _measure_and_calibrate(scope, drawn, rng)
+            fields |= {"cause": drawn.cause, "size": round(drawn.size, 2), "words": drawn.words}
+            fields |= _measure_and_calibrate(scope, drawn, rng)
     except OrthoglideError as error:
-        about["failed"] = f"{type(error).__name__}: {error}"
+        fields["failed"] = f"{type(error).__name__}: {error}"
     except Exception as error:  # a crash is a result too: it is counted and shown
-        about["failed"] = f"unexpected {type(error).__name__}: {error}"
-    return Outcome(**about, seconds=round(time.perf_counter() - began, 1))
+        fields["failed"] = f"unexpected {type(error).__name__}: {error}"
+    return Outcome(**fields, seconds=round(time.perf_counter() - began, 1))
 
 
 def _measure_and_calibrate(
@@ -94,48 +90,48 @@ def _measure_and_calibrate(
 ) -> dict[str, Any]:
     measured = [simulate(drawn.machine, sheet, seed=rng) for sheet in scope.sheets]
     points = simulate_tcp(drawn.machine, seed=rng)
-    closed = compute_outcome(build_request(measured, scope.machine, tcp=points))
-    named, located, false = judge_claims(closed, drawn)
-    errors = dict(closed.tcp or {})["translation"]
-    stated = expected_error(closed.machine, closed.machine.values).shape
-    figures = (errors.nominal_mean, errors.before_mean, errors.after_mean, stated)
+    run = compute_outcome(build_request(measured, scope.machine, tcp=points))
+    named, located, false = judge_claims(run, drawn)
+    errors = dict(run.tcp or {})["translation"]
+    stated = expected_error(run.machine, run.machine.values).shape
+    means = (errors.nominal_mean, errors.before_mean, errors.after_mean, stated)
     names = ("nominal_mm", "before_mm", "after_mm", "stated_mm")
     return {
-        "word": closed.word, "named": tuple(named), "located": tuple(located),
+        "word": run.word, "named": tuple(named), "located": tuple(located),
         "false": tuple(false), "inside": round(errors.inside, 4),
-        **{n: round(1e3 * v, 5) for n, v in zip(names, figures, strict=True)},
+        **{n: round(1e3 * v, 5) for n, v in zip(names, means, strict=True)},
     }  # fmt: skip
 
 
 def judge_claims(
     verdict: RunOutcome | Result, drawn: DrawnMachine
 ) -> tuple[list[str], list[str], list[str]]:
-    """Return what a verdict claims: causes and places that are there, and what is not there.
+    """Return the claims of a verdict: true causes, true located errors, and false claims.
 
-    On a machine of which everything is off, a cause is there if it is off by twice its share.
+    On a machine with errors of all parameters, a cause is true from twice its share on.
     """
     named, located, false = list[str](), list[str](), list[str]()
     for cause in verdict.effects:
-        there = any(_is_true_cause(one.name, one.parameters, drawn) for one in cause.explanations)
-        (named if there else false).append(cause.name)
-    for found in verdict.located:
-        places = [curve.name for curve in found.members]
-        there = bool(drawn.cause) and drawn.cause in (*places, *found.resembling)
-        (located if there else false).append(places[0])
-    false += [f"a fault of the data ({b.kind})" for b in verdict.blunders]
+        is_true = any(_is_true_cause(e.name, e.parameters, drawn) for e in cause.explanations)
+        (named if is_true else false).append(cause.name)
+    for error in verdict.located:
+        places = [curve.name for curve in error.members]
+        is_true = bool(drawn.cause) and drawn.cause in (*places, *error.resembling)
+        (located if is_true else false).append(places[0])
+    false += [f"a fault of the data ({fault.kind})" for fault in verdict.blunders]
     return named, located, false
 
 
 def _is_true_cause(name: str, parameters: Sequence[str], drawn: DrawnMachine) -> bool:
     """Return whether a named cause is the true one, or a block of its family that contains it."""
-    # A machine is drawn whole: what a file has for itself goes by its plain name.
+    # A drawn machine has no values specific to a campaign: plain names are compared.
     name, *parameters = (split_campaign(n)[0] for n in (name, *parameters))
     if drawn.kind.extra_error == "effect":
         family = drawn.machine.catalogue.effect_of(drawn.cause).name
         block = len(parameters) > 1 and name.startswith(f"{family}.") and drawn.cause in parameters
         return name in (drawn.cause, family) or block
-    least = _ACTIVE_SHARES * drawn.kind.share
-    return any(abs(_true_size(n, drawn)) > least for n in parameters if drawn.sizes)
+    limit = _ACTIVE_SHARES * drawn.kind.share
+    return any(abs(_true_size(n, drawn)) > limit for n in parameters if drawn.sizes)
 
 
 def _true_size(name: str, drawn: DrawnMachine) -> float:
@@ -143,5 +139,5 @@ def _true_size(name: str, drawn: DrawnMachine) -> float:
     catalogue = drawn.machine.catalogue
     setups = dict.fromkeys(n.setup for n in map(catalogue.parameter, drawn.sizes) if n.setup)
     weights = catalogue.elementary_weights(name, list(setups))
-    along = sum(w * drawn.sizes.get(str(n), 0.0) for n, w in weights.items())
-    return along / sum(w**2 for w in weights.values())
+    projection = sum(w * drawn.sizes.get(str(n), 0.0) for n, w in weights.items())
+    return projection / sum(w**2 for w in weights.values())

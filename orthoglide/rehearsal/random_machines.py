@@ -22,8 +22,7 @@ class Kind:
 
     name: str  # for tables
     share: float = 0.0  # of their tolerances by which all effects are off
-    # a significant error besides: "effect", "outside" the catalogue, or none
-    extra_error: str = ""
+    extra_error: str = ""  # significant error besides: "effect", "outside" the catalogue, or none
 
 
 NOTHING, EFFECT = Kind("nothing"), Kind("one effect", extra_error="effect")
@@ -33,23 +32,17 @@ KINDS = (NOTHING, EFFECT, OUTSIDE, *ALL_EFFECTS)
 """In the order of tables."""
 
 KIND_SEQUENCE = (
-    EFFECT,
-    ALL_EFFECTS[0],
-    OUTSIDE,
-    EFFECT,
-    ALL_EFFECTS[1],
-    NOTHING,
-    EFFECT,
-    OUTSIDE,
-    ALL_EFFECTS[2],
-)
-"""Kinds of one campaign after the other: a small rehearsal is a fair part of a larger one."""
+    EFFECT, ALL_EFFECTS[0], OUTSIDE,
+    EFFECT, ALL_EFFECTS[1], NOTHING,
+    EFFECT, OUTSIDE, ALL_EFFECTS[2],
+)  # fmt: skip
+"""Kinds of successive campaigns: a small rehearsal is a fair sample of a larger one."""
 
 EFFECT_SIZES = (3.0, 10.0)
 """Sizes of a single effect, in tolerances."""
 
 FREE_FORM_SIZES = (0.5, 2.0)
-"""Root mean squares of what no catalogue knows, in the deviation to expect of such a place."""
+"""Root mean squares of a free-form error, in its prior standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,27 +51,21 @@ class Scope:
 
     machine: Machine  # dimensions, tolerances and instruments; without errors
     sheets: tuple[Readings, ...]  # rows to be read, of dials and of instruments at the tool
-    # of effects beyond zeros and lengths, those of the dials and plates among them, whose
-    # conditions the sheets vary
+    # beyond zeros and lengths, of effects whose conditions the sheets vary, of instruments too
     parameters: tuple[Parameter, ...]
-    places: tuple[FreeForm, ...]  # that the sheets may show
+    places: tuple[FreeForm, ...]  # free-form errors that the sheets may show
 
     @classmethod
     def of(cls, machine: Machine, *sheets: Readings) -> Scope:
-        """Return the scope of sheets, whose readings do not count, on a machine of the same
-        dimensions and tolerances.
-        """
+        """Return the scope of sheets, whose readings do not count, on a machine without errors."""
         bare = machine.with_only({})
-        wide = with_all_parameters(predicted_problem(bare, sheets))
-        beyond = (n.plain for n in wide.names if n.effect not in bare.catalogue.base)
+        full_model = with_all_parameters(predicted_problem(bare, sheets))
+        names = (n.plain for n in full_model.names if n.effect not in bare.catalogue.base)
         setups = [s.name for sheet in sheets for s in sheet.setups]
-        kept = tuple(bare.catalogue.parameter(n, setups) for n in beyond)
-        return cls(
-            bare,
-            sheets,
-            kept,
-            tuple(p for p in visible_free_form_errors(wide) if p.in_model and not p.is_local),
-        )
+        parameters = tuple(bare.catalogue.parameter(n, setups) for n in names)
+        errors = visible_free_form_errors(full_model)
+        errors = tuple(e for e in errors if e.in_model and not e.is_local)
+        return cls(bare, sheets, parameters, errors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,10 +74,9 @@ class DrawnMachine:
 
     kind: Kind  # what is wrong
     machine: Machine  # with all its errors
-    # of its errors beyond zeros and lengths, in tolerances, by parameter
-    sizes: Mapping[str, float] = field(default_factory=dict)
-    cause: str = ""  # name of what stands out, as verdicts call it; empty where nothing does
-    size: float = 0.0  # of that in tolerances, or in the deviation to expect of a place
+    sizes: Mapping[str, float] = field(default_factory=dict)  # beyond zeros, lengths; tolerances
+    cause: str = ""  # the active cause, as verdicts call it; empty if there is none
+    size: float = 0.0  # of that, in tolerances or in prior deviations of a free-form error
     words: str = ""  # what that is, as a clause
 
 
@@ -123,14 +109,15 @@ def _draw_effect(scope: Scope, rng: np.random.Generator) -> tuple[str, float, di
     """Return the name of an effect, its size, and sizes by parameter, all effects as likely."""
     effects = list(dict.fromkeys(n.effect for n in scope.parameters))
     effect = scope.machine.catalogue[effects[int(rng.integers(len(effects)))]]
-    mine = [n for n in scope.parameters if n.effect == effect.name]
-    one, size = mine[int(rng.integers(len(mine)))], float(rng.uniform(*EFFECT_SIZES))
+    members = [n for n in scope.parameters if n.effect == effect.name]
+    parameter, size = members[int(rng.integers(len(members)))], float(rng.uniform(*EFFECT_SIZES))
     if not effect.paired:
-        return str(one), size, {str(one): size * float(rng.choice([-1.0, 1.0]))}
-    parts = [n for n in mine if n.leg == one.leg]
-    way = rng.standard_normal(len(parts))
-    way *= size / np.linalg.norm(way)
-    return f"{effect.name}.{one.leg}", size, dict(zip(map(str, parts), way.tolist(), strict=True))
+        return str(parameter), size, {str(parameter): size * float(rng.choice([-1.0, 1.0]))}
+    parts = [n for n in members if n.leg == parameter.leg]
+    direction = rng.standard_normal(len(parts))
+    direction *= size / np.linalg.norm(direction)
+    sizes = dict(zip(map(str, parts), direction.tolist(), strict=True))
+    return f"{effect.name}.{parameter.leg}", size, sizes
 
 
 def _draw_free_form_error(
@@ -141,12 +128,12 @@ def _draw_free_form_error(
     u = np.linspace(-1, 1, 201)
     functions = np.stack(place.kernel.functions(u), axis=1)
     weights = rng.standard_normal((functions.shape[1],))
-    known = np.polynomial.legendre.legvander(u, 2).T @ functions / len(u)
-    weights -= np.linalg.pinv(known) @ (known @ weights)  # no level, slope and curvature
+    # Level, slope and curvature are removed.
+    parabola = np.polynomial.legendre.legvander(u, 2).T @ functions / len(u)
+    weights -= np.linalg.pinv(parabola) @ (parabola @ weights)
     size = float(rng.uniform(*FREE_FORM_SIZES))
     weights *= size * place.prior_sd / np.sqrt(np.mean((functions @ weights) ** 2))
     effect = place.effect
-    made = scope.machine.with_effects([effect]).with_only(
-        values | dict(zip(effect.motions, weights.tolist(), strict=True))
-    )
-    return DrawnMachine(kind, made, {}, place.name, size, place.words)
+    values = values | dict(zip(effect.motions, weights.tolist(), strict=True))
+    machine = scope.machine.with_effects([effect]).with_only(values)
+    return DrawnMachine(kind, machine, {}, place.name, size, place.words)

@@ -23,7 +23,7 @@ from orthoglide.rehearsal.table import Rehearsal
 from orthoglide.simulation import missing_conditions
 
 CAMPAIGNS = 90
-"""Ten of each turn of :data:`orthoglide.rehearsal.random_machines.TURNS`."""
+"""Ten times :data:`orthoglide.rehearsal.random_machines.KIND_SEQUENCE`."""
 
 WEAK_TOLERANCES = 3.0
 """Tolerances: an effect that must be larger to be found, or named, is a weak spot of the sheet."""
@@ -42,9 +42,9 @@ def rehearse(
 ) -> Rehearsal:
     """Return how often a sheet would find what is wrong with machines like this one.
 
-    Machines are drawn by dimensions and tolerances, measured by the sheet, and calibrated from what
-    was measured; what is then said is held against what is true. They are simulated by the model
-    that calibrates them: what no model of the package has, no rehearsal shows.
+    Machines are drawn by dimensions and tolerances, measured by the sheet, and calibrated; the
+    verdict is compared with the truth. The model that calibrates them also simulates them: a
+    rehearsal cannot show errors that no model of the package has.
 
     Args:
         machine: dimensions, tolerances and instruments; nominal where absent. Its parameters do not
@@ -72,14 +72,14 @@ def rehearse(
     machine = Machine.of(machine).with_only({})
     progress(Step("computing", "what the sheet can see"))
     scope = Scope.of(machine, *_sheets_to_read(machine, sheet, owns))
-    kept = None if out is None else Journal(Path(out), request_digests(scope, seed), campaigns)
+    journal = None if out is None else Journal(Path(out), request_digests(scope, seed), campaigns)
     weak = weak_spots(scope, seed)
-    tried = _run_campaigns(scope, campaigns, seed, jobs, kept, progress)
+    outcomes = _run_campaigns(scope, campaigns, seed, jobs, journal, progress)
     readings = sum(len(sheet) for sheet in scope.sheets)
-    found = Rehearsal(machine.spec.title, readings, seed, tried, weak)
-    if kept is not None:
-        kept.conclude(f"{found}\n")
-    return found
+    rehearsal = Rehearsal(machine.spec.title, readings, seed, outcomes, weak)
+    if journal is not None:
+        journal.conclude(f"{rehearsal}\n")
+    return rehearsal
 
 
 def _sheets_to_read(
@@ -98,15 +98,14 @@ def _sheets_to_read(
 
 
 def weak_spots(scope: Scope, seed: int = 0) -> tuple[str, ...]:
-    """Return rows of text: effects that are found or named from more than three tolerances only,
-    those that the sheet cannot show, each with the reason, and waves that it takes for a curve.
+    """Return rows of text: effects that are found or named only from more than three tolerances,
+    effects that the sheet cannot show, with the reason, and waves that look like a curve.
 
-    Sizes are those found, or named, with 95 % probability on a machine on which nothing else is
-    wrong.
+    Sizes are found, or named, with 95 % probability on a machine without other errors.
     """
     machine, catalogue = scope.machine, scope.machine.catalogue
-    seen = smallest_effects(machine, scope.sheets, seed=seed)
-    names = (*seen.invisible, *(s.name for s in seen.smallest if s.elementary))
+    detectability = smallest_effects(machine, scope.sheets, seed=seed)
+    names = (*detectability.invisible, *(s.name for s in detectability.smallest if s.elementary))
     judged = {*catalogue.base, *(catalogue.effect_of(name).name for name in names)}
     dials = any(sheet.on_legs.any() for sheet in scope.sheets)
     missing: dict[str, list[str]] = {}
@@ -115,41 +114,42 @@ def weak_spots(scope: Scope, seed: int = 0) -> tuple[str, ...]:
         if effect.name not in judged and not of_others:
             missing.setdefault(missing_conditions(effect.needs), []).append(effect.name)
     return (
-        *detectable_rows(seen, WEAK_TOLERANCES),
+        *detectable_rows(detectability, WEAK_TOLERANCES),
         *(f"not shown, as {reason}: {', '.join(effects)}" for reason, effects in missing.items()),
         *(warning for sheet in scope.sheets for warning in aliasing(machine, sheet)),
     )
 
 
 def _run_campaigns(
-    scope: Scope, campaigns: int, seed: int, jobs: int | None, kept: Journal | None, show: Progress
+    scope: Scope, campaigns: int, seed: int, jobs: int | None, log: Journal | None, show: Progress
 ) -> tuple[Outcome, ...]:
     """Return all campaigns in their order, those of an earlier run as they were."""
     from joblib import Parallel, delayed
 
-    done = dict(kept.finished) if kept else {}
-    missing, began = [k for k in range(campaigns) if k not in done], time.monotonic()
-    before = campaigns - len(missing)
+    outcomes = dict(log.finished) if log else {}
+    pending, began = [k for k in range(campaigns) if k not in outcomes], time.monotonic()
 
-    def progress(fresh: int) -> None:
-        count, text = before + fresh, f"campaign {before + fresh} of {campaigns}"
-        if fresh and count < campaigns:
-            rest = (campaigns - count) * (time.monotonic() - began) / fresh
-            text += f", about {rest:.0f} s left" if rest < 90 else f", {rest / 60:.0f} min left"
-        show(Step("computing", text, 100 * count / campaigns))
+    def progress(done: int) -> None:
+        left = len(pending) - done
+        text = f"campaign {campaigns - left} of {campaigns}"
+        if done and left:
+            seconds = left * (time.monotonic() - began) / done
+            text += f", about {seconds:.0f} s" if seconds < 90 else f", {seconds / 60:.0f} min"
+            text += " left"
+        show(Step("computing", text, 100 * (campaigns - left) / campaigns))
 
     progress(0)
-    tasks = (delayed(run_campaign)(scope, k, seed) for k in missing)
+    tasks = (delayed(run_campaign)(scope, k, seed) for k in pending)
     try:
         parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
-        for fresh, tried in enumerate(parallel(tasks) if missing else (), start=1):
-            done[tried.number] = tried
-            if kept:
-                kept.add(tried)
-            progress(fresh)
+        for done, outcome in enumerate(parallel(tasks) if pending else (), start=1):
+            outcomes[outcome.number] = outcome
+            if log:
+                log.add(outcome)
+            progress(done)
     except BrokenExecutor as error:
         raise NumericsError(
             "a process of the rehearsal was ended from outside, perhaps for want of memory: give "
             "fewer jobs"
         ) from error
-    return tuple(done[k] for k in range(campaigns))
+    return tuple(outcomes[k] for k in range(campaigns))

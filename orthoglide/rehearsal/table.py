@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,10 +17,14 @@ from orthoglide.text import wrapped
 if TYPE_CHECKING:
     import pandas as pd
 
-_MAX_LISTED = 12  # campaigns that went against the wish, in the text
+_MAX_LISTED = 12  # failures that the text lists
 
 _COUNT_FIELDS = ("named", "located", "missed", "false", "failed")
 _TOOL_ERROR_FIELDS = ("nominal_mm", "before_mm", "after_mm", "stated_mm", "inside")
+
+
+def _counts(outcomes: Sequence[Outcome]) -> list[int]:
+    return [sum(bool(getattr(outcome, n)) for outcome in outcomes) for n in _COUNT_FIELDS]
 
 
 @dataclass(frozen=True)
@@ -43,28 +47,25 @@ class Rehearsal(Framed):
 
     def of(self, kind: Kind) -> tuple[Outcome, ...]:
         """Return the campaigns on which that was wrong."""
-        return tuple(t for t in self.campaigns if t.kind == kind.name)
+        return tuple(outcome for outcome in self.campaigns if outcome.kind == kind.name)
 
     @property
     def columns(self) -> dict[str, list[Any]]:
         """The truth table, a row for each kind of machine.
 
-        ``named`` counts campaigns that named a cause that was there, ``located`` those that found
-        the place of it, ``false`` those that claimed anything that was not there. The tool's mean
+        ``named`` counts campaigns that named a true cause, ``located`` campaigns that located a
+        true error, ``false`` campaigns with any false claim. The tool's mean
         errors are in millimetres after the best translation, ``inside`` is the share of its
         coordinates within their stated 95 % interval.
         """
         rows = []
         for kind in KINDS:
-            tried = self.of(kind)
-            counts = [sum(bool(getattr(t, name)) for t in tried) for name in _COUNT_FIELDS]
-            tool = [
-                [getattr(t, name) for name in _TOOL_ERROR_FIELDS] for t in tried if not t.failed
-            ]
-            mean = (
-                np.mean(tool, axis=0).tolist() if tool else [float("nan")] * len(_TOOL_ERROR_FIELDS)
-            )
-            rows.append((kind.name, len(tried), *counts, *mean))
+            outcomes = self.of(kind)
+            judged = [outcome for outcome in outcomes if not outcome.failed]
+            errors = [[getattr(outcome, n) for n in _TOOL_ERROR_FIELDS] for outcome in judged]
+            none = [float("nan")] * len(_TOOL_ERROR_FIELDS)
+            means = np.mean(errors, axis=0).tolist() if errors else none
+            rows.append((kind.name, len(outcomes), *_counts(outcomes), *means))
         titles = ("wrong", "campaigns", *_COUNT_FIELDS, *_TOOL_ERROR_FIELDS)
         return dict(zip(titles, map(list, zip(*rows, strict=True)), strict=True))
 
@@ -80,30 +81,32 @@ class Rehearsal(Framed):
     @property
     def line(self) -> str:
         """Counts over all campaigns, in one line."""
-        counts = [f"{n} {sum(bool(getattr(t, n)) for t in self.campaigns)}" for n in _COUNT_FIELDS]
-        return ", ".join([f"campaigns {len(self.campaigns)}", *counts])
+        counts = (len(self.campaigns), *_counts(self.campaigns))
+        names = ("campaigns", *_COUNT_FIELDS)
+        return ", ".join(f"{name} {count}" for name, count in zip(names, counts, strict=True))
 
     def __repr__(self) -> str:
         return f"<Rehearsal {self.machine!r}: {len(self.campaigns)} campaigns, seed {self.seed}>"
 
     def __str__(self) -> str:
         rows = [*zip(*self.columns.values(), strict=True)]
-        last = 2 + len(_COUNT_FIELDS)
-        said = [[row[0], *map(str, row[1:last])] for row in rows]
-        judged = [row for row in rows if np.isfinite(row[last])]
-        tool = [[row[0], *(f"{value:.4f}" for value in row[last:])] for row in judged]
+        first_error = 2 + len(_COUNT_FIELDS)
+        count_rows = [[row[0], *map(str, row[1:first_error])] for row in rows]
+        judged = [row for row in rows if np.isfinite(row[first_error])]
+        tool_rows = [[row[0], *(f"{value:.4f}" for value in row[first_error:])] for row in judged]
         head = ["what is wrong", *(name.removesuffix("_mm") for name in _TOOL_ERROR_FIELDS)]
         parts = [
             f"{len(self.campaigns)} campaigns of {self.readings} readings on machines like "
             f"{self.machine!r}, seed {self.seed}",
-            console_text(table(["what is wrong", "tried", *_COUNT_FIELDS], said)),
+            console_text(table(["what is wrong", "tried", *_COUNT_FIELDS], count_rows)),
             "Mean TCP error after the best translation, mm; share of coordinates inside their "
             "95 % interval:",
-            console_text(table(head, tool)),
+            console_text(table(head, tool_rows)),
         ]
-        if went := list(self._failure_sentences()):
-            more = [f"and {len(went) - _MAX_LISTED} more"] if len(went) > _MAX_LISTED else []
-            parts += ["\nWhat went wrong:", *(f"  {line}" for line in [*went[:_MAX_LISTED], *more])]
+        if failures := list(self._failure_sentences()):
+            if len(failures) > _MAX_LISTED:
+                failures[_MAX_LISTED:] = [f"and {len(failures) - _MAX_LISTED} more"]
+            parts += ["\nWhat went wrong:", *(f"  {line}" for line in failures)]
         if self.weak:
             title = "\nWeak spots of the sheet, where nothing else is wrong:"
             parts += [title, *self.weak]
@@ -111,14 +114,14 @@ class Rehearsal(Framed):
 
     def _failure_sentences(self) -> Iterator[str]:
         """Yield a sentence for each campaign that did not go as it should."""
-        for tried in self.campaigns:
-            found, about = list[str](), f"campaign {tried.number}, {tried.kind}"
-            if tried.failed:
-                yield f"{about}: failed, {tried.failed}"
-            if tried.missed:
-                measure = "its usual size" if tried.kind == OUTSIDE.name else "its tolerance"
-                found.append(f"missed that {tried.words}, {tried.size:.1f} times {measure}")
-            if tried.false:
-                found.append(f"claimed {', '.join(tried.false)}, which was not there")
-            if found:
-                yield f"{about}: {'; '.join(found)} ({tried.word})"
+        for outcome in self.campaigns:
+            problems, campaign = list[str](), f"campaign {outcome.number}, {outcome.kind}"
+            if outcome.failed:
+                yield f"{campaign}: failed, {outcome.failed}"
+            if outcome.missed:
+                measure = "its usual size" if outcome.kind == OUTSIDE.name else "its tolerance"
+                problems.append(f"missed that {outcome.words}, {outcome.size:.1f} times {measure}")
+            if outcome.false:
+                problems.append(f"claimed {', '.join(outcome.false)}, which was not there")
+            if problems:
+                yield f"{campaign}: {'; '.join(problems)} ({outcome.word})"

@@ -13,9 +13,9 @@ from orthoglide.result import Result
 
 
 def report_files(result: Result, progress: Progress = no_progress) -> dict[str, str | bytes]:
-    """Return all files of a result's folder by name, in the order to write them.
+    """Return the contents of all files of a result's folder by name, in the order to write them.
 
-    Nothing in them depends on when or where they are made.
+    They are the same wherever and whenever they are made.
     """
     from orthoglide.figures.draw import draw
     from orthoglide.machine_file import machine_file_contents
@@ -24,12 +24,11 @@ def report_files(result: Result, progress: Progress = no_progress) -> dict[str, 
     from orthoglide.report.sheet import sheet_page
     from orthoglide.report.tables import calibrated_machine, residual_table
 
-    proposed, spec = result.next_sheet, result.request.machine.spec
-    sheet, sheets = "", dict[str, str]()
-    if proposed is not None:
-        name, sheet = "next_measurements", campaign_text(proposed, spec)
-        printed = sheet_page(proposed, result.request.machine, f"{name}.csv")
-        sheets = {f"{name}.csv": sheet, f"{name}.html": printed}
+    machine, sheets = result.request.machine, dict[str, str]()
+    if result.next_sheet is not None:
+        sheets["next_measurements.csv"] = campaign_text(result.next_sheet, machine.spec)
+        page_text = sheet_page(result.next_sheet, machine, "next_measurements.csv")
+        sheets["next_measurements.html"] = page_text
     text = result_text(result)
     progress(Step("drawing"))
     drawings = draw(result)
@@ -39,6 +38,6 @@ def report_files(result: Result, progress: Progress = no_progress) -> dict[str, 
         "residuals.csv": residual_table(result),
         **sheets,
         **{f"figures/{d.name}.svg": d.svg for d in drawings},
-        "report.html": page(result, drawings, sheet),
+        "report.html": page(result, drawings, sheets.get("next_measurements.csv", "")),
         "result.json": text,
     }

@@ -1,4 +1,4 @@
-"""What was found, as claims that page and terminal show: each with what else it could be."""
+"""The findings as claims for page and terminal, each with its alternatives."""
 
 from __future__ import annotations
 
@@ -14,71 +14,68 @@ from orthoglide.text import sentence
 from orthoglide.units import display_unit as spoken_unit
 
 SOMETHING_ELSE_WRONG = "Something else is wrong as well."
-"""Behind what was found, where it does not explain all."""
+"""Words after findings that do not explain the whole residual."""
 
 _CERTAIN, _SURE = 0.995, 0.9
-_MAX_LOG_ODDS = 50.0  # log odds: beyond, exp would overflow
+_MAX_LOG_ODDS = 50.0  # log odds above which exp would overflow
 _MOST_RIVALS = 2  # alternatives that a headline names; the report lists all
-_NO_OPTION = -1  # of what no drawing shows
+_NO_OPTION = -1  # option of a statement that no drawing shows
 
 
 @dataclass(frozen=True)
 class Statement:
-    """One cause or place as a reader meets it."""
+    """One cause or place in words."""
 
     words: str  # a sentence with part, direction, size and unit
-    sure: str  # how sure it is, and how well its size is known
-    option: int = _NO_OPTION  # its place among the options of the drawing
-    probability: float = math.nan  # given the other findings; nan for a change
-    brief: str = ""  # the same in a few words, where `words` take more than a sentence
+    sure: str  # its probability, and the uncertainty of its size
+    option: int = _NO_OPTION  # its number among the options of the drawing
+    probability: float = math.nan  # conditional on the other findings; nan for a change
+    brief: str = ""  # a shorter form if `words` take more than a sentence
 
 
 @dataclass(frozen=True)
 class Claim:
-    """What was found, and what else it could be."""
+    """A finding with its alternatives."""
 
-    first: Statement  # the most probable
+    first: Statement  # the most probable explanation
     same: tuple[Statement, ...]  # explanations with equal effects on readings and tool
-    rivals: tuple[Statement, ...]  # that these readings cannot tell from it, most probable first
-    note: str = ""  # what else must be known of it, a sentence
+    rivals: tuple[Statement, ...]  # explanations that fit as well, most probable first
+    note: str = ""  # a remark, a sentence
 
 
 def claims(result: Result) -> list[Claim]:
     """Return causes, free-form errors and changes, each with its alternatives."""
     option = itertools.count()
-    found = [_cause_claim(cause, option) for cause in result.effects]
-    found += [_located_claim(one, option) for one in result.located]
+    finding_claims = [_cause_claim(cause, option) for cause in result.effects]
+    finding_claims += [_located_claim(located, option) for located in result.located]
     if result.word == "partial":
-        found = [
-            replace(
-                c, first=replace(c.first, sure=f"{c.first.sure}, if it is one of the known causes")
-            )
-            for c in found
-        ]
-    return [*found, *(_change_claim(change, option) for change in result.moved)]
+        condition = ", if it is one of the known causes"
+        firsts = (replace(c.first, sure=c.first.sure + condition) for c in finding_claims)
+        finding_claims = [replace(c, first=f) for c, f in zip(finding_claims, firsts, strict=True)]
+    return [*finding_claims, *(_change_claim(change, option) for change in result.moved)]
 
 
-def claims_text(several: Iterable[Claim]) -> str:
+def claims_text(ordered_claims: Iterable[Claim]) -> str:
     """Return claims as sentences, each with its most probable alternatives and the number of
     others.
     """
-    told: list[str] = []
-    for k, claim in enumerate(several):
+    sentences: list[str] = []
+    for k, claim in enumerate(ordered_claims):
         first = claim.first.brief or claim.first.words
-        told.append(f"Besides, {lower_first(first)}" if k else first)
-        told += (
+        sentences.append(f"Besides, {lower_first(first)}" if k else first)
+        sentences += (
             f"Equivalently, {lower_first(one.words)[:-1]}: readings and tool are equal."
             for one in claim.same
         )
-        told += (f"Or {lower_first(one.brief or one.words)}" for one in claim.rivals[:_MOST_RIVALS])
-        if (more := len(claim.rivals) - _MOST_RIVALS) > 0:
-            told.append(
-                f"Or one of {more} more, named below." if more > 1 else "Or one more, below."
-            )
+        named, more = claim.rivals[:_MOST_RIVALS], len(claim.rivals) - _MOST_RIVALS
+        sentences += (f"Or {lower_first(one.brief or one.words)}" for one in named)
+        if more > 0:
+            which = f"Or one of {more} more, named below." if more > 1 else "Or one more, below."
+            sentences.append(which)
         if claim.rivals:
-            told.append("These readings cannot tell which.")
-        told += [claim.note] if claim.note else []
-    return " ".join(told)
+            sentences.append("These readings cannot tell which.")
+        sentences += [claim.note] if claim.note else []
+    return " ".join(sentences)
 
 
 def probability_words(p: float) -> str:
@@ -89,7 +86,7 @@ def probability_words(p: float) -> str:
 
 
 def lower_first(text: str) -> str:
-    """Return a sentence with a small first letter, to follow another word."""
+    """Return a sentence with a small first letter, to follow other words."""
     return text[:1].lower() + text[1:]
 
 
@@ -97,62 +94,56 @@ def _cause_claim(cause: Cause, option: Iterator[int]) -> Claim:
     """Return the claim of a cause; an alternative that is more probable comes first."""
     first = _statement(cause.chosen, cause.together, next(option))
     same, rivals = (
-        tuple(_statement(e, e.probability, next(option)) for e in part)
-        for part in (cause.same, cause.rivals)
+        tuple(_statement(e, e.probability, next(option)) for e in explanations)
+        for explanations in (cause.same, cause.rivals)
     )
-    others = (
-        *rivals,
-        *_place_statements(cause.places, option),
-        *_data_fault_statements(cause.data),
-    )
-    likeliest, *rest = ranked((first, *others), lambda one: one.probability)
+    places = _place_statements(cause.places, option)
+    every = (first, *rivals, *places, *_data_fault_statements(cause.data))
+    likeliest, *others = ranked(every, lambda one: one.probability)
     if likeliest is first:
-        return Claim(first, same, tuple(rest))
-    return Claim(likeliest, (), tuple(ranked((*rest, *same), lambda one: one.probability)))
+        return Claim(first, same, tuple(others))
+    return Claim(likeliest, (), tuple(ranked((*others, *same), lambda one: one.probability)))
 
 
 def _located_claim(found: Located, option: Iterator[int]) -> Claim:
     """Return the claim of a free-form error; a data fault that is more probable comes first."""
-    every = (*_place_statements(found.members, option), *_data_fault_statements(found.data))
-    first, *others = ranked(every, lambda one: one.probability)
-    note = ""
-    if found.resembling_words:
-        note = f"It resembles a known cause: {found.resembling_words[0]}."
+    statements = (*_place_statements(found.members, option), *_data_fault_statements(found.data))
+    first, *others = ranked(statements, lambda one: one.probability)
+    note = "".join(f"It resembles a known cause: {words}." for words in found.resembling_words[:1])
     return Claim(first, (), tuple(others), note)
 
 
 def _place_statements(curves: Iterable[Curve], option: Iterator[int]) -> tuple[Statement, ...]:
-    """Return each place once, with the summed probability of the functions that describe it."""
-    once: dict[str, tuple[Curve, float, int]] = {}
+    """Return each place once, with the summed probability of its error functions."""
+    by_description: dict[str, tuple[Curve, float, int]] = {}
     for curve in curves:
-        number = next(option)
-        first, p, shown = once.get(curve.description, (curve, 0.0, number))
-        once[curve.description] = first, p + curve.probability, shown
+        next_option = next(option)
+        first, p, option_number = by_description.get(curve.description, (curve, 0.0, next_option))
+        by_description[curve.description] = first, p + curve.probability, option_number
     return tuple(
-        Statement(sentence(curve.words_with_measure), probability_words(min(p, 1.0)), shown, p)
-        for curve, p, shown in once.values()
+        Statement(
+            sentence(curve.words_with_measure), probability_words(min(p, 1.0)), option_number, p
+        )
+        for curve, p, option_number in by_description.values()
     )
 
 
-def _data_fault_statements(several: Iterable[DataRival]) -> Iterator[Statement]:
-    """Yield data faults, which the drawing does not show."""
-    for d in several:
-        yield Statement(
-            sentence(d.words),
-            probability_words(d.probability),
-            _NO_OPTION,
-            d.probability,
-            sentence(d.brief),
-        )
+def _data_fault_statements(faults: Iterable[DataRival]) -> Iterator[Statement]:
+    """Yield statements of data faults, which the drawing does not show."""
+    for fault in faults:
+        words, p = sentence(fault.words), fault.probability
+        yield Statement(words, probability_words(p), probability=p, brief=sentence(fault.brief))
 
 
-def _statement(one: Explanation, probability: float, option: int) -> Statement:
+def _statement(explanation: Explanation, probability: float, option: int) -> Statement:
     sure = probability_words(probability)
-    if one.half_width:
-        factor, unit = spoken_unit(one.unit)
-        size = with_sigma(abs(one.value) * factor, SIGMAS_95 * one.sigma * factor, most=9)
+    if explanation.half_width:
+        factor, unit = spoken_unit(explanation.unit)
+        size = with_sigma(
+            abs(explanation.value) * factor, SIGMAS_95 * explanation.sigma * factor, most=9
+        )
         sure += f", its size {size} {unit} (95 %)"
-    return Statement(sentence(one.words), sure, option, probability)
+    return Statement(sentence(explanation.words), sure, option, probability)
 
 
 def _change_claim(change: Change, option: Iterator[int]) -> Claim:

@@ -1,4 +1,4 @@
-"""SVG files made fit to stand inside a page: its font, its colours, names that do not clash."""
+"""SVG files for inclusion in a page: with its font, its colours, and unique names."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _inline(body: list[ET.Element], box: tuple[float, float, float, float], titl
 
 
 def _without_namespace(element: ET.Element) -> ET.Element:
-    """Return a copy without namespaces: inside HTML the parser knows the elements of SVG."""
+    """Return a copy without namespaces, which the elements of SVG do not need inside HTML."""
     copy = ET.Element(_tag(element), dict(element.attrib))
     copy.text = (element.text or "").strip() or None
     copy.extend(_without_namespace(child) for child in element)

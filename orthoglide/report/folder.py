@@ -1,4 +1,4 @@
-"""The output folder: it appears whole or not at all, and never over something else."""
+"""The output folder: it is written whole or not at all, and replaces only an earlier report."""
 
 from __future__ import annotations
 
@@ -16,21 +16,18 @@ _REPORT_FILES = {
     "calibrated.npz", "calibrated.toml", "figures", "next_measurements.csv",
     "next_measurements.html", "report.html", "residuals.csv", "result.json",
 }  # fmt: skip
-"""All that a report consists of: a folder that holds anything else is nobody's to replace."""
+"""Names in a report's folder: a folder that contains any other name is not replaced."""
 
 
 def check_folder(out: Path, overwrite: bool = False) -> Path:
-    """Refuse a place where results cannot go, before any work is done.
+    """Return the resolved folder for results, or raise an error before any work is done.
 
     Args:
-        out: the folder to be; new or empty.
-        overwrite: whether it may hold an earlier report, and nothing else.
-
-    Returns:
-        The folder, resolved.
+        out: the folder; new or empty.
+        overwrite: whether it may contain an earlier report, and nothing else.
 
     Raises:
-        FileError: saying what would do.
+        FileError: if results cannot be written there.
     """
 
     def refuse(why: str) -> NoReturn:
@@ -48,8 +45,8 @@ def check_folder(out: Path, overwrite: bool = False) -> Path:
         if names and not overwrite:
             refuse("is not empty and results are never overwritten: name a new or empty folder")
         if names - _REPORT_FILES:
-            part = sorted(names - _REPORT_FILES)[0]
-            refuse(f"holds {part}, which is no part of a report: name another folder")
+            foreign = sorted(names - _REPORT_FILES)[0]
+            refuse(f"holds {foreign}, which is no part of a report: name another folder")
         if not target.parent.is_dir():
             refuse("cannot be made where there is no folder to hold it: make that first")
         if not os.access(target.parent, os.W_OK | os.X_OK):
@@ -57,11 +54,7 @@ def check_folder(out: Path, overwrite: bool = False) -> Path:
     return target
 
 
-def write_folder(
-    out: Path,
-    files: Mapping[str, str | bytes],
-    overwrite: bool = False,
-) -> None:
+def write_folder(out: Path, files: Mapping[str, str | bytes], overwrite: bool = False) -> None:
     """Write files into a temporary sibling, then rename it.
 
     Args:
@@ -70,35 +63,35 @@ def write_folder(
         overwrite: whether an earlier report is replaced whole.
 
     Raises:
-        FileError: where the folder cannot be written.
+        FileError: if the folder cannot be written.
     """
     target = check_folder(out, overwrite)
     with as_file_errors(out):
-        made = temporary_path(target)
+        temporary = temporary_path(target)
         try:
-            made.mkdir()
+            temporary.mkdir()
             for name, content in files.items():
                 if ".." in Path(name).parts or Path(name).is_absolute():
                     raise FileError("is no place within the folder", file=printable_path(name))
-                path = made / name
+                path = temporary / name
                 path.parent.mkdir(exist_ok=True)
                 path.write_bytes(content.encode() if isinstance(content, str) else content)
-            _move_into_place(made, target, overwrite)
+            _move_into_place(temporary, target, overwrite)
         except BaseException:
-            shutil.rmtree(made, ignore_errors=True)
+            shutil.rmtree(temporary, ignore_errors=True)
             raise
 
 
-def _move_into_place(made: Path, target: Path, overwrite: bool) -> None:
+def _move_into_place(temporary: Path, target: Path, overwrite: bool) -> None:
     """Rename a folder to a name that may exist; the earlier folder is removed only afterwards.
 
-    What another process put there a moment ago is not replaced: the system refuses to.
+    The system refuses to replace a folder that another process has just filled.
     """
-    earlier = made.with_name(f"{made.name}-earlier")
+    earlier = temporary.with_name(f"{temporary.name}-earlier")
     if overwrite and target.is_dir() and any(target.iterdir()):
         target.rename(earlier)
     try:
-        made.rename(target)
+        temporary.rename(target)
     except BaseException:
         if earlier.exists():
             earlier.rename(target)

@@ -17,11 +17,11 @@ _SIGMA_WITHOUT_PRIORS = "one sigma of the readings alone, without priors"
 _HARDLY_CHANGED_RATIO = 0.95  # ratio of deviations above which they "hardly change"
 _UNINFORMED_RATIO = 0.9  # ratio of a sigma to the tolerance above which the readings add nothing
 _MOST_NAMED = 2  # parameters beyond the base model, or weak directions, that are named one by one
-_MOST_NAMED_WEAK = 4  # parameters that a sentence names which the readings confuse
+_MOST_NAMED_WEAK = 4  # parameters of a weak direction that its sentence names
 
 
 def identified_words(result: Result) -> str:
-    """Return the values with what they gain, and what remains against the noise, in sentences."""
+    """Return the identified values, the change of the deviations and the residual, in sentences."""
     return f"{_identified_values(result)} {_deviation_change(result)}. {_residual_text(result)}"
 
 
@@ -31,9 +31,8 @@ def _identified_values(result: Result) -> str:
     names = [catalogue.parameter(name) for name in result.identified]
     parts = [text for effect in catalogue.base for text in _campaign_phrases(result, names, effect)]
     others = [name for name in names if name.effect not in catalogue.base]
-    parts += [
-        f"{parameter_words(n, catalogue.legs)} {_value(result, n)}" for n in others[:_MOST_NAMED]
-    ]
+    named = others[:_MOST_NAMED]
+    parts += [f"{parameter_words(n, catalogue.legs)} {_value(result, n)}" for n in named]
     if len(others) > _MOST_NAMED:
         parts.append(f"{len(others) - _MOST_NAMED} further parameters")
     text = listed(parts)
@@ -41,13 +40,13 @@ def _identified_values(result: Result) -> str:
 
 
 def _deviation_change(result: Result) -> str:
-    """Return what the fit does to the deviations, a predicate."""
+    """Return by how much the fit reduces the deviations, a predicate."""
     parts, last = [], ""
     before, after = result.nominal.reported.shown, result.after.scores.reported.shown
     for unit, now in after.items():
         verb = "hardly change" if now > _HARDLY_CHANGED_RATIO * before[unit] else "reduce"
-        what = f"{verb} {'them' if last else 'the deviations'} " if verb != last else ""
-        parts.append(f"{what}from {' to '.join(distinct_figures(before[unit], now))} {unit}")
+        lead = f"{verb} {'them' if last else 'the deviations'} " if verb != last else ""
+        parts.append(f"{lead}from {' to '.join(distinct_figures(before[unit], now))} {unit}")
         last = verb
     return ", and ".join(parts)
 
@@ -60,8 +59,7 @@ def _residual_text(result: Result) -> str:
     if fit.sigma_scale > 1:
         return (
             f"The residual is {fit.sigma_scale:.2g} times the noise of a reading ({noise}). The "
-            f"machine, or the measurement, has an error that {base_effects(result)} cannot "
-            f"explain."
+            f"machine, or the measurement, has an error that {base_effects(result)} cannot explain."
         )
     return (
         f"The residual is no more than the noise of a reading ({noise}): these readings show no "
@@ -78,76 +76,75 @@ def base_effects(result: Result) -> str:
 
 def _effect_plurals(names: Iterable[str], catalogue: Catalogue) -> str:
     """Return the effects of parameters in the plural, each once."""
-    called = catalogue.legs.effect_words
-    words = dict.fromkeys(called(catalogue.effect_of(name).name) for name in names)
+    effect_words = catalogue.legs.effect_words
+    words = dict.fromkeys(effect_words(catalogue.effect_of(name).name) for name in names)
     return listed(f"{n}es" if n.endswith(("sh", "ch", "ss", "x")) else f"{n}s" for n in words)
 
 
-def _campaign_phrases(result: Result, every: Sequence[Parameter], effect: str) -> list[str]:
+def _campaign_phrases(result: Result, parameters: Sequence[Parameter], effect: str) -> list[str]:
     """Return a phrase for each campaign: ``joint offsets x -0.51, y +0.56 mm``."""
     groups: dict[str, list[Parameter]] = {}
-    for name in every:
+    for name in parameters:
         if name.effect == effect:
             groups.setdefault(name.campaign, []).append(name)
     phrases = []
     for campaign, names in groups.items():
-        what = result.catalogue.legs.effect_words(effect) + ("s" if len(names) > 1 else "")
-        where = f" ({campaign})" if campaign else ""
-        if near := _near_nominal(result, names):
-            phrases.append(f"{what} {near}{where}")
+        noun = result.catalogue.legs.effect_words(effect) + ("s" if len(names) > 1 else "")
+        campaign_words = f" ({campaign})" if campaign else ""
+        if near_words := _near_nominal(result, names):
+            phrases.append(f"{noun} {near_words}{campaign_words}")
             continue
         values = ", ".join(f"{n.member or n.leg} {_value(result, n, False)}" for n in names)
         unit = result.catalogue[effect].unit
-        phrases.append(f"{what} {values}{unit.behind}{where}")
+        phrases.append(f"{noun} {values}{unit.behind}{campaign_words}")
     return phrases
 
 
 def _near_nominal(result: Result, names: Sequence[Parameter]) -> str:
     """Return a phrase for lengths that differ from nominal by no more than the noise; else empty.
 
-    They are nominal to that noise only where the readings know them as well as that.
+    The phrase states a larger uncertainty if the readings determine them less well than that.
     """
     fit = result.after
     half = fit.coverage_factor * max(fit.sigmas[name] for name in names)
     noise = result.noise.single_reading.length
-    within = half if math.isnan(noise) else noise
-    if max(abs(fit.values[name]) for name in names) > within:
+    threshold = half if math.isnan(noise) else noise
+    if max(abs(fit.values[name]) for name in names) > threshold:
         return ""
     if all(fit.sigmas[n] > _UNINFORMED_RATIO * result.request.machine.tolerance(n) for n in names):
         return "not seen by these readings"
-    return f"nominal to {compact(max(within, half) * 1e3, 1)} mm"
+    return f"nominal to {compact(max(threshold, half) * 1e3, 1)} mm"
 
 
 def _value(result: Result, name: Parameter, with_unit: bool = True) -> str:
-    unit, one = result.catalogue.effect_of(name).unit, result.identified[name]
-    # Along a weak direction sigmas are millimetres: what the readings do fix would be rounded off.
-    places = 2 if unit.name == "mm" else decimals_for(one.sigma, 9)
-    text = signed(one.value, places)
+    unit, identified = result.catalogue.effect_of(name).unit, result.identified[name]
+    # Along a weak direction a sigma of millimetres would round off digits that are determined.
+    decimals = 2 if unit.name == "mm" else decimals_for(identified.sigma, 9)
+    text = signed(identified.value, decimals)
     return f"{text}{unit.behind}" if with_unit else text
 
 
 def weak_sentences(weak: Iterable[WeakDirection], catalogue: Catalogue = CATALOGUE) -> list[str]:
     """Return weak directions in sentences; similar ones share a sentence."""
-    every = list(weak)
-    legs = [_leg_with_weak_length(w, catalogue) for w in every]
-    similar = [w for w, leg in zip(every, legs, strict=True) if leg]
-    others = [w for w, leg in zip(every, legs, strict=True) if not leg]
-    said = (
-        [_offset_and_length_sentence(similar, sorted(leg for leg in legs if leg))]
-        if similar
-        else []
-    )
+    directions = list(weak)
+    legs = [_leg_with_weak_length(w, catalogue) for w in directions]
+    similar = [w for w, leg in zip(directions, legs, strict=True) if leg]
+    others = [w for w, leg in zip(directions, legs, strict=True) if not leg]
+    sentences = []
+    if similar:
+        sentences.append(_offset_and_length_sentence(similar, sorted(filter(None, legs))))
     if len(others) > _MOST_NAMED:
-        return [*said, _many_directions_sentence(others, catalogue)]
-    return [*said, *(_direction_sentence(w, catalogue) for w in others)]
+        return [*sentences, _many_directions_sentence(others, catalogue)]
+    return [*sentences, *(_direction_sentence(w, catalogue) for w in others)]
 
 
 def _leg_with_weak_length(weak: WeakDirection, catalogue: Catalogue) -> str:
     """Return the leg (and campaign) whose offset and length change together; empty for others."""
     names = [catalogue.parameter(name) for name in weak.parameters]
-    same = len({(n.leg, n.campaign) for n in names}) == 1 and bool(names[0].leg)
-    both = {n.effect for n in names} == set(catalogue.base) and len(names) == 2
-    if not (same and both) or len({share > 0 for share in weak.parameters.values()}) != 1:
+    one_leg = len({(n.leg, n.campaign) for n in names}) == 1 and bool(names[0].leg)
+    offset_and_length = {n.effect for n in names} == set(catalogue.base) and len(names) == 2
+    same_sign = len({share > 0 for share in weak.parameters.values()}) == 1
+    if not (one_leg and offset_and_length and same_sign):
         return ""
     return f"{names[0].leg} of {names[0].campaign}" if names[0].campaign else names[0].leg
 
@@ -157,7 +154,8 @@ def _offset_and_length_sentence(weak: list[WeakDirection], legs: list[str]) -> s
     text = (
         f"The readings cannot tell the joint offset from the leg length of leg {listed(legs)}: "
         f"where both grow by the same amount, by as much as {compact(widest.sigma, 2)} "
-        f"{widest.unit} ({_SIGMA_WITHOUT_PRIORS}), hardly a reading changes. Their difference is what is seen."
+        f"{widest.unit} ({_SIGMA_WITHOUT_PRIORS}), hardly a reading changes. Their difference is "
+        f"what is seen."
     )
     return text + _prior_sentence(widest)
 

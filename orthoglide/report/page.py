@@ -1,7 +1,7 @@
-"""The report: one self-contained page, its first screen, and the sections below.
+"""The report: one self-contained page with a first screen and sections below.
 
-A section is a template ``sections/<name>.html.j2`` and the data that it shows, which are never
-markup. The first screen says what is wrong, what the tool loses by it, and what to do.
+A section is a template ``sections/<name>.html.j2`` and its data, which are never markup. The first
+screen states the finding, the errors of the tool, and what to do.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from orthoglide import __version__
 from orthoglide.control import withholding_reason
 from orthoglide.figures.style import Drawing
 from orthoglide.numerals import compact, plain, probability, signed, with_sigma
-from orthoglide.report.claims import SOMETHING_ELSE_WRONG, claims
+from orthoglide.report.claims import SOMETHING_ELSE_WRONG, claims, lower_first
 from orthoglide.report.sentences import (
     evidence,
     finding_text,
@@ -33,12 +33,8 @@ if TYPE_CHECKING:
 
     from orthoglide.accuracy import ExpectedError
 
-Data = dict[str, Any]
-
 _VALIDATION_ROLES = {"holdout": "held out to judge by", "tcp": "measured at the TCP to judge by"}
-
-
-_UNFOLDED = ("finding", "left", "firmware", "controller", "changes")
+_UNFOLDED = ("finding", "left", "firmware", "controller", "changes")  # sections shown open
 
 
 @dataclass(frozen=True)
@@ -47,11 +43,11 @@ class Section:
 
     template: str  # name under `templates/sections`, and its anchor
     title: str  # its heading; empty for the verdict at the top
-    data: Mapping[str, Any]  # what the template shows besides the result
+    data: Mapping[str, Any]  # values for the template besides the result
 
     @property
     def folded(self) -> bool:
-        """Whether a reader unfolds it first: all but what is wrong, what is left and numbers."""
+        """Whether the section is closed at first."""
         return self.template not in _UNFOLDED
 
 
@@ -59,11 +55,10 @@ def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
     """Return the report as HTML; ``sheet`` is the text of ``next_measurements.csv``, empty if
     nothing is proposed.
     """
-    searches = result.searches
     return render_template(
         "page.html.j2",
         result=result,
-        title="What is wrong with this machine" if searches else "Calibration report",
+        title="What is wrong with this machine" if result.searches else "Calibration report",
         subtitle=_subtitle(result),
         sections=list(_sections(result, {d.name: d for d in drawings}, sheet)),
         version=__version__,
@@ -78,7 +73,7 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
         yield Section("faults", "Faults of the data", sections.faults(result))
     if searches and not result.stands:
         yield Section("left", "What is left", sections.residual_data(result))
-    if result.firmware is not None and result.firmware.corrections is not None:
+    if result.corrections is not None:
         yield Section("firmware", "Numbers for the firmware", sections.firmware(result))
     controller = {"drives": ()} if result.firmware else sections.controller(result)
     if controller["drives"]:
@@ -89,8 +84,8 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
     if result.located:
         yield Section("located", "Where it is", sections.located(result, figures))
     if result.effects:
-        apart = sections.prediction_data(result, figures)
-        yield Section("apart", "What each cause predicts", apart)
+        predictions = sections.prediction_data(result, figures)
+        yield Section("apart", "What each cause predicts", predictions)
     if searches:
         yield Section("next", "What to measure next", sections.next_readings_data(result, sheet))
     if result.budget:
@@ -109,28 +104,28 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
 def _subtitle(result: Result) -> str:
     request = result.request
     files = listed(i["file"] for i in request.inputs if i.get("role", "fit_tcp") == "fit_tcp")
-    judges = [
+    validation = [
         f"{i['file']} {_VALIDATION_ROLES[i['role']]}"
         for i in request.inputs
         if i.get("role") in _VALIDATION_ROLES
     ]
-    count, read = sum(map(len, request.campaigns)), []
+    count, counts = sum(map(len, request.campaigns)), []
     if count:
         setups = sum(len(given.setups) for given in request.campaigns)
-        read.append(f"{count} readings in {setups} setups")
-    tool = sum(len(given) for given in request.points if not given.by_point)
-    points = sum(len(given.points().command) for given in request.points if given.by_point)
-    if tool:
-        read.append(f"{tool} readings of the tool")
-    if points:
-        read.append(f"{points} TCP points")
-    return "; ".join([f"{files}: {listed(read)}", *judges])
+        counts.append(f"{count} readings in {setups} setups")
+    tool_count = sum(len(given) for given in request.points if not given.by_point)
+    point_count = sum(len(given.points().command) for given in request.points if given.by_point)
+    if tool_count:
+        counts.append(f"{tool_count} readings of the tool")
+    if point_count:
+        counts.append(f"{point_count} TCP points")
+    return "; ".join([f"{files}: {listed(counts)}", *validation])
 
 
 # --- The first screen -----------------------------------------------------------------------
 
 MAX_LISTED = 5
-"""Rivals that are named before the rest is folded away."""
+"""Number of rivals shown before the others, which are folded away."""
 
 _STAGES = {
     "now": "The tool now",
@@ -143,14 +138,14 @@ _FIRMWARE_STAGES = ("With the firmware's numbers", "With the new ones")
 
 @dataclass(frozen=True)
 class Tile:
-    """Error of the tool at one stage of correction, millimetres as text, and lines below it."""
+    """Error of the tool at one stage of correction."""
 
-    what: str
-    size: str
-    lines: tuple[str, str]
+    what: str  # the stage
+    size: str  # the error in millimetres
+    lines: tuple[str, str]  # text below
 
 
-def finding(result: Result) -> Data:
+def finding(result: Result) -> sections.Data:
     """Return the data of the first screen: verdict, claims, tool errors, actions, and cautions."""
     after, searches = result.after, result.searches
     lacking = not searches and after.sigma_scale > 1
@@ -167,7 +162,7 @@ def finding(result: Result) -> Data:
         "evidence": evidence(result) if searches else "",
         "averaged": any(cause.rivals for cause in result.effects),
         "tiles": tiles(result),
-        "printer": result.firmware is not None and result.firmware.corrections is not None,
+        "printer": result.corrections is not None,
         "open": after.scores.left.said() if not result.stands or lacking else "",
         "legs": bool(result.request.campaigns),
         "loses": result.loses,
@@ -183,39 +178,42 @@ def tiles(result: Result) -> list[Tile]:
     """Return the tool's mean error now and after each correction; of a printer the residual of its
     firmware's equations.
     """
-    if result.firmware is not None and (found := result.firmware.corrections) is not None:
-        told = [
+    if (corrections := result.corrections) is not None:
+        shown = [
             Tile(what, f"{size * 1e3:.3f}", ("of the heights", "that were read, rms"))
-            for what, size in zip(_FIRMWARE_STAGES, found.height, strict=True)
+            for what, size in zip(_FIRMWARE_STAGES, corrections.height, strict=True)
         ]
-        enter = result.stands and not found.keep and not withholding_reason(result.machine)
-        return told if enter else told[:1]
+        enter = result.stands and not corrections.keep and not withholding_reason(result.machine)
+        return shown if enter else shown[:1]
     expected = result.numbers.expected
     stages = ("now", "zeros") if not result.stands and result.searches else _STAGES
     bar = result.numbers.names.bar
-    told, last = [], math.inf
+    shown, last = [], math.inf
     for name in stages:
         error = expected[name]
         if abs(error.shape - last) > error.shape_sigma:
-            told.append(_tile(_STAGES[name].format(bar=bar), error))
+            shown.append(_tile(_STAGES[name].format(bar=bar), error))
             last = error.shape
-    return told
+    return shown
 
 
-def _tile(what: str, error: ExpectedError) -> Tile:
+def _tile(stage: str, error: ExpectedError) -> Tile:
     shape, _, sigma = error.words.partition(" ± ")
-    known = f"± {sigma} " if sigma else ""
-    return Tile(what, shape, (f"{known}in a workpiece", f"all shifted by {error.place_words} mm"))
+    sigma_words = f"± {sigma} " if sigma else ""
+    return Tile(
+        stage, shape, (f"{sigma_words}in a workpiece", f"all shifted by {error.place_words} mm")
+    )
 
 
 # --- Templates ------------------------------------------------------------------------------
 
-_FILTERS = (sentence, listed, gain_words, compact, plain, signed, probability, with_sigma)
+_FILTERS = (sentence, listed, lower_first, gain_words, compact, plain, signed, probability,
+            with_sigma)  # fmt: skip
 
 
 def render_template(template: str, **data: Any) -> str:
-    """A template in the folder ``templates`` with the data that it names; one that is missing is an
-    error. Filters there are the functions that put numbers and clauses into words, and ``fixed``.
+    """Return a template of the folder ``templates`` filled with its data; missing data are an
+    error. Its filters are the functions in ``_FILTERS``, and ``fixed``.
     """
     return _environment().get_template(template).render(**data)
 
@@ -226,12 +224,8 @@ def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
-        loader=PackageLoader("orthoglide.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
+        loader=PackageLoader("orthoglide.report"), undefined=StrictUndefined, autoescape=True,
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+    )  # fmt: skip
     environment.filters.update({word.__name__: word for word in _FILTERS}, fixed="{:.{}f}".format)
     return environment

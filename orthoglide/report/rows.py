@@ -11,42 +11,32 @@ from orthoglide.numerals import compact, decimals_for, hundredths, probability, 
 from orthoglide.result import CandidateScore, Result
 from orthoglide.text import sentence
 
-_MIN_SHOWN_PROBABILITY = 0.005  # probability that two decimals show
-_MIN_DOF = 0.5  # degrees of freedom: less is no test
+_MIN_SHOWN_PROBABILITY = 0.005  # smallest probability that two decimals show
+_MIN_DOF = 0.5  # degrees of freedom below which nothing is tested
 
 
 @dataclass(frozen=True)
 class ParameterRow:
     """One identified value in its file's unit, ready to print."""
 
-    name: str  # of the parameter
+    name: str  # name of the parameter
     value: str  # with its sign
-    sigma: str  # everything else allowed; as if nothing else were wrong by `identify`
-    low: str  # end of the 95 % interval
-    high: str  # its other end
-    tolerance: str  # standard deviation to expect
-    unit: str  # of all these
+    sigma: str  # standard deviation of the full model; of the noise alone after `identify`
+    low: str  # lower end of the 95 % interval
+    high: str  # upper end
+    tolerance: str  # prior standard deviation
+    unit: str  # unit of all figures
     on_bound: bool  # whether the value ended on its bound
 
 
 def parameter_rows(result: Result) -> list[ParameterRow]:
     """Return a row for each identified parameter."""
     rows = []
-    for name, one in result.identified.items():
-        places = decimals_for(one.sigma, most=9)
-        low, high = (signed(end, places) for end in one.interval_95)
-        rows.append(
-            ParameterRow(
-                name,
-                signed(one.value, places),
-                f"{one.sigma:.{places}f}",
-                low,
-                high,
-                compact(one.tolerance),
-                one.unit,
-                one.on_bound,
-            )
-        )
+    for name, p in result.identified.items():
+        decimals = decimals_for(p.sigma, most=9)
+        value, low, high = (signed(v, decimals) for v in (p.value, *p.interval_95))
+        sigma, tolerance = f"{p.sigma:.{decimals}f}", compact(p.tolerance)
+        rows.append(ParameterRow(name, value, sigma, low, high, tolerance, p.unit, p.on_bound))
     return rows
 
 
@@ -71,25 +61,20 @@ POSSIBLE_TITLES = ("probability", "possible cause", "residual, rms", "stations l
 
 
 def possible_rows(result: Result) -> list[tuple[str, str, str, str]]:
-    """Return the most probable causes where nothing was found, with the errors of fit and of
-    stations left out before and after.
+    """Return the most probable causes if nothing was found, with the residuals of the fit and of
+    stations left out before and after each.
     """
     before, rows = result.before.scores, []
-    deviations = math.isfinite(before.deviation_rms)
-    for one in result.possible:
-        pairs = (
-            (before.deviation_rms, one.after.deviation_rms)
-            if deviations
-            else (before.rms, one.after.rms),
-            (before.cv_rms, one.after.cv_rms),
-        )
+    residual = "deviation_rms" if math.isfinite(before.deviation_rms) else "rms"
+    for cause in result.possible:
+        pairs = ([getattr(s, n) for s in (before, cause.after)] for n in (residual, "cv_rms"))
         fit, left_out = (" to ".join(millimetres(pair)) + " mm" for pair in pairs)
-        rows.append((hundredths(one.probability), one.words, fit, left_out))
+        rows.append((hundredths(cause.probability), cause.words, fit, left_out))
     return rows
 
 
 def possible_cause_sentences(result: Result) -> list[str]:
-    """Return the most probable causes where nothing was found, a sentence each."""
+    """Return the most probable causes if nothing was found, a sentence each."""
     averaged = math.isfinite(result.before.scores.deviation_rms)
     what = "averaged deviations" if averaged else "residuals"
     return [
@@ -101,7 +86,7 @@ def possible_cause_sentences(result: Result) -> list[str]:
 
 def probable_candidates(result: Result) -> list[CandidateScore]:
     """Return candidates whose probability two decimals show."""
-    return [one for one in result.candidates if one.probability >= _MIN_SHOWN_PROBABILITY]
+    return [c for c in result.candidates if c.probability >= _MIN_SHOWN_PROBABILITY]
 
 
 def score_rows(result: Result) -> list[ScoreRow]:
@@ -120,18 +105,18 @@ def score_rows(result: Result) -> list[ScoreRow]:
         )
         if unit in stages[0].left.shown and any(math.isfinite(getattr(s, name)) for s in stages)
     ]
-    held = result.hold_out
-    if held is not None:
-        for unit, *pair in zip(("mm", "mrad"), held.before, held.after, strict=True):
-            if unit in held.before.shown:
+    hold_out = result.hold_out
+    if hold_out is not None:
+        for unit, *pair in zip(("mm", "mrad"), hold_out.before, hold_out.after, strict=True):
+            if unit in hold_out.before.shown:
                 what = f"readings held out, rms, {unit}"
                 rows.append(ScoreRow(what, "", *millimetres(pair)))
-    judged = result.tcp or {}
-    for alignment, words in _ALIGNMENTS.items() if judged else ():
-        errors = judged[alignment]
+    tcp_errors = result.tcp or {}
+    for alignment, words in _ALIGNMENTS.items() if tcp_errors else ():
+        errors = tcp_errors[alignment]
         pairs = (errors.nominal, errors.before, errors.after)
-        means, most = (millimetres([pair[k] for pair in pairs]) for k in (0, 1))
-        cells = [f"{mean} / {top}" for mean, top in zip(means, most, strict=True)]
+        means, largest = (millimetres([pair[k] for pair in pairs]) for k in (0, 1))
+        cells = [f"{mean} / {top}" for mean, top in zip(means, largest, strict=True)]
         rows.append(ScoreRow(f"TCP, mean / largest, {words}, mm", *cells))
     rows += [
         ScoreRow("chi²", *(f"{s.chi2:.1f}" for s in stages)),
@@ -148,6 +133,6 @@ def millimetres(metres: Sequence[float]) -> list[str]:
     """Return lengths in millimetres (or angles in milliradians) as text, with the decimals that the
     smallest is worth; a dash for nan.
     """
-    known = [v for v in metres if math.isfinite(v)]
-    places = max(decimals_for(min(known, default=0.0) * 1e3, 4), 3)
-    return [f"{v * 1e3:.{places}f}" if math.isfinite(v) else "–" for v in metres]
+    finite = [v for v in metres if math.isfinite(v)]
+    decimals = max(decimals_for(min(finite, default=0.0) * 1e3, 4), 3)
+    return [f"{v * 1e3:.{decimals}f}" if math.isfinite(v) else "–" for v in metres]

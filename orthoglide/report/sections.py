@@ -1,6 +1,4 @@
-"""Sections of the page: what was found (faults, causes, and what they explain), and what follows
-(numbers, next readings, workspace, values, method).
-"""
+"""Data of the page's sections."""
 
 from __future__ import annotations
 
@@ -37,8 +35,8 @@ from orthoglide.text import listed, sentence
 Data = dict[str, Any]
 Figures = Mapping[str, Drawing]
 
-_MOST_ITEMS = 12
-_MIN_SHARE = 0.01  # of the tool's error: an item of the budget that gains less is not shown
+_MOST_ITEMS = 12  # rows of the budget
+_MIN_SHARE = 0.01  # smallest share of the tool's error for which a row of the budget is shown
 _MOST_SHAPES = 5  # known causes named as ruled out
 
 _FAULTS = {
@@ -59,28 +57,25 @@ _FAULTS = {
 
 
 def faults(result: Result) -> Data:
-    """Return the data faults with residuals with and without each."""
+    """Return the data faults, each with its kind in words."""
     return {"rows": [(_FAULTS[b.kind], b) for b in result.blunders]}
 
 
 def residual_data(result: Result) -> Data:
     """Return residuals of every mounting, and the most probable causes if nothing was found."""
-    return {
-        "rows": [(rest, _largest_residual(rest)) for rest in result.left.mountings],
-        "titles": POSSIBLE_TITLES,
-        "possible": possible_rows(result),
-    }
+    rows = [(residual, _largest_residual(residual)) for residual in result.left.mountings]
+    return {"rows": rows, "titles": POSSIBLE_TITLES, "possible": possible_rows(result)}
 
 
-def _largest_residual(rest: SetupResidual) -> str:
-    if rest.leg < 0 or not rest.posture:
-        return f"{compact(rest.most * 1e3, 2)} {rest.unit}"
-    way = toward(LEGS[rest.axis], rest.most)
-    return f"{compact(abs(rest.most) * 1e3, 2)} mm toward {way}"
+def _largest_residual(residual: SetupResidual) -> str:
+    if residual.leg < 0 or not residual.posture:
+        return f"{compact(residual.most * 1e3, 2)} {residual.unit}"
+    direction = toward(LEGS[residual.axis], residual.most)
+    return f"{compact(abs(residual.most) * 1e3, 2)} mm toward {direction}"
 
 
 def score_data(result: Result, figures: Figures) -> Data:
-    """Return figures of merit of the nominal machine, before and after."""
+    """Return the figures of merit of the nominal machine, the base model and the final model."""
     inside = result.tcp["translation"].inside if result.tcp else math.nan
     return {
         "rows": score_rows(result),
@@ -92,97 +87,89 @@ def score_data(result: Result, figures: Figures) -> Data:
 
 
 def causes(result: Result) -> Data:
-    """Return the candidates and how probable they are."""
-    near = probable_candidates(result)
+    """Return the candidates with their probabilities."""
+    probable = probable_candidates(result)
     return {
         "added": {c.name for c in result.effects} | {f.name for f in result.located},
-        "weighed": near,
-        "others": len(result.candidates) - len(near),
+        "weighed": probable,
+        "others": len(result.candidates) - len(probable),
     }
 
 
 def located(result: Result, figures: Figures) -> Data:
     """Return free-form errors with their curves and the causes that they resemble."""
-    places = [
-        (one.words, one, inline_panels(figures[f"located-{k}"]))
-        for k, one in enumerate(result.located, start=1)
-    ]
+    found = enumerate(result.located, start=1)
+    places = [(one.words, one, inline_panels(figures[f"located-{k}"])) for k, one in found]
     return {"places": places, "most": _MOST_SHAPES}
 
 
 def budget(result: Result) -> Data:
-    """Return the error budget, the largest gain by a repair first."""
-    several = {c.name for c in result.effects if len(c.explanations) > 1}
-    classes = [one for one in result.located if len(one.members) > 1]
-    several |= {one.in_budget for one in classes}
+    """Return the error budget, largest gain by a repair first."""
+    ambiguous = {c.name for c in result.effects if len(c.explanations) > 1}
+    ambiguous |= {one.in_budget for one in result.located if len(one.members) > 1}
     named = {item.cause for item in result.budget if not item.rest}
-    shown = [item for item in result.budget if item.share >= _MIN_SHARE or not item.rest]
-    shown = shown[:_MOST_ITEMS]
+    items = [item for item in result.budget if item.share >= _MIN_SHARE or not item.rest]
+    items = items[:_MOST_ITEMS]
     return {
-        "rows": [(item, item.words + _budget_note(item, named, several)) for item in shown],
-        "others": len(result.budget) - len(shown),
+        "rows": [(item, item.words + _budget_note(item, named, ambiguous)) for item in items],
+        "others": len(result.budget) - len(items),
     }
 
 
-def _budget_note(item: BudgetItem, named: Collection[str], several: Collection[str]) -> str:
-    """Return what a row of the budget contains besides its name, behind the name."""
+def _budget_note(item: BudgetItem, named: Collection[str], ambiguous: Collection[str]) -> str:
+    """Return the words after the name of a row of the budget."""
     if item.rest:
         return ": the others of its kind" if item.cause in named else ""
-    return ", or a cause that these readings cannot tell from it" if item.cause in several else ""
+    return ", or a cause that these readings cannot tell from it" if item.cause in ambiguous else ""
 
 
 def prediction_data(result: Result, figures: Figures) -> Data:
-    """Return what each cause and its rivals predict of the readings."""
-    every = enumerate(result.effects, start=1)
+    """Return the predicted readings of each cause and its rivals."""
     causes = [
         (c.chosen.words, drawn_explanations(c), c.others, inline_panels(figures[f"signatures-{k}"]))
-        for k, c in every
+        for k, c in enumerate(result.effects, start=1)
     ]
     return {"causes": causes}
 
 
 def readings(result: Result, figures: Figures) -> Data:
-    """Return readings and fit, setup by setup."""
-    most = max(len(one.rows) for one in result.readings.mountings)
-    thinned = MAX_DRAWN if most > MAX_DRAWN else 0
+    """Return readings and fit by setup."""
+    most_rows = max(len(one.rows) for one in result.readings.mountings)
+    thinned = MAX_DRAWN if most_rows > MAX_DRAWN else 0
     return {"panels": inline_panels(figures["readings"]), "thinned": thinned}
 
 
 def controller(result: Result) -> Data:
-    """Return numbers for the controller; withheld where the verdict does not support them."""
-    spec, numbers, why = result.machine.spec, result.numbers, withholding_reason(result.machine)
-    effects = result.catalogue
-    zeros = any(effects.effect_of(name).controller == "zero" for name in spec.parameters)
-    places = [found.members[0] for found in result.located]
+    """Return numbers for the controller, or why the verdict does not support them."""
+    spec, numbers, reason = result.machine.spec, result.numbers, withholding_reason(result.machine)
+    catalogue = result.catalogue
+    zeros = any(catalogue.effect_of(name).controller == "zero" for name in spec.parameters)
+    curves = [found.members[0] for found in result.located]
     return {
         "drives": numbers.drives if zeros else (),
-        "withheld": " ".join(result.cautions) or (sentence(why) if why else ""),
+        "withheld": " ".join(result.cautions) or (sentence(reason) if reason else ""),
         "rule": RULE,
         "counts": numbers.names.slide_end_words[1][1],
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
-        # What a calibrated machine does not hold.
-        "beyond": listed(one.description for one in places if not one.of_machine),
+        "beyond": listed(c.description for c in curves if not c.of_machine),
     }
 
 
 def reason_not_to_enter(result: Result) -> tuple[str, str]:
-    """Return what to do instead of entering numbers, and why, a clause each; empty if they may be
-    entered.
-    """
-    early = "Do not enter these numbers yet"
+    """Return that numbers are not to be entered, and why, a clause each; empty if they may be."""
+    not_yet = "Do not enter these numbers yet"
     if not result.stands:
-        return early, "a residual remains that nothing explains, and it would distort them"
+        return not_yet, "a residual remains that nothing explains, and it would distort them"
     if result.cautions:
-        return early, "the verdict warns of what would distort them"
-    found = result.firmware.corrections if result.firmware else None
-    if found is None or not found.keep:
+        return not_yet, "the verdict warns of what would distort them"
+    firmware = result.firmware
+    if firmware is None or firmware.corrections is None or not firmware.corrections.keep:
         return "", ""
-    instead = early if result.firmware and result.firmware.again else "Do not enter new numbers"
-    return instead, found.keep
+    return not_yet if firmware.again else "Do not enter new numbers", firmware.corrections.keep
 
 
 def firmware(result: Result) -> Data:
-    """Return numbers for a firmware, old and new, and what its model cannot hold."""
+    """Return whether the firmware's numbers are to be entered."""
     return {"early": reason_not_to_enter(result)}
 
 
@@ -194,49 +181,51 @@ _AIMS = {
 
 
 def next_readings_data(result: Result, sheet: str) -> Data:
-    """Return what to measure next, with the sheet as a link."""
-    suggested, by_aim = result.next_measurements, dict[str, list[str]]()
-    for one in suggested:
-        if one.readings:
-            by_aim.setdefault(_AIMS[one.aim], []).append(sentence(one.reason))
+    """Return the readings to take next, with the sheet as a link."""
+    by_aim = dict[str, list[str]]()
+    others, hopeless = list[str](), list[str]()
+    for suggestion in result.next_measurements:
+        reason = sentence(suggestion.reason)
+        if suggestion.readings:
+            by_aim.setdefault(_AIMS[suggestion.aim], []).append(reason)
+        if suggestion.hopeless:
+            hopeless.append(reason)
+        elif suggestion.other_instrument:
+            others.append(reason)
     data = base64.b64encode(sheet.encode()).decode()
-    return {
-        "suggestions": by_aim,
-        "others": [sentence(s.reason) for s in suggested if s.other_instrument and not s.hopeless],
-        "hopeless": [sentence(s.reason) for s in suggested if s.hopeless],
-        "link": f"data:text/csv;charset=utf-8;base64,{data}" if sheet else "",
-    }
+    link = f"data:text/csv;charset=utf-8;base64,{data}" if sheet else ""
+    return {"suggestions": by_aim, "others": others, "hopeless": hopeless, "link": link}
 
 
 def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
     """Return the TCP's error over the workspace and its uncertainty."""
-    every = inline_panels(figures["workspace"])
+    panels = inline_panels(figures["workspace"])
     rows = [
         ("predicted error without corrections", space.nominal),
         ("predicted error with offsets and lengths corrected", space.before),
         ("95 % radius of that", space.sure_before),
         ("95 % radius with everything found corrected", space.sure),
     ]
-    if not result.improved:  # then the base model is all that was found
+    if not result.improved:  # then the final model is the base model
         del rows[1:3]
     return {
         "rows": [(what, *millimetres([float(v.mean()), float(v.max())])) for what, v in rows],
-        "groups": [every[k : k + 3] for k in range(0, len(every), 3)],
+        "groups": [panels[k : k + 3] for k in range(0, len(panels), 3)],
     }
 
 
 def values(result: Result, figures: Figures) -> Data:
     """Return the identified values with their sigmas."""
-    fit, of = result.after, result.catalogue.effect_of
-    freed = {of(n).name for n in result.identified}
-    held = (of(n).name for n, value in result.machine.values.items() if value)
-    called = result.catalogue.legs.effect_words
-    others = dict.fromkeys(called(name) for name in held if name not in freed)
+    fit, effect_of = result.after, result.catalogue.effect_of
+    freed = {effect_of(n).name for n in result.identified}
+    nonzero = (effect_of(n).name for n, value in result.machine.values.items() if value)
+    effect_words = result.catalogue.legs.effect_words
+    others = dict.fromkeys(effect_words(name) for name in nonzero if name not in freed)
     return {
         "rows": parameter_rows(result),
         "figure": inline_svg(figures["parameters"]) if "parameters" in figures else "",
         "others": listed(others),
-        "dials": any(of(n).of_dial for n in result.identified),
+        "dials": any(effect_of(n).of_dial for n in result.identified),
         "scale": f"{fit.sigma_scale:.2g}" if fit.sigma_scale > 1 else "",
     }
 
@@ -247,17 +236,17 @@ def unseen(result: Result) -> Data:
         "sentences": weak_sentences(result.weak, result.catalogue),
         "effects": undetected_effects(result),
         "unexcited": unvaried_effects(result),
-        "sides": sentence(one) if (one := unvaried_words(result)) else "",
-        # Not where it is said above that no more readings of a dial on a leg help.
+        "sides": sentence(words) if (words := unvaried_words(result)) else "",
+        # Not if the report states above that no more readings of a dial on a leg help.
         "second_place": _has_one_place(result)
-        and not any(one.hopeless for one in result.next_measurements),
+        and not any(suggestion.hopeless for suggestion in result.next_measurements),
         "owned": ",".join(result.instruments),
         "machine": result.request.machine_option,
     }
 
 
 def _has_one_place(result: Result) -> bool:
-    """Whether some leg was read by dials at a single place along it."""
+    """Whether dials read some leg at a single place along it."""
     setups = [setup for campaign in result.request.campaigns for setup in campaign.setups]
     places = {(setup.leg, round(gauge, 3)) for setup in setups for gauge in setup.gauges}
     return 1 in Counter(leg for leg, _ in places).values()
@@ -292,7 +281,7 @@ def method(result: Result) -> Data:
 
 
 def _setup_sentences(setups: Sequence[Setup], spec: MachineFile) -> Iterator[str]:
-    """Yield what was fitted with every setup, a sentence each."""
+    """Yield the parameters that were fitted with every setup, a sentence each."""
     if any(s.observation.from_datum for s in setups):
         placement = compact(spec.dial.placement * 1e3, 2)
         yield (

@@ -9,28 +9,24 @@ from orthoglide.effects.wording import cause_short
 from orthoglide.effects.words import toward
 from orthoglide.geometry import LEGS
 from orthoglide.notes import Note
-from orthoglide.numerals import ByUnit, compact, distinct_figures, probability, with_sigma
+from orthoglide.numerals import compact, distinct_figures, probability, with_sigma
 from orthoglide.observations.approach import APPROACH_NOT_RECORDED, APPROACH_REMEDY
-from orthoglide.report.claims import SOMETHING_ELSE_WRONG, claims, claims_text
+from orthoglide.report.claims import SOMETHING_ELSE_WRONG, claims, claims_text, lower_first
 from orthoglide.report.identified import base_effects, identified_words
 from orthoglide.result import Action, Change, Result, Scores
 from orthoglide.text import listed, sentence
 
 _HARDLY_FALLS_RATIO = 0.9  # ratio of residuals above which they "hardly" fall
-_ZEROS_FIRST_RATIO = (
-    1.5  # ratio of residuals without and with new zeros from which the zeros come first
-)
-_NO_RESIDUAL = 1e-9  # metres: no machine of metal is as good
+_ZEROS_FIRST_RATIO = 1.5  # residuals without over with new zeros from which the zeros come first
+_NO_RESIDUAL = 1e-9  # metres: residuals that no real machine attains
 _CHANCE_LEVEL = 0.01  # probability above which residuals are attributed to noise alone
 _MOST_ALONE = 8  # single causes that a sentence names
 _MIN_DOF = 2.0  # degrees of freedom below which nothing is tested
 _BASE_FITS_P = 0.05  # probability of the residuals of the base model above which they are small
 _MIN_EXCLUDED_SHARE = 0.1  # share of excluded readings from which their number is stated
-_ROUNDING_RATIO = (
-    1.05  # ratio of the noise of a reading to what was declared from which rounding counts
-)
+_ROUNDING_RATIO = 1.05  # noise of a reading over the declared noise from which rounding is stated
 _MIN_RELATIVE_SIGMA = 0.1  # relative uncertainty of a gain from which it is stated
-_MIN_SIGMA = 5e-5  # millimetres: a smaller uncertainty is none that four decimals show
+_MIN_SIGMA = 5e-5  # millimetres: smallest uncertainty that four decimals show
 
 NOTHING_SHOWN = (
     "These readings show no error at all: either they were computed from a machine without errors, "
@@ -46,34 +42,35 @@ MEANINGS: Mapping[str, str] = {
     "partial": "something was found, and something significant is left",
     "unexplained": "the model does not fit, and no cause explains the difference",
 }
-"""What the verdict's words mean."""
+"""Meaning of each verdict, a clause."""
 
-MEAN_OVER_CAUSES, MEAN_WITH_PLATE = (
-    "on average, whichever of these it is",
-    "on average, nothing if it is the plate",
-)
-"""Behind what it gains to put right one of several causes."""
+MEAN_OVER_CAUSES = "on average, whichever of these it is"
+MEAN_WITH_PLATE = "on average, nothing if it is the plate"
+"""Words after the expected gain of correcting one of several causes."""
 
 
 def headline(result: Result) -> str:
-    """Return the result in a few sentences: what must be known first, the finding, and its
-    evidence.
+    """Return the result in a few sentences: contradictions, advice of the firmware's add-on, the
+    finding, and its evidence.
     """
     if not result.searches:
         return claim_text(result)
     first = "" if result.firmware is None else result.firmware.first
-    parts = (result.contradicted, first, claim_text(result), evidence(result))
-    return " ".join(text for text in parts if text)
+    return _joined(result.contradicted, first, claim_text(result), evidence(result))
+
+
+def _joined(*texts: str) -> str:
+    return " ".join(filter(None, texts))
 
 
 def claim_text(result: Result) -> str:
     """Return what is wrong with the machine, in sentences."""
-    changed, more = _change_sentences(result.moved), finding_text(result)
-    return " ".join(text for text in ((more, changed) if result.found else (changed, more)) if text)
+    changed, finding = _change_sentences(result.moved), finding_text(result)
+    return _joined(finding, changed) if result.found else _joined(changed, finding)
 
 
 def finding_text(result: Result) -> str:
-    """Return what is wrong apart from changes between files, in sentences."""
+    """Return the finding without changes between files, in sentences."""
     if not result.searches:
         return identified_words(result)
     if result.found:
@@ -83,8 +80,7 @@ def finding_text(result: Result) -> str:
     if result.word == "unexplained":
         text = f"{_unexplained_text(result)}{largest_residual_text(result)}"
         noisy = " ".join(map(sentence, result.scattering))
-        against = f"Against what was declared, {text[:1].lower()}{text[1:]}"
-        return f"{noisy} {against}" if noisy else text
+        return f"{noisy} Against what was declared, {lower_first(text)}" if noisy else text
     if too_few_to_test(result):
         return (
             f"These readings are too few to search for causes: the {base_effects(result)} take up "
@@ -116,9 +112,7 @@ def _zeros_sentence(result: Result) -> str:
 def evidence(result: Result) -> str:
     """Return the evidence for the claim of a closed loop, and the data faults, in sentences."""
     changed = _change_sentences([c for c in result.changed if c not in result.moved])
-    return " ".join(
-        text for text in (_fit_evidence(result), data_faults_text(result), changed) if text
-    )
+    return _joined(_fit_evidence(result), data_faults_text(result), changed)
 
 
 def _change_sentences(changes: Iterable[Change]) -> str:
@@ -129,67 +123,52 @@ def _change_sentences(changes: Iterable[Change]) -> str:
     return " ".join(sentence(f"{when} {'; '.join(what)}") for when, what in between.items())
 
 
-# --- Of a closed loop -----------------------------------------------------------------------
-
-
 def _fit_evidence(result: Result) -> str:
-    base = base_effects(result)
-    corrected = f"With the {base} corrected"
+    base, improvement = base_effects(result), _improvement(result.start, result.after.scores)
+    condition = "With this in the model" if result.found else f"With the {base} corrected"
     if result.word == "unexplained":
-        return f"{corrected}, {_improvement_text(result)}."
+        return f"{condition}, {improvement}."
     if result.word == "partial":
         return (
-            f"With it in the model, {_improvement_text(result)}, and nothing known explains the rest. "
+            f"With it in the model, {improvement}, and nothing known explains the rest. "
             f"{_why_significant(result)}{largest_residual_text(result)}"
         )
     if too_few_to_test(result):
-        given, before = corrected, result.nominal
-        if result.found:
-            given, before = "With this in the model", result.start
-        after = result.after.scores if result.found else result.before.scores
-        return f"{given}, {_improvement_between(before, after)}. Too few readings are left over to judge that."
-    given = "With this in the model" if result.found else corrected
-    besides = ["this" if result.found else f"the corrected {base}"]
+        if not result.found:
+            improvement = _improvement(result.nominal, result.before.scores)
+        return f"{condition}, {improvement}. Too few readings are left over to judge that."
+    contents = ["this" if result.found else f"the corrected {base}"]
     if result.improved and not result.found:
-        besides.append("small errors of everything else")
+        contents.append("small errors of everything else")
     if result.shapes_of_plate:
-        besides.append("small shapes of the plate")
-    head = ""
-    if besides[1:]:
-        head, given = f"The model contains {listed(besides)}. ", "With them"
-    return f"{head}{given}, {_improvement_text(result)}{_comparison_with_noise(result)}.{_single_causes_text(result)}"
+        contents.append("small shapes of the plate")
+    if contents[1:]:
+        condition = f"The model contains {listed(contents)}. With them"
+    comparison = _comparison_with_noise(result)
+    return f"{condition}, {improvement}{comparison}.{_single_causes_text(result)}"
 
 
 def _comparison_with_noise(result: Result) -> str:
-    """Whether what is left is the noise: the end of a sentence."""
-    of, left = "the readings" if result.request.points else "the dial", ""
-    noise, after = result.noise.single_reading, result.after.scores
-    if math.isfinite(after.deviation_rms):  # which is no figure of single readings
-        left = (
-            f". Single readings have a residual of {_residual_and_noise(after.left, noise)[0]} rms"
-        )
-    what = f"the noise of {of} ({_residual_and_noise(after.left, noise)[1]})"
+    """Return whether the residual exceeds the noise: the end of a sentence."""
+    source = "the readings" if result.request.points else "the dial"
+    residual, noise = result.after.scores.left.shown, result.noise.single_reading.shown
+    figures = [(unit, distinct_figures(rms, noise[unit])) for unit, rms in residual.items()]
+    rms_text, noise_text = (" and ".join(f"{f[k]} {unit}" for unit, f in figures) for k in (0, 1))
+    single, reference = "", f"the noise of {source} ({noise_text})"
+    if math.isfinite(result.after.scores.deviation_rms):  # which is no figure of single readings
+        single = f". Single readings have a residual of {rms_text} rms"
     if any(w.kind == "side" for w in result.warnings):
-        what = "the scatter of repeats, which is noise of the readings or lost motion"
+        reference = "the scatter of repeats, which is noise of the readings or lost motion"
     if result.after.sigma_scale > 1:
         return (
-            f"{left}, more than {what}. Each likely explanation fits the readings; their mean, "
-            f"which is the calibrated machine, does not quite"
+            f"{single}, more than {reference}. Each likely explanation fits the readings; their "
+            f"mean, which is the calibrated machine, does not quite"
         )
-    return f"{left}, consistent with {what}"
-
-
-def _residual_and_noise(residual: ByUnit, noise: ByUnit) -> tuple[str, str]:
-    """Return a residual and the noise that it is compared with, with the same decimals."""
-    pairs = [
-        (unit, distinct_figures(value, noise.shown[unit])) for unit, value in residual.shown.items()
-    ]
-    left, right = (" and ".join(f"{two[k]} {unit}" for unit, two in pairs) for k in (0, 1))
-    return left, right
+    return f"{single}, consistent with {reference}"
 
 
 def largest_residual_text(result: Result) -> str:
-    """Return where the residual is largest: which leg, which direction, at which station."""
+    """Return where the residual is largest: the leg, the direction and the station."""
     if result.left.shaped > _CHANCE_LEVEL > result.left.p_value:
         return (
             " The plate's own shape would explain it, finer than a bowl or three lobes: touch it "
@@ -202,21 +181,18 @@ def largest_residual_text(result: Result) -> str:
         one = result.left.by_dial[0]
         where = f"on leg {LEGS[one.leg]} read along {LEGS[one.axis]}"
         size = f"the dial is off by up to {compact(abs(one.most) * 1e3, 2)} mm"
-        if one.posture:  # else it is off both ways
+        if one.posture:  # else another station's residual is as large
             size += f", toward {toward(LEGS[one.axis], one.most)} at posture {one.posture}"
         return _largest_part(result, one.share, where, size)
-    return "".join(
-        _largest_part(
-            result, one.share, f"in {one.reads} ({one.setup})",
-            f"it is up to {compact(abs(one.most) * 1e3, 2)} {one.unit}, with the tool at "
-            f"{one.where[0]} mm",
-        )
-        for one in result.left.by_instrument[:1]
-    )  # fmt: skip
+    for one in result.left.by_instrument[:1]:
+        size = f"it is up to {compact(abs(one.most) * 1e3, 2)} {one.unit}"
+        size += f", with the tool at {one.where[0]} mm"
+        return _largest_part(result, one.share, f"in {one.reads} ({one.setup})", size)
+    return ""
 
 
 def _largest_part(result: Result, share: float, where: str, size: str) -> str:
-    """Return where the residual is largest, and whether no setup has more than twice its share."""
+    """Return where the residual is largest, and whether it is spread evenly over the setups."""
     setups = len(result.left.by_dial) + len(result.left.by_instrument)
     spread = ", so it is spread over the setups" if setups > 1 and share * setups < 2 else ""
     part = f"{100 * share:.0f} % of its squares{spread}"
@@ -224,29 +200,23 @@ def _largest_part(result: Result, share: float, where: str, size: str) -> str:
 
 
 def _single_causes_text(result: Result) -> str:
-    """Return the causes of which each could explain the residual alone, with their sizes."""
+    """Return the causes that could each explain the residual alone, with their sizes."""
     if not result.alone:
         return ""
-    several = [one.words for one in result.alone[:_MOST_ALONE]]
-    more = len(result.alone) - len(several)
-    told = [sentence(several[0]), *(f"Or {words}." for words in several[1:])]
-    told += [f"Or {more} more named below."] if more > 0 else []
-    return f" If a single cause explains most of it, it is one of these. {' '.join(told)}"
-
-
-def _residual_within_chance(result: Result) -> bool:
-    """Whether only tolerances that are not this machine's would explain so little that is left."""
-    return result.left.p_value > _CHANCE_LEVEL
+    first, *others = (one.words for one in result.alone[:_MOST_ALONE])
+    text = " ".join([sentence(first), *(f"Or {words}." for words in others)])
+    if (more := len(result.alone) - _MOST_ALONE) > 0:
+        text += f" Or {more} more named below."
+    return f" If a single cause explains most of it, it is one of these. {text}"
 
 
 def _unexplained_text(result: Result) -> str:
-    """Return that the model does not fit, by how much, and whether more could be said."""
-    left = result.after.scores.left
+    """Return that the model does not fit, the size of the residual, and the most probable cause."""
     text = (
-        f"The model does not fit: its residual is {left.said()} rms, and the noise of a reading is "
-        f"{noise_words(result)}. No single cause explains the difference."
+        f"The model does not fit: its residual is {result.after.scores.left.said()} rms, and the "
+        f"noise of a reading is {noise_words(result)}. No single cause explains the difference."
     )
-    if _residual_within_chance(result):
+    if result.left.p_value > _CHANCE_LEVEL:  # only tolerances of other machines would explain it
         return f"{text} {len(result.readings)} readings are too few to say more."
     if result.possible:
         most = compact(result.possible[0].probability, 2)
@@ -255,7 +225,7 @@ def _unexplained_text(result: Result) -> str:
 
 
 def _why_significant(result: Result) -> str:
-    """Return why the residual is significant: by its size, or else by its pattern."""
+    """Return why the residual is significant: by its size or by its pattern."""
     noise, left = result.noise.single_reading, result.after.scores.left
     whose = "the noise of one" if result.request.points else "the dial's noise"
     if any(left.shown[unit] > of_one for unit, of_one in noise.shown.items()):
@@ -270,11 +240,7 @@ def _why_significant(result: Result) -> str:
     )
 
 
-def _improvement_text(result: Result) -> str:
-    return _improvement_between(result.start, result.after.scores)
-
-
-def _improvement_between(before: Scores, after: Scores) -> str:
+def _improvement(before: Scores, after: Scores) -> str:
     averaged = math.isfinite(after.deviation_rms)
     of = "averaged readings and their prediction" if averaged else "readings and prediction"
     return f"the difference between {of} {_rms_change(before, after)}"
@@ -295,7 +261,7 @@ def _rms_change(before: Scores, after: Scores) -> str:
 
 
 def noise_words(result: Result) -> str:
-    """Return the noise of a reading, and whether rounding was added to the declared noise."""
+    """Return the noise of a reading, and whether it contains more rounding than was declared."""
     noise, declared = result.noise.single_reading, result.noise.declared
     rounded = result.noise.source != "repeats" and noise.length > _ROUNDING_RATIO * declared
     return f"{noise.said()}{' with the rounding of the readings' if rounded else ''}"
@@ -303,21 +269,21 @@ def noise_words(result: Result) -> str:
 
 def further_warnings(result: Result) -> list[Note]:
     """Return the warnings that the claim does not already contain."""
-    told = result.scattering if result.word == "unexplained" else ()
-    return [w for w in result.warnings if w not in told]
+    in_claim = result.scattering if result.word == "unexplained" else ()
+    return [w for w in result.warnings if w not in in_claim]
 
 
 # --- Common to page and terminal ----------------------------------------------------------
 
 
 def gain_words(action: Action, printer: bool) -> tuple[str, str]:
-    """Return what an action gains, of a printer or another machine, with its uncertainty, and
-    whether that is a mean over causes; empty if unknown.
+    """Return the gain of an action with its uncertainty, and whether it is a mean over causes;
+    empty if unknown. ``printer``: whether the machine is a printer with a firmware.
     """
     if not math.isfinite(action.gain):
         return "", ""
     gain, sigma = max(action.gain, 0.0) * 1e3, action.gain_sigma * 1e3
-    uncertain = sigma > max(_MIN_RELATIVE_SIGMA * gain, _MIN_SIGMA)  # not if it is unknown
+    uncertain = sigma > max(_MIN_RELATIVE_SIGMA * gain, _MIN_SIGMA)  # false if it is nan
     size = with_sigma(gain, sigma) if uncertain else compact(gain, 2)
     if printer and action.kind == "zeros":
         return f"the residual of the heights falls by {size} mm", ""
@@ -327,37 +293,31 @@ def gain_words(action: Action, printer: bool) -> tuple[str, str]:
 
 def undetected_text(result: Result) -> str:
     """Return the effects that these readings would not show, in sentences; empty for none."""
-    told = []
+    texts = []
     if hidden := undetected_effects(result):
-        taken = listed(result.instruments.values())
-        several = "; ".join(f"that {words}" for words in hidden)
-        told.append(f"Readings of {taken} cannot detect, at three times the tolerance, {several}.")
-    if still := unvaried_effects(result):
-        told.append(f"Nothing was varied that would show that {', or that '.join(still)}.")
-    return " ".join(told).removesuffix(".")
+        used = listed(result.instruments.values())
+        clauses = "; ".join(f"that {words}" for words in hidden)
+        texts.append(f"Readings of {used} cannot detect, at three times the tolerance, {clauses}.")
+    if unvaried := unvaried_effects(result):
+        texts.append(f"Nothing was varied that would show that {', or that '.join(unvaried)}.")
+    return " ".join(texts).removesuffix(".")
 
 
 def undetected_effects(result: Result) -> list[str]:
-    """Return the effects that these readings would not show, a clause each."""
-    return [f"{words}{_members_in_brackets(members)}" for words, members in result.unseen.effects]
-
-
-def _members_in_brackets(members: tuple[str, ...]) -> str:
-    """Return which parameters of an effect are meant, in brackets; empty for all of them."""
-    if not members:
-        return ""
-    return f" ({members[0] if ' ' in members[0] else 'some of them'})"
+    """Return the effects that these readings would not show, a clause each, with the parameters
+    concerned in brackets unless it is all of them.
+    """
+    return [
+        words + (f" ({members[0] if ' ' in members[0] else 'some of them'})" if members else "")
+        for words, members in result.unseen.effects
+    ]
 
 
 def unvaried_effects(result: Result) -> list[str]:
-    """Return effects that the readings cannot show because a condition was not varied, a clause
-    each.
-    """
-    unseen, of = result.unseen, result.catalogue
-    names = (
-        n for n in unseen.unexcited if not of[n].of_dial and n not in _one_sided_effects(result)
-    )
-    return [cause_short(of, name) for name in names]
+    """Return effects that cannot show because a condition was not varied, a clause each."""
+    catalogue, one_sided = result.catalogue, _one_sided_effects(result)
+    names = (n for n in result.unseen.unexcited if n not in one_sided and not catalogue[n].of_dial)
+    return [cause_short(catalogue, name) for name in names]
 
 
 def _one_sided_effects(result: Result) -> list[str]:
@@ -375,12 +335,11 @@ _SIDE_REASONS = {
 
 def unvaried_words(result: Result) -> str:
     """Return why lost motion cannot be detected, a clause; empty if it can."""
-    if not (why := result.unseen.one_sided):
+    if not (reason := result.unseen.one_sided):
         return ""
-    named = "; ".join(
-        f"that {cause_short(result.catalogue, n)}" for n in _one_sided_effects(result)
-    )
-    return f"nor can they detect {named}: {_SIDE_REASONS[why]}"
+    effects = (cause_short(result.catalogue, name) for name in _one_sided_effects(result))
+    clauses = "; ".join(f"that {words}" for words in effects)
+    return f"nor can they detect {clauses}: {_SIDE_REASONS[reason]}"
 
 
 def data_faults_text(result: Result) -> str:
@@ -390,28 +349,28 @@ def data_faults_text(result: Result) -> str:
     faults = f"{count} fault{'s' if count > 1 else ''} in the data had to be dealt with first"
     if stray := sum(w.kind == "stray" for w in result.warnings):
         faults += f", and {stray} touch{' does' if stray == 1 else 'es do'} not count"
-    aside = {row for one in result.blunders if one.excluded for row in one.rows_in_request}
-    every = len(result.readings) + len(aside)
-    if len(aside) < _MIN_EXCLUDED_SHARE * every:
+    excluded = {row for one in result.blunders if one.excluded for row in one.rows_in_request}
+    total = len(result.readings) + len(excluded)
+    if len(excluded) < _MIN_EXCLUDED_SHARE * total:
         return f"{faults}."
     return (
-        f"{faults}: {len(aside)} of {every} readings do not count, and nothing is said of what "
+        f"{faults}: {len(excluded)} of {total} readings do not count, and nothing is said of what "
         f"they alone would show."
     )
 
 
 def has_diffuse_errors(result: Result) -> bool:
-    """Whether the base alone leaves so much that something small is wrong with everything."""
+    """Whether the base model does not fit, which small errors of many parts explain."""
     return result.improved and result.before.scores.lack_of_fit_p < _BASE_FITS_P
 
 
 def too_few_to_test(result: Result) -> bool:
-    """Whether what was fitted takes up all that the readings say."""
+    """Whether the fitted parameters leave too few degrees of freedom for a test."""
     return result.before.scores.dof < _MIN_DOF or result.after.scores.dof < 1.0
 
 
 def meaning(result: Result) -> str:
-    """Return the meaning of the verdict, a clause; nothing is judged if too few readings remain."""
+    """Return the meaning of the verdict, a clause, or that too few readings remain for one."""
     if result.word == "adequate" and too_few_to_test(result):
         return "no single cause was added, and too few readings are left over to judge what is left"
     return MEANINGS[result.word]

@@ -1,4 +1,4 @@
-"""A measuring sheet to carry: one printable page a mounting, the rows of the CSV in their order."""
+"""A measuring sheet to print: one page for each mounting, with the rows of the CSV in order."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def command_convention(machine: Machine) -> str:
 
 
 def dial_words(setup: Setup, machine: Machine, otherwise: str) -> tuple[str, ...]:
-    """Return where a dial stands, what it touches, which way it counts, and what to do otherwise, a
-    sentence each.
+    """Return how to mount a dial, a sentence each: its place, the surface that it touches, and its
+    direction; ``otherwise``: what to do if it counts the other way.
     """
     names, L = machine.geometry.leg_names, machine.geometry.L
     leg, axis = names[setup.leg], names[setup.axis]
@@ -58,7 +58,7 @@ def dial_words(setup: Setup, machine: Machine, otherwise: str) -> tuple[str, ...
     counts = "+" if setup.sign > 0 else "−"
     places = " and ".join(f"{gauge * 1e3:.4g}" for gauge in setup.gauges)
     shares = " and ".join(f"{100 * gauge / L:.0f}" for gauge in setup.gauges)
-    told = (
+    sentences = (
         f"On leg {leg}, against {touched}.",
         f"{places} mm from the leg's joints at the platform, to a millimetre, with the machine at "
         f"mechanical zero ({shares} % of the way to the carriage).",
@@ -66,9 +66,9 @@ def dial_words(setup: Setup, machine: Machine, otherwise: str) -> tuple[str, ...
         f"if it falls, {otherwise}.",
     )
     if len(setup.gauges) == 1:
-        return told
+        return sentences
     return (
-        *told,
+        *sentences,
         f"Two dials, both set to zero against the surface that the leg should be parallel to, "
         f"across {axis}: write what the one at {setup.gauge2 * 1e3:.4g} mm shows less what the one "
         f"at {setup.gauge * 1e3:.4g} mm shows.",
@@ -82,40 +82,39 @@ def _pages(sheet: Readings, machine: Machine) -> Iterator[dict[str, Any]]:
     together = mounted_together(rows)
     by_name = {s.name: s for s in sheet.setups}
     posed = machine.with_only({}).posed()
-    stand = dials(posed, [sheet])
+    machine_dials = dials(posed, [sheet])
     numbered = enumerate(rows, start=2)
     for names, lines in groupby(numbered, key=lambda line: together[line[1]["setup"]]):
-        told = []
+        page_dials = []
         for setup in (by_name[n] for n in names):
-            turned = replace(setup, sign=-setup.sign)
-            otherwise = f"write {turned.direction} in column direction"
-            told.append((setup.name, dial_words(setup, machine, otherwise)))
+            reversed_setup = replace(setup, sign=-setup.sign)
+            otherwise = f"write {reversed_setup.direction} in column direction"
+            page_dials.append((setup.name, dial_words(setup, machine, otherwise)))
         title = " and ".join(names)
-        here = drawing(
-            posed, dials=[d for d in stand if d.name in names], title=f"Where to mount {title}"
-        )
+        shown_dials = [d for d in machine_dials if d.name in names]
+        picture = drawing(posed, dials=shown_dials, title=f"Where to mount {title}")
         steps = list(_steps(list(lines), names, commands))
-        yield {"title": title, "dials": told, "steps": steps, "drawing": here}
+        yield {"title": title, "dials": page_dials, "steps": steps, "drawing": picture}
 
 
 def mounted_together(rows: list[Row]) -> dict[str, tuple[str, ...]]:
     """Return by setup the names of the setups that are read at one visit, in their order."""
     commands = command_columns(rows[0])
-    found: dict[str, tuple[str, ...]] = {}
+    names_by_setup: dict[str, tuple[str, ...]] = {}
     for visit in _visits(rows, commands):
         names = tuple(dict.fromkeys(row["setup"] for row in visit))
         for name in names:
-            found[name] = max(names, found.get(name, ()), key=len)
-    return found
+            names_by_setup[name] = max(names, names_by_setup.get(name, ()), key=len)
+    return names_by_setup
 
 
 def _visits(rows: list[Row], commands: list[str]) -> Iterator[list[Row]]:
     """Yield consecutive rows of one command, each setup at most once."""
     visit: list[Row] = []
     for row in rows:
-        same = visit and [row[c] for c in commands] == [visit[0][c] for c in commands]
-        fresh = row["setup"] not in {r["setup"] for r in visit}
-        if visit and not (same and fresh and _is_move(row) == _is_move(visit[0])):
+        same_command = visit and [row[c] for c in commands] == [visit[0][c] for c in commands]
+        unread = row["setup"] not in {r["setup"] for r in visit}
+        if visit and not (same_command and unread and _is_move(row) == _is_move(visit[0])):
             yield visit
             visit = []
         visit.append(row)
@@ -129,7 +128,7 @@ def _is_move(row: Row) -> bool:
 def _steps(
     lines: list[tuple[int, Row]], names: tuple[str, ...], commands: list[str]
 ) -> Iterator[dict[str, Any]]:
-    """Yield the commands with the lines of the CSV, and which dials are read there."""
+    """Yield the commands with their lines of the CSV and the dials that are read there."""
     numbers = iter(number for number, _ in lines)
     for visit in _visits([row for _, row in lines], commands):
         first = visit[0]

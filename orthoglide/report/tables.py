@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +30,13 @@ _IN_MM, _IN_MRAD = (tuple(name.format(unit) for name in _VALUE_COLUMNS) for unit
 def calibrated_machine(result: Result) -> MachineFile:
     """Return the calibrated machine file with the provenance of its numbers."""
     request, spec = result.request, result.machine.spec
-    given, read = request.machine.spec, [i for i in request.inputs if "role" not in i]
-    machine = {"file": Path(given.file).name, "sha256": given.sha256}
+    original, campaigns = request.machine.spec, [i for i in request.inputs if "role" not in i]
+    machine = {"file": Path(original.file).name, "sha256": original.sha256}
     provenance: dict[str, Any] = {
         "version": __version__,
         "command": request.command,
-        "campaigns": [{"file": i["file"], "sha256": i["sha256"]} for i in read],
-        **({"machine": machine} if given.file else {}),
+        "campaigns": [{"file": i["file"], "sha256": i["sha256"]} for i in campaigns],
+        **({"machine": machine} if original.file else {}),
         **spec.provenance,
         "sigma": "everything else allowed" if result.searches else "noise alone",
     }
@@ -44,67 +45,62 @@ def calibrated_machine(result: Result) -> MachineFile:
 
 
 def residual_table(result: Result) -> str:
-    """Return the text of ``residuals.csv``: nominal, before and after; excluded rows last.
+    """Return the text of ``residuals.csv``; excluded readings are the last rows.
 
-    Figures of inclinations have columns of their own, where any were read.
+    Inclinations have columns of their own, if any were read.
     """
-    given, shown = result.request.given, result.readings
-    predicted, turned = (shown.nominal, shown.before, shown.after), shown.turned
+    tables, shown = result.request.given, result.readings
+    predicted = (shown.nominal, shown.before, shown.after)
     columns = [shown.measured, shown.sigma, *predicted, *(shown.measured - p for p in predicted)]
-    figures, rows = np.column_stack(columns), list[list[Any]]()
-    none, several = [""] * len(_VALUE_COLUMNS), bool(turned.any())
-    both = any(s.observation.dials > 1 for read in given for s in read.setups)
-    directions = [read.direction for read in given]
-    places = zip(shown.file.tolist(), shown.row.tolist(), shown.setups, strict=True)
-    for k, (file, row, name) in enumerate(places):
-        read, cells = given[file], [*map(_mm, figures[k])]
-        kind = read.setups[read.setup[row]].kind
-        mm, mrad = (none, cells) if turned[k] else (cells, none)
-        place = _reading_cells(read, row, name, directions[file][row], both)
-        rows.append([*place, *mm, "", kind, *(mrad if several else ())])
-    for blunder in result.blunders:
-        for file, row in blunder.rows_in_request if blunder.excluded else ():
-            read = given[file]
-            setup = read.setups[read.setup[row]]
-            cells = [_mm(read.reading[row]), *none[1:]]
-            mm, mrad = (none, cells) if setup.observation.angular else (cells, none)
-            name = "" if read.by_point else setup.name
-            place = _reading_cells(read, row, name, directions[file][row], both)
-            rows.append([*place, *mm, blunder.kind, setup.kind, *(mrad if several else ())])
+    empty, any_turned = [""] * len(_VALUE_COLUMNS), bool(shown.turned.any())
+    two_dials = any(setup.observation.dials > 1 for t in tables for setup in t.setups)
+    directions = [readings.direction for readings in tables]
+
+    def cells(file: int, row: int, values: list[str], fault: str = "") -> list[Any]:
+        readings = tables[file]
+        setup = readings.setups[readings.setup[row]]
+        mm, mrad = (empty, values) if setup.observation.angular else (values, empty)
+        place = _reading_cells(readings, row, directions[file][row], two_dials)
+        return [*place, *mm, fault, setup.kind, *(mrad if any_turned else ())]
+
+    fitted = zip(shown.file.tolist(), shown.row.tolist(), np.column_stack(columns), strict=True)
+    rows = [cells(file, row, [*map(_mm, values)]) for file, row, values in fitted]
+    for fault in result.blunders:
+        for file, row in fault.rows_in_request if fault.excluded else ():
+            values = [_mm(tables[file].reading[row]), *empty[1:]]
+            rows.append(cells(file, row, values, fault.kind))
     titles = (
         "campaign", "line", "setup", "leg", "direction", "posture",
         *native_command_names(result.machine.geometry.layout.names),
-        "gauge_mm", *(("gauge2_mm",) if both else ()), "repeat", "order",
+        "gauge_mm", *(("gauge2_mm",) if two_dials else ()), "repeat", "order",
     )  # fmt: skip
-    last = ("set_aside", "kind", *(_IN_MRAD if several else ()))
+    last = ("set_aside", "kind", *(_IN_MRAD if any_turned else ()))
     return csv_text((*titles, *_IN_MM, *last), rows)
 
 
-def _reading_cells(read: Readings, row: int, name: str, direction: str, both: bool) -> list[Any]:
-    """Return the cells that say what was read where.
+def _reading_cells(readings: Readings, row: int, direction: str, two_dials: bool) -> list[Any]:
+    """Return the cells that identify a reading.
 
     Args:
-        read: the readings.
-        row: within them.
-        name: of the setup.
+        readings: the readings.
+        row: row within them.
         direction: axis that is read, with its sign.
-        both: whether there are columns of two dials on a leg.
+        two_dials: whether there are columns of two dials on a leg.
     """
-    setup = read.setups[read.setup[row]]
+    setup = readings.setups[readings.setup[row]]
+    name = "" if readings.by_point else setup.name
     leg, gauge = (LEGS[setup.leg], _mm(setup.gauge)) if setup.leg >= 0 else ("", "")
-    second = [_mm(setup.gauge2) if setup.observation.dials > 1 else ""] if both else []
+    second = [_mm(setup.gauge2) if setup.observation.dials > 1 else ""] if two_dials else []
     return [
-        read.name, read.line[row], name, leg, direction, read.posture[row],
-        *map(_mm, read.command[row]), gauge, *second,
-        "" if read.by_point else read.repeat[row],
-        read.order[row] + read.by_point,
+        readings.name, readings.line[row], name, leg, direction, readings.posture[row],
+        *map(_mm, readings.command[row]), gauge, *second,
+        "" if readings.by_point else readings.repeat[row],
+        readings.order[row] + readings.by_point,
     ]  # fmt: skip
 
 
 def _mm(metres: float) -> str:
-    """Return millimetres to a nanometre, or milliradians to a nanoradian; further digits are
-    rounding.
-    """
+    """Return millimetres, or milliradians, with the digits that are not rounding."""
     return f"{metres * 1e3:z.6f}"
 
 
@@ -116,29 +112,25 @@ def result_text(result: Result) -> str:
 def _json_text(value: Any, margin: str = "") -> str:
     """Return JSON with a line for each key and element.
 
-    A list of numbers or words is one line, as is an object of them that is an element of a list,
-    such as a row of readings; the encoder of the standard library is slow where it indents.
+    A list of numbers or words is one line, and so is an element of a list that is an object of
+    them, such as a row of readings. The standard library's encoder is slow with indentation.
     """
     inner = f"{margin} "
     if isinstance(value, dict) and value:
-        each = (f"{inner}{json.dumps(key)}: {_json_text(one, inner)}" for key, one in value.items())
-        return "{\n" + ",\n".join(each) + f"\n{margin}}}"
+        lines = (f"{inner}{json.dumps(k)}: {_json_text(v, inner)}" for k, v in value.items())
+        return "{\n" + ",\n".join(lines) + f"\n{margin}}}"
     if _is_flat(value):
         return _json_line(value)
-    each = (inner + (_json_line(one) if _is_flat(one) else _json_text(one, inner)) for one in value)
-    return "[\n" + ",\n".join(each) + f"\n{margin}]"
+    texts = (_json_line(item) if _is_flat(item) else _json_text(item, inner) for item in value)
+    return "[\n" + ",\n".join(inner + text for text in texts) + f"\n{margin}]"
 
 
-def _json_line(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False, allow_nan=False)
-
-
-_CONTAINERS = frozenset({dict, list})
+_json_line = partial(json.dumps, ensure_ascii=False, allow_nan=False)
 
 
 def _is_flat(value: Any) -> bool:
-    """Whether a value contains no list or object with anything in it."""
+    """Whether a value contains no list or object that is not empty."""
     parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    if _CONTAINERS.isdisjoint(map(type, parts)):  # which is quicker, of many numbers
+    if {dict, list}.isdisjoint(map(type, parts)):  # the quick answer for many numbers
         return True
     return not any(isinstance(part, dict | list) and part for part in parts)

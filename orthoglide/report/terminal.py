@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from orthoglide.numerals import hundredths
 from orthoglide.report.claims import claims, lower_first
@@ -25,7 +25,7 @@ from orthoglide.report.sentences import (
     undetected_text,
     unvaried_words,
 )
-from orthoglide.result import Action, Result
+from orthoglide.result import Result
 from orthoglide.text import is_terminal, sentence, text_width
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 
-_MAX_SUSPECTS = 3  # of what may be looked at
-_TEXT_COLUMNS = ("cause", "if it is the only cause", "possible cause", "considered")  # columns
+_MAX_SUSPECTS = 3  # causes listed below an action
+_TEXT_COLUMNS = ("cause", "if it is the only cause", "possible cause", "considered")
 
 
 def summary(
@@ -47,10 +47,10 @@ def summary(
     """Return the result for the terminal.
 
     Args:
-        result: to be shown.
+        result: the result.
         all_candidates: whether all candidates are shown.
         omitted_kind: kind of warnings that are left out.
-        with_paths: returns an advised command with the files where they are.
+        with_paths: returns an advised command with the paths of its files.
     """
     from rich.text import Text
 
@@ -62,26 +62,25 @@ def summary(
     parts += _tables(result, all_candidates)
     remarks = [] if result.searches else weak_sentences(result.weak, result.catalogue)
     hidden = (undetected_text(result), unvaried_words(result))
-    told = (*hidden, *(w for w in further_warnings(result) if w.kind != omitted_kind))
-    remarks += [sentence(w) for w in told if w]
+    warnings = (*hidden, *(w for w in further_warnings(result) if w.kind != omitted_kind))
+    remarks += [sentence(w) for w in warnings if w]
     parts += [Text(f"- {line}") for line in remarks]
     parts += [Text(with_paths(line)) for line in action_lines(result)]
     parts += _new_zeros(result)
-    if result.firmware is not None and result.firmware.corrections is not None:
-        found = result.firmware.corrections
-        of, last = "residual of the firmware's equations, rms, mm", "tried" if found.keep else "new"
-        if not found.keep:
-            parts += table((found.file, "old", last), found.rows)
-        parts += table((of, "old", last), found.left)
-        instead, why = reason_not_to_enter(result)
-        if instead:
-            parts.append(Text(f"{instead}: {why}.", style="bold"))
+    if (corrections := result.corrections) is not None:
+        if not corrections.keep:
+            parts += table((corrections.file, "old", "new"), corrections.rows)
+        title = "residual of the firmware's equations, rms, mm"
+        parts += table((title, "old", "tried" if corrections.keep else "new"), corrections.left)
+        advice, reason = reason_not_to_enter(result)
+        if advice:
+            parts.append(Text(f"{advice}: {reason}.", style="bold"))
     parts += [Text(f"Warning: {caution}", style="bold") for caution in result.further_cautions]
     return console_text(parts)
 
 
 def _new_zeros(result: Result) -> Iterator[Text | Table]:
-    """Yield the new zeros with one worked example and one check, if they are to be entered."""
+    """Yield the new zeros with a worked example and a check, if they are to be entered."""
     from rich.text import Text
 
     if result.firmware is not None or all(one.kind != "zeros" for one in result.actions):
@@ -91,38 +90,28 @@ def _new_zeros(result: Result) -> Iterator[Text | Table]:
     yield from table((axis, *(f"{title}, mm" for title in old_and_new)), numbers.zeros.rows)
     how, readings = numbers.check
     yield from map(Text, filter(None, (numbers.worked, how)))
-    yield from (
-        Text(f"- {one} orthoglide export gives such a reading for every axis.")
-        for one in readings[:1]
-    )
+    for reading in readings[:1]:
+        yield Text(f"- {reading} orthoglide export gives such a reading for every axis.")
 
 
 def action_lines(result: Result) -> Iterator[str]:
     """Yield the actions, a line each, with the parts to look at below."""
     for k, action in enumerate(result.actions, start=1):
-        yield f"{k}. {sentence(action.words)[:-1]}{_gain_in_brackets(result, action)}."
-        told = [(f"{one.words}: look at {one.look_at}", one.confirm) for one in action.options]
-        lines = [" ".join(sentence(text) for text in one if text) for one in told]
-        yield from _shortened(lines, "Test the {} other causes above in the same way.")
-
-
-def _shortened(lines: Sequence[str], rest: str) -> Iterator[str]:
-    """Yield the first lines, and the number of the others in words."""
-    count = len(lines) if len(lines) <= _MAX_SUSPECTS + 1 else _MAX_SUSPECTS
-    yield from (f"   - {line}" for line in lines[:count])
-    if lines[count:]:
-        yield f"   - {rest.format(len(lines) - count)}"
-
-
-def _gain_in_brackets(result: Result, action: Action) -> str:
-    """Return the gain of an action in brackets; empty if there is none."""
-    if not action.gain > 0:
-        return ""
-    return f" ({''.join(gain_words(action, result.firmware is not None))})"
+        gain = ""
+        if action.gain > 0:
+            gain = f" ({''.join(gain_words(action, result.firmware is not None))})"
+        yield f"{k}. {sentence(action.words)[:-1]}{gain}."
+        count = len(action.options)
+        count = count if count <= _MAX_SUSPECTS + 1 else _MAX_SUSPECTS
+        for suspect in action.options[:count]:
+            texts = (f"{suspect.words}: look at {suspect.look_at}", suspect.confirm)
+            yield f"   - {' '.join(sentence(text) for text in texts if text)}"
+        if others := action.options[count:]:
+            yield f"   - Test the {len(others)} other causes above in the same way."
 
 
 def console_text(parts: Iterable[RenderableType]) -> str:
-    """Return the parts one below the other, as wide as the terminal."""
+    """Return the parts below each other, as wide as the terminal."""
     from rich.console import Console
 
     stream = io.StringIO()
@@ -139,32 +128,26 @@ def _width() -> int:
     return min(text_width(), 120)
 
 
-def _tables(result: Result, ranked: bool) -> Iterator[Table]:
+def _tables(result: Result, all_candidates: bool) -> Iterator[Table]:
     """Yield the tables of causes, candidates, parameters and scores that are not empty."""
     yield from table(("share of this finding", "cause"), _finding_rows(result))
     alone = ((hundredths(one.probability), one.words) for one in result.alone)
     yield from table(("probability", "if it is the only cause"), alone)
     yield from table(POSSIBLE_TITLES, possible_rows(result))
-    tried = (
-        (hundredths(t.probability), t.words or t.name)
-        for t in probable_candidates(result)
-        if ranked
-    )
-    yield from table(("probability of being active", "considered"), tried)
-    identified = (
-        (f"{one.name}, {one.unit}", one.value, one.sigma, f"{one.low} to {one.high}", one.tolerance)
-        for one in parameter_rows(result)
-        if not result.searches
-    )
+    candidates = probable_candidates(result) if all_candidates else ()
+    considered = ((hundredths(c.probability), c.words or c.name) for c in candidates)
+    yield from table(("probability of being active", "considered"), considered)
+    parameters = [] if result.searches else parameter_rows(result)
     columns = ("parameter", "value", "± sigma", "95 % interval", "tolerance")
-    yield from table(columns, identified)
+    yield from table(columns, (
+        (f"{p.name}, {p.unit}", p.value, p.sigma, f"{p.low} to {p.high}", p.tolerance)
+        for p in parameters
+    ))  # fmt: skip
     yield from table(("", "nominal", "before", "after"), score_rows(result))
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Table]:
-    """Yield a table for the terminal if there are rows: cells are broken between words, and no
-    number is cut.
-    """
+    """Yield a table for the terminal if there are rows; only spaces are broken, so no number is."""
     from rich import box
     from rich.table import Table
 
@@ -173,20 +156,18 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Tab
         return
     cells = [*zip(*lines, strict=True)]
     widths = [max(map(len, "\n".join(column).split("\n"))) for column in cells]
-    longest = [max(map(len, " ".join(column).split()), default=0) for column in cells]
-    room = _width() - 2 * len(columns) - 1  # two spaces between columns, and one at the edge
-    while sum(widths) > room and widths != longest:
-        slack = [width - least for width, least in zip(widths, longest, strict=True)]
+    longest_words = [max(map(len, " ".join(column).split()), default=0) for column in cells]
+    available = _width() - 2 * len(columns) - 1  # two spaces between columns, and one at the edge
+    while sum(widths) > available and widths != longest_words:
+        slack = [width - least for width, least in zip(widths, longest_words, strict=True)]
         widths[slack.index(max(slack))] -= 1
-    made = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    console_table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for k, title in enumerate(columns):
-        left = k == 0 or title in _TEXT_COLUMNS
-        made.add_column(
-            title, justify="left" if left else "right", width=widths[k], overflow="fold"
-        )
+        justify: Literal["left", "right"] = "left" if not k or title in _TEXT_COLUMNS else "right"
+        console_table.add_column(title, justify=justify, width=widths[k], overflow="fold")
     for row in lines[1:]:
-        made.add_row(*row)
-    yield made
+        console_table.add_row(*row)
+    yield console_table
 
 
 def _finding_rows(result: Result) -> Iterator[tuple[str, str]]:

@@ -51,4 +51,9 @@ from orthoglide.result.residuals import (
     SetupNoise as SetupNoise,
     SetupResidual as SetupResidual,
 )
-from orthoglide.result.result import Result as Result, Unseen as Unseen, Word as Word
+from orthoglide.result.result import (
+    Judged as Judged,
+    Result as Result,
+    Unseen as Unseen,
+    Word as Word,
+)

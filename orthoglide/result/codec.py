@@ -1,9 +1,9 @@
-"""Values to JSON and back, as the types of their fields say.
+"""Values to JSON and back, by the types of their fields.
 
-A field of a dataclass stands in the file under its own name. One that is annotated with a `Key`
-stands there under another name, in another unit, or with fewer digits; where the module of a class
-knows nothing of results, the metadata of the field say the same. What a class gives as
-``derived()`` is written for readers of the file and never read back.
+A field of a dataclass is written under its own name. A `Key` in its annotation gives it another
+name, another unit, or fewer digits; in modules that do not import results, the metadata of the
+field contain the same. The keys of ``derived()`` are written for readers of the file and never
+read back.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from functools import cache
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.geometry import Array, Geometry
 from orthoglide.layout import LegNames
@@ -56,31 +55,27 @@ class Key:
         return f"{self.name or field}{self.suffix}"
 
     def number(self, value: float) -> float | None:
-        """Return a number in the unit and with the digits of the file; ``None`` for nan or
-        infinity.
-        """
+        """Return a number in the unit and with the digits of the file; ``None`` if not finite."""
         return self.numbers(np.array(float(value)))[0]
 
     def numbers(self, values: Array) -> list[float | None]:
-        """Return the numbers of an array, of which there may be many, one behind the other."""
-        given: list[float] = (values.ravel() / self.si).tolist()
+        """Return the numbers of an array as a flat list."""
+        scaled: list[float] = (values.ravel() / self.si).tolist()
         if self.places is not None:
-            found = [round(v, self.places) + 0.0 if math.isfinite(v) else v for v in given]
+            rounded = [round(v, self.places) + 0.0 if math.isfinite(v) else v for v in scaled]
         else:
-            to = f".{self.digits}g"
-            found = [float(format(v, to)) for v in given]
-        if np.isfinite(values).all():
-            return [*found]
-        return [v if math.isfinite(v) else None for v in found]
+            spec = f".{self.digits}g"
+            rounded = [float(format(v, spec)) for v in scaled]
+        return [v if math.isfinite(v) else None for v in rounded]
 
 
-_MM = 1e-3  # and a milliradian
+_MM = 1e-3  # SI value of a millimetre, and of a milliradian
 
 Metres = Annotated[float, Key(suffix="_mm", si=_MM)]
 SampledMetres = Annotated[float, Key(suffix="_mm", si=_MM, digits=SHORT_DIGITS)]
 Share = Annotated[float, Key(digits=SHORT_DIGITS)]
 in_mm = Key(si=_MM).number
-"""Returns metres in millimetres, or radians in milliradians, as the file has them."""
+"""Return metres in millimetres, or radians in milliradians, with the digits of the file."""
 
 in_mm_short = Key(si=_MM, digits=SHORT_DIGITS).number
 """Like `in_mm`, with the digits of probabilities and estimates from random draws."""
@@ -88,24 +83,29 @@ in_mm_short = Key(si=_MM, digits=SHORT_DIGITS).number
 MetresField = Annotated[Array, Key(suffix="_mm", si=_MM, digits=SHORT_DIGITS)]
 
 
+def _split_hint(hint: Any, key: Key) -> tuple[Any, Key]:
+    """Return a type without its annotations, and the key among these or else the given one."""
+    if get_origin(hint) is not Annotated:
+        return hint, key
+    hint, *extras = get_args(hint)
+    return hint, next((extra for extra in extras if isinstance(extra, Key)), key)
+
+
 @cache
 def _field_keys(cls: type) -> dict[str, tuple[Any, Key]]:
     """Return the type and the key of every field of a dataclass that is in the file."""
-    found = {}
-    every = get_type_hints(cls, include_extras=True)
+    keys = {}
+    hints = get_type_hints(cls, include_extras=True)
     for field in fields(cls):
-        hint, key = every[field.name], Key()
-        if get_origin(hint) is Annotated:
-            hint, *more = get_args(hint)
-            key = next((one for one in more if isinstance(one, Key)), key)
+        hint, key = _split_hint(hints[field.name], Key())
         key = replace(key, **field.metadata)
         if hint not in CONTEXT_TYPES and key.in_file:
-            found[field.name] = hint, key
-    return found
+            keys[field.name] = hint, key
+    return keys
 
 
 def required_keys(cls: type) -> set[str]:
-    """Return the keys without which no value of a dataclass can be read."""
+    """Return the keys that a value of a dataclass cannot be read without."""
     plain = {field.name for field in fields(cls) if field.default is MISSING}
     return {
         key.key(name)
@@ -118,7 +118,7 @@ def encoded(value: Any, key: Key = Key()) -> Any:  # frozen
     """Return a value as JSON.
 
     Raises:
-        TypeError: for a type that JSON has no form for.
+        TypeError: for a type that JSON does not have.
     """
     match value:
         case None | bool() | int():
@@ -134,11 +134,11 @@ def encoded(value: Any, key: Key = Key()) -> Any:  # frozen
                 return value.tolist()
             return _nested(key.numbers(value), value.shape)
         case Mapping():
-            return {str(name): encoded(one, key) for name, one in value.items()}
+            return {str(name): encoded(item, key) for name, item in value.items()}
         case _ if is_dataclass(value):
             return dict(_encoded_fields(value))
         case list() | tuple():
-            return [encoded(one, key) for one in value]
+            return [encoded(item, key) for item in value]
     raise TypeError(f"no JSON of {type(value).__name__}")
 
 
@@ -154,29 +154,24 @@ def _nested(flat: list[Any], shape: tuple[int, ...]) -> Any:
 def _encoded_fields(value: Any) -> Any:
     cls: Any = type(value)
     for name, (_, key) in _field_keys(cls).items():
-        one, called = getattr(value, name), key.key(name)
-        if isinstance(one, ByUnit):
-            yield from _encoded_units(one, key, name)
+        item, name_in_file = getattr(value, name), key.key(name)
+        if isinstance(item, ByUnit):
+            number = Key(si=_MM, digits=key.digits).number
+            yield f"{name_in_file}_mm", number(item.length)
+            if math.isfinite(item.turn):
+                yield f"{name_in_file}_mrad", number(item.turn)
         elif key.inline:
-            yield from encoded(one).items()
-        elif not (key.omit_if_nan and isinstance(one, float) and not math.isfinite(one)):
-            yield called, encoded(one, key)
+            yield from encoded(item).items()
+        elif not (key.omit_if_nan and isinstance(item, float) and not math.isfinite(item)):
+            yield name_in_file, encoded(item, key)
     if hasattr(value, "derived"):
         yield from value.derived().items()
-
-
-def _encoded_units(value: ByUnit, key: Key, name: str) -> Any:
-    """Yield the length in millimetres, and the inclination in milliradians if it is known."""
-    name = key.key(name)
-    yield f"{name}_mm", Key(si=_MM, digits=key.digits).number(value.length)
-    if math.isfinite(value.turn):
-        yield f"{name}_mrad", Key(si=_MM, digits=key.digits).number(value.turn)
 
 
 def decoded(hint: Any, data: Any, shared: Mapping[type, Any], key: Key = Key()) -> Any:
     """Return JSON data as a value of a type.
 
-    A key that is missing is read as the default of its field, if it has one.
+    A missing key is read as the default of its field, if it has one.
 
     Args:
         hint: the type.
@@ -185,11 +180,9 @@ def decoded(hint: Any, data: Any, shared: Mapping[type, Any], key: Key = Key()) 
         key: how numbers are written in the file.
 
     Raises:
-        KeyError, TypeError, ValueError: if the data are none of this type.
+        KeyError, TypeError, ValueError: if the data are not of this type.
     """
-    if get_origin(hint) is Annotated:
-        hint, *more = get_args(hint)
-        key = next((one for one in more if isinstance(one, Key)), key)
+    hint, key = _split_hint(hint, key)
     origin, inner = get_origin(hint), get_args(hint)
     if hint is Any:
         return data
@@ -198,65 +191,54 @@ def decoded(hint: Any, data: Any, shared: Mapping[type, Any], key: Key = Key()) 
     if origin in (Union, types.UnionType):
         if data is None and type(None) in inner:
             return None
-        return decoded(next(one for one in inner if one is not type(None)), data, shared, key)
+        return decoded(next(item for item in inner if item is not type(None)), data, shared, key)
     if hint is float:
-        known = type(data) in (int, float) and math.isfinite(data)
-        return key.null if data is None else float(_checked(data, known, "number")) * key.si
+        is_number = type(data) in (int, float) and math.isfinite(data)
+        return key.null if data is None else float(_checked(data, is_number, "number")) * key.si
     if hint is Note:
         return Note(data["text"], data["kind"], tuple(data["lines"]))
     if hint in (bool, int, str):
         return _checked(data, type(data) is hint, hint.__name__)
     if origin is np.ndarray:
-        return _array(hint, data, key)
-    if origin in (tuple, list) or (isinstance(origin, type) and issubclass(origin, Sequence)):
+        (kind,) = get_args(inner[1])
+        floating = issubclass(kind, np.floating)
+        return np.array(data, dtype=float) * key.si if floating else np.array(data, dtype=kind)
+    if origin is not None and issubclass(origin, Sequence):
         _checked(data, isinstance(data, list), "list")
-    if origin is tuple:
-        several = inner[:1] * len(data) if inner[1:] == (Ellipsis,) else inner
-        return tuple(decoded(h, v, shared, key) for h, v in zip(several, data, strict=True))
+        fixed = origin is tuple and inner[1:] != (Ellipsis,)
+        hints = inner if fixed else inner[:1] * len(data)
+        return tuple(decoded(h, v, shared, key) for h, v in zip(hints, data, strict=True))
     if origin is not None and issubclass(origin, Mapping):
         _checked(data, isinstance(data, dict), "object")
-        return {name: decoded(inner[1], one, shared, key) for name, one in data.items()}
-    if origin is not None and issubclass(origin, Sequence):
-        return tuple(decoded(inner[0], one, shared, key) for one in data)
+        return {name: decoded(inner[1], item, shared, key) for name, item in data.items()}
     if is_dataclass(hint):
         return _decoded_fields(hint, data, shared)
     raise TypeError(f"no {hint} from JSON")
 
 
-def _checked(data: Any, right: bool, what: str) -> Any:
-    if not right:
-        raise TypeError(f"{abbreviated(repr(data))} is no {what}")
+def _checked(data: Any, is_valid: bool, expected: str) -> Any:
+    if not is_valid:
+        raise TypeError(f"{abbreviated(repr(data))} is no {expected}")
     return data
 
 
-def _array(hint: Any, data: Any, key: Key) -> NDArray[Any]:
-    (kind,) = get_args(get_args(hint)[1])
-    if issubclass(kind, np.floating):
-        return np.array(data, dtype=float) * key.si
-    return np.array(data, dtype=kind)
-
-
 def _decoded_fields(cls: Any, data: Any, shared: Mapping[type, Any]) -> Any:
-    found: dict[str, Any] = {}
-    every = get_type_hints(cls)
+    values: dict[str, Any] = {}
+    hints = get_type_hints(cls)
     for field in fields(cls):
-        hint, key = _field_keys(cls).get(field.name, (every[field.name], None))
+        hint, key = _field_keys(cls).get(field.name, (hints[field.name], None))
         if key is None:
             if hint in shared:
-                found[field.name] = shared[hint]
+                values[field.name] = shared[hint]
             continue
-        called = key.key(field.name)
+        name_in_file = key.key(field.name)
         if hint is ByUnit:
-            parts = (data.get(f"{called}_{unit}") for unit in ("mm", "mrad"))
-            found[field.name] = ByUnit(*(math.nan if v is None else v * _MM for v in parts))
+            parts = (data.get(f"{name_in_file}_{unit}") for unit in ("mm", "mrad"))
+            values[field.name] = ByUnit(*(math.nan if v is None else v * _MM for v in parts))
         elif key.inline:
-            found[field.name] = decoded(hint, data, shared)
-        elif key.omit_if_nan and called not in data:
-            found[field.name] = math.nan
-        elif called not in data and (
-            field.default is not MISSING or field.default_factory is not MISSING
-        ):
-            continue
-        else:
-            found[field.name] = decoded(hint, data[called], shared, key)
-    return cls(**found)
+            values[field.name] = decoded(hint, data, shared)
+        elif key.omit_if_nan and name_in_file not in data:
+            values[field.name] = math.nan
+        elif name_in_file in data or field.default is field.default_factory is MISSING:
+            values[field.name] = decoded(hint, data[name_in_file], shared, key)
+    return cls(**values)

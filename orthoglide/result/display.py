@@ -20,39 +20,34 @@ Numbers = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Picture:
-    """A drawing of what was found."""
+    """A drawing of the machine with the findings."""
 
     posed: Posed  # the nominal machine at mechanical zero
-    dials: tuple[Dial, ...]  # where they stood
-    # explanations, found ones in order, each followed by what else it could be
-    options: tuple[Option, ...]
-    first: tuple[int, ...]  # which options are the most probable of what was found
+    dials: tuple[Dial, ...]  # dials at their places
+    options: tuple[Option, ...]  # explanations of every finding, most probable first
+    first: tuple[int, ...]  # number of the most probable option of every finding
 
     def svg(self, alone: bool = False) -> str:
-        """Return the drawing as SVG; ``alone``: as a file of its own."""
+        """Return the drawing as SVG; ``alone``: as a separate file."""
         title = "The machine, what was found marked on it" if self.options else "The machine"
         return drawing(
-            self.posed,
-            self.options,
-            self.dials,
-            title=title,
-            first_shown=self.first,
+            self.posed, self.options, self.dials, title=title, first_shown=self.first,
             standalone=alone,
-        )
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Workspace:
     """The TCP over the workspace, best translation removed, metres."""
 
-    # A regular grid (g, 3): travel from mechanical zero on the Orthoglide, else where the tool is
-    # wanted. With screws, errors are of a place a part of a turn beside it.
+    # A regular grid (g, 3): travel from mechanical zero on the Orthoglide, else positions of the
+    # tool. With screws, errors are those at a position a fraction of a turn away.
     at: MetresField
-    axis: str  # what its columns are, with the axis' name to fill in
-    now: MetresField  # predicted error of a controller that knows of no error (g, 3)
-    left: MetresField  # predicted error of one that knows of joint offsets and leg lengths (g, 3)
-    sure_before: MetresField  # 95 % radius about the base model, everything else allowed (g,)
-    sure: MetresField  # 95 % radius about the calibrated machine, everything else allowed (g,)
+    axis: str  # name of a column, with a placeholder for the axis
+    now: MetresField  # predicted error without corrections (g, 3)
+    left: MetresField  # predicted error with offsets and lengths of the base model corrected (g, 3)
+    sure_before: MetresField  # 95 % radius about the base model by the full model (g,)
+    sure: MetresField  # 95 % radius about the calibrated machine by the full model (g,)
 
     @property
     def nominal(self) -> Array:
@@ -65,7 +60,7 @@ class Workspace:
         return np.linalg.norm(self.left, axis=1)
 
     def derived(self) -> dict[str, Any]:
-        """Keys of ``result.json`` that follow from the others: mean and largest."""
+        """Return keys of ``result.json`` that follow from the fields: mean and largest."""
         figures = {
             "predicted_error_nominal": self.nominal,
             "predicted_error_before": self.before,
@@ -80,16 +75,16 @@ class Workspace:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mounting:
-    """The readings of one setup, as a panel of a figure shows them."""
+    """The readings of one setup for a panel of a figure."""
 
     setup: str  # name of the setup
     name: str  # name of the setup, with its campaign before it if there are several
     title: str  # of the panel: name, leg and direction
     label: str  # of the horizontal axis
     rows: Numbers  # rows of `ReadingsShown` that belong to it (m,)
-    # travel of the touched leg's carriage in millimetres, or place in the file (m,)
+    # travel of the touched leg's carriage in millimetres, or number in the file (m,)
     x: Annotated[Array, Key(digits=SHORT_DIGITS)]
-    side: Annotated[Array, Key(digits=1)]  # of the approach of that leg's own axis (m,)
+    side: Annotated[Array, Key(digits=1)]  # direction of approach of that leg's axis (m,)
     unit: str  # unit for display: mm or mrad
 
 
@@ -114,15 +109,15 @@ class ReadingsShown:
     @property
     def turned(self) -> NDArray[np.bool_]:
         """Whether each reading is an inclination ``(n,)``."""
-        found = np.zeros(len(self), dtype=bool)
-        for one in self.mountings:
-            found[one.rows] = one.unit == "mrad"
-        return found
+        turned = np.zeros(len(self), dtype=bool)
+        for mounting in self.mountings:
+            turned[mounting.rows] = mounting.unit == "mrad"
+        return turned
 
     @property
     def setups(self) -> list[str]:
         """Name of the setup of each reading, ``n`` of them."""
-        found = np.empty(len(self), dtype=object)
-        for one in self.mountings:
-            found[one.rows] = one.setup
-        return list(found)
+        names = np.empty(len(self), dtype=object)
+        for mounting in self.mountings:
+            names[mounting.rows] = mounting.setup
+        return list(names)

@@ -21,7 +21,7 @@ _FAULT_PHRASES = {
     "zeroed": "a dial that was set to zero anew",
     "moved": "an instrument that was moved",
 }
-"""Data faults in the place of a cause."""
+"""Data faults that can explain the readings as a cause does, as noun phrases."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,9 +73,8 @@ class Curve:
     # values there (k,), SI; without their mean unless it is lost motion, as a constant cannot be
     # distinguished from the zeros
     value: Annotated[Array, Key("value_si", digits=SHORT_DIGITS)]
-    sigma: Annotated[
-        Array, Key("sigma_si", digits=SHORT_DIGITS)
-    ]  # standard deviations of `value` (k,)
+    # standard deviations of `value` (k,)
+    sigma: Annotated[Array, Key("sigma_si", digits=SHORT_DIGITS)]
     of_dial: bool  # whether it belongs to a dial
     of_machine: bool  # whether the calibrated machine includes it
 
@@ -107,7 +106,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Possible:
-    """A cause that is not probable enough to be added, as if it were there."""
+    """A cause that is not probable enough to be added, conditional on its presence."""
 
     name: str  # name of the cause
     parameters: tuple[str, ...]  # parameters that it consists of
@@ -127,7 +126,7 @@ class DataRival:
 
     @property
     def file(self) -> str:
-        """The file, without its folder, that its lines are of."""
+        """Name of the file of its lines, without the folder."""
         return self.words.partition(", ")[0]
 
     @property
@@ -175,12 +174,12 @@ class Cause:
 
     @property
     def explanations(self) -> tuple[Explanation, ...]:
-        """All explanations by name in the credible set."""
+        """All named explanations in the credible set."""
         return (self.chosen, *self.same, *self.rivals)
 
     @property
     def others(self) -> tuple[Explanation | Curve, ...]:
-        """The alternatives, by name and free-form."""
+        """The alternatives, named and free-form."""
         return (*self.rivals, *self.places)
 
     @property
@@ -273,11 +272,9 @@ class BudgetItem:
     # decrease of the mean TCP error if the estimate is compensated and its uncertainty remains
     compensated: SampledMetres
     compensated_sigma: SampledMetres  # standard deviation of `compensated`
-    share: Annotated[
-        float, Key("gain_share", digits=SHORT_DIGITS)
-    ]  # `gain` over the mean TCP error
-    # whether it is an effect without the causes found, as against one of these causes
-    rest: bool = False
+    # `gain` over the mean TCP error
+    share: Annotated[float, Key("gain_share", digits=SHORT_DIGITS)]
+    rest: bool = False  # whether it is an effect without the causes found, not a cause found
 
 
 @dataclass(frozen=True)
@@ -297,20 +294,17 @@ class Identified:
 Kind = Literal["zeros", "confirm", "mend", "compensate", "measure"]
 
 _ADVICE_NAMES = {
-    "zeros": "zeros",
-    "mend": "repair",
-    "compensate": "compensate",
-    "measure": "measure",
-}
+    "zeros": "zeros", "mend": "repair", "compensate": "compensate", "measure": "measure",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Suspect:
-    """One of the causes for which a part is examined."""
+    """A possible cause with the part to examine."""
 
-    words: str  # what would be wrong, as a clause with sign, size and unit
-    look_at: str  # on the machine
-    confirm: str  # a test with the reading to expect; empty where there is none
+    words: str  # the error with sign, size and unit, a clause
+    look_at: str  # part of the machine to look at
+    confirm: str  # a test with the expected reading; empty if there is none
 
 
 @dataclass(frozen=True)
@@ -321,13 +315,13 @@ class Action:
     # `measure`
     kind: Annotated[Kind, Key("action")]
     words: str  # what to do, a sentence without its full stop
-    # by how much the tool's mean error over the workspace falls, best shift removed, of numbers for
-    # a firmware what its equations leave of heights; nan of what changes nothing on the machine
+    # decrease of the tool's mean error over the workspace, best shift removed, or for numbers of a
+    # firmware of the residual of its equations; nan for actions that change nothing on the machine
     gain: SampledMetres = math.nan
-    gain_sigma: SampledMetres = math.nan  # standard deviation of that; nan where it is not known
+    gain_sigma: SampledMetres = math.nan  # standard deviation of `gain`; nan if unknown
     options: tuple[Suspect, ...] = ()  # causes to look for, most probable first
-    whichever: bool = False  # whether `gain` is the mean over the options, of which one is there
-    plate: bool = False  # whether an option is the plate's own, which moves no tool
+    whichever: bool = False  # whether `gain` is the mean over the options, one of which is true
+    plate: bool = False  # whether an option is an error of the plate, which does not move the tool
 
 
 @dataclass(frozen=True)
@@ -339,7 +333,7 @@ class Withheld:
 
 
 def advice_rows(actions: tuple[Action, ...]) -> list[dict[str, Any]]:
-    """Return actions as the entries of ``advice`` in ``result.json``, without those to confirm."""
+    """Return the entries of ``advice`` in ``result.json``: actions except causes to confirm."""
     return [
         {
             "kind": _ADVICE_NAMES[one.kind], "words": one.words,
@@ -354,13 +348,13 @@ def advice_rows(actions: tuple[Action, ...]) -> list[dict[str, Any]]:
 class Proposal:
     """A few readings to take next, and why."""
 
-    reason: str  # what they are for and what is to be expected of them, in words
-    # `separate` rivals, `narrow` a weak direction, `trace` what nothing explains, or `none`
+    reason: str  # their purpose and the expected outcome, in words
+    # `separate` rivals, `narrow` a weak direction, `trace` an unexplained residual, or `none`
     aim: str
-    # for rivals the sigmas between the two least separated, by another instrument between the two
-    # most; for a direction how many times narrower it gets; nan of what nothing explains
+    # separation in sigmas of the two least separated rivals, by another instrument of the two most
+    # separated; ratio of standard deviations of a weak direction; nan for a residual
     gain: Share
-    readings: tuple[Mapping[str, str], ...]  # rows as campaign files have them, no reading in them
+    readings: tuple[Mapping[str, str], ...]  # rows of a campaign file, without readings
     what: str  # what to measure, without the expected outcome; empty: the whole reason
     other_instrument: bool  # whether it takes another instrument or another way of measuring
-    hopeless: bool  # whether no reading within reach helps
+    hopeless: bool  # whether no feasible reading helps

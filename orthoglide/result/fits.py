@@ -1,4 +1,4 @@
-"""Figures of a fit: how well it does, what it found, and how it was checked."""
+"""A fit of a result: its scores, its parameters, and its checks."""
 
 from __future__ import annotations
 
@@ -18,29 +18,28 @@ _FEW_DIGITS = 3  # digits of figures that are rounding themselves
 _MM = 1e-3
 
 _LINEAR_ROUNDING = 1e-9
-"""Metres: what rounding may add to the bound of the linear system."""
+"""Metres: rounding that is added to the bound of the linear system."""
 
 
 @dataclass(frozen=True)
 class Scores:
     """Figures of one fit; lengths in metres."""
 
-    # root mean square of the residuals of lengths, datums fitted; nan where none was read
+    # root mean square of the residuals of lengths, datums fitted; nan if none was read
     rms: Metres
     # the papers' figure: residuals of the averaged deviations from each setup's first posture; nan
-    # where no dial was read
+    # if no dial was read
     deviation_rms: Metres
     max: Metres  # largest residual of a length
     chi2: float  # of the data and their nuisances
-    prior_chi2: float  # of what is known before
-    # degrees of freedom: rows, less datums, less what the data determine of the unknowns
+    prior_chi2: float  # of the priors
+    # degrees of freedom: rows, less datums, less the unknowns as far as the data determine them
     dof: float
-    lack_of_fit_p: float  # probability of a chi2 this large were the model complete
-    cv_rms: Metres  # residuals of stations left out, lengths, datum refitted; nan where none can be
-    # as `rms` of inclinations, radians; nan where none was read
+    lack_of_fit_p: float  # probability of a chi2 this large if the model were complete
+    cv_rms: Metres  # residuals of stations left out, lengths, datum refitted; nan if impossible
+    # like `rms` for inclinations, radians; nan if none was read
     turn_rms: Annotated[float, Key("rms", "_mrad", _MM, omit_if_nan=True)] = math.nan
     turn_max: Annotated[float, Key("max", "_mrad", _MM, omit_if_nan=True)] = math.nan  # as `max`
-    # as `cv_rms`
     turn_cv_rms: Annotated[float, Key("cv_rms", "_mrad", _MM, omit_if_nan=True)] = math.nan
 
     @property
@@ -63,7 +62,7 @@ class Scores:
 
     @property
     def cost(self) -> float:
-        """What the fit minimises: data, nuisances and priors."""
+        """The objective of the fit: data, nuisances and priors."""
         return self.chi2 + self.prior_chi2
 
 
@@ -72,8 +71,7 @@ class Fit:
     """One fit of a result: its parameters, and its residuals."""
 
     scores: Annotated[Scores, Key(inline=True)]
-    # by the names of the parameters, SI
-    values: Annotated[Mapping[str, float], Key("values_si")]
+    values: Annotated[Mapping[str, float], Key("values_si")]  # by name of the parameter, SI
     # standard deviations, the noise of the readings multiplied by `sigma_scale`
     sigmas: Annotated[Mapping[str, float], Key("sigmas_si")]
     sigma_scale: float  # sqrt(chi2 / dof) where lack of fit remains, else 1
@@ -81,9 +79,9 @@ class Fit:
     on_bound: tuple[str, ...]  # names of values that ended on a bound
     method: str  # `nlp`, `nested`, `pinocchio`, `reduction` or `posterior`
     iterations: int  # of the solver
-    # step that a Newton iteration would still make, in sigmas
+    # step of one more Newton iteration, in sigmas
     optimality: Annotated[float, Key("last_step_in_sigmas", digits=_FEW_DIGITS)]
-    warnings: tuple[Note, ...]  # what a user should know, in sentences
+    warnings: tuple[Note, ...]  # in sentences
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -95,9 +93,8 @@ class Fit:
 class HoldOut:
     """Scores on readings of another campaign, each predicted without itself."""
 
-    # root mean square of what the base model leaves, and of what the extended one does
-    before: Annotated[ByUnit, Key("before_rms")]
-    after: Annotated[ByUnit, Key("after_rms")]
+    before: Annotated[ByUnit, Key("before_rms")]  # root mean square residual of the base model
+    after: Annotated[ByUnit, Key("after_rms")]  # of the extended model
 
     @property
     def worse(self) -> bool:
@@ -118,7 +115,7 @@ class TcpErrors:
     before_max: Metres
     after_mean: Metres  # of the extended model
     after_max: Metres
-    # share of the coordinates within the 95 % interval stated for `after`; nan where none is
+    # share of the coordinates within the 95 % interval stated for `after`; nan without one
     inside: Annotated[float, Key("inside_95", digits=SHORT_DIGITS, omit_if_nan=True)] = math.nan
 
     @property
@@ -143,17 +140,16 @@ class WeakDirection:
 
     # their shares along the direction; squares sum to one
     parameters: Annotated[Mapping[str, float], Key(digits=SHORT_DIGITS)]
-    # how far the readings alone leave the machine free along it, in `unit`; infinite where nothing
-    # is seen
+    # standard deviation along it from the readings alone, in `unit`; infinite if undetermined
     sigma: Annotated[float, Key(digits=SHORT_DIGITS, null=math.inf)]
-    # the same with the tolerances as priors; equal without priors
+    # standard deviation with the tolerances as priors; equal without priors
     sigma_with_priors: Annotated[float, Key(digits=SHORT_DIGITS, null=math.inf)]
     unit: str  # of both
 
     def __str__(self) -> str:
         along = " ".join(f"{signed(share, 2)} {name}" for name, share in self.parameters.items())
-        seen = math.isfinite(self.sigma)
-        size = f"sigma {self.sigma:.2g} {self.unit}" if seen else "nothing is seen"
+        is_seen = math.isfinite(self.sigma)
+        size = f"sigma {self.sigma:.2g} {self.unit}" if is_seen else "nothing is seen"
         prior = f", with the tolerances as priors {self.sigma_with_priors:.2g} {self.unit}"
         narrowed = self.sigma_with_priors < 0.5 * self.sigma
         return f"weak direction {along}: {size}{prior * narrowed}"
@@ -163,13 +159,13 @@ class WeakDirection:
 class CrossCheck:
     """Differences of the independent derivations, metres."""
 
-    # parameters, mechanism against the reduction's nonlinear fit, largest difference
+    # largest difference of a parameter between the mechanism and the reduction's nonlinear fit
     reduction: Annotated[float, Key("reduction_max_difference", "_mm", _MM, _FEW_DIGITS)]
-    # fitted readings, mechanism against system (11), largest difference
+    # largest difference of a fitted reading between the mechanism and system (11)
     linear: Annotated[float, Key("linear_system_max_difference", "_mm", _MM, _FEW_DIGITS)]
-    # what second-order terms allow of `linear`, root mean square over the noise
+    # bound of second-order terms on the differences, root mean square over the noise
     linear_bound: Annotated[float, Key("linear_system_rms_bound", "_mm", _MM, _FEW_DIGITS)]
-    # the same norm of the difference itself
+    # differences of fitted readings in the same norm
     linear_size: Annotated[float, Key("linear_system_rms_difference", "_mm", _MM, _FEW_DIGITS)]
     # parameters that the linear system gives (P,); not in the file
     linear_values: Annotated[Array, Key(in_file=False)] = field(
@@ -184,16 +180,16 @@ class CrossCheck:
 
 @dataclass(frozen=True)
 class Verification:
-    """Differences of Pinocchio's closed postures and those of the fit."""
+    """Differences between Pinocchio's closed postures and those of the fit."""
 
     # largest closure residual by loop, metres or radians
     closure: Annotated[Mapping[str, float], Key("closure_residual_m", digits=_FEW_DIGITS)]
     # largest difference of the TCP, metres
     tcp: Annotated[float, Key("tcp_max_difference", "_mm", _MM, _FEW_DIGITS)]
-    # largest difference of a derivative by travel or a virtual joint, relative to the largest
-    # derivative of the same output, or to a thousandth
+    # largest difference of a derivative with respect to travel or a virtual joint, relative to the
+    # largest derivative of the same output, or to a thousandth
     sensitivity: Annotated[float, Key("sensitivity_max_relative_difference", digits=_FEW_DIGITS)]
-    postures: int  # how many were closed
+    postures: int  # number of closed postures
 
     def as_dict(self) -> dict[str, Any]:
         """Return the keys of ``result.json``."""

@@ -1,10 +1,11 @@
-"""The request that a ``result.json`` keeps, checked: the file may have been edited."""
+"""The request in a ``result.json``, checked, as the file may have been edited."""
 
 from __future__ import annotations
 
 import itertools
 import json
 from base64 import b64decode
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
@@ -26,20 +27,14 @@ _LAST_LINE = 1_000_000
 _LONGEST_NAME = 255  # bytes
 
 SCHEMAS = (1, 2)
-"""Of results that can be run again."""
-
+"""Schemas of results that can be run again."""
 
 EDITED_FILE_ERRORS = (FileError, KeyError, TypeError, ValueError, AttributeError, OverflowError)
-"""Errors that an edited ``result.json`` raises where its values are used."""
+"""Errors that the values of an edited ``result.json`` raise."""
 
 
 def edited_file_error(error: Exception, file: str) -> FileError:
-    """Return the error that an edited file is reported with.
-
-    Args:
-        error: one of ``EDITED``.
-        file: name of the file.
-    """
+    """Return the error for an edited file, from one of ``EDITED_FILE_ERRORS``."""
     if isinstance(error, FileError) and error.file == file:
         return error
     reason = f"it has no key {error}" if isinstance(error, KeyError) else str(error)
@@ -50,7 +45,7 @@ def read_result(path: Path) -> dict[str, Any]:
     """Return the keys of a ``result.json`` that can be run again.
 
     Raises:
-        FileError: where it is none.
+        FileError: if the file is not such a result.
     """
 
     def fail(message: str, line: int | None = None) -> NoReturn:
@@ -58,39 +53,38 @@ def read_result(path: Path) -> dict[str, Any]:
 
     text = decode(read_bytes(path), path)
     try:
-        found = json.loads(text)
+        keys = json.loads(text)
     except json.JSONDecodeError as error:
         fail(f"is not JSON ({error.msg}): give the result.json of a run", error.lineno)
-    except (ValueError, RecursionError):  # a number of thousands of digits, or brackets as many
+    except (ValueError, RecursionError):  # a number with thousands of digits, or as many brackets
         fail("is no result: give the result.json of a run")
-    if trouble := unprintable_problem(found):
-        fail(trouble)
-    given = found.get("arguments") if isinstance(found, dict) else None
-    if isinstance(given, dict) and "fit_tcp" in given and not found.get("machine"):
+    if problem := unprintable_problem(keys):
+        fail(problem)
+    arguments = keys.get("arguments") if isinstance(keys, dict) else None
+    if isinstance(arguments, dict) and "fit_tcp" in arguments and not keys.get("machine"):
         fail("is of --fit-tcp, which kept no rows then: run that command again")
     needed = ("schema", "version", "command", "arguments", "seed", "inputs", "machine")
-    missing = [n for n in needed if not isinstance(found, dict) or n not in found]
+    missing = [n for n in needed if not isinstance(keys, dict) or n not in keys]
     if missing:
         fail(f"has no {missing[0]!r}: give the result.json of a run as it was written")
-    if found["schema"] not in SCHEMAS or found["command"] not in COMMANDS:
+    if keys["schema"] not in SCHEMAS or keys["command"] not in COMMANDS:
         fail(
-            f"is of schema {abbreviated(str(found['schema']))}, command "
-            f"{abbreviated(str(found['command']))!r}: this version runs "
+            f"is of schema {abbreviated(str(keys['schema']))}, command "
+            f"{abbreviated(str(keys['command']))!r}: this version runs "
             f"schema {' and '.join(map(str, SCHEMAS))} of {', '.join(COMMANDS)} again"
         )
-    return found
+    return keys
 
 
-def version_text(found: Mapping[str, Any]) -> str:
-    """Return which version of the program wrote a result, from the keys of ``result.json``."""
-    return (
-        f"version {abbreviated(str(found['version']))} (schema {abbreviated(str(found['schema']))})"
-    )
+def version_text(keys: Mapping[str, Any]) -> str:
+    """Return the version of the program that wrote a ``result.json`` with these keys."""
+    version, schema = (abbreviated(str(keys[name])) for name in ("version", "schema"))
+    return f"version {version} (schema {schema})"
 
 
 @dataclass(frozen=True)
 class _Arguments:
-    """The arguments of a run, as far as they are needed to run it again."""
+    """The arguments that are needed to run a command again."""
 
     own: tuple[str, ...]
     machine: str | None
@@ -114,8 +108,8 @@ class _Input:
     sha256: str
     rows: tuple[Any, ...]  # cells by column
     role: Literal["campaign", "fit_tcp", "holdout", "tcp"] = "campaign"
-    name: str | None = None  # of the readings, where it is not that of the file
-    lines: tuple[int, ...] = ()  # of the rows in the file, where they do not follow one another
+    name: str | None = None  # of the readings, if it is not that of the file
+    lines: tuple[int, ...] = ()  # lines of the rows in the file, if they are not consecutive
 
     def __post_init__(self) -> None:
         _check_name(self.file)
@@ -138,7 +132,7 @@ class _Input:
 
 @dataclass(frozen=True)
 class _StoredMachine:
-    """A machine as a result keeps it."""
+    """A machine in a ``result.json``."""
 
     file: str | None
     sha256: str | None
@@ -152,64 +146,61 @@ def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] =
     Args:
         result: keys of the file.
         file: its name, for messages.
-        effects: the user's own, where the run had some.
+        effects: the user's own effects, if the run had any.
 
     Raises:
-        FileError: where a part of it is not as it was written.
+        FileError: if a part of it was edited.
     """
     try:
         command, seed = result["command"], result["seed"]
-        single = command == "identify"
         inputs = decoded(tuple[_Input, ...], result["inputs"], {})
-        given = decoded(_Arguments, result["arguments"], {})
-        # Nothing is drawn to identify, and any seed went.
-        if type(seed) is not int or (seed < 0 and not single):
+        arguments = decoded(_Arguments, result["arguments"], {})
+        # `identify` draws nothing, and accepts any seed.
+        if type(seed) is not int or (seed < 0 and command != "identify"):
             raise ValueError("seed is no number that counts")
-        if given.effects_file and not effects:
-            raise FileError(
-                f"had effects from {given.effects_file}: give them too (--effects-file, effects=)",
-                file=file,
-            )
+        if source := arguments.effects_file if not effects else "":
+            message = f"had effects from {source}: give them too (--effects-file, effects=)"
+            raise FileError(message, file=file)
         machine = machine_of(result["machine"], effects)
-        read: dict[str, list[Readings]] = {"campaign": [], "fit_tcp": [], "holdout": [], "tcp": []}
-        for one in inputs:
-            read[one.role] += one.readings(machine)
-        if not read["campaign"] and not read["fit_tcp"]:
+        readings = defaultdict[str, list[Readings]](list)
+        for entry in inputs:
+            readings[entry.role] += entry.readings(machine)
+        if not readings["campaign"] and not readings["fit_tcp"]:
             raise ValueError("inputs has no campaign")
         return Request(
             command,
-            tuple(r for r in read["campaign"] if not r.of_tool),
+            tuple(r for r in readings["campaign"] if not r.of_tool),
             machine,
-            own=given.own,
-            noise=None if given.noise_mm is None else given.noise_mm * 1e-3,
+            own=arguments.own,
+            noise=None if arguments.noise_mm is None else arguments.noise_mm * 1e-3,
             seed=seed,
-            holdout=tuple(read["holdout"]),
-            tcp=next(iter(read["tcp"]), None),
-            points=(*(r for r in read["campaign"] if r.of_tool), *read["fit_tcp"]),
-            frame=given.frame,
-            effects_file=given.effects_file,
-            free=given.free,
-            priors=given.priors,
-            reduced=given.reduced,
+            holdout=tuple(readings["holdout"]),
+            tcp=next(iter(readings["tcp"]), None),
+            points=(*(r for r in readings["campaign"] if r.of_tool), *readings["fit_tcp"]),
+            frame=arguments.frame,
+            effects_file=arguments.effects_file,
+            free=arguments.free,
+            priors=arguments.priors,
+            reduced=arguments.reduced,
         )
     except EDITED_FILE_ERRORS as error:
         raise edited_file_error(error, file) from None
 
 
-def machine_of(given: Mapping[str, Any], effects: Sequence[Effect] = ()) -> Machine:
-    """Return a machine that a ``result.json`` keeps.
+def machine_of(keys: Mapping[str, Any], effects: Sequence[Effect] = ()) -> Machine:
+    """Return a machine from its keys in ``result.json``.
 
     Raises:
-        FileError, KeyError, TypeError, ValueError: where it is not as it was written.
+        FileError, KeyError, TypeError, ValueError: if they were edited.
     """
-    kept = decoded(_StoredMachine, given, {})
-    name, digest = kept.file or "", kept.sha256 or ""
+    stored = decoded(_StoredMachine, keys, {})
+    name, digest = stored.file or "", stored.sha256 or ""
     if name:
         _check_name(name)
-    spec, known = parse_machine_file(kept.toml, name, CATALOGUE.with_effects(effects)), None
-    if kept.npz is not None:
-        known = parse_posterior(b64decode(kept.npz, validate=True), digest, name)
-    return Machine(replace(spec, file=name, sha256=digest, posterior=known))
+    spec, posterior = parse_machine_file(stored.toml, name, CATALOGUE.with_effects(effects)), None
+    if stored.npz is not None:
+        posterior = parse_posterior(b64decode(stored.npz, validate=True), digest, name)
+    return Machine(replace(spec, file=name, sha256=digest, posterior=posterior))
 
 
 def _check_name(name: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from base64 import b64encode
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -31,12 +30,12 @@ class Request:
     """All that influences the numbers of a run."""
 
     command: Command  # of the command line
-    campaigns: tuple[Readings, ...]  # the readings
-    machine: Machine  # to start from
-    own: tuple[str, ...] = ()  # effects or parameters that each campaign has for itself
-    # standard deviation of one reading, metres; `None` where files or repeats say it
+    campaigns: tuple[Readings, ...]  # readings of legs
+    machine: Machine  # machine before calibration
+    own: tuple[str, ...] = ()  # effects or parameters that are specific to each campaign
+    # standard deviation of one reading, metres; `None`: from files or repeats
     noise: float | None = None
-    seed: int = 0  # of every random draw
+    seed: int = 0  # seed of every random draw
     holdout: tuple[Readings, ...] = ()  # readings that judge the finished result
     tcp: Readings | None = None  # points that judge the finished result
     free: tuple[str, ...] = CATALOGUE.base  # effects or parameters that `identify` frees
@@ -44,27 +43,27 @@ class Request:
     reduced: bool = False  # whether the analytic reduction identifies
     # readings of the tool: TCP points to be fitted, and files of other kinds
     points: tuple[Readings, ...] = ()
-    frame: Frame = "rigid"  # how the instrument of `points` may stand to the machine
-    effects_file: str = ""  # name of the file with the user's own effects, where one was given
+    frame: Frame = "rigid"  # motion allowed between the instrument of `points` and the machine
+    effects_file: str = ""  # name of the file with the user's own effects, if there is one
 
     def __post_init__(self) -> None:
-        if self.searches:  # else nothing is drawn
+        if self.searches:  # otherwise nothing is drawn
             object.__setattr__(self, "seed", check_integer("seed", self.seed, 0))
 
     @property
     def searches(self) -> bool:
-        """Whether causes are looked for; ``identify`` adds none."""
+        """Whether causes are searched for; ``identify`` does not."""
         return self.command != "identify"
 
     @property
     def effects_option(self) -> str:
-        """Option with the user's own effects, to be added to a command; empty without any."""
+        """Option with the user's own effects for a command; empty without any."""
         return f" --effects-file {shlex.quote(self.effects_file)}" if self.effects_file else ""
 
     @property
     def machine_option(self) -> str:
-        """Options that give the machine with the user's own effects, to be added to a command; the
-        file stands without its folder.
+        """Options with the machine and the user's own effects for a command; the file has no
+        folder.
         """
         spec = self.machine.spec
         file = f" --machine {shlex.quote(Path(spec.file).name)}" if spec.file else MACHINE_OPTION
@@ -72,23 +71,23 @@ class Request:
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Arguments as ``result.json`` keeps them: names of files without their folders."""
-        found: dict[str, Any] = {
+        """Arguments for ``result.json``, with names of files without their folders."""
+        arguments: dict[str, Any] = {
             "campaigns": list(dict.fromkeys(name_of(c) for c in self.readings)),
             "own": list(self.own),
             "machine": Path(self.machine.spec.file).name or None,
             "noise_mm": None if self.noise is None else round(self.noise * 1e3, 12),
         }
         if self.effects_file:
-            found["effects_file"] = self.effects_file
+            arguments["effects_file"] = self.effects_file
         if self._fitted_points:
-            found |= {"fit_tcp": [name_of(p) for p in self._fitted_points], "frame": self.frame}
+            arguments |= {"fit_tcp": [name_of(p) for p in self._fitted_points], "frame": self.frame}
         if self.searches:
-            held, points = self.holdout, self.tcp
-            judges = {"holdout": name_of(held[0]) if held else None}
-            return found | judges | {"tcp": name_of(points) if points else None}
+            holdout, points = self.holdout, self.tcp
+            judges = {"holdout": name_of(holdout[0]) if holdout else None}
+            return arguments | judges | {"tcp": name_of(points) if points else None}
         options = {"free": list(self.free), "priors": self.priors, "reduced": self.reduced}
-        return found | options
+        return arguments | options
 
     @property
     def _fitted_points(self) -> tuple[Readings, ...]:
@@ -111,20 +110,14 @@ class Request:
 
     @cached_property
     def inputs(self) -> list[dict[str, Any]]:
-        """Files of readings as ``result.json`` keeps them: name, digest, role and rows."""
-        return list(self._inputs())
-
-    def _inputs(self) -> Iterator[dict[str, Any]]:
-        machine = self.machine.spec
-        for given in self.given:
-            yield _input(given, "fit_tcp" if given.by_point else "campaign", machine)
-        for given in self.holdout:
-            yield _input(given, "holdout", machine)
-        if self.tcp is not None:
-            yield _input(self.tcp, "tcp", machine)
+        """Files of readings for ``result.json``: name, digest, role and rows."""
+        roles = [(r, "fit_tcp" if r.by_point else "campaign") for r in self.given]
+        roles += [(r, "holdout") for r in self.holdout]
+        roles += [] if self.tcp is None else [(self.tcp, "tcp")]
+        return [_input(readings, role, self.machine.spec) for readings, role in roles]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the keys of ``result.json``: enough to run it again."""
+        """Return the keys of ``result.json`` from which it can be run again."""
         spec = self.machine.spec
         return {
             "command": self.command,
@@ -141,38 +134,38 @@ class Request:
 
 
 def stored_machine(spec: MachineFile) -> dict[str, str | None]:
-    """Return a machine as ``result.json`` keeps it: the text of its file, and its covariance."""
-    if (known := spec.posterior) is None:
-        return {"toml": machine_text(spec), "npz": None}
-    covariance = b64encode(posterior_bytes(known, spec.sha256)).decode()
+    """Return a machine for ``result.json``: the text of its file, and its covariance."""
+    covariance = None
+    if spec.posterior is not None:
+        covariance = b64encode(posterior_bytes(spec.posterior, spec.sha256)).decode()
     return {"toml": machine_text(spec), "npz": covariance}
 
 
-def name_of(given: Readings) -> str:
-    """Return the name of the file of readings without its folder, or one made of their name."""
-    if given.file:
-        return Path(given.file).name
-    if given.by_point:
+def name_of(readings: Readings) -> str:
+    """Return the name of the file of readings without its folder, or a name from the readings."""
+    if readings.file:
+        return Path(readings.file).name
+    if readings.by_point:
         return "points.tcp.csv"
-    plain = given.name.replace("/", "_").replace("\0", "_")
+    plain = readings.name.replace("/", "_").replace("\0", "_")
     return f"{plain or 'readings'}.csv"
 
 
-def _input(given: Readings, role: str, machine: MachineFile) -> dict[str, Any]:
-    """Return a file of readings as ``result.json`` keeps it."""
-    rows = campaign_rows(given, machine if given.of_tool else None)
-    found: dict[str, Any] = {
-        "file": name_of(given),
-        "sha256": given.sha256 or sha256(csv_text(rows).encode()),
+def _input(readings: Readings, role: str, machine: MachineFile) -> dict[str, Any]:
+    """Return a file of readings for ``result.json``."""
+    rows = campaign_rows(readings, machine if readings.of_tool else None)
+    entry: dict[str, Any] = {
+        "file": name_of(readings),
+        "sha256": readings.sha256 or sha256(csv_text(rows).encode()),
     }
     if role != "campaign":
-        found["role"] = role
-    if given.name != Path(found["file"]).stem and not given.by_point:  # a part of its file
-        found["name"] = given.name
-    if given.by_point:
-        lines = given.points().line.tolist()
+        entry["role"] = role
+    if readings.name != Path(entry["file"]).stem and not readings.by_point:  # a part of its file
+        entry["name"] = readings.name
+    if readings.by_point:
+        lines = readings.points().line.tolist()
     else:
-        lines = sorted([*given.line.tolist(), *given.moves.line.tolist()])
+        lines = sorted([*readings.line.tolist(), *readings.moves.line.tolist()])
     if lines != list(range(2, len(rows) + 2)):
-        found["lines"] = lines
-    return found | {"rows": rows}
+        entry["lines"] = lines
+    return entry | {"rows": rows}

@@ -96,9 +96,9 @@ class InstrumentNoise:
 class Noise:
     """Noise of the readings."""
 
-    declared: Annotated[float, Key("noise", "_mm", _MM)]  # of one length, as declared if it was
-    single_reading: Annotated[ByUnit, Key("one_reading")]  # of a single reading, rounding included
-    source: Annotated[str, Key("noise_source")]  # of the noise of the first instrument
+    declared: Annotated[float, Key("noise", "_mm", _MM)]  # of one length without rounding
+    single_reading: Annotated[ByUnit, Key("one_reading")]  # of a single reading with rounding
+    source: Annotated[str, Key("noise_source")]  # source of the first instrument's noise
     by_instrument: Annotated[Mapping[str, InstrumentNoise], Key("noise_of")]  # by kind of readings
 
     def derived(self) -> dict[str, Any]:
@@ -109,14 +109,14 @@ class Noise:
 
 @dataclass(frozen=True)
 class SetupNoise:
-    """Noise of the readings of one setup, as the residuals show it."""
+    """Noise of the readings of one setup, estimated from the residuals."""
 
-    setup: str  # its name
-    file: str  # name of the file, or of the campaign where there is none
+    setup: str  # name of the setup
+    file: str  # name of the file, or of the campaign if there is none
     kind: str  # of its readings
-    # standard deviation of one reading that was assumed, root mean square, metres or radians
+    # standard deviation assumed for one reading, root mean square, metres or radians
     sigma: Annotated[float, Key(suffix="_mm", si=_MM, digits=SHORT_DIGITS)]
-    # ratio of what the residuals show to that; nan where nothing is left to show it
+    # ratio of the noise that the residuals show to `sigma`; nan if they show none
     scale: Share
     scale_sigma: Share  # standard deviation of `scale`
 
@@ -128,7 +128,7 @@ class DataFault:
     kind: str  # `outlier`, `knocked_stand`, `moved`, `command` ...
     rows: tuple[int, ...]  # lines of the files
     files: Mapping[str, tuple[int, ...]]  # the same lines by name of the file
-    setups: tuple[str, ...]  # names of the setups concerned
+    setups: tuple[str, ...]  # names of the affected setups
     message: str  # file, lines, the likely reason, and the remedy
     # decrease of chi2 by this fault, after the faults before it in the list
     improvement: Annotated[float, Key("chi2_less", digits=SHORT_DIGITS)]

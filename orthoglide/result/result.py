@@ -70,8 +70,8 @@ _NEGLIGIBLE_RMS = 1e-6  # millimetres or milliradians: smaller residuals are rou
 class Unseen:
     """What the readings cannot detect, with the reason."""
 
-    # effects that could not be detected at three tolerances: description, and the parameters
-    # concerned, where empty means all; of an effect that was found, its other parameters
+    # effects that could not be detected at three tolerances, as clauses, each with the parameters
+    # concerned, of an effect that was found the other parameters; empty means all
     effects: tuple[tuple[str, tuple[str, ...]], ...]
     # effects for which the readings vary no condition, each with the conditions that it needs, such
     # as `approach` or `load`; empty after `identify`
@@ -82,11 +82,39 @@ class Unseen:
     unexcited: tuple[str, ...]  # names of all effects for which no condition varies
 
 
+class Judged:
+    """Findings with a verdict: whether there are any, and whether they are conclusive."""
+
+    word: Word
+    effects: tuple[Any, ...]
+    located: tuple[Any, ...]
+    after: Any
+
+    @property
+    def found(self) -> bool:
+        """Whether a cause or a free-form error was found."""
+        return bool(self.effects or self.located)
+
+    @property
+    def stands(self) -> bool:
+        """Whether the causes found are conclusive.
+
+        They are not if significant residuals remain: the error that is missing from the model may
+        have been attributed to them.
+        """
+        return self.word not in ("partial", "unexplained")
+
+    @property
+    def scattering(self) -> tuple[str, ...]:
+        """Warnings that repeats scatter by more than the declared noise."""
+        return tuple(w for w in self.after.warnings if w.kind == "scatter")
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Result(Framed):
+class Result(Judged, Framed):
     """The result of a run.
 
-    All of it are values, which :meth:`load` reads back from the ``result.json`` of a report. Two
+    It consists of values, which :meth:`load` reads from the ``result.json`` of a report. Two
     results are equal only if they are the same object; compare their values.
 
     Attributes:
@@ -98,7 +126,7 @@ class Result(Framed):
         nominal: scores of the machine before calibration.
         before: fit of the base model: joint offsets and leg lengths, or what ``identify`` frees.
         after: fit at the posterior mean; after ``identify`` equal to ``before``.
-        rms_of_all: residuals of the base model before data faults were excluded, root mean square.
+        rms_of_all: root mean square residual of the base model before data faults were excluded.
         hold_out: scores on readings held out, or ``None``.
         tcp: errors at measured TCP points by alignment, or ``None``.
         effects: causes that were found.
@@ -133,10 +161,9 @@ class Result(Framed):
         noise_by_setup: noise that the residuals show, by setup; empty in results of earlier
             versions.
         withheld: what is not advised, with the reason.
-        contradicted: what readings or points held out say against the result, a sentence; empty if
-            nothing.
-        possible: if the model does not fit and nothing was found, the most probable causes, each as
-            if it were there, most probable first.
+        contradicted: how readings or points held out contradict the result, a sentence; else empty.
+        possible: if the model does not fit and nothing was found, the most probable causes, each
+            conditional on its being present.
     """
 
     request: Request
@@ -193,28 +220,29 @@ class Result(Framed):
         Raises:
             FileError: if there is no such file, or it was edited or is of an earlier version.
         """
-        file, own = result_file(as_path(path), "result.json"), tuple(effects or ())
-        found = read_result(file)
-        request = request_of(found, str(file), own)
-        if lacking := (required_keys(cls) | {"calibrated_machine"}) - found.keys():
+        file, own_effects = result_file(as_path(path), "result.json"), tuple(effects or ())
+        keys = read_result(file)
+        request = request_of(keys, str(file), own_effects)
+        if missing := (required_keys(cls) | {"calibrated_machine"}) - keys.keys():
+            names = ", ".join(sorted(missing)[:_MAX_NAMED_KEYS])
             raise FileError(
-                f"lacks {', '.join(sorted(lacking)[:_MAX_NAMED_KEYS])}: an earlier state of the package, "
-                f"{version_text(found)}, wrote it, or it was edited; run it again with orthoglide "
-                f"rerun {shlex.quote(str(file))} --out DIR",
+                f"lacks {names}: an earlier state of the package, {version_text(keys)}, wrote it, "
+                f"or it was edited; run it again with orthoglide rerun {shlex.quote(str(file))} "
+                f"--out DIR",
                 file=str(file),
             )
         try:
-            kept = {"file": None, "sha256": None, **found["calibrated_machine"]}
-            return cls.read(found, request, machine_of(kept, own))
+            stored = {"file": None, "sha256": None, **keys["calibrated_machine"]}
+            return cls.read(keys, request, machine_of(stored, own_effects))
         except EDITED_FILE_ERRORS as error:
             raise edited_file_error(error, str(file)) from None
 
     @classmethod
-    def read(cls, found: Mapping[str, Any], request: Request, machine: Machine) -> Self:
+    def read(cls, keys: Mapping[str, Any], request: Request, machine: Machine) -> Self:
         """Return a result from decoded JSON.
 
         Args:
-            found: keys of ``result.json``.
+            keys: keys of ``result.json``.
             request: readings, machine and options of the run.
             machine: the calibrated machine.
 
@@ -222,15 +250,15 @@ class Result(Framed):
             KeyError, TypeError, ValueError: if the keys are not as they were written.
         """
         shared = [request, machine, machine.geometry, machine.geometry.layout.names]
-        made: Self = decoded(cls, found, {type(one): one for one in shared})
-        return made
+        result: Self = decoded(cls, keys, {type(one): one for one in shared})
+        return result
 
     def as_dict(self, summary: str) -> dict[str, Any]:
         """Return all keys of ``result.json``; ``summary`` is the result in a few sentences."""
         head = {"schema": SCHEMA, "version": __version__, **self.request.as_dict()}
-        kept = {"calibrated_machine": stored_machine(self.machine.spec)}
-        every: dict[str, Any] = encoded(self)
-        return head | {"summary": summary} | every | kept
+        machine = {"calibrated_machine": stored_machine(self.machine.spec)}
+        values: dict[str, Any] = encoded(self)
+        return head | {"summary": summary} | values | machine
 
     def derived(self) -> dict[str, Any]:
         """Return keys of ``result.json`` that follow from the fields."""
@@ -242,7 +270,7 @@ class Result(Framed):
         return {
             "sigma_scale": Key().number(self.after.sigma_scale),
             "calibrated": values,
-            "tool": {name: one.as_dict() for name, one in self.numbers.expected.items()},
+            "tool": {name: expected.as_dict() for name, expected in self.numbers.expected.items()},
             "advice": advice_rows(self.actions),
             "method": {
                 "name": self.after.method,
@@ -253,8 +281,8 @@ class Result(Framed):
         }
 
     def __repr__(self) -> str:
-        found = ", ".join(e.name for e in self.effects) or "no cause"
-        return f"<{type(self).__name__} {self.word}: {found}; {self.request.command}>"
+        causes = ", ".join(e.name for e in self.effects) or "no cause"
+        return f"<{type(self).__name__} {self.word}: {causes}; {self.request.command}>"
 
     @property
     def catalogue(self) -> Catalogue:
@@ -270,20 +298,6 @@ class Result(Framed):
     def further_cautions(self) -> tuple[str, ...]:
         """Cautions without `contradicted`, which the headline begins with."""
         return tuple(c for c in self.cautions if c != self.contradicted)
-
-    @property
-    def found(self) -> bool:
-        """Whether a cause or a free-form error was found."""
-        return bool(self.effects or self.located)
-
-    @property
-    def stands(self) -> bool:
-        """Whether the causes found are conclusive.
-
-        They are not if significant residuals remain: the error that is missing from the model may
-        have been attributed to them.
-        """
-        return self.word not in ("partial", "unexplained")
 
     @property
     def improved(self) -> bool:
@@ -309,8 +323,8 @@ class Result(Framed):
     @property
     def loses(self) -> bool:
         """Whether anything found may be lost motion, which the expected TCP errors exclude."""
-        found = (self.effects, self.located, self.moved)
-        return any(one.loses for several in found for one in several)
+        findings = (self.effects, self.located, self.moved)
+        return any(finding.loses for group in findings for finding in group)
 
     @property
     def values(self) -> dict[str, float]:
@@ -323,11 +337,6 @@ class Result(Framed):
         return None if self.firmware is None else self.firmware.corrections
 
     @property
-    def scattering(self) -> tuple[str, ...]:
-        """Warnings that repeats scatter by more than the declared noise."""
-        return tuple(w for w in self.after.warnings if w.kind == "scatter")
-
-    @property
     def columns(self) -> dict[str, list[Any]]:
         """Identified parameters in the units of files, a row each.
 
@@ -335,8 +344,15 @@ class Result(Framed):
         after ``identify`` they count the noise alone.
         """
         rows = [
-            (name, one.value, one.sigma, *one.interval_95, one.tolerance, one.unit)
-            for name, one in self.identified.items()
+            (
+                name,
+                identified.value,
+                identified.sigma,
+                *identified.interval_95,
+                identified.tolerance,
+                identified.unit,
+            )
+            for name, identified in self.identified.items()
         ]
         titles = ("parameter", "value", "sigma", "lower", "upper", "tolerance", "unit")
         return dict(zip(titles, map(list, zip(*rows, strict=True)), strict=True))
@@ -354,8 +370,8 @@ class Result(Framed):
 
 def sheet_of(rows: Sequence[Mapping[str, str]], machine: Machine) -> Readings:
     """Return the rows of a sheet, commands in joint coordinates, as readings to be taken."""
-    plain = replace(machine.spec, controller=Controller())
-    (found,) = readings_of_table(
-        rows_table(rows, "next_measurements.csv", (), ""), "next", plain, require_readings=False
+    spec = replace(machine.spec, controller=Controller())
+    (readings,) = readings_of_table(
+        rows_table(rows, "next_measurements.csv", (), ""), "next", spec, require_readings=False
     )
-    return found
+    return readings

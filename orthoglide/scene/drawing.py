@@ -1,4 +1,4 @@
-"""A machine as inline SVG: parallel projection, far things first."""
+"""A machine as inline SVG: a parallel projection, drawn from far to near."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _STYLE = (
 
 @dataclass(frozen=True)
 class Projection:
-    """From the base frame to the paper."""
+    """Parallel projection from the base frame to the paper."""
 
     right: Array  # unit vector (3,)
     up: Array  # unit vector (3,)
@@ -44,7 +44,7 @@ def projection(posed: Posed, points: Array) -> Projection:
     """Return the view in which no leg hides another, scaled so that points ``(n, 3)`` fit the
     paper.
     """
-    if posed.geometry.layout.hanging:  # from where no direction of a tower points at the eye
+    if posed.geometry.layout.hanging:  # an azimuth in which no tower leans toward the eye
         towers = [math.atan2(*leg.axes[1::-1, 1]) for leg in posed.geometry.legs]
         azimuth, elevation = min(towers) + math.radians(45), math.radians(14)
     else:
@@ -53,13 +53,13 @@ def projection(posed: Posed, points: Array) -> Projection:
         math.cos(azimuth), math.sin(azimuth), math.cos(elevation), math.sin(elevation),
     )  # fmt: skip
     right, up = np.array([-sa, ca, 0.0]), np.array([-ca * se, -sa * se, ce])
-    near = np.array([ca * ce, sa * ce, se])
+    toward_eye = np.array([ca * ce, sa * ce, se])
     flat = np.stack([points @ right, -(points @ up)], axis=1)
     low, high = flat.min(axis=0), flat.max(axis=0)
     room = np.array([WIDTH, HEIGHT]) - 2 * _MARGIN
     scale = float(np.min(room / (high - low)))
     shift = np.array([WIDTH, HEIGHT]) / 2 - scale * (low + high) / 2
-    return Projection(right, up, near, scale, (float(shift[0]), float(shift[1])))
+    return Projection(right, up, toward_eye, scale, (float(shift[0]), float(shift[1])))
 
 
 def drawing(
@@ -73,16 +73,16 @@ def drawing(
 ) -> str:
     """Return the machine as one inline ``<svg>``.
 
-    Each option is a group of class ``option`` and ``option-k``; those in ``first_shown`` are of class
-    ``first`` too, and the only ones that show where no style sheet says otherwise.
+    Each option is a group of class ``option`` and ``option-k``. Options in ``first_shown`` have the
+    class ``first`` too; only these are visible without a style sheet.
 
     Args:
         posed: the posture.
-        options: what may be wrong.
-        dials: where dials stand.
-        title: what a reader who cannot see the drawing is told first; the options follow.
-        first_shown: which options show at first.
-        standalone: as a file of its own; else as part of a page.
+        options: possible errors.
+        dials: dials at their places.
+        title: title for readers who cannot see the drawing, followed by the options.
+        first_shown: numbers of the options that are visible at first.
+        standalone: whether the drawing is a separate file, not part of a page.
     """
     ends = [end for leg in range(3) for end in posed.rail(leg)]
     points = np.array([*ends, *posed.lines.reshape(-1, 3), posed.p])
@@ -94,19 +94,18 @@ def drawing(
     )
     groups = []
     for k, option in enumerate(options):
-        # Those shown together keep off each other's words.
-        own = paper if k in first_shown else paper.copy()
-        drawn = "".join(mark_svg(mark, posed, dials, own) for mark in option.marks)
-        groups.append(
-            f'<g class="option option-{k}{" first" if k in first_shown else ""}"'
-            f"{'' if k in first_shown else ' style=' + chr(34) + 'display:none' + chr(34)}>"
-            f"<title>{escape(option.words)}</title>{drawn}</g>"
-        )
-    told = "; or ".join(option.words for option in options)
+        # Labels of options that are visible together must not overlap.
+        is_first = k in first_shown
+        sheet = paper if is_first else paper.copy()
+        drawn = "".join(mark_svg(mark, posed, dials, sheet) for mark in option.marks)
+        attributes = ' first"' if is_first else '" style="display:none"'
+        words = escape(option.words)
+        groups.append(f'<g class="option option-{k}{attributes}><title>{words}</title>{drawn}</g>')
+    text = escape(_description(posed, dials, "; or ".join(option.words for option in options)))
     return (
         f'<svg class="machine" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" '
         f'{_NAMESPACE if standalone else ""}style="{_STYLE}" font-size="13">'
-        f"<title>{escape(title)}</title><desc>{escape(_description(posed, dials, told))}</desc>"
+        f"<title>{escape(title)}</title><desc>{text}</desc>"
         f"{''.join(text for _, text in bodies)}"
         f'<g class="dials">{"".join(_dial(dial, paper) for dial in dials)}</g>'
         f"{''.join(groups)}{names}</svg>"
@@ -115,36 +114,39 @@ def drawing(
 
 def _description(posed: Posed, dials: Sequence[Dial], options: str) -> str:
     names = ", ".join(posed.geometry.leg_names)
-    where = f" Dials: {', '.join(dict.fromkeys(dial.name for dial in dials))}." if dials else ""
-    said = f" Marked: {options}." if options else ""
+    dial_names = ", ".join(dict.fromkeys(dial.name for dial in dials))
+    dial_words = f" Dials: {dial_names}." if dials else ""
+    option_words = f" Marked: {options}." if options else ""
     legs = f"Three legs {names}, each a carriage on its rail and two bars to the platform."
-    return f"{posed.geometry.layout.names.in_layout_words(legs)}{where}{said}"
+    return f"{posed.geometry.layout.names.in_layout_words(legs)}{dial_words}{option_words}"
 
 
 def _bodies(posed: Posed, project: Projection) -> list[tuple[float, str]]:
-    """Return all solids with their depths, larger nearer."""
-    d, found = posed.geometry.d, []
+    """Return all solids with their depths, which are larger if nearer."""
+    size, bodies = posed.geometry.d, []
     for leg in range(3):
         axes = posed.geometry.legs[leg].axes
         start, end = posed.rail(leg)
         half = float(np.linalg.norm(end - start)) / 2
-        found += _box((start + end) / 2, axes, (half, 0.12 * d, 0.16 * d), "rail", project)
-        at = posed.carriage(leg) + 0.2 * d * axes[:, 1]
-        found += _box(at, axes, (0.34 * d, 0.2 * d, 0.42 * d), "body", project)
+        bodies += _box((start + end) / 2, axes, (half, 0.12 * size, 0.16 * size), "rail", project)
+        centre = posed.carriage(leg) + 0.2 * size * axes[:, 1]
+        bodies += _box(centre, axes, (0.34 * size, 0.2 * size, 0.42 * size), "body", project)
         for bar in range(2):
             a, b = posed.lines[leg, bar]
-            found.append((float(project.near @ (a + b)) / 2, line(a, b, project, "bar", 4.0)))
+            bodies.append((float(project.near @ (a + b)) / 2, line(a, b, project, "bar", 4.0)))
         for k in range(2):
             a, b = posed.lines[leg, :, k]
-            found.append((float(project.near @ a) + 0.01, line(a, b, project, "bar", 3.0)))
+            bodies.append((float(project.near @ a) + 0.01, line(a, b, project, "bar", 3.0)))
     corners = np.array([posed.platform(leg) for leg in range(3)])
     middle = corners.mean(axis=0)
     depth = float(project.near @ middle)
-    found.append((depth - 0.02, polygon(corners, project, "body", 0.9)))
-    found.append((depth, line(middle, posed.p, project, "ink", 3.0)))
+    bodies.append((depth - 0.02, polygon(corners, project, "body", 0.9)))
+    bodies.append((depth, line(middle, posed.p, project, "ink", 3.0)))
     x, y = project(posed.p)
-    found.append((depth + 0.02, f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="var(--m-ink)"/>'))
-    return found
+    bodies.append(
+        (depth + 0.02, f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="var(--m-ink)"/>')
+    )
+    return bodies
 
 
 def _box(
@@ -163,10 +165,10 @@ def _box(
 
 
 def polygon(corners: Array, project: Projection, colour: str, opacity: float = 1.0) -> str:
-    """Return a filled polygon, lighter where it faces aside."""
-    at = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(project, corners))
+    """Return a filled polygon; a smaller opacity makes it lighter."""
+    coordinates = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(project, corners))
     return (
-        f'<polygon points="{at}" fill="var(--m-paper)"/><polygon points="{at}" '
+        f'<polygon points="{coordinates}" fill="var(--m-paper)"/><polygon points="{coordinates}" '
         f'fill="var(--m-{colour})" fill-opacity="{opacity:.2f}" stroke="var(--m-bar)" '
         f'stroke-width=".7" stroke-linejoin="round"/>'
     )
@@ -182,9 +184,7 @@ def line(a: Array, b: Array, project: Projection, colour: str, width: float) -> 
 
 
 def _dial(dial: Dial, paper: Paper) -> str:
-    """Return a dial: its stem to the touched point, and an arrow in the direction in which it
-    counts.
-    """
+    """Return a dial: its stem, its face, and an arrow in the direction in which it counts up."""
     face = dial.face(paper.unit)
     x, y = paper.project(face)
     return (
@@ -196,17 +196,17 @@ def _dial(dial: Dial, paper: Paper) -> str:
 
 
 def _placed_leg_names(posed: Posed, project: Projection) -> list[tuple[str, tuple[float, float]]]:
-    """Return names of the legs, each with the middle of its base line beyond its rail."""
-    found = []
+    """Return the names of the legs with the middle of their base lines, beyond their rails."""
+    placed = []
     for leg, name in enumerate(posed.geometry.leg_names):
         start, end = posed.rail(leg)
         x, y = project(end + 0.12 * (end - start))
-        found.append((name, (x, y + 4)))
-    return found
+        placed.append((name, (x, y + 4)))
+    return placed
 
 
 def _paper_with_machine(posed: Posed, dials: Sequence[Dial], project: Projection) -> Paper:
-    """Return the paper with names, dials, rails and bars on it."""
+    """Return the paper with names, dials, rails and bars noted as occupied."""
     paper = Paper(project, 1 / project.scale)
     paper.occupied += [text_box(*at, name) for name, at in _placed_leg_names(posed, project)]
     for dial in dials:

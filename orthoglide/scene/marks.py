@@ -1,4 +1,4 @@
-"""What is wrong as a drawing shows it: the part in colour, an arrow, the size beside it."""
+"""Marks of errors in a drawing: the part in colour, an arrow, and the size beside it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from orthoglide.ordering import largest
 from orthoglide.scene.paper import Paper
 from orthoglide.scene.parts import Dial, Mark, Posed
 
-_ARROW_LENGTH = 46.0  # of an arrow, on the paper
-_MAX_BOW = 34.0  # to which the largest error of a path is drawn
+_ARROW_LENGTH = 46.0  # length of an arrow on the paper
+_MAX_BOW = 34.0  # length on the paper of the largest error of a path
 
 
 def mark_svg(mark: Mark, posed: Posed, dials: Sequence[Dial], paper: Paper) -> str:
@@ -46,18 +46,18 @@ def arrow(a: Array, b: Array, paper: Paper, colour: str, width: float = 2.6) -> 
     )
 
 
-def _direction_arrows(at: Array, way: Array, mark: Mark, paper: Paper) -> str:
+def _direction_arrows(at: Array, direction: Array, mark: Mark, paper: Paper) -> str:
     """Return an arrow from a point along a direction, and against it if the mark has both."""
-    one = arrow(at, at + way, paper, "mark")
-    return one + (arrow(at, at - way, paper, "mark") if mark.both else "")
+    forward = arrow(at, at + direction, paper, "mark")
+    return forward + (arrow(at, at - direction, paper, "mark") if mark.both else "")
 
 
 def _stroke(points: Sequence[Array], paper: Paper, width: float, dash: str = "") -> str:
-    at = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(paper.project, points))
+    coordinates = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(paper.project, points))
     paper.add_line(points)
     return (
-        f'<polyline points="{at}" fill="none" stroke="var(--m-mark)" stroke-width="{width:g}" '
-        f'stroke-linecap="round" stroke-linejoin="round"{dash}/>'
+        f'<polyline points="{coordinates}" fill="none" stroke="var(--m-mark)" '
+        f'stroke-width="{width:g}" stroke-linecap="round" stroke-linejoin="round"{dash}/>'
     )
 
 
@@ -66,28 +66,28 @@ def _drive(mark: Mark, posed: Posed, paper: Paper) -> str:
     low, high = posed.geometry.stroke
     along = [posed.path(mark.leg, low), posed.path(mark.leg, high)]
     start = at + 0.5 * posed.geometry.d * mark.way
-    way = _ARROW_LENGTH * paper.unit * mark.way
+    shift = _ARROW_LENGTH * paper.unit * mark.way
     return (
         _stroke(along, paper, 2.0, ' stroke-dasharray="2 5"')
         + _stroke([at, at], paper, 11.0)
-        + _direction_arrows(start, way, mark, paper)
-        + paper.place_text(start + 1.1 * way, mark.label, start)
+        + _direction_arrows(start, shift, mark, paper)
+        + paper.place_text(start + 1.1 * shift, mark.label, start)
     )
 
 
 def _rail(mark: Mark, posed: Posed, paper: Paper) -> str:
     curve = np.array([[mark.at, 1.0]]) if mark.curve is None else mark.curve
     straight = [posed.path(mark.leg, float(s)) for s in curve[:, 0]]
-    way = _MAX_BOW * paper.unit * mark.way
-    wrong = [p + float(v) * way for p, v in zip(straight, curve[:, 1], strict=True)]
+    shift = _MAX_BOW * paper.unit * mark.way
+    actual = [p + float(v) * shift for p, v in zip(straight, curve[:, 1], strict=True)]
     at = posed.path(mark.leg, mark.at)
     ends = posed.rail(mark.leg)
     return (
         _stroke(ends, paper, 5.0)
         + _stroke(straight, paper, 1.2, ' stroke-dasharray="3 4"')
-        + _stroke(wrong, paper, 2.2)
-        + _direction_arrows(at, way, mark, paper)
-        + paper.place_text(at + way, mark.label, at)
+        + _stroke(actual, paper, 2.2)
+        + _direction_arrows(at, shift, mark, paper)
+        + paper.place_text(at + shift, mark.label, at)
     )
 
 
@@ -114,36 +114,36 @@ def _bar(mark: Mark, posed: Posed, paper: Paper) -> str:
     bars = [mark.bar - 1] if mark.bar else [0, 1]
     lines = [posed.lines[mark.leg, k] for k in bars]
     middle = np.mean([line.mean(axis=0) for line in lines], axis=0)
-    found = [_stroke(list(line), paper, 5.0) for line in lines]
-    grows = float(mark.way @ (posed.carriage(mark.leg) - posed.platform(mark.leg))) > 0
+    drawn = [_stroke(list(line), paper, 5.0) for line in lines]
+    is_longer = float(mark.way @ (posed.carriage(mark.leg) - posed.platform(mark.leg))) > 0
     for a, b in lines:
         along = _ARROW_LENGTH * paper.unit * (a - b) / np.linalg.norm(a - b)
-        for end, out in ((a, along), (b, -along)):
-            near, far = end + 0.1 * out, end + 0.7 * out
-            found.append(arrow(*((near, far) if grows else (far, near)), paper, "mark"))
-    return "".join(found) + paper.place_text(middle, mark.label)
+        for end, outward in ((a, along), (b, -along)):
+            near, far = end + 0.1 * outward, end + 0.7 * outward
+            drawn.append(arrow(*((near, far) if is_longer else (far, near)), paper, "mark"))
+    return "".join(drawn) + paper.place_text(middle, mark.label)
 
 
 def _link(mark: Mark, posed: Posed, paper: Paper) -> str:
     """Return the short link at the platform, wider or narrower along the direction."""
     ends = posed.lines[mark.leg, :, 1]
-    out = _ARROW_LENGTH * paper.unit * (ends[0] - ends[1]) / np.linalg.norm(ends[0] - ends[1])
-    grows, found = float(mark.way @ out) > 0, [_stroke(list(ends), paper, 5.0)]
-    for end, away in ((ends[0], out), (ends[1], -out)):
-        tip = end + 0.6 * away
-        found.append(arrow(*((end, tip) if grows else (tip, end)), paper, "mark"))
-    top = ends[0] + 0.75 * out
-    return "".join(found) + paper.place_text(top, mark.label)
+    outward = _ARROW_LENGTH * paper.unit * (ends[0] - ends[1]) / np.linalg.norm(ends[0] - ends[1])
+    is_wider, drawn = float(mark.way @ outward) > 0, [_stroke(list(ends), paper, 5.0)]
+    for end, direction in ((ends[0], outward), (ends[1], -outward)):
+        tip = end + 0.6 * direction
+        drawn.append(arrow(*((end, tip) if is_wider else (tip, end)), paper, "mark"))
+    top = ends[0] + 0.75 * outward
+    return "".join(drawn) + paper.place_text(top, mark.label)
 
 
 def _platform_end(mark: Mark, posed: Posed, paper: Paper) -> str:
     """Return the leg's end at the platform."""
     at = posed.platform(mark.leg)
-    way = _ARROW_LENGTH * paper.unit * mark.way
+    shift = _ARROW_LENGTH * paper.unit * mark.way
     return (
         _stroke(list(posed.lines[mark.leg, :, 1]), paper, 5.0)
-        + _direction_arrows(at, way, mark, paper)
-        + paper.place_text(at + 1.1 * way, mark.label, at)
+        + _direction_arrows(at, shift, mark, paper)
+        + paper.place_text(at + 1.1 * shift, mark.label, at)
     )
 
 
@@ -157,11 +157,11 @@ def _plate(mark: Mark, posed: Posed, paper: Paper) -> str:
 
 def _dial_mark(mark: Mark, dial: Dial, paper: Paper) -> str:
     x, y = paper.project(dial.face(paper.unit))
-    found = (
+    drawn = (
         f'<circle cx="{x:.1f}" cy="{y:.1f}" r="7" fill="none" stroke="var(--m-mark)" '
         f'stroke-width="3"/>'
     )
-    way = _ARROW_LENGTH * paper.unit * mark.way
+    shift = _ARROW_LENGTH * paper.unit * mark.way
     if mark.way.any():
-        found += arrow(dial.at, dial.at + way, paper, "mark")
-    return found + paper.place_text(dial.at + 1.1 * way, mark.label, dial.at)
+        drawn += arrow(dial.at, dial.at + shift, paper, "mark")
+    return drawn + paper.place_text(dial.at + 1.1 * shift, mark.label, dial.at)

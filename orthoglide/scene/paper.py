@@ -1,4 +1,4 @@
-"""Where words stand on a drawing: beside what they name, off other words, within the paper."""
+"""Placement of labels in a drawing: beside their parts, without overlap, within the paper."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ import numpy as np
 from orthoglide.geometry import Array
 
 WIDTH, HEIGHT = 440.0, 400.0
-"""Of the drawing, in units in which its letters are 13 high: readable on a phone."""
+"""Size of the drawing in units in which its letters are 13 high, readable on a phone."""
 
 LETTER_WIDTH = 8.6
-"""Width of a bold letter, on the average of the wide faces."""
+"""Average width of a bold letter in wide fonts."""
 
-_ABOVE, _BELOW, _EDGE = 11.0, 3.5, 3.0  # of a line of letters about its base; of the paper
-_GAPS = (4.0, 12.0, 22.0, 34.0, 50.0)
-_DIRECTIONS = 16
-_TEXT_COST, _LINE_COST, _DISTANCE_COST = 1e3, 6.0, 0.6  # cost of covering; of a unit of distance
-_LINE_STEP = 5.0  # between the points that stand for a line
+_ABOVE, _BELOW, _EDGE = 11.0, 3.5, 3.0  # height above and below the base line; margin of the paper
+_GAPS = (4.0, 12.0, 22.0, 34.0, 50.0)  # distances that are tried
+_DIRECTIONS = 16  # directions that are tried
+_TEXT_COST, _LINE_COST, _DISTANCE_COST = 1e3, 6.0, 0.6  # of a covered text, of a point, of a unit
+_LINE_STEP = 5.0  # distance of the points that represent a line
 
 Point = tuple[float, float]
 Box = tuple[float, float, float, float]
@@ -30,13 +30,13 @@ Box = tuple[float, float, float, float]
 
 
 def text_box(x: float, y: float, text: str) -> Box:
-    """Return the room of a line of bold letters with the given middle and base."""
+    """Return the box of a line of bold letters with the given middle of its base line."""
     half = LETTER_WIDTH * len(text) / 2
     return x - half, y - _ABOVE, x + half, y + _BELOW
 
 
 def circle_box(x: float, y: float, radius: float) -> Box:
-    """Return the room of a circle."""
+    """Return the box of a circle."""
     return x - radius, y - radius, x + radius, y + radius
 
 
@@ -51,16 +51,15 @@ def lettering(x: float, y: float, text: str, colour: str, halo: float) -> str:
 
 @dataclass
 class Paper:
-    """From the base frame to the paper, and what is on it already."""
+    """Projection from the base frame to the paper, with the places that are occupied."""
 
     project: Callable[[Array], Point]  # paper coordinates of a point (3,)
-    unit: float  # metres that are one unit of the paper
-    occupied: list[Box] = field(default_factory=list)  # boxes that no words may cover
-    # points of lines that words had better not cover
-    lines: list[Point] = field(default_factory=list)
+    unit: float  # metres in one unit of the paper
+    occupied: list[Box] = field(default_factory=list)  # boxes that no text may cover
+    lines: list[Point] = field(default_factory=list)  # points of lines, better not covered
 
     def copy(self) -> Paper:
-        """Return a copy that can be written on without changing this one."""
+        """Return a copy that can be changed independently."""
         return Paper(self.project, self.unit, list(self.occupied), list(self.lines))
 
     def add_line(self, points: Iterable[Array]) -> None:
@@ -71,7 +70,7 @@ class Paper:
             self.lines += [(x1 + s * (x2 - x1), y1 + s * (y2 - y1)) for s in shares]
 
     def place_text(self, at: Array, text: str, tail: Array | None = None) -> str:
-        """Return words beside a point as SVG; beyond it if an arrow from a tail ends there."""
+        """Return a text beside a point as SVG; ``tail``: start of an arrow that ends there."""
         if not text:
             return ""
         x, y = self.project(at)
@@ -83,21 +82,21 @@ class Paper:
 
     def _candidate_positions(self, x: float, y: float, text: str) -> Sequence[Point]:
         """Return middles of base lines around a point, all within the paper."""
-        half, found = LETTER_WIDTH * len(text) / 2, []
-        for gap, turn in itertools.product(
+        half, positions = LETTER_WIDTH * len(text) / 2, []
+        for gap, angle in itertools.product(
             _GAPS, np.arange(_DIRECTIONS) * 2 * math.pi / _DIRECTIONS
         ):
-            px = x + (half + gap) * math.cos(turn)
-            py = y + (_ABOVE + _BELOW) / 2 + (_ABOVE + gap) * math.sin(turn) - _BELOW
+            px = x + (half + gap) * math.cos(angle)
+            py = y + (_ABOVE + _BELOW) / 2 + (_ABOVE + gap) * math.sin(angle) - _BELOW
             px = min(max(px, half + _EDGE), WIDTH - half - _EDGE)
-            found.append((px, min(max(py, _ABOVE + _EDGE), HEIGHT - _BELOW - _EDGE)))
-        return found
+            positions.append((px, min(max(py, _ABOVE + _EDGE), HEIGHT - _BELOW - _EDGE)))
+        return positions
 
-    def _cost(self, place: Point, at: Point, text: str) -> float:
-        left, top, right, bottom = text_box(*place, text)
+    def _cost(self, position: Point, point: Point, text: str) -> float:
+        left, top, right, bottom = text_box(*position, text)
         covered = sum(left < b[2] and b[0] < right and top < b[3] and b[1] < bottom
                       for b in self.occupied)  # fmt: skip
         crossed = sum(left < x < right and top < y < bottom for x, y in self.lines)
-        aside = max(left - at[0], at[0] - right, 0.0)
-        away = math.hypot(aside, max(top - at[1], at[1] - bottom, 0.0))
+        aside = max(left - point[0], point[0] - right, 0.0)
+        away = math.hypot(aside, max(top - point[1], point[1] - bottom, 0.0))
         return _TEXT_COST * covered + _LINE_COST * crossed + _DISTANCE_COST * away

@@ -1,4 +1,4 @@
-"""What a picture of a machine is made of: its bodies in a posture, its dials, what is wrong."""
+"""Parts of a picture of a machine: its bodies in a posture, its dials, and its errors."""
 
 from __future__ import annotations
 
@@ -10,6 +10,17 @@ import numpy as np
 from orthoglide.geometry import Array, Geometry
 
 Part = Literal["drive", "rail", "carriage", "bar", "link", "platform", "dial", "plate"]
+
+
+def stroke_commands(geometry: Geometry, leg: int, count: int) -> tuple[Array, Array]:
+    """Return travels ``(count,)`` and commands ``(count, 3)`` of a leg through its stroke, metres.
+
+    If the platform hangs the other legs move along, as they could not follow a single leg.
+    """
+    travel = np.linspace(*geometry.stroke, count)
+    commands = np.repeat(geometry.zero[None], count, axis=0)
+    commands[:, slice(None) if geometry.layout.hanging else slice(leg, leg + 1)] += travel[:, None]
+    return travel, commands
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -30,7 +41,7 @@ class Posed:
         return np.asarray(self.lines[leg, :, 1].mean(axis=0))
 
     def path(self, leg: int, travel: float) -> Array:
-        """Where a carriage stands at a travel of the nominal machine ``(3,)``."""
+        """Place of a carriage of the nominal machine at a travel ``(3,)``."""
         slide = self.geometry.legs[leg].slide
         return np.asarray(self.carriage(leg) + (travel - self.travel[leg]) * slide)
 
@@ -50,33 +61,32 @@ class Dial:
     way: Array  # direction in which it counts up (3,), a unit vector
 
     def face(self, unit: float) -> Array:
-        """Where its face is drawn ``(3,)``; a unit of the paper is so many metres."""
+        """Place of its face ``(3,)``; ``unit``: metres in one unit of the paper."""
         return np.asarray(self.at - 21.5 * unit * self.way)
 
     def tip(self, unit: float) -> Array:
-        """Where the arrow ends that says which way it counts."""
+        """Tip of the arrow in the direction in which it counts up ``(3,)``."""
         return np.asarray(self.at + 13.5 * unit * self.way)
 
 
 @dataclass(frozen=True, eq=False)
 class Mark:
-    """One part that moves wrongly."""
+    """One part with an erroneous motion."""
 
-    part: Part  # what it is
-    leg: int  # 0, 1 or 2; -1 of what belongs to no leg
-    way: Array  # direction in which it moves, or about which it turns, with its sign (3,)
+    part: Part  # the part
+    leg: int  # 0, 1 or 2; -1 for parts of no leg
+    way: Array  # direction of its displacement, or axis of its rotation, with the sign (3,)
     label: str  # its size, and the direction in words
-    bar: int = 0  # 1 or 2 of a bar; 0 of both, and of other parts
-    at: float = 0.0  # travel at which it stands where it is marked, metres
-    # travel and amount over the stroke (k, 2) of what a path does, largest 1
-    curve: Array | None = None
-    both: bool = False  # whether it moves either way
-    setup: str = ""  # of a dial
+    bar: int = 0  # 1 or 2 for one bar; 0 for both, and for other parts
+    at: float = 0.0  # travel at which it is marked, metres
+    curve: Array | None = None  # travel and displacement over the stroke (k, 2), largest 1
+    both: bool = False  # whether it moves both ways
+    setup: str = ""  # setup of a dial
 
 
 @dataclass(frozen=True, eq=False)
 class Option:
-    """One explanation as a picture shows it."""
+    """One explanation in a picture."""
 
     words: str  # a clause
-    marks: tuple[Mark, ...]  # parts that move wrongly
+    marks: tuple[Mark, ...]  # parts with an erroneous motion

@@ -1,7 +1,7 @@
-r"""The nominal mechanism as URDF, its loop closures beside it (``python -m orthoglide.urdf``).
+r"""The nominal mechanism as URDF with a file of loop closures (``python -m orthoglide.urdf``).
 
-URDF holds a tree and no loops. The tree is cut at one pivot of each parallelogram and at the
-platform, which every leg carries for itself; ``closures`` says what has to coincide again::
+URDF describes a tree without loops. The loops are cut at one pivot of each parallelogram and at the
+platform, of which every leg has a copy; ``closures`` lists the frames that coincide::
 
     base -slide-> carriage -theta-> fork -bar1-> bar1 -knuckle-> knuckle -platform-> platform = tcp
                                      \ -bar2-> bar2 = bar2_tip      \= knuckle_tip

@@ -1,4 +1,4 @@
-"""A URDF tree with loop closures as MJCF, MuJoCo's own format, which holds loops itself."""
+"""A URDF tree with loop closures as MJCF, the format of MuJoCo, which describes loops."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ RELIEF: Mapping[str, tuple[str, str]] = {
     "knuckle": ("relief_bar", "1 0 0"),
     "bar2": ("relief_link", "0 0 1"),
 }
-"""Joints before a leg's joint that URDF has no room for: the torsion of bar 1 at its tip, and a
-turn about the short link at the root of bar 2. Without them legs with unequal bars do not close."""
+"""Relief joints before a leg's joint, which are not in the URDF: the torsion of bar 1 at its tip,
+and a rotation about the short link at the root of bar 2. Legs with unequal bars need them to close.
+"""
 
 _STEP = "0.001"
 """Seconds of a simulation step: the rods of a small delta swing too fast for MuJoCo's 0.002."""
 
 _LOOP = {"solref": "0.003 1", "solimp": "0.9999 0.9999 0.001"}
-"""Loops pull together within three steps and yield a ten-thousandth of a load: micrometres under
-the machine's weight, where MuJoCo's soft defaults let it fall apart."""
+"""Loops close within three steps and deform by micrometres under the machine's weight; MuJoCo's
+softer defaults let the machine fall apart."""
 
 _SPINNING = "0.0001"
-"""Armature of a passive joint, kg m^2, a tenth of a bar's inertia or less: a bar hardly resists a
-turn about itself, and so quick a joint would need much smaller steps."""
+"""Armature of a passive joint, kg m^2, at most a tenth of a bar's inertia: a bar has little inertia
+about its axis, and a joint without armature would need much smaller steps."""
 
 _SCREW = "5"
 """Armature of a drive, kg: what a motor of 5e-5 kg m^2 on a screw of 20 mm pitch has."""
@@ -45,9 +46,9 @@ _EQUALITY = {"point": "connect", "frame": "weld"}
 
 
 def to_mjcf(urdf: str, loops: Sequence[Closure], *, relief: bool = True, comment: str = "") -> str:
-    """MJCF text of a URDF tree whose loops equality constraints close.
+    """Return a URDF tree as MJCF text, with its loops as equality constraints.
 
-    Joints, bodies and sites are called as the joints and links of the URDF. ``x_slide``,
+    Joints, bodies and sites have the names of the joints and links of the URDF. ``x_slide``,
     ``y_slide`` and ``z_slide`` (``a_slide`` ... of a delta) are the drives, with the limits of the
     stroke; every other joint is passive. A link that a fixed joint carries is a site: ``x_tcp`` is
     the tool. Each loop is an equality constraint with the name of its closure, ``connect`` where
@@ -56,11 +57,11 @@ def to_mjcf(urdf: str, loops: Sequence[Closure], *, relief: bool = True, comment
     the machine stands under gravity. Nothing collides.
 
     Args:
-        urdf: text of the tree, joints at zero being the closed machine.
-        loops: what closes it.
-        relief: whether legs get the joints of `RELIEF`, with which the constraints repeat nothing
-            and legs of any lengths close. Without them the joints are those of the URDF.
-        comment: what a reader of the file must know.
+        urdf: text of the tree, whose joints at zero are the closed machine.
+        loops: closures of the tree.
+        relief: whether legs get the joints of `RELIEF`, with which the constraints are not
+            redundant and legs of any lengths close. Without them the joints are those of the URDF.
+        comment: text for readers of the file.
 
     Returns:
         MJCF, in metres, kilograms and radians.
@@ -79,12 +80,12 @@ def to_mjcf(urdf: str, loops: Sequence[Closure], *, relief: bool = True, comment
         ET.SubElement(asset, "material", name=material.get("name", ""), rgba=rgba)
     world = ET.SubElement(root, "worldbody")
     links = {str(link.get("name")): link for link in robot.findall("link")}
-    behind: defaultdict[str, list[ET.Element]] = defaultdict(list)
+    joints_of: defaultdict[str, list[ET.Element]] = defaultdict(list)
     for joint in robot.findall("joint"):
-        behind[_link(joint, "parent")].append(joint)
-    carried = {_link(joint, "child") for several in behind.values() for joint in several}
-    for name in links.keys() - carried:  # one: a tree has one root
-        _add_link(world, links[name], links, behind, relief)
+        joints_of[_link(joint, "parent")].append(joint)
+    children = {_link(joint, "child") for joints in joints_of.values() for joint in joints}
+    for name in links.keys() - children:  # one: a tree has one root
+        _add_link(world, links[name], links, joints_of, relief)
     equality = ET.SubElement(root, "equality")
     for loop in loops:
         frames = {"site1": loop.frame_1, "site2": loop.frame_2}
@@ -100,33 +101,33 @@ def to_mjcf(urdf: str, loops: Sequence[Closure], *, relief: bool = True, comment
 
 
 def _link(joint: ET.Element, end: str) -> str:
-    found = joint.find(end)
-    return "" if found is None else found.get("link", "")
+    element = joint.find(end)
+    return "" if element is None else element.get("link", "")
 
 
 def _add_link(
     body: ET.Element,
     link: ET.Element,
     links: Mapping[str, ET.Element],
-    behind: Mapping[str, Sequence[ET.Element]],
+    joints_of: Mapping[str, Sequence[ET.Element]],
     relief: bool,
 ) -> None:
-    """Add what a link weighs and looks like to its body, and the bodies that hang on it."""
+    """Add inertia and shape of a link to its body, and the bodies of its children."""
     if (inertial := link.find("inertial")) is not None:
         _add_inertial(body, inertial)
     for visual in link.findall("visual"):
         _add_geom(body, visual)
-    for joint in behind.get(str(link.get("name")), ()):
+    for joint in joints_of.get(str(link.get("name")), ()):
         child = _link(joint, "child")
         kind = joint.get("type", "fixed")
-        if kind == "fixed" and child not in behind and links[child].find("inertial") is None:
+        if kind == "fixed" and child not in joints_of and links[child].find("inertial") is None:
             ET.SubElement(body, "site", {"name": child, "size": "0.002"} | _placed(joint))
             continue
         inner = ET.SubElement(body, "body", {"name": child} | _placed(joint))
         if kind != "fixed":
             _add_joints(inner, joint, relief)
         ET.SubElement(inner, "site", name=child, size="0.002")
-        _add_link(inner, links[child], links, behind, relief)
+        _add_link(inner, links[child], links, joints_of, relief)
 
 
 def _add_joints(body: ET.Element, joint: ET.Element, relief: bool) -> None:
@@ -134,28 +135,28 @@ def _add_joints(body: ET.Element, joint: ET.Element, relief: bool) -> None:
     leg, _, part = name.rpartition("_")
     part = part or name
     if relief and leg and part in RELIEF:
-        called, axis = RELIEF[part]
-        ET.SubElement(body, "joint", name=f"{leg}_{called}", type="hinge", axis=axis)
-    axis_of, limit = joint.find("axis"), joint.find("limit")
-    made = {"name": name, "type": _JOINTS.get(joint.get("type", ""), "hinge")}
-    made["axis"] = "1 0 0" if axis_of is None else axis_of.get(_XYZ, "1 0 0")
-    if made["type"] == "slide":
-        made["armature"] = _SCREW
+        relief_name, axis = RELIEF[part]
+        ET.SubElement(body, "joint", name=f"{leg}_{relief_name}", type="hinge", axis=axis)
+    axis_element, limit = joint.find("axis"), joint.find("limit")
+    attributes = {"name": name, "type": _JOINTS.get(joint.get("type", ""), "hinge")}
+    attributes["axis"] = "1 0 0" if axis_element is None else axis_element.get(_XYZ, "1 0 0")
+    if attributes["type"] == "slide":
+        attributes["armature"] = _SCREW
         if limit is not None:
-            made["range"] = f"{limit.get('lower', '0')} {limit.get('upper', '0')}"
-    ET.SubElement(body, "joint", made)
+            attributes["range"] = f"{limit.get('lower', '0')} {limit.get('upper', '0')}"
+    ET.SubElement(body, "joint", attributes)
 
 
 def _add_inertial(body: ET.Element, inertial: ET.Element) -> None:
-    """Mass, centre and inertia, turned to the axes of the body as MJCF wants it."""
+    """Add mass, centre and inertia, rotated to the axes of the body as in MJCF."""
     tensor, mass = inertial.find("inertia"), inertial.find("mass")
     if tensor is None or mass is None:
         return
-    entry = {key: float(value) for key, value in tensor.attrib.items()}
-    about = np.array([[entry[f"i{min(j, k)}{max(j, k)}"] for k in _XYZ] for j in _XYZ])
-    turn = _rotation(inertial)
-    about = turn @ about @ turn.T
-    upper = (about[j, k] for j, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
+    entries = {key: float(value) for key, value in tensor.attrib.items()}
+    inertia = np.array([[entries[f"i{min(j, k)}{max(j, k)}"] for k in _XYZ] for j in _XYZ])
+    rotation = _rotation(inertial)
+    inertia = rotation @ inertia @ rotation.T
+    upper = (inertia[j, k] for j, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
     ET.SubElement(
         body, "inertial",
         pos=numbers(_attribute(inertial, _XYZ)),
@@ -172,24 +173,24 @@ def _add_geom(body: ET.Element, visual: ET.Element) -> None:
     if shape.tag == "box":
         size = numbers(float(edge) / 2 for edge in shape.get("size", "").split())
     else:
-        half = (number(float(shape.get("length", "0")) / 2),) * (shape.tag == "cylinder")
-        size = " ".join((shape.get("radius", "0"), *half))
-    made = {"type": shape.tag, "size": size, "contype": "0", "conaffinity": "0"}
+        half_length = (number(float(shape.get("length", "0")) / 2),) * (shape.tag == "cylinder")
+        size = " ".join((shape.get("radius", "0"), *half_length))
+    attributes = {"type": shape.tag, "size": size, "contype": "0", "conaffinity": "0"}
     if material is not None:
-        made["material"] = material.get("name", "")
-    ET.SubElement(body, "geom", made | _placed(visual))
+        attributes["material"] = material.get("name", "")
+    ET.SubElement(body, "geom", attributes | _placed(visual))
 
 
 def _placed(element: ET.Element) -> dict[str, str]:
-    """Place and turn of a URDF element's ``origin``, where they are any."""
+    """Return position and rotation of a URDF element's ``origin``, without zeros."""
     from scipy.spatial.transform import Rotation
 
     xyz, rpy = (_attribute(element, name) for name in (_XYZ, "rpy"))
-    found = {"pos": numbers(xyz)} if xyz.any() else {}
+    placement = {"pos": numbers(xyz)} if xyz.any() else {}
     if rpy.any():
         x, y, z, w = Rotation.from_euler(_XYZ, rpy).as_quat()
-        found["quat"] = numbers((w, x, y, z))
-    return found
+        placement["quat"] = numbers((w, x, y, z))
+    return placement
 
 
 def _rotation(element: ET.Element) -> Array:

@@ -1,11 +1,11 @@
-"""URDF with loops, read from a folder with two files: the tree, and what closes it.
+"""URDF with loops, read from a folder with two files: the tree and its closures.
 
-Two pairs of files are read. ``orthoglide.urdf`` with ``orthoglide.closures.toml`` is this package's
+There are two formats. ``orthoglide.urdf`` with ``orthoglide.closures.toml`` is this package's
 own. ``robot.urdf`` with ``robot.yaml`` follows the convention of Gepetto's parallel robots:
 ``closed_loop``, pairs of frames that coincide; ``type`` of each, ``3d`` (origins) or ``6d`` (axes
 too); ``name_mot``, the joints that are driven; ``joint_name`` and ``joint_type``, joints of the
-tree that stand for others, ``SPHERICAL`` or ``FIXED``. See
-github.com/Gepetto/example-parallel-robots and arXiv 2504.04767; the code is our own.
+tree that replace others, ``SPHERICAL`` or ``FIXED``. See
+github.com/Gepetto/example-parallel-robots and arXiv 2504.04767; no code is taken from there.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ _OPTIONAL = ("joint_name", "joint_type")
 
 @dataclass(frozen=True)
 class ParallelRobot:
-    """A machine with loops as its two files say it.
+    """A machine with loops, the content of its two files.
 
     Attributes:
         path: the URDF.
         urdf: its text.
-        closures: what closes the tree, in the order of the file.
+        closures: of the tree, in the order of the file.
         motors: names of the joints that are driven.
-        replaced: joints of the tree that stand for others: name to ``"SPHERICAL"`` or ``"FIXED"``.
+        replaced: joints of the tree to replace: name to ``"SPHERICAL"`` or ``"FIXED"``.
     """
 
     path: Path
@@ -61,18 +61,18 @@ class ParallelRobot:
 def parallel_robot_files(
     geometry: Geometry, urdf: str = "", loops: Sequence[Closure] | None = None
 ) -> dict[str, str]:
-    """Both files of a machine, by name.
+    """Return both files of a machine, by name.
 
     Args:
         geometry: the machine's dimensions.
         urdf: text of its tree, calibrated or not; the nominal one where absent.
-        loops: what closes the tree; those of the nominal machine where absent.
+        loops: closures of the tree; those of the nominal machine where absent.
     """
     loops = closures(geometry) if loops is None else loops
-    kinds = {kind: name for name, kind in _KINDS.items()}
+    kind_names = {kind: name for name, kind in _KINDS.items()}
     lists: dict[str, Any] = {
         "closed_loop": [[loop.frame_1, loop.frame_2] for loop in loops],
-        "type": [kinds[loop.kind] for loop in loops],
+        "type": [kind_names[loop.kind] for loop in loops],
         "name_mot": [f"{leg}_slide" for leg in geometry.leg_names],
         "joint_name": [],
         "joint_type": [],
@@ -82,13 +82,13 @@ def parallel_robot_files(
 
 
 def read_looped_urdf(folder: str | os.PathLike[str]) -> ParallelRobot:
-    """Read whichever pair of files a folder holds, this package's own or Gepetto's.
+    """Read the pair of files of a folder, in the format of this package or of Gepetto.
 
     Raises:
-        FileError: where a file is missing, or says what cannot be.
+        FileError: where a file is missing or invalid.
     """
-    theirs = not _package_files(folder)[0].exists() and (Path(folder) / ROBOT_URDF).exists()
-    return read_parallel_robot(folder) if theirs else _read_package_files(folder)
+    foreign = not _package_files(folder)[0].exists() and (Path(folder) / ROBOT_URDF).exists()
+    return read_parallel_robot(folder) if foreign else _read_package_files(folder)
 
 
 def urdf_digests(folder: str | os.PathLike[str]) -> dict[str, str]:
@@ -102,23 +102,21 @@ def urdf_digests(folder: str | os.PathLike[str]) -> dict[str, str]:
 
 
 def _package_files(folder: str | os.PathLike[str]) -> tuple[Path, Path]:
-    """The URDF and the closures of a folder: ``orthoglide.urdf``, or the one that has closures."""
-    place = Path(folder)
-    others = sorted(place.glob(f"*{CLOSURES_ENDING}"))
-    if (place / URDF_FILE).exists() or len(others) != 1:
-        return place / URDF_FILE, place / CLOSURES_FILE
-    (closed,) = others
-    return place / f"{closed.name.removesuffix(CLOSURES_ENDING)}.urdf", closed
+    """Return URDF and closures of a folder: ``orthoglide.urdf``, or the one that has closures."""
+    base = Path(folder)
+    closure_files = sorted(base.glob(f"*{CLOSURES_ENDING}"))
+    if (base / URDF_FILE).exists() or len(closure_files) != 1:
+        return base / URDF_FILE, base / CLOSURES_FILE
+    (closure_file,) = closure_files
+    return base / f"{closure_file.name.removesuffix(CLOSURES_ENDING)}.urdf", closure_file
 
 
 def _read_package_files(folder: str | os.PathLike[str]) -> ParallelRobot:
-    """Read this package's own two files of a folder."""
+    """Read the two files of a folder in the format of this package."""
     urdf_path, toml_path = _package_files(folder)
     urdf = files.decode(files.read_bytes(urdf_path), urdf_path)
-    text, file = (
-        files.decode(files.read_bytes(toml_path, files.TEXT_LIMIT), toml_path),
-        printable_path(toml_path),
-    )
+    text = files.decode(files.read_bytes(toml_path, files.TEXT_LIMIT), toml_path)
+    file = printable_path(toml_path)
     names = _names(urdf, printable_path(urdf_path))
     try:
         tables = tomllib.loads(text).get("closure", [])
@@ -130,16 +128,13 @@ def _read_package_files(folder: str | os.PathLike[str]) -> ParallelRobot:
             raise FileError("closure must be tables [[closure]]: write them so", file=file)
         frames = [table.get("frame_1"), table.get("frame_2")]
         name, kind = str(table.get("name", "")), table.get("kind")
-        if trouble := _closure_problem(frames, kind, _KINDS.values(), names):
-            raise FileError(f"closure {abbreviated(name)!r} {trouble}", file=file)
+        if problem := _closure_problem(frames, kind, _KINDS.values(), names):
+            raise FileError(f"closure {abbreviated(name)!r} {problem}", file=file)
         loops.append(Closure(name, kind, *frames))  # type: ignore[arg-type]
     if not loops:
         raise FileError("has no table [[closure]], so no loop is closed: add them", file=file)
-    motors = [
-        str(e.get("name"))
-        for e in ET.fromstring(urdf).iter("joint")
-        if e.get("type") == "prismatic"
-    ]
+    joints = ET.fromstring(urdf).iter("joint")
+    motors = [str(e.get("name")) for e in joints if e.get("type") == "prismatic"]
     return ParallelRobot(urdf_path, urdf, tuple(loops), tuple(motors))
 
 
@@ -147,38 +142,37 @@ def read_parallel_robot(folder: str | os.PathLike[str]) -> ParallelRobot:
     """Read ``robot.urdf`` and ``robot.yaml`` of a folder.
 
     Raises:
-        FileError: where one is missing, or says what cannot be: a frame, joint or motor that the
-            tree lacks, a loop without its kind, a kind of joint that is not known.
+        FileError: where one is missing or invalid: a frame, joint or motor that the tree lacks, a
+            loop without its kind, an unknown kind of joint.
     """
     urdf_path, yaml_path = (Path(folder) / name for name in (ROBOT_URDF, ROBOT_YAML))
     urdf = files.decode(files.read_bytes(urdf_path), urdf_path)
     names = _names(urdf, printable_path(urdf_path))
-    found = _YamlLists(
-        files.decode(files.read_bytes(yaml_path, files.TEXT_LIMIT), yaml_path), yaml_path
-    )
-    pairs, kinds, motors = (found.list_of(key) for key in ("closed_loop", "type", "name_mot"))
+    text = files.decode(files.read_bytes(yaml_path, files.TEXT_LIMIT), yaml_path)
+    lists = _YamlLists(text, yaml_path)
+    pairs, kinds, motors = (lists.list_of(key) for key in ("closed_loop", "type", "name_mot"))
     if len(kinds) != len(pairs):
-        found.fail("type", f"has {len(kinds)} kinds for {len(pairs)} loops: give one for each")
+        lists.fail("type", f"has {len(kinds)} kinds for {len(pairs)} loops: give one for each")
     if not pairs:
-        found.fail("closed_loop", "has no pair of frames, so no loop is closed: add them")
+        lists.fail("closed_loop", "has no pair of frames, so no loop is closed: add them")
     loops = []
     for k, (pair, kind) in enumerate(zip(pairs, kinds, strict=True), start=1):
-        if trouble := _closure_problem(pair, str(kind).lower(), _KINDS, names):
-            found.fail("closed_loop" if "frames" in trouble else "type", trouble)
+        if problem := _closure_problem(pair, str(kind).lower(), _KINDS, names):
+            lists.fail("closed_loop" if "frames" in problem else "type", problem)
         loops.append(Closure(f"loop{k}", _KINDS[str(kind).lower()], pair[0], pair[1]))
     if not motors:
-        found.fail("name_mot", "has no joint, so nothing drives the machine: add its motors")
+        lists.fail("name_mot", "has no joint, so nothing drives the machine: add its motors")
     for k, motor in enumerate(motors):
         if motor in motors[:k]:
-            found.fail("name_mot", f"names {abbreviated(str(motor))} twice: name each joint once")
+            lists.fail("name_mot", f"names {abbreviated(str(motor))} twice: name each joint once")
         if not isinstance(motor, str) or motor not in names:
-            found.fail("name_mot", f"names {abbreviated(str(motor))}, no joint of {ROBOT_URDF}")
-    replaced = _joint_replacements(found, _joint_names(urdf))
+            lists.fail("name_mot", f"names {abbreviated(str(motor))}, no joint of {ROBOT_URDF}")
+    replaced = _joint_replacements(lists, _joint_names(urdf))
     return ParallelRobot(urdf_path, urdf, tuple(loops), tuple(motors), replaced)
 
 
 def _closure_problem(frames: Any, kind: Any, kinds: Collection[str], names: frozenset[str]) -> str:
-    """Return what is wrong with the frames or the kind of a loop, as a clause; else nothing."""
+    """Return the fault of the frames or the kind of a loop as a clause; empty for none."""
     texts = isinstance(frames, list) and all(isinstance(n, str) and n in names for n in frames)
     if not texts or len(frames) != 2 or frames[0] == frames[1]:
         return f"names {abbreviated(str(frames))}, no two frames of the URDF: correct it"
@@ -187,25 +181,23 @@ def _closure_problem(frames: Any, kind: Any, kinds: Collection[str], names: froz
     return ""
 
 
-def _joint_replacements(found: _YamlLists, names: frozenset[str]) -> dict[str, str]:
-    joints, kinds = found.list_of("joint_name"), found.list_of("joint_type")
+def _joint_replacements(lists: _YamlLists, names: frozenset[str]) -> dict[str, str]:
+    joints, kinds = lists.list_of("joint_name"), lists.list_of("joint_type")
     if len(joints) != len(kinds):
-        found.fail("joint_type", f"has {len(kinds)} kinds for {len(joints)} joints: give one each")
+        lists.fail("joint_type", f"has {len(kinds)} kinds for {len(joints)} joints: give one each")
     for joint, kind in zip(joints, kinds, strict=True):
         if joint not in names:
-            found.fail(
-                "joint_name", f"names {abbreviated(str(joint))}, no moving joint of {ROBOT_URDF}"
-            )
+            name = abbreviated(str(joint))
+            lists.fail("joint_name", f"names {name}, no moving joint of {ROBOT_URDF}")
         if kind not in _REPLACEMENTS:
-            found.fail(
-                "joint_type",
-                f"has {abbreviated(str(kind))}, which is not read: it is {' or '.join(_REPLACEMENTS)}",
-            )
+            allowed = " or ".join(_REPLACEMENTS)
+            text = f"has {abbreviated(str(kind))}, which is not read: it is {allowed}"
+            lists.fail("joint_type", text)
     return dict(zip(joints, kinds, strict=True))
 
 
 def _joint_names(urdf: str) -> frozenset[str]:
-    """Names of the joints that move."""
+    """Return the names of the joints that move."""
     joints = ET.fromstring(urdf).iter("joint")
     return frozenset(str(e.get("name")) for e in joints if e.get("type") != "fixed")
 
@@ -219,7 +211,7 @@ def _names(urdf: str, file: str) -> frozenset[str]:
 
 
 class _YamlLists:
-    """Keys with lists in YAML's flow style, over several lines or one: all that such files hold."""
+    """Keys with lists in YAML's flow style, the only content of such files."""
 
     def __init__(self, text: str, path: Path) -> None:
         self.file = printable_path(path)
@@ -227,20 +219,20 @@ class _YamlLists:
         self.texts: dict[str, str] = {}
         key = ""
         for number, line in enumerate(text.split("\n"), start=1):
-            bare = line.split("#")[0].rstrip()
-            name, colon, rest = bare.partition(":")
-            if colon and bare[0] not in " \t-" and "[" not in name:
+            content = line.split("#")[0].rstrip()
+            name, colon, rest = content.partition(":")
+            if colon and content[0] not in " \t-" and "[" not in name:
                 key = name.strip()
                 self.lines[key], self.texts[key] = number, rest
-            elif bare.strip() and key:
-                self.texts[key] += f" {bare.strip()}"
+            elif content.strip() and key:
+                self.texts[key] += f" {content.strip()}"
 
     def fail(self, key: str, message: str) -> Any:
-        """Refuse the value of a key, or its absence."""
+        """Raise an error for the value of a key, or its absence."""
         raise FileError(f"{key} {message}", file=self.file, line=self.lines.get(key))
 
     def list_of(self, key: str) -> list[Any]:
-        """The list of a key; empty where an optional one is not there."""
+        """Return the list of a key; empty where an optional key is absent."""
         if key not in self.texts:
             return [] if key in _OPTIONAL else list(self.fail(key, "is missing: add it"))
         try:

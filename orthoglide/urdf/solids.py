@@ -1,4 +1,4 @@
-"""What the links look like and weigh: boxes and cylinders, plausible and not measured."""
+"""Shapes and masses of the links: boxes and cylinders, plausible and not measured."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from orthoglide.geometry import LEGS, Array, Geometry
 Vector = tuple[float, float, float]
 
 _ZERO: Vector = (0.0, 0.0, 0.0)
-# Turns that lay a cylinder, which URDF draws along z, along x, y or z.
+# Rotations of a cylinder, which URDF draws along z, to x, y or z.
 _LAY: tuple[Vector, Vector, Vector] = ((0.0, math.pi / 2, 0.0), (math.pi / 2, 0.0, 0.0), _ZERO)
-_RAIL = 0.95  # of d: how far beside the carriage's path, toward b, its rail lies
+_RAIL = 0.95  # distance of a rail from its carriage's path, toward b, as a fraction of d
 
 # Colour (red, green, blue) and density in kg/m^3.
 MATERIALS: dict[str, tuple[Vector, float]] = {
@@ -41,10 +41,10 @@ class Solid:
     material: str  # key of `MATERIALS`
     along: int | None = None  # axis of a cylinder, 0, 1 or 2; `None` for a box
 
-    def in_base(self, turn: Array) -> Solid:
-        """The same solid in the base's axes; ``turn`` ``(3, 3)`` has its own as columns."""
-        along = None if self.along is None else int(np.argmax(np.abs(turn[:, self.along])))
-        return Solid(vector(turn @ self.size), vector(turn @ self.centre), self.material, along)
+    def in_base(self, axes: Array) -> Solid:
+        """Return the solid in the base's axes; the columns of ``axes`` ``(3, 3)`` are its own."""
+        along = None if self.along is None else int(np.argmax(np.abs(axes[:, self.along])))
+        return Solid(vector(axes @ self.size), vector(axes @ self.centre), self.material, along)
 
     def mass(self) -> float:
         """Mass, kg."""
@@ -60,9 +60,9 @@ class Solid:
 
 
 def leg_solids(geometry: Geometry, leg: int) -> dict[str, tuple[Solid, ...]]:
-    """Solids of a leg's moving links, in the links; cross-sections are fractions of d and r."""
+    """Return the solids of a leg's moving links; cross-sections are fractions of d and r."""
     L, d, r = geometry.L, geometry.d, geometry.r
-    n, colour = geometry.leg_names[leg], f"carriage_{LEGS[leg]}"
+    name, material = geometry.leg_names[leg], f"carriage_{LEGS[leg]}"
     rail = _RAIL * d
     bar = (
         Solid((L, 0.16 * d, 0.16 * d), (-L / 2, 0.0, 0.0), "aluminium", along=0),
@@ -82,21 +82,21 @@ def leg_solids(geometry: Geometry, leg: int) -> dict[str, tuple[Solid, ...]]:
             Solid((0.25 * r, 0.25 * r, r), (-r, 0.0, -1.75 * r), "tool", along=2),
         ]
     return {
-        f"{n}_carriage": (
-            Solid((d, 0.3 * d, 0.7 * d), (0.35 * d, rail - 0.25 * d, 0.0), colour),
-            Solid((0.4 * d, rail - 0.3 * d, 0.5 * d), (0.4 * d, 0.45 * rail, 0.0), colour),
-            Solid((0.5 * d, 0.3 * d, 0.36 * d), (0.25 * d, 0.0, 0.0), colour),
+        f"{name}_carriage": (
+            Solid((d, 0.3 * d, 0.7 * d), (0.35 * d, rail - 0.25 * d, 0.0), material),
+            Solid((0.4 * d, rail - 0.3 * d, 0.5 * d), (0.4 * d, 0.45 * rail, 0.0), material),
+            Solid((0.5 * d, 0.3 * d, 0.36 * d), (0.25 * d, 0.0, 0.0), material),
         ),
-        f"{n}_fork": (Solid(link_size, _ZERO, "steel", along=2),),
-        f"{n}_bar1": bar,
-        f"{n}_bar2": bar,
-        f"{n}_knuckle": (Solid(link_size, (0.0, 0.0, -d / 2), "steel", along=2),),
-        f"{n}_platform": tuple(platform),
+        f"{name}_fork": (Solid(link_size, _ZERO, "steel", along=2),),
+        f"{name}_bar1": bar,
+        f"{name}_bar2": bar,
+        f"{name}_knuckle": (Solid(link_size, (0.0, 0.0, -d / 2), "steel", along=2),),
+        f"{name}_platform": tuple(platform),
     }
 
 
 def base_solids(geometry: Geometry) -> tuple[Solid, ...]:
-    """Rails, drives and a frame that joins them at a corner, on a table under the tool."""
+    """Return rails, drives and a frame that joins them at a corner, on a table under the tool."""
     if geometry.layout.hanging:
         return _towers(geometry)
     if not geometry.dialled:
@@ -104,74 +104,74 @@ def base_solids(geometry: Geometry) -> tuple[Solid, ...]:
     L, d, r = geometry.L, geometry.d, geometry.r
     low, high = geometry.stroke
     rail, beam = _RAIL * d, 0.4 * d
-    near, far = L + r + low - 0.4 * d, L + r + high + 1.1 * d
-    corner = far + beam / 2
-    middle, length = (near + far) / 2, far - near
+    rail_start, rail_end = L + r + low - 0.4 * d, L + r + high + 1.1 * d
+    corner = rail_end + beam / 2
+    middle, length = (rail_start + rail_end) / 2, rail_end - rail_start
     reach = corner - rail + beam
     solids = []
     for leg in geometry.legs:
-        one_leg = (
+        leg_parts = (
             Solid((length, 0.2 * d, 0.4 * d), (middle, rail, 0.0), "steel"),
             Solid((length, 0.3 * d, 0.7 * d), (middle, rail + 0.25 * d, 0.0), "frame"),
             Solid((0.8 * d, 0.5 * d, 0.5 * d), (corner + 0.6 * d, rail, 0.0), "frame", along=0),
             Solid((beam, reach, beam), (corner, (corner + rail) / 2, 0.0), "frame"),
             Solid((beam, beam, corner), (corner, corner, corner / 2), "frame"),
         )
-        solids += [solid.in_base(leg.axes) for solid in one_leg]
-    floor, wide = low - 4 * r, corner + beam / 2 - 1.5 * low
+        solids += [solid.in_base(leg.axes) for solid in leg_parts]
+    floor, table_size = low - 4 * r, corner + beam / 2 - 1.5 * low
     centre = (corner + beam / 2 + 1.5 * low) / 2
     solids += [
         Solid((beam, beam, -floor), (corner, corner, floor / 2), "frame"),
-        Solid((wide, wide, 0.25 * d), (centre, centre, floor - 0.125 * d), "table"),
+        Solid((table_size, table_size, 0.25 * d), (centre, centre, floor - 0.125 * d), "table"),
     ]
     return tuple(solids)
 
 
 def _towers(geometry: Geometry) -> tuple[Solid, ...]:
-    """Towers on a plate: round, for boxes here keep to the base axes."""
+    """Return towers on a plate: round, as boxes are parallel to the base axes."""
     d, (low, high) = geometry.d, geometry.stroke
     solids, reach = [], 0.0
     for leg in geometry.legs:
-        foot, top = min(0.0, leg.carriage[2] + low), leg.carriage[2] + high + d
+        bottom, top = min(0.0, leg.carriage[2] + low), leg.carriage[2] + high + d
         x, y, _ = leg.carriage + _RAIL * d * leg.axes[:, 1]
         reach = max(reach, float(np.hypot(x, y)))
-        middle = (float(x), float(y), (foot + top) / 2)
-        solids.append(Solid((0.4 * d, 0.4 * d, top - foot), middle, "frame", along=2))
+        middle = (float(x), float(y), (bottom + top) / 2)
+        solids.append(Solid((0.4 * d, 0.4 * d, top - bottom), middle, "frame", along=2))
     plate = (1.2 * reach, 1.2 * reach, 0.1 * d)
     return (*solids, Solid(plate, (0.0, 0.0, -0.05 * d), "table", along=2))
 
 
 def _blocks(geometry: Geometry) -> tuple[Solid, ...]:
-    """Where legs stand freely: a block behind each carriage's place, as boxes have no direction."""
+    """Return a block behind each carriage, as boxes are parallel to the base axes."""
     d, size = geometry.d, (0.6 * geometry.d,) * 3
     places = (leg.carriage + _RAIL * d * leg.axes[:, 1] for leg in geometry.legs)
     return tuple(Solid(size, vector(place), "frame") for place in places)
 
 
 def vector(values: Iterable[float]) -> Vector:
-    """Three numbers."""
+    """Return three numbers."""
     x, y, z = (float(value) for value in values)
     return x, y, z
 
 
 def number(value: float) -> str:
-    """Shortest text of a number that is right to its last bit or two."""
+    """Return the shortest text of a number that is exact to its last bit or two."""
     short = f"{value + 0.0:.15g}"  # + 0.0 turns -0 into 0
     return short if math.isclose(float(short), value, rel_tol=4e-16) else repr(float(value))
 
 
 def numbers(values: Iterable[float]) -> str:
-    """Texts of numbers, as URDF lists them."""
+    """Return numbers as text, in the format of URDF."""
     return " ".join(number(value) for value in values)
 
 
 def _micrometres(values: Iterable[float]) -> str:
-    """Lengths of a drawing: whole micrometres do."""
+    """Return lengths as text, rounded to micrometres."""
     return numbers(round(float(value), 6) for value in values)
 
 
 def add_inertial(link: ET.Element, solids: tuple[Solid, ...]) -> None:
-    """Mass, centre and inertia of the solids together, about their common centre."""
+    """Add mass, centre and inertia of several solids, about their common centre."""
     masses = np.array([solid.mass() for solid in solids])
     centres = np.array([solid.centre for solid in solids])
     centre = masses @ centres / masses.sum()
@@ -188,10 +188,10 @@ def add_inertial(link: ET.Element, solids: tuple[Solid, ...]) -> None:
 
 
 def add_visual(link: ET.Element, solid: Solid) -> None:
-    """Draw a solid."""
+    """Add the shape of a solid."""
     visual = ET.SubElement(link, "visual")
-    turn = _ZERO if solid.along is None else _LAY[solid.along]
-    ET.SubElement(visual, "origin", xyz=_micrometres(solid.centre), rpy=numbers(turn))
+    angles = _ZERO if solid.along is None else _LAY[solid.along]
+    ET.SubElement(visual, "origin", xyz=_micrometres(solid.centre), rpy=numbers(angles))
     shape = ET.SubElement(visual, "geometry")
     if solid.along is None:
         ET.SubElement(shape, "box", size=_micrometres(solid.size))

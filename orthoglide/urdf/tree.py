@@ -1,4 +1,4 @@
-"""The tree of joints and links as URDF text, and what closes its loops."""
+"""The tree of joints and links as URDF text, and its loop closures."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ class Closure:
 
     @property
     def rows(self) -> int:
-        """Conditions that it sets: 3 or 6."""
+        """Number of conditions: 3 or 6."""
         return 3 if self.kind == "point" else 6
 
 
 @dataclass(frozen=True)
 class _Joint:
-    """A joint of a leg; ``axis`` is the leg's own a, b or c, or ``""`` where it is fixed."""
+    """A joint of a leg; ``axis`` is a, b or c of the leg, or ``""`` for a fixed joint."""
 
     name: str
     parent: str
@@ -65,20 +65,18 @@ class _Joint:
 
 
 def pivot_limit(geometry: Geometry) -> float:
-    """Limit of every revolute, radians: twice the angle at which the longer stroke is one bar's.
+    """Return the limit of every revolute, radians: ``2 asin(stroke / L)``, or pi if slides are
+    parallel, as the stroke then does not limit the angles.
 
-    On parallel slides the stroke says nothing of the bars: a straight angle.
-
-    A leg at full stroke leans by asin(stroke / L) and by some more where the others stand at their
-    ends too; the double leaves a margin over all of the stroke. Three digits, for the text must
-    not depend on a computer's last bit.
+    A leg at full stroke leans by asin(stroke / L), and by more where the others are at their ends
+    too, so the limit is twice that. It has three digits, to be the same on all computers.
     """
     sine = 1.0 if geometry.layout.hanging else max(map(abs, geometry.stroke)) / geometry.L
     return float(f"{2 * math.asin(sine):.3g}")
 
 
 def roll_pitch_yaw(R: Array) -> Vector:
-    """Angles of ``R = Rz(yaw) Ry(pitch) Rx(roll)``, as URDF has them; yaw is 0 where it is free."""
+    """Return the angles of ``R = Rz(yaw) Ry(pitch) Rx(roll)`` for URDF; a free yaw is 0."""
     if abs(R[2, 0]) > 1 - 1e-12:
         pitch = -math.copysign(math.pi / 2, R[2, 0])
         return vector((math.atan2(-R[1, 2], R[1, 1]), pitch, 0.0))
@@ -87,27 +85,35 @@ def roll_pitch_yaw(R: Array) -> Vector:
 
 
 def _joints(geometry: Geometry, leg: int) -> tuple[_Joint, ...]:
-    """Joints of one leg from the base to the platform, then the frames of the closures."""
-    L, d, here = geometry.L, geometry.d, geometry.legs[leg]
-    n = here.name
+    """Return the joints of a leg from the base to the platform, then the closures' frames."""
+    L, d, pose = geometry.L, geometry.d, geometry.legs[leg]
+    name = pose.name
     swing = (-pivot_limit(geometry), pivot_limit(geometry))
     carriage, fork, knuckle, platform = (
-        f"{n}_{part}" for part in ("carriage", "fork", "knuckle", "platform")
+        f"{name}_{part}" for part in ("carriage", "fork", "knuckle", "platform")
     )
-    bar1, bar2 = f"{n}_bar1", f"{n}_bar2"
-    turn, back = roll_pitch_yaw(here.axes), roll_pitch_yaw(here.axes.T)
-    lean = here.lean  # built into the pivots, so that joints at zero are the closed machine
-    tool = vector(-here.platform @ here.axes)
+    bar1, bar2 = f"{name}_bar1", f"{name}_bar2"
+    carriage_rpy, platform_rpy = roll_pitch_yaw(pose.axes), roll_pitch_yaw(pose.axes.T)
+    lean = pose.lean  # built into the pivots, so that joints at zero are the closed machine
+    tool = vector(-pose.platform @ pose.axes)
     return (
-        _Joint(f"{n}_slide", "base", carriage, vector(here.carriage), turn, "a", geometry.stroke),
-        _Joint(f"{n}_theta", carriage, fork, rpy=(0.0, 0.0, lean), axis="c", limits=swing),
+        _Joint(
+            f"{name}_slide",
+            "base",
+            carriage,
+            vector(pose.carriage),
+            carriage_rpy,
+            "a",
+            geometry.stroke,
+        ),
+        _Joint(f"{name}_theta", carriage, fork, rpy=(0.0, 0.0, lean), axis="c", limits=swing),
         _Joint(bar1, fork, bar1, (0.0, 0.0, d / 2), axis="b", limits=swing),
         _Joint(knuckle, bar1, knuckle, (-L, 0.0, 0.0), axis="b", limits=swing),
         _Joint(platform, knuckle, platform, (0.0, 0.0, -d / 2), (0.0, 0.0, -lean), "c", swing),
         _Joint(bar2, fork, bar2, (0.0, 0.0, -d / 2), axis="b", limits=swing),
-        _Joint(f"{n}_bar2_tip_fixed", bar2, f"{n}_bar2_tip", (-L, 0.0, 0.0)),
-        _Joint(f"{n}_knuckle_tip_fixed", knuckle, f"{n}_knuckle_tip", (0.0, 0.0, -d)),
-        _Joint(f"{n}_tcp_fixed", platform, f"{n}_tcp", tool, back),
+        _Joint(f"{name}_bar2_tip_fixed", bar2, f"{name}_bar2_tip", (-L, 0.0, 0.0)),
+        _Joint(f"{name}_knuckle_tip_fixed", knuckle, f"{name}_knuckle_tip", (0.0, 0.0, -d)),
+        _Joint(f"{name}_tcp_fixed", platform, f"{name}_tcp", tool, platform_rpy),
     )
 
 
@@ -126,8 +132,8 @@ def _add_joint(robot: ET.Element, joint: _Joint) -> None:
 
 
 def to_urdf(geometry: Geometry) -> str:
-    """URDF text of the nominal tree, which the machine's dimensions alone determine: joints at zero
-    are the closed machine at mechanical zero.
+    """Return the URDF text of the nominal tree, whose joints at zero are the closed machine at
+    mechanical zero.
 
     Returns:
         URDF, in metres, kilograms and radians. Slide q is travel from mechanical zero, within the
@@ -157,61 +163,56 @@ def to_urdf(geometry: Geometry) -> str:
 
 
 def closures(geometry: Geometry) -> tuple[Closure, ...]:
-    """What closes the tree's loops, the same on all machines but for their names: three
-    parallelograms and the platform, 21 rows in all.
+    """Return the closures of a machine: three parallelograms and the platform, 21 rows in all.
 
-    Returns:
-        The closures ``x_parallelogram``, ``y_...``, ``z_...``, ``platform_xy``, ``platform_xz``.
+    Their names are ``x_parallelogram``, ``y_...``, ``z_...``, ``platform_xy``, ``platform_xz``.
     """
     names = geometry.leg_names
     first, *others = names
     parallelograms = (
-        Closure(f"{n}_parallelogram", "point", f"{n}_bar2_tip", f"{n}_knuckle_tip") for n in names
+        Closure(f"{name}_parallelogram", "point", f"{name}_bar2_tip", f"{name}_knuckle_tip")
+        for name in names
     )
     platforms = (
-        Closure(f"platform_{first}{n}", "frame", f"{first}_tcp", f"{n}_tcp") for n in others
+        Closure(f"platform_{first}{name}", "frame", f"{first}_tcp", f"{name}_tcp")
+        for name in others
     )
     return (*parallelograms, *platforms)
 
 
 def file_names(geometry: Geometry) -> tuple[str, str, str]:
-    """Return what the URDF, its closures and the MJCF of a machine are called, by its layout:
-    ``linear-delta.urdf`` ...
-    """
+    """Return the file names of a layout's URDF, closures and MJCF: ``linear-delta.urdf`` ..."""
     kind = geometry.layout.kind
-    urdf, loops, mjcf = (f"{kind}{ending}" for ending in (".urdf", CLOSURES_ENDING, ".xml"))
-    return urdf, loops, mjcf
+    return f"{kind}.urdf", f"{kind}{CLOSURES_ENDING}", f"{kind}.xml"
 
 
 def closures_text(loops: Sequence[Closure], urdf: str = URDF_FILE) -> str:
-    """Return the sidecar in TOML: one table ``[[closure]]`` for each loop of the file ``urdf``."""
+    """Return the closures in TOML: one table ``[[closure]]`` for each loop of the file ``urdf``."""
     head = (
         f"# {_GENERATED}\n"
         f"# Frames of {urdf} that coincide in the assembled machine:\n"
         '# kind "point", their origins; kind "frame", origins and axes.\n'
     )
     tables = (
-        f'\n[[closure]]\nname = "{item.name}"\nkind = "{item.kind}"\n'
-        f'frame_1 = "{item.frame_1}"\nframe_2 = "{item.frame_2}"\n'
-        for item in loops
+        f'\n[[closure]]\nname = "{loop.name}"\nkind = "{loop.kind}"\n'
+        f'frame_1 = "{loop.frame_1}"\nframe_2 = "{loop.frame_2}"\n'
+        for loop in loops
     )
     return head + "".join(tables)
 
 
 def write(folder: str | Path, geometry: Geometry | None = None) -> tuple[Path, Path]:
-    """Write the URDF and its sidecar, of the published machine or one of other dimensions, into a
-    folder, which is made where it is missing.
+    """Write the URDF and the closures of a machine, by default the published one, into a folder.
 
     Returns:
-        Paths of the URDF and of the sidecar.
+        Paths of the URDF and of the closures.
     """
     geometry = geometry or Geometry()
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     paths = target / URDF_FILE, target / CLOSURES_FILE
-    for path, text in zip(
-        paths, (to_urdf(geometry), closures_text(closures(geometry))), strict=True
-    ):
+    texts = to_urdf(geometry), closures_text(closures(geometry))
+    for path, text in zip(paths, texts, strict=True):
         path.write_text(text, encoding="utf-8", newline="\n")
     return paths
 

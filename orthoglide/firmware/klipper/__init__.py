@@ -16,20 +16,10 @@ import numpy as np
 
 from orthoglide.add_ons import Corrections, Paste, Section
 from orthoglide.firmware.imported import Imported as Imported
+from orthoglide.firmware.klipper import provenance
 from orthoglide.firmware.klipper.corrections import make_paste
 from orthoglide.firmware.klipper.importing import import_printer as import_printer
 from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
-from orthoglide.firmware.klipper.provenance import (
-    ASSUMED_KEY,
-    CALIBRATE_AGAIN_KEY,
-    CORRECTED_KEY,
-    FIRMWARE_NAME,
-    MAX_ROD_SPREAD,
-    MESHES_RELATIVE_KEY,
-    WARNINGS_KEY,
-    disagreements,
-    unequal_arms_warning,
-)
 from orthoglide.geometry import Geometry
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import DeltaKinematics
@@ -56,8 +46,9 @@ _ASSUMED_SIZES = {
 
 @dataclass(frozen=True)
 class Printer:
-    """The firmware's numbers of one machine, with what the import keeps beside them: a printer as
-    `orthoglide.add_ons` asks for it.
+    """The firmware's numbers of one machine and the table in which the import keeps them.
+
+    Implements `orthoglide.add_ons.Printer`.
     """
 
     numbers: Numbers
@@ -65,34 +56,36 @@ class Printer:
 
     @property
     def meshes_relative(self) -> bool:
-        """Whether the firmware takes the height at one place out of every mesh."""
-        return bool(self.table.get(MESHES_RELATIVE_KEY))
+        """Whether the firmware subtracts the height at one place from every mesh."""
+        return bool(self.table.get(provenance.MESHES_RELATIVE_KEY))
 
     @property
     def calibrate_again(self) -> bool:
         """Whether the firmware's own calibration is to be run again before anything is entered."""
-        return bool(self.table.get(CALIBRATE_AGAIN_KEY))
+        return bool(self.table.get(provenance.CALIBRATE_AGAIN_KEY))
 
     @property
     def kinematics(self) -> DeltaKinematics:
-        """Where the firmware sends the carriages, from mechanical zero of the machine file."""
+        """Inverse kinematics of the firmware; travel counts from mechanical zero of the machine
+        file.
+        """
         return self.numbers.kinematics(self.numbers.zero)
 
     def objection(self, geometry: Geometry) -> tuple[str, ...]:
-        """Return why dimensions would move mechanical zero away from where travel is counted from,
-        and the path of the key to blame; empty where they would not.
+        """Return why dimensions would move mechanical zero, from which travel is counted, and the
+        path of the key to blame; empty if they would not.
 
-        The joints of the platform may stand further out than was assumed, but only together with
+        The joints of the platform may lie further out than was assumed, but only together with
         those of the carriages.
         """
-        layout, reach, arm = geometry.layout, self.numbers.delta_radius, self.numbers.mean_arm
+        layout, radius, arm = geometry.layout, self.numbers.delta_radius, self.numbers.mean_arm
         if not isinstance(layout, LinearDelta):
             return ()
-        if any(abs(radius - geometry.r - reach) > _ROUNDING for radius in layout.radius):
+        if any(abs(given - geometry.r - radius) > _ROUNDING for given in layout.radius):
             return (
-                f"radius_mm less r must stay the firmware's delta_radius, {reach * 1e3:.6g} mm, by "
-                f"which travel was counted: with r = {geometry.r * 1e3:.6g} put "
-                f"{(reach + geometry.r) * 1e3:.9g} three times",
+                f"radius_mm less r must stay the firmware's delta_radius, {radius * 1e3:.6g} mm, "
+                f"by which travel was counted: with r = {geometry.r * 1e3:.6g} put "
+                f"{(radius + geometry.r) * 1e3:.9g} three times",
                 "layout",
                 "radius_mm",
             )
@@ -106,52 +99,60 @@ class Printer:
         return ()
 
     def doubts(self, machine: Any) -> str:
-        """Say that the stored arms cannot be those of one set of rods, unless the machine's file
-        says that they were measured: by a sigma beside lengths near the stored ones.
+        """Return a warning that the stored arms cannot be one set of rods; empty if they can.
+
+        There is none either if the machine file declares the arms as measured: by a sigma beside
+        lengths near the stored ones.
         """
-        if np.ptp(self.numbers.arm) <= MAX_ROD_SPREAD or machine.spec.measured.rods:
+        if np.ptp(self.numbers.arm) <= provenance.MAX_ROD_SPREAD or machine.spec.measured.rods:
             return ""
-        length = next(e.name for e in machine.catalogue.effects if e.controller == "bar_length")
-        given = [machine.spec.parameters.get(f"{length}.{tower}") for tower in TOWERS]
+        effect = next(e.name for e in machine.catalogue.effects if e.controller == "bar_length")
+        errors = [machine.spec.parameters.get(f"{effect}.{tower}") for tower in TOWERS]
         measured = all(
-            own is not None and own.sigma > 0
-            and abs(own.value - (arm - machine.geometry.L)) <= _EQUAL_ARMS
-            for own, arm in zip(given, self.numbers.arm, strict=True)
+            error is not None and error.sigma > 0
+            and abs(error.value - (arm - machine.geometry.L)) <= _EQUAL_ARMS
+            for error, arm in zip(errors, self.numbers.arm, strict=True)
         )  # fmt: skip
-        return "" if measured else unequal_arms_warning(self.numbers)
+        return "" if measured else provenance.unequal_arms_warning(self.numbers)
 
     def imported(self, names: Collection[str]) -> Iterator[Note]:
-        """Return the remarks of the import for a result of readings of these names.
+        """Yield the remarks of the import for a result of readings of these names.
 
-        That two do not go together is found anew where both are read, and matters only to the
-        first.
+        A remark that two campaigns disagree is kept only if the first of them was read without the
+        second: where both are read, `cautions` finds it again.
         """
-        kept = self.table.get(WARNINGS_KEY)
-        for text in kept if isinstance(kept, list) else ():
+        warnings = self.table.get(provenance.WARNINGS_KEY)
+        for text in warnings if isinstance(warnings, list) else ():
             if isinstance(text, str) and (
-                (two := _DISAGREEING_FILES.match(text)) is None
-                or (two[1] in names and two[2] not in names)
+                (pair := _DISAGREEING_FILES.match(text)) is None
+                or (pair[1] in names and pair[2] not in names)
             ):
                 yield Note(text, "imported")
 
     def cautions(self, readings: Sequence[Any]) -> Iterator[Note]:
-        """Return which readings are not of one plate and one set of the numbers."""
-        touched = [one for one in readings if isinstance(one, Readings)]
-        found = disagreements(self.numbers, touched, meshes_relative=self.meshes_relative)
-        yield from (note for _, _, note in found)
+        """Yield a note on each list of readings that is of another plate or other numbers."""
+        campaigns = [c for c in readings if isinstance(c, Readings)]
+        pairs = provenance.disagreements(
+            self.numbers, campaigns, meshes_relative=self.meshes_relative
+        )
+        yield from (note for _, _, note in pairs)
 
     def assumptions(self, machine: Any, causes: Sequence[Any]) -> Iterator[Note]:
-        """Say what was assumed on import and is so still, where causes depend on it."""
-        every = [one for cause in causes for one in cause.explanations]
-        assumed, geometry = self.table.get(ASSUMED_KEY), machine.geometry
-        of_machine = any(not one.catalogue.effect_of(one.name).of_dial for one in every)
+        """Yield a note on sizes that were assumed on import and not changed, if a cause depends on
+        them.
+        """
+        explanations = (e for cause in causes for e in cause.explanations)
+        assumed, geometry = self.table.get(provenance.ASSUMED_KEY), machine.geometry
+        of_machine = any(not e.catalogue.effect_of(e.name).of_dial for e in explanations)
         if not (of_machine and isinstance(assumed, Mapping)):
             return
         below = float(geometry.legs[0].platform[2])
-        now = {"r": geometry.r, "d": geometry.d, "tool_below": below}
-        same = {n: v for n, v in assumed.items() if abs(now.get(n, np.inf) * 1e3 - v) < 1e-6}
-        if same:
-            sizes = ", ".join(f"{_ASSUMED_SIZES[n]} ({v:g} mm)" for n, v in same.items())
+        current = {"r": geometry.r, "d": geometry.d, "tool_below": below}
+        sizes = ", ".join(
+            f"{_ASSUMED_SIZES[name]} ({value:g} mm)" for name, value in assumed.items()
+            if abs(current.get(name, np.inf) * 1e3 - value) < 1e-6
+        )  # fmt: skip
+        if sizes:
             yield Note(
                 f"assumed, as no firmware stores it: {sizes}; sizes of causes that turn the "
                 f"platform go with that, and their uncertainty does not count it: measure it and "
@@ -160,13 +161,13 @@ class Printer:
             )
 
     def provenance(self, corrections: Any) -> Mapping[str, Any]:
-        """Return the table, by its name, that a calibrated machine keeps."""
-        table = {key: value for key, value in self.table.items() if key != CORRECTED_KEY}
-        new = {} if corrections is None else {CORRECTED_KEY: corrections.kept}
-        return {FIRMWARE_NAME: table | new}
+        """Return the table that a calibrated machine keeps, by its name."""
+        table = {key: value for key, value in self.table.items() if key != provenance.CORRECTED_KEY}
+        corrected = {} if corrections is None else {provenance.CORRECTED_KEY: corrections.kept}
+        return {provenance.FIRMWARE_NAME: table | corrected}
 
     def corrections(self, machine: Any, readings: Sequence[Any]) -> Corrections | None:
-        """Return new numbers for a calibrated machine; ``None`` where the readings give none."""
+        """Return new numbers for a calibrated machine; ``None`` if the readings give none."""
         from orthoglide.firmware.klipper.new_numbers import new_numbers
 
         return new_numbers(
@@ -176,23 +177,26 @@ class Printer:
     def section(
         self, given: Any, calibrated: Any, corrections: Corrections | None, causes: Sequence[Any]
     ) -> Section:
-        """Return what a report says of a calibrated machine."""
-        found, again = corrections, _CALIBRATE_FIRST if self.calibrate_again else ""
-        first = " ".join(text for text in (again, self.doubts(calibrated)) if text)
-        held, of = given.catalogue.base, given.catalogue.effect_of  # what its numbers describe
-        causes = [c for c in causes if not all(of(n).name in held for n in c.parameters)]
-        beyond = tuple(f"{c.words}: {c.confirm or f'look at {c.look_at}'}" for c in causes)
-        numbers = {} if found is None else {"old": found.old.as_dict(), **found.kept}
+        """Return the report's section on a calibrated machine."""
+        again = _CALIBRATE_FIRST if self.calibrate_again else ""
+        first = " ".join(filter(None, (again, self.doubts(calibrated))))
+        catalogue, numbers = given.catalogue, dict[str, Any]()
+        beyond = tuple(
+            f"{c.words}: {c.confirm or f'look at {c.look_at}'}" for c in causes
+            if any(catalogue.effect_of(name).name not in catalogue.base for name in c.parameters)
+        )  # fmt: skip
+        if corrections is not None:
+            numbers = {"old": corrections.old.as_dict(), **corrections.kept}
         facts = {**numbers, "cannot_hold": list(beyond)}
-        return Section(first, again, found, _TOUCH_ADVICE, _FIRMWARE_NUMBERS, beyond, facts)
+        return Section(first, again, corrections, _TOUCH_ADVICE, _FIRMWARE_NUMBERS, beyond, facts)
 
     def paste(self) -> Paste:
         """Return the numbers that a calibrated machine keeps."""
-        return make_paste(self.numbers, self.table.get(CORRECTED_KEY))
+        return make_paste(self.numbers, self.table.get(provenance.CORRECTED_KEY))
 
 
 class Klipper:
-    """Support for the firmware, as `orthoglide.add_ons` asks for it."""
+    """Support for the firmware, an `orthoglide.add_ons.AddOn`."""
 
     def read(
         self, path: str | os.PathLike[str], *, turned: Mapping[str, float] | None = None
@@ -201,7 +205,7 @@ class Klipper:
         return import_printer(path, turned)
 
     def stored(self, table: Mapping[str, Any]) -> Printer | None:
-        """Return the printer of a table; ``None`` where it was edited and has no numbers."""
+        """Return the printer of a table; ``None`` if the table was edited and has no numbers."""
         try:
             return Printer(Numbers.from_table(table), table)
         except (KeyError, TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""New numbers for the firmware as tables and words: what to paste, and what they leave."""
+"""New numbers for the firmware as tables and words: lines to paste, and residuals."""
 
 from __future__ import annotations
 
@@ -48,39 +48,36 @@ class ResidualChange:
 
 
 def make_corrections(
-    old: Numbers, new: Numbers, left: Sequence[ResidualChange], keep: str, rods_measured: bool
+    old: Numbers, new: Numbers, changes: Sequence[ResidualChange], keep: str, rods_measured: bool
 ) -> Corrections:
     """Return new numbers beside the old ones.
 
     Args:
-        old: the present ones.
-        new: those that bring the calibrated machine nearest to where it is commanded to be.
-        left: what both leave of the readings.
-        keep: why the new ones are not to be entered, a clause; empty where they are better.
+        old: present numbers.
+        new: numbers that bring the calibrated machine nearest to where it is commanded to be.
+        changes: residuals of the readings with both.
+        keep: why the new ones are not to be entered, a clause; empty if they are better.
         rods_measured: whether the machine file gives the length of the rods as measured.
     """
-    # Every file counts alike, as heights of two days lie apart by more than touches scatter.
-    each = [(one.old, one.new) for one in left if one.kind == "heights"] or [(0.0, 0.0)]
-    before, after = np.sqrt(np.mean(np.square(each), axis=0)).tolist()
-    longer, rods = float(np.mean(new.arm) - np.mean(old.arm)), ""
-    if abs(longer) > MAX_ROD_SPREAD:  # the size is told with the causes
-        way = "longer" if longer > 0 else "shorter"
-        why = "as measured"
-        if not rods_measured:
-            why = (
-                "as distances say, and a print that shrank makes these shorter: measure a rod first"
-            )
-        rods = f"; they have {way} rods, {why}"
+    # Files have equal weights, as heights of two days differ by more than touches scatter.
+    heights = [(x.old, x.new) for x in changes if x.kind == "heights"] or [(0.0, 0.0)]
+    before, after = np.sqrt(np.mean(np.square(heights), axis=0)).tolist()
+    rod_change, rods = float(np.mean(new.arm) - np.mean(old.arm)), ""
+    if abs(rod_change) > MAX_ROD_SPREAD:  # the size is told with the causes
+        rods = f"; they have {'longer' if rod_change > 0 else 'shorter'} rods, as " + (
+            "measured" if rods_measured else
+            "distances say, and a print that shrank makes these shorter: measure a rod first"
+        )  # fmt: skip
     if (spread := float(np.ptp(new.arm))) > MAX_ROD_SPREAD and not rods_measured:
         rods += (
             f"; their arms differ by {spread * 1e3:.2f} mm, more than rods of one set do: measure "
             f"the rods before you enter them"
         )
-    offered = old if keep else new  # what fits worse is never shown as new numbers
+    offered = old if keep else new  # numbers that fit worse are never shown as new
     values = offered.values
     return Corrections(
         rows=[(" ".join(key), value, values[key]) for key, value in old.values.items()],
-        left=[(f"{x.file}, {x.kind}", f"{x.old * 1e3:.3f}", f"{x.new * 1e3:.3f}") for x in left],
+        left=[(f"{x.file}, {x.kind}", f"{x.old * 1e3:.3f}", f"{x.new * 1e3:.3f}") for x in changes],
         height=(before, after),
         keep=keep,
         words=(
@@ -97,7 +94,7 @@ def make_corrections(
             "left_of_readings": [
                 {"file": x.file, "kind": x.kind, "count": x.count,
                  "old_rms_mm": round(x.old * 1e3, 6), "new_rms_mm": round(x.new * 1e3, 6)}
-                for x in left
+                for x in changes
             ],
         },
         file=CONFIG_FILE,
@@ -109,16 +106,14 @@ def make_corrections(
 
 
 def _largest_change(old: Numbers, new: Numbers) -> str:
-    """Return the number that changes most, with its change; an angle counts by how far its tower
-    moves.
+    """Return the number that changes most, with its change; for an angle the displacement of the
+    tower counts.
     """
     change = new.delta_radius - old.delta_radius
     moves = {f"delta_radius by {signed(change * 1e3, 3)} mm": change}
     for k, tower in enumerate(TOWERS):
-        for name, change in (
-            ("position_endstop", new.endstop[k] - old.endstop[k]),
-            ("arm_length", new.arm[k] - old.arm[k]),
-        ):
+        endstop, arm = new.endstop[k] - old.endstop[k], new.arm[k] - old.arm[k]
+        for name, change in (("position_endstop", endstop), ("arm_length", arm)):
             moves[f"{name} of tower {tower} by {signed(change * 1e3, 3)} mm"] = change
         turn = new.angle[k] - old.angle[k]
         moves[f"angle of tower {tower} by {signed(turn, 3)}°"] = np.deg2rad(turn) * old.delta_radius
@@ -126,46 +121,46 @@ def _largest_change(old: Numbers, new: Numbers) -> str:
 
 
 def make_paste(old: Numbers, table: object) -> Paste:
-    """Return the numbers that a machine file keeps in place of old ones, to paste."""
+    """Return the numbers that a machine file keeps in place of the old ones, to paste."""
     facts: dict[str, object] = {"old": old.as_dict()}
     try:
-        found = _stored_corrections(old, table)
+        corrections = _stored_corrections(old, table)
     except (KeyError, TypeError, ValueError):  # nothing was kept, or the table was edited
         lacking = facts | {"missing": _NO_NEW_NUMBERS}
         return Paste({"drive": [], "old": [], "new": []}, lacking, (_NO_NEW_NUMBERS,))
-    drive, before, after = zip(*found.rows, strict=True)
+    drive, before, after = zip(*corrections.rows, strict=True)
     columns = {"drive": [*drive], "old": [*map(float, before)], "new": [*map(float, after)]}
-    named = [f"  {name:28}{one:>14}{other:>14}" for name, one, other in found.rows]
-    left = [f"  {name:40}{one:>8}{other:>8}" for name, one, other in found.left]
-    return Paste(columns, facts | dict(found.kept), (
-        *(() if found.keep else (_ENTER_ALL,)),
-        "\n".join((f"{found.file:30}{'old':>14}{'new':>14}", *named)),
-        "\n".join(("Left of the readings by its equations, rms, mm, old and new:", *left)),
-        *((f"Do not enter new numbers: {found.keep}.",) if found.keep else ()),
-        *(() if found.keep else (
-            found.where,
-            "\n".join(("To paste:", *found.paste)),
-            "\n".join(("To undo:", *found.undo)),
+    number_lines = [f"  {name:28}{was:>14}{new:>14}" for name, was, new in corrections.rows]
+    residual_lines = [f"  {name:40}{was:>8}{new:>8}" for name, was, new in corrections.left]
+    residual_title = "Left of the readings by its equations, rms, mm, old and new:"
+    return Paste(columns, facts | dict(corrections.kept), (
+        *(() if corrections.keep else (_ENTER_ALL,)),
+        "\n".join((f"{corrections.file:30}{'old':>14}{'new':>14}", *number_lines)),
+        "\n".join((residual_title, *residual_lines)),
+        *((f"Do not enter new numbers: {corrections.keep}.",) if corrections.keep else ()),
+        *(() if corrections.keep else (
+            corrections.where,
+            "\n".join(("To paste:", *corrections.paste)),
+            "\n".join(("To undo:", *corrections.undo)),
         )),
         "What no number of the firmware holds stands in the report.",
     ))  # fmt: skip
 
 
 def _stored_corrections(old: Numbers, table: Any) -> Corrections:
-    """Return the new numbers of a machine file; one of an earlier version has no residuals.
+    """Return the new numbers of a machine file; without residuals if an earlier version wrote it.
 
     Raises:
-        KeyError, TypeError, ValueError: where nothing was kept, or the table was edited.
+        KeyError, TypeError, ValueError: if the file has no new numbers, or was edited.
     """
     if not isinstance(table, Mapping):
         raise TypeError
-    left = [
-        ResidualChange(str(x["file"]), str(x["kind"]), int(x["count"]), float(x["old_rms_mm"]) * 1e-3,
-             float(x["new_rms_mm"]) * 1e-3)
+    changes = [
+        ResidualChange(str(x["file"]), str(x["kind"]), int(x["count"]),
+                       float(x["old_rms_mm"]) * 1e-3, float(x["new_rms_mm"]) * 1e-3)
         for x in table.get("left_of_readings", ())
     ]  # fmt: skip
     keep = str(table.get("keep_old_because", ""))
-    known = table.get("rods_measured") is True
-    return replace(
-        make_corrections(old, Numbers.from_table(table["new"]), left, keep, known), kept=table
-    )
+    rods_measured = table.get("rods_measured") is True
+    new = Numbers.from_table(table["new"])
+    return replace(make_corrections(old, new, changes, keep, rods_measured), kept=table)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from orthoglide.add_ons import MARK_KEY
 from orthoglide.effects import catalogue_of
 from orthoglide.errors import FileError, InputError
 from orthoglide.firmware.imported import Imported, Row, note_few_touches, readings_from_cells
+from orthoglide.firmware.klipper import provenance
 from orthoglide.firmware.klipper.config import BROKEN_HEADER, Config, read_config
 from orthoglide.firmware.klipper.heights import (
     CALIBRATE_NOTE,
@@ -23,16 +25,6 @@ from orthoglide.firmware.klipper.heights import (
 )
 from orthoglide.firmware.klipper.meshes import stored_meshes
 from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
-from orthoglide.firmware.klipper.provenance import (
-    ASSUMED_KEY,
-    CALIBRATE_AGAIN_KEY,
-    CALIBRATION,
-    FIRMWARE_NAME,
-    MESHES_RELATIVE_KEY,
-    WARNINGS_KEY,
-    disagreements,
-    unequal_arms_warning,
-)
 from orthoglide.geometry import Array, Geometry
 from orthoglide.instruments import Distance, PlateTouch
 from orthoglide.layout import LinearDelta
@@ -41,15 +33,15 @@ from orthoglide.observations import Readings
 from orthoglide.text import printable_path
 
 PLATFORM_RADIUS, ROD_DISTANCE, NOZZLE_DROP = 0.032, 0.050, 0.040
-"""What the firmware does not store, metres: radius of the platform, distance of an arm's two rods,
-nozzle below the platform's joints. Typical ones; effects that turn the platform depend on them."""
+"""Typical sizes that the firmware does not store, metres: radius of the platform, distance of an
+arm's two rods, nozzle below the platform's joints. Effects that turn the platform need them."""
 
 PROBE_REPEATABILITY = 1.8e-5
 """Repeatability of a touch, metres."""
 
 _ZERO_REFERENCE_KEYS = ("zero_reference_position", "relative_reference_index")
 _UNFITTED_RADIUS_SD = 3e-3  # metres: standard deviation of a radius that no calibration has fitted
-_UNREPEATED_NOTES = ("line", "mesh", "readings", "rods")  # kinds of notes that a result says itself
+_UNREPEATED_NOTES = ("line", "mesh", "readings", "rods")  # kinds of notes that no result repeats
 
 
 def import_printer(
@@ -73,63 +65,59 @@ def import_printer(
         reasons = [note for note in config.notes if note.kind in ("twice", BROKEN_HEADER)]
         if not reasons:
             raise
-        at = error if isinstance(error, FileError) else FileError(str(error), file=config.file)
-        message = f"{at.reason}; {'; '.join(reasons)}"
-        raise FileError(message, file=at.file, line=at.line) from None
+        if not isinstance(error, FileError):
+            error = FileError(str(error), file=config.file)
+        message = f"{error.reason}; {'; '.join(reasons)}"
+        raise FileError(message, file=error.file, line=error.line) from None
 
 
 def _imported(config: Config, turned: Mapping[str, float]) -> Imported:
-    """Return what a file has."""
+    """Return the machine, readings and notes of a file."""
     numbers = Numbers.read(config)
     calibration, moved = stored_readings(config, numbers)
-    rows = {CALIBRATION: calibration, **stored_meshes(config, numbers, turned, moved)}
+    rows = {provenance.CALIBRATION: calibration, **stored_meshes(config, numbers, turned, moved)}
     if not any(rows.values()):
         raise _no_readings_error(config)
-    machine = _machine(config, numbers, [row for each in rows.values() for row in each])
+    machine = _machine(config, numbers, list(chain.from_iterable(rows.values())))
     campaigns = list(_campaigns(config, rows, machine))
     if not campaigns:
         raise _no_readings_error(config)
     relative = any(key in config.section_or_empty("bed_mesh") for key in _ZERO_REFERENCE_KEYS)
-    apart = list(disagreements(numbers, campaigns, meshes_relative=relative))
+    disagreeing = list(provenance.disagreements(numbers, campaigns, meshes_relative=relative))
     _add_notes(config, numbers, campaigns, relative)
-    notes = [*config.notes, *(note for _, _, note in apart)]
+    notes = [*config.notes, *(note for _, _, note in disagreeing)]
     ordered = sorted(dict.fromkeys(notes), key=lambda note: note.kind not in ("twice", "rods"))
-    words = [
-        printable_path(note)
-        for note in ordered
-        if note.kind not in (*_UNREPEATED_NOTES, BROKEN_HEADER)
-    ]
+    unrepeated = (*_UNREPEATED_NOTES, BROKEN_HEADER)
+    warnings = [printable_path(note) for note in ordered if note.kind not in unrepeated]
+    calibrate_again = any(note.kind == CALIBRATE_NOTE for note in ordered)
     table: dict[str, Any] = {
         "file": Path(config.file).name,
         "sha256": config.sha256,
         MARK_KEY: numbers.mark,
         **numbers.as_dict(),
-        MESHES_RELATIVE_KEY: relative,
-        **({WARNINGS_KEY: words} if words else {}),
-        **(
-            {CALIBRATE_AGAIN_KEY: True}
-            if any(note.kind == CALIBRATE_NOTE for note in ordered)
-            else {}
-        ),
-        ASSUMED_KEY: {
-            "r": PLATFORM_RADIUS * 1e3,
-            "d": ROD_DISTANCE * 1e3,
-            "tool_below": NOZZLE_DROP * 1e3,
+        provenance.MESHES_RELATIVE_KEY: relative,
+        **({provenance.WARNINGS_KEY: warnings} if warnings else {}),
+        **({provenance.CALIBRATE_AGAIN_KEY: True} if calibrate_again else {}),
+        provenance.ASSUMED_KEY: {
+            "r": PLATFORM_RADIUS * 1e3, "d": ROD_DISTANCE * 1e3, "tool_below": NOZZLE_DROP * 1e3,
         },
-    }
-    machine = replace(machine, provenance={FIRMWARE_NAME: table})
-    known, out = all(other == CALIBRATION for _, other, _ in apart), {name for name, *_ in apart}
-    together = tuple(c.name for c in campaigns if known and c.name not in out)
+    }  # fmt: skip
+    machine = replace(machine, provenance={provenance.FIRMWARE_NAME: table})
+    is_known = all(other == provenance.CALIBRATION for _, other, _ in disagreeing)
+    excluded = {name for name, *_ in disagreeing}
+    together = tuple(c.name for c in campaigns if is_known and c.name not in excluded)
     return Imported(machine, tuple(campaigns), tuple(ordered), together)
 
 
 def _no_readings_error(config: Config) -> FileError:
-    """Return the refusal of a file of which no readings remain, with what was left out."""
-    out = [str(note) for note in config.notes if note.kind in _UNREPEATED_NOTES]
-    why = f" ({'; '.join(out[:2])}{', and more' * (len(out) > 2)})" if out else ""
+    """Return the error of a file without usable readings, with what was left out."""
+    left_out = [str(note) for note in config.notes if note.kind in _UNREPEATED_NOTES]
+    reasons = (
+        f" ({'; '.join(left_out[:2])}{', and more' * (len(left_out) > 2)})" if left_out else ""
+    )
     return FileError(
         f"has no readings that can be used: run DELTA_CALIBRATE or BED_MESH_CALIBRATE and "
-        f"SAVE_CONFIG, and take the file that the firmware saved{why}",
+        f"SAVE_CONFIG, and take the file that the firmware saved{reasons}",
         file=config.file,
     )
 
@@ -137,12 +125,12 @@ def _no_readings_error(config: Config) -> FileError:
 def _campaigns(
     config: Config, rows: Mapping[str, Sequence[Row]], machine: MachineFile
 ) -> Iterator[Readings]:
-    """Readings of every list that has some."""
-    for name, own in rows.items():
-        if not own:
+    """Yield the readings of every list that has some."""
+    for name, campaign_rows in rows.items():
+        if not campaign_rows:
             continue
         try:
-            yield readings_from_cells(name, [row.cells() for row in own], machine)
+            yield readings_from_cells(name, [row.cells() for row in campaign_rows], machine)
         except FileError as error:
             config.note("mesh", f"left out: {name}.csv: {error.reason}")
 
@@ -151,9 +139,9 @@ def _machine(config: Config, numbers: Numbers, rows: Sequence[Row]) -> MachineFi
     """Return the nominal machine of the firmware's numbers, with all rows in its stroke."""
     arm = numbers.mean_arm
     ends = [end for row in rows for end in (row.travel, row.second) if end is not None]
-    every = np.concatenate([np.array(ends), _plate_rim_heights(config, numbers) - numbers.zero])
-    low = min(np.floor((float(every.min()) - 1e-3) * 1e3) * 1e-3, -1e-3)
-    high = max(float(every.max()), float((numbers.at_endstop - numbers.zero).max()))
+    heights = np.concatenate([np.array(ends), _plate_rim_heights(config, numbers) - numbers.zero])
+    low = min(np.floor((float(heights.min()) - 1e-3) * 1e3) * 1e-3, -1e-3)
+    high = max(float(heights.max()), float((numbers.at_endstop - numbers.zero).max()))
     stroke = (round(float(low), 6), round(max(float(np.ceil(high * 1e3)) * 1e-3, 1e-3), 6))
     radius = round(numbers.delta_radius + PLATFORM_RADIUS, 9)
     layout = LinearDelta((radius,) * 3, numbers.angle, (0.0, 0.0, -NOZZLE_DROP))
@@ -163,14 +151,14 @@ def _machine(config: Config, numbers: Numbers, rows: Sequence[Row]) -> MachineFi
         config.section(f"stepper_{TOWERS[0]}").fail(
             "position_endstop",
             f"does not go with the stored positions ({error}): give it in millimetres, or probe "
-            f"again",
+            "again",
         )
     catalogue = catalogue_of(LinearDelta.names)
-    length = next(e.name for e in catalogue.effects if e.controller == "bar_length")
-    # Nobody has fitted what was taken from a drawing: the radius. Rods of one set are alike: where
-    # a fit tells them apart, its other numbers are as far off.
+    effect_name = next(e.name for e in catalogue.effects if e.controller == "bar_length")
+    # A radius from a drawing was never fitted. Rods of one set are equal: where a fit gives them
+    # different lengths, its other numbers have errors of that size.
     belts, spread = catalogue.belt_tolerance, float(np.ptp(numbers.arm))
-    drawn = {
+    tolerance = {
         name: _UNFITTED_RADIUS_SD if numbers.are_nominal else max(belts[name], spread)
         for name in catalogue.correctable_by("place")
     }
@@ -181,40 +169,40 @@ def _machine(config: Config, numbers: Numbers, rows: Sequence[Row]) -> MachineFi
             PlateTouch.kind: Instrument(repeatability=PROBE_REPEATABILITY),
             Distance.kind: Instrument(repeatability=CALIPER_REPEATABILITY),
         },
-        tolerance=drawn,
+        tolerance=tolerance,
         parameters={
-            f"{length}.{name}": ParameterValue(round(own - arm, 9), 0.0, "mm")
-            for name, own in zip(TOWERS, numbers.arm, strict=True)
-            if abs(own - arm) > 1e-9
+            f"{effect_name}.{name}": ParameterValue(round(length - arm, 9), 0.0, "mm")
+            for name, length in zip(TOWERS, numbers.arm, strict=True)
+            if abs(length - arm) > 1e-9
         },
     )
 
 
 def _plate_rim_heights(config: Config, numbers: Numbers) -> Array:
-    """Return heights of the carriages ``(n, 3)`` around the plate, if the firmware says how far it
-    is; above its middle where the arms do not reach so far.
+    """Return heights of the carriages ``(n, 3)`` around the plate, metres; over its middle if the
+    radius is not given or not reached by the arms.
     """
     radius = config.number_or_zero("printer", "print_radius", -1, 5000) * 1e-3
     angle = np.deg2rad(np.arange(0.0, 360.0, 5.0))
-    ring = numbers.heights(radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1))
-    return numbers.heights(np.zeros((1, 3))) if np.isnan(ring).any() else ring
+    rim = numbers.heights(radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1))
+    return numbers.heights(np.zeros((1, 3))) if np.isnan(rim).any() else rim
 
 
 def _add_notes(
-    config: Config, numbers: Numbers, stored: Sequence[Readings], relative: bool
+    config: Config, numbers: Numbers, campaigns: Sequence[Readings], relative: bool
 ) -> None:
-    """Note what an owner should know of the numbers and readings that are there."""
-    meshes = any(c.name != CALIBRATION for c in stored)
-    if words := unequal_arms_warning(numbers):
-        config.note("rods", words)
-    config.notes += note_few_touches(max(int(c.touching.sum()) for c in stored))
-    if not meshes:
+    """Add notes on the numbers and the readings for the owner."""
+    if warning := provenance.unequal_arms_warning(numbers):
+        config.note("rods", warning)
+    config.notes += note_few_touches(max(int(c.touching.sum()) for c in campaigns))
+    if all(c.name == provenance.CALIBRATION for c in campaigns):
         return
     if config.missing_includes and probe_section(config) is None:
+        missing = ", ".join(map(repr, config.missing_includes))
         config.note(
             "probe",
-            f"{', '.join(map(repr, config.missing_includes))} is not where it is included from: if it "
-            f"describes the probe, put it there; the probe is taken to touch where the nozzle is",
+            f"{missing} is not where it is included from: if it describes the probe, put it there; "
+            f"the probe is taken to touch where the nozzle is",
         )
     if relative:
         config.note(

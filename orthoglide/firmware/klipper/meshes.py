@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import chain, count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from orthoglide.geometry import Array
 from orthoglide.instruments import PlateTouch
 from orthoglide.numerals import signed
 
-_MOST_TOUCHES = 1000  # of a mesh: a bed's shape is smooth, and a scan's neighbours read alike
+_MAX_TOUCHES = 1000  # of a mesh: a bed is smooth, and neighbours of a scan read nearly the same
 
 
 def stored_meshes(
@@ -27,12 +28,12 @@ def stored_meshes(
 
     Args:
         config: the file.
-        numbers: the firmware's present ones, with which a mesh is taken as probed.
-        turned: by profile of a mesh, how far the plate was turned on its seat, degrees.
-        moved: whether z = 0 was moved before a mesh or after it: meshes are shifted to it.
+        numbers: present numbers of the firmware, with which meshes are taken as probed.
+        turned: rotation of the plate on its seat by profile of a mesh, degrees.
+        moved: whether z = 0 was moved before or after a mesh: meshes are shifted to it.
 
     Raises:
-        InputError: where a mesh that is said to be of a turned plate is not stored.
+        InputError: if a mesh in ``turned`` is not stored.
     """
     profiles = {
         s.name.partition(" ")[2]: s for s in config.sections_of_kind("bed_mesh") if "points" in s
@@ -43,60 +44,53 @@ def stored_meshes(
             f"there is no mesh {min(unknown)!r} whose plate was turned: take one of "
             f"{', '.join(map(repr, profiles)) or 'none'}"
         )
-    found: dict[str, list[Row]] = {}
-    known: dict[tuple[float, bytes], str] = {}
+    rows_by_campaign: dict[str, list[Row]] = {}
+    profile_by_content: dict[tuple[float, bytes], str] = {}
     for profile, section in profiles.items():
-        name = _unique_name(profile, found)
+        name = _unique_name(profile, rows_by_campaign)
         try:
             rows = list(_touches(config, numbers, section, name, turned.get(profile, 0.0)))
         except FileError as error:
             config.note("mesh", f"left out: mesh {profile!r}: {error}")
             continue
         command = np.array([row.travel for row in rows])
-        other = known.setdefault((rows[0].turned, command.tobytes()), profile)
-        if other != profile:
+        first_profile = profile_by_content.setdefault((rows[0].turned, command.tobytes()), profile)
+        if first_profile != profile:
             config.note(
                 "mesh",
-                f"the mesh {profile!r} is {other!r} to the last digit, saved under another "
+                f"the mesh {profile!r} is {first_profile!r} to the last digit, saved under another "
                 f"name: it is left out, for it would count twice",
             )
             continue
         if moved:
-            reading = np.array([row.reading for row in rows])
-            higher, *_ = fit_plane(numbers.points(command + numbers.zero), reading)
-            rows = [replace(row, reading=row.reading + higher) for row in rows]
+            p = numbers.points(command + numbers.zero)
+            offset, *_ = fit_plane(p, p[:, 2] - [row.reading for row in rows])
+            rows = [replace(row, reading=row.reading + offset) for row in rows]
             config.note(
                 "mesh",
-                f"the mesh {profile!r} is shifted by {signed(-higher * 1e3, 2)} mm, to z = 0 in "
+                f"the mesh {profile!r} is shifted by {signed(-offset * 1e3, 2)} mm, to z = 0 in "
                 f"the middle, as the endstops were moved before it or after it",
             )
-        found[f"mesh-{name}"] = rows
-    return found
+        rows_by_campaign[f"mesh-{name}"] = rows
+    return rows_by_campaign
 
 
 def _unique_name(profile: str, taken: Mapping[str, object]) -> str:
-    """Return a profile's name as files and parameters may carry it, in capitals or not unlike
-    those that are taken.
+    """Return a profile's name as files and parameters may carry it, which differs from the names
+    taken by more than capitals.
     """
-    name = plain = plain_name(profile, "mesh")
-    number, names = 1, {one.lower() for one in taken}
-    while f"mesh-{name}".lower() in names:
-        number += 1
-        name = f"{plain}-{number}"
-    return name
+    plain, lower_case = plain_name(profile, "mesh"), {name.lower() for name in taken}
+    names = chain((plain,), (f"{plain}-{number}" for number in count(2)))
+    return next(name for name in names if f"mesh-{name}".lower() not in lower_case)
 
 
 def _touches(
-    config: Config,
-    numbers: Numbers,
-    section: ConfigSection,
-    setup: str,
-    turned: float,
+    config: Config, numbers: Numbers, section: ConfigSection, setup: str, turned: float
 ) -> Iterator[Row]:
-    """Touches of a profile.
+    """Yield the touches of a profile.
 
     Raises:
-        FileError: where the profile is none, or lies beyond the arms.
+        FileError: if the profile is invalid, or lies beyond the arms.
     """
     if section.number("version", 0) != 1:
         section.fail(
@@ -112,39 +106,39 @@ def _touches(
     if len(table) != lines or any(len(line) != columns for line in table):
         section.fail("points", f"are not {lines} rows of {columns}: probe the mesh again")
     spans = []
-    for axis, count in (("x", columns), ("y", lines)):
+    for axis, number in (("x", columns), ("y", lines)):
         low, high = section.number(f"min_{axis}"), section.number(f"max_{axis}")
         if not low < high:
             section.fail(f"max_{axis}", f"is not above min_{axis}: correct it")
-        spans.append(np.linspace(low, high, count) * 1e-3)
+        spans.append(np.linspace(low, high, number) * 1e-3)
     height, beside = probe_offset(config)
     places, z = np.stack(np.meshgrid(*spans), axis=-1).reshape(-1, 2), np.array(table)
-    kept = np.flatnonzero(_touched_points(config, z, places, beside))
-    p = np.column_stack([places - beside, height + z.ravel() * 1e-3])[kept]
+    rows_kept = np.flatnonzero(_touched_points(config, z, places, beside))
+    p = np.column_stack([places - beside, height + z.ravel() * 1e-3])[rows_kept]
     travel = numbers.heights(p) - numbers.zero
     if np.isnan(travel).any():
-        away = float(np.hypot(*places[kept].T).max())
+        farthest = float(np.hypot(*places[rows_kept].T).max())
         section.fail(
             "points",
-            f"reach {away * 1e3:.0f} mm out, beyond the arms: probe the mesh again, or remove the "
-            f"profile",
+            f"reach {farthest * 1e3:.0f} mm out, beyond the arms: probe the mesh again, or remove "
+            f"the profile",
         )
-    for at, (x, y) in zip(travel, places[kept] * 1e3, strict=True):
+    for position, (x, y) in zip(travel, places[rows_kept] * 1e3, strict=True):
         label = f"{x:.6g} {y:.6g}"
-        yield Row(PlateTouch.kind, setup, label, at, height, beside=beside, turned=turned,
+        yield Row(PlateTouch.kind, setup, label, position, height, beside=beside, turned=turned,
                   temperature=section.temperature)  # fmt: skip
 
 
 def _touched_points(config: Config, table: Array, place: Array, offset: Array) -> NDArray[np.bool_]:
-    """Return which values of a mesh ``(rows, columns)`` at places ``(rows * columns, 2)`` the
-    probe touched ``(rows * columns,)``: no padding, no faulty regions.
+    """Return which values of a mesh ``(rows, columns)`` at places ``(rows * columns, 2)`` were
+    touched ``(rows * columns,)``: not padding, and not in faulty regions.
     """
     general, (lines, columns) = config.section_or_empty("bed_mesh"), table.shape
-    kept = np.ones(len(place), dtype=bool)
-    stride = int(np.ceil(np.sqrt(len(place) / _MOST_TOUCHES)))
+    touched = np.ones(len(place), dtype=bool)
+    stride = int(np.ceil(np.sqrt(len(place) / _MAX_TOUCHES)))
     if stride > 1:
-        every = [(np.arange(n) - n // 2) % stride == 0 for n in (lines, columns)]
-        kept &= np.outer(*every).ravel()
+        taken = [(np.arange(n) - n // 2) % stride == 0 for n in (lines, columns)]
+        touched &= np.outer(*taken).ravel()
         config.note(
             "mesh",
             f"a mesh of {lines} by {columns} is finer than any cause needs: of its rows and "
@@ -153,21 +147,21 @@ def _touched_points(config: Config, table: Array, place: Array, offset: Array) -
     radius = config.number_or_zero("bed_mesh", "mesh_radius", 0, 5000) * 1e-3
     if radius:  # about the profile's own middle: mesh_origin may have been another one then
         middle = (place.min(axis=0) + place.max(axis=0)) / 2
-        kept &= np.hypot(*(place - middle).T) <= radius * (1 + 1e-9) + 1e-5
+        touched &= np.hypot(*(place - middle).T) <= radius * (1 + 1e-9) + 1e-5
     if min(table.shape) > 2 and (table[[0, 0, -1, -1], [0, -1, 0, -1]]
                                  == table[[0, 0, -1, -1], [1, -2, 1, -2]]).all():  # fmt: skip
-        # Round, whatever [bed_mesh] says: beyond the circle the firmware repeats what is next.
-        apart = (place - place.mean(axis=0)) / (np.ptp(place, axis=0) / 2)
-        kept &= np.hypot(*apart.T) <= 1 + 1e-6
-    for k in range(1, 100):  # where the probe cannot work the firmware takes its neighbours
+        # A round bed, whatever [bed_mesh] says: beyond the circle the firmware repeats values.
+        scaled = (place - place.mean(axis=0)) / (np.ptp(place, axis=0) / 2)
+        touched &= np.hypot(*scaled.T) <= 1 + 1e-6
+    for k in range(1, 100):  # in faulty regions the firmware interpolates neighbouring values
         low, high = f"faulty_region_{k}_min", f"faulty_region_{k}_max"
         if low not in general:
             break
         try:
-            ends = np.array([general.numbers(low, 2), general.numbers(high, 2)]) * 1e-3
+            corners = np.array([general.numbers(low, 2), general.numbers(high, 2)]) * 1e-3
         except FileError as error:
             config.note("mesh", f"left out: {error}")
             continue
-        for at in (place, place - offset):
-            kept &= ~((at >= ends[0]) & (at <= ends[1])).all(axis=1)
-    return kept
+        for positions in (place, place - offset):
+            touched &= ~((positions >= corners[0]) & (positions <= corners[1])).all(axis=1)
+    return touched

@@ -1,8 +1,8 @@
 """New numbers for the firmware of a calibrated machine, and whether they are better.
 
-They are judged by what the firmware's own equations leave of the owner's readings with the old and
-the new ones: of a touch how far the nozzle is from where the plate is z = 0, of a distance by how
-much it is another one.
+They are judged by the residuals of the owner's readings, by the firmware's own equations with the
+old and the new numbers. The residual of a touch is the height of the nozzle over the plate, whose
+z is 0; the residual of a distance is computed minus measured distance.
 """
 
 from __future__ import annotations
@@ -14,39 +14,32 @@ import numpy as np
 
 from orthoglide.add_ons import Corrections
 from orthoglide.firmware.klipper.corrections import ResidualChange, make_corrections
+from orthoglide.firmware.klipper.heights import fit_plane
 from orthoglide.firmware.klipper.numbers import Numbers
 from orthoglide.firmware.klipper.provenance import CALIBRATION
 from orthoglide.geometry import Array, plane_columns
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings
 
-_MIN_GAIN = 0.05  # of the residual of a list: numbers that gain less are not worth a paste
+_MIN_GAIN = 0.05  # share of a residual: numbers that gain less are not worth entering
 _CHANCE_GAIN = 12.0
-"""Akaike's criterion: by chance each of six numbers that are fitted takes one from chi2, and two
-are asked of it."""
+"""Gain of chi2 by Akaike's criterion: two for each of six fitted numbers, of which chance explains
+one."""
 
 _MIN_REACH = 1 / 3
-"""Of the radius of the towers, how far a plate has to be touched: numbers that fit its middle alone
-may do anything at its rim."""
+"""Share of the radius of the towers that touches must reach: numbers that fit the middle of a plate
+alone may be far off at its rim."""
 
-_WIDE_REACH = (
-    0.8  # of the widest list of touches, how far another one reaches that tells of z = 0 too
-)
+_WIDE_REACH = 0.8  # share of the widest list's reach at which a list determines z = 0 too
 _RINGS, _RAYS = (0.0, 0.5, 1.0), 12  # of points on the plate
 _LATERAL_WEIGHT = 0.03
-"""Weight of an error along the plate against one of height: prints are a tenth of a millimetre
-high, and what a probe says of the tool's place along the plate is uncertain."""
+"""Weight of an error along the plate against one of height: layers of a print are a tenth of a
+millimetre high, and touches hardly determine the place of the tool along the plate."""
 
-_DISTANCE_WEIGHT = (
-    0.5  # weight of a distance against a height: a caliper is two to five times as noisy
-)
-_COUNT_WITHOUT_ARMS, _COUNT_WITH_ARMS = (
-    6,
-    9,
-)  # how many numbers are fitted, in the order of `Numbers.changed`
+_DISTANCE_WEIGHT = 0.5  # against a height: a caliper is two to five times as noisy
+_COUNT_WITHOUT_ARMS, _COUNT_WITH_ARMS = 6, 9  # fitted numbers, in the order of `Numbers.changed`
 _RECALIBRATE_FIRST = "DELTA_CALIBRATE comes first, as is said at the top"
 _FIT_TOLERANCE = 1e-13  # relative changes at which a fit ends, close to rounding
-
 
 PoseFunction = Callable[[Array], tuple[Array, Array]]
 """Places of a nozzle, and upward parts of its platform's axes, ``(n, 3)`` each, at travel
@@ -54,100 +47,98 @@ PoseFunction = Callable[[Array], tuple[Array, Array]]
 
 
 def new_numbers(
-    old: Numbers, machine: Machine, read: Sequence[Readings], relative: bool, again: bool
-) -> Corrections | None:
-    """Return new numbers for a calibrated machine; ``None`` where its readings do not touch the
-    plate, or its middle alone.
+    old: Numbers, machine: Machine, campaigns: Sequence[Readings], meshes_relative: bool,
+    calibrate_again: bool,
+) -> Corrections | None:  # fmt: skip
+    """Return new numbers for a calibrated machine; ``None`` if its readings do not touch the plate
+    beyond its middle.
 
-    The numbers bring the firmware's nozzle nearest to where the machine's is over the plate, z = 0
-    being the plate; distances along it are as they were read.
+    With the new numbers, the firmware computes places of the nozzle over the plate nearest to those
+    of the calibrated machine; the plate is z = 0. Measured distances are fitted with them.
 
     Args:
-        old: the firmware's present numbers.
-        machine: the calibrated one.
-        read: all readings.
-        relative: whether the firmware takes the height at one place out of every mesh.
-        again: whether its own calibration has to be run again first.
+        old: present numbers of the firmware.
+        machine: calibrated machine.
+        campaigns: all readings.
+        meshes_relative: whether the firmware subtracts the height at one place from every mesh.
+        calibrate_again: whether the firmware's own calibration has to be run again first.
     """
-    touched = [one.subset(np.flatnonzero(one.touching)) for one in read if one.touching.sum() > 2]
-    paired = [one.subset(np.flatnonzero(one.paired)) for one in read if one.paired.any()]
-    seen = [plate_heights(lambda c: _nozzle_pose(machine, c), old, one) for one in touched]
-    reach = [float(np.hypot(*places.T).max()) for places, _ in seen]
-    most = max(reach, default=0.0)
-    if most < _MIN_REACH * old.delta_radius:
+    touched = [c.subset(np.flatnonzero(c.touching)) for c in campaigns if c.touching.sum() > 2]
+    paired = [c.subset(np.flatnonzero(c.paired)) for c in campaigns if c.paired.any()]
+    plates = [plate_heights(lambda c: _nozzle_pose(machine, c), old, t) for t in touched]
+    reach = [float(np.hypot(*places.T).max()) for places, _ in plates]
+    widest = max(reach, default=0.0)
+    if widest < _MIN_REACH * old.delta_radius:
         return None
-    points = _grid_points(most)
-    plane = plane_columns(points) @ _zero_plane(touched, seen, reach, relative)
+    points = _grid_points(widest)
+    plane = plane_columns(points) @ _zero_plane(touched, plates, reach, meshes_relative)
     commands = machine.inverse(points + np.outer(plane, [0.0, 0.0, 1.0]))
 
-    def miss(numbers: Numbers) -> Array:
-        off = _firmware_points(numbers, old, commands) - points
-        along = _LATERAL_WEIGHT * _without_rigid_motion(points, off[:, :2])
-        apart = [_DISTANCE_WEIGHT * _distance_residuals(numbers, old, one) for one in paired]
-        return np.concatenate([off[:, 2], along.ravel(), *apart])
+    def residuals(numbers: Numbers) -> Array:
+        error = _firmware_points(numbers, old, commands) - points
+        along = _LATERAL_WEIGHT * _without_rigid_motion(points, error[:, :2])
+        distances = [_DISTANCE_WEIGHT * _distance_residuals(numbers, old, c) for c in paired]
+        return np.concatenate([error[:, 2], along.ravel(), *distances])
 
     start = replace(old, arm=_calibrated_arms(old, machine))
-    known = machine.spec.measured.rods is not None  # and the machine's arms are as measured
-    new = _fit_numbers(
-        start, miss, _COUNT_WITH_ARMS if paired and not known else _COUNT_WITHOUT_ARMS
-    )
-    left = tuple(residual_changes(old, new, read, relative))
-    keep = _RECALIBRATE_FIRST if again else rejection_reason(left)
-    return make_corrections(old, new, left, keep, known)
+    rods_measured = machine.spec.measured.rods is not None  # and the machine's arms are as measured
+    count = _COUNT_WITH_ARMS if paired and not rods_measured else _COUNT_WITHOUT_ARMS
+    new = _fit_numbers(start, residuals, count)
+    changes = tuple(residual_changes(old, new, campaigns, meshes_relative))
+    keep = _RECALIBRATE_FIRST if calibrate_again else rejection_reason(changes)
+    return make_corrections(old, new, changes, keep, rods_measured)
 
 
-def rejection_reason(left: Sequence[ResidualChange]) -> str:
-    """Return why new numbers are not to be entered; empty where they are better."""
-    heights = [one for one in left if one.kind == "heights"]
-    worse = [one for one in left if _residual_rises(one)]
-    if any(_residual_falls(one) for one in heights) and not worse:
+def rejection_reason(changes: Sequence[ResidualChange]) -> str:
+    """Return why new numbers are not to be entered; empty if they are better."""
+    heights = [c for c in changes if c.kind == "heights"]
+    worse = [c for c in changes if c.new > (1 + _MIN_GAIN) * c.old]
+    if any(map(_residual_falls, heights)) and not worse:
         return ""
-    one = (worse or heights)[0]
+    change = (worse or heights)[0]
     verb = "rises" if worse else "changes too little,"
     return (
-        f"with them the residual of the {one.kind} of {one.file} {verb} from {one.old * 1e3:.3f} "
-        f"to {one.new * 1e3:.3f} mm rms"
+        f"with them the residual of the {change.kind} of {change.file} {verb} from "
+        f"{change.old * 1e3:.3f} to {change.new * 1e3:.3f} mm rms"
     )
 
 
-def _residual_rises(left: ResidualChange) -> bool:
-    """Return whether the new numbers leave more of a list."""
-    return left.new > (1 + _MIN_GAIN) * left.old
-
-
-def _residual_falls(left: ResidualChange) -> bool:
-    """Return whether the new numbers leave less of a list, by more than chance does."""
-    gain = 2 * left.count * np.log(max(left.old, 1e-12) / max(left.new, 1e-12))
-    return bool(left.new < (1 - _MIN_GAIN) * left.old and gain > _CHANCE_GAIN)
+def _residual_falls(change: ResidualChange) -> bool:
+    """Return whether the new numbers fit the readings of a file better, by more than chance."""
+    gain = 2 * change.count * np.log(max(change.old, 1e-12) / max(change.new, 1e-12))
+    return bool(change.new < (1 - _MIN_GAIN) * change.old and gain > _CHANCE_GAIN)
 
 
 def residual_changes(
-    old: Numbers, new: Numbers, read: Sequence[Readings], relative: bool
+    old: Numbers, new: Numbers, campaigns: Sequence[Readings], meshes_relative: bool
 ) -> Iterator[ResidualChange]:
-    """Return the residuals of each file's touches and distances with the old and new numbers."""
-    for one in read:
-        for kind, rows in (("heights", one.touching), ("distances", one.paired)):
+    """Yield the residuals of each file's touches and distances with the old and new numbers."""
+    for campaign in campaigns:
+        for kind, rows in (("heights", campaign.touching), ("distances", campaign.paired)):
             if rows.any():
-                part = one.subset(np.flatnonzero(rows))
-                off = [
+                part = campaign.subset(np.flatnonzero(rows))
+                residuals = [
                     _distance_residuals(numbers, old, part) if kind == "distances"
-                    else _height_residuals(numbers, old, part, relative) for numbers in (old, new)
+                    else _height_residuals(numbers, old, part, meshes_relative)
+                    for numbers in (old, new)
                 ]  # fmt: skip
-                before, after = (float(np.sqrt(np.mean(v**2))) for v in off)
-                yield ResidualChange(one.name, kind, len(part), before, after)
+                before, after = (float(np.sqrt(np.mean(r**2))) for r in residuals)
+                yield ResidualChange(campaign.name, kind, len(part), before, after)
 
 
 def _firmware_points(numbers: Numbers, old: Numbers, command: Array) -> Array:
-    """Return where a firmware has the nozzle ``(n, 3)`` at travel as the old one commanded it."""
+    """Return places of the nozzle ``(n, 3)`` by a firmware's numbers, at travel ``(n, 3)`` that was
+    counted with the old numbers.
+    """
     return numbers.points(command + old.zero - old.at_endstop + numbers.at_endstop)
 
 
 def plate_heights(pose: PoseFunction, old: Numbers, touches: Readings) -> tuple[Array, Array]:
-    """Return places ``(n, 2)`` and height over z = 0 ``(n,)`` of a plate by the poses of a machine,
-    or those that a firmware believes, metres.
+    """Return places ``(n, 2)`` and heights over z = 0 ``(n,)`` of a touched plate, metres.
 
-    A probe touches it, and the nozzle is lower by ``z_offset``, which was set in the middle: there
-    the probe touched a place, and then the nozzle.
+    The poses are those of a machine, or those of a firmware's equations. Where a probe touches, the
+    nozzle is lower by ``z_offset``. It was set in the middle, where the probe and then the nozzle
+    touched the same place.
     """
     height = np.zeros(len(touches))
     p, up = pose(touches.command)
@@ -162,33 +153,33 @@ def plate_heights(pose: PoseFunction, old: Numbers, touches: Readings) -> tuple[
 
 
 def _nozzle_pose(machine: Machine, command: Array) -> tuple[Array, Array]:
-    """Return places of a machine's nozzle and upward parts of its platform's axes."""
+    """Return places of a machine's nozzle, and upward parts of its platform's axes."""
     pose = machine.pose(command)
     return pose.p, pose.R[:, 2]
 
 
 def _zero_plane(
     touched: Sequence[Readings],
-    seen: Sequence[tuple[Array, Array]],
+    plates: Sequence[tuple[Array, Array]],
     reach: Sequence[float],
-    relative: bool,
+    meshes_relative: bool,
 ) -> Array:
-    """Return height and slopes ``(3,)`` of what the firmware takes as z = 0: the heights by which
-    it was set, else the mean of all plates that were touched far out; the height by those that have
-    one, where any has.
+    """Return height and slopes ``(3,)`` of the plane that the firmware takes as z = 0.
+
+    This is the plane of the heights by which z = 0 was set, else the mean plane of all plates that
+    were touched far out. Its height is the mean of those plates whose height is known, if any.
     """
-    by = [one.name == CALIBRATION for one in touched]
-    by = by if any(by) else [far >= _WIDE_REACH * max(reach) for far in reach]
-    rows = [k for k, counts in enumerate(by) if counts]
-    planes = np.array(
-        [np.linalg.lstsq(plane_columns(seen[k][0]), seen[k][1], rcond=None)[0] for k in rows]
-    )
-    known = np.array([not relative or touched[k].name == CALIBRATION for k in rows])
-    height = planes[known | ~known.any(), 0].mean()
+    rows = [k for k, campaign in enumerate(touched) if campaign.name == CALIBRATION]
+    rows = rows or [k for k, radius in enumerate(reach) if radius >= _WIDE_REACH * max(reach)]
+    planes = np.array([fit_plane(*plates[k]) for k in rows])
+    has_height = np.array([not meshes_relative or touched[k].name == CALIBRATION for k in rows])
+    height = planes[has_height | ~has_height.any(), 0].mean()
     return np.append(height, planes[:, 1:].mean(axis=0))
 
 
-def _height_residuals(numbers: Numbers, old: Numbers, touches: Readings, relative: bool) -> Array:
+def _height_residuals(
+    numbers: Numbers, old: Numbers, touches: Readings, meshes_relative: bool
+) -> Array:
     """Return the residuals of touches ``(n,)``, metres."""
     upright = np.tile([0.0, 0.0, 1.0], (max(len(touches), 2), 1))
 
@@ -196,7 +187,7 @@ def _height_residuals(numbers: Numbers, old: Numbers, touches: Readings, relativ
         return _firmware_points(numbers, old, command), upright[: len(command)]
 
     _, height = plate_heights(pose, old, touches)
-    return height - height.mean() if relative and touches.name != CALIBRATION else height
+    return height - height.mean() if meshes_relative and touches.name != CALIBRATION else height
 
 
 def _distance_residuals(numbers: Numbers, old: Numbers, distances: Readings) -> Array:
@@ -206,34 +197,35 @@ def _distance_residuals(numbers: Numbers, old: Numbers, distances: Readings) -> 
 
 
 def _calibrated_arms(old: Numbers, machine: Machine) -> tuple[float, float, float]:
-    """Return the arms of the calibrated machine; those that are stored where all are known no
-    better, metres.
+    """Return the arms of the calibrated machine, metres; the stored ones if none differs from them
+    by more than its standard deviation.
     """
-    lengths, known = machine.catalogue.correctable_by("bar_length"), machine.posterior
-    sd = dict(zip(known.names, np.sqrt(np.diag(known.covariance)), strict=True))
-    names = [[f"{name}.{leg}" for name in lengths] for leg in machine.geometry.leg_names]
-    a, b, c = (machine.geometry.L + sum(machine.values.get(n, 0.0) for n in own) for own in names)
-    off = np.abs(np.subtract((a, b, c), old.arm))
-    unsure = [np.linalg.norm([sd.get(n, 0.0) for n in own]) for own in names]
-    return old.arm if (off <= unsure).all() else (a, b, c)
+    lengths, posterior = machine.catalogue.correctable_by("bar_length"), machine.posterior
+    sd = dict(zip(posterior.names, np.sqrt(np.diag(posterior.covariance)), strict=True))
+    by_leg = [[f"{name}.{leg}" for name in lengths] for leg in machine.geometry.leg_names]
+    a, b, c = (machine.geometry.L + sum(machine.values.get(n, 0.0) for n in leg) for leg in by_leg)
+    change = np.abs(np.subtract((a, b, c), old.arm))
+    arm_sd = [np.linalg.norm([sd.get(n, 0.0) for n in leg]) for leg in by_leg]
+    return old.arm if (change <= arm_sd).all() else (a, b, c)
 
 
-def _fit_numbers(start: Numbers, miss: Callable[[Numbers], Array], count: int) -> Numbers:
-    """Return numbers of which the first so many were changed to miss least; those to start from
-    where no solution is found, which the residuals then show to gain nothing.
+def _fit_numbers(start: Numbers, residuals: Callable[[Numbers], Array], count: int) -> Numbers:
+    """Return numbers of which the first ``count`` are fitted by least squares.
+
+    Without a solution, the initial numbers are returned, whose residuals then show no gain.
     """
     from scipy.optimize import least_squares  # which is slow to load
 
     steps = np.eye(max(count, _COUNT_WITHOUT_ARMS))[:count]
-    found = least_squares(
-        lambda by: miss(start.changed(by @ steps)), np.zeros(count), "3-point", method="lm",
+    solution = least_squares(
+        lambda x: residuals(start.changed(x @ steps)), np.zeros(count), "3-point", method="lm",
         xtol=_FIT_TOLERANCE, ftol=_FIT_TOLERANCE, gtol=_FIT_TOLERANCE,
     )  # fmt: skip
-    return start.changed(found.x @ steps) if found.success else start
+    return start.changed(solution.x @ steps) if solution.success else start
 
 
 def _without_rigid_motion(points: Array, along: Array) -> Array:
-    """Return errors along the plate ``(n, 2)`` past a shift and a turn of everything."""
+    """Return errors along the plate ``(n, 2)`` without their common shift and rotation."""
     moves = np.zeros((len(points), 2, 3))
     moves[:, 0, 0] = moves[:, 1, 1] = 1.0
     moves[:, :, 2] = np.column_stack([-points[:, 1], points[:, 0]])
@@ -243,7 +235,7 @@ def _without_rigid_motion(points: Array, along: Array) -> Array:
 
 
 def _grid_points(radius: float) -> Array:
-    """Return points on a plate ``(g, 3)``, metres."""
+    """Return points on rings on a plate ``(g, 3)``, metres."""
     ring, angle = np.meshgrid(_RINGS, np.arange(_RAYS) * 2 * np.pi / _RAYS)
     x, y = radius * ring.ravel() * [np.cos(angle.ravel()), np.sin(angle.ravel())]
     return np.stack([x, y, 0 * x], axis=1)

@@ -25,8 +25,8 @@ from orthoglide.machine_file import DeltaKinematics
 TOWERS = LinearDelta.names.legs
 _DEFAULT_ANGLES = (210.0, 330.0, 90.0)  # degrees at which the towers stand where nothing is given
 _MAX_ARM_DIFFERENCE = 0.05
-"""Share of the first arm by which another one is too far off to be a length of a rod: the arms that
-firmware found on owners' printers differ by half a per cent, by more after a wrong distance."""
+"""Largest relative difference of two arms: those that firmware found on owners' printers differ by
+half a per cent, by more after a wrong distance."""
 
 Triple = tuple[float, float, float]
 
@@ -58,39 +58,39 @@ class Numbers:
 
     @property
     def are_nominal(self) -> bool:
-        """Whether no calibration has touched them: usual angles, endstops alike."""
+        """Whether no calibration has changed them: default angles, equal endstops."""
         return self.angle == _DEFAULT_ANGLES and len(set(self.endstop)) == 1
 
     def heights(self, p: Array) -> Array:
-        """Return the heights of the carriages ``(n, 3)`` commanded for points ``(n, 3)``, metres;
-        nan where an arm does not reach.
+        """Return commanded heights of the carriages ``(n, 3)`` for points ``(n, 3)``, metres; nan
+        where an arm does not reach.
         """
         return self.kinematics(0.0).travel(p)
 
     def points(self, heights: Array) -> Array:
-        """Return where the firmware believes the nozzle is ``(n, 3)``, for heights ``(n, 3)``.
+        """Return places of the nozzle ``(n, 3)`` for heights of the carriages ``(n, 3)``, metres.
 
         Raises:
-            UnreachableError: where its arms do not meet.
+            UnreachableError: if the arms do not meet.
         """
         return self.kinematics(0.0).places(heights)
 
     def kinematics(self, height: float) -> DeltaKinematics:
-        """Return where it sends the carriages, where travel counts from a height, metres."""
+        """Return the firmware's kinematics, with travel counted from a height, metres."""
         turn = np.deg2rad(np.array(self.angle))
         towers = self.delta_radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
         return DeltaKinematics(np.column_stack([towers, np.full(3, height)]), np.array(self.arm))
 
-    def changed(self, by: Array) -> Numbers:
-        """Return numbers changed by ``(6,)``: endstops and radius, metres, angles of a and b,
+    def changed(self, change: Array) -> Numbers:
+        """Return the numbers changed by ``(6,)``: endstops and radius, metres, angles of a and b,
         radians; or by ``(9,)``, with the arms, metres.
         """
-        turn, longer = np.rad2deg([*by[4:6], 0.0]), by[6:] if len(by) > 6 else np.zeros(3)
+        arm_change = change[6:] if len(change) > 6 else np.zeros(3)
         return Numbers(
-            self.delta_radius + float(by[3]),
-            _triple(np.array(self.angle) + turn),
-            _triple(np.array(self.arm) + longer),
-            _triple(np.array(self.endstop) + by[:3]),
+            self.delta_radius + float(change[3]),
+            _triple(np.array(self.angle) + np.rad2deg([*change[4:6], 0.0])),
+            _triple(np.array(self.arm) + arm_change),
+            _triple(np.array(self.endstop) + change[:3]),
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -104,7 +104,7 @@ class Numbers:
 
     @property
     def mark(self) -> str:
-        """What tells these numbers from others, short; no spreadsheet takes it for a number."""
+        """Short identifier of these numbers, which no spreadsheet takes for a number."""
         text = json.dumps(self.as_dict(), sort_keys=True)
         return f"klipper-{sha256(text.encode())[:8]}"
 
@@ -113,7 +113,7 @@ class Numbers:
         """Return the numbers that a machine file keeps.
 
         Raises:
-            KeyError, TypeError, ValueError: where the table was edited.
+            KeyError, TypeError, ValueError: if the table was edited.
         """
         return cls(
             float(table["delta_radius_mm"]) * 1e-3,
@@ -127,8 +127,7 @@ class Numbers:
         """Return the numbers of a file of a printer whose carriages run on three towers.
 
         Raises:
-            FileError: where it is another, or a number is missing, or not of one machine with the
-                others.
+            FileError: if it is another printer, or a number is missing or contradicts the others.
         """
         printer = config.section("printer")
         kind = printer.entries["kinematics"].text if "kinematics" in printer else "delta"
@@ -165,27 +164,27 @@ class Numbers:
                     f"is {arms[k] * 1e3:g}, not longer than delta_radius "
                     f"({radius * 1e3:g}): are they exchanged?",
                 )
-        each = zip(towers, _DEFAULT_ANGLES, strict=True)
-        angles = [tower.number("angle", angle, -720, 720) for tower, angle in each]
+        defaults = zip(towers, _DEFAULT_ANGLES, strict=True)
+        angles = [tower.number("angle", angle, -720, 720) for tower, angle in defaults]
         return cls(radius, _triple(angles), _triple(arms), _triple(ends))
 
     @property
     def values(self) -> dict[tuple[str, str], str]:
         """Values of a ``printer.cfg`` by section and key."""
-        found = {("[printer]", "delta_radius"): f"{self.delta_radius * 1e3:.6f}"}
+        values = {("[printer]", "delta_radius"): f"{self.delta_radius * 1e3:.6f}"}
         for k, name in enumerate(TOWERS):
-            found[f"[stepper_{name}]", "angle"] = f"{self.angle[k]:.6f}"
-            found[f"[stepper_{name}]", "arm_length"] = f"{self.arm[k] * 1e3:.6f}"
-            found[f"[stepper_{name}]", "position_endstop"] = f"{self.endstop[k] * 1e3:.6f}"
-        return found
+            values[f"[stepper_{name}]", "angle"] = f"{self.angle[k]:.6f}"
+            values[f"[stepper_{name}]", "arm_length"] = f"{self.arm[k] * 1e3:.6f}"
+            values[f"[stepper_{name}]", "position_endstop"] = f"{self.endstop[k] * 1e3:.6f}"
+        return values
 
     def lines(self) -> list[str]:
         """Return the lines of a ``printer.cfg``."""
-        found = list[str]()
+        lines = list[str]()
         for (section, key), value in self.values.items():
-            found += [section] * (section not in found)
-            found.append(f"{key}: {value}")
-        return found
+            lines += [section] * (section not in lines)
+            lines.append(f"{key}: {value}")
+        return lines
 
 
 def _triple(values: Iterable[Any], unit: float = 1.0) -> Triple:
