@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.explanation.change_model import INDISTINGUISHABLE_CHI2, SLAB_ODDS, SLAB_WIDTHS
+from orthoglide.explanation.change_search import INDISTINGUISHABLE_CHI2, SLAB_ODDS, SLAB_WIDTHS
 from orthoglide.explanation.linear_model import LinearModel, UnknownNoise, identity_group
 from orthoglide.explanation.mixture import Mixture
 from orthoglide.geometry import Array

@@ -12,7 +12,7 @@ import pytest
 import orthoglide as og
 from orthoglide.add_ons import Corrections
 from orthoglide.closing import RunOutcome, build_result
-from orthoglide.explanation.residuals import residual_by_setup
+from orthoglide.explanation.lack_of_fit import residual_by_setup
 from orthoglide.firmware.klipper import Imported, Printer, import_printer
 from orthoglide.firmware.klipper.corrections import ResidualChange, make_paste
 from orthoglide.firmware.klipper.new_numbers import rejection_reason, residual_changes

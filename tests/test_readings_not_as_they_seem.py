@@ -15,7 +15,7 @@ from benchmarks.attribution_cases import base_errors
 from benchmarks.attribution_run import campaign as campaign_of, points_of
 from orthoglide.closing import build_result
 from orthoglide.errors import InputError
-from orthoglide.explanation.significance import LackOfFitTest
+from orthoglide.explanation.lack_of_fit import LackOfFitTest
 from orthoglide.machine_file.measured import Measured
 from orthoglide.notes import Note
 from orthoglide.report import result_text

@@ -10,7 +10,7 @@ from scipy import stats
 
 import orthoglide as og
 from orthoglide.accuracy import TcpMap, without_translation
-from orthoglide.explanation import significance
+from orthoglide.explanation import lack_of_fit
 from orthoglide.explanation.signatures import Scoring, signatures
 from orthoglide.fit import Estimate
 from orthoglide.fit.least_squares import normal_equations
@@ -81,7 +81,7 @@ def test_degrees_of_freedom_of_successive_differences() -> None:
 @pytest.mark.parametrize("resolution", [0.0, 1e-5])
 def test_drawn_noise_is_as_large_as_the_noise_of_a_reading(resolution: float) -> None:
     found = fitted(noise=None, resolution=resolution, repeatability=NOISE, placement=0.0)
-    drawn = significance._draw_noise(
+    drawn = lack_of_fit._draw_noise(
         found.problem, signatures(found), np.random.default_rng(0), 2000
     )
     total = np.sqrt(NOISE**2 + resolution**2 / 12)
@@ -95,7 +95,7 @@ def test_what_is_to_be_detected_stands_above_noise_as_often_as_stated(level: flo
     made, sheet = machine(repeatability=NOISE), protocol("standard")
     told = smallest_effects(made, sheet, level=level)
     seen = signatures(fitted(repeatability=NOISE))
-    drawn = significance.noise_residuals(seen, np.random.default_rng(7), 2000)
+    drawn = lack_of_fit.noise_residuals(seen, np.random.default_rng(7), 2000)
     best = Scoring.prepare(seen, seen.candidates).evidences(drawn).max(axis=0)
     assert np.mean(best > told.threshold) == pytest.approx(level, abs=0.018)
 

@@ -8,7 +8,7 @@ import pytest
 import orthoglide as og
 from orthoglide.explanation import credible_sets, full_posterior, posterior_lack_of_fit
 from orthoglide.explanation.causes import CredibleSets
-from orthoglide.explanation.significance import SIGNIFICANT
+from orthoglide.explanation.lack_of_fit import SIGNIFICANT
 from orthoglide.fit import assemble, solve
 from orthoglide.report.sentences import headline
 from tests import rig_campaigns as rc

@@ -22,7 +22,7 @@ from orthoglide.closing import RunOutcome, build_result, compute_outcome
 from orthoglide.effects import Catalogue
 from orthoglide.explanation import Located
 from orthoglide.explanation.change import Change
-from orthoglide.explanation.changes import visits
+from orthoglide.explanation.change_search import visits
 from orthoglide.explanation.recalibration import account_for_changes
 from orthoglide.fit import Problem, assemble, solve
 from orthoglide.fit.unknowns import Unknown

@@ -18,15 +18,14 @@ from orthoglide.explanation import (
     posterior_lack_of_fit,
 )
 from orthoglide.explanation.change import Change
-from orthoglide.explanation.change_model import SLAB_WIDTHS
-from orthoglide.explanation.changes import with_changes_separate
+from orthoglide.explanation.change_search import SLAB_WIDTHS, with_changes_separate
 from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
 from orthoglide.explanation.data_faults import ReportedFault, find_data_faults, without_faults
 from orthoglide.explanation.fault_columns import FaultKey
 from orthoglide.explanation.identifying import identify
+from orthoglide.explanation.lack_of_fit import SIGNIFICANT, LackOfFitTest, estimate_lack_of_fit
 from orthoglide.explanation.recalibration import account_for_changes, ambiguity_clause
 from orthoglide.explanation.repeats import with_refuted_noise_enlarged
-from orthoglide.explanation.significance import SIGNIFICANT, LackOfFitTest, estimate_lack_of_fit
 from orthoglide.fit import Estimate, assemble, refit_with_residual_noise, solve
 from orthoglide.fit.crosscheck import verify
 from orthoglide.fit.plausible import check_drive_order, check_plausible

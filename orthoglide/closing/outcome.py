@@ -16,8 +16,7 @@ from orthoglide.effects import Catalogue
 from orthoglide.explanation import Cause, Explanation, FullPosterior, Located, budget
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.data_faults import ReportedFault
-from orthoglide.explanation.residuals import residual_by_setup
-from orthoglide.explanation.significance import LackOfFitTest
+from orthoglide.explanation.lack_of_fit import LackOfFitTest, residual_by_setup
 from orthoglide.fit import Estimate
 from orthoglide.machine import Machine
 from orthoglide.numerals import distinct_figures

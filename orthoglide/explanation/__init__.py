@@ -4,12 +4,11 @@ The files are listed in the order of the data. Faults that are certain are found
 first; then all explanations are compared together.
 
 Columns of the linear model
-    candidates            causes of the catalogue and their structured members
+    candidates            causes of the catalogue, and which groups of coefficients may be active
     free_form             free-form errors at a joint, of a dial or of a plate
     faults                data faults as hypotheses, and their messages
     fault_columns         data faults as columns: slips, knocks, moved instruments, wrong commands
     twins                 parameters with equal effects on readings and tool
-    grouping              which of these may be active, with their prior probabilities
     screening             a score test of all data faults, after which few are kept
     compression           many readings, in the few directions that coefficients move
     columns               the readings as a linear model of all of the above
@@ -28,7 +27,7 @@ Data faults and changes
     full_likelihood       their likelihood over wide backgrounds
     ranked_readings       the likeliest of them, whole turns included
     credible_faults       which data faults are certain, and which may be a cause
-    change_model, change, changes, recalibration
+    change, change_search, recalibration
                           parameters that changed between visits or since a calibration
     data_faults           the loop that finds, corrects and reports faults and changes
 
@@ -38,9 +37,8 @@ Results
     credible_sets         credible sets from the posterior
     class_members         members of a class that the readings cannot tell apart
     levels                levels whose readings have a likelier meaning
-    significance          tests of the lack of fit
+    lack_of_fit           tests of the lack of fit, and the residual by setup
     budget                what each cause contributes to readings and tool
-    residuals             the residual of a fit by setup
     identifying           `identify`, `--free` and `--own`
     signatures            columns and evidence of single candidates, for planning
 """
@@ -61,5 +59,5 @@ from orthoglide.explanation.full_posterior import (
     FullPosterior as FullPosterior,
     full_posterior as full_posterior,
 )
+from orthoglide.explanation.lack_of_fit import posterior_lack_of_fit as posterior_lack_of_fit
 from orthoglide.explanation.levels import check_levels as check_levels
-from orthoglide.explanation.significance import posterior_lack_of_fit as posterior_lack_of_fit

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from orthoglide.accuracy import workspace_grid
 from orthoglide.effects import Effect
 from orthoglide.effects.free_form import FreeForm
-from orthoglide.explanation.candidates import Candidate
+from orthoglide.explanation.candidates import Candidate, build_groups, coefficient_spans
 from orthoglide.explanation.compression import (
     COMPRESSION_THRESHOLD,
     StationRemainder,
@@ -32,7 +32,6 @@ from orthoglide.explanation.free_form import (
     only_surface_readings,
     plate_shape_columns,
 )
-from orthoglide.explanation.grouping import build_groups, coefficient_spans
 from orthoglide.explanation.linear_model import (
     RARE_LOG_PRIOR,
     SLAB_SCALES,

@@ -21,7 +21,7 @@ from orthoglide.explanation.alternative_readings import (
     without_weight,
 )
 from orthoglide.explanation.change import Change
-from orthoglide.explanation.changes import likeliest_changes, with_changes_separate
+from orthoglide.explanation.change_search import likeliest_changes, with_changes_separate
 from orthoglide.explanation.credible_faults import (
     EVEN_PROBABILITY,
     ambiguous_faults,

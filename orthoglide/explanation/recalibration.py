@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from orthoglide.explanation.change import Change, summed_members
-from orthoglide.explanation.change_model import (
+from orthoglide.explanation.change_search import (
     SLAB_WIDTHS,
     ChangeCandidate,
     ChangeEstimate,

@@ -13,9 +13,9 @@ from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import parameter_words
 from orthoglide.errors import InputError, check_integer, check_list
 from orthoglide.explanation.candidates import Candidate
-from orthoglide.explanation.change_model import INDISTINGUISHABLE_CHI2
+from orthoglide.explanation.change_search import INDISTINGUISHABLE_CHI2
+from orthoglide.explanation.lack_of_fit import DRAWS, noise_residuals
 from orthoglide.explanation.signatures import Scoring, Signatures, signatures
-from orthoglide.explanation.significance import DRAWS, noise_residuals
 from orthoglide.fit import solve
 from orthoglide.frames import Framed
 from orthoglide.geometry import Array
