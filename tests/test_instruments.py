@@ -171,7 +171,7 @@ def test_what_is_known_of_nuisances_is_said_of_each(one: Observation) -> None:
 @at_tool
 def test_a_sheet_stays_within_its_circle(one: Observation) -> None:
     t = np.arange(12) * np.pi / 6
-    points, others = one.places(np.stack([np.cos(t), np.sin(t), 0 * t], axis=1))
+    points, others = one.sheet_points(np.stack([np.cos(t), np.sin(t), 0 * t], axis=1))
     assert (others is not None) is one.paired
     for places in (points, *([] if others is None else [others])):
         assert np.linalg.norm(places, axis=1).max() == pytest.approx(1.0)

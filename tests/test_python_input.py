@@ -276,7 +276,7 @@ def points(**changed: Any) -> og.Readings:
     ("level's sigma", lambda: with_one("sigma", 0.2, tool("incline")), "row 3 .*1e-09 to 0.1"),
     ("tool's shape", lambda: replace(tool(), sigma=np.zeros(2)), "sigma must have shape"),
     ("tool's kind", lambda: og.Setup("a", kind="ruler"), "no kind of reading 'ruler'"),
-    ("kind alone", lambda: og.ToolSetup("a", "plate"), "name what is its kind: kind='plate'"),  # type: ignore[arg-type]
+    ("kind alone", lambda: og.ToolSetup("a", "plate"), "pass it as kind='plate'"),  # type: ignore[arg-type]
 )  # fmt: skip
 def test_readings_that_cannot_be(call: Callable[[], Any], words: str) -> None:
     """As files are checked; of what has no unit, already where it is put together."""

@@ -20,8 +20,8 @@ from orthoglide.instruments.observation import (
     Setup,
     SetupReadings,
     Table,
-    add,
     length,
+    linear_combination,
     reading_point,
     vector,
 )
@@ -54,7 +54,7 @@ class BallBar(Observation):
     def formula(self, row: ReadingVariables, effects: Sequence[Effect]) -> Any:
         """Return the distance from the ball plus the bar's offset."""
         p, ball = reading_point(row.pose, vector(row.mounting)), vector(row.mounting, 3)
-        from_ball = add((1, p), (-1, ball), (-1, vector(row.nuisance)))
+        from_ball = linear_combination((1, p), (-1, ball), (-1, vector(row.nuisance)))
         return length(from_ball) + row.nuisance[3]
 
     def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:

@@ -21,8 +21,8 @@ from orthoglide.instruments.observation import (
     Setup,
     SetupReadings,
     Table,
-    add,
     length,
+    linear_combination,
     reading_point,
     vector,
 )
@@ -54,11 +54,11 @@ class Distance(Observation):
     setup_columns = (*TOOL_OFFSET_COLUMNS, MATERIAL_COLUMN)
     nuisance_count = 2
 
-    def is_affected_by(self, effect: Effect) -> bool:
+    def kind_is_affected_by(self, effect: Effect) -> bool:
         """Return whether an effect changes the size of a part."""
         return effect.part is not None
 
-    def allows_effect(self, setup: Setup, effect: Effect) -> bool:
+    def setup_is_affected_by(self, setup: Setup, effect: Effect) -> bool:
         """Return whether the part is printed: only its size may have an effect of its own."""
         return setup.material == PRINTED
 
@@ -69,7 +69,7 @@ class Distance(Observation):
     def formula(self, row: ReadingVariables, effects: Sequence[Effect]) -> Any:
         """Return the distance between both points, times a scale and with an offset."""
         offset = vector(row.mounting)
-        separation = add(
+        separation = linear_combination(
             (1, reading_point(row.pose, offset)), (-1, reading_point(row.second_pose, offset))
         )
         reading = length(separation) * (1 - row.mounting[3])
@@ -93,7 +93,7 @@ class Distance(Observation):
         """Return a sentence on the unit that the distances seem to have by mistake."""
         return wrong_unit(readings.value, distance)
 
-    def places(self, ring: Array) -> tuple[Array, Array | None]:
+    def sheet_points(self, ring: Array) -> tuple[Array, Array | None]:
         """Return pairs of points of the ring that are two apart, four apart, and opposite."""
         count = len(ring)
         ends = np.array([(a, (a + k) % count) for k in (2, 4, count // 2) for a in range(count)

@@ -18,8 +18,8 @@ from orthoglide.instruments.observation import (
     Rows,
     Setup,
     Table,
-    add,
     dot,
+    linear_combination,
     signed_axes,
     vector,
 )
@@ -46,7 +46,8 @@ class Inclination(Observation):
         """Return the rotation about the axis (sine of the angle times its axis) plus a datum."""
         R = [vector(row.pose, 3 + 3 * k) for k in range(3)]
         doubled = [R[2][1] - R[1][2], R[0][2] - R[2][0], R[1][0] - R[0][1]]
-        return dot(vector(row.mounting), add((0.5, doubled), (1, vector(row.nuisance))))
+        turned = linear_combination((0.5, doubled), (1, vector(row.nuisance)))
+        return dot(vector(row.mounting), turned)
 
     def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
         """Return the axis of each row, with its sign."""
@@ -56,6 +57,6 @@ class Inclination(Observation):
         """Return that the datum of each axis has no prior."""
         return np.full(3, np.inf)
 
-    def places(self, ring: Array) -> tuple[Array, Array | None]:
+    def sheet_points(self, ring: Array) -> tuple[Array, Array | None]:
         """Return the middle and the ring."""
         return np.concatenate([np.zeros((1, 3)), ring]), None

@@ -24,8 +24,8 @@ from orthoglide.instruments.observation import (
     Setup,
     Table,
     Vector,
-    add,
     dot,
+    linear_combination,
     vector,
 )
 
@@ -65,9 +65,9 @@ def dial_plane_crossing(ends: Any, mounting: Any, place: Any) -> Vector:
         place: of the plane along the leg's axis, metres.
     """
     weight1, weight2, slide = mounting[0], mounting[1], vector(mounting, 2)
-    start = add((weight1, vector(ends)), (weight2, vector(ends, 6)))
-    line = add((weight1, vector(ends, 3)), (weight2, vector(ends, 9)), (-1, start))
-    return add((1, start), ((place - dot(slide, start)) / dot(slide, line), line))
+    start = linear_combination((weight1, vector(ends)), (weight2, vector(ends, 6)))
+    line = linear_combination((weight1, vector(ends, 3)), (weight2, vector(ends, 9)), (-1, start))
+    return linear_combination((1, start), ((place - dot(slide, start)) / dot(slide, line), line))
 
 
 def dial_setup_error(setup: Setup) -> str:
@@ -98,11 +98,11 @@ class LegDial(Observation):
     min_postures = 2
     nuisance_count = 2
 
-    def is_affected_by(self, effect: Effect) -> bool:
+    def kind_is_affected_by(self, effect: Effect) -> bool:
         """Return whether an effect changes what a dial shows."""
         return effect.dial is not None
 
-    def check(self, setup: Setup) -> str:
+    def setup_error(self, setup: Setup) -> str:
         """Return what is wrong with a setup."""
         return dial_setup_error(setup)
 

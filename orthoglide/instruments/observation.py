@@ -47,7 +47,7 @@ class InstrumentPose:
     rotation: Array = field(default_factory=lambda: np.eye(3))
     # centre of a ball bar's ball (3,), metres
     ball_centre: Array = field(default_factory=lambda: np.zeros(3))
-    # of a probe: mean height of its offset from the tool above that at a level platform, metres
+    # probe: mean height of the offset above its height at a level platform, metres
     mean_lift: float = 0.0
 
     def is_close_to(self, other: InstrumentPose) -> bool:
@@ -117,14 +117,15 @@ class Setup:
         axis: 0, 1 or 2: the base axis along which a leg is read, not the leg's own; -1 where each
             reading has its own axis, or none.
         sign: +1, or -1 where the dial counts against the axis.
-        gauge: where the dial stands along the leg's own axis, metres, r removed.
+        gauge: position of the dial along the leg's own axis, metres; mechanical coordinate minus
+            the offset r of equation (2) of the 2008 paper, see ``layout/orthoglide.py``.
         bar: 1 or 2 for a bar, 0 for the leg's median line.
         kind: kind of its readings, a key of `OBSERVATIONS`.
-        gauge2: place of the second dial, as ``gauge``, if a reading is the difference of two.
+        gauge2: position of the second dial, as ``gauge``, if a reading is the difference of two.
         beside: offset of the reading from the commanded point of the tool, along x, y and z of the
             platform, metres; z is negative for a longer tool.
-        turned: rotation of a plate on its seat, counter-clockwise from above, degrees: its shape
-            turns with it.
+        turned: rotation of a plate on its seat, counter-clockwise from above, in degrees as in
+            files, unlike all other angles; the shape of the plate turns with it.
         material: of a part on which distances are read, a key of `SHRINKAGE_BY_MATERIAL`.
 
     Raises:
@@ -146,8 +147,11 @@ class Setup:
     def __post_init__(self) -> None:
         check_choice("kind of reading", self.kind, OBSERVATIONS)
         if self.leg in OBSERVATIONS:
-            raise InputError(f"setup {self.name!r}: name what is its kind: kind={self.leg!r}")
-        if problem := self.observation.check(self):
+            raise InputError(
+                f"setup {self.name!r}: leg is {self.leg!r}, which is a kind of reading and not a "
+                f"leg; pass it as kind={self.leg!r}"
+            )
+        if problem := self.observation.setup_error(self):
             raise InputError(f"setup {self.name!r}: {problem}")
 
     @property
@@ -157,13 +161,14 @@ class Setup:
 
     def takes(self, effect: Effect) -> bool:
         """Return whether an effect of instruments changes its readings."""
-        return self.observation.is_affected_by(effect) and self.observation.allows_effect(
+        observation = self.observation
+        return observation.kind_is_affected_by(effect) and observation.setup_is_affected_by(
             self, effect
         )
 
     @property
     def gauges(self) -> tuple[float, ...]:
-        """Where each of its dials stands along the leg's own axis, metres, r removed."""
+        """Position of each of its dials along the leg's own axis, as ``gauge``, metres."""
         return (self.gauge, self.gauge2)[: self.observation.dials]
 
     @property
@@ -256,16 +261,16 @@ class Observation(ABC):
         """Unit of its readings in files and texts."""
         return "mrad" if self.angular else "mm"
 
-    def is_affected_by(self, effect: Effect) -> bool:
-        """Return whether an effect of instruments changes its readings."""
+    def kind_is_affected_by(self, effect: Effect) -> bool:
+        """Return whether an effect of instruments can change readings of this kind."""
         return False
 
-    def allows_effect(self, setup: Setup, effect: Effect) -> bool:
-        """Return whether an effect that changes readings of this kind may act in a setup."""
+    def setup_is_affected_by(self, setup: Setup, effect: Effect) -> bool:
+        """Return whether an effect that changes readings of this kind acts in a setup."""
         return True
 
-    def check(self, setup: Setup) -> str:
-        """Return what is wrong with a setup of this kind, as a clause; empty where nothing is."""
+    def setup_error(self, setup: Setup) -> str:
+        """Return what is wrong with a setup of this kind, as a clause; empty if nothing is."""
         return "" if setup.leg < 0 else f"a setup of kind {self.kind} touches no leg"
 
     @abstractmethod
@@ -319,8 +324,10 @@ class Observation(ABC):
     def apply_pose_nuisances(
         self, pose: InstrumentPose, nuisance: Array
     ) -> tuple[InstrumentPose, Array]:
-        """Return the pose that contains the nuisance parameters which displace the instrument, and
-        the remaining ones ``(K,)``: all of them where the formula is exact in them.
+        """Move displacements of the instrument from the nuisance vector into its pose; return the
+        pose and the remaining vector ``(K,)``.
+
+        If the formula is exact in the nuisances, both are returned unchanged.
         """
         return pose, nuisance
 
@@ -349,7 +356,7 @@ class Observation(ABC):
         """
         yield from ()
 
-    def places(self, ring: Array) -> tuple[Array, Array | None]:
+    def sheet_points(self, ring: Array) -> tuple[Array, Array | None]:
         """Return the points of a measuring sheet ``(k, 3)``, and the second ones of a paired kind.
 
         Args:
@@ -372,7 +379,7 @@ def dot(u: Vector, v: Vector) -> Any:
     return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 
 
-def add(*terms: tuple[Any, Vector]) -> Vector:
+def linear_combination(*terms: tuple[Any, Vector]) -> Vector:
     """Return the sum of vectors, each multiplied by its factor."""
     return [sum(factor * v[k] for factor, v in terms) for k in range(3)]
 
@@ -384,7 +391,8 @@ def length(v: Vector) -> Any:
 
 def reading_point(pose: Any, offset: Vector) -> Vector:
     """Return the point at an offset from the tool, along the platform's axes ``(3,)``."""
-    return add((1, vector(pose)), (1, [dot(vector(pose, 3 + 3 * k), offset) for k in range(3)]))
+    turned_offset = [dot(vector(pose, 3 + 3 * k), offset) for k in range(3)]
+    return linear_combination((1, vector(pose)), (1, turned_offset))
 
 
 def signed_axes(table: Table, rows: Rows) -> Array:

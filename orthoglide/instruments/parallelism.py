@@ -30,8 +30,8 @@ from orthoglide.instruments.observation import (
     Rows,
     Setup,
     Table,
-    add,
     dot,
+    linear_combination,
     vector,
 )
 
@@ -55,7 +55,7 @@ class Parallelism(Observation):
     setup_columns = ("leg", "direction", "gauge_mm", "gauge2_mm", "bar")
     nuisance_count = 1
 
-    def check(self, setup: Setup) -> str:
+    def setup_error(self, setup: Setup) -> str:
         """Return what is wrong with a setup."""
         if setup.gauge2 != setup.gauge:
             return dial_setup_error(setup)
@@ -66,7 +66,7 @@ class Parallelism(Observation):
         mounting = row.mounting
         first, second = mounting[PLACE_INDEX], mounting[DIAL_MOUNTING_SIZE]
         x1, x2 = (dial_plane_crossing(row.pose, mounting, place) for place in (first, second))
-        difference = dot(vector(mounting, 5), add((1, x2), (-1, x1)))
+        difference = dot(vector(mounting, 5), linear_combination((1, x2), (-1, x1)))
         return mounting[SIGN_INDEX] * difference + row.nuisance[0] * (second - first)
 
     def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:

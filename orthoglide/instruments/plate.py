@@ -46,7 +46,7 @@ class PlateTouch(Observation):
     setup_columns = (*TOOL_OFFSET_COLUMNS, PLATE_TURN_COLUMN)
     nuisance_count = 3
 
-    def is_affected_by(self, effect: Effect) -> bool:
+    def kind_is_affected_by(self, effect: Effect) -> bool:
         """Return whether an effect bends the plate."""
         return bool(effect.plate)
 
@@ -82,7 +82,7 @@ class PlateTouch(Observation):
         """Return the mean height of the probe's offset from the tool."""
         return InstrumentPose(mean_lift=float(readings.offset_from_tool[:, 2].mean()))
 
-    def places(self, ring: Array) -> tuple[Array, Array | None]:
+    def sheet_points(self, ring: Array) -> tuple[Array, Array | None]:
         """Return a grid over the disc."""
         side = np.linspace(-1.0, 1.0, _GRID_SIZE)
         grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)

@@ -18,7 +18,8 @@ MIN_MOVE = 1e-6
 
 APPROACH_NOT_RECORDED = "the side of approach is not recorded (approach_* is empty)"
 APPROACH_REMEDY = (
-    "fill it in, or leave these columns out of a file that was gone through row by row"
+    "fill in the approach_* columns, or omit them if the rows are in the order in which they were "
+    "measured"
 )
 """Clauses for missing approaches: what is missing, and what to do."""
 
@@ -28,15 +29,16 @@ _STROKE_DIVISOR = 4  # sheets go to the nearer end of the stroke in this many st
 
 @dataclass(frozen=True, eq=False)
 class Moves:
-    """Commands that the machine goes through without a reading."""
+    """Commands at which nothing is read, between those of the readings."""
 
-    # joint coordinates (m, 3), metres, r removed
+    # mechanical joint coordinates minus the offset r of equation (2) of the 2008 paper (see
+    # layout/orthoglide.py) (m, 3), metres
     command: Array = field(default_factory=lambda: np.empty((0, 3)))
     # position in the sequence that readings and moves share (m,)
     order: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     # line in the file (m,), header line 1
     line: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    # distance by which planned moves pass a command to reach it from a side, metres
+    # distance of a planned move from the command before which it is made, metres
     overshoot: float = _OVERSHOOT
 
     def __post_init__(self) -> None:
@@ -64,7 +66,7 @@ def derive_approach(
 ) -> Array:
     """Return the direction of each axis' last move, from the sequence of commands.
 
-    An axis keeps its direction until it moves again; the first posture counts as reached in +.
+    An axis keeps its direction until it moves again; before its first move it has the direction +1.
 
     Args:
         command: commands of the readings ``(n, 3)``, metres.
@@ -76,23 +78,26 @@ def derive_approach(
         +1 or -1, shape ``(n, 3)``.
     """
     moves = moves or Moves()
-    rho, _, sequence = _with_moves(command, order, moves)
-    approach = np.empty_like(rho)
-    for k, places in enumerate(rho[sequence].T.tolist()):
-        directions, direction, turning_point = [], 1.0, places[0] if places else 0.0
-        for place in places:  # moves too small to count add up
-            if abs(place - turning_point) > min_move:
-                direction, turning_point = math.copysign(1.0, place - turning_point), place
+    all_commands, _, sequence = _with_moves(command, order, moves)
+    approach = np.empty_like(all_commands)
+    for axis, coordinates in enumerate(all_commands[sequence].T.tolist()):
+        directions, direction, turning_point = [], 1.0, coordinates[0] if coordinates else 0.0
+        for coordinate in coordinates:  # moves too small to count add up
+            if abs(coordinate - turning_point) > min_move:
+                direction = math.copysign(1.0, coordinate - turning_point)
+                turning_point = coordinate
             directions.append(direction)
-        approach[sequence, k] = directions
+        approach[sequence, axis] = directions
     return approach[len(moves) :]
 
 
 def built_up_lost_motion(
     command: ArrayLike, order: ArrayLike, lengths: Sequence[float], moves: Moves | None = None
 ) -> Array:
-    """Return the lost motion of each drive, which builds up over a length after a reversal as in
-    the friction model of Dahl (1968, *A solid friction model*), to half the approach.
+    """Return the lost motion of each drive as a fraction of its backlash.
+
+    After a reversal it approaches +-1/2, the sign of the approach, exponentially over each length
+    (Dahl 1968, *A solid friction model*).
 
     Args:
         command: commands of the readings ``(n, 3)``, metres.
@@ -101,16 +106,16 @@ def built_up_lost_motion(
         moves: commands between the readings.
 
     Returns:
-        Between -1/2 and 1/2, shape ``(K, n, 3)``; complete at the first row.
+        Between -1/2 and 1/2, shape ``(K, n, 3)``; half the approach at the first row.
     """
     moves = moves or Moves()
-    rho, positions, sequence = _with_moves(command, order, moves)
-    settled = derive_approach(rho, positions)[sequence] / 2
-    step = np.abs(np.diff(rho[sequence], axis=0, prepend=rho[sequence][:1]))
-    remaining = np.exp(-step / np.reshape(lengths, (-1, 1, 1)))
-    state = np.broadcast_to(settled, remaining.shape).copy()
+    all_commands, positions, sequence = _with_moves(command, order, moves)
+    settled = derive_approach(all_commands, positions)[sequence] / 2
+    step = np.abs(np.diff(all_commands[sequence], axis=0, prepend=all_commands[sequence][:1]))
+    decay = np.exp(-step / np.reshape(lengths, (-1, 1, 1)))
+    state = np.broadcast_to(settled, decay.shape).copy()
     for k in range(1, len(settled)):
-        state[:, k] += (state[:, k - 1] - settled[k]) * remaining[:, k]
+        state[:, k] += (state[:, k - 1] - settled[k]) * decay[:, k]
     lost_motion = np.empty_like(state)
     lost_motion[:, sequence] = state
     return lost_motion[:, len(moves) :]
@@ -130,19 +135,19 @@ def impossible_approach(
         order: position in the sequence ``(n,)``.
         moves: commands between the readings.
     """
-    rho, positions, sequence = _with_moves(command, order, moves)
+    all_commands, positions, sequence = _with_moves(command, order, moves)
     recorded = np.vstack([np.zeros((len(moves), 3)), approach])
-    wrong = np.zeros(rho.shape, dtype=bool)
-    direction, before = np.zeros(3), -1
+    wrong = np.zeros(all_commands.shape, dtype=bool)
+    direction, previous_row = np.zeros(3), -1
     for row in sequence:
-        if before < 0 or positions[row] - positions[before] > 1:
+        if previous_row < 0 or positions[row] - positions[previous_row] > 1:
             direction = np.zeros(3)
         else:
-            step = rho[row] - rho[before]
+            step = all_commands[row] - all_commands[previous_row]
             direction = np.where(np.abs(step) > MIN_MOVE, np.sign(step), direction)
         wrong[row] = recorded[row] * direction < 0
         direction = np.where(direction == 0, recorded[row], direction)
-        before = row
+        previous_row = row
     return wrong[len(moves) :]
 
 
@@ -150,41 +155,42 @@ def _with_moves(command: ArrayLike, order: ArrayLike, moves: Moves) -> tuple[Arr
     """Return commands ``(m + n, 3)`` and positions of moves and readings, and the indices that
     sort them by position.
     """
-    rho = np.vstack([moves.command, np.asarray(command, dtype=float).reshape(-1, 3)])
+    all_commands = np.vstack([moves.command, np.asarray(command, dtype=float).reshape(-1, 3)])
     positions = np.concatenate([moves.order, np.asarray(order)])
-    return rho, positions, np.argsort(positions, kind="stable")
+    return all_commands, positions, np.argsort(positions, kind="stable")
 
 
 def planned_moves(
-    command: Array, approach: Array, begins: ArrayLike, overshoot: float
+    command: Array, approach: Array, first_of_mounting: ArrayLike, overshoot: float
 ) -> tuple[Moves, Ints]:
     """Return the moves by which commands, in their order, are reached from the required sides.
 
-    A move beyond the command precedes every command that would be reached from another side, and
-    the first of every mounting, during which the machine may have moved.
+    A command that would be reached from the wrong side is preceded by a move to
+    ``command - overshoot * approach``. So is the first command of each mounting, because the
+    machine may have been moved while the dial was mounted.
 
     Args:
         command: commands ``(n, 3)``, metres, with room for the overshoot within the stroke.
-        approach: required directions ``(n, 3)``; 0: either.
-        begins: whether a row is the first of a mounting ``(n,)``.
-        overshoot: distance of the moves beyond their commands, metres.
+        approach: required directions ``(n, 3)``; 0 if either direction will do.
+        first_of_mounting: whether a row is the first of a mounting ``(n,)``.
+        overshoot: distance of the moves from their commands, metres.
 
     Returns:
         The moves, and the position of each row in the common sequence ``(n,)``.
     """
-    before, direction = np.full(3, np.nan), np.zeros(3)
+    previous_command, direction = np.full(3, np.nan), np.zeros(3)
     move_commands: list[Array] = []
     move_orders: list[int] = []
     order: list[int] = []
-    for row, first in enumerate(np.asarray(begins, dtype=bool).tolist()):
-        step = command[row] - before
+    for row, first in enumerate(np.asarray(first_of_mounting, dtype=bool).tolist()):
+        step = command[row] - previous_command
         arrival = np.where(np.abs(step) > MIN_MOVE, np.sign(step), direction)
         if first or ((arrival != approach[row]) & (approach[row] != 0)).any():
             move_orders.append(len(order) + len(move_orders))
             move_commands.append(command[row] - overshoot * approach[row])
             arrival = approach[row]
         order.append(len(order) + len(move_orders))
-        before, direction = command[row], arrival
+        previous_command, direction = command[row], arrival
     position = np.array(move_orders, dtype=np.int64)
     moves = Moves(
         np.round(np.array(move_commands).reshape(-1, 3), 9), position, position + 2, overshoot

@@ -336,9 +336,11 @@ class Readings:
 
         Two dials that are read at one visit are mounted together.
         """
-        begins = self._first_of_setup
-        begins[1:] &= (np.diff(self.command, axis=0) != 0).any(axis=1)
-        moves, order = planned_moves(self.command, self.approach, begins, self.moves.overshoot)
+        first_of_mounting = self._first_of_setup
+        first_of_mounting[1:] &= (np.diff(self.command, axis=0) != 0).any(axis=1)
+        moves, order = planned_moves(
+            self.command, self.approach, first_of_mounting, self.moves.overshoot
+        )
         return replace(self, moves=moves, order=order, line=order + 2)
 
     @property
@@ -365,8 +367,10 @@ class Readings:
         )  # fmt: skip
         has_side = ~(self.touching | self.paired)
         approach = approach[first[visit.reshape(-1)]] * has_side[:, None]
-        begins = first_of_setup & has_side
-        moves, order = planned_moves(self.command, approach, begins, self.moves.overshoot)
+        first_of_mounting = first_of_setup & has_side
+        moves, order = planned_moves(
+            self.command, approach, first_of_mounting, self.moves.overshoot
+        )
         approach[self.touching] = -1.0
         return replace(
             self, order=order + 1, approach=approach, moves=replace(moves, order=moves.order + 1),

@@ -138,7 +138,7 @@ def _instrument_points(
     """Return points and other ends ``(n, 3)`` within reach ``up`` above, and a ball's centre."""
     angle, centre = np.arange(_RING_POINTS) * 2 * np.pi / _RING_POINTS, np.zeros(3)
     outline = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    points, other_ends = instrument.places(outline)
+    points, other_ends = instrument.sheet_points(outline)
     if points[:, 2].any():
         if machine.geometry.layout.hanging:
             centre = np.array([0.0, 0.0, 1.0])
