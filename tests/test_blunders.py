@@ -545,5 +545,5 @@ def test_a_campaign_of_faults_alone_is_refused_for_its_own(machine):
     whole = ReportedFault(
         "unit", tuple((1, k) for k in range(54)), (), "visit-2 is in", 0.0, 0.0, 0.0
     )
-    with pytest.raises(InputError, match=r"nothing is left of visit-2 .* \(visit-2 is in\)"):
+    with pytest.raises(InputError, match=r"all 54 rows of visit-2 are faulty.* \(visit-2 is in\)"):
         without_faults(problem, [first, whole])

@@ -97,7 +97,8 @@ def test_a_slip_that_is_only_likely_is_kept_and_told(tmp_path: Path) -> None:
     assert not verdict.blunders
     (told,) = (w for w in verdict.warnings if w.kind == "slip")
     assert re.match(
-        r"perhaps \([5-8]\d % likely; it is kept\): .*distance 8: the reading 64.3 mm", told
+        r"possible data fault \(probability [5-8]\d %, .*\): .*distance 8: the reading 64.3 mm",
+        told,
     )
 
 

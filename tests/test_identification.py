@@ -275,7 +275,7 @@ def test_a_programme_is_built_once_for_many_readings() -> None:
     problem, nuisance, scale = programme_parts(measured("standard"))
     programme = Nlp(problem, nuisance, scale)
     for seed in (1, 2):
-        other = problem.with_readings(measured("standard", seed).reading)
+        other = problem.with_leg_readings(measured("standard", seed).reading)
         found = programme.solve(other.measured, np.zeros(6))
         assert found.closure < 1e-12
         nested = solve(replace(other), method="nested")
@@ -566,7 +566,7 @@ def pss_step(one: Estimate) -> np.ndarray:
     problem, columns = one.problem, []
     for k in range(len(problem.measured)):
         moved = problem.measured + 1e-6 * np.eye(len(problem.measured))[k]
-        found = crosscheck_module.reduction_fit(problem.with_readings(moved), one.nuisance)
+        found = crosscheck_module.reduction_fit(problem.with_leg_readings(moved), one.nuisance)
         columns.append((found.values[:-1] - one.x) / 1e-6)
     return np.array(columns).T
 

@@ -404,5 +404,5 @@ def test_readings_that_were_never_rounded_share_no_rounding() -> None:
     exact = og.Machine.nominal().with_parameters({"joint_offset.x": 5e-4}).readings(sheet)
     given = sheet.with_readings(exact + np.random.default_rng(0).normal(0, 2e-6, len(sheet)))
     found = og.identify(given, og.Machine.nominal(), noise=2e-6, method="nested")
-    assert not found.problem.common.any()
+    assert not found.problem.shared_rounding_sd.any()
     assert np.allclose(found.problem.sigma, 2e-6)

@@ -15,7 +15,7 @@ import orthoglide as og
 from benchmarks.delta_readings import measured as read_by
 from benchmarks.delta_truth import machine as delta
 from orthoglide.closing import build_result
-from orthoglide.planning import suggest_separating_places
+from orthoglide.planning import suggest_separating_located_errors
 from orthoglide.report import report_files
 from tests.rig import Rig
 from tests.rig_campaigns import hysteresis, s_curve
@@ -94,18 +94,18 @@ def class_of(closed: Any, *names: str) -> Any:
 def test_places_that_no_reading_parts_are_said_to_be_such() -> None:
     _, _, closed = located(6)
     still = "drive.z/approach", "bar.y.1/approach"  # neither does anything here
-    (one,) = suggest_separating_places(closed.posterior, class_of(closed, *still))
+    (one,) = suggest_separating_located_errors(closed.posterior, class_of(closed, *still))
     assert (one.hopeless, one.rows) == (True, ())
-    assert one.reason.startswith('no few readings of a dial on a leg tell "')
+    assert " cannot be separated by dials on the legs: all " in one.reason
     gone = "dial.xz-0.5/time", "dial.xz-0.5/reading"
-    (one,) = suggest_separating_places(closed.posterior, class_of(closed, *gone))
+    (one,) = suggest_separating_located_errors(closed.posterior, class_of(closed, *gone))
     assert (one.hopeless, one.rows) == (True, ())
-    assert "no new readings tell" in one.reason
+    assert "cannot be separated by new readings" in one.reason
 
 
 def test_a_dial_is_told_from_a_rail_by_another_dial() -> None:
     _, _, closed = located(6)
-    (one,) = suggest_separating_places(
+    (one,) = suggest_separating_located_errors(
         closed.posterior, class_of(closed, TRUE, "dial.xz-0.5/reading")
     )
     assert one.aim == "separate"

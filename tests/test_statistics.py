@@ -45,7 +45,7 @@ def covariance(found: Estimate) -> np.ndarray:
     loose = nuisance.columns * wide
     return (
         np.diag(problem.sigma**2)
-        + problem.common**2 * same
+        + problem.shared_rounding_sd**2 * same
         + (columns / nuisance.precision[known]) @ columns.T
         + loose @ loose.T
     )

@@ -169,7 +169,7 @@ def test_a_coarse_step_is_seen_and_is_noise(kind: str, step: float) -> None:
         estimate = og.identify([coarse], MACHINE)
         assert not any(w.kind == "slip" for w in estimate.warnings)
         assert estimate.sigma_scale < 1.5
-        noise = np.hypot(estimate.problem.sigma, estimate.problem.common)
+        noise = np.hypot(estimate.problem.sigma, estimate.problem.shared_rounding_sd)
         assert np.sqrt(np.mean(noise**2)) > 0.28 * step
 
 

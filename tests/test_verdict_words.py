@@ -43,7 +43,7 @@ def test_a_verdict_and_its_table_agree() -> None:
     members = verdict.located[0].members  # the mean is over all of them
     assert len(members) > 1
     assert verdict.after.scores.lack_of_fit_p > SIGNIFICANT
-    about, curves = verdict.posterior.linearised, verdict.after.problem.free_form_errors
+    about, curves = verdict.posterior.linearised, verdict.after.problem.free_form_nuisances
     for member in (one for one in members if one.probability > 0.1):
         own = about.rows[:, about.coefficients(member.place)]
         off = own - curves.columns @ np.linalg.lstsq(curves.columns, own, rcond=1e-12)[0]

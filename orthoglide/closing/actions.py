@@ -322,7 +322,7 @@ def _suggestions(outcome: RunOutcome) -> tuple[Suggestion, ...]:
                 visits = first if faults[0].probability > probability else later
                 visits.append(planning.suggest_deciding_visits(posterior, faults[0]))
         for located in outcome.located:
-            by_place += planning.suggest_separating_places(posterior, located)
+            by_place += planning.suggest_separating_located_errors(posterior, located)
         if not geometry.dialled:
             separating = planning.suggest_instruments_for_causes(posterior, outcome.effects)
     if not geometry.dialled:

@@ -165,7 +165,9 @@ def _noise(outcome: RunOutcome) -> Noise:
         kind: InstrumentNoise(float(sigma), OBSERVATIONS[kind].unit, source)
         for kind, (sigma, source) in problem.noise_by_instrument.items()
     }
-    return Noise(problem.declared_noise, problem.one_reading, problem.noise_source, by_instrument)
+    return Noise(
+        problem.declared_noise, problem.single_reading_sd, problem.noise_source, by_instrument
+    )
 
 
 def _possible_causes(outcome: RunOutcome) -> Iterator[Possible]:
@@ -213,7 +215,7 @@ def _undetected_effects(
     outcome: RunOutcome, invisible: tuple[Parameter, ...]
 ) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Return the effects that could not be detected at three tolerances, as `Unseen.effects`."""
-    tested = [] if outcome.posterior is None else outcome.posterior.linearised.varied_parameters
+    tested = [] if outcome.posterior is None else outcome.posterior.linearised.excited_parameters
     tested_counts, hidden_counts = (Counter(n.effect for n in ns) for ns in (tested, invisible))
     explanations = (explanation for cause in outcome.effects for explanation in cause.explanations)
     found_effects = {e.catalogue.effect_of(e.name).name for e in explanations}

@@ -39,7 +39,8 @@ from orthoglide.threads import on_one_thread
 
 _MAX_RESIDUAL_SHARE = 0.1  # share of the base model's lack of fit that located errors may leave
 
-_FULLY_EXPLAINED = ("adequate", "diffuse", "explained", "ambiguous")  # all that is left has a name
+# Verdicts without a significant lack of fit, except `located`.
+_FULLY_EXPLAINED = ("adequate", "diffuse", "explained", "ambiguous")
 
 
 @on_one_thread
@@ -64,15 +65,16 @@ def compute_outcome(request: Request, progress: Progress = no_progress) -> RunOu
     base_fit = account_for_changes(solve(with_refuted_noise_enlarged(problem), method="nested"))
     check_drive_order(base_fit)
     progress(Step("faults"))
-    faults = find_data_faults(base_fit)
-    data_faults, changes = faults.data_faults, faults.changes
-    posterior, findings, fit_test, verdict = _search(
-        base_fit, data_faults, changes, progress, faults.posterior, faults.ambiguous
+    data_findings = find_data_faults(base_fit)
+    data_faults, changes = data_findings.data_faults, data_findings.changes
+    posterior, sets, fit_test, verdict = _search(
+        base_fit, data_faults, changes, progress, data_findings.posterior, data_findings.ambiguous
     )
     if verdict not in _FULLY_EXPLAINED and any(_exceeds_readjustment(c, machine) for c in changes):
-        # A free-form error can take over a change of similar effect.
+        # The change may be spurious: a free-form error of similar effect may explain the readings,
+        # so the search is repeated without changes.
         changes = ()
-        posterior, findings, fit_test, verdict = _search(base_fit, data_faults, changes, progress)
+        posterior, sets, fit_test, verdict = _search(base_fit, data_faults, changes, progress)
     before = posterior.before
     if verdict not in ("adequate", "diffuse"):
         check_levels(posterior)
@@ -80,10 +82,10 @@ def compute_outcome(request: Request, progress: Progress = no_progress) -> RunOu
         before = refit_with_residual_noise(before)
     outcome = RunOutcome(
         request, verdict, before, before if verdict == "unexplained" else posterior.after,
-        findings.causes, findings.located, findings.candidate_scores, fit_test, posterior,
+        sets.causes, sets.located, sets.candidate_scores, fit_test, posterior,
         data_faults, fit_with_faults=base_fit if data_faults else None,
-        alone=findings.single_causes if verdict in ("adequate", "diffuse") else (),
-        possible=findings.possible_causes if verdict == "unexplained" else (),
+        alone=sets.single_causes if verdict in ("adequate", "diffuse") else (),
+        possible=sets.possible_causes if verdict == "unexplained" else (),
     )  # fmt: skip
     earlier_changes = [c.with_later_fit(outcome.after) for c in base_fit.changes]
     changed = (
@@ -91,7 +93,7 @@ def compute_outcome(request: Request, progress: Progress = no_progress) -> RunOu
         *(c.with_separate_fit(outcome.after) for c in changes),
     )
     change_notes = (Note(text, "earlier") for c in earlier_changes if (text := c.found_only_now))
-    notes = (*change_notes, *faults.notes, *_ambiguous_calibration_note(base_fit))
+    notes = (*change_notes, *data_findings.notes, *_ambiguous_calibration_note(base_fit))
     progress(Step("verifying"))
     after = replace(outcome.after, verification=verify(outcome.after))
     outcome = _with_warnings(replace(outcome, changed=changed, after=after), *notes)
@@ -104,8 +106,8 @@ def _ambiguous_calibration_note(base_fit: Estimate) -> Iterator[Note]:
     clause = ambiguity_clause(base_fit.problem.machine.spec)
     if clause and base_fit.problem.has_earlier_calibration:
         yield Note(
-            f"the calibration before {clause}: what changed since is told best by orthoglide "
-            f"check, from the readings of both visits",
+            f"the earlier calibration {clause}, so changes since then are uncertain; run "
+            f"orthoglide check on the readings of both visits",
             "earlier",
         )
 
@@ -115,16 +117,17 @@ def _search(
     data_faults: Sequence[ReportedFault],
     changes: Sequence[Change],
     progress: Progress,
-    earlier_posterior: FullPosterior | None = None,
+    first_posterior: FullPosterior | None = None,
     ambiguous: Collection[FaultKey] = (),
 ) -> tuple[FullPosterior, CredibleSets, LackOfFitTest, Word]:
-    """Search with faulty rows excluded and changed parameters free; return the posterior, what is
-    active, the lack of fit, and the verdict.
+    """Search with faulty rows excluded and changed parameters free; return the posterior, the
+    credible sets of active causes, the test for lack of fit, and the verdict.
     """
     progress(Step("testing"))
     problem = without_faults(base_fit.problem, data_faults) if data_faults else base_fit.problem
-    # An error that a change corrected is no cause now; one that is still there is. Without dials
-    # it is not known which member of the change it was.
+    # A changed parameter is a cause only if its value after the change is still significant.
+    # Without readings on legs, a change with several members cannot be assigned to one parameter,
+    # so it is no cause.
     causes = [c for c in changes if c.is_cause and c.parameter not in base_fit.names]
     causes = [c for c in causes if problem.campaigns or not c.members[1:]]
     if changes:
@@ -133,20 +136,20 @@ def _search(
         problem = replace(problem, per_campaign=(*problem.per_campaign, *separate))
     changed_names = [c.parameter for c in causes]
     before = solve(problem, method="nested") if data_faults or changes else base_fit
-    posterior = full_posterior(before, changed_names, earlier_posterior, ambiguous)
+    posterior = full_posterior(before, changed_names, first_posterior, ambiguous)
     progress(Step("allowing"))
-    findings = credible_sets(posterior, changed_names)
-    fit_test = posterior_lack_of_fit(posterior, findings)
+    sets = credible_sets(posterior, changed_names)
+    fit_test = posterior_lack_of_fit(posterior, sets)
     if not posterior.converged:
-        findings = replace(findings, causes=())
+        sets = replace(sets, causes=())
     if _lacks_explanation(fit_test) and not _explains_most(posterior):
-        # The true place is not in the model, and the located ones may only imitate it.
-        findings = replace(findings, located=())
-    return posterior, findings, fit_test, _verdict(findings, fit_test)
+        # The true error is not in the model, and the located errors may only imitate it.
+        sets = replace(sets, located=())
+    return posterior, sets, fit_test, _verdict(sets, fit_test)
 
 
 def _explains_most(posterior: FullPosterior) -> bool:
-    """Return whether the findings explain most of the base model's lack of fit."""
+    """Return whether the calibrated machine explains most of the base model's lack of fit."""
     before, after = posterior.before.scores, posterior.after.scores
     return after.chi2 - after.dof < _MAX_RESIDUAL_SHARE * (before.chi2 - before.dof)
 
@@ -192,8 +195,12 @@ def judge(outcome: RunOutcome) -> RunOutcome:
         if text := points_contradiction(errors["translation"], stated_sigma, request.tcp.points()):
             outcome = _with_warnings(outcome, Note(text, "holdout"))
     pairs = product(_validation_readings(request), request.given)
-    if any(shared_fraction(held, fitted) > 0.5 for held, fitted in pairs):
-        text = "the readings held out are readings that were fitted: they judge nothing"
+    share = max((shared_fraction(held, fitted) for held, fitted in pairs), default=0.0)
+    if share > 0.5:
+        text = (
+            f"{100 * share:.0f} % of the readings held out were also fitted, so they do not test "
+            f"the result; hold out other readings"
+        )
         outcome = _with_warnings(outcome, Note(text, "holdout"))
     return replace(outcome, hold_out=scores, tcp=errors)
 
@@ -213,18 +220,18 @@ def _lacks_explanation(fit_test: LackOfFitTest) -> bool:
     return not fit_test.p_value >= SIGNIFICANT or fit_test.rare > EVEN_PROBABILITY
 
 
-def _verdict(findings: CredibleSets, fit_test: LackOfFitTest) -> Word:
-    """Return the verdict from the findings and from the test of the residual."""
-    if not findings.causes and not findings.located:
+def _verdict(sets: CredibleSets, fit_test: LackOfFitTest) -> Word:
+    """Return the verdict from the credible sets and from the test of the residual."""
+    if not sets.causes and not sets.located:
         if fit_test.base_p_value >= SIGNIFICANT:
             return "adequate"
         return "diffuse" if fit_test.explained_within_tolerances else "unexplained"
     if _lacks_explanation(fit_test):
         return "partial"
     alternatives = [
-        *(c.others or c.data for c in findings.causes),
-        *(f.data for f in findings.located),
+        *(c.others or c.data for c in sets.causes),
+        *(f.data for f in sets.located),
     ]
     if any(alternatives):
         return "ambiguous"
-    return "located" if findings.located else "explained"
+    return "located" if sets.located else "explained"

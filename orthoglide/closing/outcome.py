@@ -84,7 +84,7 @@ class RunOutcome(Judged):
     def values_before(self) -> dict[str, float]:
         """Parameters of the base model's last campaign, dials included, SI."""
         problem = self.before.problem
-        return problem.values(problem.last_factor, self.before.x)
+        return problem.values(problem.last_factor_index, self.before.x)
 
     @cached_property
     def machine(self) -> Machine:

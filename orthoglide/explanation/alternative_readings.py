@@ -88,7 +88,7 @@ def _signs(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Alternative
 
 def _units(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[AlternativeReadings]:
     for setup, rows in rows_by_setup.items():
-        sigma = np.hypot(problem.sigma, problem.common)[rows]
+        sigma = np.hypot(problem.sigma, problem.shared_rounding_sd)[rows]
         for factor in UNIT_MISTAKES:
             fault = Fault("unit", rows, (setup,), factor)
             # The rounding of a reading is rescaled with it, so no precision is gained.
@@ -139,7 +139,7 @@ def _shifts(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Alternativ
         for by in (1, -1):
             sources, lost = _shifted_rows(rows, by)
             fault = Fault("shifted", rows, (setup,), float(by))
-            sigma = float(np.hypot(problem.sigma, problem.common)[rows[lost]].sum())
+            sigma = float(np.hypot(problem.sigma, problem.shared_rounding_sd)[rows[lost]].sum())
             odds = float(np.log(sigma * np.sqrt(2 * np.pi) / _LOST_RANGE))
             change = _reading_change(problem, rows, problem.measured[sources])
             yield AlternativeReadings(fault, change, odds, zero_weight=rows[lost])
@@ -156,8 +156,8 @@ def _stuck(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Alternative
         for run in np.split(rows, cuts):
             if len(run) < _FEWEST_STUCK or len(np.unique(commands[run], axis=0)) == 1:
                 continue
-            sigma = np.hypot(problem.sigma, problem.common)[run]
-            step = max(float(problem.step[run].max()), finest)
+            sigma = np.hypot(problem.sigma, problem.shared_rounding_sd)[run]
+            step = max(float(problem.resolution[run].max()), finest)
             # A stuck dial shows all but the first reading with certainty; a working one with the
             # probability of its rounding step at most.
             odds = float(np.log(np.maximum(sigma * np.sqrt(2 * np.pi) / step, 1.0))[1:].sum())
@@ -242,7 +242,7 @@ def with_misreading_corrected(problem: Problem, fault: Fault) -> Problem:
     if fault.kind == "shifted":
         sources, lost = _shifted_rows(fault.rows, int(fault.size))
         measured[fault.rows] = problem.measured[sources]
-        return without_weight(problem.with_readings(measured), fault.rows[lost])
+        return without_weight(problem.with_leg_readings(measured), fault.rows[lost])
     if fault.kind == "exchanged_labels":
         a, b = (rows_in_order(problem, s) for s in fault.setups)
         measured[a], measured[b] = problem.measured[b], problem.measured[a]
@@ -250,7 +250,7 @@ def with_misreading_corrected(problem: Problem, fault: Fault) -> Problem:
         measured[fault.rows] -= np.array(fault.sizes)
     else:
         measured[fault.rows] *= fault.size
-    return problem.with_readings(measured)
+    return problem.with_leg_readings(measured)
 
 
 def without_weight(problem: Problem, rows: Rows | NDArray[np.bool_]) -> Problem:

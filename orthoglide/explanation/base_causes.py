@@ -54,7 +54,7 @@ def _beyond_tolerance(
     linearised, problem, moments = posterior.linearised, posterior.before.problem, posterior.moments
     machine, count = problem.machine, len(problem.names)
     names, values, _ = posterior.machine_parameters(posterior.mean)
-    mean = problem.without_entered_mean(moments.mean[:count] * linearised.units[:count])[index]
+    mean = problem.without_common_error(moments.mean[:count] * linearised.units[:count])[index]
     units = linearised.units[index]
     covariance = moments.covariance[np.ix_(index, index)] * units * units[:, None]
     limit, causes = MAX_TOLERANCES * machine.tolerance(problem.names[index[0]]), list[Cause]()

@@ -182,7 +182,7 @@ def build_groups(
     free_form_errors: Sequence[FreeForm],
     replacements: Mapping[Parameter, tuple[Parameter, float]],
 ) -> tuple[tuple[Group, ...], tuple[Candidate, ...], tuple[Parameter, ...]]:
-    """Return the visible groups, their causes, and the parameters that the commands excite.
+    """Return the visible groups, their causes, and the excited parameters.
 
     A replaced parameter has no coefficient: a cause moves that of its replacement. A cause that
     consists of replaced parameters only is another name of a cause and is left out.

@@ -123,7 +123,9 @@ def most_probable_changes(
         mean = mixture.likeliest_mean(mixture.best)
         sizes = np.where(np.isin(np.arange(len(candidates)), list(active)), mean[len(x) :], 0.0)
         x = model.unknowns(mean)
-    return tuple(_change_estimate(mixture, member, candidates) for member in mixture.strongest)
+    return tuple(
+        _change_estimate(mixture, member, candidates) for member in mixture.groups_by_importance
+    )
 
 
 def _change_estimate(

@@ -78,7 +78,7 @@ class ClassMembers:
         """
         posterior, fit = self.posterior, self.posterior.after
         machine, catalogue = fit.problem.machine, fit.problem.machine.catalogue
-        values = catalogue.machine_values(fit.problem.values(fit.problem.last_factor, fit.x))
+        values = catalogue.machine_values(fit.problem.values(fit.problem.last_factor_index, fit.x))
         names, _, weights = posterior.machine_parameters(posterior.mean)
         in_catalogue = [k for k, name in enumerate(names) if name in catalogue.motions]
         linearised = factor.linearise(machine.model, values, [names[k] for k in in_catalogue])

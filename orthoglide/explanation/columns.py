@@ -81,20 +81,22 @@ class LinearisedModel:
     """The readings, linear in all coefficients, about one point."""
 
     problem: Problem  # all relevant parameters of the catalogue are free
-    # SI of one unit of each coefficient (C,): parameters, free-form errors, plate shapes
+    # SI of one unit of each coefficient (C,): parameters, free-form errors, plate shapes, then data
+    # faults
     units: Array
     free_form_errors: tuple[FreeForm, ...]  # in the order of their coefficients
     candidates: tuple[Candidate, ...]  # visible causes, in the order of the linear groups
     linear: LinearModel  # for the mixture
-    # by parameter: its twins, each with the value that is equivalent to one unit of it; twins have
-    # no coefficient
+    # by parameter: its twins, each with the value of the twin that is equivalent to 1 of the
+    # parameter, both in SI; the columns of twins are zero
     twins: Mapping[str, tuple[tuple[str, float], ...]]
     translations: Array  # orthonormal directions that translate the machine (P, 3), tolerances
-    rows: Array  # readings by coefficient (n, C), metres
+    rows: Array  # readings by coefficient (n, C), metres or radians
     point: Array  # parameters at the linearisation (P,), SI
-    value_at_zero: Array  # linear prediction with all coefficients zero (n,), metres
+    value_at_zero: Array  # linear prediction, all coefficients zero (n,), metres or radians
     prior_rows: tuple[Array, Array]  # posterior of an earlier calibration: matrix and target
-    varied_parameters: tuple[Parameter, ...]  # beyond the base, and excited by the commands
+    # not in the base, excited by commands, load, temperature or time, and not replaced by a twin
+    excited_parameters: tuple[Parameter, ...]
     suspects: tuple[FaultColumns, ...]  # possible data faults, in the order of the last groups
     unexplainable_chi2: float  # chi2 in the directions that no coefficient moves
     nuisance: Nuisances  # of the instruments, at the linearisation
@@ -130,9 +132,7 @@ class LinearisedModel:
 
 
 def with_all_parameters(problem: Problem) -> Problem:
-    """Return the problem with all parameters of the catalogue free that could move readings or
-    TCP.
-    """
+    """Return the problem with all parameters free that could move readings or the TCP."""
     excited = {effect.name for effect in excited_effects(problem)}
 
     def is_relevant(effect: Effect) -> bool:
@@ -159,13 +159,13 @@ def linearise_full_model(
         corrected: wrong commands that are corrected in the estimate's problem.
         suspected_faults: true to screen all data faults, or the keys of those to consider.
     """
-    wide, linearised = _linearise_all_parameters(estimate, point)
-    displacement = _displacement_by_commands(wide, linearised, corrected)
-    model = _machine_model(estimate.problem, wide, linearised, displacement)
+    full_problem, linearised = _linearise_all_parameters(estimate, point)
+    displacement = _displacement_by_commands(full_problem, linearised, corrected)
+    model = _machine_model(estimate.problem, full_problem, linearised, displacement)
     if suspected_faults:
-        suspects = fault_columns(wide, linearised, corrected)
+        suspects = fault_columns(full_problem, linearised, corrected)
         if not isinstance(suspected_faults, bool):
-            suspects = [s for s in suspects if s.key(wide) in suspected_faults]
+            suspects = [s for s in suspects if s.key(full_problem) in suspected_faults]
         model = _with_data_faults(model, suspects, corrected, suspected_faults is True)
     linear, compact = model.linear, drop_unseen_directions(model.linear)
     unexplainable = float(linear.residual @ linear.residual - compact.residual @ compact.residual)
@@ -173,15 +173,14 @@ def linearise_full_model(
 
 
 def _displacement_by_commands(
-    wide: Problem, linearised: Linearised, corrected: Sequence[Fault]
+    full_problem: Problem, linearised: Linearised, corrected: Sequence[Fault]
 ) -> Array:
-    """Return by how much corrected commands moved the predicted readings ``(n,)``, metres.
-
-    Explanations other than the wrong commands have to explain this displacement.
+    """Return the displacement of the predicted readings by corrected commands ``(n,)``, metres or
+    radians. It is added back to the residual, so that other causes can compete for it.
     """
     displacement = np.zeros(len(linearised.value))
     if corrected:
-        by_command = command_derivatives(wide, linearised.x, linearised.value)
+        by_command = command_derivatives(full_problem, linearised.x, linearised.value)
         for fault in corrected:
             drive, size = fault.commands[0]
             displacement[fault.rows] += by_command[fault.rows, drive] * size
@@ -189,29 +188,30 @@ def _displacement_by_commands(
 
 
 def _machine_model(
-    problem: Problem, wide: Problem, linearised: Linearised, displacement: Array
+    problem: Problem, full_problem: Problem, linearised: Linearised, displacement: Array
 ) -> LinearisedModel:
     """Return the linear model of the machine and its instruments, without data faults.
 
     Args:
         problem: with the base free.
-        wide: with all parameters free.
+        full_problem: with all parameters free.
         linearised: its readings, linearised.
-        displacement: of the predicted readings by corrected commands ``(n,)``, metres.
+        displacement: of the readings by corrected commands ``(n,)``, metres or radians.
     """
-    nuisance, sd, x = nuisances(wide, linearised.reading_poses), wide.tolerance, linearised.x
+    nuisance = nuisances(full_problem, linearised.reading_poses)
+    sd, x = full_problem.tolerance, linearised.x
     residual = problem.measured - linearised.value + displacement
-    rows, units, errors, plate_count = _scaled_columns(wide, linearised, nuisance, residual)
+    rows, units, errors, plate_count = _scaled_columns(full_problem, linearised, nuisance, residual)
     value_at_zero = linearised.value - linearised.jacobian @ x
     fixed_sd, (matrix, target) = _fixed_priors(problem, len(units))
     prior_rows = np.pad(matrix, [(0, 0), (0, len(sd) - matrix.shape[1])]), target
     plate_shapes = np.arange(len(units)) >= len(units) - plate_count
     fixed_sd[plate_shapes] = 1.0
     readings = _WhitenedReadings.of(problem, nuisance, rows, problem.measured - value_at_zero)
-    base_count, slopes = len(problem.unknowns), tool_slopes(wide, x) * sd
-    twin_parameters = twins(wide, base_count, readings.columns[:, : len(sd)], slopes)
+    base_count, slopes = len(problem.unknowns), tool_slopes(full_problem, x) * sd
+    twin_parameters = twins(full_problem, base_count, readings.columns[:, : len(sd)], slopes)
     replaced = {other.plain for factors in twin_parameters.values() for other, _ in factors}
-    replaced_index = np.flatnonzero([name.plain in replaced for name in wide.names])
+    replaced_index = np.flatnonzero([name.plain in replaced for name in full_problem.names])
     rows[:, replaced_index] = readings.columns[:, replaced_index] = 0.0
     fixed_sd[replaced_index] = _ZERO_SD
     readings = readings.with_prior_rows(prior_rows, units)
@@ -220,7 +220,9 @@ def _machine_model(
         for name, factors in twin_parameters.items()
         for twin, factor in factors
     }
-    groups, causes, varied = build_groups(wide, base_count, readings.columns, errors, replacements)
+    groups, causes, excited = build_groups(
+        full_problem, base_count, readings.columns, errors, replacements
+    )
     enough_repeats = problem.repeat_count >= _ENOUGH_REPEATS
     linear = LinearModel(
         readings.columns, readings.residual, fixed_sd, np.arange(len(units)) >= len(sd),
@@ -228,28 +230,28 @@ def _machine_model(
         noise_weight=RARE_LOG_PRIOR if enough_repeats else 0.0,
         noise_decay=0.0 if enough_repeats else 1.0, station_remainder=readings.station_remainder,
     )  # fmt: skip
-    tolerance = wide.machine.tolerance
+    tolerance = full_problem.machine.tolerance
     twins_in_si: dict[str, tuple[tuple[str, float], ...]] = {
         name: tuple((twin, factor * tolerance(twin) / tolerance(name)) for twin, factor in factors)
         for name, factors in twin_parameters.items()
     }
     # On an even grid, over which a translation is the mean displacement.
-    grid_slopes = tool_slopes(wide, x, workspace_grid(wide.machine.geometry)) * sd
+    grid_slopes = tool_slopes(full_problem, x, workspace_grid(full_problem.machine.geometry)) * sd
     return LinearisedModel(
-        wide, units, errors, causes, _with_plate_priors(linear, problem),
+        full_problem, units, errors, causes, _with_plate_priors(linear, problem),
         twins_in_si, translations(grid_slopes), rows, x, value_at_zero, prior_rows,
-        tuple(name for name in varied if name.plain not in replaced), (), 0.0, nuisance,
+        tuple(name for name in excited if name.plain not in replaced), (), 0.0, nuisance,
     )  # fmt: skip
 
 
 def _scaled_columns(
-    wide: Problem, linearised: Linearised, nuisance: Nuisances, residual: Array
+    full_problem: Problem, linearised: Linearised, nuisance: Nuisances, residual: Array
 ) -> tuple[Array, Array, tuple[FreeForm, ...], int]:
     """Return all columns ``(n, C)``, their units, free-form errors and number of plate shapes."""
-    sd, unexplained = wide.tolerance, residual - nuisance.explained_residual(residual)
-    machine_blocks, machine_errors = free_form_columns(wide, linearised.x, unexplained)
-    dial_blocks, dial_errors = dial_curve_columns(wide, linearised.value, residual)
-    plate_block, plate_sd = plate_shape_columns(wide)
+    sd, unexplained = full_problem.tolerance, residual - nuisance.explained_residual(residual)
+    machine_blocks, machine_errors = free_form_columns(full_problem, linearised.x, unexplained)
+    dial_blocks, dial_errors = dial_curve_columns(full_problem, linearised.value, residual)
+    plate_block, plate_sd = plate_shape_columns(full_problem)
     errors = (*machine_errors, *dial_errors)
     units = np.concatenate([sd, *(np.full(e.kernel.count, e.prior_sd) for e in errors), plate_sd])
     rows = np.empty((len(residual), len(units)))
@@ -273,7 +275,7 @@ def _with_data_faults(
     """
     problem, linear = model.problem, model.linear
     corrected_suspects = {s.name: s for s in suspects if any(s.fault is f for f in corrected)}
-    # The alternatives to a corrected command have to explain what it explains.
+    # The displacement by corrected commands is added back, so that other causes can compete for it.
     value_at_zero = model.value_at_zero.copy()
     for suspect in corrected_suspects.values():
         size = suspect.fault.size / suspect.unit
@@ -327,7 +329,7 @@ class _WhitenedReadings:
     def of(
         cls, problem: Problem, nuisance: Nuisances, rows: Array, residual: Array
     ) -> _WhitenedReadings:
-        """Whiten columns ``(n, C)`` and residual ``(n,)``, metres."""
+        """Whiten columns ``(n, C)`` and residual ``(n,)``, metres or radians."""
         if len(residual) > COMPRESSION_THRESHOLD:
             return cls(*compress_readings(nuisance, rows, residual))
         station_errors = np.eye(int(problem.station.max()) + 1)[problem.station]
@@ -355,19 +357,19 @@ def _linearise_all_parameters(
 
     The frames of the instruments are those of the linearisation.
     """
-    wide = with_all_parameters(estimate.problem)
-    start = wide.zero_padded(estimate.x)
+    full_problem = with_all_parameters(estimate.problem)
+    start = full_problem.zero_padded(estimate.x)
     x = start if point is None else point
-    linearised = linearise(wide, x)
-    if (moved := update_instrument_poses(wide, linearised)) is not wide:
-        wide, linearised = moved, linearise(moved, x)
+    linearised = linearise(full_problem, x)
+    if (moved := update_instrument_poses(full_problem, linearised)) is not full_problem:
+        full_problem, linearised = moved, linearise(moved, x)
     if point is not None:
-        # At the mean, the scale error of a dial would imitate all causes found so far at once.
-        # Inactive effects of dials are therefore linearised at the base fit.
-        of_dial = [wide.machine.catalogue.effect_of(n).of_dial for n in wide.names]
+        # At the mean, a dial's scale error has a column proportional to the sum of displacements
+        # found so far: it could replace all causes at once. Inactive dial effects use the base fit.
+        of_dial = [full_problem.machine.catalogue.effect_of(n).of_dial for n in full_problem.names]
         inactive = np.array(of_dial) & (point == 0)
-        linearised.jacobian[:, inactive] = linearise(wide, start).jacobian[:, inactive]
-    return wide, linearised
+        linearised.jacobian[:, inactive] = linearise(full_problem, start).jacobian[:, inactive]
+    return full_problem, linearised
 
 
 def _with_plate_priors(linear: LinearModel, problem: Problem) -> LinearModel:
@@ -384,11 +386,10 @@ def _with_plate_priors(linear: LinearModel, problem: Problem) -> LinearModel:
 
 
 def _fixed_priors(problem: Problem, count: int) -> tuple[Array, tuple[Array, Array]]:
-    """Return the prior sd of coefficients without background scale ``(C,)``, else nan, and prior
-    rows.
+    """Return prior sd ``(C,)`` of coefficients without background scale, else nan, and prior rows.
 
-    Parameters of the base have their tolerances as prior sd. Those of an earlier calibration have
-    rows instead, matrix and target.
+    The prior sd of a base parameter is its prior width, in tolerances. Parameters of an earlier
+    calibration have rows instead, matrix and target.
     """
     fixed_sd = np.full(count, np.nan)
     fixed_sd[: len(problem.names)] = [u.prior_width for u in problem.unknowns]

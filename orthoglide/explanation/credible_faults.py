@@ -51,7 +51,7 @@ class _FaultReader:
         """Yield each group of the best state, the probability of every group in its place, and
         whether these amount to the 0.9 of a claim.
         """
-        for member in self.posterior.mixture.strongest:
+        for member in self.posterior.mixture.groups_by_importance:
             probabilities = self.alternatives.probabilities(member)[:-1]
             yield member, probabilities, probabilities.sum() >= LEAST_CLAIMED_PROBABILITY
 

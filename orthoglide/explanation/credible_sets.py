@@ -58,7 +58,7 @@ LEAST_CLAIMED_PROBABILITY = 0.9
 def credible_sets(posterior: FullPosterior, given: Sequence[str] = ()) -> CredibleSets:
     """Return the credible sets of all active causes, those declared in ``given`` included."""
     reader = _CredibleSetReader(posterior)
-    sets = [reader.credible_set(member, given) for member in posterior.mixture.strongest]
+    sets = [reader.credible_set(member, given) for member in posterior.mixture.groups_by_importance]
     sets += far_base_causes(posterior)
     return CredibleSets(
         tuple(item for item in sets if isinstance(item, Cause)),
@@ -139,7 +139,7 @@ class _CredibleSetReader:
     def single_causes(self) -> tuple[Explanation, ...]:
         """Return the 95 % credible set of single causes on an otherwise sound machine."""
         mixture = self.posterior.mixture
-        table = mixture.log_bayes_factors_if_sound()
+        table = mixture.log_posterior_odds_if_sound()
         if self.posterior.background_scale < _LEAST_BACKGROUND or table.max(initial=0.0) <= 0:
             return ()
         log_weights = table[self._cause_groups]

@@ -74,7 +74,7 @@ _OVERSTATED_NOISE = 0.25
 
 @dataclass(frozen=True)
 class ReportedFault:
-    """A data fault with its message and its effect on the fit."""
+    """A data fault with its message and its influence on the fit."""
 
     kind: Kind
     # factor and row within it; for a knocked stand the rows after the knock, for dials set to zero
@@ -82,7 +82,7 @@ class ReportedFault:
     rows: tuple[tuple[int, int], ...]
     setups: tuple[str, ...]  # names of the setups concerned
     message: str  # which file, which lines, what it looks like, what to do
-    # decrease of the least cost (chi2 and priors) by its correction, after that of earlier faults
+    # decrease of the least cost (chi2 and priors) by its correction, earlier faults being corrected
     improvement: float
     rms_with: float  # of the residuals with it, metres
     rms_without: float  # of the residuals without it, metres
@@ -90,7 +90,7 @@ class ReportedFault:
 
     @property
     def excluded(self) -> bool:
-        """True if the result is fitted without its rows; otherwise they get a separate datum."""
+        """True if the rows are not fitted; otherwise they are fitted with a separate datum."""
         return self.kind not in DATUM_KINDS
 
     def lines(self, tables: Sequence[Readings]) -> dict[str, tuple[int, ...]]:
@@ -103,7 +103,7 @@ class ReportedFault:
 
 
 @dataclass(frozen=True)
-class Findings:
+class DataFindings:
     """Data faults, and changes of the machine between visits."""
 
     data_faults: tuple[ReportedFault, ...]  # in the order they were found
@@ -116,7 +116,7 @@ class Findings:
     notes: tuple[Note, ...] = ()
 
 
-def find_data_faults(estimate: Estimate) -> Findings:
+def find_data_faults(estimate: Estimate) -> DataFindings:
     """Find data faults and changes between visits, from the fit of the base model to all readings.
 
     Raises:
@@ -124,39 +124,41 @@ def find_data_faults(estimate: Estimate) -> Findings:
         NumericsError: if the machine that is found cannot be closed.
     """
     problem = estimate.problem
-    found = find_scattered_setups(problem)
-    fit = (
-        _fit_nested(_correct_faults(problem, found)) if found else _fit_with_narrow_priors(estimate)
-    )
+    faults_found = find_scattered_setups(problem)
+    if faults_found:
+        fit = _fit_nested(_correct_faults(problem, faults_found))
+    else:
+        fit = _fit_with_narrow_priors(estimate)
     for _ in range(_ROUNDS):
         # Changes are searched again: a fault that is corrected now may have caused earlier ones.
         changes, cost = likeliest_changes(fit)
-        base, misread = fit, None
+        base, misreading = fit, None
         posterior = posterior_with_corrected_commands(fit)
         if changes:
-            unchanged = posterior
+            posterior_without_changes = posterior
             base = _fit_nested(with_changes_separate(fit.problem, changes))
             posterior = posterior_with_corrected_commands(base)
-            misread = _find_misreading(fit, unchanged, found, posterior.evidence - cost)
-        if misread is None:
+            evidence = posterior.evidence - cost
+            misreading = _find_misreading(fit, posterior_without_changes, faults_found, evidence)
+        if misreading is None:
             if posterior.chi2_per_dof < _OVERSTATED_NOISE:  # a wrong unit could pass for the noise
                 ratios = _noise_square_ratios(posterior)
                 base = _fit_nested(with_smaller_noise(base.problem, ratios))
                 posterior = posterior_with_corrected_commands(base)
-            misread = _find_misreading(base, posterior, found)
-        faults = _certain_faults(base, posterior) if misread is None else [misread]
+            misreading = _find_misreading(base, posterior, faults_found)
+        faults = _certain_faults(base, posterior) if misreading is None else [misreading]
         if not faults:
             break
-        found = _merge_faults(found, [_with_all_rows(problem, fault) for fault in faults])
-        fit = _fit_nested(_correct_faults(problem, found))
+        faults_found = _merge_faults(faults_found, [_with_all_rows(problem, f) for f in faults])
+        fit = _fit_nested(_correct_faults(problem, faults_found))
     check_scatter(posterior.before.problem)
     ambiguous = ambiguous_faults(posterior)
-    as_read = np.array_equal(posterior.before.problem.sigma, problem.sigma)
-    reusable = as_read and not (found or changes or ambiguous or posterior.linearised.suspects)
-    return Findings(
-        _report_faults(estimate, found),
+    noise_unchanged = np.array_equal(posterior.before.problem.sigma, problem.sigma)
+    altered = faults_found or changes or ambiguous or posterior.linearised.suspects
+    return DataFindings(
+        _report_faults(estimate, faults_found),
         tuple(change.with_separate_fit(posterior.before) for change in changes),
-        posterior if reusable else None,
+        posterior if noise_unchanged and not altered else None,
         ambiguous,
         tuple(_probable_fault_notes(posterior)),
     )
@@ -177,8 +179,11 @@ def _certain_faults(base: Estimate, posterior: FullPosterior) -> list[Fault]:
 def _probable_fault_notes(posterior: FullPosterior) -> Iterator[Note]:
     """Yield a note on each fault that is probable, but not certain enough to be corrected."""
     for fault, probability in probable_faults(posterior):
+        certainty = f"probability {100 * probability:.0f} %, too low for a correction"
         text = fault_message(posterior.before.problem, fault)
-        yield Note(f"perhaps ({100 * probability:.0f} % likely; it is kept): {text}", "slip")
+        yield Note(
+            f"possible data fault ({certainty}, so the rows stay in the fit): {text}", "slip"
+        )
 
 
 def _noise_square_ratios(posterior: FullPosterior) -> dict[str, float]:
@@ -194,9 +199,8 @@ def _noise_square_ratios(posterior: FullPosterior) -> dict[str, float]:
 
 
 def _fit_with_narrow_priors(estimate: Estimate) -> Estimate:
-    """Return the fit with narrow priors, so that faulty readings cannot pull parameters far off.
-
-    The noise is estimated without the repeats that differ most.
+    """Return the fit with narrow priors, so that faulty readings cannot pull parameters far off,
+    and with the noise estimated without the repeats that differ most.
     """
     problem = _with_tolerance_priors(estimate.problem)
     if (outlying := outlying_repeats(problem)).any():
@@ -249,8 +253,8 @@ def _find_misreading(
 
 
 def _with_all_rows(problem: Problem, fault: Fault) -> Fault:
-    """Return the fault with the setup numbers of the original readings; of a wrong sign or label
-    with all rows of these setups.
+    """Return the fault with its setups numbered as in the original problem. A wrong sign or label
+    is extended to all rows of its setups.
     """
     setups = tuple(np.unique(problem.setup_of_row[fault.rows]).tolist())
     rows = fault.rows
@@ -260,20 +264,18 @@ def _with_all_rows(problem: Problem, fault: Fault) -> Fault:
 
 
 def _merge_faults(faults: Sequence[Fault], new: Sequence[Fault]) -> list[Fault]:
-    """Return all faults. A fault in setups that a new misreading covers is dropped, because it is
-    searched again.
-    """
-    misread = [set(f.setups) for f in new if f.kind in MISREADING_KINDS]
-    kept = [f for f in faults if f.commands or not any(set(f.setups) <= s for s in misread)]
+    """Return all faults but those in setups that a new misreading covers, to search them again."""
+    misread_setups = [set(f.setups) for f in new if f.kind in MISREADING_KINDS]
+    kept = [f for f in faults if f.commands or not any(set(f.setups) <= s for s in misread_setups)]
     return [*kept, *new]
 
 
 def _correct_faults(problem: Problem, faults: Sequence[Fault]) -> Problem:
-    """Return the problem with misread readings restored, shifted datums split and wrong commands
-    corrected.
+    """Return the problem with misreadings and wrong commands corrected, shifted datums split.
 
     Rows of other faults get zero weight. So do those of wrong commands, which are corrected
-    nevertheless, because the approach of the next rows depends on them.
+    nevertheless, because the approach of the next rows depends on them. Prior widths are reset to
+    the tolerances unless there is an earlier calibration.
     """
     for fault in faults:
         if fault.kind in MISREADING_KINDS:
@@ -291,7 +293,7 @@ def _correct_faults(problem: Problem, faults: Sequence[Fault]) -> Problem:
 
 
 def _report_faults(estimate: Estimate, faults: Sequence[Fault]) -> tuple[ReportedFault, ...]:
-    """Return the faults with the decrease of the cost by each, earlier faults corrected."""
+    """Return the faults with the decrease of the cost as each is corrected in turn."""
     problem, n = estimate.problem, len(estimate.problem.measured)
     kept, columns = np.ones(n, dtype=bool), np.zeros((n, 0))
     cost, rms = _least_cost(estimate, kept, columns)
@@ -344,9 +346,11 @@ def _least_cost(estimate: Estimate, kept: NDArray[np.bool_], datums: Array) -> t
 
 
 def without_faults(problem: Problem, faults: Sequence[ReportedFault]) -> Problem:
-    """Return the problem without the faulty rows; a knocked setup becomes two, with a datum each.
+    """Return the problem with faulty rows removed, wrong commands corrected, and knocked, re-zeroed
+    or moved setups split by datum.
 
-    Noise that came from repeats is estimated again from those that remain.
+    Prior widths are reset to the tolerances unless there is an earlier calibration. Noise that came
+    from repeats is estimated again from the remaining ones.
 
     Raises:
         InputError: if no row of a campaign remains.
@@ -360,10 +364,10 @@ def without_faults(problem: Problem, faults: Sequence[ReportedFault]) -> Problem
                 table = _corrected_table(table, fault, rows)
                 kept[rows] &= not fault.excluded
         if not kept.any():
-            culprit = next(b for b in faults if any(c == k for c, _ in b.rows))
+            fault = next(f for f in faults if any(c == k for c, _ in f.rows))
             raise InputError(
-                f"nothing is left of {factor.readings.name} once its faulty rows are set aside: "
-                f"measure it again ({culprit.message})"
+                f"all {len(kept)} rows of {table.name} are faulty, so it cannot be used; measure "
+                f"it again ({fault.message})"
             )
         factors.append(factor.with_table(table).subset(kept))
     problem = replace(_with_tolerance_priors(problem), factors=tuple(factors))

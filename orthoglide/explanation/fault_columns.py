@@ -185,7 +185,7 @@ def _moved_instruments(
 ) -> Iterator[FaultColumns]:
     """Yield a shift of an instrument at the tool from some moment on."""
     first = len(problem.leg_setups)
-    for number, (k, factor, setup, _) in enumerate(problem.tool_setups, first):
+    for number, (k, factor, setup, _) in enumerate(problem.iter_tool_setups(), first):
         readings, start = factor.readings, problem.factor_rows[k].start
         rows = np.flatnonzero((factor.setup == setup) & factor.noise.weighted)
         rows = rows[np.argsort(readings.order[rows], kind="stable")]

@@ -195,7 +195,7 @@ def free_form_columns_of_factor(
 def plate_shape_columns(problem: Problem) -> tuple[Array, Array]:
     """Return the columns ``(n, F)`` of plate shapes that no effect names, and their prior sd."""
     columns, sd = [np.zeros((len(problem.measured), 0))], list[float]()
-    for k, factor, number, setup in problem.tool_setups:
+    for k, factor, number, setup in problem.iter_tool_setups():
         if setup.observation.touches:
             rows = np.flatnonzero(factor.setup == number)
             for shape, shape_sd in residual_plate_shapes(

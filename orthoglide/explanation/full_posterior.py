@@ -158,8 +158,8 @@ class FullPosterior:
         Their signature is too small, or is explained by the base, the instruments' nuisances or a
         plate's shape.
         """
-        columns = self.mixture.scales[0].basis.columns
-        names, catalogue = self.linearised.problem.names, self.linearised.problem.machine.catalogue
+        columns, model = self.mixture.scales[0].basis.columns, self.linearised
+        names, catalogue = model.problem.names, model.problem.machine.catalogue
 
         def signal(name: Parameter) -> float:
             # A plate has one shape, however many setups probe it.
@@ -168,7 +168,7 @@ class FullPosterior:
                       if n == name or (of_plate and (n.effect, n.direction) == key)]  # fmt: skip
             return _DETECTABLE_TOLERANCES * float(np.linalg.norm(columns[:, copies].sum(axis=1)))
 
-        return tuple(n for n in self.linearised.varied_parameters if signal(n) < _DETECTABLE_SIGMAS)
+        return tuple(n for n in model.excited_parameters if signal(n) < _DETECTABLE_SIGMAS)
 
     @cached_property
     def free_form_errors(self) -> tuple[FreeForm, ...]:
@@ -185,7 +185,7 @@ class FullPosterior:
             mean: of all coefficients ``(C,)``.
         """
         problem = self.linearised.problem
-        names, matrix = problem.machine_parameters(problem.last_factor)
+        names, matrix = problem.machine_parameters(problem.last_factor_index)
         units, count = self.linearised.units, self.linearised.parameter_count
         blocks = [np.pad(matrix, [(0, 0), (0, len(units) - count)])]
         for error in self.free_form_errors:
@@ -214,7 +214,7 @@ class FullPosterior:
         matrix, target = linearised.prior_rows  # empty without an earlier calibration
         prior_rows = np.vstack([prior_root, matrix]), np.concatenate([np.zeros(count), target])
         curves = self._curve_nuisances(prior)
-        problem = replace(linearised.problem, prior_override=prior_rows, free_form_errors=curves)
+        problem = replace(linearised.problem, prior_override=prior_rows, free_form_nuisances=curves)
         x = (self.mean * units)[:count]
         fit = linearise(problem, x)
         if (moved := update_instrument_poses(problem, fit)) is not problem:

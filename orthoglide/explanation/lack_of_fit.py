@@ -68,7 +68,7 @@ def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int
     readings = _draw_noise(problem, signatures, rng, draws)
     rows = signatures.whiten(readings)
     if problem.noise.source == "repeats":
-        drawn = [problem.with_readings(r).campaigns for r in readings.T]
+        drawn = [problem.with_leg_readings(r).campaigns for r in readings.T]
         drawn_variance = _single_reading_variance(problem, drawn)
         estimated_variance = _single_reading_variance(problem, [problem.campaigns])
         rows = rows * np.sqrt(estimated_variance / np.maximum(drawn_variance, 1e-300))
@@ -96,9 +96,9 @@ def _draw_noise(
     problem: Problem, signatures: Signatures, rng: np.random.Generator, draws: int
 ) -> Array:
     """Draw noise of all readings ``(n, draws)``, metres: scatter, rounding, placement, datum."""
-    n, resolution = len(problem.measured), problem.step
+    n, resolution = len(problem.measured), problem.resolution
     leg_row_count = problem.leg_rows[-1].stop if problem.leg_rows else 0
-    variance = problem.sigma**2 + problem.common**2 - resolution**2 / 12
+    variance = problem.sigma**2 + problem.shared_rounding_sd**2 - resolution**2 / 12
     scatter = np.sqrt(np.maximum(variance, 0.0))
     noise = rng.standard_normal((n, draws)) * scatter[:, None]
     nuisance = signatures.estimate.nuisance
@@ -155,8 +155,12 @@ def posterior_lack_of_fit(posterior: FullPosterior, sets: CredibleSets) -> LackO
         p = max(p, min(unreported, of_mean))
     shaped = 0.0
     if mixture.linear.plate_shapes.any():
-        shaped = _p_value(posterior, mixture.precision(*reported[0], plate_shapes=True))
-    few_repeats = any(dof < _RELIABLE_NOISE_DOF for _, dof in posterior.before.problem.repeat_dof)
+        shaped = _p_value(
+            posterior, mixture.inverse_reading_covariance(*reported[0], plate_shapes=True)
+        )
+    few_repeats = any(
+        dof < _RELIABLE_NOISE_DOF for _, dof in posterior.before.problem.repeat_counts_and_dof
+    )
     rare = mixture.probability_beyond_tolerance if few_repeats else mixture.probability_rare
     diffuse = base_p < SIGNIFICANT and _is_diffuse(posterior)
     return LackOfFitTest(p, rare, shaped, unreported, base_p, diffuse)
@@ -169,7 +173,7 @@ def _is_diffuse(posterior: FullPosterior) -> bool:
     standard error.
     """
     mixture = posterior.mixture
-    p = _p_value(posterior, mixture.precision((), mixture.likeliest_background()))
+    p = _p_value(posterior, mixture.inverse_reading_covariance((), mixture.likeliest_background()))
     if p < SIGNIFICANT:
         return False
     before, after = posterior.before, posterior.after
@@ -183,7 +187,7 @@ def _largest_p_value(
     """Return the largest p-value of some explanations, or the first that suffices."""
     p = 0.0
     for state, scale in explanations:
-        p = max(p, _p_value(posterior, posterior.mixture.precision(state, scale)))
+        p = max(p, _p_value(posterior, posterior.mixture.inverse_reading_covariance(state, scale)))
         if p > _SUFFICIENT_P_VALUE:
             break
     return p
@@ -198,7 +202,7 @@ def _p_value(posterior: FullPosterior, inverse: Array) -> float:
     chi2, dof, _ = linear.station_remainder
     noise_dof, precision = problem.noise_dof, means.T @ inverse @ means
     p = _tail_probability(means.T @ residual, precision, chi2, dof, noise_dof)
-    if dof == 0 and not np.isfinite(noise_dof) and not problem.common.any():
+    if dof == 0 and not np.isfinite(noise_dof) and not problem.shared_rounding_sd.any():
         p = smaller_p_value(p, _tail_probability(residual, inverse, 0.0, 0.0, np.inf))
     return p if np.isfinite(p) else 1.0
 

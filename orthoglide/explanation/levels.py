@@ -66,7 +66,7 @@ def check_levels(posterior: FullPosterior) -> None:
     problem = posterior.before.problem
     levels = [
         f"{source(f.readings)}, setup {s.name!r}"
-        for _, f, _, s in problem.tool_setups
+        for _, f, _, s in problem.iter_tool_setups()
         if s.observation.angular
     ]
     if not levels:

@@ -25,6 +25,7 @@ _NEGLIGIBLE = 1e-4  # weight below which a state is left out of averages
 _MOST_TERMS = 60  # most states and scales in an average
 _LEAST_RELATIVE_WEIGHT = 0.05  # of a likely explanation, over that of the likeliest
 _MOST_LIKELY_STATES = 8  # most likely explanations
+_CHILD_LOG_WEIGHT_RANGE = 12  # below the best log weight: a child of less weighs under 1e-5 of it
 
 LEAST_PROBABILITY = 0.05
 """Least probability of a free-form error that enters the calibrated machine."""
@@ -35,8 +36,11 @@ class AveragedMoments:
     """Moments of the coefficients, averaged over all explanations."""
 
     mean: Array  # (C,)
-    covariance: Array  # (C, C); zero for free-form errors that are improbable
-    prior: Array  # prior covariance, averaged with equal weights and equally zero (C, C)
+    # (C, C); zero outside the first `count` coefficients and the groups that are active in the best
+    # state or more probable than LEAST_PROBABILITY
+    covariance: Array
+    # prior covariance, averaged with the same posterior weights, zero in the same entries (C, C)
+    prior: Array
 
 
 class Mixture(Search):
@@ -44,9 +48,11 @@ class Mixture(Search):
 
     @cached_property
     def weights(self) -> dict[State, Array]:
-        """Posterior probabilities ``(scales,)`` of all visited states, with sum one."""
+        """Posterior probabilities ``(scales,)`` of the visited states that contain the given
+        groups, and of their children near the best log weight; they sum to one.
+        """
         logs: dict[State, Array] = dict(self.visited)
-        least = self.log_weight(self.best) - 12
+        least = self.log_weight(self.best) - _CHILD_LOG_WEIGHT_RANGE
         for state, table in self.children.items():
             for group, tau in np.argwhere(table.max(axis=0) > least).tolist():
                 child = tuple(sorted((*state, (group, self.linear.slab_scales[tau]))))
@@ -65,18 +71,18 @@ class Mixture(Search):
                 probabilities[group] += float(weight.sum())
         return probabilities
 
-    def without(self, member: int) -> State:
+    def without(self, group: int) -> State:
         """Return the best state without one of its groups."""
-        return tuple(s for s in self.best if s[0] != member)
+        return tuple(s for s in self.best if s[0] != group)
 
     @cached_property
-    def strongest(self) -> tuple[int, ...]:
-        """Groups of the best state, in the order of how much the fit needs them."""
-        needs = {}
-        for member, _ in self.best:
-            self.child_log_weights(smaller := self.without(member))
-            needs[member] = -self.log_weight(smaller)
-        return tuple(ranked(needs, lambda member: needs[member], LOG_ODDS_MARGIN))
+    def groups_by_importance(self) -> tuple[int, ...]:
+        """Groups of the best state, ordered by the log weight lost when the group is removed."""
+        loss = {}
+        for group, _ in self.best:
+            self.child_log_weights(smaller := self.without(group))
+            loss[group] = -self.log_weight(smaller)
+        return tuple(ranked(loss, lambda group: loss[group], LOG_ODDS_MARGIN))
 
     @cached_property
     def mean_scales(self) -> tuple[float, float, float]:
@@ -87,25 +93,25 @@ class Mixture(Search):
         return background, free, noise
 
     @property
-    def _declared_noise_scales(self) -> NDArray[np.bool_]:
-        """Mask of the scales without station errors and with least free functions ``(scales,)``."""
+    def _least_flexible_scales(self) -> NDArray[np.bool_]:
+        """Mask of the scales with declared noise and the least free-form scale ``(scales,)``."""
         least = min(s.free_form_scale for s in self.scales)
         return np.array([s.noise == 0 and s.free_form_scale == least for s in self.scales])
 
     @cached_property
     def likely_explanations(self) -> tuple[tuple[State, Scale], ...]:
         """Likely states, each with a scale without station errors, most probable first."""
-        declared_noise = self._declared_noise_scales
-        weight = {s: float(by_scale[declared_noise].sum()) for s, by_scale in self.weights.items()}
+        allowed = self._least_flexible_scales
+        weight = {s: float(by_scale[allowed].sum()) for s, by_scale in self.weights.items()}
         order = ranked(weight, lambda state: weight[state])[:_MOST_LIKELY_STATES]
         likely = [s for s in order if weight[s] >= _LEAST_RELATIVE_WEIGHT * weight[order[0]]]
-        best_scales = [largest(np.where(declared_noise, self.weights[s], -np.inf)) for s in likely]
+        best_scales = [largest(np.where(allowed, self.weights[s], -np.inf)) for s in likely]
         return tuple((s, self.scales[k]) for s, k in zip(likely, best_scales, strict=True))
 
     def likeliest_background(self) -> Scale:
         """Return the likeliest scale within tolerances, at the declared noise, no group active."""
         within = np.array([s.background_scale <= 1 for s in self.scales])
-        allowed = self._declared_noise_scales & within
+        allowed = self._least_flexible_scales & within
         return self.scales[largest(np.where(allowed, self.visited[()], -np.inf), LOG_ODDS_MARGIN)]
 
     def restricted_to(self, names: Collection[str]) -> tuple[tuple[State, Scale], ...]:
@@ -120,12 +126,15 @@ class Mixture(Search):
             return tuple(matching)
         state = tuple((group, tau) for group, tau in self.best if group in allowed)
         by_scale = np.sum(list(self.weights.values()), axis=0)
-        likeliest = largest(np.where(self._declared_noise_scales, by_scale, -np.inf))
+        likeliest = largest(np.where(self._least_flexible_scales, by_scale, -np.inf))
         return ((state, self.scales[likeliest]),)
 
     @cached_property
     def probability_rare(self) -> float:
-        """Probability of a background beyond all tolerances, or of noise larger than declared."""
+        """Probability of a background beyond all tolerances, or of noise larger than declared.
+
+        Larger noise counts only if repeats determine the noise.
+        """
         return self._probability_of_scales([s.rare > 0 for s in self.scales])
 
     @cached_property
@@ -143,8 +152,10 @@ class Mixture(Search):
         sound = [s.background_scale <= SOUND_BACKGROUND and s.noise == 0 for s in self.scales]
         return np.flatnonzero(sound)
 
-    def log_bayes_factors_if_sound(self) -> Array:
-        """Return log Bayes factors of single groups on a sound machine ``(groups, taus)``."""
+    def log_posterior_odds_if_sound(self) -> Array:
+        """Return the log posterior odds of each single group at each tau against no active group,
+        maximised over sound scales ``(groups, taus)``.
+        """
         sound, table = self._sound_scales, self.child_log_weights(())
         return np.asarray(table[sound].max(axis=0) - self.visited[()][sound].max())
 
@@ -155,15 +166,20 @@ class Mixture(Search):
         return self.moments(state, scales[largest(logs, LOG_ODDS_MARGIN)], index)
 
     def next_log_bayes_factors(self) -> Array:
-        """Return log Bayes factors of each group added to the best state ``(groups,)``."""
+        """Return the log of the sum over taus of the Bayes factors of each group added to the best
+        state ``(groups,)``.
+        """
         table = self.child_log_weights(self.best)
         log_weight = self.log_weight(self.best)
         with np.errstate(divide="ignore"):
             pooled = np.log(np.exp(table - log_weight).sum(axis=(0, 2)))
         return np.asarray(pooled + self.cost)
 
-    def precision(self, state: State, scale: Scale, *, plate_shapes: bool = False) -> Array:
-        """Return the inverse prior covariance of the readings in a state ``(m, m)``.
+    def inverse_reading_covariance(
+        self, state: State, scale: Scale, *, plate_shapes: bool = False
+    ) -> Array:
+        """Return the inverse marginal covariance of the readings in a state ``(m, m)``, declared
+        noise included. The scale must have no station errors.
 
         Plate shapes that no effect names are included only if ``plate_shapes`` is true.
         """
@@ -211,28 +227,28 @@ class Mixture(Search):
         (left,), (shrink,) = self._active_directions([scale], self.best)
         return float(np.sum(shrink_along(scale.residual, left, shrink) ** 2))
 
-    def alternatives_to(self, member: int, rise: float) -> dict[int, float]:
+    def alternatives_to(self, group: int, rise: float) -> dict[int, float]:
         """Return the groups that could be active in place of one, with the size of each.
 
         All have one coefficient. They are judged at the widest slab, over the first background.
 
         Args:
-            member: a group of the best state.
-            rise: of chi2, by which they may fit worse than ``member``.
+            group: index of a group of the best state.
+            rise: by how much chi2 may be larger than with ``group``.
 
         Returns:
-            From group to its coefficient; the one that explains most first.
+            Size by group; the group that explains most comes first.
         """
-        smaller = self.without(member)
+        smaller = self.without(group)
         left, shrink = self._active_directions(self.scales, smaller)
         explained = self._gains(left, shrink)[0][0, :, -1]
         unknown_noise, noise_variance = self.linear.unknown_noise, 1.0
         if unknown_noise is not None:
-            given = self._explained(left, shrink)[0]
-            noise_variance = unknown_noise.variance(float(given + explained[member]))
-        fits = explained >= explained[member] - rise * noise_variance
-        fits[[g for g, _ in self.best]] = False
-        others, sizes = np.flatnonzero(fits), dict[int, float]()
+            explained_without = self._explained(left, shrink)[0]
+            noise_variance = unknown_noise.variance(float(explained_without + explained[group]))
+        fits_nearly_as_well = explained >= explained[group] - rise * noise_variance
+        fits_nearly_as_well[[g for g, _ in self.best]] = False
+        others, sizes = np.flatnonzero(fits_nearly_as_well), dict[int, float]()
         order = descending(explained[others], LOG_ODDS_MARGIN * noise_variance)
         for other in others[order].tolist():
             state = tuple(sorted((*smaller, (other, self.linear.slab_scales[-1]))))
@@ -240,19 +256,16 @@ class Mixture(Search):
             sizes[other] = float(self.likeliest_mean(state)[coefficient])
         return sizes
 
-    def size_and_spread(self, member: int) -> tuple[float, float, float]:
-        """Return the size of a group of one coefficient in the best state, and two standard
-        deviations.
-
-        The first is that within the best state. The second is added by the other states that
-        contain the group.
+    def size_and_spread(self, group: int) -> tuple[float, float, float]:
+        """Return the size of a group of one coefficient, its standard deviation within the best
+        state, and the additional standard deviation from other states that contain the group.
         """
-        index = self.linear.groups[member].coefficients
+        index = self.linear.groups[group].coefficients
         mean, covariance = self.likeliest_moments(self.best, index)
         size, variance = float(mean[index[0]]), float(covariance[0, 0])
         added = total = 0.0
         for (weight, state, scale), other_mean in zip(self._terms, self._means, strict=True):
-            if any(g == member for g, _ in state):
+            if any(g == group for g, _ in state):
                 other_variance = float(self._covariance(state, scale, index)[0, 0])
                 shift = float(other_mean[index[0]]) - size
                 added += weight * (other_variance - variance + shift**2)
@@ -311,8 +324,8 @@ class Mixture(Search):
             columns = solve_triangular(np.linalg.cholesky(noise), columns, lower=True)
             precision = np.eye(columns.shape[1]) + columns.T @ columns
             units = np.hstack([np.diag(sd), slab_root[index]])
-            half = solve_triangular(np.linalg.cholesky(precision), units.T, lower=True)
-            return np.asarray(half.T @ half)
+            scaled_root = solve_triangular(np.linalg.cholesky(precision), units.T, lower=True)
+            return np.asarray(scaled_root.T @ scaled_root)
 
         return covariance
 
@@ -353,8 +366,8 @@ class Mixture(Search):
         drawn, covariance = np.empty(normal.shape), self._covariances(index)
         for k in np.unique(term):
             _, state, scale = self._terms[k]
-            own = weights[:, index]
-            root = symmetric_root(own @ covariance(state, scale) @ own.T)
+            combinations = weights[:, index]
+            root = symmetric_root(combinations @ covariance(state, scale) @ combinations.T)
             in_term = term == k
             drawn[in_term] = weights @ self._means[k] + normal[in_term] @ root.T
         return drawn

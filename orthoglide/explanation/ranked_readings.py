@@ -164,7 +164,7 @@ def turn_alternatives(
     """
     found: dict[bytes, AlternativeReadings] = {}
     least, most = _DIVISION_RANGE
-    steps = {s: float(problem.step[rows].max()) for s, rows in rows_by_setup.items()}
+    steps = {s: float(problem.resolution[rows].max()) for s, rows in rows_by_setup.items()}
     for likelihood in likelihoods:
         deviations = {
             s: likelihood.deletion_residual(rows).difference for s, rows in rows_by_setup.items()
@@ -234,7 +234,7 @@ def _log_count_of_turns(problem: Problem, rows: Rows, off: Array, turn: float) -
     """Return the log number of equally plausible ways in which a setup is off by turns: all
     readings within one turn, or each station by its own number of turns.
     """
-    divisions = turn / max(float(problem.step[rows].max()), 1e-300)
+    divisions = turn / max(float(problem.resolution[rows].max()), 1e-300)
     unusual = 0.0 if np.isclose(divisions, _USUAL_DIVISIONS, rtol=0.01).any() else _UNUSUAL_PENALTY
     stations, first = np.unique(problem.station[rows], return_index=True)
     whole = np.abs(off[first]) / turn

@@ -36,8 +36,8 @@ _UNCHANGED_PLATE_WIDTH, _BENT_PLATE_WIDTH = 0.02, 0.1
 calibration contains, and of one that may differ from an ideal bowl."""
 
 _AMBIGUITY_CLAUSES = {
-    "averaged_over": "could not tell causes apart ({} among them) and has their average",
-    "located": "has a curve for what it had no name for ({})",
+    "averaged_over": "could not separate several causes ({} among them) and contains their average",
+    "located": "represents an unexplained error by a curve ({})",
 }
 
 
@@ -133,7 +133,10 @@ def _reported_changes(
     earlier: Posterior, remaining: Posterior, fit: Estimate, estimates: Sequence[ChangeEstimate]
 ) -> Iterator[Change]:
     """Yield the changes found, with the values of both visits."""
-    last, catalogue = fit.problem.factors[fit.problem.last_factor], fit.problem.machine.catalogue
+    last, catalogue = (
+        fit.problem.factors[fit.problem.last_factor_index],
+        fit.problem.machine.catalogue,
+    )
     spec = fit.problem.machine.spec
     earlier_name, unclear = (
         Path(spec.file).name or "earlier calibration",

@@ -81,7 +81,7 @@ def check_scatter(problem: Problem) -> None:
         InputError: names file and setup, and what to do.
     """
     first, messages = len(problem.leg_setups), list[str]()
-    for number, (k, factor, setup, _) in enumerate(problem.tool_setups, first):
+    for number, (k, factor, setup, _) in enumerate(problem.iter_tool_setups(), first):
         setup_rows = np.flatnonzero((factor.setup == setup) & factor.noise.weighted)
         if not len(setup_rows) or not factor.noise.from_repeats[setup_rows].any():
             continue

@@ -105,7 +105,7 @@ def _log_bayes_factors_by_rows(
         problem: the readings.
         residual: of these, with background and nuisances projected out ``(n,)``.
     """
-    weight = 1 / (problem.sigma**2 + problem.common**2)
+    weight = 1 / (problem.sigma**2 + problem.shared_rounding_sd**2)
     sizes = np.array([s.coefficient_count for s in suspects])
     log_bayes_factors = np.empty(len(suspects))
     single = np.flatnonzero(sizes == 1).tolist()

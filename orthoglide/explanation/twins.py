@@ -23,9 +23,9 @@ def tool_slopes(problem: Problem, x: Array, commands: Array | None = None) -> Ar
 
     It is taken at ``commands`` ``(g, 3)``, metres, or throughout the workspace.
     """
-    machine, last_factor = problem.machine, problem.last_factor
-    names, matrix = problem.machine_parameters(last_factor)
-    values = machine.catalogue.machine_values(problem.values(last_factor, x))
+    machine, last_index = problem.machine, problem.last_factor_index
+    names, matrix = problem.machine_parameters(last_index)
+    values = machine.catalogue.machine_values(problem.values(last_index, x))
     conditions = None if commands is None else Conditions.from_commands(commands)
     return tcp_slopes(machine.with_only(values), names, conditions) @ matrix
 

@@ -156,7 +156,7 @@ class Estimate(Framed):
     @property
     def machine(self) -> Machine:
         """The calibrated machine; of values specific to a campaign, those of the last one."""
-        return self.machine_of(self.problem.last_factor)
+        return self.machine_of(self.problem.last_factor_index)
 
     def machine_of(self, campaign: int) -> Machine:
         """Return the calibrated machine of one campaign, without parameters of dials."""
@@ -227,7 +227,11 @@ class Estimate(Framed):
 
         problem = self.problem
         return draw_fit(
-            fitted_readings(self, self), problem.one_reading, self, problem.machine.catalogue, what
+            fitted_readings(self, self),
+            problem.single_reading_sd,
+            self,
+            problem.machine.catalogue,
+            what,
         )
 
 

@@ -316,8 +316,10 @@ class Factor:
             yield kind, self.noise.total[rows], "declared" if declared else found
 
     @cached_property
-    def repeat_dof(self) -> tuple[tuple[int, int], ...]:
-        """Number of readings whose noise is from repeats, by kind, with its degrees of freedom."""
+    def repeat_counts_and_dof(self) -> tuple[tuple[int, int], ...]:
+        """For each kind of reading with noise from repeats: number of readings, and degrees of
+        freedom of the noise.
+        """
         counts = list[tuple[int, int]]()
         for kind, sigma, origin in self.noise_by_kind():
             if origin == "repeats":

@@ -121,9 +121,9 @@ def nuisances(problem: Problem, reading_poses: tuple[ReadingPoses, ...]) -> Nuis
 
     blocks = [f.nuisances(poses) for f, poses in zip(problem.factors, reading_poses, strict=True)]
     columns = block_diag(*(block.columns for block in blocks))
-    if problem.free_form_errors is not None:
-        columns = np.hstack([columns, problem.free_form_errors.columns])
-        blocks.append(problem.free_form_errors)
+    if problem.free_form_nuisances is not None:
+        columns = np.hstack([columns, problem.free_form_nuisances.columns])
+        blocks.append(problem.free_form_nuisances)
     precision = np.concatenate([b.sd for b in blocks]) ** -2.0
     return Nuisances(columns, precision, problem.weighing)
 

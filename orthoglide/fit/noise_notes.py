@@ -152,13 +152,15 @@ def noisy_instruments(estimate: Estimate) -> Iterator[Note]:
     repeatability in the machine file.
     """
     problem = estimate.problem
-    for k, factor, number, setup in problem.tool_setups:
+    for k, factor, number, setup in problem.iter_tool_setups():
         chosen, rows = factor.setup == number, problem.factor_rows[k]
         declared = problem.machine.spec.instruments.get(setup.kind, Instrument()).repeatability
         if declared is None or np.isfinite(factor.readings.sigma[chosen]).any():
             continue
         residuals = replace(factor.readings, reading=estimate.residuals[rows])
-        repeats = _repeats_of_setup(residuals, number, factor.noise.expected, problem.step[rows])
+        repeats = _repeats_of_setup(
+            residuals, number, factor.noise.expected, problem.resolution[rows]
+        )
         if _is_noisy([repeats]):
             yield Note(
                 f"{repeats.label}: repeats scatter by {compact(_scatter([repeats]) * 1e3, 2)} "
@@ -183,7 +185,7 @@ def _dial_repeats(estimate: Estimate) -> list[_Repeats]:
     for campaign, rows in zip(problem.campaigns, problem.leg_rows, strict=True):
         residuals = campaign.with_readings(estimate.residuals[rows])
         for k in np.unique(campaign.setup).tolist():
-            repeats = _repeats_of_setup(residuals, k, expected[rows], problem.step[rows])
+            repeats = _repeats_of_setup(residuals, k, expected[rows], problem.resolution[rows])
             if len(repeats.differences):
                 dial_repeats.append(repeats)
     return dial_repeats
@@ -280,7 +282,7 @@ def _small_overall(estimate: Estimate) -> Iterator[Note]:
         times = np.sqrt(scores.dof / max(scores.chi2, 1e-300))
         yield Note(
             f"the readings scatter {compact(times, 2)} times less than the noise that was declared "
-            f"({problem.one_reading.said()}; chi2 {compact(scores.chi2, 2)} on "
+            f"({problem.single_reading_sd.said()}; chi2 {compact(scores.chi2, 2)} on "
             f"{scores.dof:.0f} degrees of freedom), so that faults may go unnoticed: correct the "
             f"declared noise, or the unit of the readings",
             "quiet",

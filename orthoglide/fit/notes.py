@@ -56,7 +56,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     if estimate.sigma_scale > 1 and scores.dof >= _MIN_DOF:
         text = (
             f"the residuals are {estimate.sigma_scale:.1f} times the noise of "
-            f"{problem.one_reading.said()} (chi2 {scores.chi2:.0f} on {scores.dof:.0f} "
+            f"{problem.single_reading_sd.said()} (chi2 {scores.chi2:.0f} on {scores.dof:.0f} "
             f"degrees of freedom): the model lacks something"
         )
         if estimate.method != "posterior":  # which allows for more errors instead
@@ -165,7 +165,7 @@ def off_step_notes(problem: Problem) -> Iterator[Note]:
 
 def large_noise_notes(estimate: Estimate) -> Iterator[Note]:
     """Yield notes on instruments whose repeats, or whose plate, show far more noise than usual."""
-    for _, factor, k, setup in estimate.problem.tool_setups:
+    for _, factor, k, setup in estimate.problem.iter_tool_setups():
         noise, expected = factor.noise_and_expected(k)
         label = f"{source(factor.readings)}, setup {setup.name!r}"
         if noise > _NEARLY_MAX * MAX_NOISE_RATIO * expected:
@@ -189,7 +189,7 @@ def large_noise_notes(estimate: Estimate) -> Iterator[Note]:
 
 def placement_notes(estimate: Estimate) -> Iterator[Note]:
     """Yield notes on unusual placements of instruments at the tool."""
-    for k, factor, j, setup in estimate.problem.tool_setups:
+    for k, factor, j, setup in estimate.problem.iter_tool_setups():
         rows = factor.setup == j
         p, axis = estimate.at.reading_poses[k].p[rows], factor.readings.axis[rows]
         for text, kind in setup.observation.placement_warnings(factor.instrument_poses[j], p, axis):
@@ -206,7 +206,7 @@ def outlier_notes(estimate: Estimate) -> Iterator[Note]:
     chance = 1 - _CHANCE / (2 * max(len(residual), 1))
     limit = float(stdtrit(min(problem.noise_dof, 1e9), chance))
     for campaign, rows in zip(problem.campaigns, problem.leg_rows, strict=True):
-        noise = np.hypot(problem.sigma, problem.common)[rows]
+        noise = np.hypot(problem.sigma, problem.shared_rounding_sd)[rows]
         ratio = np.abs(residual[rows]) / noise
         outliers = np.flatnonzero(ratio > limit)
         if len(outliers):

@@ -30,15 +30,15 @@ MAX_TOLERANCES = 3.0
 class Problem:
     """An identification, ready to be solved by any of the methods.
 
-    The sum of squares of its factors, its tolerances as priors and an earlier posterior is
-    minimised.
+    The objective is a sum of squares: residuals of all factors, plus priors from tolerances, plus
+    the posterior of an earlier calibration.
     """
 
     machine: Machine  # nominal dimensions, tolerances, and the parameters that are held
-    factors: tuple[Factor, ...]  # all that was read: of legs first, then of the tool
+    factors: tuple[Factor, ...]  # tables of readings: on legs first, then at the tool
     unknowns: tuple[Unknown, ...]  # the `P` free parameters
     noise: Noise  # of the readings in one figure
-    priors: bool  # whether tolerances act as priors about zero
+    use_tolerance_priors: bool  # whether tolerances act as priors about zero
     held: tuple[Mapping[str, float], ...]  # for each factor, parameters that are not free, SI
     # effects and parameters, free or not, with a value for each campaign; with `@` and a file's
     # stem, with another value from that campaign on
@@ -47,7 +47,7 @@ class Problem:
     # rows and target `|W x - t|^2` that replace the tolerances and the earlier posterior
     prior_override: tuple[Array, Array] | None = None
     # significant errors that no parameter describes: free functions, as nuisances
-    free_form_errors: NuisanceBlock | None = None
+    free_form_nuisances: NuisanceBlock | None = None
 
     @cached_property
     def leg_factors(self) -> tuple[Factor, ...]:
@@ -69,18 +69,17 @@ class Problem:
         """Whether an earlier calibration is known, from which the machine may have changed."""
         return self.earlier_posterior is not None and not self.machine.spec.is_measured
 
-    def with_leg_factors(self, on_legs: Sequence[Factor]) -> Problem:
-        """Return the problem with other readings of legs, as many tables."""
-        return replace(self, factors=(*on_legs, *self.tool_factors))
+    def with_leg_factors(self, leg_factors: Sequence[Factor]) -> Problem:
+        """Return the problem with its tables of readings on legs replaced by as many others."""
+        return replace(self, factors=(*leg_factors, *self.tool_factors))
 
     def zero_padded(self, x: Array) -> Array:
         """Return unknowns ``x`` of a problem that this one extends, with zeros for the others."""
         return np.pad(x, (0, len(self.unknowns) - len(x)))
 
-    @property
-    def tool_setups(self) -> Iterator[tuple[int, Factor, int, Setup]]:
-        """Setups of the tool's instruments: place of the factor, itself, number of the setup in it,
-        and the setup.
+    def iter_tool_setups(self) -> Iterator[tuple[int, Factor, int, Setup]]:
+        """Yield factor index, factor, setup index within the factor, and setup, for each setup at
+        the tool.
         """
         first = len(self.leg_factors)
         for k, factor in enumerate(self.tool_factors, first):
@@ -94,13 +93,13 @@ class Problem:
 
     @cached_property
     def factor_rows(self) -> tuple[slice, ...]:
-        """Each factor's place among the stacked rows."""
+        """Slice of each factor in the stacked rows."""
         ends = np.cumsum([0, *(len(f.measured) for f in self.factors)]).tolist()
         return tuple(slice(first, end) for first, end in pairwise(ends))
 
     @property
     def leg_rows(self) -> tuple[slice, ...]:
-        """Place of the readings of legs among the stacked rows, table by table."""
+        """Slice of each table of readings on legs in the stacked rows."""
         return self.factor_rows[: len(self.leg_factors)]
 
     @cached_property
@@ -119,33 +118,36 @@ class Problem:
         return np.concatenate([f.noise.sigma for f in self.factors])
 
     @cached_property
-    def common(self) -> Array:
-        """Rounding error that the visits to a station share, sigma of each row ``(n,)``, metres."""
+    def shared_rounding_sd(self) -> Array:
+        """Standard deviation of the rounding error that all visits to a station share ``(n,)``,
+        metres or radians.
+        """
         return np.concatenate([f.noise.common for f in self.factors])
 
     @cached_property
-    def step(self) -> Array:
-        """Step of the instrument of all rows ``(n,)``, metres or radians; 0 where none shows."""
+    def resolution(self) -> Array:
+        """Resolution of the instrument of each row ``(n,)``, metres or radians; 0 if none shows."""
         return np.concatenate([f.noise.step for f in self.factors])
 
     @property
-    def one_reading(self) -> ByUnit:
+    def single_reading_sd(self) -> ByUnit:
         """Standard deviation of a single reading: of a length, and of an inclination."""
         length = float("nan") if self.angular.all() else self.noise.typical
-        turns = np.hypot(self.sigma, self.common)[self.angular]
+        turns = np.hypot(self.sigma, self.shared_rounding_sd)[self.angular]
         return ByUnit(length, float(np.sqrt(np.mean(turns**2))) if len(turns) else float("nan"))
 
     @property
     def declared_noise(self) -> float:
-        """Declared standard deviation of a length without rounding, else that of one reading."""
+        """Declared standard deviation of a length before rounding, metres; if none is declared,
+        that of a single reading.
+        """
         declared = self.noise.declared
-        return declared if np.isfinite(declared) else self.one_reading.length
+        return declared if np.isfinite(declared) else self.single_reading_sd.length
 
     @cached_property
     def noise_by_instrument(self) -> dict[str, tuple[float, NoiseSource]]:
-        """By instrument, ``leg``, ``tcp``, ``plate`` ... or ``points``, in the order they were
-        given: standard deviation of one reading, metres or radians, root mean square, and its
-        source.
+        """For each kind of reading, in the order given: root mean square of the standard deviations
+        of its readings, metres or radians, and the source of the noise.
         """
         noise = self.noise
         by_kind: dict[str, tuple[float, NoiseSource]] = {}
@@ -170,11 +172,11 @@ class Problem:
         return next(iter(self.noise_by_instrument.values()))[1]
 
     @property
-    def repeat_dof(self) -> tuple[tuple[int, int], ...]:
-        """Readings of the tool whose noise is from repeats, by instrument, and the degrees of
-        freedom behind each.
+    def repeat_counts_and_dof(self) -> tuple[tuple[int, int], ...]:
+        """For each kind of tool reading with noise from repeats: number of readings, and degrees of
+        freedom of the noise.
         """
-        return tuple(one for factor in self.tool_factors for one in factor.repeat_dof)
+        return tuple(pair for factor in self.tool_factors for pair in factor.repeat_counts_and_dof)
 
     @cached_property
     def repeat_count(self) -> int:
@@ -187,15 +189,15 @@ class Problem:
         """Degrees of freedom of the noise of all readings, pooled over instruments by their numbers
         of readings (Satterthwaite); infinite if no noise is from repeats.
         """
-        leg_count = sum(len(f.measured) for f in self.leg_factors)
-        counts = ((leg_count, self.noise.dof), *self.repeat_dof)
+        leg_reading_count = sum(len(f.measured) for f in self.leg_factors)
+        counts = ((leg_reading_count, self.noise.dof), *self.repeat_counts_and_dof)
         inverse = sum((n / len(self.measured)) ** 2 / dof for n, dof in counts)
         return 1 / inverse if inverse > 0 else float("inf")
 
     @cached_property
     def weighing(self) -> Weighing:
         """The noise of all rows, with the errors that visits to a station share."""
-        return Weighing(self.sigma, self.common, self.station)
+        return Weighing(self.sigma, self.shared_rounding_sd, self.station)
 
     @cached_property
     def tolerance(self) -> Array:
@@ -205,16 +207,19 @@ class Problem:
     @property
     def prior_sd(self) -> Array:
         """Prior standard deviations ``(P,)``, SI; infinite where tolerances do not act."""
-        width = np.array([u.prior_width if self.priors else np.inf for u in self.unknowns])
-        return np.asarray(self.tolerance * width)
+        if not self.use_tolerance_priors:
+            return np.full(len(self.unknowns), np.inf)
+        return np.asarray(self.tolerance * np.array([u.prior_width for u in self.unknowns]))
 
     def is_implausible(self, x: Array) -> NDArray[np.bool_]:
         """Return which unknowns ``x`` ``(P,)`` are implausible by their tolerances."""
-        return np.asarray(np.abs(self.without_entered_mean(x)) > MAX_TOLERANCES * self.tolerance)
+        return np.asarray(np.abs(self.without_common_error(x)) > MAX_TOLERANCES * self.tolerance)
 
-    def without_entered_mean(self, x: Array) -> Array:
-        """Return the unknowns ``x`` ``(P,)`` without the mean of parts of one set, where an owner
-        entered it: the mean is a cause of its own, to which the tolerance of a part does not apply.
+    def without_common_error(self, x: Array) -> Array:
+        """Subtract the common mean from parameters ``x`` ``(P,)`` whose size the owner entered.
+
+        A common error of such a set is a separate cause, and the tolerance of a single part does
+        not limit it.
         """
         deviation, effects = np.array(x, dtype=float), [name.effect for name in self.names]
         for effect in self.machine.spec.entered:
@@ -242,7 +247,7 @@ class Problem:
 
     @cached_property
     def bound(self) -> Array:
-        """The unknowns stay within plus and minus this ``(P,)``, SI."""
+        """Largest absolute values that the unknowns may take ``(P,)``, SI."""
         return np.array([u.bound for u in self.unknowns])
 
     def on_bound(self, x: Array) -> NDArray[np.bool_]:
@@ -250,13 +255,17 @@ class Problem:
         return np.asarray(np.abs(x) >= self.bound * (1 - 1e-6))
 
     def elementary_parameters(self, factor: int) -> tuple[tuple[str, ...], Array]:
-        """Parameters that the unknowns set for a factor, and the matrix ``(E, P)`` to them."""
+        """Return the parameters that the unknowns set for a factor, and the matrix ``(E, P)`` from
+        unknowns to parameters.
+        """
         parts = [u.weights[factor] for u in self.unknowns]
         names = tuple(dict.fromkeys(n for weights in parts for n in weights))
         return names, weight_matrix(names, parts)
 
     def machine_parameters(self, factor: int) -> tuple[tuple[str, ...], Array]:
-        """Return the machine parameters that the unknowns set, and the matrix ``(E, P)``."""
+        """Return the machine parameters that the unknowns set for a factor, and the matrix
+        ``(E, P)`` from unknowns to parameters.
+        """
         names, matrix = self.elementary_parameters(factor)
         machine_rows = [
             k for k, n in enumerate(names) if not self.machine.catalogue.effect_of(n).of_dial
@@ -272,8 +281,10 @@ class Problem:
         return values
 
     @property
-    def last_factor(self) -> int:
-        """The factor whose machine is the one as it is now: the last campaign, or the last file."""
+    def last_factor_index(self) -> int:
+        """Index of the factor that was read on the machine in its current state: the last table of
+        readings on legs, or the last table if there are none on legs.
+        """
         return (len(self.leg_factors) or len(self.factors)) - 1
 
     @cached_property
@@ -296,17 +307,19 @@ class Problem:
         return range(sum(len(c.setups) for c in self.campaigns))
 
     def dial_column(self, column: str) -> NDArray[Any]:
-        """A column of all readings of dials, such as ``command``, stacked ``(n, ...)``."""
+        """Return a column of the readings on legs, stacked over campaigns ``(n_legs, ...)``."""
         return np.concatenate([getattr(c, column) for c in self.campaigns])
 
     @cached_property
     def station(self) -> NDArray[np.int64]:
-        """Station of each row ``(n,)``: visits that differ in nothing share one."""
+        """Station of each row ``(n,)``; visits of equal setup, command, approach and load share
+        one.
+        """
         return _consecutive_numbers([f.station for f in self.factors])
 
     @cached_property
     def place_number(self) -> NDArray[np.int64]:
-        """Place of each row ``(n,)``: one for each setup and command, whatever the approach."""
+        """Number of each row's pair of setup and command ``(n,)``, whatever the approach."""
         return _consecutive_numbers([f.place_number for f in self.factors])
 
     @property
@@ -317,7 +330,9 @@ class Problem:
 
     @cached_property
     def reduction_applies(self) -> bool:
-        """Whether the six parameters of the reduction cover all unknowns and held values."""
+        """Whether the analytic reduction can solve this problem: one dial per reading, rigid bars,
+        no URDF, no earlier posterior, and no parameters outside the base.
+        """
         plain = all(s.observation.dials == 1 for s in self.setups)
         if (
             not plain
@@ -336,15 +351,15 @@ class Problem:
         narrow = tuple(replace(u, prior_width=1.0) for u in self.unknowns)
         return self if narrow == self.unknowns else replace(self, unknowns=narrow)
 
-    def with_readings(self, readings: Array) -> Problem:
-        """Return the same problem for other readings of legs, the first rows of those given
-        ``(n,)``, metres; those of the tool stay.
+    def with_leg_readings(self, readings: Array) -> Problem:
+        """Return the problem with the readings on legs replaced by the leading entries of
+        ``readings``, metres; readings of the tool are unchanged.
         """
-        each = zip(self.leg_factors, self.leg_rows, strict=True)
-        return self.with_leg_factors([f.with_readings(readings[rows]) for f, rows in each])
+        pairs = zip(self.leg_factors, self.leg_rows, strict=True)
+        return self.with_leg_factors([f.with_readings(readings[rows]) for f, rows in pairs])
 
 
 def _consecutive_numbers(numbers: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """Return numbers of several tables, each behind those of the one before."""
+    """Concatenate group numbers of several tables, offset so that no two tables share one."""
     ends = np.cumsum([0, *(int(number.max(initial=-1)) + 1 for number in numbers)])
     return np.concatenate([n + first for n, first in zip(numbers, ends, strict=False)])

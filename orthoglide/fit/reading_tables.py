@@ -40,7 +40,7 @@ def fitted_readings(
         station=problem.station.astype(np.int64),
         measured=problem.measured,
         sigma=problem.sigma,
-        common=problem.common,
+        common=problem.shared_rounding_sd,
         nominal=base.predicted_before,
         before=base.predicted,
         after=fit.predicted,

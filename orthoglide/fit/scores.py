@@ -72,7 +72,11 @@ class FittedRows:
             float(means @ means), len(means), self.station_hat_eigenvalues, problem.noise_dof
         )
         count = len(problem.measured)
-        if count == len(means) or np.isfinite(problem.noise_dof) or problem.common.any():
+        if (
+            count == len(means)
+            or np.isfinite(problem.noise_dof)
+            or problem.shared_rounding_sd.any()
+        ):
             return p_of_means
         count -= self.nuisance.unconstrained_count
         p_of_readings = chi2_p_value(equations.chi2, count, equations.hat_eigenvalues)

@@ -85,10 +85,10 @@ def widen_priors(estimate: Estimate, method: Method = "auto") -> Estimate:
     """
     # From a fit so near, a few Gauss-Newton steps take less time than building a programme.
     method = "nested" if method == "auto" else method
-    for _ in range(_WIDENING_ROUNDS if estimate.problem.priors else 0):
+    for _ in range(_WIDENING_ROUNDS if estimate.problem.use_tolerance_priors else 0):
         problem = estimate.problem
         width = np.array([u.prior_width for u in problem.unknowns])
-        size = np.abs(problem.without_entered_mean(estimate.x)) / problem.tolerance
+        size = np.abs(problem.without_common_error(estimate.x)) / problem.tolerance
         wider = problem.is_implausible(estimate.x) & (size > _WIDENING_RATIO * width)
         if not wider.any():
             break

@@ -20,7 +20,7 @@ from orthoglide.planning.linear import predicted_problem as predicted_problem
 from orthoglide.planning.pool import reading_pool as reading_pool
 from orthoglide.planning.rivals import (
     next_measurements as next_measurements,
-    suggest_separating_places as suggest_separating_places,
+    suggest_separating_located_errors as suggest_separating_located_errors,
 )
 from orthoglide.planning.sheets import (
     INSTRUMENT_WORDS as INSTRUMENT_WORDS,

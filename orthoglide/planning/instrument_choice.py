@@ -104,7 +104,7 @@ def suggest_instruments_for_causes(
     return _suggest_instruments("causes", credible_sets, proposals, separations)
 
 
-def suggest_instruments_for_places(members: ClassMembers) -> tuple[Suggestion, ...]:
+def suggest_instruments_for_located_errors(members: ClassMembers) -> tuple[Suggestion, ...]:
     """Return the instruments at the tool that would separate the located errors of a class.
 
     A probe does not count: a plate may have any shape, which a free-form error can imitate.
@@ -164,7 +164,7 @@ def _proposals(problem: Problem) -> Iterator[ReadingProposal]:
     """Yield the readings that could be taken, those that need least first."""
     plates = [
         (int(np.sum(f.setup == s)), k, s, f)
-        for k, f, s, setup in problem.tool_setups
+        for k, f, s, setup in problem.iter_tool_setups()
         if setup.observation.touches
     ]
     if plates:
@@ -179,7 +179,7 @@ def _proposals(problem: Problem) -> Iterator[ReadingProposal]:
     def proposal(i: Observation, length: float, brief: str, how: str, hint: str) -> ReadingProposal:
         factor = Factor.from_planned(tool_sheet(problem.machine, i, length), problem.machine)
         how += f", to {compact(float(factor.sigma[0]) * 1e3, 2)} {i.unit} each"
-        new_problem = _one_factor_problem(problem, problem.last_factor, factor)
+        new_problem = _one_factor_problem(problem, problem.last_factor_index, factor)
         return ReadingProposal(brief, how, hint, new_problem, bool(i.suggestion_suffix))
 
     instruments = TOOL_OBSERVATIONS.values()
@@ -203,7 +203,7 @@ def _turned_plate_problem(problem: Problem, k: int, setup: int, factor: Factor) 
     points = replace(factor.readings.subset(rows), setups=plates, setup=np.zeros(rows.sum(), int))
     turned = Factor.from_readings(points, problem.machine, factor.noise.subset(rows))
     # Unnamed shapes of one degree are equally likely along all directions, turned or not.
-    curves = problem.free_form_errors
+    curves = problem.free_form_nuisances
     if curves is not None:
         curves = NuisanceBlock(curves.columns[problem.factor_rows[k]][rows], curves.sd)
     return _one_factor_problem(problem, k, turned, curves)
@@ -218,7 +218,7 @@ def _one_factor_problem(
         factors=(factor,),
         unknowns=tuple(replace(u, weights=(u.weights[k],)) for u in problem.unknowns),
         held=(problem.held[k],),
-        free_form_errors=curves,
+        free_form_nuisances=curves,
     )
 
 

@@ -21,7 +21,7 @@ from orthoglide.machine import Machine
 from orthoglide.observations import Readings
 from orthoglide.ordering import LOG_ODDS_MARGIN, ranked
 from orthoglide.planning.choosing import CombinationPrecision, RivalSeparation, choose
-from orthoglide.planning.instrument_choice import suggest_instruments_for_places
+from orthoglide.planning.instrument_choice import suggest_instruments_for_located_errors
 from orthoglide.planning.linear import LinearReadings
 from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.suggestions import DECISIVE_SIGMAS, Suggestion
@@ -36,43 +36,51 @@ Pair = tuple[int, int]
 ENOUGH_SIGMAS = 6.0
 """Sigmas of separation beyond which no further reading is proposed."""
 
-_INSEPARABLE_SIGMAS = 2.0  # sigmas by the whole pool: no reading within reach separates less
-_MIN_SIGMAS = 1.0  # sigmas: less is not worth taking readings for
-_MAX_SIGMA_RATIO = 0.9  # of a sigma before: readings that leave more are not worth taking
-_MOST_DIRECTIONS = 2  # weak directions of a fit: further ones are known well enough
+_INSEPARABLE_SIGMAS = 2.0  # a pair that the whole pool separates by less counts as inseparable
+_MIN_SIGMAS = 1.0  # least separation of a pair for which readings are proposed
+_MAX_SIGMA_RATIO = 0.9  # largest sd after / before for which readings are proposed
+_MOST_DIRECTIONS = 2  # weak directions of a fit: further ones are determined well enough
 _MOUNTING_COST = 4.0  # readings that mounting a dial, with its first two, is worth
 _MAX_NAMED_PAIRS = 3  # pairs of rivals in a sentence: the least separated ones
 _MIN_SHAPE_RATIO = 0.02  # of the shift between two machines: less is no difference in shape
 _COMMANDS_PER_AXIS = 3  # commands along each axis: enough to compare two machines
-_MOST_PLACES, _PLACE_READINGS = 6, 12  # located errors to separate, the likeliest; readings
+_MAX_LOCATED_ERRORS = 6  # located errors to separate: the likeliest
+_READINGS_PER_CLASS = 12  # most readings proposed for the located errors of one class
 
 
 @dataclass(frozen=True)
 class Rival:
     """One way to explain the readings at hand."""
 
-    words: str  # as it is quoted
+    words: str  # name in messages
     values: Values  # parameters of the machine, SI
     parts: tuple[str, ...]  # elementary parameters of the machine that its unknowns set
     weights: Array  # of the elementary parameters for each unknown (E, P)
     covariance: Array  # of the unknowns (P, P), SI, tolerances as priors
 
     @classmethod
-    def of(cls, name: str, source: Estimate | Values, reference: Estimate, scale: float) -> Rival:
-        """Return an explanation by its own fit, or by its values and the unknowns of another fit.
+    def from_source(
+        cls, name: str, source: Estimate | Values, reference: Estimate, scale: float
+    ) -> Rival:
+        """Return a rival from its fit.
+
+        If only parameter values are given, unknowns, readings and covariance structure come from
+        ``reference``.
 
         Args:
             name: of the cause: a parameter, a structured member, or any other name.
-            source: an estimate of the machine as it is now, or all its parameters, SI.
-            reference: fit whose readings, unknowns and nuisances count if only values are given.
-            scale: of the noise, where lack of fit remains.
+            source: a fit, or the machine's current parameters, SI.
+            reference: fit that is used if only values are given.
+            scale: factor by which the noise is larger than declared, due to lack of fit.
         """
         fit = source if isinstance(source, Estimate) else reference
-        problem, model, last = fit.problem, fit.at, fit.problem.last_factor
+        problem, model, last = fit.problem, fit.at, fit.problem.last_factor_index
         if not isinstance(source, Estimate):
             parts = [dict(u.weights[last]) for u in problem.unknowns]
             model = linearise(problem, np.array([_fitted_unknown(p, source) for p in parts]))
-        equations = normal_equations(replace(problem, priors=True), model, fit.nuisance)
+        equations = normal_equations(
+            replace(problem, use_tolerance_priors=True), model, fit.nuisance
+        )
         unit = problem.tolerance * problem.tolerance[:, None]
         covariance = np.linalg.inv(equations.information * unit / scale**2) * unit
         catalogue = problem.machine.catalogue
@@ -94,7 +102,7 @@ class Rival:
 
 
 def _fitted_unknown(parts: Values, values: Values) -> float:
-    """Return the unknown that sets its parts to these values, in the least squares."""
+    """Return the value of an unknown that fits the values of its parts in least squares."""
     weight = np.array(list(parts.values()))
     given = np.array([values.get(p, 0.0) for p in parts])
     return float(weight @ given / (weight @ weight)) if len(weight) else 0.0
@@ -116,31 +124,32 @@ def next_measurements(
 
     Args:
         fit: of the readings at hand.
-        rivals: explanations between which these cannot decide: names with their fits, or with all
-            parameters of the machine as it is now, SI, in the unknowns of ``fit``.
-        pairs: of rivals to separate, by their indices; all where absent.
-        count: readings to propose, at most, for each purpose.
-        directions: to pin down; the fit's weakest two where absent, none where empty.
+        rivals: pairs of a name and either a fit or the machine's current parameters (SI). Values
+            are projected on the unknowns of ``fit``.
+        pairs: of rivals to separate, by their indices; by default all.
+        count: largest number of readings proposed for each purpose.
+        directions: weak directions to determine better; by default the fit's weakest two. An empty
+            sequence stands for none.
 
     Raises:
-        InputError: for fewer than two readings.
+        InputError: if ``count`` is not a whole number from 2 to 500.
     """
     machine = fit.problem.machine
-    weak = fit.weak[:_MOST_DIRECTIONS] if directions is None else directions
+    weak_directions = fit.weak[:_MOST_DIRECTIONS] if directions is None else directions
     scale = max(fit.sigma_scale, 1.0)
-    candidates = [Rival.of(name, source, fit, scale) for name, source in rivals]
-    current = Rival.of("", fit, fit, scale)
+    candidates = [Rival.from_source(name, source, fit, scale) for name, source in rivals]
+    current = Rival.from_source("", fit, fit, scale)
     names = tuple(dict.fromkeys(p for rival in (current, *candidates) for p in rival.parts))
     pool = _loaded_pool(fit)
-    at = machine.model.linearised(current.values, pool, names)
-    readings = _linear_readings(fit, pool, at.jacobian, at.reading_poses)
+    linearised = machine.model.linearised(current.values, pool, names)
+    readings = _linear_readings(fit, pool, linearised.jacobian, linearised.reading_poses)
     suggestions: list[Suggestion] = []
     pairs = [*combinations(range(len(candidates)), 2)] if pairs is None else pairs
     if pairs:
         predicted = [machine.model.readings(rival.values, pool) for rival in candidates]
-        extended = replace(readings, columns=np.column_stack([at.jacobian, *predicted]))
+        extended = replace(readings, columns=np.column_stack([linearised.jacobian, *predicted]))
         suggestions += _suggest_separating(machine, extended, names, candidates, pairs, count)
-    for direction in weak:
+    for direction in weak_directions:
         suggestions.append(_suggest_narrowing(readings, names, current, fit, direction, count))
     return tuple(suggestions)
 
@@ -180,14 +189,15 @@ def _suggest_separating(
     covariances = np.stack([rival.parameter_covariance(names) for rival in rivals])
     before = RivalSeparation.between(covariances, np.array(pairs))
     separations = replace(before, information=readings.information()).sigmas
-    weak = {pair: sigmas for pair, sigmas in separations.items() if sigmas < _INSEPARABLE_SIGMAS}
+    inseparable = {pair: s for pair, s in separations.items() if s < _INSEPARABLE_SIGMAS}
+    inseparable_by_pool = set(inseparable)
     rows, criterion = tuple[int, ...](), None
-    while remaining := [pair for pair in separations if pair not in weak]:
+    while remaining := [pair for pair in separations if pair not in inseparable]:
         start = RivalSeparation.between(covariances, np.array(remaining), ENOUGH_SIGMAS**2)
         rows, criterion = choose(readings, start, count, mounting_cost=_MOUNTING_COST)
         if not (close := {pair: s for pair, s in criterion.sigmas.items() if s < _MIN_SIGMAS}):
             break
-        weak, rows, criterion = weak | close, (), None
+        inseparable, rows, criterion = inseparable | close, (), None
     suggestions, pool = [], readings.campaign
     if criterion is not None:
         # Every station is visited again where there is room: a single visit may be misread.
@@ -196,8 +206,10 @@ def _suggest_separating(
             rows = (*rows, *repeated)
             criterion = start.with_rows(readings, rows)
         suggestions.append(_separating_suggestion(pool, rows, rivals, criterion.sigmas))
-    for group, sigmas in _inseparable_groups(weak):
-        reason = _inseparable_reason(machine, [rivals[k] for k in group], sigmas, readings)
+    for group, sigmas in _inseparable_groups(inseparable):
+        by_pool = inseparable_by_pool.issuperset(_pairs(set(group)))
+        members, limit = [rivals[k] for k in group], None if by_pool else count
+        reason = _inseparable_reason(machine, members, sigmas, readings, limit)
         suggestions.append(Suggestion(reason, "none", sigmas, pool))
     return suggestions
 
@@ -239,15 +251,20 @@ def _pairs(group: set[int]) -> list[Pair]:
 
 
 def _inseparable_reason(
-    machine: Machine, rivals: Sequence[Rival], sigmas: float, readings: LinearReadings
+    machine: Machine,
+    rivals: Sequence[Rival],
+    sigmas: float,
+    readings: LinearReadings,
+    count: int | None,
 ) -> str:
     """Return why no reading is proposed for inseparable rivals, and what it means for the TCP.
 
     Args:
-        machine: of the workspace.
-        rivals: that are inseparable.
+        machine: defines the workspace in which the TCPs are compared.
+        rivals: the inseparable ones.
         sigmas: largest separation of two of them.
-        readings: that they were judged by.
+        readings: the pool.
+        count: number of readings that could be chosen; ``None`` if the whole pool is not enough.
     """
     conditions = Conditions.from_commands(
         workspace_grid(machine.geometry, _COMMANDS_PER_AXIS, machine.spec.screw_pitch)
@@ -258,32 +275,37 @@ def _inseparable_reason(
     shape = max(float(np.linalg.norm(d - d.mean(axis=0), axis=1).max()) for d in differences)
     noise = float(readings.sigma.max())  # a smaller difference of the TCPs does not count
     if max(shift, shape) < noise:
-        consequence = "their TCPs are the same, too"
+        consequence = "Their TCPs are the same, too"
     elif shape < max(_MIN_SHAPE_RATIO * shift, noise):
-        consequence = f"their TCPs are the same but for a shift of {shift * 1e3:.2g} mm"
+        consequence = f"Their TCPs are the same but for a shift of {shift * 1e3:.2g} mm"
     else:
         consequence = (
-            f"their TCPs differ by up to {shape * 1e3:.2g} mm after the best shift: measure the "
+            f"Their TCPs differ by up to {shape * 1e3:.2g} mm after the best shift: measure the "
             "TCP, or look at the parts themselves"
         )
+    size = len(readings.campaign)
+    all_readings = f"all {size} possible readings together"
+    chosen = f"the best {count} of {size} possible readings" if count else all_readings
     return (
-        f"no few readings of a dial on a leg tell {listed(r.words for r in rivals)} apart (out of "
-        f"{len(readings.campaign)} within reach; {sigmas:.1f} sigma at most); {consequence}"
+        f"{listed(r.words for r in rivals)} cannot be separated by dials on the legs: {chosen} "
+        f"separate them by at most {sigmas:.1f} sigma. {consequence}"
     )
 
 
-def suggest_separating_places(posterior: FullPosterior, located: Located) -> tuple[Suggestion, ...]:
-    """Return at most a dozen readings that would separate the likeliest located errors of a class,
-    and a statement on those that none separates.
+def suggest_separating_located_errors(
+    posterior: FullPosterior, located: Located
+) -> tuple[Suggestion, ...]:
+    """Return readings that would separate the likeliest located errors of a class, and a statement
+    on those that no reading separates.
 
-    Each is a rival with its own free-form curve, which new readings narrow like all other unknowns.
+    Each error is a rival with a free-form curve, which is fitted again on old and new readings.
     """
-    located_class = ClassMembers.from_posterior(posterior, located, _MOST_PLACES)
+    located_class = ClassMembers.from_posterior(posterior, located, _MAX_LOCATED_ERRORS)
     machine, members = posterior.machine, located_class.members
     if len(members) < 2:
         return ()
     if not machine.geometry.dialled:
-        return suggest_instruments_for_places(located_class)
+        return suggest_instruments_for_located_errors(located_class)
     pool = _loaded_pool(posterior.after)
     rows, reading_poses = located_class.rows(Factor.from_planned(pool.with_moves(), machine))
     predicted = rows @ np.stack([member.mean for member in members], axis=1)
@@ -296,12 +318,14 @@ def suggest_separating_places(posterior: FullPosterior, located: Located) -> tup
     pairs = [(a, b) for a, b in pairs if members[a].permanent or members[b].permanent]
     suggestions = list[Suggestion]()
     if pairs:
-        suggestions = _suggest_separating(machine, readings, names, rivals, pairs, _PLACE_READINGS)
+        suggestions = _suggest_separating(
+            machine, readings, names, rivals, pairs, _READINGS_PER_CLASS
+        )
     temporary = [f'"{member.words}"' for member in members if not member.permanent]
     if len(temporary) > 1:
         reason = (
-            f"no new readings tell {listed(temporary)} apart: these belong to the session and to "
-            f"the dials that were read; look at the parts themselves"
+            f"{listed(temporary)} cannot be separated by new readings: they belong to this session "
+            f"or to the dials that were used. Look at the parts themselves"
         )
         suggestions.append(Suggestion(reason, "none", 0.0, pool))
     if any(error.of_dial for error in located_class.free_form_errors):
@@ -321,7 +345,7 @@ def _suggest_narrowing(
     direction: WeakDirection,
     count: int,
 ) -> Suggestion:
-    """Return readings for one weak direction of the fit, its unknowns in tolerances."""
+    """Return the readings that reduce the standard deviation of one weak direction of the fit."""
     shares, catalogue = direction.parameters, estimate.problem.machine.catalogue
     tolerance = estimate.problem.tolerance
     combination = np.array([shares.get(n, 0.0) for n in estimate.problem.names]) * tolerance
@@ -332,13 +356,14 @@ def _suggest_narrowing(
     rows, end = choose(scaled, start, count, mounting_cost=_MOUNTING_COST)
     before, after = (float(np.sqrt(c.combination_covariance[0, 0])) for c in (start, end))
     words = listed(f"the {parameter_words(catalogue.parameter(n), catalogue.legs)}" for n in shares)
-    subject = "their weakest combination" if len(shares) > 1 else "it"
     if not rows or after > _MAX_SIGMA_RATIO * before:
         reason = (
-            f"no {count} readings of a dial on a leg determine {words} noticeably better: of "
-            f"{subject} they add hardly anything to what the tolerances say"
+            f"{count} further dial readings on the legs would reduce the standard deviation of "
+            f"{'the weakest combination of ' * (len(shares) > 1)}{words} by less than "
+            f"{100 * (1 - _MAX_SIGMA_RATIO):.0f} %, so none is proposed"
         )
         return Suggestion(reason, "none", before / after, pool)
+    subject = "their weakest combination" if len(shares) > 1 else "it"
     reason = (
         f"{_readings_and_setups(pool, rows)} expected to determine {words} better: the standard "
         f"deviation of {subject} falls to {100 * after / before:.0f} % of what it is"
