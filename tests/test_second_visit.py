@@ -203,7 +203,7 @@ def test_a_cause_that_was_one_of_several_is_told_by_how_much_it_changed(tmp_path
     first.machine.save(tmp_path / "calibrated.toml")
     known = og.Machine.load(tmp_path / "calibrated.toml")
     again = studied(measured({**hinge, "mount_tilt.z.b": -3e-4}, 2, "second"), known)
-    (note,) = [str(note) for note in again.warnings if "run orthoglide check on" in str(note)]
+    (note,) = [str(note) for note in again.after.warnings if "run orthoglide check on" in str(note)]
     assert "bar_mismatch.z" in note
     for change in again.changed:
         assert change.change_by_member["mount_tilt.z.b"] == pytest.approx(9.4e-3, rel=0.1)

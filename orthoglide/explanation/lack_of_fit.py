@@ -158,9 +158,8 @@ def posterior_lack_of_fit(posterior: FullPosterior, sets: CredibleSets) -> LackO
         shaped = _p_value(
             posterior, mixture.inverse_reading_covariance(*reported[0], plate_shapes=True)
         )
-    few_repeats = any(
-        dof < _RELIABLE_NOISE_DOF for _, dof in posterior.before.problem.repeat_counts_and_dof
-    )
+    counts_and_dof = posterior.before.problem.repeat_counts_and_dof
+    few_repeats = any(dof < _RELIABLE_NOISE_DOF for _, dof in counts_and_dof)
     rare = mixture.probability_beyond_tolerance if few_repeats else mixture.probability_rare
     diffuse = base_p < SIGNIFICANT and _is_diffuse(posterior)
     return LackOfFitTest(p, rare, shaped, unreported, base_p, diffuse)
