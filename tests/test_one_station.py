@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,17 +28,20 @@ def test_a_bump_and_a_wrong_command_stand_in_one_set(bumpy: og.Verdict) -> None:
     assert (first.leg, first.part, first.direction) == ("x", "rail", "z")
     assert first.name.endswith("@-50")
     assert first.size == pytest.approx(1e-4, rel=0.2)
-    (command,) = found.data
-    assert command.data == "command"
+    outlier, command = sorted(found.data, key=lambda rival: len(rival.rows))
+    assert (outlier.data, command.data) == ("outlier", "command")
+    assert set(outlier.rows) == {20, 28, 48, 56, 76, 84}  # the dial that reads along z
     assert set(command.rows) == {19, 20, 27, 28, 47, 48, 55, 56, 75, 76, 83, 84}
-    odds = sum(m.probability for m in found.members) + command.probability
+    odds = sum(m.probability for m in found.members)
+    odds += outlier.probability + command.probability
     assert odds == pytest.approx(1.0, abs=0.05)
 
 
-def test_the_sentence_names_both(bumpy: og.Verdict) -> None:
+def test_the_sentence_names_all_three(bumpy: og.Verdict) -> None:
     text = " ".join(str(bumpy).split())
     assert "toward z at travel −50 mm and nowhere else, by 0.1 mm" in text
     assert text.startswith("Another command than the one written in c4.csv, line 19. Or the")
+    assert "Or one dial that reads wrong at one place in c4.csv, line 20." in text
     assert "These readings cannot tell which." in text
 
 
@@ -122,3 +126,16 @@ def test_one_dial_off_at_one_place_at_every_visit_is_no_exchange() -> None:
     assert kinds <= {"command", "outlier"}
     words = [fault.message for fault in verdict.blunders] + [rival.words for rival in rivals]
     assert any("'zy-0.5' alone reads 0.3 mm too much here, at each of 3 visits" in w for w in words)
+
+
+def test_a_command_mistyped_at_one_of_three_visits_is_no_drift() -> None:
+    sheet = og.protocol("standard")
+    offsets = {"joint_offset.x": 4e-4, "joint_offset.y": -8e-4, "joint_offset.z": 1.2e-3}
+    worn = og.Machine.nominal().with_parameters(offsets)
+    last = (sheet.repeat == 3) & (np.array(sheet.posture) == "max") & (sheet.leg == 0)
+    command = sheet.command.copy()
+    command[last, 0] -= 3e-3
+    driven = og.simulate(worn, replace(sheet, command=command), noise=5e-6, seed=2)
+    verdict = og.close_loop([replace(driven, command=sheet.command)], noise=5e-6)
+    (fault,) = verdict.blunders
+    assert (verdict.word, fault.kind, len(fault.rows)) == ("adequate", "command", last.sum())

@@ -278,3 +278,11 @@ def test_a_user_goes_from_the_sheet_to_the_report(tmp_path: Path) -> None:
     assert "the surface that they were set to zero against may slope by 0.05 mrad" in page
     assert "zero is free in every setup" not in page
     assert "zero is arbitrary" not in page
+
+
+def test_parallelism_readings_alone_are_identified() -> None:
+    """Without unknowns and nuisances, as before a calibration, nothing is fitted."""
+    readings = og.simulate(og.Machine.nominal(), og.protocol("parallelism"), seed=1)
+    estimate = og.identify(readings)
+    assert estimate.nominal.rms > 0
+    assert og.close_loop(readings).word in ("adequate", "diffuse")

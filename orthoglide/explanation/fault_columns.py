@@ -102,11 +102,17 @@ def fault_columns(
         corrected: wrong commands that are corrected at that point.
     """
     by_command = command_derivatives(problem, linearised.x, linearised.value)
+    commands, visit = (
+        list(_wrong_commands(problem, by_command, corrected)),
+        visit_of_reading(problem),
+    )
+    # A line of the program that is wrong is wrong at every visit; typed by hand, at one.
+    at_one_visit = [one for one in commands if np.ptp(visit[one.fault.rows]) == 0]
     kinds = (
         [*_slips(problem), *_slips_at_every_visit(problem)],
         list(_knocks(problem)), list(_zeroings(problem)),
         list(_moved_instruments(problem, linearised.reading_poses)),
-        list(_wrong_commands(problem, by_command, corrected)),
+        [one for one in commands if one not in at_one_visit], at_one_visit,
     )  # fmt: skip
     # Misread dials are one more kind, which `alternative_readings` lists.
     per_kind = _EXPECTED_FAULTS / max(sum(map(bool, kinds)) + bool(problem.campaigns), 1)
@@ -129,13 +135,14 @@ def _slips(problem: Problem) -> Iterator[FaultColumns]:
 
 
 def _slips_at_every_visit(problem: Problem) -> Iterator[FaultColumns]:
-    """One dial at one station, off by equal amounts at all visits: a burr, or a mistyped sheet."""
+    """One dial at one posture, off by equal amounts at all visits: a burr, or a mistyped sheet."""
+    posture = posture_of_reading(problem)
     for setup in problem.leg_setups:
         rows = weighted_rows(problem, setup)
-        for visits in (rows[problem.station[rows] == k] for k in np.unique(problem.station[rows])):
+        for visits in _grouped(posture[rows]):
             if 1 < len(visits) < len(rows):
                 column = np.full((len(visits), 1), _SLIP_UNIT)
-                yield FaultColumns(Fault("outlier", visits, (setup,)), column, _SLIP_UNIT)
+                yield FaultColumns(Fault("outlier", rows[visits], (setup,)), column, _SLIP_UNIT)
 
 
 def _knocks(problem: Problem) -> Iterator[FaultColumns]:
@@ -217,6 +224,18 @@ def posture_of_reading(problem: Problem) -> Rows:
     return posture
 
 
+def visit_of_reading(problem: Problem) -> Rows:
+    """Return the number of each reading's visit ``(n,)``: readings of several dials at one command
+    in one repeat, reached from one side; -1 for readings without a dial.
+    """
+    visit = posture_of_reading(problem)
+    if count := sum(map(len, problem.campaigns)):
+        names = ("repeat", "approach")
+        keys = [visit[:count], *(problem.dial_column(name) for name in names)]
+        visit[:count] = group_ids(np.column_stack(keys))
+    return visit
+
+
 def command_derivatives(problem: Problem, x: Array, predicted: Array) -> Array:
     """Return the derivative of every reading of a dial by the commands of its posture ``(n, 3)``.
 
@@ -238,8 +257,8 @@ def command_derivatives(problem: Problem, x: Array, predicted: Array) -> Array:
 def _wrong_commands(
     problem: Problem, by_command: Array, corrected: Sequence[Fault]
 ) -> Iterator[FaultColumns]:
-    """Yield a wrong command of each drive at every posture with at least two readings; at a single
-    reading it would be a slip.
+    """Yield a wrong command of each drive at every posture, at all its visits or at one of them. A
+    wrong command at a single reading would be a slip.
     """
     posture = posture_of_reading(problem)
     posture[~np.concatenate([f.noise.weighted for f in problem.factors])] = -1
@@ -247,16 +266,23 @@ def _wrong_commands(
         columns = by_command[fault.rows][:, [fault.commands[0][0]]] * _COMMAND_UNIT
         yield FaultColumns(fault, columns, _COMMAND_UNIT)
         posture[fault.rows] = -1
-    order = np.argsort(posture, kind="stable")
-    order = order[posture[order] >= 0]
-    cuts = np.flatnonzero(np.diff(posture[order])) + 1
-    for rows in np.split(order, cuts):
-        if len(rows) < 2:
+    for rows in _grouped(posture):
+        if posture[rows[0]] < 0 or len(rows) < 2:
             continue
-        setups = tuple(np.unique(problem.setup_of_row[rows]).tolist())
-        for drive in range(len(LEGS)):
-            fault = Fault("command", rows, setups, commands=((drive, 0.0),))
-            yield FaultColumns(fault, by_command[rows][:, [drive]] * _COMMAND_UNIT, _COMMAND_UNIT)
+        visits = [rows[k] for k in _grouped(visit_of_reading(problem)[rows])]
+        several = [visit for visit in visits if 1 < len(visit) < len(rows)]
+        for part in (rows, *several):
+            setups = tuple(np.unique(problem.setup_of_row[part]).tolist())
+            for drive in range(len(LEGS)):
+                fault = Fault("command", part, setups, commands=((drive, 0.0),))
+                columns = by_command[part][:, [drive]] * _COMMAND_UNIT
+                yield FaultColumns(fault, columns, _COMMAND_UNIT)
+
+
+def _grouped(numbers: Rows) -> list[Rows]:
+    """Return the rows of each number, in order."""
+    order = np.argsort(numbers, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1)
 
 
 def with_command_corrected(campaign: Readings, rows: Rows, drive: int, size: float) -> Readings:

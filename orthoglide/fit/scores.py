@@ -231,7 +231,7 @@ def _left_out_residuals(
         product = columns @ columns.swapaxes(1, 2) if direct else columns.swapaxes(1, 2) @ columns
         block = np.eye(product.shape[-1]) - product
         # Without any other station of its setup, the datum and so the block is unknown.
-        predictable = np.linalg.eigvalsh(block)[:, 0] > 1e-6
+        predictable = np.linalg.eigvalsh(block).min(axis=-1, initial=1.0) > 1e-6
         columns, residual, block = columns[predictable], residual[predictable], block[predictable]
         if direct:
             solution = np.linalg.solve(block, residual)

@@ -133,6 +133,8 @@ class DataRival:
     def brief(self) -> str:
         """The fault with its file and its first line, a clause."""
         what = _FAULT_PHRASES.get(self.data, "a fault of the data")
+        if self.data == "outlier" and len(set(self.rows)) > 1:
+            what = "one dial that reads wrong at one place"
         return f"{what} in {self.file}, line {min(self.rows)}"
 
 
