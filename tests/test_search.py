@@ -67,6 +67,20 @@ def pooled(logs: Array) -> float:
     return float(logs.max() + np.log(np.exp(logs - logs.max()).sum()))
 
 
+def test_bayes_factors_of_further_groups_are_averages_over_their_scales() -> None:
+    truth = np.zeros(17)
+    truth[3] = 2.0
+    mixture = Mixture(made_up(drawn(1), truth, 2))
+    best = mixture.best
+    before = pooled(written_out(mixture, best))
+    active = {group for group, _ in best}
+    factors = mixture.next_log_bayes_factors()
+    for k in (group for group in (0, 4, 5) if group not in active):
+        states = [tuple(sorted((*best, (k, tau)))) for tau in SLABS]
+        ratios = [pooled(written_out(mixture, s)) + mixture.cost[k] - before for s in states]
+        assert factors[k] == pytest.approx(np.log(np.mean(np.exp(ratios))), abs=1e-6)
+
+
 @pytest.mark.parametrize("state", [(), ((1, 1.0),), ((0, 0.3), (7, 3.0)), ((2, 3.0), (6, 1.0))])
 def test_states_with_one_group_more_have_their_evidence(state: State) -> None:
     truth = np.zeros(17)

@@ -140,7 +140,7 @@ def _change_estimate(
         float(np.hypot(sigma, between_sets)) * unit,
         between_sets * unit,
         mixture.log_weight(mixture.best) - mixture.log_weight(mixture.without(member)),
-        float(mixture.cost[member]) - float(np.log(len(SLAB_WIDTHS))),
+        float(mixture.prior_log_odds_against[member]),
     )
 
 

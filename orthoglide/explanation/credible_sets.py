@@ -356,7 +356,7 @@ class _CredibleSetReader:
             for k, probability in enumerate(probabilities[:-1]):
                 if probability > 0:
                     log_odds = np.log(probability) - np.log(max(probabilities[-1], 1e-300))
-                    score = float(log_odds + mixture.cost[k])
+                    score = float(log_odds + mixture.prior_log_odds_against[k])
                     scores[k] = max(scores.get(k, -np.inf), score)
         for k, score in enumerate(mixture.next_log_bayes_factors().tolist()):
             scores.setdefault(k, score)

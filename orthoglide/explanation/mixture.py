@@ -165,15 +165,18 @@ class Mixture(Search):
         logs = self._log_z(scales, *self._active_directions(scales, state))
         return self.moments(state, scales[largest(logs, LOG_ODDS_MARGIN)], index)
 
+    @property
+    def prior_log_odds_against(self) -> Array:
+        """Prior log odds against each group, at whichever slab scale ``(groups,)``."""
+        return self.cost - np.log(len(self.linear.slab_scales))
+
     def next_log_bayes_factors(self) -> Array:
-        """Return the log of the sum over taus of the Bayes factors of each group added to the best
-        state ``(groups,)``.
-        """
+        """Return the log Bayes factor of each group added to the best state ``(groups,)``."""
         table = self.child_log_weights(self.best)
         log_weight = self.log_weight(self.best)
         with np.errstate(divide="ignore"):
             pooled = np.log(np.exp(table - log_weight).sum(axis=(0, 2)))
-        return np.asarray(pooled + self.cost)
+        return np.asarray(pooled + self.prior_log_odds_against)
 
     def inverse_reading_covariance(
         self, state: State, scale: Scale, *, plate_shapes: bool = False
