@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
@@ -134,9 +134,11 @@ def check_choice(noun: str, value: object, choices: Iterable[str]) -> None:
 
 
 def check_list(noun: str, value: object) -> None:
-    """Raise an `InputError` for a text in place of a list, which would be read by letters."""
+    """Raise an `InputError` unless a value is a list of names; a text would be read by letters."""
     if isinstance(value, str):
         raise InputError(f"{noun} is a list of names: give [{value!r}], not {value!r}")
+    if not isinstance(value, Collection) or not all(isinstance(name, str) for name in value):
+        raise InputError(f"{noun} is a list of names, such as ['axis_tilt.x.y'], not {value!r}")
 
 
 def as_path(path: str | PathLike[str]) -> Path:

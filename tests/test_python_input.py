@@ -57,6 +57,9 @@ def fit(given: Any = DIALS, **options: Any) -> og.Estimate:
     ("bounds", lambda: fit(bounds={"joint_ofset": 1e-5}), "no free parameter 'joint_ofset': .*_l"),
     ("free", lambda: fit(free="joint_offset"), r"free is a list of names: give \['joint_offset'\]"),
     ("own", lambda: fit(own="joint_offset"), "own is a list of names"),
+    ("free of a design", lambda: og.design(WORN, 3), "free is a list of names, such as"),  # type: ignore[arg-type]
+    ("free of nothing", lambda: og.design(WORN, [None]), r"not \[None\]"),  # type: ignore[list-item]
+    ("what was fitted", lambda: og.next_measurements(DIALS), "a Readings is no estimate"),  # type: ignore[arg-type]
     ("effects", lambda: og.smallest_effects(WORN, DIALS, names=["foo"]), "no effect 'foo': the"),
     ("an effect", lambda: og.smallest_effects(WORN, DIALS, names="axis_tilt"), "names is a list"),
     ("designed", lambda: og.design(WORN, free="leg_length"), "free is a list of names"),

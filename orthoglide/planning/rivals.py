@@ -132,8 +132,10 @@ def next_measurements(
             sequence stands for none.
 
     Raises:
-        InputError: if ``count`` is not a whole number from 2 to 500.
+        InputError: if ``count`` is not a whole number from 2 to 500, or ``fit`` is no estimate.
     """
+    if not isinstance(fit, Estimate):
+        raise InputError(f"a {type(fit).__name__} is no estimate: give what og.identify returns")
     machine = fit.problem.machine
     weak_directions = fit.weak[:_MOST_DIRECTIONS] if directions is None else directions
     scale = max(fit.sigma_scale, 1.0)
