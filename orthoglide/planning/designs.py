@@ -172,7 +172,7 @@ def design(
     Raises:
         InputError: for dial effects, or too few readings.
     """
-    check_list("free", free)
+    check_list("free", () if free is None else free)
     machine = Machine.of(machine)
     pool = reading_pool(machine.geometry)
     names = observable_names(machine, pool, machine.catalogue.base if free is None else free)

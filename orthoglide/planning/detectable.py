@@ -174,7 +174,7 @@ def smallest_effects(
             probability, and a negative seed.
     """
     machine = Machine.of(machine)
-    check_list("names", names)
+    check_list("names", () if names is None else names)
     machine.catalogue.expand(names)
     model = signatures(solve(predicted_problem(machine, campaign, noise), method="nested"))
     scoring = Scoring.prepare(model, model.candidates)
