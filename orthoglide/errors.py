@@ -138,7 +138,7 @@ def check_list(noun: str, value: object) -> None:
     if isinstance(value, str):
         raise InputError(f"{noun} is a list of names: give [{value!r}], not {value!r}")
     if not isinstance(value, Collection) or not all(isinstance(name, str) for name in value):
-        raise InputError(f"{noun} is a list of names, such as ['axis_tilt.x.y'], not {value!r}")
+        raise InputError(f"{noun} is a list of names, such as ['NAME'], not {value!r}")
 
 
 def as_path(path: str | PathLike[str]) -> Path:
