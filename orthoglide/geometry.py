@@ -86,6 +86,15 @@ def plane_columns(points: Array) -> Array:
     return np.column_stack([np.ones(len(points)), points[:, :2]])
 
 
+def fit_plane(points: Array, height: Array) -> tuple[Array, Array]:
+    """Return the height in the middle and both slopes ``(3,)`` of the plane through heights
+    ``(n,)`` at points ``(n, 2+)``, and the residuals ``(n,)``.
+    """
+    columns = plane_columns(points)
+    plane = np.asarray(np.linalg.lstsq(columns, height, rcond=None)[0], dtype=float)
+    return plane, height - columns @ plane
+
+
 def axial_vectors(matrices: Array) -> Array:
     """Return the axial vectors ``(n, 3, ...)`` of matrices ``(n, 3, 3, ...)``: of a rotation the
     axis times the sine of the angle, of a small one the angles about x, y and z.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 Stage = Literal[
-    "computing", "reading", "identifying", "faults", "testing", "trying", "comparing", "allowing",
+    "computing", "reading", "identifying", "faults", "searching", "comparing", "testing",
     "verifying", "judging", "suggesting", "drawing", "writing",
 ]  # fmt: skip
 
@@ -16,10 +16,9 @@ _STAGES: Mapping[Stage, tuple[str, int]] = {
     "reading": ("reading", 2),
     "identifying": ("identifying", 8),
     "faults": ("looking for faults of the data", 20),
-    "testing": ("testing what is left", 30),
-    "trying": ("trying", 36),
+    "searching": ("searching for causes", 30),
     "comparing": ("comparing with", 50),
-    "allowing": ("allowing for everything else", 62),
+    "testing": ("testing the residual", 62),
     "verifying": ("closing every posture once more with Pinocchio", 64),
     "judging": ("judging", 66),
     "suggesting": ("choosing what to measure next", 70),

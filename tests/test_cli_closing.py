@@ -195,9 +195,9 @@ def test_progress_is_shown_when_piped(capsys: pytest.CaptureFixture[str]) -> Non
         show(Step("reading"))
         assert capsys.readouterr().err == ""
         time.sleep(1.1)
-        show(Step("trying", "axis_tilt.y.z"))
-        show(Step("trying", "axis_tilt.z.y"))
-    assert capsys.readouterr().err == "   1 s  trying axis_tilt.y.z\n"
+        show(Step("comparing", "axis_tilt.y.z"))
+        show(Step("comparing", "axis_tilt.z.y"))
+    assert capsys.readouterr().err == "   1 s  comparing with axis_tilt.y.z\n"
 
 
 # --- rerun ----------------------------------------------------------------------------------

@@ -123,7 +123,7 @@ def _search(
     """Search with faulty rows excluded and changed parameters free; return the posterior, the
     credible sets of active causes, the test for lack of fit, and the verdict.
     """
-    progress(Step("testing"))
+    progress(Step("searching"))
     problem = without_faults(base_fit.problem, data_faults) if data_faults else base_fit.problem
     # A changed parameter is a cause only if its value after the change is still significant.
     # Without readings on legs, a change with several members cannot be assigned to one parameter,
@@ -137,7 +137,7 @@ def _search(
     changed_names = [c.parameter for c in causes]
     before = solve(problem, method="nested") if data_faults or changes else base_fit
     posterior = full_posterior(before, changed_names, first_posterior, ambiguous)
-    progress(Step("allowing"))
+    progress(Step("testing"))
     sets = credible_sets(posterior, changed_names)
     fit_test = posterior_lack_of_fit(posterior, sets)
     if not posterior.converged:

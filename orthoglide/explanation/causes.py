@@ -14,6 +14,7 @@ from orthoglide.geometry import Array
 from orthoglide.numerals import compact
 from orthoglide.parameters import split_campaign
 from orthoglide.result import CandidateScore, DataRival
+from orthoglide.result.findings import CredibleSet
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,7 +77,7 @@ class Explanation:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Cause:
+class Cause(CredibleSet["Explanation", "Curve"]):
     """One active cause, with its credible set."""
 
     chosen: Explanation  # the most probable of the set
@@ -85,49 +86,10 @@ class Cause:
     places: tuple[Curve, ...] = ()  # free-form errors of the set, less probable than the causes
     data: tuple[DataRival, ...] = ()  # data faults of the set, most probable first
 
-    def __repr__(self) -> str:
-        others = ", ".join(self.indistinguishable_from)
-        return f"<Cause {self.name}: {self.chosen.words}{others and f'; or {others}'}>"
-
-    @property
-    def name(self) -> str:
-        """Name of the chosen explanation."""
-        return self.chosen.name
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Parameters of the chosen explanation."""
-        return self.chosen.parameters
-
-    @property
-    def probability(self) -> float:
-        """Probability of the chosen explanation, given all other causes."""
-        return self.chosen.probability
-
-    @property
-    def together(self) -> float:
-        """Probability of the chosen explanation under all of its names, which share it."""
-        return sum(one.probability for one in (self.chosen, *self.same))
-
-    @property
-    def explanations(self) -> tuple[Explanation, ...]:
-        """All named explanations of the credible set."""
-        return (self.chosen, *self.same, *self.rivals)
-
-    @property
-    def others(self) -> tuple[Explanation | Curve, ...]:
-        """Rivals and free-form errors of the set."""
-        return (*self.rivals, *self.places)
-
     @property
     def all_parameters(self) -> tuple[str, ...]:
         """Parameters of the whole credible set."""
         return tuple(name for one in self.explanations for name in one.parameters)
-
-    @property
-    def indistinguishable_from(self) -> tuple[str, ...]:
-        """Names of all other explanations of the set."""
-        return tuple(one.name for one in (*self.same, *self.rivals))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

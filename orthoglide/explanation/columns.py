@@ -176,7 +176,7 @@ def _displacement_by_commands(
     full_problem: Problem, linearised: Linearised, corrected: Sequence[Fault]
 ) -> Array:
     """Return the displacement of the predicted readings by corrected commands ``(n,)``, metres or
-    radians. It is added back to the residual, so that other causes can compete for it.
+    radians. It is added back to the residual, so that alternatives can compete for it.
     """
     displacement = np.zeros(len(linearised.value))
     if corrected:
@@ -202,7 +202,7 @@ def _machine_model(
     sd, x = full_problem.tolerance, linearised.x
     residual = problem.measured - linearised.value + displacement
     rows, units, errors, plate_count = _scaled_columns(full_problem, linearised, nuisance, residual)
-    value_at_zero = linearised.value - linearised.jacobian @ x
+    value_at_zero = linearised.value - linearised.jacobian @ x - displacement
     fixed_sd, (matrix, target) = _fixed_priors(problem, len(units))
     prior_rows = np.pad(matrix, [(0, 0), (0, len(sd) - matrix.shape[1])]), target
     plate_shapes = np.arange(len(units)) >= len(units) - plate_count
@@ -274,21 +274,14 @@ def _with_data_faults(
     added.
     """
     problem, linear = model.problem, model.linear
-    corrected_suspects = {s.name: s for s in suspects if any(s.fault is f for f in corrected)}
-    # The displacement by corrected commands is added back, so that other causes can compete for it.
-    value_at_zero = model.value_at_zero.copy()
-    for suspect in corrected_suspects.values():
-        size = suspect.fault.size / suspect.unit
-        value_at_zero[suspect.fault.rows] -= suspect.columns[:, 0] * size
-    residual = problem.measured - value_at_zero
+    residual = problem.measured - model.value_at_zero
     kept = [*suspects]
     if screen:
         backgrounds = [np.sqrt(linear.spike(share, share)) for share in _SCREENING_BACKGROUNDS]
-        readings = _WhitenedReadings.of(problem, model.nuisance, model.rows, residual)
-        readings = readings.with_prior_rows(model.prior_rows, model.units)
-        compact = readings.columns, readings.residual
+        compact = linear.columns, linear.residual
+        required = {s.name for s in suspects if any(s.fault is f for f in corrected)}
         kept = screen_data_faults(suspects, problem, model.nuisance, model.rows, residual, compact,
-                                  backgrounds, corrected_suspects)  # fmt: skip
+                                  backgrounds, required)  # fmt: skip
     if not kept:
         return model
     rows = np.hstack([model.rows, *(s.full_columns(len(residual)) for s in kept)])
@@ -312,8 +305,7 @@ def _with_data_faults(
         plate_shapes=np.pad(linear.plate_shapes, padding),
         groups=tuple(groups),
     )
-    return replace(model, linear=linear, rows=rows, units=units, value_at_zero=value_at_zero,
-                   suspects=tuple(kept))  # fmt: skip
+    return replace(model, linear=linear, rows=rows, units=units, suspects=tuple(kept))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -19,6 +19,7 @@ from orthoglide.explanation.faults import (
     factors_and_rows,
     weighted_rows,
 )
+from orthoglide.explanation.linear_model import FREE_FORM_PRIOR
 from orthoglide.fit import Problem
 from orthoglide.fit.least_squares import Linearised
 from orthoglide.geometry import LEGS, Array
@@ -52,7 +53,7 @@ class FaultColumns:
     fault: Fault  # its kind, rows and setups
     columns: Array  # its rows by one unit of each coefficient (rows, q), metres or radians
     unit: float  # unit of a coefficient, metres or radians
-    expected_count: float = 0.0  # prior mean number of this fault
+    expected_count: float = 1.0  # prior mean number; before `fault_columns`, relative to its kind
 
     @property
     def name(self) -> str:
@@ -102,30 +103,27 @@ def fault_columns(
         corrected: wrong commands that are corrected at that point.
     """
     by_command = command_derivatives(problem, linearised.x, linearised.value)
-    commands, visit = (
-        list(_wrong_commands(problem, by_command, corrected)),
-        visit_of_reading(problem),
-    )
-    # A line of the program that is wrong is wrong at every visit; typed by hand, at one.
-    at_one_visit = [one for one in commands if np.ptp(visit[one.fault.rows]) == 0]
-    kinds = (
+    kinds = [
         [*_slips(problem), *_slips_at_every_visit(problem)],
-        list(_knocks(problem)), list(_zeroings(problem)),
+        list(_knocks(problem)),
+        list(_zeroings(problem)),
         list(_moved_instruments(problem, linearised.reading_poses)),
-        [one for one in commands if one not in at_one_visit], at_one_visit,
-    )  # fmt: skip
+        _wrong_commands(problem, by_command, corrected),
+    ]
+    kinds = [kind for kind in kinds if kind]
     # Misread dials are one more kind, which `alternative_readings` lists.
-    per_kind = _EXPECTED_FAULTS / max(sum(map(bool, kinds)) + bool(problem.campaigns), 1)
-    return [replace(one, expected_count=per_kind / len(kind)) for kind in kinds for one in kind]
+    per_kind = _EXPECTED_FAULTS / max(len(kinds) + bool(problem.campaigns), 1)
+    faults = list[FaultColumns]()
+    for kind in kinds:
+        scale = per_kind / sum(one.expected_count for one in kind)
+        faults += [replace(one, expected_count=scale * one.expected_count) for one in kind]
+    return faults
 
 
 def _slips(problem: Problem) -> Iterator[FaultColumns]:
     """Yield a slip of every reading; of a point of the tool, of all its coordinates together."""
     for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
-        visit = factor.visit_number
-        order = np.argsort(visit, kind="stable")
-        cuts = np.flatnonzero(np.diff(visit[order])) + 1
-        for rows in np.split(order, cuts):
+        for rows in _grouped(factor.visit_number):
             if not factor.noise.weighted[rows].all():
                 continue
             stacked = rows + part.start
@@ -135,14 +133,18 @@ def _slips(problem: Problem) -> Iterator[FaultColumns]:
 
 
 def _slips_at_every_visit(problem: Problem) -> Iterator[FaultColumns]:
-    """One dial at one posture, off by equal amounts at all visits: a burr, or a mistyped sheet."""
+    """Yield an equal error of one dial at all visits to a posture: dirt, a burr, a wrong entry.
+
+    It is a local error of the measured face that no list names, with the prior of such an error.
+    """
     posture = posture_of_reading(problem)
     for setup in problem.leg_setups:
         rows = weighted_rows(problem, setup)
         for visits in _grouped(posture[rows]):
             if 1 < len(visits) < len(rows):
+                fault = Fault("outlier", rows[visits], (setup,))
                 column = np.full((len(visits), 1), _SLIP_UNIT)
-                yield FaultColumns(Fault("outlier", rows[visits], (setup,)), column, _SLIP_UNIT)
+                yield FaultColumns(fault, column, _SLIP_UNIT, FREE_FORM_PRIOR)
 
 
 def _knocks(problem: Problem) -> Iterator[FaultColumns]:
@@ -256,27 +258,47 @@ def command_derivatives(problem: Problem, x: Array, predicted: Array) -> Array:
 
 def _wrong_commands(
     problem: Problem, by_command: Array, corrected: Sequence[Fault]
-) -> Iterator[FaultColumns]:
-    """Yield a wrong command of each drive at every posture, at all its visits or at one of them. A
-    wrong command at a single reading would be a slip.
+) -> list[FaultColumns]:
+    """Return the wrong commands of each drive at every visit to a posture, as in a program, and at
+    one of several visits, as typed by hand. A wrong command at a single reading would be a slip.
+
+    Both kinds have the same expected number.
     """
-    posture = posture_of_reading(problem)
-    posture[~np.concatenate([f.noise.weighted for f in problem.factors])] = -1
+    # Corrections separate a visit from the other visits to its posture, so they are undone.
+    undone = [replace(f, commands=tuple((drive, -size) for drive, size in f.commands))
+              for f in corrected]  # fmt: skip
+    written = with_commands_corrected(problem, undone)
+    posture, visit = posture_of_reading(written), visit_of_reading(written)
+    unweighted = ~np.concatenate([f.noise.weighted for f in problem.factors])
+    posture[unweighted] = visit[unweighted] = -1
+    posture_size = _group_sizes(posture)
+    visit[posture_size == _group_sizes(visit)] = -1  # the only visit to its posture
+    every_visit, one_visit = list[FaultColumns](), list[FaultColumns]()
     for fault in corrected:
         columns = by_command[fault.rows][:, [fault.commands[0][0]]] * _COMMAND_UNIT
-        yield FaultColumns(fault, columns, _COMMAND_UNIT)
-        posture[fault.rows] = -1
-    for rows in _grouped(posture):
-        if posture[rows[0]] < 0 or len(rows) < 2:
-            continue
-        visits = [rows[k] for k in _grouped(visit_of_reading(problem)[rows])]
-        several = [visit for visit in visits if 1 < len(visit) < len(rows)]
-        for part in (rows, *several):
-            setups = tuple(np.unique(problem.setup_of_row[part]).tolist())
+        is_part = len(fault.rows) < posture_size[fault.rows[0]]
+        (one_visit if is_part else every_visit).append(FaultColumns(fault, columns, _COMMAND_UNIT))
+        posture[fault.rows] = visit[fault.rows] = -1
+    for commands, group in ((every_visit, posture), (one_visit, visit)):
+        for rows in _grouped(group):
+            if group[rows[0]] < 0 or len(rows) < 2:
+                continue
+            setups = tuple(np.unique(problem.setup_of_row[rows]).tolist())
             for drive in range(len(LEGS)):
-                fault = Fault("command", part, setups, commands=((drive, 0.0),))
-                columns = by_command[part][:, [drive]] * _COMMAND_UNIT
-                yield FaultColumns(fault, columns, _COMMAND_UNIT)
+                fault = Fault("command", rows, setups, commands=((drive, 0.0),))
+                columns = by_command[rows][:, [drive]] * _COMMAND_UNIT
+                commands.append(FaultColumns(fault, columns, _COMMAND_UNIT))
+    return [
+        replace(one, expected_count=1 / len(commands))
+        for commands in (every_visit, one_visit)
+        for one in commands
+    ]
+
+
+def _group_sizes(numbers: Rows) -> Rows:
+    """Return the number of rows in the group of each row ``(n,)``."""
+    _, group, counts = np.unique(numbers, return_inverse=True, return_counts=True)
+    return np.asarray(counts[group])
 
 
 def _grouped(numbers: Rows) -> list[Rows]:

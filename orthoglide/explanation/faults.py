@@ -159,7 +159,7 @@ def _outlier_clause(problem: Problem, fault: Fault) -> str:
         excess = f"{abs(fault.size) * 1e3:.2g} {unit} too {'much' if fault.size > 0 else 'little'}"
         return (
             f"the dial {setup.name!r} alone reads {excess} here, at each of {len(fault.rows)} "
-            f"visits: look for dirt or a burr where it touches, and at its sheet"
+            f"visits: look for dirt or a burr where it touches, and check these entries"
         )
     if readings.by_point:
         subject = f"the point is {abs(fault.size) * 1e3:.3g} {unit}"

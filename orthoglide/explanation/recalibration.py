@@ -2,7 +2,7 @@
 
 The earlier calibration is a prior ``x ~ N(m, C)``. It says nothing of a parameter that changed by
 repair or damage since then. The evidence of the new readings decides jointly which parameters
-changed (`change_model`).
+changed (`change_search`).
 """
 
 from __future__ import annotations

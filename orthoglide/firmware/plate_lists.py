@@ -27,7 +27,7 @@ from orthoglide.firmware.imported import (
 )
 from orthoglide.firmware.touches import MIN_PLACES, Touch, TouchLists, read_touches
 from orthoglide.foreign import refuse_foreign
-from orthoglide.geometry import plane_columns
+from orthoglide.geometry import fit_plane
 from orthoglide.instruments import PlateTouch
 from orthoglide.machine_file import AnyMachine, MachineFile, machine_file_of
 from orthoglide.notes import Note
@@ -155,8 +155,7 @@ def _left_out_sentences(touch_lists: TouchLists) -> Iterator[str]:
 def _off_plane(touches: Sequence[Touch]) -> float:
     """Return the largest distance of a touch from the plane through all, millimetres."""
     p = np.array([(t.x, t.y, t.z) for t in touches])
-    plane = plane_columns(p)
-    residual = p[:, 2] - plane @ np.linalg.lstsq(plane, p[:, 2], rcond=None)[0]
+    _, residual = fit_plane(p, p[:, 2])
     return float(np.abs(residual).max())
 
 

@@ -18,7 +18,7 @@ from orthoglide.fit.factors import machine_instrument_priors
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.repeats import GRID_TOLERANCE, off_grid, on_grid
 from orthoglide.fit.solving import solve
-from orthoglide.geometry import Array
+from orthoglide.geometry import Array, fit_plane
 from orthoglide.instruments import Frame, InstrumentPriors, SetupReadings
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial
@@ -104,8 +104,7 @@ def _plane_residual(readings: Readings, command: Array, machine: Machine) -> flo
     except NumericsError:
         return float("inf")
     height = p[:, 2] - readings.sign * readings.reading
-    plane = np.column_stack([np.ones(len(p)), p[:, :2]])
-    residual = height - plane @ np.linalg.lstsq(plane, height)[0]
+    _, residual = fit_plane(p, height)
     return float(np.sqrt(np.sum(residual**2) / max(len(residual) - 3, 1)))
 
 

@@ -262,10 +262,6 @@ class Model:
         merged: tuple[Conditions, NDArray[np.intp]] = cached[needs]
         return merged
 
-    def joint_jacobian(self, values: Mapping[str, float], conditions: Conditions) -> Array:
-        """Return the derivative of poses and bars by the virtual joints ``(n, 48, 30)``."""
-        return np.asarray(self.tangent(values, conditions)[1][:, :, 3:])
-
     def leg_conditions(
         self, values: Mapping[str, float], conditions: Conditions
     ) -> tuple[LegConditions, ...]:

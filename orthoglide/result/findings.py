@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 
@@ -138,17 +138,37 @@ class DataRival:
         return f"{what} in {self.file}, line {min(self.rows)}"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Cause:
-    """One cause that was found, with its credible set."""
+class _Named(Protocol):
+    """An explanation with a name."""
 
-    chosen: Annotated[Explanation, Key(inline=True)]  # the most probable explanation
-    rivals: tuple[Explanation, ...]  # alternatives that move the tool differently
-    same: tuple[Explanation, ...]  # alternatives that move the tool identically
-    places: tuple[Curve, ...]  # free-form errors in the set, which are less probable
-    loses: bool  # whether it may be lost motion, which the expected errors of the tool exclude
-    # faults of the data in the same credible set
-    data: Annotated[tuple[DataRival, ...], Key("rivals_in_data")] = ()
+    @property
+    def name(self) -> str: ...
+    @property
+    def words(self) -> str: ...
+    @property
+    def parameters(self) -> tuple[str, ...]: ...
+    @property
+    def probability(self) -> float: ...
+
+
+E = TypeVar("E", bound=_Named)
+C = TypeVar("C")
+
+
+class CredibleSet(Generic[E, C]):
+    """A cause with its alternatives, in the search and in a result.
+
+    Attributes:
+        chosen: the most probable explanation.
+        rivals: alternatives that move the tool differently.
+        same: alternatives that move the tool identically.
+        places: free-form errors in the set, which are less probable.
+    """
+
+    chosen: E
+    rivals: tuple[E, ...]
+    same: tuple[E, ...]
+    places: tuple[C, ...]
 
     def __repr__(self) -> str:
         others = ", ".join(self.indistinguishable_from)
@@ -175,12 +195,12 @@ class Cause:
         return sum(one.probability for one in (self.chosen, *self.same))
 
     @property
-    def explanations(self) -> tuple[Explanation, ...]:
+    def explanations(self) -> tuple[E, ...]:
         """All named explanations in the credible set."""
         return (self.chosen, *self.same, *self.rivals)
 
     @property
-    def others(self) -> tuple[Explanation | Curve, ...]:
+    def others(self) -> tuple[E | C, ...]:
         """The alternatives, named and free-form."""
         return (*self.rivals, *self.places)
 
@@ -188,6 +208,19 @@ class Cause:
     def indistinguishable_from(self) -> tuple[str, ...]:
         """Names of the other explanations in the credible set."""
         return tuple(one.name for one in (*self.same, *self.rivals))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Cause(CredibleSet[Explanation, Curve]):
+    """One cause that was found, with its credible set."""
+
+    chosen: Annotated[Explanation, Key(inline=True)]  # the most probable explanation
+    rivals: tuple[Explanation, ...]  # alternatives that move the tool differently
+    same: tuple[Explanation, ...]  # alternatives that move the tool identically
+    places: tuple[Curve, ...]  # free-form errors in the set, which are less probable
+    loses: bool  # whether it may be lost motion, which the expected errors of the tool exclude
+    # faults of the data in the same credible set
+    data: Annotated[tuple[DataRival, ...], Key("rivals_in_data")] = ()
 
     def derived(self) -> dict[str, Any]:
         """Return keys of ``result.json`` that follow from the fields."""

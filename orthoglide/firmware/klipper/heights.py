@@ -18,7 +18,7 @@ from orthoglide.errors import FileError, InputError
 from orthoglide.firmware.imported import Row
 from orthoglide.firmware.klipper.config import Config, ConfigSection
 from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
-from orthoglide.geometry import Array, plane_columns
+from orthoglide.geometry import Array, fit_plane
 from orthoglide.instruments import PRINTED, Distance, PlateTouch
 from orthoglide.numerals import compact, plain, signed
 
@@ -48,14 +48,6 @@ _STEP_RATIOS = (1.0, *(2.0**k for k in (1, -1, 2, -2, 3, -3, 4, -4)))
 _MIN_PLANE_HEIGHTS = 3  # heights that determine a mean and a slope
 _MIN_ENDSTOP_SHIFT = 3e-5  # metres: a larger mean residual of heights means moved endstops
 _MAX_SLOPE = 2e-5, 0.1  # largest slope beside that mean: metres at the rim, or share of the mean
-
-
-def fit_plane(places: Array, height: Array) -> list[float]:
-    """Return the height in the middle, metres, and the slopes along x and y of the plane through
-    heights ``(n,)`` at places ``(n, 2)`` or ``(n, 3)``.
-    """
-    plane: list[float] = np.linalg.lstsq(plane_columns(places), height, rcond=None)[0].tolist()
-    return plane
 
 
 def probe_section(config: Config) -> ConfigSection | None:
@@ -216,7 +208,7 @@ def _endstop_shift(config: Config, kind: str, p: Array, height: Array) -> float:
     if len(height) < _MIN_PLANE_HEIGHTS:
         return 0.0
     residual = p[:, 2] - height
-    mean, along_x, along_y = fit_plane(p, residual)
+    mean, along_x, along_y = fit_plane(p, residual)[0].tolist()
     median = float(np.median(residual))
     rise_at_rim = float(np.hypot(along_x, along_y) * np.hypot(*p[:, :2].T).max())
     is_far = abs(median) > _MAX_VALUE_ERROR

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from orthoglide.errors import FileError, InputError
 from orthoglide.firmware.imported import Row, plain_name
 from orthoglide.firmware.klipper.config import Config, ConfigSection
-from orthoglide.firmware.klipper.heights import fit_plane, probe_offset
+from orthoglide.firmware.klipper.heights import probe_offset
 from orthoglide.firmware.klipper.numbers import Numbers
-from orthoglide.geometry import Array
+from orthoglide.geometry import Array, fit_plane
 from orthoglide.instruments import PlateTouch
 from orthoglide.numerals import signed
 
@@ -64,7 +64,7 @@ def stored_meshes(
             continue
         if moved:
             p = numbers.points(command + numbers.zero)
-            offset, *_ = fit_plane(p, p[:, 2] - [row.reading for row in rows])
+            (offset, *_), _ = fit_plane(p, p[:, 2] - [row.reading for row in rows])
             rows = [replace(row, reading=row.reading + offset) for row in rows]
             config.note(
                 "mesh",

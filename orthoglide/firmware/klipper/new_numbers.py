@@ -14,10 +14,9 @@ import numpy as np
 
 from orthoglide.add_ons import Corrections
 from orthoglide.firmware.klipper.corrections import ResidualChange, make_corrections
-from orthoglide.firmware.klipper.heights import fit_plane
 from orthoglide.firmware.klipper.numbers import Numbers
 from orthoglide.firmware.klipper.provenance import CALIBRATION
-from orthoglide.geometry import Array, plane_columns
+from orthoglide.geometry import Array, fit_plane, plane_columns
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings
 
@@ -171,7 +170,7 @@ def _zero_plane(
     """
     rows = [k for k, campaign in enumerate(touched) if campaign.name == CALIBRATION]
     rows = rows or [k for k, radius in enumerate(reach) if radius >= _WIDE_REACH * max(reach)]
-    planes = np.array([fit_plane(*plates[k]) for k in rows])
+    planes = np.array([fit_plane(*plates[k])[0] for k in rows])
     has_height = np.array([not meshes_relative or touched[k].name == CALIBRATION for k in rows])
     height = planes[has_height | ~has_height.any(), 0].mean()
     return np.append(height, planes[:, 1:].mean(axis=0))
