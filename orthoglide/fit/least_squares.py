@@ -194,8 +194,10 @@ def fitted_basis(problem: Problem, nuisance: Nuisances, linear: Linearised) -> A
 
     The first ``n`` rows are those of the readings: their squares sum to the leverage.
     """
-    columns = nuisance.weighing.whiten(np.hstack([linear.jacobian, nuisance.columns]))
-    return orthonormal(np.vstack([columns, joint_prior_rows(problem, nuisance)]))
+    whitened = nuisance.weighing.whiten(np.hstack([linear.jacobian, nuisance.columns]))
+    columns = np.vstack([whitened, joint_prior_rows(problem, nuisance)])
+    del whitened  # of many readings it is large
+    return orthonormal(columns)
 
 
 def orthonormal(columns: Array) -> Array:
@@ -220,14 +222,24 @@ def covariance(jacobian: Array, prior: Array) -> tuple[Array, Array]:
         jacobian: whitened, projected ``(m, P)``.
         prior: rows of the priors ``(q, P)``.
     """
-    augmented = np.vstack([jacobian, prior, np.zeros((jacobian.shape[1],) * 2)])
     # Columns are scaled to unit length, so that units do not matter.
-    scale = np.linalg.norm(augmented, axis=0)
+    scale = np.hypot(np.linalg.norm(jacobian, axis=0), np.linalg.norm(prior, axis=0))
     scale = np.where(scale <= 0, 1.0, scale)
-    _, singular, directions = np.linalg.svd(augmented / scale, full_matrices=False)
+    singular, directions = _singular_directions(np.vstack([jacobian, prior]) / scale)
     determined = singular > 1e-7 * max(float(singular.max(initial=0.0)), 1e-300)
     root = (directions[determined].T / singular[determined]) / scale[:, None]
     return root @ root.T, directions[~determined] / scale
+
+
+def _singular_directions(columns: Array) -> tuple[Array, Array]:
+    """Return the singular values ``(P,)`` of columns ``(m, P)`` and their directions ``(P, P)``.
+
+    A triangle takes the place of many rows, and rows of zeros let few rows span all directions.
+    """
+    triangle = np.linalg.qr(columns, mode="r")
+    missing = columns.shape[1] - len(triangle)
+    _, singular, directions = np.linalg.svd(np.pad(triangle, [(0, missing), (0, 0)]))
+    return singular, directions
 
 
 _WEAK_SINGULAR_VALUE = 0.1  # an unknown whose sigma is ten times that of it alone is weak
@@ -253,10 +265,8 @@ def weak_directions(
     effect_size = norm * problem.tolerance
     norm = np.where(effect_size > _ROUNDING_SHARE * effect_size.max(initial=0.0), norm, 0.0)
     column_norm = np.where(norm > 0, norm, 1.0)
-    # Rows of zeros let fewer readings than unknowns span all directions.
     columns = np.where(norm > 0, jacobian, 0.0) / column_norm
-    padded = np.vstack([columns, np.zeros((len(names), len(names)))])
-    _, singular, right_vectors = np.linalg.svd(padded, full_matrices=False)
+    singular, right_vectors = _singular_directions(columns)
     weak = singular < _WEAK_SINGULAR_VALUE
     if not weak.any():
         return ()
