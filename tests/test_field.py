@@ -154,6 +154,23 @@ def test_travel_that_is_counted_down_is_told() -> None:
 
 
 @pytest.mark.parametrize(
+    ("factors", "remedy"),
+    [
+        ((1, -1, 1), "the other way by b they fit a plane to 0.00N mm: set sign = [1, -1, 1]"),
+        ((0.5, 0.5, 0.5), "multiplied by 2 they fit a plane to 0.00N mm: look at the microsteps"),
+        ((0.1, 0.1, 0.1), "multiplied by 10 they fit a plane to 0.00N mm: look at"),
+    ],
+)
+def test_travel_in_another_unit_or_sign_is_told(factors: tuple[float, ...], remedy: str) -> None:
+    folder = FIELD / "travel-counted-down"
+    machine = og.Machine.load(folder / "machine.toml")
+    (readings,) = og.read_readings(folder / "plate.csv", machine.spec)
+    wrong = replace(readings, command=-readings.command * factors)
+    with pytest.raises(og.InputError, match=re.escape(remedy).replace("N", r"\d")):
+        og.close_loop(wrong, machine)
+
+
+@pytest.mark.parametrize(
     "file", ["printer.cfg", pytest.param("printer-with-mesh.cfg", marks=pytest.mark.thorough)]
 )
 def test_rods_that_were_entered_short_stand_first_in_the_class(file: str) -> None:

@@ -44,7 +44,8 @@ def cause_words(catalogue: Catalogue, name: str, values: Mapping[str, float]) ->
         return value_words(effect, first, math.hypot(*of_name.values())) + suffix
     if not of_name:
         return _clause_of_all(effect) + suffix
-    smallest, largest = (size_words(effect, f(of_name.values(), key=abs)) for f in (min, max))
+    extremes = (f(of_name.values(), key=abs) for f in (min, max))
+    smallest, largest = (_signed_size_or_amplitude(effect, value) for value in extremes)
     return f"{_clause_of_all(effect)}, from {smallest} to {largest}{suffix}"
 
 

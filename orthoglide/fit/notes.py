@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from orthoglide.effects.wording import parameter_words
+from orthoglide.effects.wording import parameter_words, signed_size
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.factors import Factor
 from orthoglide.fit.noise_notes import noisy_dials, noisy_instruments, small_residuals
@@ -110,10 +110,11 @@ def tolerance_notes(estimate: Estimate) -> Iterator[Note]:
     problem, catalogue = estimate.problem, estimate.problem.machine.catalogue
     for k in np.flatnonzero(problem.is_implausible(estimate.x)):
         unknown = problem.unknowns[k]
-        unit = estimate.unit(unknown.name)
+        unit, value = estimate.unit(unknown.name), float(estimate.x[k])
         text = (
-            f"{parameter_words(catalogue.parameter(unknown.name), catalogue.legs)} "
-            f"is {abs(estimate.x[k]) / unknown.tolerance:.1f} times its tolerance of "
+            f"{parameter_words(catalogue.parameter(unknown.name), catalogue.legs)} is "
+            f"{signed_size(catalogue.effect_of(unknown.name), value)}, "
+            f"{abs(value) / unknown.tolerance:.1f} times its tolerance of "
             f"{compact(unknown.tolerance / unit.si, 2)}{unit.behind}: measure it, or correct "
             f"the tolerance in the machine file"
         )

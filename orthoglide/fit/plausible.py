@@ -8,17 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import permutations
+from itertools import permutations, product
 
 import numpy as np
 
-from orthoglide.errors import InputError, NumericsError
+from orthoglide.errors import InputError, NumericsError, OrthoglideError
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.factors import machine_instrument_priors
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.repeats import GRID_TOLERANCE, off_grid, on_grid
 from orthoglide.fit.solving import solve
-from orthoglide.geometry import Array, fit_plane
+from orthoglide.geometry import fit_plane
 from orthoglide.instruments import Frame, InstrumentPriors, SetupReadings
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial
@@ -26,11 +26,17 @@ from orthoglide.numerals import compact
 from orthoglide.observations import Readings, source
 from orthoglide.units import INCH
 
-_MIN_TOUCHES = 5  # of a plate: a plane goes through three
-_PLATE_FLATNESS, _TOUCH_NOISE = 1e-3, 1e-4
+_MIN_TOUCHES = 6  # of a plate: a plane goes through three, and as many more decide
+_PLATE_FLATNESS, _TOUCH_NOISE = 1e-3, 3e-5
 """Metres: a bed in use for printing is at least as flat; touches are hardly more precise."""
 
 _MIN_MISFIT_RATIO = 10.0  # times by which touches are off as they are counted
+_TRAVEL_FACTORS = (
+    *(signs for signs in product((1.0, -1.0), repeat=3) if min(signs) < 0),
+    *((f, f, f) for f in (1 / INCH, 0.1, 0.25, 0.5, 2.0, 4.0, 10.0, INCH)),
+)
+"""Factors that may correct the travel of the legs: signs, microsteps, and units."""
+
 _MIN_READINGS = 8  # different readings: by chance one in eight is on the grid
 
 
@@ -48,7 +54,7 @@ def check_plausible(tables: Sequence[Readings], machine: Machine, frame: Frame =
     instrument_priors = machine_instrument_priors(machine, frame)
     for readings in tables:
         if readings.of_tool:
-            _check_travel_sign(readings, machine)
+            _check_travel(readings, machine)
             _check_unit_and_frame(readings, machine, instrument_priors)
         else:
             _check_dial_unit(readings, machine.spec.dial)
@@ -75,37 +81,59 @@ def _check_dial_unit(campaign: Readings, dial: Dial) -> None:
             )
 
 
-def _check_travel_sign(readings: Readings, machine: Machine) -> None:
-    """Refuse touches of a plate that lie in a plane only with travel counted the other way."""
+def _check_travel(readings: Readings, machine: Machine) -> None:
+    """Refuse touches of a plate that lie in a plane only with travel counted the other way by some
+    legs, or in another unit.
+    """
     for k, setup in enumerate(readings.setups):
         rows = (readings.setup == k) & ~readings.paired
         if not setup.observation.touches or rows.sum() < _MIN_TOUCHES:
             continue
         touches = readings.subset(rows)
-        opposite = 2 * machine.geometry.zero - touches.command
-        off = _plane_residual(touches, touches.command, machine)
-        off_opposite = _plane_residual(touches, opposite, machine)
-        limit = _MIN_MISFIT_RATIO * max(off_opposite, _TOUCH_NOISE)
-        if off_opposite < _PLATE_FLATNESS and off > limit:
+        off = _plane_residual(touches, (1.0, 1.0, 1.0), machine)
+        if off < _MIN_MISFIT_RATIO * _TOUCH_NOISE:
+            continue
+        factors = min(_TRAVEL_FACTORS, key=lambda each: _plane_residual(touches, each, machine))
+        least = _plane_residual(touches, factors, machine)
+        if least < _PLATE_FLATNESS and off > _MIN_MISFIT_RATIO * max(least, _TOUCH_NOISE):
             heights = "those of no plane" if np.isfinite(off) else "out of the machine's reach"
             raise InputError(
                 f"{source(readings)}, setup {setup.name!r}: the heights are {heights}; with travel "
-                f"counted the other way they fit a plane to {compact(off_opposite * 1e3, 1)} mm: "
-                f"set sign = {[-s for s in machine.spec.controller.sign]} under [controller]"
+                f"{_travel_remedy(factors, machine).format(f'{compact(least * 1e3, 1)} mm')}"
             )
 
 
-def _plane_residual(readings: Readings, command: Array, machine: Machine) -> float:
-    """Return the root mean square of touches about their plane, metres; infinite if some are out of
-    reach.
+def _travel_remedy(factors: tuple[float, ...], machine: Machine) -> str:
+    """Return how travel fits, with ``{}`` in place of the misfit, and what to do."""
+    if min(factors) < 0:
+        legs = [machine.geometry.leg_names[k] for k, f in enumerate(factors) if f < 0]
+        which = "" if len(legs) == len(factors) else f" by {' and '.join(legs)}"
+        signs = [round(s * f) for s, f in zip(machine.spec.controller.sign, factors, strict=True)]
+        return (
+            f"counted the other way{which} they fit a plane to {{}}: set sign = {signs} under "
+            f"[controller]"
+        )
+    return (
+        f"multiplied by {factors[0]:.4g} they fit a plane to {{}}: look at the microsteps and at "
+        f"the unit of travel, and correct the columns of travel"
+    )
+
+
+def _plane_residual(readings: Readings, factors: tuple[float, ...], machine: Machine) -> float:
+    """Return the root mean square of touches about their plane, metres, with the travel of each leg
+    multiplied by a factor; infinite if some are out of reach.
+
+    A factor below 1 makes every residual smaller, so it is divided out.
     """
+    zero = machine.geometry.zero
     try:
-        p = machine.forward(command)
-    except NumericsError:
+        p = machine.forward(zero + (readings.command - zero) * factors)
+    except OrthoglideError:  # far from the machine, or not closed there
         return float("inf")
     height = p[:, 2] - readings.sign * readings.reading
     _, residual = fit_plane(p, height)
-    return float(np.sqrt(np.sum(residual**2) / max(len(residual) - 3, 1)))
+    shrunk = min(np.abs(factors).min(), 1.0)
+    return float(np.sqrt(np.sum(residual**2) / max(len(residual) - 3, 1)) / shrunk)
 
 
 def _check_unit_and_frame(
