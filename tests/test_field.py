@@ -76,6 +76,14 @@ def test_a_mistyped_distance_is_a_slip_without_a_mesh(
     assert float(size.replace("−", "-")) == pytest.approx(off, abs=0.3)
 
 
+def test_two_mistyped_distances_do_not_accuse_a_sound_one() -> None:
+    """Two opposite errors of a millimetre were taken for an error of a distance between them."""
+    found = og.import_printer(FIELD / "two-distances-mistyped" / "printer.cfg")
+    first, second = og.close_loop(found.campaigns, og.Machine(found.machine)).blunders
+    assert re.search(r"distance 0: the reading 63.77 mm is −1\.0\d mm off", first.message)
+    assert re.search(r"distance 8: the reading 65.83 mm is \+1\.0\d mm off", second.message)
+
+
 def test_a_slip_that_is_likelier_than_a_cause_is_told_before_it(tmp_path: Path) -> None:
     """The first sentence was of a cause of 5 %, and nothing was to be read again."""
     found = mistyped(tmp_path, "11", "64.65")
@@ -92,12 +100,12 @@ def test_a_slip_that_is_likelier_than_a_cause_is_told_before_it(tmp_path: Path) 
 
 
 def test_a_slip_that_is_only_likely_is_kept_and_told(tmp_path: Path) -> None:
-    found = mistyped(tmp_path, "8", "64.3")
+    found = mistyped(tmp_path, "8", "64.4")
     verdict = og.close_loop(found.campaigns, og.Machine(found.machine))
     assert not verdict.blunders
     (told,) = (w for w in verdict.warnings if w.kind == "slip")
     assert re.match(
-        r"possible data fault \(probability [5-8]\d %, .*\): .*distance 8: the reading 64.3 mm",
+        r"possible data fault \(probability [5-8]\d %, .*\): .*distance 8: the reading 64.4 mm",
         told,
     )
 

@@ -14,12 +14,11 @@ from orthoglide.effects.free_form import (
     Joints,
     Part,
     Range,
-    command_variable,
     free_forms,
     scaled_to_machine,
-    travel_variable,
 )
 from orthoglide.effects.kernels import Bump, Jump
+from orthoglide.effects.motions import command_variable, travel_variable
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.layout import LegNames
 
@@ -35,17 +34,11 @@ def may_jump(form: FreeForm) -> bool:
     return form.against == "time" and single_part
 
 
-def with_jump(form: FreeForm, moment: float, count: int) -> FreeForm:
-    """Return a free-form error with a jump instead of a slow change.
-
-    Args:
-        form: an error that changes with time.
-        moment: of the jump, seconds.
-        count: number of possible moments, among which the prior probability is divided.
-    """
+def with_jump(form: FreeForm, moment: float) -> FreeForm:
+    """Return a free-form error that changes with time, with a jump instead of a slow change."""
     start, end = form.span or (0.0, 1.0)
     jump = Jump(2 * (moment - start) / (end - start) - 1)
-    return replace(form, kernel=jump, jump=moment, chance=1 / count)
+    return replace(form, kernel=jump, jump=moment)
 
 
 _BUMP_WIDTH = 0.008

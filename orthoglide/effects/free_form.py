@@ -15,7 +15,13 @@ from typing import Any, Literal
 
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.kernels import BuildUp, Bump, Jump, Kernel, Level
-from orthoglide.effects.motions import LegConditions, Motion
+from orthoglide.effects.motions import (
+    LegConditions,
+    Motion,
+    command_variable,
+    time_variable,
+    travel_variable,
+)
 from orthoglide.effects.words import Words, toward
 from orthoglide.geometry import LEGS
 from orthoglide.layout import LegNames, Orthoglide
@@ -49,7 +55,8 @@ class FreeForm:
     # whether it varies within a few centimetres, however long the stroke
     short_waves: bool = False
     bump: float | None = None  # travel, or a dial's reading, of a bump, metres; `None`: it is none
-    jump: float | None = None  # second at which it jumps; `None`: it does not
+    jump: float | None = None  # moment at which it jumps; `None`: it does not
+    timed: bool = True  # whether moments are seconds; else they count the readings
     chance: float = 1.0  # prior weight relative to other free-form errors
 
     @property
@@ -58,7 +65,7 @@ class FreeForm:
         if self.bump is not None:
             return f"{self.location_key}@{round(self.bump * 1e3, 2 if self.of_dial else 1):g}"
         if self.jump is not None:
-            return f"{self.location_key}@{self.jump:.0f}s"
+            return f"{self.location_key}@{''.join(self.moment.split()[1:])}"
         key = self.location_key
         return key.replace("/travel", "/waves") if self.short_waves else key
 
@@ -160,7 +167,7 @@ class FreeForm:
             "approach": "by the side it is approached from",
             "reversal": "by the way gone since it turned round",
             "command": f"by the command of drive {self.names.legs[self.command_drive]}",
-            "time": "with time" if self.jump is None else f"at {self.jump:.0f} s, at once",
+            "time": "with time" if self.jump is None else f"{self.moment}, at once",
         }[self.against]
         fault = {
             "drive": f"drive {leg} goes wrong along its axis",
@@ -174,6 +181,12 @@ class FreeForm:
             f"{toward(self.direction, 1.0)}",
         }[self.part]
         return self.names.in_layout_words(f"{fault} {dependence}")
+
+    @property
+    def moment(self) -> str:
+        """Moment of a jump: ``at 1710 s``, or ``after order 57``, that of the last reading."""
+        jump = 0.0 if self.jump is None else self.jump
+        return f"at {jump:.0f} s" if self.timed else f"after order {math.floor(jump)}"
 
     @property
     def _travel_words(self) -> str:
@@ -220,25 +233,6 @@ def _basis(form: FreeForm, k: int, share: float, conditions: LegConditions) -> A
     return share * form.functions(conditions, slice(k, k + 1))[0]
 
 
-def travel_variable(c: LegConditions) -> Any:
-    """Return the position of a carriage, from -1 to 1 over the stroke."""
-    return c.u
-
-
-def command_variable(leg: int, c: LegConditions) -> Any:
-    """Return the commanded position of a drive, from -1 to 1 over the stroke."""
-    low, high = c.stroke
-    travel = c.commands[leg] - c.command + c.nominal_travel
-    return (travel - (low + high) / 2) / ((high - low) / 2)
-
-
-def _time_variable(start: float, end: float, c: LegConditions) -> Any:
-    """Return the time within a session, from -1 to 1 and constant outside it."""
-    half = max((end - start) / 2, 1e-9)
-    position = (c.time - start) / half - 1
-    return (abs(position + 1) - abs(position - 1)) / 2  # within -1 and 1, of symbols too
-
-
 _LENGTH = 0.08  # metres: half of the stroke at which the lengths below were written
 _FINE, _COARSE = Kernel(0.030 / _LENGTH, 12), Kernel(0.050 / _LENGTH, 8)
 # A coupling slips, an encoder misses a count, a carriage sticks and jumps: down to 2 mm.
@@ -263,9 +257,10 @@ _UM = 1e-6
 class Session:
     """The time interval of a measurement."""
 
-    start: float  # first second
-    end: float  # last second
+    start: float  # first moment
+    end: float  # last moment
     leg: int | None = None  # whose dials were read; `None`: of the whole campaign
+    timed: bool = True  # whether moments are seconds; else they count the readings
 
 
 def _short_wave_kernel(half: float) -> Kernel:
@@ -282,7 +277,7 @@ def free_forms(
     """Return all free-form errors of a machine.
 
     Args:
-        sessions: of each leg, and of the campaign; none where time was not recorded.
+        sessions: of each leg, and of the campaign.
         names: of legs and directions.
         stroke: travel limits of the machine, metres.
         scale: of its size, that of a workshop being 1.
@@ -337,17 +332,18 @@ def _leg_forms(leg: int, names: LegNames) -> Iterator[FreeForm]:
 
 def _time_dependent_forms(session: Session) -> Iterator[FreeForm]:
     """Yield what changes in a session: bars of the leg that is read; drives in the campaign."""
-    interval = session.start, session.end
-    variable = partial(_time_variable, *interval)
+    span = session.start, session.end
+    form = partial(
+        FreeForm, against="time", command_drive=0, variable=partial(time_variable, *span),
+        span=span, timed=session.timed,
+    )  # fmt: skip
     if session.leg is None:
-        for leg in (-1, *range(len(LEGS))):
-            yield FreeForm("drive", leg, (("travel", 1.0),), "", "time", 0, variable, _DRIFT,
-                           100 * _UM, interval)  # fmt: skip
+        drive = partial(form, "drive", joints=(("travel", 1.0),), direction="")
+        yield from (drive(leg, kernel=_DRIFT, prior_sd=100 * _UM) for leg in (-1, 0, 1, 2))
         return
     both_bars = (("stretch1", 1.0), ("stretch2", 1.0))
     for joints, direction in ((both_bars[:1], "1"), (both_bars[1:], "2"), (both_bars, "")):
-        yield FreeForm("bar", session.leg, joints, direction, "time", 0, variable, _OU, 50 * _UM,
-                       interval)  # fmt: skip
+        yield form("bar", session.leg, joints, direction, kernel=_OU, prior_sd=50 * _UM)
 
 
 def scaled_to_machine(form: FreeForm, scale: float) -> FreeForm:

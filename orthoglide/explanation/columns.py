@@ -46,6 +46,7 @@ from orthoglide.fit.excitation import excited_effects
 from orthoglide.fit.least_squares import (
     Linearised,
     Nuisances,
+    fitted_basis,
     linearise,
     nuisances,
     predict,
@@ -201,14 +202,17 @@ def _machine_model(
     nuisance = nuisances(full_problem, linearised.reading_poses)
     sd, x = full_problem.tolerance, linearised.x
     residual = problem.measured - linearised.value + displacement
-    rows, units, errors, plate_count = _scaled_columns(full_problem, linearised, nuisance, residual)
+    base_count = len(problem.unknowns)
+    base = replace(linearised, jacobian=linearised.jacobian[:, :base_count])
+    fitted = fitted_basis(problem, nuisance, base)[: len(residual)]
+    rows, units, errors, plate_count = _scaled_columns(full_problem, linearised, residual, fitted)
     value_at_zero = linearised.value - linearised.jacobian @ x - displacement
     fixed_sd, (matrix, target) = _fixed_priors(problem, len(units))
     prior_rows = np.pad(matrix, [(0, 0), (0, len(sd) - matrix.shape[1])]), target
     plate_shapes = np.arange(len(units)) >= len(units) - plate_count
     fixed_sd[plate_shapes] = 1.0
     readings = _WhitenedReadings.of(problem, nuisance, rows, problem.measured - value_at_zero)
-    base_count, slopes = len(problem.unknowns), tool_slopes(full_problem, x) * sd
+    slopes = tool_slopes(full_problem, x) * sd
     twin_parameters = twins(full_problem, base_count, readings.columns[:, : len(sd)], slopes)
     replaced = {other.plain for factors in twin_parameters.values() for other, _ in factors}
     replaced_index = np.flatnonzero([name.plain in replaced for name in full_problem.names])
@@ -245,11 +249,11 @@ def _machine_model(
 
 
 def _scaled_columns(
-    full_problem: Problem, linearised: Linearised, nuisance: Nuisances, residual: Array
+    full_problem: Problem, linearised: Linearised, residual: Array, fitted: Array
 ) -> tuple[Array, Array, tuple[FreeForm, ...], int]:
     """Return all columns ``(n, C)``, their units, free-form errors and number of plate shapes."""
-    sd, unexplained = full_problem.tolerance, residual - nuisance.explained_residual(residual)
-    machine_blocks, machine_errors = free_form_columns(full_problem, linearised.x, unexplained)
+    sd, x = full_problem.tolerance, linearised.x
+    machine_blocks, machine_errors = free_form_columns(full_problem, x, residual, fitted)
     dial_blocks, dial_errors = dial_curve_columns(full_problem, linearised.value, residual)
     plate_block, plate_sd = plate_shape_columns(full_problem)
     errors = (*machine_errors, *dial_errors)

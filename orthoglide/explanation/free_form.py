@@ -73,10 +73,11 @@ def visible_free_form_errors(problem: Problem) -> tuple[FreeForm, ...]:
     sessions: list[Session] = []
     if len(problem.campaigns) == 1 and not problem.tool_factors:
         (campaign,) = problem.campaigns
+        moments, timed = _moments(campaign)
         for leg in (*range(len(LEGS)), None):
-            time = campaign.time if leg is None else campaign.time[campaign.leg == leg]
-            if len(time) and np.isfinite(time).all() and np.ptp(time) > 0:
-                sessions.append(Session(float(time.min()), float(time.max()), leg))
+            of_leg = moments if leg is None else moments[campaign.leg == leg]
+            if len(of_leg) and np.ptp(of_leg) > 0:
+                sessions.append(Session(float(of_leg.min()), float(of_leg.max()), leg, timed))
     machine = problem.machine
     geometry = machine.geometry
     errors = free_forms(sessions, machine.catalogue.legs, geometry.stroke, geometry.scale)
@@ -89,6 +90,14 @@ def visible_free_form_errors(problem: Problem) -> tuple[FreeForm, ...]:
     one_sided = ~axes_approached_from_both_sides(approach)  # lost motion is invisible
     hidden = {"approach": one_sided, "reversal": one_sided | bool(problem.tool_factors)}
     return tuple(e for e in errors if e.against not in hidden or not hidden[e.against][e.leg])
+
+
+def _moments(readings: Readings) -> tuple[Array, bool]:
+    """Return the seconds of readings ``(n,)``, and true; their order, and false, if any has no
+    time.
+    """
+    timed = bool(np.isfinite(readings.time).all())
+    return (readings.time if timed else readings.order.astype(float)), timed
 
 
 def bump_travels(problem: Problem) -> list[list[float]]:
@@ -114,7 +123,7 @@ def bump_travels(problem: Problem) -> list[list[float]]:
 
 
 def free_form_columns(
-    problem: Problem, x: Array, residual: Array
+    problem: Problem, x: Array, residual: Array, fitted: Array | None = None
 ) -> tuple[Iterator[Array], tuple[FreeForm, ...]]:
     """Return the columns ``(n, K)`` of each free-form error, in its unit, and these errors.
 
@@ -122,11 +131,14 @@ def free_form_columns(
         problem: the readings.
         x: its unknowns ``(P,)``, SI.
         residual: of the readings there ``(n,)``, SI.
+        fitted: orthonormal columns of everything fitted, in sigmas ``(n, q)``; by default none.
     """
     errors = visible_free_form_errors(problem)
     if not errors:
         return iter(()), ()
-    errors += tuple(_jump_candidates(problem, x, residual, [p for p in errors if may_jump(p)]))
+    if jumping := [p for p in errors if may_jump(p)]:
+        fitted = np.zeros((len(residual), 0)) if fitted is None else fitted
+        errors += tuple(_jump_candidates(problem, x, residual, jumping, fitted))
     return _columns_of_problem(problem, x, errors), errors
 
 
@@ -140,35 +152,38 @@ def _columns_of_problem(problem: Problem, x: Array, errors: Sequence[FreeForm]) 
 
 
 def _jump_candidates(
-    problem: Problem, x: Array, residual: Array, errors: Sequence[FreeForm]
+    problem: Problem, x: Array, residual: Array, errors: Sequence[FreeForm], fitted: Array
 ) -> Iterator[FreeForm]:
     """Yield free-form errors with a jump, at the moments that explain most of the residuals.
 
-    The gain of a step is its squared size over its variance, with a mean estimated on either side.
+    With r and s the residual and the step in sigmas, and V all that is fitted, a step explains
+    ``(s^T (1 - V V^T) r)^2 / (s^T (1 - V V^T) s)`` of chi2. A step between two mountings of a
+    dial, for example, is mostly explained by their datums.
     """
-    if not errors:  # without recorded time
-        return
-    time = np.concatenate([f.readings.time for f in problem.factors])
-    order = np.argsort(time, kind="stable")
-    time, whitened = time[order], (residual / problem.sigma)[order]
-    cuts = np.flatnonzero(np.diff(time) > 0)
+    moments = np.concatenate([_moments(f.readings)[0] for f in problem.factors])
+    order = np.argsort(moments, kind="stable")
+    whitened = residual / problem.sigma
+    whitened = (whitened - fitted @ (fitted.T @ whitened))[order]
+    moments, fitted = moments[order], fitted[order]
+    cuts = np.flatnonzero(np.diff(moments) > 0)
     levels = [replace(p, kernel=Level()) for p in errors]
     for error, rows in zip(errors, _columns_of_problem(problem, x, levels), strict=True):
-        step_column = (rows[:, 0] / problem.sigma)[order]
-        products, squares = np.cumsum(step_column * whitened), np.cumsum(step_column**2)
-        visible_count = np.cumsum(np.abs(step_column) > _LEAST_SIGNAL)
+        step = (rows[:, 0] / problem.sigma)[order]
+        visible_count = np.cumsum(np.abs(step) > _LEAST_SIGNAL)
         fewer = np.minimum(visible_count[cuts], visible_count[-1] - visible_count[cuts])
         allowed = cuts[fewer >= _LEAST_READINGS_BESIDE_JUMP]
         if not len(allowed):
             continue
-        before, after = squares[allowed], squares[-1] - squares[allowed]
-        step = (products[-1] - products[allowed]) / after - products[allowed] / before
-        gain = step**2 / (1 / before + 1 / after)
-        likeliest: dict[int, float] = {}  # moment by full second, which names the jump
-        for moment in (time[allowed] + time[allowed + 1])[descending(gain)].tolist():
-            likeliest.setdefault(round(moment / 2), moment / 2)
-        for moment in [*likeliest.values()][:_MOST_JUMPS]:
-            yield with_jump(error, moment, len(likeliest))
+        products, squares = np.cumsum(step * whitened), np.cumsum(step**2)
+        explained = np.cumsum(step[:, None] * fitted, axis=0)[allowed]
+        remaining = squares[allowed] - np.sum(explained**2, axis=1)
+        gain = products[allowed] ** 2 / np.maximum(remaining, _LEAST_SIGNAL**2)
+        likeliest: dict[str, FreeForm] = {}
+        for moment in (moments[allowed] + moments[allowed + 1])[descending(gain)].tolist():
+            jump = with_jump(error, moment / 2)
+            likeliest.setdefault(jump.name, jump)  # one for each full second
+        for jump in [*likeliest.values()][:_MOST_JUMPS]:
+            yield replace(jump, chance=1 / len(likeliest))
 
 
 def free_form_columns_of_factor(
@@ -179,7 +194,8 @@ def free_form_columns_of_factor(
     They are linearised about the parameters ``values``, SI.
     """
     response = factor.joint_response(model, values)
-    legs = model.leg_conditions(values, factor.conditions())
+    conditions = factor.conditions().with_time(_moments(factor.readings)[0])
+    legs = model.leg_conditions(values, conditions)
     if factor.on_legs and any(p.against == "reversal" for p in errors):
         half = np.ptp(model.geometry.stroke) / 2
         built_up = factor.readings.built_up([half * length for length in BUILD_UP.lengths])

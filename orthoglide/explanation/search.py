@@ -8,9 +8,9 @@ is Gaussian:
 
     ln Z = -(r^T S^-1 r + ln det S) / 2,     S = 1 + A D A^T
 
-The search adds one or two groups, and removes none, one or two. All pairs of causes with one
-coefficient are tried: where two are active, neither alone need be better than a wide background,
-and no other pair with equal signatures is nearer.
+The search adds one or two groups, and removes none, one or two. All pairs of causes and data faults
+with one coefficient are tried: where two are active, neither alone need be better than a wide
+background, and a third one between them may be better than either.
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ class Search:
         return [self._with_group_at(state, int(group), int(tau))]
 
     def _with_pair(self, state: State, excluded: Sequence[int]) -> list[State]:
-        """Return the best state with two more one-coefficient causes, none in ``excluded``."""
+        """Return the best state with two more groups of one coefficient, none in ``excluded``."""
         if len(state) + 2 > self.linear.max_active:
             return []
         self.child_log_weights(state)
@@ -258,8 +258,8 @@ class Search:
 
     @cached_property
     def _single_causes(self) -> NDArray[np.intp]:
-        """Indices of the visible causes with one coefficient."""
-        named = [not g.free_form and not g.of_data for g in self.linear.groups]
+        """Indices of the visible causes and data faults with one coefficient."""
+        named = [not g.free_form for g in self.linear.groups]
         sizes = zip(self.linear.groups, map(len, self._columns_of_group), strict=True)
         single = [group.size == count == 1 for group, count in sizes]
         return np.flatnonzero(np.array(named, dtype=bool) & np.array(single, dtype=bool))

@@ -60,6 +60,12 @@ class Conditions:
         """Return some of the postures, by their numbers ``(k,)`` or as a slice."""
         return Conditions(self.table[rows])
 
+    def with_time(self, time: Array) -> Conditions:
+        """Return the postures at other seconds ``(n,)``."""
+        table = self.table.copy()
+        table[:, _COLUMNS["time"]] = time
+        return Conditions(table)
+
     @classmethod
     def from_commands(cls, command: ArrayLike, **others: ArrayLike) -> Conditions:
         """Return conditions for commands ``(..., 3)``.
