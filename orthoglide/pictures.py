@@ -35,6 +35,11 @@ _PARTS: Mapping[str, tuple[Part, int]] = {
 }  # fmt: skip
 """Virtual joints as parts, each with the leg's axis a, b or c along or about which it moves."""
 
+_WAYS: Mapping[str, tuple[str, str]] = {
+    "bar": ("longer", "shorter"), "link": ("wider", "narrower"), "drive": ("outward", "inward"),
+}  # fmt: skip
+"""Words for a positive and for a negative displacement of a part."""
+
 
 def dials(posture: Posed, campaigns: Iterable[Readings]) -> tuple[Dial, ...]:
     """Return the dials of campaigns on a machine, each name once."""
@@ -135,13 +140,9 @@ def joint_mark(
     if part == "bar":
         vector = sign * (leg_geometry.carriage - leg_geometry.platform) / machine.geometry.L
         bar = 0 if both_bars else int(joint[-1])
-        label = f"{size} {sign_word(sign, 'longer', 'shorter')}" if size else ""
-    elif part == "rail" and size:
-        direction = machine.catalogue.legs.across[leg][axis - 1]
-        label = size if both else f"{size} toward {toward(direction, sign)}"
-    elif part == "link" and size:
-        label = f"{size} {sign_word(sign, 'wider', 'narrower')}"
-    elif part == "drive" and size and not both:
-        label = f"{size} {sign_word(sign, 'outward', 'inward')}"
+    if part == "rail" and size and not both:
+        label = f"{size} toward {toward(machine.catalogue.legs.across[leg][axis - 1], sign)}"
+    elif part in _WAYS and size and not both:
+        label = f"{size} {sign_word(sign, *_WAYS[part])}"
     shape = np.stack([travel, curve * sign / amplitude], axis=1)
     return Mark(part, leg, vector, label, bar, float(travel[k]), shape, both)

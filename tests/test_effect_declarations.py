@@ -14,7 +14,6 @@ from click.testing import CliRunner
 
 import orthoglide as og
 from orthoglide.cli import cli
-from orthoglide.closing.actions import confirmation_test
 from orthoglide.effects import CATALOGUE, Effect, Motion, cos, once, sin
 from orthoglide.effects.custom import load_effects
 from orthoglide.effects.free_form import dial_free_forms
@@ -136,10 +135,10 @@ def test_a_pair_has_a_test_that_confirms_it(machine: og.Machine, effect: Effect,
         f"{effect.name}.y.{part}": v for part, v in (("sin", -3e-5), ("cos", 4e-5))
     }
     one = Explanation(
-        f"{effect.name}.y", tuple(values), 1.0, values, values, values, np.zeros(0),
+        f"{effect.name}.y", tuple(values), 1.0, values, values, np.zeros(0),
         machine.catalogue,
     )  # fmt: skip
-    assert re.fullmatch(test, confirmation_test(one))
+    assert re.fullmatch(test, one.confirm)
 
 
 def test_mistakes_are_refused() -> None:

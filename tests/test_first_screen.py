@@ -14,6 +14,7 @@ import pytest
 
 import orthoglide as og
 from orthoglide.closing import RunOutcome, build_result
+from orthoglide.closing.fill import cause_value
 from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
 from orthoglide.effects.free_form import free_forms
 from orthoglide.effects.wording import cause_short
@@ -41,7 +42,7 @@ DATA = Path(og.__file__).parent / "data"
 def explained(name: str, value: float, catalogue: Catalogue, probability: float) -> Explanation:
     """A cause as the search would have found it, of a made-up size."""
     return Explanation(
-        name, (name,), probability, {name: value}, {name: abs(value) / 20}, {}, np.zeros(0),
+        name, (name,), probability, {name: value}, {name: abs(value) / 20}, np.zeros(0),
         catalogue,
     )  # fmt: skip
 
@@ -70,7 +71,8 @@ def made_up(
     }  # fmt: skip
     kept |= {} if drawn else {"picture": replace(base().picture, options=())}
     closed.__dict__.update(kept)
-    return build_result(closed, Verdict)
+    # The words of a cause follow from the catalogue of its own machine.
+    return replace(build_result(closed, Verdict), effects=tuple(map(cause_value, causes)))
 
 
 def item(name: str, **values: Any) -> BudgetItem:
@@ -265,7 +267,7 @@ def test_rivals_beyond_the_first_are_folded_and_counted() -> None:
     first = explained("axis_tilt.y.z", 2.4e-3, CATALOGUE, 0.5)
     verdict = made_up("ambiguous", Cause(first, tuple(several), ()))
     assert "or 4 more" in screen(verdict)
-    html = render_template("sections/finding.html.j2", data=finding(verdict))
+    html = render_template("sections/finding.html.j2", data=finding(verdict), result=verdict)
     assert all(one.words[1:] in words(html) for one in several)
 
 
@@ -351,7 +353,7 @@ def test_a_cause_that_is_a_whole_family_gains_its_own_not_what_the_rest_of_it_ga
     """Both have the family's name: 0.2 um stood beside a cause of 0.175 mm, behind all else."""
     tilt, rest = ("axis_tilt.x.z", "axis_tilt.y.z"), ("axis_tilt.x.y",)
     cause = Explanation(
-        "axis_tilt", tilt, 1.0, dict.fromkeys(tilt, 9e-3), dict.fromkeys(tilt, 1e-5), {},
+        "axis_tilt", tilt, 1.0, dict.fromkeys(tilt, 9e-3), dict.fromkeys(tilt, 1e-5),
         np.zeros(0), CATALOGUE,
     )  # fmt: skip
     found = item("axis_tilt", members=tilt, gain=1.75e-4)

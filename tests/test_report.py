@@ -99,7 +99,7 @@ def words(html: str) -> str:
 
 def screen(verdict: Verdict) -> str:
     """What a reader finds on the first screen, folded parts left out."""
-    html = render_template("sections/finding.html.j2", data=finding(verdict))
+    html = render_template("sections/finding.html.j2", data=finding(verdict), result=verdict)
     html = re.sub(r"<svg.*?</svg>", "", html, flags=re.DOTALL)
     open_parts = re.sub(r"</summary>.*?</details>", "</summary></details>", html, flags=re.DOTALL)
     return words(open_parts)

@@ -25,7 +25,7 @@ from orthoglide.errors import FileError
 from orthoglide.numerals import ByUnit
 from orthoglide.observations import Campaign, protocol
 from orthoglide.report import report_files, result_text, summary
-from orthoglide.report.page import finding
+from orthoglide.report.page import tiles
 from orthoglide.report.sentences import data_faults_text, evidence, headline
 from orthoglide.report.terminal import action_lines
 from orthoglide.result import Action, HoldOut, Suspect
@@ -425,13 +425,13 @@ def test_the_workspace_is_told_before_and_after() -> None:
 
 def test_tiles_are_the_tool_at_every_stage() -> None:
     verdict = verdict_of("explained")
-    tiles = {t.what: t for t in finding(verdict)["tiles"]}
-    shapes = [float(t.size) for t in tiles.values()]
-    assert len(tiles) == 3  # lengths change nothing that the digits show
+    shown = {t.what: t for t in tiles(verdict)}
+    shapes = [float(t.size) for t in shown.values()]
+    assert len(shown) == 3  # lengths change nothing that the digits show
     assert shapes[0] > shapes[1] > shapes[2]
     kept = json.loads(result_text(verdict))["tool"]
     stages = [kept[name] for name in ("now", "zeros", "compensated")]
-    for tile, stage in zip(tiles.values(), stages, strict=True):
+    for tile, stage in zip(shown.values(), stages, strict=True):
         assert float(tile.size) == pytest.approx(stage["shape_mm"], abs=stage["shape_sigma_mm"])
         sigma = stage["shape_sigma_mm"]
         assert float(tile.lines[0].split()[1]) == pytest.approx(sigma, rel=0.5)

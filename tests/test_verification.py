@@ -24,7 +24,7 @@ from orthoglide.mechanism.engine import Outputs, SixBars
 from orthoglide.mechanism.six_bars import TCP
 from orthoglide.observations import Campaign, protocol
 from orthoglide.report import result_text
-from orthoglide.result import Request
+from orthoglide.result import Request, encoded
 from orthoglide.simulation import simulate_tcp
 from orthoglide.verdict import Verdict, close_loop, run
 from tests.test_layout import UNEVEN
@@ -77,7 +77,7 @@ def test_a_result_says_how_far_pinocchio_is_from_it(result: Callable[[], Verdict
     assert written["sensitivity_max_relative_difference"] < 1e-9
     assert 0 < written["postures"] <= MAX_POSTURES
     assert found.verification is not None
-    assert written == found.verification.as_dict()
+    assert written == encoded(found.verification)
 
 
 @pytest.mark.thorough

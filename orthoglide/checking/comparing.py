@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.checking.difference import COLUMNS, Difference, zero_entry_clauses
+from orthoglide.checking.difference import COLUMNS, Difference
 from orthoglide.checking.plates import PlateMove, plate_moves
 from orthoglide.checking.states import (
     State,
@@ -49,7 +49,6 @@ class Check(Framed):
         gone: errors located in the old state alone; if there are any, or any new ones, each state
             is closed by itself, because no parameter describes the change.
         come: errors located in the new state alone.
-        entered: clauses on how the zeros advised by the old readings were entered.
     """
 
     old: tuple[str, ...]
@@ -60,7 +59,6 @@ class Check(Framed):
     moves: tuple[PlateMove, ...] = ()
     gone: tuple[Located, ...] = ()
     come: tuple[Located, ...] = ()
-    entered: tuple[str, ...] = ()
     _index = "parameter"
 
     def __repr__(self) -> str:
@@ -127,7 +125,7 @@ class Check(Framed):
             for words, significant in clauses.items()
         )
         last = (f"{words}: {', '.join(listed)}" for words, listed in by_clause if listed)
-        return (*self.places, *self.plates, *map(str, changed), *self.entered, *self.lying, *last)
+        return (*self.places, *self.plates, *map(str, changed), *self.lying, *last)
 
     @property
     def line(self) -> str:
@@ -200,10 +198,7 @@ def check(
         between = ", ".join(old_names), ", ".join(new_names)
         changes = tuple(_as_change(d, between, machine.catalogue) for d in differences if d.changed)
     moves = plate_moves(together.after.problem, together.after.x, old_names, new_names)
-    entered: tuple[str, ...] = ()
-    if closed_before is not None and not machine.spec.printer:
-        entered = tuple(zero_entry_clauses(closed_before.machine, differences))
-    return Check(old_names, new_names, closed, differences, changes, moves, gone, come, entered)
+    return Check(old_names, new_names, closed, differences, changes, moves, gone, come)
 
 
 def _has_unnamed(closed: RunOutcome) -> bool:

@@ -1,15 +1,12 @@
-"""One parameter of a machine in two states, whether it changed, and how zeros were entered."""
+"""One parameter of a machine in two states, and whether it changed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from orthoglide.accuracy import best_zeros
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import parameter_words
 from orthoglide.layout import LegNames
-from orthoglide.machine import Machine
 from orthoglide.numerals import decimals_for, plain, signed
 from orthoglide.parameters import Parameter
 from orthoglide.units import Unit
@@ -20,18 +17,6 @@ forty comparisons of ten parameters."""
 
 COLUMNS = ("old", "new", "difference", "sigma", "unit", "changed")
 """Titles of `Difference.cells`."""
-
-_MATCHING_SHARE = 0.05  # relative deviation of an entry: people enter two digits
-_DISTINCT_RATIO = 3.0  # least ratio of the advised change to the margin, to tell entries apart
-_ADVICE_NAMES = "as much as the readings before ask for"
-_ENTRY_CLAUSES = {
-    1.0: f"{_ADVICE_NAMES}: {{}} entered",
-    2.0: f"twice {_ADVICE_NAMES}: {{}} entered twice, or added to what had been entered before",
-    -1.0: (
-        f"{_ADVICE_NAMES}, but the other way: {{}} entered with the other sign. If that is how the "
-        f"controller counts, enter new zeros with the other sign too; if it was a slip, as told"
-    ),
-}
 
 
 @dataclass(frozen=True)
@@ -83,26 +68,3 @@ class Difference:
         """The difference of an unchanged parameter, for a list."""
         _, _, difference, sigma = self._figures(self.unit.spoken)
         return f"{self.words} {difference} ± {sigma} {self.unit.spoken.name}"
-
-
-def zero_entry_clauses(old_machine: Machine, differences: Iterable[Difference]) -> Iterator[str]:
-    """Yield a clause for each way in which advised zeros of drives were entered.
-
-    Args:
-        old_machine: the machine identified from the readings of the old state.
-        differences: differences between both states.
-    """
-    advised, drives = best_zeros(old_machine), dict[float, list[str]]()
-    for difference in differences:
-        intended = -advised.get(str(difference.parameter), 0.0)
-        margin = max(CHANGED_SIGMAS * difference.sigma, _MATCHING_SHARE * abs(intended))
-        if not difference.changed or abs(intended) < _DISTINCT_RATIO * margin:
-            continue
-        for ratio in _ENTRY_CLAUSES:
-            if abs(difference.after - difference.before - ratio * intended) < margin:
-                drives.setdefault(ratio, []).append(difference.parameter.leg)
-    for ratio, legs in drives.items():
-        first, *others = legs
-        which = f"zeros of drives {', '.join(legs)}" if others else f"zero of drive {first}"
-        clause = _ENTRY_CLAUSES[ratio].format("they were" if others else "it was")
-        yield f"the {which} changed by {clause}"

@@ -11,7 +11,7 @@ from orthoglide.checking.difference import COLUMNS
 from orthoglide.numerals import plain
 from orthoglide.progress import Progress, no_progress
 from orthoglide.report import report_files
-from orthoglide.report.page import MAX_LISTED, Section, render_template
+from orthoglide.report.page import Section, render_template
 from orthoglide.report.sentences import headline
 from orthoglide.report.terminal import action_lines
 from orthoglide.text import csv_text, sentence
@@ -22,7 +22,7 @@ def changes_text(comparison: Check) -> str:
     data = _page_data(comparison)
     parts = [f"- {text}" for text in data["said"]]
     parts += ["", "What is left now:", data["left"], data["tool"]]
-    parts += [f"Caution: {text}" for text in data["cautions"]]
+    parts += [f"Caution: {text}" for text in comparison.told.cautions]
     parts += ["", "What to do:", *action_lines(comparison.told)]
     advice = comparison.verdict.firmware
     if advice is not None and advice.corrections is not None:
@@ -49,16 +49,13 @@ def changes_page(comparison: Check) -> str:
     """Return the comparison as HTML, with a drawing and a table of both states."""
     drawn = {
         "judged": ", ".join(c.name for c in comparison.verdict.request.readings),
-        "drawing": comparison.told.picture.svg(),
-        "actions": comparison.told.actions,
-        "printer": comparison.told.firmware is not None,
-        "most": MAX_LISTED,
         "sheet": False,
         "columns": COLUMNS,
         "rows": [(sentence(d.words)[:-1], d) for d in comparison.differences],
     }
     return render_template(
         "page.html.j2",
+        result=comparison.told,
         title="What changed on this machine",
         subtitle=f"from {', '.join(comparison.old)} to {', '.join(comparison.new)}",
         sections=[Section("changes", "", _page_data(comparison) | drawn)],
@@ -78,7 +75,6 @@ def _page_data(comparison: Check) -> dict[str, Any]:
         "left": headline(verdict),
         "tool": f"The tool is {now} off on average over the workspace, a shift of the whole left "
         f"out{'' if held_back else f'; {zeros} once the zeros are right'}.",
-        "cautions": comparison.told.cautions,
         "zeros": f"Once new zeros are entered ({zero} mm), these readings prove their "
         f"signs, each from the new zeros with the dial set to 0 there",
         "checks": [] if held_back else [sentence(str(check)) for check in numbers.checks],

@@ -45,25 +45,33 @@ def read_states(
     Raises:
         InputError: if a side has no readings, or the two are of different machines.
     """
-    loaded = [_load_run(state, effects) for state in (old, new)]
-    from_result = next((run.machine for run in loaded if isinstance(run, Request)), None)
-    from_result = from_result or Machine.nominal().with_effects(effects)
-    (machine, before), (other, after) = (
-        _machine_and_readings(run, state, given, from_result)
-        for run, state in zip(loaded, (old, new), strict=True)
+    states = [_load_run(state, effects) for state in (old, new)]
+    requests = [state for state in states if isinstance(state, Request)]
+    nominal = Machine.nominal().with_effects(effects)
+    default = given or next((request.machine for request in requests), nominal)
+    machines = [s.machine if isinstance(s, Request) else default for s in states]
+    before, after = (
+        s.readings if isinstance(s, Request) else readings_of(s, default) for s in states
     )
-    old_name, new_name = _state_name(old, before), _state_name(new, after)
-    _check_firmware_numbers(old_name, machine, new_name, other)
-    if other.geometry != machine.geometry:
+    names = [
+        str(state) if isinstance(state, str | os.PathLike) else ", ".join(r.name for r in readings)
+        for state, readings in ((old, before), (new, after))
+    ]
+    if given is not None:
+        for name, machine in zip(names, machines, strict=True):
+            _check_firmware_numbers(name, machine, given.spec.file or "the machine", given)
+        machines = [given, given]
+    _check_firmware_numbers(names[0], machines[0], names[1], machines[1])
+    if machines[0].geometry != machines[1].geometry:
         raise InputError(
-            f"{old_name} and {new_name} are of machines of different dimensions "
-            f"({machine.spec.title}; {other.spec.title}): check compares two states of one; "
-            f"where the file was corrected since, and no number that the controller counts "
+            f"{names[0]} and {names[1]} are of machines of different dimensions "
+            f"({machines[0].spec.title}; {machines[1].spec.title}): check compares two states of "
+            f"one; where the file was corrected since, and no number that the controller counts "
             f"with, give it for both with --machine (machine=); what other numbers of a controller "
             f"left, close-loop tells from the new readings"
         )
-    declared = [run.noise for run in loaded if isinstance(run, Request) and run.noise is not None]
-    return States(machine, before, after, max(declared, default=None))
+    declared = [request.noise for request in requests if request.noise is not None]
+    return States(machines[0], before, after, max(declared, default=None))
 
 
 def _load_run(state: State, effects: tuple[Effect, ...]) -> State:
@@ -78,25 +86,6 @@ def _load_run(state: State, effects: tuple[Effect, ...]) -> State:
         )
     path = result_file(path, "result.json")
     return request_of(read_result(path), str(path), effects) if path.suffix == ".json" else state
-
-
-def _machine_and_readings(
-    run: State, state: State, given: Machine | None, otherwise: Machine
-) -> tuple[Machine, tuple[Readings, ...]]:
-    """Return the machine and the readings of a state."""
-    if isinstance(run, Request):
-        if given is not None:
-            called = _state_name(state, run.readings)
-            _check_firmware_numbers(called, run.machine, given.spec.file or "the machine", given)
-        return given or run.machine, run.readings
-    machine = given or otherwise
-    return machine, readings_of(run, machine)
-
-
-def _state_name(state: State, readings: Sequence[Readings]) -> str:
-    """Return the name of a state in messages: its path, otherwise the names of its readings."""
-    named = isinstance(state, str | os.PathLike)
-    return str(state) if named else ", ".join(r.name for r in readings)
 
 
 def _check_firmware_numbers(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 from orthoglide.control import withholding_reason
 from orthoglide.effects.wording import cause_words, confirm_words
-from orthoglide.explanation import Cause, Curve, Explanation, Located
+from orthoglide.explanation import Cause, Curve, Located
 from orthoglide.explanation.change import Change
 from orthoglide.numerals import plain, with_sigma
 from orthoglide.ordering import ranked
@@ -57,7 +57,8 @@ def actions(outcome: RunOutcome) -> tuple[Action, ...]:
         return (*scatter_checks, *_finding_actions(outcome, "confirm"), *measurements)
     steps = list(_zero_actions(outcome))
     steps += _finding_actions(outcome, "mend", zeros=bool(steps))
-    steps += _compensation_actions(outcome)
+    compensation = _compensation(outcome)
+    steps += [compensation] if isinstance(compensation, Action) else []
     steps = ranked(steps, lambda a: a.gain if math.isfinite(a.gain) else 0.0, _GAIN_ROUNDING)
     steps = _state_alternatives(steps)
     return (*measurements, *steps) if measure_first else (*steps, *measurements)
@@ -175,7 +176,7 @@ def suspects(finding: Cause | Located | Change) -> tuple[Suspect, ...]:
         return tuple(_suspect_of_change(finding, k) for k in range(len(finding.members)))
     if isinstance(finding, Cause):
         causes = finding.explanations
-        return tuple(Suspect(e.words, e.look_at, confirmation_test(e)) for e in causes)
+        return tuple(Suspect(e.words, e.look_at, e.confirm) for e in causes)
     places = ((c.place, located_error_test(c)) for c in finding.members)
     return tuple(Suspect(place.words, place.look_at, test) for place, test in places)
 
@@ -221,56 +222,34 @@ def located_error_test(curve: Curve) -> str:
     )
 
 
-def confirmation_test(explanation: Explanation) -> str:
-    """Return the test that confirms a cause, with the reading to expect.
+def _compensation(outcome: RunOutcome) -> Action | Withheld | None:
+    """Return the advice to send compensated commands, or why it is not given.
 
-    Empty for several parameters that are not those of one leg and one cause.
+    ``None`` if they reduce the mean shape error by no more than the best zeros and 2 % of the error
+    now, after `identify`, and for a printer.
     """
-    effect = explanation.catalogue.effect_of(explanation.name)
-    parameters = [explanation.catalogue.parameter(n) for n in explanation.parameters]
-    # For parameters specific to a campaign: the values of the last campaign.
-    pairs = zip(parameters, explanation.parameters, strict=True)
-    values = {p.plain: explanation.values[n] for p, n in pairs}
-    first, *others = values
-    is_pair = effect.paired and len({p.leg for p in values}) == 1
-    if first.member or (others and not is_pair):
-        return ""
-    value = math.hypot(*values.values()) if others else values[first]
-    campaign = parameters[-1].campaign if len({p.campaign for p in parameters}) > 1 else ""
-    return confirm_words(effect, first, value) + f" (as in {campaign})" * bool(campaign)
-
-
-def _compensation_actions(outcome: RunOutcome) -> Iterator[Action]:
+    if not outcome.request.searches or outcome.firmware is not None:
+        return None
     gain, sigma = outcome.compensation_gain
-    if worth_compensating(outcome) and gain > _MIN_SIGMAS * sigma:
+    if gain <= _MIN_RELATIVE_GAIN * outcome.numbers.expected["now"].shape:
+        return None
+    if gain > _MIN_SIGMAS * sigma:
         words = (
             f"Send compensated commands: orthoglide compensate path.csv --machine calibrated.toml"
             f"{outcome.request.effects_option} --out commands.csv"
         )
-        yield Action("compensate", words, gain, sigma)
-
-
-def worth_compensating(outcome: RunOutcome) -> bool:
-    """Return whether compensated commands reduce the mean shape error by more than the best zeros,
-    with a difference above 2 % of the error now. False after `identify` and for a printer.
-    """
-    if not outcome.request.searches or outcome.firmware is not None:
-        return False
-    gain, _ = outcome.compensation_gain
-    return gain > _MIN_RELATIVE_GAIN * outcome.numbers.expected["now"].shape
+        return Action("compensate", words, gain, sigma)
+    size = with_sigma(gain * 1e3, sigma * 1e3)
+    reason = f"its expected gain, {size} mm, is below two standard deviations"
+    return Withheld("compensate", reason)
 
 
 def not_advised(outcome: RunOutcome) -> tuple[Withheld, ...]:
     """Return what is not advised, with the reason."""
-    kinds: tuple[Literal["zeros", "compensate"], ...] = ("zeros", "compensate")
     if reason := withholding_reason(outcome.machine):
-        return tuple(Withheld(kind, reason) for kind in kinds)
-    gain, sigma = outcome.compensation_gain if worth_compensating(outcome) else (0.0, 0.0)
-    if gain <= 0 or gain > _MIN_SIGMAS * sigma:
-        return ()
-    size = with_sigma(gain * 1e3, sigma * 1e3)
-    reason = f"its expected gain, {size} mm, is below two standard deviations"
-    return (Withheld("compensate", reason),)
+        return Withheld("zeros", reason), Withheld("compensate", reason)
+    compensation = _compensation(outcome)
+    return (compensation,) if isinstance(compensation, Withheld) else ()
 
 
 def _measurement_actions(outcome: RunOutcome) -> tuple[bool, list[Action]]:

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import replace
-from typing import Literal, TypeVar
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields, replace
+from typing import Any, Literal, TypeVar
+
+import numpy as np
 
 from orthoglide.accuracy import tcp_map, without_translation, workspace_grid
-from orthoglide.closing.actions import not_advised
+from orthoglide.closing.actions import actions, may_be_lost_motion, not_advised
 from orthoglide.closing.outcome import RunOutcome
-from orthoglide.closing.values import (
-    cause_value,
-    change_value,
-    data_fault_value,
-    explanation_value,
-    located_value,
-    value_of,
-)
+from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
 from orthoglide.errors import NumericsError
-from orthoglide.explanation import FullPosterior
+from orthoglide.explanation import Cause, Curve, FullPosterior, Located
+from orthoglide.explanation.change import Change
+from orthoglide.explanation.data_faults import ReportedFault
 from orthoglide.explanation.free_form import only_surface_readings
 from orthoglide.fit import CrossCheck, Estimate, solve
 from orthoglide.fit.assembling import with_free
@@ -30,7 +27,7 @@ from orthoglide.fit.reading_tables import fitted_readings, row_indices
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
-from orthoglide.observations import campaign_rows, source
+from orthoglide.observations import Readings, campaign_rows, source
 from orthoglide.parameters import Parameter
 from orthoglide.planning import INSTRUMENT_WORDS, Suggestion
 from orthoglide.progress import Progress, Step, no_progress
@@ -47,6 +44,8 @@ from orthoglide.result import (
     Unseen,
     Workspace,
     encoded,
+    findings,
+    fits,
 )
 from orthoglide.threads import on_one_thread
 
@@ -55,7 +54,11 @@ _ROUNDING = 1e-12
 
 _ONE_OR_SEVERAL = "one alone, or several differently"
 
+MAX_DRAWN_CAUSES = 4
+"""Causes of a credible set that one figure shows; more lines cannot be distinguished."""
+
 R = TypeVar("R", bound=Result)
+T = TypeVar("T")
 
 
 @on_one_thread
@@ -75,26 +78,27 @@ def _result_values(outcome: RunOutcome) -> Result:
     kinds = {s.kind for f in after.problem.factors for s in f.readings.setups}
     sheet, posterior = outcome.next_sheet, outcome.posterior
     unseen, invisible = _unseen(outcome)
-    return value_of(
+    return _value_of(
         Result,
         outcome,
         noise=_noise(outcome),
         nominal=base.nominal,
-        before=value_of(Fit, base),
-        after=value_of(Fit, after),
+        before=_value_of(Fit, base),
+        after=_value_of(Fit, after),
         rms_of_all=outcome.first_fit.scores.rms,
         effects=tuple(map(cause_value, outcome.effects)),
-        located=tuple(located_value(located, catalogue) for located in outcome.located),
-        alone=tuple(map(explanation_value, outcome.alone)),
+        located=tuple(_located_value(located, catalogue) for located in outcome.located),
+        alone=tuple(replace(one, shown=np.zeros(0)) for one in outcome.alone),
         candidates=tuple(_candidates(outcome)),
         blunders=_data_faults(outcome),
-        changed=tuple(change_value(c, id(c) not in uncovered) for c in outcome.changed),
+        changed=tuple(_change_value(c, id(c) not in uncovered) for c in outcome.changed),
         weak=after.weak,
         check=base.check and _above_rounding(base.check),
         verification=after.verification,
         next_measurements=tuple(map(_proposal, outcome.next_measurements)),
         sheet=() if sheet is None else tuple(campaign_rows(sheet)),
         left=outcome.lack_of_fit,
+        actions=actions(outcome),
         workspace=None if posterior is None else _workspace(base, posterior, outcome.machine),
         invisible=invisible,
         unseen=unseen,
@@ -127,7 +131,7 @@ def _data_faults(outcome: RunOutcome) -> tuple[DataFault, ...]:
     pairs = zip(tables, outcome.request.given, strict=True)
     rows = [row_indices(part, whole) for part, whole in pairs]
     faults = outcome.blunders
-    return tuple(data_fault_value(f, tables, lambda k, r: int(rows[k][r])) for f in faults)
+    return tuple(_data_fault_value(f, tables, lambda k, r: int(rows[k][r])) for f in faults)
 
 
 def _above_rounding(check: CrossCheck) -> CrossCheck:
@@ -191,7 +195,7 @@ def _noise_by_setup(fit: Estimate) -> Iterator[SetupNoise]:
 
 def _proposal(suggestion: Suggestion) -> Proposal:
     other_instrument = suggestion.pool is None
-    return value_of(
+    return _value_of(
         Proposal, suggestion, readings=suggestion.rows, other_instrument=other_instrument
     )
 
@@ -252,3 +256,95 @@ def _one_sided_reason(
         return "fixed"
     recorded = (f.conditions().approach.any() for f in outcome.after.problem.factors)
     return "same" if all(recorded) else "unknown"
+
+
+# --- Findings -------------------------------------------------------------------------------
+
+
+def _value_of(cls: type[T], source: object, **others: Any) -> T:
+    """Return an instance of a dataclass of a result.
+
+    Args:
+        cls: the dataclass.
+        source: object with the attributes that are copied under the same names.
+        others: values of all other fields.
+    """
+    names = (f.name for f in fields(cls) if f.name not in others)  # type: ignore[arg-type]
+    return cls(**{name: getattr(source, name) for name in names}, **others)
+
+
+def cause_value(cause: Cause) -> findings.Cause:
+    """Return the value of a cause with its credible set; few explanations keep the readings that
+    they predict.
+    """
+    drawn = cause.explanations[:MAX_DRAWN_CAUSES]
+    chosen, rivals, same = (
+        tuple(one if one in drawn else replace(one, shown=np.zeros(0)) for one in members)
+        for members in ((cause.chosen,), cause.rivals, cause.same)
+    )
+    return findings.Cause(
+        chosen[0], rivals, same, places=tuple(map(_curve_value, cause.places)),
+        loses=may_be_lost_motion(cause), data=cause.data,
+    )  # fmt: skip
+
+
+def _located_value(located: Located, catalogue: Catalogue) -> findings.Located:
+    """Return the value of a located error; ``catalogue``: effects of the calibrated machine."""
+    resembling, ruled_out = (
+        tuple(cause_short(catalogue, name) for name in names)
+        for names in (located.resembling, located.ruled_out)
+    )
+    return _value_of(
+        findings.Located, located, members=tuple(map(_curve_value, located.members)),
+        resembling_words=resembling, ruled_out=ruled_out,
+        in_budget=located.in_machine(catalogue)[0], loses=may_be_lost_motion(located),
+    )  # fmt: skip
+
+
+def _curve_value(curve: Curve) -> findings.Curve:
+    place, legs = curve.place, curve.place.names.legs
+    return _value_of(
+        findings.Curve,
+        curve,
+        leg=legs[place.leg] if place.leg >= 0 else None,
+        part=place.part,
+        direction=place.direction or None,
+        against=place.against,
+        short_waves=place.short_waves,
+        by_leg=legs[place.command_drive] if place.against == "command" else None,
+        setup=place.setup or None,
+        description=place.words,
+        of_dial=place.of_dial,
+        of_machine=place.of_machine,
+    )
+
+
+def _data_fault_value(
+    fault: ReportedFault, readings: Sequence[Readings], request_row: Callable[[int, int], int]
+) -> fits.DataFault:
+    """Return the value of a data fault.
+
+    Args:
+        fault: the data fault.
+        readings: readings in which it was found.
+        request_row: returns the row within the readings of the request, from the number of the
+            readings and the row within ``readings``.
+    """
+    lines = fault.lines(readings)
+    return _value_of(
+        fits.DataFault,
+        fault,
+        rows=tuple(line for rows in lines.values() for line in rows),
+        files={name.rpartition("/")[2]: rows for name, rows in lines.items()},
+        rows_in_request=tuple((k, request_row(k, r)) for k, r in fault.rows),
+    )
+
+
+def _change_value(change: Change, covered: bool) -> fits.Change:
+    """Return the value of a change; ``covered``: whether a cause in the same result reports it."""
+    si = change.unit.si
+    return _value_of(
+        fits.Change, change, before=change.before / si, after=change.after / si,
+        sigma=change.sigma / si, unit=change.unit.name, each=change.member_clauses,
+        loses=may_be_lost_motion(change), covered_by_cause=covered,
+    )  # fmt: skip

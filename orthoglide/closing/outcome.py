@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from orthoglide.accuracy import expected_gain, tool_settings
 from orthoglide.add_ons import Corrections, Section
-from orthoglide.closing.actions import actions, next_measurements
+from orthoglide.closing.actions import next_measurements
 from orthoglide.closing.picture import picture
-from orthoglide.closing.values import explanation_value, value_of
 from orthoglide.control import ControllerNumbers, controller_numbers
 from orthoglide.effects import Catalogue
 from orthoglide.explanation import Cause, Explanation, FullPosterior, Located, budget
@@ -22,7 +21,6 @@ from orthoglide.machine import Machine
 from orthoglide.numerals import distinct_figures
 from orthoglide.observations import Readings
 from orthoglide.result import (
-    Action,
     BudgetItem,
     CandidateScore,
     HoldOut,
@@ -174,10 +172,16 @@ class RunOutcome(Judged):
             background = self.posterior.background_scale
             stopped = "nothing else stands out of the noise and of the background of small errors"
         mountings = tuple(sorted(residual_by_setup(self.after), key=lambda setup: setup.leg < 0))
-        return value_of(
-            LackOfFit, self.residual_test, background=background, stopped=stopped,
-            mountings=mountings,
-        )  # fmt: skip
+        test = self.residual_test
+        return LackOfFit(
+            test.p_value,
+            background,
+            test.rare,
+            test.shaped,
+            test.with_unreported,
+            stopped,
+            mountings,
+        )
 
     @cached_property
     def picture(self) -> Picture:
@@ -185,11 +189,6 @@ class RunOutcome(Judged):
         return picture(self)
 
     # --- What follows -----------------------------------------------------------------------
-
-    @cached_property
-    def actions(self) -> tuple[Action, ...]:
-        """What to do, largest gain first."""
-        return actions(self)
 
     @cached_property
     def next_measurements(self) -> tuple[Suggestion, ...]:
@@ -217,7 +216,7 @@ class RunOutcome(Judged):
         original = self.request.machine
         if (printer := original.spec.printer) is None:
             return None
-        causes = [explanation_value(e) for cause in self.effects for e in cause.explanations]
+        causes = [e for cause in self.effects for e in cause.explanations]
         return printer.section(original, self.machine, self.corrections, causes)
 
     @property

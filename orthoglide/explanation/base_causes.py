@@ -7,10 +7,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.special import ndtr
 
-from orthoglide.explanation.causes import Cause, Explanation
+from orthoglide.explanation.causes import Cause
 from orthoglide.explanation.full_posterior import FullPosterior
 from orthoglide.fit.problem import MAX_TOLERANCES
 from orthoglide.geometry import Array
+from orthoglide.result import Explanation
 
 _CERTAIN_SIGMAS = 2.0  # standard deviations by which a parameter must exceed its limit
 
@@ -69,9 +70,9 @@ def _beyond_tolerance(
             float(ndtr((abs(value) - limit) / sigma)),
             {str(name): value},
             {str(name): sigma},
-            dict(zip(names, values.tolist(), strict=True)),
             signature - linearised.nuisance.explained_residual(signature),
             posterior.machine.catalogue,
+            dict(zip(names, values.tolist(), strict=True)),
         )
         causes.append(Cause(explanation, (), ()))
     return causes

@@ -2,82 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+from collections.abc import Container
 from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.effects import Catalogue
 from orthoglide.effects.free_form import FreeForm
-from orthoglide.effects.wording import cause_words
 from orthoglide.geometry import Array
 from orthoglide.numerals import compact
-from orthoglide.parameters import split_campaign
-from orthoglide.result import CandidateScore, DataRival
+from orthoglide.result import CandidateScore, DataRival, Explanation
 from orthoglide.result.findings import CredibleSet
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Explanation:
-    """One cause of the catalogue, given all other causes."""
-
-    name: str  # of the cause
-    parameters: tuple[str, ...]  # that it consists of, as `with_free` takes them
-    probability: float  # given all other causes
-    values: Mapping[str, float]  # of its parameters, SI
-    sigmas: Mapping[str, float]  # of these
-    machine: Mapping[str, float]  # all parameters of the machine with this cause, SI
-    shown: Array  # its part of the readings, past the datums (n,), metres
-    catalogue: Catalogue  # that it belongs to
-
-    def __repr__(self) -> str:
-        return f"<{self.name}, probability {self.probability:.2f}: {self.words}>"
-
-    @property
-    def unit(self) -> str:
-        """Unit of its parameters, as files name it."""
-        return self.catalogue.effect_of(self.name).unit.name
-
-    @property
-    def words(self) -> str:
-        """Clause that says what is wrong, with size and sign; for each campaign if these differ."""
-        if split_campaign(self.name)[1]:
-            return cause_words(self.catalogue, self.name, dict(self.values))
-        values_by_campaign = dict[str, dict[str, float]]()
-        for name, value in self.values.items():
-            parameter = self.catalogue.parameter(name)
-            values_by_campaign.setdefault(parameter.campaign, {})[parameter.plain] = value
-        clauses = [
-            cause_words(self.catalogue, self.name, values)
-            + f" ({campaign})" * bool(campaign and len(values_by_campaign) > 1)
-            for campaign, values in values_by_campaign.items()
-        ]
-        return ", and ".join(clauses)
-
-    @property
-    def exceeds_uncertainty(self) -> bool:
-        """True if any parameter is larger than its uncertainty; else the cause explains nothing."""
-        return any(abs(value) > self.sigmas[n] for n, value in self.values.items())
-
-    @property
-    def look_at(self) -> str:
-        """Where to look for it on the machine."""
-        return self.catalogue.effect_of(self.name).look_at
-
-    @property
-    def estimate_in_unit(self) -> tuple[float, float] | None:
-        """Value and sigma in its unit; ``None`` if it has several parameters.
-
-        For a parameter that is specific to campaigns, they are those of the last one.
-        """
-        if len({self.catalogue.parameter(n).plain for n in self.parameters}) != 1:
-            return None
-        name, si = self.parameters[-1], self.catalogue.effect_of(self.name).unit.si
-        return self.values[name] / si, self.sigmas[name] / si
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Cause(CredibleSet["Explanation", "Curve"]):
+class Cause(CredibleSet["Curve"]):
     """One active cause, with its credible set."""
 
     chosen: Explanation  # the most probable of the set

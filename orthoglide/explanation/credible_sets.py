@@ -20,20 +20,13 @@ from orthoglide.effects.kernels import Bump
 from orthoglide.errors import InputError
 from orthoglide.explanation.alternatives import Alternatives
 from orthoglide.explanation.base_causes import far_base_causes
-from orthoglide.explanation.causes import (
-    CandidateScore,
-    Cause,
-    CredibleSets,
-    Curve,
-    Explanation,
-    Located,
-)
+from orthoglide.explanation.causes import CandidateScore, Cause, CredibleSets, Curve, Located
 from orthoglide.explanation.faults import factors_and_rows, fault_message
 from orthoglide.explanation.full_posterior import FullPosterior
 from orthoglide.explanation.linear_model import Group
 from orthoglide.geometry import Array
 from orthoglide.ordering import LOG_ODDS_MARGIN, RELATIVE_MARGIN, descending, largest, ranked
-from orthoglide.result import DataRival
+from orthoglide.result import DataRival, Explanation
 
 _LEAST_BACKGROUND = 0.1  # tolerances: scale of a background that is worth reporting
 
@@ -253,9 +246,9 @@ class _CredibleSetReader:
             probability,
             dict(zip(candidate.parameters, (value * tolerances).tolist(), strict=True)),
             dict(zip(candidate.parameters, (sigma * tolerances).tolist(), strict=True)),
-            dict(zip(names, values.tolist(), strict=True)),
             signature - posterior.linearised.nuisance.explained_residual(signature),
             posterior.machine.catalogue,  # which includes free-form errors
+            dict(zip(names, values.tolist(), strict=True)),
         )
 
     def _is_possible(self, explanation: Explanation, unit: float) -> bool:

@@ -94,29 +94,25 @@ def _largest_patterns(patterns: list[Pattern]) -> list[Pattern]:
     ]
 
 
-def draw_signatures(cause: Cause, readings: ReadingsShown, place: int) -> Drawing:
-    """Return the figure of predictions of a cause and its rivals; ``place`` counts from 1."""
+def draw_signatures(cause: Cause, readings: ReadingsShown, number: int) -> Drawing:
+    """Return the figure of predictions of a cause and its rivals; ``number`` counts from 1."""
     patterns = _largest_patterns(_patterns(cause, readings))
-    width, height = style.PANEL_SIZE[0], 2.1
-    figure, corners = style.panel_grid(len(patterns), height, strip=0.3)
     limits: dict[str, float] = {}
     for pattern in patterns:
-        unit, largest = (
-            pattern.mounting.unit,
-            float(np.max(np.abs(pattern.residual) + pattern.noise)),
-        )
+        unit = pattern.mounting.unit
+        largest = float(np.max(np.abs(pattern.residual) + pattern.noise))
         limits[unit] = max(limits.get(unit, 0.0), 1.15 * largest)
-    for (left, top), pattern in zip(corners, patterns, strict=True):
-        axes = style.place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 0.75)
+
+    def draw(pattern: Pattern, place: style.Place) -> list[Line2D]:
+        axes, limit = place(), limits[pattern.mounting.unit]
         handles = _draw_pattern(axes, pattern)
-        limit = limits[pattern.mounting.unit]
         axes.set_ylim(-limit, limit)
         style.few_ticks(axes)
+        return handles
+
     names = [drawn.name for drawn in drawn_explanations(cause)]
-    figure.legend(handles, names, loc="upper left", ncols=4, bbox_to_anchor=(0.0, 1.0),
-                  borderaxespad=0.2, handlelength=2.2)  # fmt: skip
     title = "What is to be explained, and what each cause makes of it"
-    return style.panel_drawing(f"signatures-{place}", title, figure, corners, height)
+    return style.panel_drawing(f"signatures-{number}", title, patterns, draw, legend=names)
 
 
 def _draw_pattern(axes: Axes, pattern: Pattern) -> list[Line2D]:
@@ -138,25 +134,16 @@ def _draw_pattern(axes: Axes, pattern: Pattern) -> list[Line2D]:
         axes.plot(pattern.x[rows], pattern.residual[rows], color=style.DATA, linestyle="none",
                   marker=marks.get(side, "o"), markersize=4.2, markeredgewidth=0)  # fmt: skip
     axes.axhline(0, color=style.MUTED, linewidth=0.6)
-    axes.set_title(pattern.mounting.title)
-    axes.set_xlabel(pattern.mounting.label, labelpad=2)
-    axes.set_ylabel(pattern.mounting.unit)
-    axes.yaxis.set_label_coords(style.LABEL_POSITION, 0.5)
+    mounting = pattern.mounting
+    style.label_axes(axes, mounting.title, mounting.label, mounting.unit)
     axes.margins(x=0.05)
     return handles
 
 
-def draw_located(located: Located, place: int) -> Drawing:
-    """Return the figure of free-form errors with their 95 % bands; its ``place`` counts from 1."""
-    width, height = style.PANEL_SIZE[0], 2.1
-    shown = located.members[:_MOST_PANELS]
-    figure, corners = style.panel_grid(len(shown), height)
-    for (left, top), curve in zip(corners, shown, strict=True):
-        axes = style.place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 0.75)
-        _draw_curve(axes, curve)
-        style.few_ticks(axes)
-    title = "What was found, by place"
-    return style.panel_drawing(f"located-{place}", title, figure, corners, height)
+def draw_located(located: Located, number: int) -> Drawing:
+    """Return the figure of free-form errors with their 95 % bands; ``number`` counts from 1."""
+    title, shown = "What was found, by place", located.members[:_MOST_PANELS]
+    return style.panel_drawing(f"located-{number}", title, shown, _draw_curve)
 
 
 _AXIS_LABELS = {
@@ -165,14 +152,13 @@ _AXIS_LABELS = {
 }  # fmt: skip
 
 
-def _draw_curve(axes: Axes, curve: Curve) -> None:
-    x = curve.at * (1.0 if curve.against == "time" else 1e3)
+def _draw_curve(curve: Curve, place: style.Place) -> tuple[()]:
+    axes, x = place(), curve.at * (1.0 if curve.against == "time" else 1e3)
     value, band = curve.value * 1e3, 1.96e3 * curve.sigma
     axes.fill_between(x, value - band, value + band, color=style.BAND, linewidth=0)
     axes.plot(x, value, color=style.FIT, linewidth=1.6)
     axes.axhline(0, color=style.MUTED, linewidth=0.6)
-    axes.set_title(curve.name)
-    axes.set_xlabel(_AXIS_LABELS.get(curve.against, "command, mm"), labelpad=2)
-    axes.set_ylabel(curve.unit)
-    axes.yaxis.set_label_coords(style.LABEL_POSITION, 0.5)
+    style.label_axes(axes, curve.name, _AXIS_LABELS.get(curve.against, "command, mm"), curve.unit)
     axes.margins(x=0.02)
+    style.few_ticks(axes)
+    return ()

@@ -101,7 +101,8 @@ def draw_workspace(space: Workspace, improved: bool) -> Drawing:
         space: the TCP over the workspace.
         improved: whether the final model differs from the base model.
     """
-    places, shown_levels = _levels(space)
+    places = np.round(space.at * 1e3, 6) + 0.0
+    levels = np.unique(places[:, 2])
     rows = [
         ("predicted error now", space.nominal, style.DATA),
         ("with offsets and lengths set", space.before, style.DATA),
@@ -112,63 +113,43 @@ def draw_workspace(space: Workspace, improved: bool) -> Drawing:
     scale = dict[str, float]()  # largest value by colour
     for _, values, colour in rows:
         scale[colour] = max(scale.get(colour, 0.0), float(values.max()))
-    width, height = style.PANEL_SIZE[0], 2.5
-    panels = [(*row, level) for row in rows for level in shown_levels]
-    figure, corners = style.panel_grid(len(panels), height)
-    for (left, top), (what, values, colour, level) in zip(corners, panels, strict=True):
+    height, shown_levels = 2.5, np.unique(levels[[0, len(levels) // 2, -1]])
+
+    def draw(panel: tuple[str, Array, str, float], place: style.Place) -> tuple[()]:
+        what, values, colour, level = panel
         on_level = np.abs(places[:, 2] - level) < 1e-3
-        axes = style.place_axes(figure, left + 0.5, top + 0.32, width - 0.6, height - 0.78)
+        axes = place(0.5, 0.32, style.PANEL_SIZE[0] - 0.6, height - 0.78)
         _draw_level(axes, places[on_level], values[on_level] * 1e3, colour, scale[colour] * 1e3)
         axes.set_xlabel(f"{space.axis.format('x')}, mm", labelpad=2)
         axes.set_ylabel(f"{space.axis.format('y')}, mm", labelpad=3)
         axes.set_title(f"{what}, z {signed(level, 0)} mm")
-    title = "The TCP over the workspace, mm"
-    return style.panel_drawing("workspace", title, figure, corners, height)
+        return ()
 
-
-def _levels(space: Workspace) -> tuple[Array, Array]:
-    """Return places ``(g, 3)`` and the lowest, middle and highest of their levels, millimetres."""
-    places = np.round(space.at * 1e3, 6) + 0.0
-    levels = np.unique(places[:, 2])
-    return places, np.unique(levels[[0, len(levels) // 2, -1]])
+    panels = [(*row, float(level)) for row in rows for level in shown_levels]
+    return style.panel_drawing("workspace", "The TCP over the workspace, mm", panels, draw, height)
 
 
 def _draw_level(axes: Axes, at: Array, values: Array, colour: str, largest: float) -> None:
+    """Draw a square with its value for each place of one level; darker is larger."""
+    from matplotlib.collections import PolyCollection
     from matplotlib.colors import to_rgba
 
     (xs, x), (ys, y) = (np.unique(np.round(at[:, k], 6), return_inverse=True) for k in (0, 1))
     decimals = 3 if largest < 0.1 else 2
     opacity = (0.05 + (_MAX_OPACITY - 0.05) * values / max(largest, 1e-12)).tolist()
-    cells = [
-        (i, j, to_rgba(colour, alpha), f"{v:.{decimals}f}")
-        for i, j, v, alpha in zip(x.tolist(), y.tolist(), values.tolist(), opacity, strict=True)
-    ]
-    _draw_cells(axes, cells, [signed(v, 0) for v in xs], [signed(v, 0) for v in ys])
-
-
-Cell = tuple[int, int, tuple[float, ...], str]
-"""Column, row, colour with opacity, and the text in it."""
-
-
-def _draw_cells(
-    axes: Axes, cells: Sequence[Cell], across: Sequence[str], up: Sequence[str]
-) -> None:
-    """Draw coloured squares with texts, and a label for each column and row."""
-    from matplotlib.collections import PolyCollection
-
     corners = np.array([[0.03, 0.03], [0.97, 0.03], [0.97, 0.97], [0.03, 0.97]])
-    squares = [corners + np.array([x, y]) for x, y, _, _ in cells]
-    colours = [colour for _, _, colour, _ in cells]
+    squares = [corners + corner for corner in np.stack([x, y], axis=1)]
+    colours = [to_rgba(colour, alpha) for alpha in opacity]
     axes.add_collection(PolyCollection(squares, facecolors=colours, linewidths=0))
-    for x, y, _, text in cells:
-        axes.text(x + 0.5, y + 0.48, text, ha="center", va="center", fontsize=7)
-    axes.set_xlim(0, len(across))
-    axes.set_ylim(0, len(up))
+    for i, j, value in zip(x.tolist(), y.tolist(), values.tolist(), strict=True):
+        axes.text(i + 0.5, j + 0.48, f"{value:.{decimals}f}", ha="center", va="center", fontsize=7)
+    axes.set_xlim(0, len(xs))
+    axes.set_ylim(0, len(ys))
     axes.grid(visible=False)
     axes.spines["bottom"].set_visible(False)
     axes.tick_params(length=0)
-    axes.set_xticks(np.arange(len(across)) + 0.5, across)
-    axes.set_yticks(np.arange(len(up)) + 0.5, up)
+    axes.set_xticks(np.arange(len(xs)) + 0.5, [signed(v, 0) for v in xs])
+    axes.set_yticks(np.arange(len(ys)) + 0.5, [signed(v, 0) for v in ys])
 
 
 # --- Parameters -----------------------------------------------------------------------------

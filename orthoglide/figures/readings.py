@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,14 +24,11 @@ class _Panel:
     """Readings and predictions of one setup about the middle of the fit, mm or mrad."""
 
     mounting: Mounting
+    x: Array
     measured: Array
     fit: Array
     before: Array
     sigma: Array
-
-    @property
-    def x(self) -> Array:
-        return self.mounting.x
 
 
 MAX_DRAWN = 400
@@ -58,24 +55,16 @@ def _rows_to_draw(x: Array, residual: Array) -> NDArray[np.intp]:
 
 
 def _panels(readings: ReadingsShown, before: Array) -> list[_Panel]:
-    panels = []
-    for mounting_of_all in readings.mountings:
-        shown = _rows_to_draw(
-            mounting_of_all.x, (readings.measured - readings.after)[mounting_of_all.rows]
-        )
-        mounting = replace(
-            mounting_of_all,
-            rows=mounting_of_all.rows[shown],
-            x=mounting_of_all.x[shown],
-            side=mounting_of_all.side[shown],
-        )
+    panels, residual = [], readings.measured - readings.after
+    for mounting in readings.mountings:
+        shown = _rows_to_draw(mounting.x, residual[mounting.rows])
+        rows = mounting.rows[shown]
         measured, fit, prior, sigma = (
-            values[mounting.rows] * 1e3
+            values[rows] * 1e3
             for values in (readings.measured, readings.after, before, readings.sigma)
         )
-        middle = (fit.max() + fit.min()) / 2
-        panel = _Panel(mounting, measured - middle, fit - middle, prior - middle, sigma)
-        panels.append(panel)
+        middle, x = (fit.max() + fit.min()) / 2, mounting.x[shown]
+        panels.append(_Panel(mounting, x, measured - middle, fit - middle, prior - middle, sigma))
     return panels
 
 
@@ -86,28 +75,26 @@ def draw_readings(readings: ReadingsShown, before: Array) -> Drawing:
         readings: the readings.
         before: predictions before the fit ``(n,)``, metres or radians.
     """
-    setups = _panels(readings, before)
-    width, height = style.PANEL_SIZE
-    figure, corners = style.panel_grid(len(setups), height, strip=0.3)
+    setups, height = _panels(readings, before), style.PANEL_SIZE[1]
     limits = {unit: _axis_limits(some) for unit, some in _panels_by_unit(setups).items()}
-    for (left, top), setup in zip(corners, setups, strict=True):
-        axes = style.place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 1.4)
+
+    def draw(setup: _Panel, place: style.Place) -> list[Any]:
+        axes, below = place(up=height - 1.4), place(top=height - 1.0, up=0.55)
         handles = _draw_setup(axes, setup)
         limit, residual_limit = limits[setup.mounting.unit]
         axes.set_ylim(-limit, limit)
         style.few_ticks(axes)
         axes.tick_params(labelbottom=False, bottom=False)
-        below = style.place_axes(figure, left + 0.56, top + height - 1.0, width - 0.68, 0.55)
         _draw_residual_panel(below, setup)
         below.set_ylim(-residual_limit, residual_limit)
         below.set_xlim(axes.get_xlim())
         style.few_ticks(below, up=2)
-    figure.legend(
-        handles, ("reading", "fit", "noise, ± 2 sigma", "before"), loc="upper left", ncols=4,
-        bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, handlelength=1.6,
+        return handles
+
+    return style.panel_drawing(
+        "readings", "Readings and fit by setup", setups, draw, height,
+        ("reading", "fit", "noise, ± 2 sigma", "before"), axes=2,
     )  # fmt: skip
-    title = "Readings and fit by setup"
-    return style.panel_drawing("readings", title, figure, corners, height, axes=2)
 
 
 def _panels_by_unit(setups: Sequence[_Panel]) -> dict[str, list[_Panel]]:
@@ -143,9 +130,7 @@ def _draw_setup(axes: Axes, setup: _Panel) -> list[Any]:
                       marker="" if one_value else "_")  # fmt: skip
     (dots,) = axes.plot(setup.x, setup.measured, color=style.DATA, linestyle="none", marker="o",
                         markersize=3.6 if len(x) < 12 else 2.4, markeredgewidth=0)  # fmt: skip
-    axes.set_title(setup.mounting.title)
-    axes.set_ylabel(setup.mounting.unit)
-    axes.yaxis.set_label_coords(style.LABEL_POSITION, 0.5)
+    style.label_axes(axes, setup.mounting.title, "", setup.mounting.unit)
     axes.margins(x=0.05)
     return [dots, fit_line, band, before_line]
 
@@ -158,9 +143,7 @@ def _draw_residual_panel(axes: Axes, setup: _Panel) -> None:
     axes.axhline(0, color=style.MUTED, linewidth=0.6)
     axes.plot(setup.x, setup.measured - setup.fit, color=style.DATA, linestyle="none", marker="o",
               markersize=3 if len(setup.x) < 12 else 2.2, markeredgewidth=0)  # fmt: skip
-    axes.set_xlabel(setup.mounting.label, labelpad=2)
-    axes.set_ylabel(f"left, {setup.mounting.unit}")
-    axes.yaxis.set_label_coords(style.LABEL_POSITION, 0.5)
+    style.label_axes(axes, "", setup.mounting.label, f"left, {setup.mounting.unit}")
 
 
 def draw_residuals(readings: ReadingsShown, before: Array, noise: ByUnit) -> Drawing:
@@ -177,7 +160,9 @@ def draw_residuals(readings: ReadingsShown, before: Array, noise: ByUnit) -> Dra
     figure = style.new_figure(style.SINGLE_WIDTH, height)
     margin = min(0.2 + 0.055 * max(map(len, names)), 1.6)
     axes = style.place_axes(figure, margin, 0.32, style.SINGLE_WIDTH - margin - 0.12, height - 0.78)
-    _draw_noise(axes, setups, noise.shown)
+    wide = np.array([2 * noise.shown[s.mounting.unit] for s in setups])
+    axes.barh(range(len(setups)), 2 * wide, 1.0, -wide, color=style.BAND, alpha=0.35, linewidth=0,
+              label="noise, ± 2 sigma")  # fmt: skip
     axes.axvline(0, color=style.MUTED, linewidth=0.6)
     for k, setup in enumerate(setups):
         row, label = np.full(len(setup.x), float(k)), "_" if k else ""
@@ -189,10 +174,9 @@ def draw_residuals(readings: ReadingsShown, before: Array, noise: ByUnit) -> Dra
                   label=label or "after")  # fmt: skip
     reach = 1.1 * max(float(np.abs(s.measured - s.before).max()) for s in setups)
     after = 1.1 * max(float(np.abs(s.measured - s.fit).max()) for s in setups)
-    widest = max(noise.shown[s.mounting.unit] for s in setups)
-    reach = max(reach, after, 2 * widest * 1.2)
+    reach = max(reach, after, 1.2 * float(wide.max()))
     axes.set_xlim(-reach, reach)
-    axes.set_ylim(len(setups) - 0.4, -0.6)
+    axes.set_ylim(len(setups) - 0.5, -0.5)
     style.few_ticks(axes, across=6)
     axes.set_yticks(range(len(setups)), names, color=style.INK)
     units = " or ".join(_panels_by_unit(setups))
@@ -200,22 +184,3 @@ def draw_residuals(readings: ReadingsShown, before: Array, noise: ByUnit) -> Dra
     figure.legend(loc="upper left", ncols=3, borderaxespad=0.1, handlelength=1.4,
                   bbox_to_anchor=(0.0, 1.0))  # fmt: skip
     return Drawing("residuals", "Residuals by setup, before and after", style.svg_text(figure))
-
-
-def _draw_noise(axes: Axes, setups: Sequence[_Panel], noise: Mapping[str, float]) -> None:
-    """Draw two sigmas of a reading behind each setup, by its unit."""
-    style_arguments: Any = {"color": style.BAND, "alpha": 0.35, "linewidth": 0}
-    label = "noise, ± 2 sigma"
-    if len(noise) == 1:
-        (sigma,) = noise.values()
-        axes.axvspan(-2 * sigma, 2 * sigma, label=label, **style_arguments)
-        return
-    wide = [2 * noise[s.mounting.unit] for s in setups]
-    axes.barh(
-        range(len(setups)),
-        [2 * w for w in wide],
-        1.0,
-        [-w for w in wide],
-        label=label,
-        **style_arguments,
-    )

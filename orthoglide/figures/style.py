@@ -5,10 +5,11 @@ from __future__ import annotations
 import io
 import logging
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from orthoglide.errors import InputError
 from orthoglide.files import write_file
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+T = TypeVar("T")
 
 # Okabe and Ito's colours, which colour-blind readers can distinguish.
 PALETTE = {
@@ -147,27 +149,51 @@ def few_ticks(axes: Axes, across: int = 4, up: int = 4) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(up, steps=[1, 2, 2.5, 5, 10]))
 
 
-def panel_grid(
-    count: int, height: float, strip: float = 0.0
-) -> tuple[Figure, list[tuple[float, float]]]:
-    """Return a figure for panels, three in a row, and the top left corner of each, inches.
+def label_axes(axes: Axes, title: str, across: str, up: str) -> None:
+    """Set the title and the labels of both axes; empty ones are not drawn."""
+    axes.set_title(title)
+    axes.set_xlabel(across, labelpad=2)
+    axes.set_ylabel(up)
+    axes.yaxis.set_label_coords(LABEL_POSITION, 0.5)
 
-    Args:
-        count: number of panels.
-        height: height of a panel, inches.
-        strip: height above all panels that is left free, inches.
-    """
-    across = min(3, count)
-    lines = -(-count // across)
-    corners = [(k % across * PANEL_SIZE[0], k // across * height + strip) for k in range(count)]
-    return new_figure(across * PANEL_SIZE[0], lines * height + strip), corners
+
+Place = Callable[..., "Axes"]
+"""Adds axes to a panel: left, top, width and height in inches from its top left corner."""
+
+
+def _panel_axes(
+    figure: Figure, corner: tuple[float, float], height: float, left: float = 0.56,
+    top: float = 0.3, width: float = PANEL_SIZE[0] - 0.68, up: float | None = None,
+) -> Axes:  # fmt: skip
+    """Return axes in a panel; without ``up`` they leave 0.75 inches of its height to the labels."""
+    x, y = corner
+    return place_axes(figure, x + left, y + top, width, height - 0.75 if up is None else up)
 
 
 def panel_drawing(
-    name: str, title: str, figure: Figure, corners: Sequence[tuple[float, float]], height: float,
-    axes: int = 1,
+    name: str, title: str, items: Sequence[T], draw: Callable[[T, Place], Sequence[Any]],
+    height: float = 2.1, legend: Sequence[str] = (), axes: int = 1,
 ) -> Drawing:  # fmt: skip
-    """Return a drawing whose panels a page may arrange; arguments as for :func:`panel_grid`."""
-    width, points = PANEL_SIZE[0], POINTS_PER_INCH
-    boxes = tuple((x * points, y * points, width * points, height * points) for x, y in corners)
+    """Return a drawing with a panel for each item, three in a row, which a page may arrange.
+
+    Args:
+        name: name of its file.
+        title: its content, a phrase.
+        items: contents of the panels.
+        draw: draws an item and returns the handles of the legend.
+        height: height of a panel, inches.
+        legend: names of the handles, in a strip above all panels.
+        axes: number of axes of each panel.
+    """
+    width, strip, across = PANEL_SIZE[0], 0.3 if legend else 0.0, min(3, len(items))
+    figure = new_figure(across * width, -(-len(items) // across) * height + strip)
+    corners = [(k % across * width, k // across * height + strip) for k in range(len(items))]
+    handles: Sequence[Any] = ()
+    for corner, item in zip(corners, items, strict=True):
+        handles = draw(item, partial(_panel_axes, figure, corner, height))
+    if legend:
+        figure.legend(handles, legend, loc="upper left", ncols=4, bbox_to_anchor=(0.0, 1.0),
+                      borderaxespad=0.2, handlelength=2.2)  # fmt: skip
+    units = POINTS_PER_INCH
+    boxes = tuple((x * units, y * units, width * units, height * units) for x, y in corners)
     return Drawing(name, title, svg_text(figure), boxes, axes)

@@ -7,16 +7,15 @@ from xml.etree import ElementTree as ET
 
 from orthoglide.figures.style import PALETTE, Drawing
 
-_SVG, _LINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
-_HREF = f"{{{_LINK}}}href"
-_REFERENCE = re.compile(r"url\(#([^)]+)\)")
+_REFERENCE = re.compile(r'(url\(#|href="#)([^)"]+)')
+_UNNEEDED = re.compile(r'<!DOCTYPE[^>]*>| xmlns(:xlink)?="[^"]*"|font-family: [^;"]*; ?')
 
 
 def inline_svg(drawing: Drawing) -> str:
     """Return a drawing as one inline ``<svg>``."""
     root = _parsed_svg(drawing)
     _, _, width, height = (float(v) for v in root.get("viewBox", "").split())
-    body = [child for child in root if _tag(child) in ("g", "defs")]
+    body = [child for child in root if child.tag in ("g", "defs")]
     return _inline(body, (0.0, 0.0, width, height), drawing.title)
 
 
@@ -26,9 +25,9 @@ def inline_panels(drawing: Drawing) -> list[str]:
     Marks that several panels share are defined in the first, to which the others refer.
     """
     root = _parsed_svg(drawing)
-    figure = next(child for child in root if _tag(child) == "g")
+    figure = next(child for child in root if child.tag == "g")
     axes = [child for child in figure if (child.get("class") == "axes")]
-    shared = [child for child in root if _tag(child) == "defs"]
+    shared = [child for child in root if child.tag == "defs"]
     groups = [axes[k : k + drawing.axes] for k in range(0, len(axes), drawing.axes)]
     return [
         _inline([*(shared if k == 0 else []), *group], box, f"{drawing.title}, {k + 1}")
@@ -37,38 +36,30 @@ def inline_panels(drawing: Drawing) -> list[str]:
 
 
 def _parsed_svg(drawing: Drawing) -> ET.Element:
-    """Return the parsed file without what a page has itself; only ids that are used remain."""
-    root = ET.fromstring(re.sub(r"<!DOCTYPE[^>]*>", "", drawing.svg))
-    for child in list(root):
-        if _tag(child) == "metadata" or child.find(f"{{{_SVG}}}style") is not None:
-            root.remove(child)
-    used = {link[1:] for e in root.iter() if (link := e.get(_HREF))}
-    used |= {m for e in root.iter() for v in e.attrib.values() for m in _REFERENCE.findall(v)}
-    for element in root.iter():
-        _adapt(element, drawing.name, used)
-    return root
+    """Return the elements of a file as a page needs them: without namespaces, fonts and margins,
+    with the page's colours, and with ids that are unique on the page. Only ids that are used
+    remain; groups of axes have a class.
+    """
+    used = {name for _, name in _REFERENCE.findall(drawing.svg)}
 
+    def named(match: re.Match[str]) -> str:
+        if match[1] in used:
+            return f' id="{drawing.name}-{match[1]}"'
+        return ' class="axes"' if match[1].startswith("axes_") else ""
 
-def _adapt(element: ET.Element, prefix: str, used: set[str]) -> None:
-    name = element.attrib.pop("id", None)
-    if name in used:
-        element.set("id", f"{prefix}-{name}")
-    elif name and name.startswith("axes_"):
-        element.set("class", "axes")
-    link = element.attrib.pop(_HREF, None)
-    if link:
-        element.set("href", f"#{prefix}-{link[1:]}")
-    for key, value in element.attrib.items():
-        value = _REFERENCE.sub(rf"url(#{prefix}-\1)", value)
+    def adapted(tag: re.Match[str]) -> str:
+        text = _UNNEEDED.sub("", tag[0]).replace("xlink:href", "href")
+        text = re.sub(r' id="([^"]*)"', named, _REFERENCE.sub(rf"\1{drawing.name}-\2", text))
         for colour, code in PALETTE.items():
-            value = value.replace(code, f"var(--fig-{colour})")
-        if key == "style":  # the page's font
-            value = re.sub(r"font-family: [^;]*; ?", "", value)
-        element.set(key, value)
+            text = text.replace(code, f"var(--fig-{colour})")
+        return text
 
-
-def _tag(element: ET.Element) -> str:
-    return element.tag.rpartition("}")[2]
+    # Texts contain no angle brackets: these are escaped.
+    root = ET.fromstring(re.sub(r">\s+<", "><", re.sub("<[^>]*>", adapted, drawing.svg)))
+    for child in list(root):
+        if child.tag == "metadata" or child.find("style") is not None:
+            root.remove(child)
+    return root
 
 
 def _inline(body: list[ET.Element], box: tuple[float, float, float, float], title: str) -> str:
@@ -82,14 +73,5 @@ def _inline(body: list[ET.Element], box: tuple[float, float, float, float], titl
             "preserveAspectRatio": "xMidYMid meet",
         },
     )
-    for element in body:
-        svg.append(_without_namespace(element))
+    svg.extend(body)
     return ET.tostring(svg, encoding="unicode")
-
-
-def _without_namespace(element: ET.Element) -> ET.Element:
-    """Return a copy without namespaces, which the elements of SVG do not need inside HTML."""
-    copy = ET.Element(_tag(element), dict(element.attrib))
-    copy.text = (element.text or "").strip() or None
-    copy.extend(_without_namespace(child) for child in element)
-    return copy

@@ -6,7 +6,6 @@ import os
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NoReturn
 
 from orthoglide.errors import FileError
 from orthoglide.files import as_file_errors, temporary_path
@@ -29,28 +28,25 @@ def check_folder(out: Path, overwrite: bool = False) -> Path:
     Raises:
         FileError: if results cannot be written there.
     """
-
-    def refuse(why: str) -> NoReturn:
-        raise FileError(why, file=printable_path(out))
-
     with as_file_errors(out):
         target = Path(os.path.realpath(out))
-        if out.is_symlink() and not target.exists():
-            refuse("is a link to nothing: name a new folder")
-        if target.exists() and not target.is_dir():
-            refuse("is a file: name a new folder for the results")
-        if target == Path.cwd():
-            refuse("is the folder you are in: name a new one inside it")
         names = {path.name for path in target.iterdir()} if target.is_dir() else set()
-        if names and not overwrite:
-            refuse("is not empty and results are never overwritten: name a new or empty folder")
-        if names - _REPORT_FILES:
-            foreign = sorted(names - _REPORT_FILES)[0]
-            refuse(f"holds {foreign}, which is no part of a report: name another folder")
-        if not target.parent.is_dir():
-            refuse("cannot be made where there is no folder to hold it: make that first")
-        if not os.access(target.parent, os.W_OK | os.X_OK):
-            refuse("cannot be made here: choose a place you may write to")
+        foreign, parent = sorted(names - _REPORT_FILES), target.parent
+        problems = {
+            "is a link to nothing: name a new folder": out.is_symlink() and not target.exists(),
+            "is a file: name a new folder for the results": target.exists() and not target.is_dir(),
+            "is the folder you are in: name a new one inside it": target == Path.cwd(),
+            "is not empty and results are never overwritten: name a new or empty folder":
+                names and not overwrite,
+            f"holds {''.join(foreign[:1])}, which is no part of a report: name another folder":
+                foreign,
+            "cannot be made where there is no folder to hold it: make that first":
+                not parent.is_dir(),
+            "cannot be made here: choose a place you may write to":
+                not os.access(parent, os.W_OK | os.X_OK),
+        }  # fmt: skip
+    if problem := next((words for words, applies in problems.items() if applies), ""):
+        raise FileError(problem, file=printable_path(out))
     return target
 
 

@@ -126,16 +126,14 @@ def _value(result: Result, name: Parameter, with_unit: bool = True) -> str:
 
 def weak_sentences(weak: Iterable[WeakDirection], catalogue: Catalogue = CATALOGUE) -> list[str]:
     """Return weak directions in sentences; similar ones share a sentence."""
-    directions = list(weak)
-    legs = [_leg_with_weak_length(w, catalogue) for w in directions]
-    similar = [w for w, leg in zip(directions, legs, strict=True) if leg]
-    others = [w for w, leg in zip(directions, legs, strict=True) if not leg]
-    sentences = []
+    legs = [(w, _leg_with_weak_length(w, catalogue)) for w in weak]
+    similar, others = [w for w, leg in legs if leg], [w for w, leg in legs if not leg]
+    groups = [others] if len(others) > _MOST_NAMED else [[w] for w in others]
+    sentences = [_direction_sentence(group, catalogue) for group in groups]
     if similar:
-        sentences.append(_offset_and_length_sentence(similar, sorted(filter(None, legs))))
-    if len(others) > _MOST_NAMED:
-        return [*sentences, _many_directions_sentence(others, catalogue)]
-    return [*sentences, *(_direction_sentence(w, catalogue) for w in others)]
+        first = _offset_and_length_sentence(similar, sorted(leg for _, leg in legs if leg))
+        return [first, *sentences]
+    return sentences
 
 
 def _leg_with_weak_length(weak: WeakDirection, catalogue: Catalogue) -> str:
@@ -160,30 +158,26 @@ def _offset_and_length_sentence(weak: list[WeakDirection], legs: list[str]) -> s
     return text + _prior_sentence(widest)
 
 
-def _many_directions_sentence(weak: list[WeakDirection], catalogue: Catalogue) -> str:
+def _direction_sentence(weak: list[WeakDirection], catalogue: Catalogue) -> str:
+    """Return the sentence of one direction, or of several by the widest of them."""
+    names = [name for one in weak for name in one.parameters]
+    words = [parameter_words(catalogue.parameter(name), catalogue.legs) for name in names]
+    if len(words) > _MOST_NAMED_WEAK:
+        words[_MOST_NAMED_WEAK - 1 :] = [f"{len(words) - _MOST_NAMED_WEAK + 1} more"]
+    text = f"The readings cannot tell {listed(words)} apart: together they"
+    if len(weak) > 1:
+        kinds = _effect_plurals(names, catalogue)
+        text = (
+            f"The readings hardly see {len(weak)} combinations of {kinds}: along one of them the "
+            f"values"
+        )
+    elif len(words) == 1:
+        text = f"The readings hardly see the {words[0]}: it"
     widest = best_of(weak, lambda w: w.sigma)
-    effects = _effect_plurals((name for one in weak for name in one.parameters), catalogue)
-    size = f"{compact(widest.sigma, 2)} {widest.unit} ({_SIGMA_WITHOUT_PRIORS})"
-    return (
-        f"The readings hardly see {len(weak)} combinations of {effects}: along one of them the "
-        f"values may change by {'any amount' if math.isinf(widest.sigma) else size}, and hardly a "
-        f"reading changes.{_prior_sentence(widest)}"
-    )
-
-
-def _direction_sentence(weak: WeakDirection, catalogue: Catalogue) -> str:
-    names = [parameter_words(catalogue.parameter(name), catalogue.legs) for name in weak.parameters]
-    if len(names) > _MOST_NAMED_WEAK:
-        names[_MOST_NAMED_WEAK - 1 :] = [f"{len(names) - _MOST_NAMED_WEAK + 1} more"]
-    text = f"The readings cannot tell {listed(names)} apart: together they"
-    if not names[1:]:
-        text = f"The readings hardly see the {names[0]}: it"
-    if math.isinf(weak.sigma):
-        return f"{text} may change by any amount, and no reading changes.{_prior_sentence(weak)}"
-    return (
-        f"{text} may change by {compact(weak.sigma, 2)} {weak.unit} ({_SIGMA_WITHOUT_PRIORS}), and "
-        f"hardly a reading changes.{_prior_sentence(weak)}"
-    )
+    size = f"{compact(widest.sigma, 2)} {widest.unit} ({_SIGMA_WITHOUT_PRIORS}), and hardly a"
+    if math.isinf(widest.sigma):
+        size = "any amount, and no"
+    return f"{text} may change by {size} reading changes.{_prior_sentence(widest)}"
 
 
 def _prior_sentence(weak: WeakDirection) -> str:

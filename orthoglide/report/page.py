@@ -8,16 +8,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import orthoglide.report.sections as sections
 from orthoglide import __version__
 from orthoglide.control import withholding_reason
+from orthoglide.figures.causes import drawn_explanations
+from orthoglide.figures.readings import MAX_DRAWN
 from orthoglide.figures.style import Drawing
 from orthoglide.numerals import compact, plain, probability, signed, with_sigma
 from orthoglide.report.claims import SOMETHING_ELSE_WRONG, claims, lower_first
+from orthoglide.report.embed import inline_panels, inline_svg
+from orthoglide.report.identified import base_effects
+from orthoglide.report.rows import (
+    POSSIBLE_TITLES,
+    parameter_rows,
+    possible_rows,
+    probable_candidates,
+    score_rows,
+)
 from orthoglide.report.sentences import (
     evidence,
     finding_text,
@@ -43,7 +54,8 @@ class Section:
 
     template: str  # name under `templates/sections`, and its anchor
     title: str  # its heading; empty for the verdict at the top
-    data: Mapping[str, Any]  # values for the template besides the result
+    # values for the template besides the result and its figures
+    data: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def folded(self) -> bool:
@@ -58,45 +70,43 @@ def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
     return render_template(
         "page.html.j2",
         result=result,
+        figures={drawing.name: drawing for drawing in drawings},
         title="What is wrong with this machine" if result.searches else "Calibration report",
         subtitle=_subtitle(result),
-        sections=list(_sections(result, {d.name: d for d in drawings}, sheet)),
+        sections=list(_sections(result, sheet)),
         version=__version__,
         command=result.request.command,
     )
 
 
-def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Iterator[Section]:
+def _sections(result: Result, sheet: str) -> Iterator[Section]:
     searches = result.searches
     yield Section("finding", "", finding(result))
     if result.blunders:
-        yield Section("faults", "Faults of the data", sections.faults(result))
+        yield Section("faults", "Faults of the data")
     if searches and not result.stands:
-        yield Section("left", "What is left", sections.residual_data(result))
+        yield Section("left", "What is left")
     if result.corrections is not None:
-        yield Section("firmware", "Numbers for the firmware", sections.firmware(result))
+        yield Section("firmware", "Numbers for the firmware")
     controller = {"drives": ()} if result.firmware else sections.controller(result)
     if controller["drives"]:
         yield Section("controller", "Numbers for the controller", controller)
-    yield Section("judged", "Before and after", sections.score_data(result, figures))
+    yield Section("judged", "Before and after", sections.score_data(result))
     if searches:
-        yield Section("causes", "Causes, and how sure they are", sections.causes(result))
+        yield Section("causes", "Causes, and how sure they are")
     if result.located:
-        yield Section("located", "Where it is", sections.located(result, figures))
+        yield Section("located", "Where it is")
     if result.effects:
-        predictions = sections.prediction_data(result, figures)
-        yield Section("apart", "What each cause predicts", predictions)
+        yield Section("apart", "What each cause predicts")
     if searches:
         yield Section("next", "What to measure next", sections.next_readings_data(result, sheet))
     if result.budget:
         yield Section("budget", "Error budget", sections.budget(result))
     if result.workspace is not None:
-        space = sections.workspace(result, result.workspace, figures)
+        space = sections.workspace(result, result.workspace)
         yield Section("workspace", "The TCP over the workspace", space)
-    yield Section("values", "What was identified", sections.values(result, figures))
-    yield Section(
-        "readings", "Readings and fit, setup by setup", sections.readings(result, figures)
-    )
+    yield Section("values", "What was identified", sections.values(result))
+    yield Section("readings", "Readings and fit, setup by setup")
     yield Section("unseen", "What these readings cannot tell", sections.unseen(result))
     yield Section("method", "How this was computed", sections.method(result))
 
@@ -109,17 +119,15 @@ def _subtitle(result: Result) -> str:
         for i in request.inputs
         if i.get("role") in _VALIDATION_ROLES
     ]
-    count, counts = sum(map(len, request.campaigns)), []
-    if count:
-        setups = sum(len(given.setups) for given in request.campaigns)
-        counts.append(f"{count} readings in {setups} setups")
-    tool_count = sum(len(given) for given in request.points if not given.by_point)
-    point_count = sum(len(given.points().command) for given in request.points if given.by_point)
-    if tool_count:
-        counts.append(f"{tool_count} readings of the tool")
-    if point_count:
-        counts.append(f"{point_count} TCP points")
-    return "; ".join([f"{files}: {listed(counts)}", *validation])
+    points = request.points
+    counts = {
+        f"readings in {sum(len(c.setups) for c in request.campaigns)} setups":
+            sum(map(len, request.campaigns)),
+        "readings of the tool": sum(len(p) for p in points if not p.by_point),
+        "TCP points": sum(len(p.points().command) for p in points if p.by_point),
+    }  # fmt: skip
+    counted = listed(f"{count} {what}" for what, count in counts.items() if count)
+    return "; ".join([f"{files}: {counted}", *validation])
 
 
 # --- The first screen -----------------------------------------------------------------------
@@ -146,31 +154,16 @@ class Tile:
 
 
 def finding(result: Result) -> sections.Data:
-    """Return the data of the first screen: verdict, claims, tool errors, actions, and cautions."""
-    after, searches = result.after, result.searches
-    lacking = not searches and after.sigma_scale > 1
+    """Return the words of the first screen that are not those of claims, tiles and actions."""
+    lacking = not result.searches and result.after.sigma_scale > 1
     return {
         "first": result.contradicted or (result.firmware.first if result.firmware else ""),
-        "word": result.word,
-        "meaning": sentence(meaning(result)),
-        "claims": claims(result),
-        "drawing": result.picture.svg(),
-        "options": len(result.picture.options),
-        "dials": bool(result.picture.dials),
         "text": "" if result.found else finding_text(result),
         "more": SOMETHING_ELSE_WRONG if result.word == "partial" else "",
-        "evidence": evidence(result) if searches else "",
+        "evidence": evidence(result) if result.searches else "",
         "averaged": any(cause.rivals for cause in result.effects),
-        "tiles": tiles(result),
-        "printer": result.corrections is not None,
-        "open": after.scores.left.said() if not result.stands or lacking else "",
-        "legs": bool(result.request.campaigns),
-        "loses": result.loses,
-        "actions": result.actions,
+        "open": result.after.scores.left.said() if not result.stands or lacking else "",
         "sheet": result.next_sheet is not None,
-        "most": MAX_LISTED,
-        "cautions": result.further_cautions,
-        "warnings": [sentence(w) for w in further_warnings(result)],
     }
 
 
@@ -207,13 +200,17 @@ def _tile(stage: str, error: ExpectedError) -> Tile:
 
 # --- Templates ------------------------------------------------------------------------------
 
-_FILTERS = (sentence, listed, lower_first, gain_words, compact, plain, signed, probability,
-            with_sigma)  # fmt: skip
+_FILTERS = (
+    sentence, listed, lower_first, gain_words, compact, plain, signed, probability, with_sigma,
+    meaning, claims, tiles, further_warnings, inline_svg, inline_panels, drawn_explanations,
+    base_effects, parameter_rows, score_rows, possible_rows, probable_candidates,
+    sections.largest_residual, sections.reason_not_to_enter,
+)  # fmt: skip
 
 
 def render_template(template: str, **data: Any) -> str:
     """Return a template of the folder ``templates`` filled with its data; missing data are an
-    error. Its filters are the functions in ``_FILTERS``, and ``fixed``.
+    error. Its filters are the functions in ``_FILTERS``, ``fixed`` and ``fault_name``.
     """
     return _environment().get_template(template).render(**data)
 
@@ -227,5 +224,11 @@ def _environment() -> Environment:
         loader=PackageLoader("orthoglide.report"), undefined=StrictUndefined, autoescape=True,
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
     )  # fmt: skip
-    environment.filters.update({word.__name__: word for word in _FILTERS}, fixed="{:.{}f}".format)
+    environment.filters.update(
+        {word.__name__: word for word in _FILTERS}, fixed="{:.{}f}".format,
+        fault_name=sections.FAULT_NAMES.get,
+    )  # fmt: skip
+    environment.globals.update(
+        possible_titles=POSSIBLE_TITLES, max_drawn=MAX_DRAWN, most_listed=MAX_LISTED
+    )
     return environment

@@ -114,8 +114,8 @@ def score_rows(result: Result) -> list[ScoreRow]:
     tcp_errors = result.tcp or {}
     for alignment, words in _ALIGNMENTS.items() if tcp_errors else ():
         errors = tcp_errors[alignment]
-        pairs = (errors.nominal, errors.before, errors.after)
-        means, largest = (millimetres([pair[k] for pair in pairs]) for k in (0, 1))
+        pairs = zip(errors.nominal, errors.before, errors.after, strict=True)
+        means, largest = map(millimetres, pairs)
         cells = [f"{mean} / {top}" for mean, top in zip(means, largest, strict=True)]
         rows.append(ScoreRow(f"TCP, mean / largest, {words}, mm", *cells))
     rows += [

@@ -5,41 +5,28 @@ from __future__ import annotations
 import base64
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from orthoglide.control import RULE, withholding_reason
 from orthoglide.effects.words import toward
-from orthoglide.figures.causes import drawn_explanations
-from orthoglide.figures.readings import MAX_DRAWN
-from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile
 from orthoglide.numerals import compact
 from orthoglide.observations import Setup
-from orthoglide.report.embed import inline_panels, inline_svg
-from orthoglide.report.identified import base_effects, weak_sentences
-from orthoglide.report.rows import (
-    POSSIBLE_TITLES,
-    millimetres,
-    parameter_rows,
-    possible_rows,
-    probable_candidates,
-    score_rows,
-)
+from orthoglide.report.identified import weak_sentences
+from orthoglide.report.rows import millimetres
 from orthoglide.report.sentences import undetected_effects, unvaried_effects, unvaried_words
 from orthoglide.result import BudgetItem, Result, SetupResidual, Workspace
 from orthoglide.text import listed, sentence
 
 Data = dict[str, Any]
-Figures = Mapping[str, Drawing]
 
 _MOST_ITEMS = 12  # rows of the budget
 _MIN_SHARE = 0.01  # smallest share of the tool's error for which a row of the budget is shown
-_MOST_SHAPES = 5  # known causes named as ruled out
 
-_FAULTS = {
+FAULT_NAMES = {
     "outlier": "a reading out of line",
     "knocked_stand": "a stand that was knocked",
     "zeroed": "a dial set to zero anew at each repeat",
@@ -56,51 +43,21 @@ _FAULTS = {
 }
 
 
-def faults(result: Result) -> Data:
-    """Return the data faults, each with its kind in words."""
-    return {"rows": [(_FAULTS[b.kind], b) for b in result.blunders]}
-
-
-def residual_data(result: Result) -> Data:
-    """Return residuals of every mounting, and the most probable causes if nothing was found."""
-    rows = [(residual, _largest_residual(residual)) for residual in result.left.mountings]
-    return {"rows": rows, "titles": POSSIBLE_TITLES, "possible": possible_rows(result)}
-
-
-def _largest_residual(residual: SetupResidual) -> str:
+def largest_residual(residual: SetupResidual) -> str:
+    """Return the largest residual of a mounting; of one posture with its direction."""
     if residual.leg < 0 or not residual.posture:
         return f"{compact(residual.most * 1e3, 2)} {residual.unit}"
     direction = toward(LEGS[residual.axis], residual.most)
     return f"{compact(abs(residual.most) * 1e3, 2)} mm toward {direction}"
 
 
-def score_data(result: Result, figures: Figures) -> Data:
-    """Return the figures of merit of the nominal machine, the base model and the final model."""
+def score_data(result: Result) -> Data:
+    """Return the effects specific to a campaign, and the share of points within their interval."""
     inside = result.tcp["translation"].inside if result.tcp else math.nan
     return {
-        "rows": score_rows(result),
-        "figure": inline_svg(figures["residuals"]),
         "own": listed([n.replace("_", " ") + "s" for n in result.request.own]),
         "inside": f"{inside:.0%}" if math.isfinite(inside) else "",
-        "base": base_effects(result),
     }
-
-
-def causes(result: Result) -> Data:
-    """Return the candidates with their probabilities."""
-    probable = probable_candidates(result)
-    return {
-        "added": {c.name for c in result.effects} | {f.name for f in result.located},
-        "weighed": probable,
-        "others": len(result.candidates) - len(probable),
-    }
-
-
-def located(result: Result, figures: Figures) -> Data:
-    """Return free-form errors with their curves and the causes that they resemble."""
-    found = enumerate(result.located, start=1)
-    places = [(one.words, one, inline_panels(figures[f"located-{k}"])) for k, one in found]
-    return {"places": places, "most": _MOST_SHAPES}
 
 
 def budget(result: Result) -> Data:
@@ -121,22 +78,6 @@ def _budget_note(item: BudgetItem, named: Collection[str], ambiguous: Collection
     if item.rest:
         return ": the others of its kind" if item.cause in named else ""
     return ", or a cause that these readings cannot tell from it" if item.cause in ambiguous else ""
-
-
-def prediction_data(result: Result, figures: Figures) -> Data:
-    """Return the predicted readings of each cause and its rivals."""
-    causes = [
-        (c.chosen.words, drawn_explanations(c), c.others, inline_panels(figures[f"signatures-{k}"]))
-        for k, c in enumerate(result.effects, start=1)
-    ]
-    return {"causes": causes}
-
-
-def readings(result: Result, figures: Figures) -> Data:
-    """Return readings and fit by setup."""
-    most_rows = max(len(one.rows) for one in result.readings.mountings)
-    thinned = MAX_DRAWN if most_rows > MAX_DRAWN else 0
-    return {"panels": inline_panels(figures["readings"]), "thinned": thinned}
 
 
 def controller(result: Result) -> Data:
@@ -168,11 +109,6 @@ def reason_not_to_enter(result: Result) -> tuple[str, str]:
     return not_yet if firmware.again else "Do not enter new numbers", firmware.corrections.keep
 
 
-def firmware(result: Result) -> Data:
-    """Return whether the firmware's numbers are to be entered."""
-    return {"early": reason_not_to_enter(result)}
-
-
 _AIMS = {
     "separate": "To decide between causes",
     "narrow": "To determine weakly seen values better",
@@ -197,9 +133,8 @@ def next_readings_data(result: Result, sheet: str) -> Data:
     return {"suggestions": by_aim, "others": others, "hopeless": hopeless, "link": link}
 
 
-def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
+def workspace(result: Result, space: Workspace) -> Data:
     """Return the TCP's error over the workspace and its uncertainty."""
-    panels = inline_panels(figures["workspace"])
     rows = [
         ("predicted error without corrections", space.nominal),
         ("predicted error with offsets and lengths corrected", space.before),
@@ -208,22 +143,18 @@ def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
     ]
     if not result.improved:  # then the final model is the base model
         del rows[1:3]
-    return {
-        "rows": [(what, *millimetres([float(v.mean()), float(v.max())])) for what, v in rows],
-        "groups": [panels[k : k + 3] for k in range(0, len(panels), 3)],
-    }
+    sizes = [(what, *millimetres([float(v.mean()), float(v.max())])) for what, v in rows]
+    return {"rows": sizes}
 
 
-def values(result: Result, figures: Figures) -> Data:
-    """Return the identified values with their sigmas."""
+def values(result: Result) -> Data:
+    """Return what the identified values do not say of themselves."""
     fit, effect_of = result.after, result.catalogue.effect_of
     freed = {effect_of(n).name for n in result.identified}
     nonzero = (effect_of(n).name for n, value in result.machine.values.items() if value)
     effect_words = result.catalogue.legs.effect_words
     others = dict.fromkeys(effect_words(name) for name in nonzero if name not in freed)
     return {
-        "rows": parameter_rows(result),
-        "figure": inline_svg(figures["parameters"]) if "parameters" in figures else "",
         "others": listed(others),
         "dials": any(effect_of(n).of_dial for n in result.identified),
         "scale": f"{fit.sigma_scale:.2g}" if fit.sigma_scale > 1 else "",
@@ -269,7 +200,6 @@ def method(result: Result) -> Data:
     """Return how the result was computed, from which files, and how to repeat it."""
     setups = result.request.setups
     return {
-        "base": base_effects(result),
         "machine": Path(result.request.machine.spec.file).name or "the nominal Orthoglide",
         "mechanism": result.catalogue.legs.in_layout_words(
             "the platform on three pairs of bars, each pair on a carriage"

@@ -87,7 +87,7 @@ def finding_text(result: Result) -> str:
             f"nearly all of their information."
         )
     first = _zeros_sentence(result)
-    if has_diffuse_errors(result):
+    if result.improved and result.before.scores.lack_of_fit_p < _BASE_FITS_P:
         return (
             f"{first}No single cause stands out{' beyond that' if first else ''}: every part is "
             f"off by about {compact(result.left.background, 1)} of its tolerance."
@@ -357,11 +357,6 @@ def data_faults_text(result: Result) -> str:
         f"{faults}: {len(excluded)} of {total} readings do not count, and nothing is said of what "
         f"they alone would show."
     )
-
-
-def has_diffuse_errors(result: Result) -> bool:
-    """Whether the base model does not fit, which small errors of many parts explain."""
-    return result.improved and result.before.scores.lack_of_fit_p < _BASE_FITS_P
 
 
 def too_few_to_test(result: Result) -> bool:

@@ -154,17 +154,14 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Tab
     lines = [columns, *rows]
     if len(lines) == 1:
         return
-    cells = [*zip(*lines, strict=True)]
-    widths = [max(map(len, "\n".join(column).split("\n"))) for column in cells]
-    longest_words = [max(map(len, " ".join(column).split()), default=0) for column in cells]
-    available = _width() - 2 * len(columns) - 1  # two spaces between columns, and one at the edge
-    while sum(widths) > available and widths != longest_words:
-        slack = [width - least for width, least in zip(widths, longest_words, strict=True)]
-        widths[slack.index(max(slack))] -= 1
     console_table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for k, title in enumerate(columns):
-        justify: Literal["left", "right"] = "left" if not k or title in _TEXT_COLUMNS else "right"
-        console_table.add_column(title, justify=justify, width=widths[k], overflow="fold")
+    for k, cells in enumerate(zip(*lines, strict=True)):
+        justify: Literal["left", "right"] = (
+            "left" if not k or columns[k] in _TEXT_COLUMNS else "right"
+        )
+        longest_word = max(map(len, " ".join(cells).split()), default=0)
+        least = min(longest_word, _width() // len(columns) - 2)  # two spaces between columns
+        console_table.add_column(columns[k], justify=justify, min_width=least, overflow="fold")
     for row in lines[1:]:
         console_table.add_row(*row)
     yield console_table

@@ -8,6 +8,12 @@ its computation in ``closing/fill.py``, a line in the table of ``docs/files.md``
 results are to be read without it, a default.
 """
 
+from orthoglide.result.advice import (
+    Action as Action,
+    Proposal as Proposal,
+    Suspect as Suspect,
+    Withheld as Withheld,
+)
 from orthoglide.result.codec import decoded as decoded, encoded as encoded
 from orthoglide.result.display import (
     Mounting as Mounting,
@@ -16,41 +22,32 @@ from orthoglide.result.display import (
     Workspace as Workspace,
 )
 from orthoglide.result.findings import (
-    Action as Action,
-    BudgetItem as BudgetItem,
     CandidateScore as CandidateScore,
     Cause as Cause,
     Curve as Curve,
     DataRival as DataRival,
     Explanation as Explanation,
-    Identified as Identified,
-    Kind as Kind,
     Located as Located,
     Possible as Possible,
-    Proposal as Proposal,
-    Suspect as Suspect,
-    Withheld as Withheld,
 )
 from orthoglide.result.fits import (
-    CrossCheck as CrossCheck,
-    Fit as Fit,
-    HoldOut as HoldOut,
-    Scores as Scores,
-    TcpErrors as TcpErrors,
-    Verification as Verification,
-    WeakDirection as WeakDirection,
-)
-from orthoglide.result.loading import read_result as read_result, request_of as request_of
-from orthoglide.result.request import COMMANDS as COMMANDS, Command as Command, Request as Request
-from orthoglide.result.residuals import (
+    BudgetItem as BudgetItem,
     Change as Change,
     DataFault as DataFault,
+    Fit as Fit,
+    HoldOut as HoldOut,
+    Identified as Identified,
     InstrumentNoise as InstrumentNoise,
     LackOfFit as LackOfFit,
     Noise as Noise,
+    Scores as Scores,
     SetupNoise as SetupNoise,
     SetupResidual as SetupResidual,
+    TcpErrors as TcpErrors,
+    WeakDirection as WeakDirection,
 )
+from orthoglide.result.loading import read_result as read_result, request_of as request_of
+from orthoglide.result.request import Command as Command, Request as Request
 from orthoglide.result.result import (
     Judged as Judged,
     Result as Result,

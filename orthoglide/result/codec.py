@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 import numpy as np
 
+from orthoglide.effects import Catalogue
 from orthoglide.geometry import Array, Geometry
 from orthoglide.layout import LegNames
 from orthoglide.machine import Machine
@@ -31,7 +32,7 @@ DIGITS = 10
 SHORT_DIGITS = 6
 """Significant digits of probabilities and of estimates from random draws."""
 
-CONTEXT_TYPES = (Geometry, LegNames, Machine, Request)
+CONTEXT_TYPES = (Catalogue, Geometry, LegNames, Machine, Request)
 """Types with one instance for the whole result: `encoded` leaves out fields of these types, and
 `decoded` fills them from the instances that it is given."""
 
@@ -93,25 +94,14 @@ def _split_hint(hint: Any, key: Key) -> tuple[Any, Key]:
 
 @cache
 def _field_keys(cls: type) -> dict[str, tuple[Any, Key]]:
-    """Return the type and the key of every field of a dataclass that is in the file."""
+    """Return the type and the key of every field of a dataclass."""
     keys = {}
     hints = get_type_hints(cls, include_extras=True)
     for field in fields(cls):
         hint, key = _split_hint(hints[field.name], Key())
         key = replace(key, **field.metadata)
-        if hint not in CONTEXT_TYPES and key.in_file:
-            keys[field.name] = hint, key
+        keys[field.name] = hint, replace(key, in_file=key.in_file and hint not in CONTEXT_TYPES)
     return keys
-
-
-def required_keys(cls: type) -> set[str]:
-    """Return the keys that a value of a dataclass cannot be read without."""
-    plain = {field.name for field in fields(cls) if field.default is MISSING}
-    return {
-        key.key(name)
-        for name, (hint, key) in _field_keys(cls).items()
-        if name in plain and not (key.inline or key.omit_if_nan or hint is ByUnit)
-    }
 
 
 def encoded(value: Any, key: Key = Key()) -> Any:  # frozen
@@ -155,6 +145,8 @@ def _encoded_fields(value: Any) -> Any:
     cls: Any = type(value)
     for name, (_, key) in _field_keys(cls).items():
         item, name_in_file = getattr(value, name), key.key(name)
+        if not key.in_file:
+            continue
         if isinstance(item, ByUnit):
             number = Key(si=_MM, digits=key.digits).number
             yield f"{name_in_file}_mm", number(item.length)
@@ -224,15 +216,12 @@ def _checked(data: Any, is_valid: bool, expected: str) -> Any:
 
 def _decoded_fields(cls: Any, data: Any, shared: Mapping[type, Any]) -> Any:
     values: dict[str, Any] = {}
-    hints = get_type_hints(cls)
     for field in fields(cls):
-        hint, key = _field_keys(cls).get(field.name, (hints[field.name], None))
-        if key is None:
-            if hint in shared:
-                values[field.name] = shared[hint]
-            continue
+        hint, key = _field_keys(cls)[field.name]
         name_in_file = key.key(field.name)
-        if hint is ByUnit:
+        if not key.in_file:
+            values |= {field.name: shared[hint]} if hint in CONTEXT_TYPES else {}
+        elif hint is ByUnit:
             parts = (data.get(f"{name_in_file}_{unit}") for unit in ("mm", "mrad"))
             values[field.name] = ByUnit(*(math.nan if v is None else v * _MM for v in parts))
         elif key.inline:

@@ -113,11 +113,3 @@ class ReadingsShown:
         for mounting in self.mountings:
             turned[mounting.rows] = mounting.unit == "mrad"
         return turned
-
-    @property
-    def setups(self) -> list[str]:
-        """Name of the setup of each reading, ``n`` of them."""
-        names = np.empty(len(self), dtype=object)
-        for mounting in self.mountings:
-            names[mounting.rows] = mounting.setup
-        return list(names)

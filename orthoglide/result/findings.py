@@ -1,17 +1,20 @@
-"""Causes found in a machine, located errors, the error budget, and what to do about them."""
+"""Causes found in a machine, and located errors."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, Generic, Literal, Protocol, TypeVar
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Generic, TypeVar
 
 import numpy as np
 
+from orthoglide.effects import Catalogue, Effect
+from orthoglide.effects.wording import cause_words, confirm_words, size_words
 from orthoglide.geometry import Array
-from orthoglide.numerals import ByUnit
-from orthoglide.result.codec import SHORT_DIGITS, Key, SampledMetres, Share, encoded, in_mm_short
+from orthoglide.numerals import SIGMAS_95
+from orthoglide.parameters import split_campaign
+from orthoglide.result.codec import SHORT_DIGITS, Key, Share, encoded, in_mm_short
 from orthoglide.result.fits import Scores
 
 _FAULT_PHRASES = {
@@ -29,24 +32,100 @@ class Explanation:
     """One cause of the catalogue, conditional on everything else that was found."""
 
     name: str  # name of the cause
-    parameters: tuple[str, ...]  # parameters that it consists of
-    # in `unit`; nan if it has several parameters; the last campaign's if it is specific to each
-    value: float
-    sigma: float  # standard deviation of `value`
-    unit: str  # of its parameters in files
+    parameters: tuple[str, ...]  # parameters that it consists of, as `with_free` takes them
     probability: Share  # conditional on the other causes found
-    words: str  # the error with its size and sign, a clause
-    look_at: str  # the part of the machine to look at
-    confirm: str  # a test with the expected reading; empty if there is none
-    half_width: str  # of the 95 % interval of its size, with the unit; empty for several parameters
     values: Annotated[Mapping[str, float], Key("values_si")]  # by parameter, SI
     sigmas: Annotated[Mapping[str, float], Key("sigmas_si")]  # standard deviations of `values`
-    # predicted contribution to the readings, datums fitted (n,), metres or radians; empty for a
-    # cause that no figure shows
+    # predicted contribution to the readings, datums fitted (n,), metres or radians; in a result
+    # empty for a cause that no figure shows
     shown: Annotated[Array, Key("shown_si", digits=SHORT_DIGITS)]
+    catalogue: Catalogue  # effects of the machine, its own among them
+    # all parameters of the machine with this cause, SI; empty in a result
+    machine: Annotated[Mapping[str, float], Key(in_file=False)] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<{self.name}, probability {self.probability:.2f}: {self.words}>"
+
+    @property
+    def effect(self) -> Effect:
+        """Effect of its parameters."""
+        return self.catalogue.effect_of(self.name)
+
+    @property
+    def unit(self) -> str:
+        """Unit of its parameters in files."""
+        return self.effect.unit.name
+
+    @property
+    def value(self) -> float:
+        """Its size in `unit`, of the last campaign if it is specific to each; nan if it has several
+        parameters.
+        """
+        plain_names = {self.catalogue.parameter(name).plain for name in self.parameters}
+        size = self.values[self.parameters[-1]] if len(plain_names) == 1 else math.nan
+        return size / self.effect.unit.si
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of `value`."""
+        sigma = self.sigmas[self.parameters[-1]] / self.effect.unit.si
+        return sigma if math.isfinite(self.value) else math.nan
+
+    @property
+    def half_width(self) -> str:
+        """Half width of the 95 % interval of its size with the unit; empty if it has several
+        parameters.
+        """
+        width = self.sigma * self.effect.unit.si * SIGMAS_95
+        return size_words(self.effect, width) if math.isfinite(width) else ""
+
+    @property
+    def words(self) -> str:
+        """The error with its size and sign, a clause; for each campaign if these differ."""
+        if split_campaign(self.name)[1]:
+            return cause_words(self.catalogue, self.name, dict(self.values))
+        by_campaign = dict[str, dict[str, float]]()
+        for name, value in self.values.items():
+            parameter = self.catalogue.parameter(name)
+            by_campaign.setdefault(parameter.campaign, {})[parameter.plain] = value
+        several = len(by_campaign) > 1
+        return ", and ".join(
+            cause_words(self.catalogue, self.name, values)
+            + f" ({campaign})" * several * bool(campaign)
+            for campaign, values in by_campaign.items()
+        )
+
+    @property
+    def exceeds_uncertainty(self) -> bool:
+        """True if any parameter is larger than its uncertainty; else the cause explains nothing."""
+        return any(abs(value) > self.sigmas[n] for n, value in self.values.items())
+
+    @property
+    def look_at(self) -> str:
+        """The part of the machine to look at."""
+        return self.effect.look_at
+
+    @property
+    def confirm(self) -> str:
+        """A test with the expected reading; empty for several parameters that are not those of one
+        leg and one cause.
+        """
+        parameters = [self.catalogue.parameter(n) for n in self.parameters]
+        # For parameters specific to a campaign: the values of the last campaign.
+        pairs = zip(parameters, self.parameters, strict=True)
+        values = {p.plain: self.values[n] for p, n in pairs}
+        first, *others = values
+        is_pair = self.effect.paired and len({p.leg for p in values}) == 1
+        if first.member or (others and not is_pair):
+            return ""
+        value = math.hypot(*values.values()) if others else values[first]
+        campaign = parameters[-1].campaign if len({p.campaign for p in parameters}) > 1 else ""
+        return confirm_words(self.effect, first, value) + f" (as in {campaign})" * bool(campaign)
+
+    def derived(self) -> dict[str, Any]:
+        """Return keys of ``result.json`` that follow from the fields."""
+        names = ("value", "sigma", "unit", "words", "look_at", "confirm", "half_width")
+        return {name: encoded(getattr(self, name)) for name in names}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -138,36 +217,15 @@ class DataRival:
         return f"{what} in {self.file}, line {min(self.rows)}"
 
 
-class _Named(Protocol):
-    """An explanation with a name."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def words(self) -> str: ...
-    @property
-    def parameters(self) -> tuple[str, ...]: ...
-    @property
-    def probability(self) -> float: ...
-
-
-E = TypeVar("E", bound=_Named)
 C = TypeVar("C")
 
 
-class CredibleSet(Generic[E, C]):
-    """A cause with its alternatives, in the search and in a result.
+class CredibleSet(Generic[C]):
+    """A cause with its alternatives, of which the classes of search and result have the fields."""
 
-    Attributes:
-        chosen: the most probable explanation.
-        rivals: alternatives that move the tool differently.
-        same: alternatives that move the tool identically.
-        places: free-form errors in the set, which are less probable.
-    """
-
-    chosen: E
-    rivals: tuple[E, ...]
-    same: tuple[E, ...]
+    chosen: Explanation
+    rivals: tuple[Explanation, ...]
+    same: tuple[Explanation, ...]
     places: tuple[C, ...]
 
     def __repr__(self) -> str:
@@ -195,12 +253,12 @@ class CredibleSet(Generic[E, C]):
         return sum(one.probability for one in (self.chosen, *self.same))
 
     @property
-    def explanations(self) -> tuple[E, ...]:
+    def explanations(self) -> tuple[Explanation, ...]:
         """All named explanations in the credible set."""
         return (self.chosen, *self.same, *self.rivals)
 
     @property
-    def others(self) -> tuple[E | C, ...]:
+    def others(self) -> tuple[Explanation | C, ...]:
         """The alternatives, named and free-form."""
         return (*self.rivals, *self.places)
 
@@ -211,7 +269,7 @@ class CredibleSet(Generic[E, C]):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Cause(CredibleSet[Explanation, Curve]):
+class Cause(CredibleSet[Curve]):
     """One cause that was found, with its credible set."""
 
     chosen: Annotated[Explanation, Key(inline=True)]  # the most probable explanation
@@ -284,112 +342,3 @@ class CandidateScore:
     def derived(self) -> dict[str, Any]:
         """Return keys of ``result.json`` that earlier versions computed, with fixed values."""
         return {"p_value": None, "cv_rms_mm": None, "plausible": True}
-
-
-@dataclass(frozen=True)
-class BudgetItem:
-    """One row of the error budget; metres unless stated otherwise."""
-
-    cause: str  # name of a cause, of a free-form error, or of an effect
-    words: str  # the cause without its size, a clause
-    members: tuple[str, ...]  # its parameters, and others with identical readings and TCP errors
-    value: float  # in `unit`; nan for several parameters
-    sigma: float  # standard deviation of `value`
-    unit: str  # as in files
-    tolerances: Share  # largest ratio of a parameter to its tolerance
-    beyond_tolerance: Share  # probability that any parameter exceeds its tolerance
-    # root mean square of its contribution to the readings, datums fitted
-    readings: Annotated[ByUnit, Key("readings_rms", digits=SHORT_DIGITS)]
-    tcp_mean: SampledMetres  # mean of its contribution to the TCP error
-    tcp_sigma: SampledMetres  # standard deviation of `tcp_mean`
-    gain: SampledMetres  # decrease of the mean TCP error if the fault is repaired
-    gain_sigma: SampledMetres  # standard deviation of `gain`
-    # decrease of the mean TCP error if the estimate is compensated and its uncertainty remains
-    compensated: SampledMetres
-    compensated_sigma: SampledMetres  # standard deviation of `compensated`
-    # `gain` over the mean TCP error
-    share: Annotated[float, Key("gain_share", digits=SHORT_DIGITS)]
-    rest: bool = False  # whether it is an effect without the causes found, not a cause found
-
-
-@dataclass(frozen=True)
-class Identified:
-    """One identified parameter."""
-
-    value: float  # in `unit`
-    sigma: float  # standard deviation of the full model; of the noise alone after `identify`
-    unit: str  # as in files
-    interval_95: tuple[float, float]  # in `unit`
-    tolerance: float  # prior standard deviation, in `unit`
-    on_bound: bool  # whether the value ended on its bound
-
-
-# --- What follows ---------------------------------------------------------------------------
-
-Kind = Literal["zeros", "confirm", "mend", "compensate", "measure"]
-
-_ADVICE_NAMES = {
-    "zeros": "zeros", "mend": "repair", "compensate": "compensate", "measure": "measure",
-}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Suspect:
-    """A possible cause with the part to examine."""
-
-    words: str  # the error with sign, size and unit, a clause
-    look_at: str  # part of the machine to look at
-    confirm: str  # a test with the expected reading; empty if there is none
-
-
-@dataclass(frozen=True)
-class Action:
-    """One thing to do."""
-
-    # `zeros` to enter, a cause to `confirm` or to `mend`, commands to `compensate`, or readings to
-    # `measure`
-    kind: Annotated[Kind, Key("action")]
-    words: str  # what to do, a sentence without its full stop
-    # decrease of the tool's mean error over the workspace, best shift removed, or for numbers of a
-    # firmware of the residual of its equations; nan for actions that change nothing on the machine
-    gain: SampledMetres = math.nan
-    gain_sigma: SampledMetres = math.nan  # standard deviation of `gain`; nan if unknown
-    options: tuple[Suspect, ...] = ()  # causes to look for, most probable first
-    whichever: bool = False  # whether `gain` is the mean over the options, one of which is true
-    plate: bool = False  # whether an option is an error of the plate, which does not move the tool
-
-
-@dataclass(frozen=True)
-class Withheld:
-    """Something that is not advised."""
-
-    kind: Literal["zeros", "compensate"]
-    reason: str  # a clause
-
-
-def advice_rows(actions: tuple[Action, ...]) -> list[dict[str, Any]]:
-    """Return the entries of ``advice`` in ``result.json``: actions except causes to confirm."""
-    return [
-        {
-            "kind": _ADVICE_NAMES[one.kind], "words": one.words,
-            "gain_mm": in_mm_short(one.gain), "gain_sigma_mm": in_mm_short(one.gain_sigma),
-        }
-        for one in actions
-        if one.kind in _ADVICE_NAMES
-    ]  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """A few readings to take next, and why."""
-
-    reason: str  # their purpose and the expected outcome, in words
-    # `separate` rivals, `narrow` a weak direction, `trace` an unexplained residual, or `none`
-    aim: str
-    # separation in sigmas of the two least separated rivals, by another instrument of the two most
-    # separated; ratio of standard deviations of a weak direction; nan for a residual
-    gain: Share
-    readings: tuple[Mapping[str, str], ...]  # rows of a campaign file, without readings
-    what: str  # what to measure, without the expected outcome; empty: the whole reason
-    other_instrument: bool  # whether it takes another instrument or another way of measuring
-    hopeless: bool  # whether no feasible reading helps

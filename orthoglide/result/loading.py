@@ -61,7 +61,7 @@ def read_result(path: Path) -> dict[str, Any]:
     if problem := unprintable_problem(keys):
         fail(problem)
     arguments = keys.get("arguments") if isinstance(keys, dict) else None
-    if isinstance(arguments, dict) and "fit_tcp" in arguments and not keys.get("machine"):
+    if isinstance(arguments, dict) and arguments.get("fit_tcp") and not keys.get("machine"):
         fail("is of --fit-tcp, which kept no rows then: run that command again")
     needed = ("schema", "version", "command", "arguments", "seed", "inputs", "machine")
     missing = [n for n in needed if not isinstance(keys, dict) or n not in keys]

@@ -72,26 +72,20 @@ class Request:
     @property
     def arguments(self) -> dict[str, Any]:
         """Arguments for ``result.json``, with names of files without their folders."""
-        arguments: dict[str, Any] = {
+        return {
             "campaigns": list(dict.fromkeys(name_of(c) for c in self.readings)),
+            "fit_tcp": [name_of(p) for p in self.points if p.by_point],
+            "holdout": next((name_of(readings) for readings in self.holdout), None),
+            "tcp": None if self.tcp is None else name_of(self.tcp),
             "own": list(self.own),
             "machine": Path(self.machine.spec.file).name or None,
             "noise_mm": None if self.noise is None else round(self.noise * 1e3, 12),
+            "effects_file": self.effects_file,
+            "frame": self.frame,
+            "free": list(self.free),
+            "priors": self.priors,
+            "reduced": self.reduced,
         }
-        if self.effects_file:
-            arguments["effects_file"] = self.effects_file
-        if self._fitted_points:
-            arguments |= {"fit_tcp": [name_of(p) for p in self._fitted_points], "frame": self.frame}
-        if self.searches:
-            holdout, points = self.holdout, self.tcp
-            judges = {"holdout": name_of(holdout[0]) if holdout else None}
-            return arguments | judges | {"tcp": name_of(points) if points else None}
-        options = {"free": list(self.free), "priors": self.priors, "reduced": self.reduced}
-        return arguments | options
-
-    @property
-    def _fitted_points(self) -> tuple[Readings, ...]:
-        return tuple(p for p in self.points if p.by_point)
 
     @property
     def readings(self) -> tuple[Readings, ...]:

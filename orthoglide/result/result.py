@@ -22,26 +22,22 @@ from orthoglide.machine_file import Controller
 from orthoglide.notes import Note
 from orthoglide.observations import Readings
 from orthoglide.observations.reading import readings_of_table, rows_table
-from orthoglide.result.codec import Key, Metres, decoded, encoded, required_keys
+from orthoglide.result.advice import Action, Proposal, Withheld, advice_rows
+from orthoglide.result.codec import Key, Metres, decoded, encoded
 from orthoglide.result.display import Picture, ReadingsShown, Workspace
-from orthoglide.result.findings import (
-    Action,
-    BudgetItem,
-    CandidateScore,
-    Cause,
-    Explanation,
-    Identified,
-    Located,
-    Possible,
-    Proposal,
-    Withheld,
-    advice_rows,
-)
+from orthoglide.result.findings import CandidateScore, Cause, Explanation, Located, Possible
 from orthoglide.result.fits import (
+    BudgetItem,
+    Change,
     CrossCheck,
+    DataFault,
     Fit,
     HoldOut,
+    Identified,
+    LackOfFit,
+    Noise,
     Scores,
+    SetupNoise,
     TcpErrors,
     Verification,
     WeakDirection,
@@ -55,13 +51,11 @@ from orthoglide.result.loading import (
     version_text,
 )
 from orthoglide.result.request import Request, stored_machine
-from orthoglide.result.residuals import Change, DataFault, LackOfFit, Noise, SetupNoise
 
 SCHEMA = 2
 
 Word = Literal["adequate", "diffuse", "explained", "ambiguous", "located", "partial", "unexplained"]
 
-_MAX_NAMED_KEYS = 3  # keys that a message names
 _IMPROVED_RATIO = 0.95  # ratio of residuals above which a fit is reported as no improvement
 _NEGLIGIBLE_RMS = 1e-6  # millimetres or milliradians: smaller residuals are rounding
 
@@ -223,17 +217,16 @@ class Result(Judged, Framed):
         file, own_effects = result_file(as_path(path), "result.json"), tuple(effects or ())
         keys = read_result(file)
         request = request_of(keys, str(file), own_effects)
-        if missing := (required_keys(cls) | {"calibrated_machine"}) - keys.keys():
-            names = ", ".join(sorted(missing)[:_MAX_NAMED_KEYS])
-            raise FileError(
-                f"lacks {names}: an earlier state of the package, {version_text(keys)}, wrote it, "
-                f"or it was edited; run it again with orthoglide rerun {shlex.quote(str(file))} "
-                f"--out DIR",
-                file=str(file),
-            )
         try:
             stored = {"file": None, "sha256": None, **keys["calibrated_machine"]}
             return cls.read(keys, request, machine_of(stored, own_effects))
+        except KeyError as error:
+            raise FileError(
+                f"lacks {error.args[0]}: an earlier state of the package, {version_text(keys)}, "
+                f"wrote it, or it was edited; take the original, or run it again with orthoglide "
+                f"rerun {shlex.quote(str(file))} --out DIR",
+                file=str(file),
+            ) from None
         except EDITED_FILE_ERRORS as error:
             raise edited_file_error(error, str(file)) from None
 
@@ -249,7 +242,8 @@ class Result(Judged, Framed):
         Raises:
             KeyError, TypeError, ValueError: if the keys are not as they were written.
         """
-        shared = [request, machine, machine.geometry, machine.geometry.layout.names]
+        names = machine.geometry.layout.names
+        shared = [request, machine, machine.catalogue, machine.geometry, names]
         result: Self = decoded(cls, keys, {type(one): one for one in shared})
         return result
 
@@ -344,15 +338,8 @@ class Result(Judged, Framed):
         after ``identify`` they count the noise alone.
         """
         rows = [
-            (
-                name,
-                identified.value,
-                identified.sigma,
-                *identified.interval_95,
-                identified.tolerance,
-                identified.unit,
-            )
-            for name, identified in self.identified.items()
+            (name, one.value, one.sigma, *one.interval_95, one.tolerance, one.unit)
+            for name, one in self.identified.items()
         ]
         titles = ("parameter", "value", "sigma", "lower", "upper", "tolerance", "unit")
         return dict(zip(titles, map(list, zip(*rows, strict=True)), strict=True))

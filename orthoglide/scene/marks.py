@@ -111,29 +111,29 @@ def _turn(mark: Mark, posed: Posed, paper: Paper) -> str:
 
 
 def _bar(mark: Mark, posed: Posed, paper: Paper) -> str:
-    bars = [mark.bar - 1] if mark.bar else [0, 1]
-    lines = [posed.lines[mark.leg, k] for k in bars]
-    middle = np.mean([line.mean(axis=0) for line in lines], axis=0)
-    drawn = [_stroke(list(line), paper, 5.0) for line in lines]
-    is_longer = float(mark.way @ (posed.carriage(mark.leg) - posed.platform(mark.leg))) > 0
-    for a, b in lines:
-        along = _ARROW_LENGTH * paper.unit * (a - b) / np.linalg.norm(a - b)
-        for end, outward in ((a, along), (b, -along)):
-            near, far = end + 0.1 * outward, end + 0.7 * outward
-            drawn.append(arrow(*((near, far) if is_longer else (far, near)), paper, "mark"))
-    return "".join(drawn) + paper.place_text(middle, mark.label)
+    lines = posed.lines[mark.leg, [mark.bar - 1] if mark.bar else [0, 1]]
+    longer = float(mark.way @ (posed.carriage(mark.leg) - posed.platform(mark.leg))) > 0
+    drawn = _stretched(lines, longer, paper)
+    return drawn + paper.place_text(lines.mean(axis=(0, 1)), mark.label)
 
 
 def _link(mark: Mark, posed: Posed, paper: Paper) -> str:
     """Return the short link at the platform, wider or narrower along the direction."""
-    ends = posed.lines[mark.leg, :, 1]
-    outward = _ARROW_LENGTH * paper.unit * (ends[0] - ends[1]) / np.linalg.norm(ends[0] - ends[1])
-    is_wider, drawn = float(mark.way @ outward) > 0, [_stroke(list(ends), paper, 5.0)]
-    for end, direction in ((ends[0], outward), (ends[1], -outward)):
-        tip = end + 0.6 * direction
-        drawn.append(arrow(*((end, tip) if is_wider else (tip, end)), paper, "mark"))
-    top = ends[0] + 0.75 * outward
-    return "".join(drawn) + paper.place_text(top, mark.label)
+    first, second = ends = posed.lines[mark.leg, :, 1]
+    outward = _ARROW_LENGTH * paper.unit * (first - second) / np.linalg.norm(first - second)
+    drawn = _stretched(ends[None], float(mark.way @ outward) > 0, paper)
+    return drawn + paper.place_text(first + 0.75 * outward, mark.label)
+
+
+def _stretched(lines: Array, longer: bool, paper: Paper) -> str:
+    """Return lines ``(n, 2, 3)`` with arrows at both ends, apart if they are longer."""
+    drawn = [_stroke(list(line), paper, 5.0) for line in lines]
+    for a, b in lines:
+        along = _ARROW_LENGTH * paper.unit * (a - b) / np.linalg.norm(a - b)
+        for end, outward in ((a, along), (b, -along)):
+            near, far = end + 0.1 * outward, end + 0.7 * outward
+            drawn.append(arrow(*((near, far) if longer else (far, near)), paper, "mark"))
+    return "".join(drawn)
 
 
 def _platform_end(mark: Mark, posed: Posed, paper: Paper) -> str:
