@@ -37,8 +37,8 @@ from orthoglide.explanation.identifying import identify
 from orthoglide.fit import Problem, assemble
 from orthoglide.fit.crosscheck import reduction_fit
 from orthoglide.fit.least_squares import Nuisances, linearise, normal_equations, nuisances
-from orthoglide.fit.nested import solve_nested
 from orthoglide.fit.nlp import Nlp
+from orthoglide.fit.solving import solve_nested
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, read_campaign

@@ -280,7 +280,7 @@ class Machine:
         """Return the outputs of closed postures, one row a command."""
         at_commands = Conditions.from_commands(commands, **conditions)
         try:
-            return self.model.outputs_of_vector(self._theta, at_commands)
+            return self.model.outputs(self._theta, at_commands)
         except ClosureError as error:
             error.index = batch_index(commands.shape[:-1], error.index)
             raise

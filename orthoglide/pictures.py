@@ -87,7 +87,7 @@ def _marks(machine: Machine, values: dict[Parameter, float]) -> list[Mark]:
     travel, commands = stroke_commands(machine.geometry, leg, _PATH_POINTS)
     named = {str(n): v for n, v in values.items()}
     conditions = Conditions.from_commands(commands, **SHOWN_CONDITIONS)
-    conditions, rows = machine.model.merged(conditions, named)
+    conditions, rows = conditions.merged(machine.model.needed_conditions(named))
     # Only the force of a load would need a closed posture.
     displacements = machine.model.displacements(named, conditions)[rows]
     columns = displacements[:, leg * len(VIRTUAL_NAMES) :]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from orthoglide.effects import Effect
 from orthoglide.errors import as_path, check_list
-from orthoglide.fit import points_of, read_legs_and_tool, readings_of
+from orthoglide.fit import points_of, read_tables, readings_of
 from orthoglide.frames import html_table
 from orthoglide.instruments import Frame
 from orthoglide.machine import Machine, MachineSource
@@ -140,7 +140,9 @@ def build_request(
     """
     machine = Machine.of(machine, effects)
     check_list("own", own)
-    leg_readings, points = read_legs_and_tool(campaigns, machine)
+    tables = read_tables(campaigns, machine)
+    leg_readings = tuple(table for table in tables if not table.of_tool)
+    points = tuple(table for table in tables if table.of_tool)
     tcp_points = None if tcp is None else points_of(tcp, machine)
     held = () if holdout is None else readings_of(holdout, machine)
     return Request(

@@ -13,7 +13,7 @@ import pytest
 
 import orthoglide as og
 from benchmarks import fuzz, fuzz_verdicts
-from orthoglide.fit import assemble, read_legs_and_tool, solve
+from orthoglide.fit import assemble, read_tables, solve
 from orthoglide.simulation import simulate
 
 CASES = 120
@@ -185,5 +185,5 @@ def test_a_fit_begun_at_a_fit_is_no_worse(tmp_path: Path) -> None:
     for name, content in fuzz.draw_case(42235).files.items():
         (tmp_path / name).write_bytes(content)
     machine = og.Machine.load(tmp_path / "given1")
-    _, points = read_legs_and_tool([tmp_path / "tool.csv"], machine)
+    points = read_tables([tmp_path / "tool.csv"], machine)
     assert solve(assemble(points, machine, machine.catalogue.base)).scores.chi2 < 30_000

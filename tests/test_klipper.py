@@ -18,7 +18,7 @@ from orthoglide.errors import FileError
 from orthoglide.firmware.klipper import Imported, import_printer
 from orthoglide.firmware.klipper.new_numbers import plate_heights
 from orthoglide.firmware.klipper.numbers import Numbers
-from orthoglide.fit.roughness import MAX_NOISE_RATIO
+from orthoglide.fit.repeats import MAX_NOISE_RATIO
 from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text, parse_machine_file
 from orthoglide.numerals import MINUS

@@ -200,7 +200,9 @@ def test_machine_and_instrument_moved_together_read_the_same(kind: str, layout: 
         "joint_offset.x": 6e-4, "leg_length.y": 5e-5, "leg_length.z": -4e-5
     }  # fmt: skip
     stands, nuisances = stands_of(kind, sheet), drawn(kind, sheet)
-    before = MeasurementModel(sheet, stands, None, nuisances).predict(machine.model, lengths)
+    before = MeasurementModel(sheet, stands, nuisance_values=nuisances).predict(
+        machine.model, lengths
+    )
     own = shifted(layout, SHIFT) if layout == "orthoglide" else turned_about_z(angle, SHIFT)
     values = together(own, lengths)
     if layout == "delta":  # whose offsets and lengths turn with it
@@ -211,7 +213,7 @@ def test_machine_and_instrument_moved_together_read_the_same(kind: str, layout: 
     if OBSERVATIONS[kind].dials == 1:
         for k, setup in enumerate(sheet.setups):
             carried[k] += [-setup.sign * SHIFT[setup.axis], SHIFT[setup.leg]]
-    after = MeasurementModel(sheet, [s for s, _ in each], None, carried).predict(
+    after = MeasurementModel(sheet, [s for s, _ in each], nuisance_values=carried).predict(
         machine.model, values
     )
     assert np.abs(after - before).max() < 1e-11

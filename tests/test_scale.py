@@ -1,4 +1,4 @@
-"""Many readings are gone through in blocks, from a start that some of them give: same answers."""
+"""Many readings are gone through in blocks: same answers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import pytest
 
 import orthoglide as og
 from orthoglide.explanation import columns
-from orthoglide.fit import solving
 from orthoglide.prediction import MeasurementModel, measurement_model
 from orthoglide.simulation import simulate
 
@@ -37,15 +36,6 @@ def test_derivatives_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
         whole.reading_poses.nuisance_jacobian, abs=1e-12
     )
     assert by_joints(sheet) == pytest.approx(joints, abs=1e-12)
-
-
-def test_a_start_from_some_of_the_readings(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = og.identify(measured(), MACHINE, method="nested")
-    monkeypatch.setattr(solving, "_MANY", 200)
-    monkeypatch.setattr(solving, "_SOME", 60)
-    some = og.identify(measured(), MACHINE, method="nested")
-    assert some.x == pytest.approx(whole.x, abs=1e-8)
-    assert some.scores.chi2 == pytest.approx(whole.scores.chi2, rel=1e-4)
 
 
 @pytest.mark.thorough

@@ -12,7 +12,7 @@ import orthoglide as og
 from orthoglide.errors import FileError, InputError
 from orthoglide.firmware.klipper import import_printer
 from orthoglide.fit import assemble, refit_with_residual_noise
-from orthoglide.fit.roughness import roughness
+from orthoglide.fit.repeats import roughness
 from orthoglide.geometry import Geometry, align_points
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.layout import LinearDelta

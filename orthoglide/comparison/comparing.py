@@ -121,7 +121,8 @@ class Comparison:
         self, values: Mapping[str, float], conditions: Conditions | None = None
     ) -> tuple[Array, float]:
         """Return the TCP ``(n, 3)`` of the mechanism, and the platform's largest turn, radians."""
-        distinct, rows = self.model.merged(conditions or self.conditions, values)
+        conditions = conditions or self.conditions
+        distinct, rows = conditions.merged(self.model.needed_conditions(values))
         outputs = self.model.outputs(values, distinct)
         sines = np.linalg.norm(axial_vectors(outputs.R), axis=1)
         return outputs.p[rows], float(np.arcsin(np.clip(sines, 0, 1)).max())

@@ -3,14 +3,13 @@
 In the order of the data:
 
 - ``plausible``: readings that no such machine gives are refused.
-- ``repeats``, ``roughness``: noise that readings show, and ``noise``: the standard deviation of
-  each reading.
+- ``repeats``: noise that readings show, and ``noise``: the standard deviation of each reading.
 - ``factors``: a table of readings with its noise and its instruments in place.
 - ``unknowns``: the parameters to identify; ``problem``: unknowns and factors of an identification,
   ``assembling``: its construction; ``excitation``: effects that its readings could show.
 - ``weighing``: rows in units of their noise; ``least_squares``: the linear problem around a point.
-- ``solving``: choice of the method, and tests of its answer; ``nested``: Gauss-Newton; ``nlp``: a
-  programme with the closures as constraints.
+- ``solving``: choice of the method, tests of its answer, and Gauss-Newton with nested closures;
+  ``nlp``: a programme with the closures as constraints.
 - ``crosscheck``: comparison with the reduction, and with postures closed by Pinocchio.
 - ``scores``: goodness of fit; ``estimate``: identified values with their uncertainty.
 - ``notes``, ``noise_notes``: notes for the user; ``reading_tables``: readings for figures.
@@ -20,7 +19,7 @@ from orthoglide.fit.assembling import (
     assemble as assemble,
     build_problem as build_problem,
     points_of as points_of,
-    read_legs_and_tool as read_legs_and_tool,
+    read_tables as read_tables,
     readings_of as readings_of,
     with_effects_freed as with_effects_freed,
     with_free as with_free,
@@ -41,7 +40,6 @@ from orthoglide.fit.noise import (
 )
 from orthoglide.fit.problem import Problem as Problem
 from orthoglide.fit.repeats import common_rounding as common_rounding
-from orthoglide.fit.scores import Scores as Scores
 from orthoglide.fit.solving import (
     refit_with_residual_noise as refit_with_residual_noise,
     solve as solve,

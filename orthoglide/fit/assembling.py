@@ -61,8 +61,8 @@ def assemble(
             )
         factor = Factor.from_readings(table, machine, row_noise, instrument_priors)
         if noise is None or not tool_only:
-            factor = factor.with_roughness(machine)
-        factors.append(factor.without_outlying_touches(machine))
+            factor = factor.with_roughness(machine).without_outlying_touches(machine)
+        factors.append(factor)
     if tool_only:
         rms = rms_noise([f.readings for f in factors], [f.noise.total for f in factors])
         summary = replace(summary, typical=rms)
@@ -155,26 +155,13 @@ def with_effects_freed(problem: Problem, effects: Sequence[str]) -> Problem:
     return with_free(problem, tuple(names), release=False)
 
 
-def read_legs_and_tool(
-    given: ReadingsOrPath | Sequence[ReadingsOrPath], machine: Machine
-) -> tuple[tuple[Readings, ...], tuple[Readings, ...]]:
-    """Return the readings of legs, and those of the tool; paths are read.
-
-    Raises:
-        InputError: where there is neither, or a file cannot be read.
-    """
-    tables = read_tables(given, machine)
-    legs = tuple(table for table in tables if not table.of_tool)
-    return legs, tuple(table for table in tables if table.of_tool)
-
-
 def readings_of(
     given: ReadingsOrPath | Sequence[ReadingsOrPath], machine: Machine
 ) -> tuple[Readings, ...]:
     """Return readings of any kinds; paths are read.
 
     Raises:
-        InputError: as :func:`read_legs_and_tool`, and for files with a row a point.
+        InputError: as :func:`read_tables`, and for files with a row a point.
     """
     tables = read_tables(given, machine)
     if any(table.by_point for table in tables):

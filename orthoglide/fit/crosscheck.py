@@ -18,7 +18,6 @@ from orthoglide.fit.problem import Problem
 from orthoglide.fit.unknowns import weight_matrix
 from orthoglide.geometry import Array
 from orthoglide.mechanism.engine import PinocchioEngine
-from orthoglide.prediction import Conditions
 from orthoglide.result.fits import CrossCheck, Verification
 
 AGREEMENT = 1e-9
@@ -195,7 +194,7 @@ def _postures(estimate: Estimate) -> tuple[Array, Array]:
     model = problem.machine.model
     for k, factor in enumerate(problem.factors):
         values = problem.values(k, estimate.x)
-        conditions: Conditions = model.merged(factor.conditions(), values)[0]
+        conditions, _ = factor.postures(model, values)
         travel.append(conditions.command - model.geometry.zero)
         displacements.append(model.loaded_displacements(values, conditions))
     return np.concatenate(travel), np.concatenate(displacements)

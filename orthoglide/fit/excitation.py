@@ -35,28 +35,18 @@ def axes_approached_from_both_sides(approach: Array) -> NDArray[np.bool_]:
     return np.asarray((approach > 0).any(axis=0) & (approach < 0).any(axis=0))
 
 
-def _column_varies(column: str) -> Callable[[Problem], bool]:
-    """Return a test whether finite values of a column differ in any table."""
-
-    def vary(problem: Problem) -> bool:
-        for factor in problem.factors:
-            values = getattr(factor.readings, column, None)
-            if values is None:
-                continue
-            known = values[np.isfinite(values).reshape(len(values), -1).all(axis=1)]
-            if len(known) and np.ptp(known, axis=0).max() > 0:
-                return True
-        return False
-
-    return vary
+def _varies(problem: Problem, column: str) -> bool:
+    """Return whether the finite values of a column differ in any table."""
+    columns = [getattr(factor.readings, column) for factor in problem.factors]
+    return any(len(np.unique(values[np.isfinite(values)])) > 1 for values in columns)
 
 
 _CONDITION_TESTS: Mapping[str, Callable[[Problem], bool]] = {
     "approach": lambda problem: any(
         axes_approached_from_both_sides(f.conditions().approach).any() for f in problem.factors
     ),
-    "time": _column_varies("time"),
-    "temperature": _column_varies("temperature"),
+    "time": lambda problem: _varies(problem, "time"),
+    "temperature": lambda problem: _varies(problem, "temperature"),
     "load": lambda problem: any(f.conditions().load.any() for f in problem.factors),
     "pitch": lambda problem: problem.machine.spec.screw_pitch is not None,
 }

@@ -6,7 +6,7 @@ as a dial's datum and placement or the frame of a tracker; they are fitted with 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
-from orthoglide.fit.noise import NoiseSource, RowNoise, expected_sigma
-from orthoglide.fit.repeats import MIN_REPEAT_DOF, repeat_variance
-from orthoglide.fit.roughness import MAX_NOISE_RATIO, roughness
+from orthoglide.fit.noise import RowNoise, expected_sigma
+from orthoglide.fit.repeats import MAX_NOISE_RATIO, roughness
 from orthoglide.geometry import Array
 from orthoglide.instruments import Frame, InstrumentPose, InstrumentPriors, SetupReadings
 from orthoglide.machine import Machine
@@ -25,8 +24,7 @@ from orthoglide.numerals import plain
 from orthoglide.observations import Readings, source
 from orthoglide.observations.approach import Ints
 from orthoglide.observations.arrays import group_ids
-from orthoglide.prediction import Conditions, LinearRows, MeasurementModel, Model, ReadingPoses
-from orthoglide.prediction.measurement_model import JointResponse
+from orthoglide.prediction import MeasurementModel, ReadingPoses
 
 
 @dataclass(frozen=True)
@@ -37,20 +35,12 @@ class NuisanceBlock:
     sd: Array  # prior standard deviation about zero (k,); infinite without a prior
 
 
-@dataclass(frozen=True)
-class Factor:
-    """Readings of one table: all of legs, or all of the tool."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Factor(MeasurementModel):
+    """Readings of one table, all of legs or all of the tool, with their noise."""
 
-    readings: Readings
     noise: RowNoise
     instrument_priors: InstrumentPriors  # of placements
-    instrument_poses: tuple[InstrumentPose, ...]  # of every setup
-    # places on plates over their largest measured radius (n, 2), along axes that turn with the
-    # plate; by the nominal machine, which is accurate enough
-    normalized_plate_xy: Array
-    # height of outlying touches of a plate above the surface through the others (n,), metres;
-    # 0 of all other readings
-    outlier_height: Array
     exclusion_sentences: tuple[str, ...] = ()  # one for each outlying touch that was excluded
 
     @classmethod
@@ -70,13 +60,13 @@ class Factor:
             instrument_priors: of placements; those of the machine file where absent.
         """
         priors = instrument_priors or machine_instrument_priors(machine)
-        n, poses = len(readings), (InstrumentPose(),) * len(readings.setups)
-        factor = cls(readings, noise, priors, poses, np.zeros((n, 2)), np.zeros(n))
+        factor = cls(readings=readings, noise=noise, instrument_priors=priors)
         if factor.on_legs:
             return factor
-        p = machine.forward(readings.command) + readings.beside
+        # The nominal machine is accurate enough for places on a plate.
+        p = factor.nominal_places(machine)
         factor = replace(factor, normalized_plate_xy=_normalized_plate_xy(readings, p))
-        nominal = ReadingPoses(np.zeros((n, 0)), p, readings.beside)
+        nominal = ReadingPoses(np.zeros((len(readings), 0)), p, readings.beside)
         return factor.with_instrument_poses(nominal, initial=True)
 
     @classmethod
@@ -137,6 +127,10 @@ class Factor:
         """Number of the place of each row ``(n,)``: setup and command, whatever the approach."""
         return group_ids(self.readings.places)
 
+    def nominal_places(self, machine: Machine) -> Array:
+        """Return the places that are read ``(n, 3)``, metres, by the commands and a machine."""
+        return machine.forward(self.readings.command) + self.readings.beside
+
     def setups_of(self, effect: Effect) -> tuple[str, ...]:
         """Return the setups of which an instrument's effect has parameters."""
         return tuple(s.name for s in self.readings.setups if s.takes(effect))
@@ -160,7 +154,6 @@ class Factor:
             self, readings=self.readings.subset(rows), noise=self.noise.subset(rows),
             instrument_poses=tuple(self.instrument_poses[k] for k in setups),
             normalized_plate_xy=self.normalized_plate_xy[rows],
-            outlier_height=self.outlier_height[rows],
         )  # fmt: skip
 
     def with_noise(self, rows: NDArray[np.intp], noise: RowNoise) -> Factor:
@@ -199,29 +192,6 @@ class Factor:
 
     # Predictions ---------------------------------------------------------------------------
 
-    @cached_property
-    def measurement_model(self) -> MeasurementModel:
-        """The readings with their instruments in place."""
-        return MeasurementModel(self.readings, self.instrument_poses, self.normalized_plate_xy)
-
-    def conditions(self) -> Conditions:
-        """Return conditions of every row, then of the second commands."""
-        return self.measurement_model.conditions()
-
-    def predict(self, model: Model, values: Mapping[str, float]) -> Array:
-        """Return the predicted rows ``(n,)``, without nuisances."""
-        return self.measurement_model.predict(model, values)
-
-    def linearise(
-        self, model: Model, values: Mapping[str, float], names: Sequence[str]
-    ) -> LinearRows:
-        """Return the rows and their derivatives by parameters."""
-        return self.measurement_model.linearise(model, values, names)
-
-    def joint_response(self, model: Model, values: Mapping[str, float]) -> JointResponse:
-        """Return the response of the rows to virtual joints that move with the conditions."""
-        return self.measurement_model.joint_response(model, values)
-
     def nuisance_sd(self, number: int) -> Array:
         """Return standard deviations of a setup's nuisances ``(K,)``."""
         setup, axis = self.readings.setups[number], self.readings.axis[self.setup == number]
@@ -255,77 +225,58 @@ class Factor:
 
     # Its noise -----------------------------------------------------------------------------
 
+    def _surfaces(self, machine: Machine) -> Iterator[tuple[NDArray[np.intp], float, Array]]:
+        """Yield the rows ``(m,)`` on each plate, its roughness, and the height of outlying touches
+        ``(m,)``; see :func:`~orthoglide.fit.repeats.roughness`.
+        """
+        r, height = self.readings, self.nominal_places(machine)[:, 2] - self.readings.reading
+        for k, setup in enumerate(r.setups):
+            rows = np.flatnonzero(self.setup == k)
+            if setup.observation.touches:
+                xy = self.normalized_plate_xy[rows]
+                yield rows, *roughness(xy, height[rows], r.approach[rows])
+
     def with_roughness(self, machine: Machine) -> Factor:
         """Return the factor with noise from the plates' roughness, where none was declared."""
-        r, p = self.readings, machine.forward(self.readings.command) + self.readings.beside
-        sigma, from_repeats = self.sigma.copy(), self.noise.from_repeats.copy()
-        outlier_height = np.zeros(len(r))
-        for k, setup in enumerate(r.setups):
-            rows = self.setup == k
-            if not setup.observation.touches:
-                continue
-            height = p[rows, 2] - r.reading[rows]
-            xy = self.normalized_plate_xy[rows]
-            plate_noise, outliers = roughness(xy, height, r.approach[rows])
-            capped = np.minimum(plate_noise, MAX_NOISE_RATIO * self.noise.expected[rows])
-            rougher = ~np.isfinite(r.sigma[rows]) & (capped > sigma[rows])
-            sigma[rows] = np.where(rougher, capped, sigma[rows])
-            from_repeats[rows] |= rougher
-            if np.bincount(self.station[rows]).max(initial=0) <= 1:
-                outlier_height[rows] = outliers
-        noise = replace(self.noise, sigma=sigma, from_repeats=from_repeats)
-        return replace(self, noise=noise, outlier_height=outlier_height)
+        noise, sigma = self.noise, self.sigma.copy()
+        for rows, plate_noise, _ in self._surfaces(machine):
+            capped = np.minimum(plate_noise, MAX_NOISE_RATIO * noise.expected[rows])
+            sigma[rows] = np.maximum(sigma[rows], capped)
+        sigma = np.where(np.isfinite(self.readings.sigma), self.sigma, sigma)
+        from_repeats = noise.from_repeats | (sigma > self.sigma)
+        return replace(self, noise=replace(noise, sigma=sigma, from_repeats=from_repeats))
 
     def without_outlying_touches(self, machine: Machine) -> Factor:
-        """Return the factor without outlying touches, with a sentence on each."""
-        if not self.outlier_height.any():
+        """Return the factor without outlying touches, with a sentence on each; on plates whose
+        places were touched more than once repeats show them.
+        """
+        r, p, kept, sentences = self.readings, self.nominal_places(machine), self.setup >= 0, []
+        for rows, _, heights in self._surfaces(machine):
+            if np.bincount(self.station[rows]).max(initial=0) > 1:
+                continue
+            outlying = heights != 0
+            kept[rows[outlying]] = False
+            for k, height in zip(rows[outlying], heights[outlying] * 1e3, strict=True):
+                side, cause, remedy = (
+                    ("above", "a speck on the plate", "clean")
+                    if height > 0
+                    else ("below", "a dent in the plate", "look at")
+                )
+                sentences.append(
+                    f"{source(r)}, line {r.line[k]}, setup {r.setups[r.setup[k]].name!r}: the "
+                    f"touch at x {plain(p[k, 0] * 1e3, 0)}, y {plain(p[k, 1] * 1e3, 0)} mm is "
+                    f"{abs(height):.2f} mm {side} the surface of all others, as {cause} or a bad "
+                    f"touch is, and does not count: {remedy} the plate and probe again"
+                )
+        if not sentences:
             return self
-        rows_kept, r = self.outlier_height == 0, self.readings
-        p = machine.forward(r.command) + r.beside
-        sentences = list[str]()
-        for k in np.flatnonzero(~rows_kept):
-            height = self.outlier_height[k] * 1e3
-            above = height > 0
-            cause = "a speck on the plate" if above else "a dent in the plate"
-            name = r.setups[r.setup[k]].name
-            sentences.append(
-                f"{source(r)}, line {r.line[k]}, setup {name!r}: the touch at x "
-                f"{plain(p[k, 0] * 1e3, 0)}, y {plain(p[k, 1] * 1e3, 0)} mm is "
-                f"{abs(height):.2f} mm "
-                f"{'above' if above else 'below'} the surface of all others, as {cause} or a bad "
-                f"touch is, and does not count: {'clean' if above else 'look at'} the plate and "
-                f"probe again"
-            )
-        return replace(self.subset(rows_kept), exclusion_sentences=tuple(sentences))
+        return replace(self.subset(kept), exclusion_sentences=tuple(sentences))
 
     def noise_and_expected(self, number: int) -> tuple[float, float]:
         """Return the root mean squares of a setup's noise, and of its expected noise."""
         sigmas = np.stack([self.noise.total, self.noise.expected])[:, self.setup == number]
         noise, expected = np.sqrt(np.mean(sigmas**2, axis=1)).tolist()
         return noise, expected
-
-    def noise_by_kind(self) -> Iterator[tuple[str, Array, NoiseSource]]:
-        """Yield each kind of readings with the total standard deviations of its rows ``(n,)`` and
-        their source; a plate's roughness counts as repeats.
-        """
-        for kind in dict.fromkeys(self.readings.kind):
-            rows = self.readings.of_kind(kind) & self.noise.weighted
-            declared = np.isfinite(self.readings.sigma[rows]).all()
-            from_repeats = self.noise.from_repeats[rows].any()
-            found: NoiseSource = "repeats" if from_repeats else "machine"
-            yield kind, self.noise.total[rows], "declared" if declared else found
-
-    @cached_property
-    def repeat_counts_and_dof(self) -> tuple[tuple[int, int], ...]:
-        """For each kind of reading with noise from repeats: number of readings, and degrees of
-        freedom of the noise.
-        """
-        counts = list[tuple[int, int]]()
-        for kind, sigma, origin in self.noise_by_kind():
-            if origin == "repeats":
-                readings = self.readings.subset(self.readings.of_kind(kind))
-                counts.append((len(sigma), repeat_variance([readings])[1]))
-        return tuple((n, dof) for n, dof in counts if dof >= MIN_REPEAT_DOF)
 
     @property
     def noise_capped(self) -> NDArray[np.bool_]:

@@ -66,11 +66,11 @@ class Nlp:
         self._unknown_scale = scale
         self._length_unit = float(np.median(problem.sigma))  # of readings, datums and closures
         self._angle_unit = self._length_unit / problem.machine.geometry.L  # of angles
-        # Distinct conditions of each factor, and the index of each condition's posture.
         model = problem.machine.model
+        # Distinct conditions of each factor, and both postures of each reading.
         self._postures = [
-            model.merged(f.conditions(), [*problem.elementary_parameters(k)[0], *problem.held[k]])
-            for k, f in enumerate(problem.factors)
+            factor.postures(model, [*problem.elementary_parameters(k)[0], *problem.held[k]])
+            for k, factor in enumerate(problem.factors)
         ]
         self._closure_functions = closure_functions(model.mechanism.tree)
         self.postures = sum(len(conditions) for conditions, _ in self._postures)
@@ -186,15 +186,13 @@ def _rows(model: Model, factor: Factor, outputs: Any, posture: Any, values: Any)
         model: of the machine.
         factor: the readings.
         outputs: of all its postures, one behind the other ``(48 m, 1)``, as MX.
-        posture: of every condition ``(N,)``.
+        posture: first and second posture of every reading ``(2, n)``.
         values: all parameters of machine and instruments, as MX.
     """
-    measurement = factor.measurement_model
-    n, second = len(factor.readings), np.array(posture[: len(factor.readings)])
-    second[measurement.paired] = posture[n:]
-    starts = measurement.first_output + OUTPUT_SIZE * posture[:n], OUTPUT_SIZE * second
+    first, second = OUTPUT_SIZE * posture
+    starts = factor.first_output + first, second
     readings, order = [], []
-    for kind in measurement.by_kind(model, {}):
+    for kind in factor.by_kind(model, {}):
         count, poses = len(kind.rows), []
         for start in starts:
             flat = (start[kind.rows, None] + np.arange(POSE_SIZE)).ravel()

@@ -5,7 +5,7 @@ The same rules hold for all kinds of readings. The rounding of an instrument's d
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from numbers import Real
 from typing import Any, Literal
@@ -67,21 +67,17 @@ class RowNoise:
 
     @classmethod
     def zeros(cls, n: int) -> RowNoise:
-        """Return zeros for the noise of ``n`` readings, to be filled."""
+        """Return zeros for the noise of ``n`` readings."""
         sigma, common, step, expected = np.zeros((4, n))
         all_false = np.zeros(n, dtype=bool)
         return cls(sigma, common, step, expected, all_false, ~all_false)
 
-    def fill(self, rows: NDArray[Any], noise: RowNoise) -> None:
-        """Put the noise of some rows in its place."""
-        for name, values in vars(noise).items():
-            getattr(self, name)[rows] = values
-
     def with_rows(self, rows: NDArray[Any], noise: RowNoise) -> RowNoise:
-        """Return the noise with that of some rows in its place."""
-        changed = RowNoise(*(values.copy() for values in vars(self).values()))
-        changed.fill(rows, noise)
-        return changed
+        """Return the noise with that of some rows, by indices or booleans, in its place."""
+        columns = {name: values.copy() for name, values in vars(self).items()}
+        for name, values in vars(noise).items():
+            columns[name][rows] = values
+        return RowNoise(**columns)
 
     def subset(self, rows: NDArray[Any]) -> RowNoise:
         """Return the noise of some rows, by indices or booleans ``(n,)``."""
@@ -127,6 +123,10 @@ class Noise:
     # kinds of reading whose assumed noise is replaced by the larger one that their repeats show
     refuted: frozenset[str] = frozenset()
 
+    def source_of(self, kind: str) -> NoiseSource:
+        """Return the source of the noise of a kind of readings, before repeats refuted it."""
+        return self.levels[kind].source if kind in self.levels else "machine"
+
 
 def instrument_of(spec: MachineFile, observation: Observation) -> Instrument:
     """Return the instrument of a kind of readings by the machine file."""
@@ -162,31 +162,30 @@ def noise_of(
     Raises:
         InputError: where ``declared`` is no plausible noise of an instrument.
     """
-    row_noises = tuple(RowNoise.zeros(len(table)) for table in given)
+    row_noises = [RowNoise.zeros(len(table)) for table in given]
     on_legs = any(table.on_legs.any() for table in given)
-    levels, noises = dict[str, NoiseLevel](), dict[str, Noise]()
+    noises = list[Noise]()
     for observation in dict.fromkeys(o for table in given for o, _ in table.observations):
-        kind = observation.kind
-        chosen = [(k, table.of_kind(kind)) for k, table in enumerate(given)]
+        chosen = [(k, table.of_kind(observation.kind)) for k, table in enumerate(given)]
         chosen = [(k, rows) for k, rows in chosen if rows.any()]
-        of_kind = _KindNoise(
+        noise, of_tables = _noise_of_kind(
             observation,
             instrument_of(spec, observation),
             [given[k].subset(rows) for k, rows in chosen],
             None if on_legs and not observation.on_leg else declared,
             None if steps is None else [steps[k][rows] for k, rows in chosen],
         )
-        noises[kind], levels[kind] = of_kind.summary, of_kind.level
-        for (k, rows), noise in zip(chosen, of_kind.rows(), strict=True):
-            row_noises[k].fill(rows, noise)
-    summary = next(iter(noises.values()), Noise(float("nan"), "machine", 0.0))
-    if not on_legs:
-        all_declared = all(noise.source == "declared" for noise in noises.values())
-        summary = replace(summary, source="declared" if all_declared else "machine")
-        if given:
-            typical = rms_noise(given, [noise.total for noise in row_noises])
-            summary = replace(summary, typical=typical)
-    return replace(summary, levels=levels), row_noises
+        noises.append(noise)
+        for (k, rows), of_table in zip(chosen, of_tables, strict=True):
+            row_noises[k] = row_noises[k].with_rows(rows, of_table)
+    summary = noises[0] if noises else Noise(float("nan"), "machine", 0.0)
+    if noises and not on_legs:
+        all_declared = all(noise.source == "declared" for noise in noises)
+        typical = rms_noise(given, [noise.total for noise in row_noises])
+        source: NoiseSource = "declared" if all_declared else "machine"
+        summary = replace(summary, source=source, typical=typical)
+    levels = {kind: level for noise in noises for kind, level in noise.levels.items()}
+    return replace(summary, levels=levels), tuple(row_noises)
 
 
 def rms_noise(given: Sequence[Readings], sigma: Sequence[Array]) -> float:
@@ -201,74 +200,63 @@ def rms_noise(given: Sequence[Readings], sigma: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(used**2)))
 
 
-class _KindNoise:
-    """Readings of one kind in all tables."""
-
-    def __init__(
-        self,
-        observation: Observation,
-        instrument: Instrument,
-        tables: Sequence[Readings],
-        declared: float | None,
-        steps: Sequence[Array] | None,
-    ) -> None:
-        self._observation, self._instrument, self._declared = observation, instrument, declared
-        self._tables = tables
-        resolution = instrument.resolution or 0.0
-        if steps is None:
-            steps = [_instrument_steps(table, resolution) for table in tables]
-        self._steps, finest, finest_tables = steps, resolution, tables
-        sizes, count = np.unique(np.concatenate([np.zeros(0), *steps]), return_counts=True)
-        self._commonest_step = float(sizes[np.argmax(count)]) if len(sizes) else resolution
-        if len(sizes):
-            finest_tables, finest = readings_of_finest_step(tables, steps)
-        instrument = replace(instrument, resolution=finest)
-        self.level = _noise_level(finest_tables, observation, instrument, declared)
-        # A declared noise may refer to averaged or unrounded readings: rounding is added to it only
-        # if the instrument is known to round, and the readings lie on its grid.
-        self._is_declared = self.level.source == "declared"
-        # Steps of tables whose readings, as far as taken, are multiples of them; else 0.
-        self._counted_steps = [
-            step * float(resolution > 0 and step.all() and _is_rounded(table.reading, step))
-            for table, step in zip(tables, steps, strict=True)
-        ]
-
-    @property
-    def summary(self) -> Noise:
-        """Noise of all readings of the kind as one figure."""
-        rounding_counted = any(steps.any() for steps in self._counted_steps)
-        step = self._commonest_step if not self._is_declared or rounding_counted else 0.0
-        typical = float(self.level.for_step(np.array([step]))[0])
-        declared = self.level.total if self._is_declared else float("nan")
-        return Noise(typical, self.level.source, self._commonest_step, self.level.dof, declared)
-
-    def rows(self) -> Iterator[RowNoise]:
-        """Yield the noise of the rows of each table."""
-        # Whether any station is visited twice from the same side.
-        any_repeats = any(len(np.unique(one.stations, axis=0)) < len(one) for one in self._tables)
-        repeatability = self._instrument.repeatability or self._observation.repeatability
-        each = zip(self._tables, self._steps, self._counted_steps, strict=True)
-        for table, step, counted_step in each:
-            everywhere = np.ones(len(table), dtype=bool)
-            has_sigma = np.isfinite(table.sigma) & (self._declared is None)
-            rounding = np.where(has_sigma | self._is_declared, counted_step, step)
-            total = self.level.for_step(rounding)
-            common = _common_rounding(total, rounding) if any_repeats else np.zeros(len(table))
-            total = np.where(has_sigma, np.hypot(table.sigma, rounding / np.sqrt(12)), total)
-            if common.any():
-                scatter = np.sqrt(np.maximum(total**2 - common**2, _NEGLIGIBLE_SHARE * total**2))
-                widened = _widen_at_rounding_edges(table, scatter, common, rounding)
-                total = np.where(common > 0, widened, total)
-            expected = np.hypot(repeatability, step / np.sqrt(12))
-            is_declared = has_sigma if self._declared is None else everywhere
-            from_repeats = ~is_declared & (self.level.source == "repeats")
-            assumed = np.where(from_repeats, expected, total)
-            yield RowNoise(total, common, rounding, assumed, from_repeats, everywhere)
+def _noise_of_kind(
+    observation: Observation,
+    instrument: Instrument,
+    tables: Sequence[Readings],
+    declared: float | None,
+    steps: Sequence[Array] | None,
+) -> tuple[Noise, list[RowNoise]]:
+    """Return the noise of readings of one kind in one figure, and that of the rows of each table;
+    arguments as of :func:`noise_of`, but tables that have no other readings.
+    """
+    resolution = instrument.resolution or 0.0
+    if steps is None:
+        steps = [_instrument_steps(table, resolution) for table in tables]
+    finest_tables, finest = readings_of_finest_step(tables, steps)
+    level = _noise_level(
+        finest_tables, observation, replace(instrument, resolution=finest), declared
+    )
+    # A declared noise may refer to averaged or unrounded readings: rounding is added to it only if
+    # the instrument is known to round, and the readings, as far as taken, lie on its grid.
+    counted_steps = [
+        step * float(resolution > 0 and step.all() and not _any_off_grid(table.reading, step))
+        for table, step in zip(tables, steps, strict=True)
+    ]
+    is_declared = level.source == "declared"
+    any_repeats = any(len(np.unique(table.stations, axis=0)) < len(table) for table in tables)
+    rows = []
+    for table, step, counted_step in zip(tables, steps, counted_steps, strict=True):
+        has_sigma = np.isfinite(table.sigma) & (declared is None)
+        rounding = np.where(has_sigma | is_declared, counted_step, step)
+        total = level.for_step(rounding)
+        common = np.zeros(len(table))
+        if any_repeats:
+            common = common_rounding(total, rounding)
+            common[common**2 < _NEGLIGIBLE_SHARE * total**2] = 0.0
+        total = np.where(has_sigma, np.hypot(table.sigma, rounding / np.sqrt(12)), total)
+        if common.any():
+            scatter = np.sqrt(np.maximum(total**2 - common**2, _NEGLIGIBLE_SHARE * total**2))
+            widened = _widen_at_rounding_edges(table, scatter, common, rounding)
+            total = np.where(common > 0, widened, total)
+        usual = instrument.repeatability or observation.repeatability
+        expected = np.hypot(usual, step / np.sqrt(12))
+        from_repeats = ~has_sigma & (level.source == "repeats")
+        assumed = np.where(from_repeats, expected, total)
+        everywhere = np.ones(len(table), dtype=bool)
+        rows.append(RowNoise(total, common, rounding, assumed, from_repeats, everywhere))
+    sizes, counts = np.unique(np.concatenate(steps), return_counts=True)
+    commonest = float(sizes[np.argmax(counts)])
+    rounding_counted = not is_declared or any(step.any() for step in counted_steps)
+    typical = float(level.for_step(np.array([commonest * rounding_counted]))[0])
+    declared_level = level.total if is_declared else float("nan")
+    levels = {observation.kind: level}
+    return Noise(typical, level.source, commonest, level.dof, declared_level, levels), rows
 
 
-def _is_rounded(readings: Array, step: Array) -> bool:
-    """Return whether readings ``(n,)`` that were taken are multiples of their steps ``(n,)``."""
-    return not (off_grid(readings, step) > GRID_TOLERANCE).any()
+def _any_off_grid(readings: Array, step: Array) -> bool:
+    """Return whether any readings ``(n,)`` that were taken are no multiples of their steps."""
+    return bool((off_grid(readings, step) > GRID_TOLERANCE).any())
 
 
 def expected_sigma(given: Readings, spec: MachineFile) -> Array:
@@ -289,17 +277,6 @@ def _instrument_steps(given: Readings, resolution: float) -> Array:
         return dial_steps(given, resolution)
     step = 0.0 if given.on_legs.any() else apparent_step(given.reading)
     return np.full(len(given), step)
-
-
-def _common_rounding(total: Array, step: Array) -> Array:
-    """Return the rounding error that repeats share ``(n,)``, metres; 0 where negligible."""
-    common_by_row = np.zeros(len(total))
-    for size in np.unique(step):
-        rows = step == size
-        common = float(common_rounding(total[rows][0], size))
-        if common**2 >= _NEGLIGIBLE_SHARE * total[rows][0] ** 2:
-            common_by_row[rows] = common
-    return common_by_row
 
 
 def _widen_at_rounding_edges(
@@ -350,16 +327,16 @@ def _noise_level(
 ) -> NoiseLevel:  # fmt: skip
     """Return the noise of one kind of readings, by the order of sources in :func:`noise_of`."""
     step = instrument.resolution or 0.0
-    rounding = step**2 / 12
     if declared is not None:
         return NoiseLevel(check_noise(declared), 0.0, "declared")
-    declared_sigmas = np.concatenate([np.zeros(0), *(table.sigma for table in given)])
-    if len(declared_sigmas) and np.isfinite(declared_sigmas).all():
+    declared_sigmas = np.concatenate([table.sigma for table in given])
+    if np.isfinite(declared_sigmas).all():
         return NoiseLevel(float(np.sqrt(np.mean(declared_sigmas**2))), 0.0, "declared")
-    if instrument.repeatability is not None:
-        return NoiseLevel(float(np.sqrt(instrument.repeatability**2 + rounding)), step, "machine")
-    variance, dof = repeat_variance(given)
-    if dof >= MIN_REPEAT_DOF and (variance > 0 or (step > 0 and observation.on_leg)):
-        total = float(np.sqrt(total_variance(variance, step)))
-        return NoiseLevel(max(total, observation.least_noise), step, "repeats", dof)
-    return NoiseLevel(float(np.sqrt(observation.repeatability**2 + rounding)), step, "machine")
+    known = instrument.repeatability
+    if known is None:
+        variance, dof = repeat_variance(given)
+        if dof >= MIN_REPEAT_DOF and (variance > 0 or (step > 0 and observation.on_leg)):
+            total = float(np.sqrt(total_variance(variance, step)))
+            return NoiseLevel(max(total, observation.least_noise), step, "repeats", dof)
+        known = observation.repeatability
+    return NoiseLevel(float(np.sqrt(known**2 + step**2 / 12)), step, "machine")

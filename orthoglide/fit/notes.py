@@ -9,10 +9,9 @@ import numpy as np
 from orthoglide.effects.wording import parameter_words, signed_size
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.factors import Factor
-from orthoglide.fit.noise_notes import noisy_dials, noisy_instruments, small_residuals
+from orthoglide.fit.noise_notes import noisy_repeats, small_residuals
 from orthoglide.fit.problem import Problem
-from orthoglide.fit.repeats import GRID_TOLERANCE, off_grid
-from orthoglide.fit.roughness import MAX_NOISE_RATIO
+from orthoglide.fit.repeats import GRID_TOLERANCE, MAX_NOISE_RATIO, off_grid
 from orthoglide.instruments import PRINTED, SHRINKAGE_BY_MATERIAL
 from orthoglide.notes import Note
 from orthoglide.numerals import compact, with_sigma
@@ -48,8 +47,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     for table in tables:
         file = f"{source(table)}: " if len(tables) > 1 else ""
         collected += [Note(file + text, "campaign") for text in table.warnings]
-    collected += [*coarse_step_notes(problem), *off_step_notes(problem)]
-    collected += copy_notes(problem)
+    collected += [*step_notes(problem), *copy_notes(problem)]
     collected += [
         Note(text, "stray") for f in problem.tool_factors for text in f.exclusion_sentences
     ]
@@ -66,10 +64,8 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         collected.append(Note(text, "lack_of_fit"))
     else:
         collected += outlier_notes(estimate)
-    collected += [*small_residuals(estimate), *large_noise_notes(estimate), *noisy_dials(estimate)]
-    collected += noisy_instruments(estimate)
-    collected += part_size_notes(problem)
-    collected += placement_notes(estimate)
+    collected += [*small_residuals(estimate), *large_noise_notes(estimate)]
+    collected += [*noisy_repeats(estimate), *part_size_notes(problem), *placement_notes(estimate)]
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         collected.append(Note(text, "bound"))
@@ -121,47 +117,41 @@ def tolerance_notes(estimate: Estimate) -> Iterator[Note]:
         yield Note(text, "tolerance")
 
 
-def coarse_step_notes(problem: Problem) -> Iterator[Note]:
-    """Yield notes on readings that show a coarser step than that of the machine's dial."""
+def step_notes(problem: Problem) -> Iterator[Note]:
+    """Yield notes on dials whose readings show another step than that of the machine file."""
     declared = problem.machine.spec.dial.resolution
-    for factor in problem.leg_factors:
-        campaign, step = factor.readings, factor.noise.step
-        if (finest := float(step.min())) > declared:
-            multiple = f"{finest * 1e3:g} mm"
+    for factor in problem.leg_factors if declared > 0 else ():
+        campaign, step, file = factor.readings, factor.noise.step, source(factor.readings)
+        finest = float(step.min())
+        if finest > declared:
             yield Note(
-                f"{source(campaign)}: the readings are all multiples of {multiple}: this is taken "
-                f"for the dials' step, not {declared * 1e3:g} mm; declare it as resolution under "
+                f"{file}: the readings are all multiples of {finest * 1e3:g} mm: this is taken for "
+                f"the dials' step, not {declared * 1e3:g} mm; declare it as resolution under "
                 f"[dial_mm] in the machine file",
                 "step",
             )
-        for setup in np.unique(campaign.setup[step > finest]).tolist():
-            multiple = f"{float(step[campaign.setup == setup][0]) * 1e3:g} mm"
-            yield Note(
-                f"{source(campaign)}, setup {campaign.setups[setup].name!r}: the readings are all "
-                f"multiples of {multiple}, those of others of {finest * 1e3:g} mm: this is taken "
-                f"for the step of this setup's dial; read it to its last digit, or look whether "
-                f"these readings are in another unit",
-                "step",
-            )
-
-
-def off_step_notes(problem: Problem) -> Iterator[Note]:
-    """Yield notes on setups with few readings on the dial's step, which those of others are on."""
-    step = problem.machine.spec.dial.resolution
-    for campaign in problem.campaigns if step > 0 else ():
-        setups = range(len(campaign.setups))
-        values = [np.unique(campaign.reading[campaign.setup == k]) for k in setups]
-        share = np.array([np.mean(off_grid(v, step) < GRID_TOLERANCE) for v in values])
-        if np.mean(share > _ON_STEP_SHARE) <= 0.5:
-            continue
-        enough = np.array([*map(len, values)]) >= _MIN_READINGS
-        for k in np.flatnonzero((share < 0.5) & enough):
-            yield Note(
-                f"{source(campaign)}, setup {campaign.setups[k].name!r}: the readings are no "
-                f"multiples of the dial's step of {step * 1e3:g} mm, and those of other setups "
-                f"are: look whether this dial shows inches; give its readings in millimetres",
-                "step",
-            )
+        values = [
+            np.unique(campaign.reading[factor.setup == k]) for k in range(len(campaign.setups))
+        ]
+        on_step = np.array([np.mean(off_grid(v, declared) < GRID_TOLERANCE) for v in values])
+        most_on_step = np.mean(on_step > _ON_STEP_SHARE) > 0.5
+        for k, setup in enumerate(campaign.setups):
+            setup_step = float(step[factor.setup == k].max(initial=0.0))
+            if setup_step > finest:
+                yield Note(
+                    f"{file}, setup {setup.name!r}: the readings are all multiples of "
+                    f"{setup_step * 1e3:g} mm, those of others of {finest * 1e3:g} mm: this is "
+                    f"taken for the step of this setup's dial; read it to its last digit, or look "
+                    f"whether these readings are in another unit",
+                    "step",
+                )
+            elif most_on_step and on_step[k] < 0.5 and len(values[k]) >= _MIN_READINGS:
+                yield Note(
+                    f"{file}, setup {setup.name!r}: the readings are no multiples of the dial's "
+                    f"step of {declared * 1e3:g} mm, and those of other setups are: look whether "
+                    f"this dial shows inches; give its readings in millimetres",
+                    "step",
+                )
 
 
 def large_noise_notes(estimate: Estimate) -> Iterator[Note]:

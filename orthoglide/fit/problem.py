@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from orthoglide.fit.factors import Factor, NuisanceBlock
 from orthoglide.fit.noise import Noise, NoiseSource
+from orthoglide.fit.repeats import MIN_REPEAT_DOF, repeat_variance
 from orthoglide.fit.unknowns import Unknown, posterior_rows, weight_matrix
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
@@ -146,24 +147,22 @@ class Problem:
 
     @cached_property
     def noise_by_instrument(self) -> dict[str, tuple[float, NoiseSource]]:
-        """For each kind of reading, in the order given: root mean square of the standard deviations
-        of its readings, metres or radians, and the source of the noise.
+        """For each kind of reading, in the order given: standard deviation of its readings, metres
+        or radians, and the source of the noise; a plate's roughness counts as repeats.
         """
-        noise = self.noise
         by_kind: dict[str, tuple[float, NoiseSource]] = {}
-        for kind in dict.fromkeys(k for f in self.leg_factors for k in f.readings.kind):
-            level = noise.levels.get(kind) if by_kind else None
-            by_kind[kind] = (level.total, level.source) if level else (noise.typical, noise.source)
-        all_declared = noise.source == "declared" and not self.leg_factors
-        tool_noise = [rated for factor in self.tool_factors for rated in factor.noise_by_kind()]
-        for kind in dict.fromkeys(kind for kind, _, _ in tool_noise):
-            sigma = np.concatenate([sigmas for k, sigmas, _ in tool_noise if k == kind])
-            sources = [source for k, _, source in tool_noise if k == kind]
-            commonest = max(dict.fromkeys(sources), key=sources.count)
-            source: NoiseSource = "declared" if all_declared else commonest
-            by_kind[kind] = float(np.sqrt(np.mean(sigma**2))), source
-        for kind in noise.refuted & by_kind.keys():
-            by_kind[kind] = by_kind[kind][0], "repeats"
+        for kind in dict.fromkeys(k for f in self.factors for k in f.readings.kind):
+            factors = [f.subset(f.readings.of_kind(kind) & f.noise.weighted) for f in self.factors]
+            total = np.concatenate([f.noise.total for f in factors])
+            from_repeats = any(f.noise.from_repeats.any() for f in factors)
+            source = self.noise.source_of(kind)
+            if from_repeats or kind in self.noise.refuted:
+                source = "repeats"
+            elif all(np.isfinite(f.readings.sigma).all() for f in factors):
+                source = "declared"
+            of_first_dial = bool(self.leg_factors) and not by_kind
+            size = self.noise.typical if of_first_dial else float(np.sqrt(np.mean(total**2)))
+            by_kind[kind] = size, source
         return by_kind
 
     @property
@@ -171,12 +170,19 @@ class Problem:
         """Source of the noise of the first instrument: of the dials, where there are any."""
         return next(iter(self.noise_by_instrument.values()))[1]
 
-    @property
+    @cached_property
     def repeat_counts_and_dof(self) -> tuple[tuple[int, int], ...]:
         """For each kind of tool reading with noise from repeats: number of readings, and degrees of
         freedom of the noise.
         """
-        return tuple(pair for factor in self.tool_factors for pair in factor.repeat_counts_and_dof)
+        counts = list[tuple[int, int]]()
+        for factor in self.tool_factors:
+            for kind in dict.fromkeys(factor.readings.kind):
+                rows = factor.readings.of_kind(kind)
+                if (rows & factor.noise.weighted & factor.noise.from_repeats).any():
+                    dof = repeat_variance([factor.readings.subset(rows)])[1]
+                    counts.append((int(np.sum(rows & factor.noise.weighted)), dof))
+        return tuple((n, dof) for n, dof in counts if dof >= MIN_REPEAT_DOF)
 
     @cached_property
     def repeat_count(self) -> int:
@@ -333,18 +339,16 @@ class Problem:
         """Whether the analytic reduction can solve this problem: one dial per reading, rigid bars,
         no URDF, no earlier posterior, and no parameters outside the base.
         """
-        plain = all(s.observation.dials == 1 for s in self.setups)
-        if (
-            not plain
+        catalogue = self.machine.catalogue
+        named = [n for k in range(len(self.factors)) for n in self.elementary_parameters(k)[0]]
+        held = [n for values in self.held for n, v in values.items() if v]
+        return not (
+            any(s.observation.dials != 1 for s in self.setups)
             or self.earlier_posterior is not None
             or self.machine.spec.urdf
             or self.elastic
-        ):
-            return False
-        named = [n for k in range(len(self.factors)) for n in self.elementary_parameters(k)[0]]
-        held = [n for values in self.held for n, v in values.items() if v]
-        catalogue = self.machine.catalogue
-        return all(catalogue.effect_of(n).name in catalogue.base for n in [*named, *held])
+            or any(catalogue.effect_of(n).name not in catalogue.base for n in [*named, *held])
+        )
 
     def with_prior_widths_reset(self) -> Problem:
         """Return this problem with the width of every prior reset to its tolerance."""

@@ -7,8 +7,15 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from orthoglide.errors import InputError, NumericsError, SolverError, UnidentifiableError
+from orthoglide.errors import (
+    ClosureError,
+    InputError,
+    NumericsError,
+    SolverError,
+    UnidentifiableError,
+)
 from orthoglide.fit.crosscheck import CrossCheck, cross_check, reduction_fit
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.least_squares import (
@@ -19,10 +26,10 @@ from orthoglide.fit.least_squares import (
     linearise,
     normal_equations,
     nuisances,
+    predict,
     update_instrument_poses,
     weak_directions,
 )
-from orthoglide.fit.nested import solve_nested
 from orthoglide.fit.notes import notes
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.scores import LACK_OF_FIT, FittedRows, score
@@ -30,8 +37,6 @@ from orthoglide.geometry import Array
 from orthoglide.ordering import canonical_basis
 
 Method = Literal["auto", "nlp", "nested", "pinocchio", "reduction"]
-
-_MANY, _SOME = 20_000, 2_000  # readings from which a fit starts from a fit of some
 
 NLP_POSTURES = 200
 """Up to this many distinct postures the programme carries the closures as constraints."""
@@ -135,14 +140,11 @@ def refit_with_residual_noise(estimate: Estimate) -> Estimate:
 
 def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
     if method == "reduction" and not problem.reduction_applies:
-        other_kinds = dict.fromkeys(s.kind for s in problem.setups if s.observation.dials != 1)
-        if other_kinds:
-            raise InputError(
-                f"the reduction predicts dials only, each by itself: leave out the readings of "
-                f"kind {', '.join(other_kinds)}, or take another method"
-            )
-        raise InputError("the reduction has joint offsets and leg lengths only: free nothing else")
-    first = linearise(problem, _initial_values(problem, method) if start is None else start)
+        raise InputError(
+            "the reduction predicts dials only, each by itself, from offsets and leg lengths: "
+            "leave out other readings and free nothing else, or take another method"
+        )
+    first = linearise(problem, problem.start if start is None else start)
     # Nuisances are frozen after a first Gauss-Newton step, nearer to the machine than nominal.
     nuisance = nuisances(problem, first.reading_poses)
     initial = normal_equations(problem, first, nuisance)
@@ -165,22 +167,6 @@ def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
             linear = refined
     check = cross_check(problem, nuisance, linear)
     return make_estimate(problem, nuisance, linear, method_used, iterations, optimality, check)
-
-
-def _initial_values(problem: Problem, method: Method) -> Array:
-    """Return the initial values ``(P,)``; of very many readings, a fit to a subset."""
-    count = sum(map(len, problem.campaigns))
-    if count < _MANY or method == "reduction":
-        return problem.start
-    stride, factors = count // _SOME, []
-    for factor in problem.leg_factors:
-        setups = range(len(factor.setup_names))
-        rows = [np.flatnonzero(factor.setup == k)[::stride] for k in setups]
-        factors.append(factor.subset(np.sort(np.concatenate(rows))))
-    try:
-        return solve(problem.with_leg_factors(factors), method="nested", widen=False).x
-    except (NumericsError, InputError):
-        return problem.start
 
 
 def _check_determined(problem: Problem, equations: NormalEquations) -> None:
@@ -311,3 +297,95 @@ def make_estimate(
         (), linear, nuisance, rows,
     )  # fmt: skip
     return replace(estimate, warnings=notes(estimate))
+
+
+# Nested closures ------------------------------------------------------------------------------
+
+_MAX_STEPS = 60
+# Steps, in standard deviations of each unknown alone: the printed digits must not depend on the
+# start.
+_STEP_TOLERANCE = 1e-10
+_NEWTON_THRESHOLD = 1e-7  # steps below which second derivatives are not worth their time
+_ROUNDING_STEP = 1e-4  # smaller steps that stop shrinking are rounding; times the misfit
+_COST_TOLERANCE = 1e-9  # of the cost: smaller changes, by weak directions too, are rounding
+_SLOW_RATIO = 0.3  # ratio of successive Gauss-Newton steps from which Newton's are tried
+
+
+def solve_nested(
+    problem: Problem, nuisance: Nuisances, start: Linearised
+) -> tuple[Linearised, int]:
+    """Return the linearisation at the minimum of the cost, and the number of steps from ``start``.
+
+    Every step closes all postures and takes the derivatives of the readings from the constraint
+    Jacobians, so that time and memory grow linearly with the number of postures.
+
+    Steps are Gauss-Newton's, or Newton's with differenced gradients where those converge slowly:
+    along weak directions the curvature of the model outweighs the readings.
+
+    Raises:
+        SolverError: where the steps do not converge.
+    """
+    linear, previous, cost = start, np.inf, np.inf
+    for iteration in range(_MAX_STEPS):
+        equations = normal_equations(problem, linear, nuisance)
+        # An unknown that the gradient pushes against its bound stays there.
+        free = np.flatnonzero(~(problem.on_bound(linear.x) & (equations.gradient * linear.x < 0)))
+        scale = 1 / np.sqrt(np.maximum(np.diag(equations.information), 1e-300))[free]
+        descent = -equations.gradient[free] * scale
+        slope = float(np.max(np.abs(descent), initial=0.0))
+        step = np.zeros(len(linear.x))
+        information = equations.information[np.ix_(free, free)] * scale * scale[:, None]
+        step[free] = scale * np.linalg.lstsq(information, descent, rcond=1e-14)[0]
+        size = float(np.max(np.abs(step[free]) / scale, initial=0.0))
+        if min(slope, size) > _NEWTON_THRESHOLD and size > _SLOW_RATIO * previous:
+            step[free] = _newton_step(problem, nuisance, equations, free, scale)
+            size = float(np.max(np.abs(step[free]) / scale))
+        misfit = max(1.0, float(np.sqrt(equations.cost / len(problem.measured))))
+        flat = slope <= _NEWTON_THRESHOLD and equations.cost > cost * (1 - _COST_TOLERANCE)
+        stalled = size >= previous / 2 and (flat or size <= _ROUNDING_STEP * misfit)
+        if size <= _STEP_TOLERANCE or stalled:
+            return linear, iteration
+        linear = linearise(problem, _line_search(problem, nuisance, equations, step))
+        previous, cost = size, equations.cost
+    raise SolverError(
+        "the identification did not settle; free fewer parameters, or keep the priors",
+        evidence={"last_step_in_sigmas": size},
+    )
+
+
+def _newton_step(
+    problem: Problem, nuisance: Nuisances, equations: NormalEquations, free: NDArray[np.intp],
+    scale: Array,
+) -> Array:  # fmt: skip
+    """Return a Newton step of the ``free`` unknowns, its Hessian from differenced gradients."""
+    hessian = np.empty((len(free), len(free)))
+    for column, k in enumerate(free):
+        # Small against the curvature of the machine, large against rounding.
+        width = max(1e-2 * scale[column], 1e-4 * problem.tolerance[k])
+        ends = []
+        for side in (1, -1):
+            x = equations.x.copy()
+            x[k] += side * width
+            ends.append(normal_equations(problem, linearise(problem, x), nuisance).gradient[free])
+        hessian[:, column] = (ends[0] - ends[1]) / (2 * width)
+    hessian = (hessian + hessian.T) / 2 * scale * scale[:, None]
+    values, vectors = np.linalg.eigh(hessian)
+    # Absolute value and floor keep the step a descent where the cost is not convex.
+    rotated = vectors.T @ (-equations.gradient[free] * scale)
+    return scale * (vectors @ (rotated / np.maximum(np.abs(values), 1e-8)))
+
+
+def _line_search(
+    problem: Problem, nuisance: Nuisances, equations: NormalEquations, step: Array
+) -> Array:
+    """Return the unknowns, within their bounds, after a step halved until the cost falls."""
+    allowed = equations.cost + _COST_TOLERANCE * max(equations.cost, 1.0)
+    factor = min(1.0, float(np.min(problem.bound / np.maximum(np.abs(step), 1e-300))))
+    for _ in range(30):
+        x = np.clip(equations.x + factor * step, -problem.bound, problem.bound)
+        with suppress(ClosureError):
+            residual = nuisance.project(problem.measured - predict(problem, x))
+            if float(residual @ residual) + equations.prior_chi2(x) <= allowed:
+                return x
+        factor /= 2
+    return np.asarray(np.clip(equations.x + factor * step, -problem.bound, problem.bound))

@@ -95,13 +95,10 @@ def build_unknowns(
     """
     stems = [factor.name for factor in factors]
     if len(set(stems)) != len(stems):
-        remedy = (
-            "rename one file, or leave one out if they are identical"
-            if all(factor.readings.file for factor in factors)
-            else "give one a name of its own, dataclasses.replace(campaign, name='second'), as "
-            "from_frame(..., name='second') does"
+        raise InputError(
+            f"two campaigns have the same name ({', '.join(stems)}): rename one file, or give one "
+            f"a name of its own, dataclasses.replace(campaign, name='second')"
         )
-        raise InputError(f"two campaigns have the same name ({', '.join(stems)}): {remedy}")
     catalogue, unknowns = machine.catalogue, list[Unknown]()
     for name in expand_names(catalogue, free, factors):
         later = range(1, len(stems))

@@ -2,7 +2,6 @@
 
 from orthoglide.prediction.conditions import Conditions as Conditions
 from orthoglide.prediction.measurement_model import (
-    LinearRows as LinearRows,
     MeasurementModel as MeasurementModel,
     ReadingPoses as ReadingPoses,
 )

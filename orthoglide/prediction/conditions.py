@@ -13,9 +13,7 @@ from orthoglide.geometry import Array
 from orthoglide.observations import Readings
 from orthoglide.observations.arrays import group_ids
 
-_COLUMNS: dict[str, int | slice] = {
-    "command": slice(0, 3), "approach": slice(3, 6), "time": 6, "warming": 7, "load": 8,
-}  # fmt: skip
+_COLUMNS: dict[str, int | slice] = {"approach": slice(3, 6), "time": 6, "warming": 7, "load": 8}
 
 
 @dataclass(frozen=True)
@@ -83,8 +81,7 @@ class Conditions:
         table = np.zeros((rho.size // 3, 9))
         table[:, :3] = rho.reshape(-1, 3)
         for name, values in others.items():
-            if name == "command" or name not in _COLUMNS:
-                check_choice("condition", name, [key for key in _COLUMNS if key != "command"])
+            check_choice("condition", name, _COLUMNS)
             columns = _COLUMNS[name]
             shape = rho.shape if name == "approach" else rho.shape[:-1]
             try:

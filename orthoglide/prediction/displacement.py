@@ -22,93 +22,7 @@ COMMAND, FORCE = slice(0, 3), slice(8, 11)
 
 DIMENSION_COUNT = 5
 """Length of a vector of dimensions: bar length, lower and upper end of the stroke, command at
-mechanical zero, pitch of the screws; metres."""
-
-
-def dimensions(geometry: Geometry, pitch: float | None) -> Array:
-    """Return the dimensions that the bases of the effects depend on ``(5,)``, metres."""
-    zero = geometry.layout.zero(geometry.L)
-    return np.array([geometry.L, *geometry.stroke, zero, pitch or 0.0])
-
-
-def displacement_function(catalogue: Catalogue, has_pitch: bool) -> Any:
-    """Return the CasADi function (dimensions ``(5,)``, parameters ``(P,)``, conditions ``(11,)``)
-    -> displacements ``(30,)``.
-
-    Drives are summed first, as errors of the rails depend on the carriage's true travel.
-
-    Args:
-        catalogue: gives the parameters and their order.
-        has_pitch: whether the pitch of the screws is known.
-
-    Raises:
-        InputError: where an effect moves a joint that does not exist.
-    """
-    sizes = ca.SX.sym("dimensions", DIMENSION_COUNT)
-    theta = ca.SX.sym("theta", len(catalogue.parameters))
-    vector = ca.SX.sym("conditions", CONDITION_COUNT)
-    joints: dict[tuple[int, str], Any] = {}
-    for of_drive in (True, False):
-        for k, (name, (leg, motions)) in enumerate(catalogue.motions.items()):
-            for motion in motions:
-                if motion.joint not in VIRTUAL_NAMES:
-                    raise InputError(
-                        f"{name} moves {motion.joint!r}, which is no virtual joint: they are "
-                        f"{', '.join(VIRTUAL_NAMES)}"
-                    )
-                if (motion.joint == "travel") is of_drive:
-                    drive_error = None if of_drive else joints[leg, "travel"]
-                    conditions = leg_conditions(sizes, vector, leg, drive_error, has_pitch)
-                    joint = (leg, motion.joint)
-                    joints[joint] = joints.get(joint, 0) + motion.basis(conditions) * theta[k]
-    displacements = [
-        joints.get((leg, name), ca.SX(1, 1)) for leg in range(len(LEGS)) for name in VIRTUAL_NAMES
-    ]
-    dense = ca.densify(ca.vertcat(*displacements))
-    return ca.Function("displacement", [sizes, theta, vector], [dense])
-
-
-def displacement_derivative(function: Any, by: int, name: str) -> Any:
-    """Return the CasADi function of a derivative of the displacements.
-
-    Args:
-        function: as :func:`displacement_function` returns it.
-        by: 1 for the parameters ``(30, P)``, 2 for the conditions ``(30, 11)``: errors of rails and
-            drives depend on the command, and the compliance of drives on the force.
-        name: of the function.
-    """
-    arguments = [ca.SX.sym(f"a{k}", function.size1_in(k)) for k in range(3)]
-    derivative = ca.jacobian(function(*arguments), arguments[by])
-    return ca.Function(name, arguments, [ca.densify(derivative)])
-
-
-def leg_conditions(
-    sizes: Any, vector: Any, leg: int, drive_error: Any, has_pitch: bool
-) -> LegConditions:
-    """Return the conditions on which the effects of one leg depend.
-
-    Args:
-        sizes: dimensions ``(5,)``.
-        vector: conditions ``(11,)``, or ``(11, n)``.
-        leg: 0, 1 or 2.
-        drive_error: travel beyond the commanded one; ``None`` for the effects of drives.
-        has_pitch: whether the pitch of the screws is known.
-    """
-    length, low, high, zero, pitch = (sizes[k] for k in range(DIMENSION_COUNT))
-    command = vector[leg]
-    return LegConditions(
-        command=command,
-        length=length,
-        stroke=(low, high),
-        pitch=pitch if has_pitch else None,
-        approach=vector[3 + leg],
-        time=vector[6],
-        warming=vector[7],
-        force=vector[8 + leg],
-        travel=None if drive_error is None else command - zero + drive_error,
-        zero=zero,
-        commands=tuple(vector[k] for k in range(len(LEGS))),
-    )
+mechanical zero, pitch of the screws (0 where unknown); metres."""
 
 
 _COMPILATION_THRESHOLD = 200_000  # interpreting so many displacements takes as long as compiling
@@ -131,15 +45,68 @@ class Displacements:
     def __init__(
         self, catalogue: Catalogue, geometry: Geometry, pitch: float | None, compile: bool | None
     ) -> None:
-        self.catalogue, self.has_pitch = catalogue, pitch is not None
-        self.dimensions, self._compile = dimensions(geometry, pitch), compile
-        names: list[str] = list(catalogue.parameters)
-        self.parameter_index = {name: k for k, name in enumerate(names)}
+        self.catalogue, self.has_pitch, self._compile = catalogue, pitch is not None, compile
+        zero = geometry.layout.zero(geometry.L)
+        self.dimensions = np.array([geometry.L, *geometry.stroke, zero, pitch or 0.0])
+        self.parameter_index: dict[str, int] = {n: k for k, n in enumerate(catalogue.parameters)}
 
     @cached_property
     def function(self) -> Any:
-        """The CasADi function; see :func:`displacement_function`."""
-        return displacement_function(self.catalogue, self.has_pitch)
+        """The CasADi function (dimensions ``(5,)``, parameters ``(P,)``, conditions ``(11,)``) ->
+        displacements ``(30,)``.
+
+        Drives are summed first, as errors of the rails depend on the carriage's true travel.
+
+        Raises:
+            InputError: where an effect moves a joint that does not exist.
+        """
+        sizes = ca.SX.sym("dimensions", DIMENSION_COUNT)
+        theta = ca.SX.sym("theta", len(self.parameter_index))
+        vector = ca.SX.sym("conditions", CONDITION_COUNT)
+        moved = [
+            (leg, motion, theta[k], name)
+            for k, (name, (leg, motions)) in enumerate(self.catalogue.motions.items())
+            for motion in motions
+        ]
+        joints: dict[tuple[int, str], Any] = {}
+        for leg, motion, size, name in sorted(moved, key=lambda one: one[1].joint != "travel"):
+            joint = motion.joint
+            if joint not in VIRTUAL_NAMES:
+                raise InputError(
+                    f"{name} moves {joint!r}, which is no virtual joint: they are "
+                    f"{', '.join(VIRTUAL_NAMES)}"
+                )
+            drive_error = None if joint == "travel" else joints.get((leg, "travel"), 0)
+            conditions = self.leg_conditions(sizes, vector, leg, drive_error)
+            joints[leg, joint] = joints.get((leg, joint), 0) + motion.basis(conditions) * size
+        pairs = ((leg, name) for leg in range(len(LEGS)) for name in VIRTUAL_NAMES)
+        displacements = ca.vertcat(*[joints.get(pair, ca.SX(1, 1)) for pair in pairs])
+        return ca.Function("displacement", [sizes, theta, vector], [ca.densify(displacements)])
+
+    def leg_conditions(self, sizes: Any, vector: Any, leg: int, drive_error: Any) -> LegConditions:
+        """Return the conditions on which the effects of one leg depend.
+
+        Args:
+            sizes: dimensions ``(5,)``, numbers or symbols.
+            vector: conditions ``(11,)``, or ``(11, n)``.
+            leg: 0, 1 or 2.
+            drive_error: travel beyond the commanded one; ``None`` for the effects of drives.
+        """
+        length, low, high, zero, pitch = (sizes[k] for k in range(DIMENSION_COUNT))
+        command = vector[leg]
+        return LegConditions(
+            command=command,
+            length=length,
+            stroke=(low, high),
+            pitch=pitch if self.has_pitch else None,
+            approach=vector[3 + leg],
+            time=vector[6],
+            warming=vector[7],
+            force=vector[8 + leg],
+            travel=None if drive_error is None else command - zero + drive_error,
+            zero=zero,
+            commands=tuple(vector[k] for k in range(len(LEGS))),
+        )
 
     @cached_property
     def _compiled(self) -> CompilableFunctions:
@@ -151,12 +118,18 @@ class Displacements:
         return functions
 
     @cached_property
-    def _parameter_jacobian(self) -> RowFunction:
-        return RowFunction(displacement_derivative(self.function, 1, "by_parameters"), 2)
-
-    @cached_property
-    def _condition_jacobian(self) -> RowFunction:
-        return RowFunction(displacement_derivative(self.function, 2, "by_conditions"), 2)
+    def _jacobians(self) -> tuple[RowFunction, RowFunction]:
+        """Derivatives of :attr:`function` by the parameters ``(30, P)``, and by the conditions
+        ``(30, 11)``: errors of rails and drives depend on the command, the compliance of drives on
+        the force.
+        """
+        arguments = [ca.SX.sym(f"a{k}", self.function.size1_in(k)) for k in range(3)]
+        displacements = self.function(*arguments)
+        by_parameters, by_conditions = (
+            ca.Function("derivative", arguments, [ca.densify(ca.jacobian(displacements, by))])
+            for by in arguments[1:]
+        )
+        return RowFunction(by_parameters, 2), RowFunction(by_conditions, 2)
 
     def parameter_vector(self, values: Mapping[str, float]) -> Array:
         """Return all parameters of the machine ``(P,)``, SI, zero where not named, without those of
@@ -181,8 +154,8 @@ class Displacements:
 
     def parameter_jacobian(self, theta: Array, conditions: Array) -> Array:
         """Return the derivative ``(n, 30, P)`` of the displacements by the parameters."""
-        return self._parameter_jacobian(self.dimensions, theta, conditions)[0]
+        return self._jacobians[0](self.dimensions, theta, conditions)[0]
 
     def condition_jacobian(self, theta: Array, conditions: Array) -> Array:
         """Return the derivative ``(n, 30, 11)`` of the displacements by the conditions."""
-        return self._condition_jacobian(self.dimensions, theta, conditions)[0]
+        return self._jacobians[1](self.dimensions, theta, conditions)[0]

@@ -6,9 +6,10 @@ nuisances and its effects. Values, derivatives and the nonlinear programme use t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -38,6 +39,8 @@ _ROWS = 4096
 
 JOINT_COUNT = len(VIRTUAL_NAMES) * 3
 """Virtual joints of the three legs."""
+
+_POSE = np.arange(POSE_SIZE)  # the numbers of one pose, counted from its first
 
 JointResponse = Callable[[Array, Array], Array]
 """From a direction of the virtual joints ``(30,)`` and functions of the conditions ``(N, K)`` to
@@ -128,49 +131,41 @@ class KindReadings:
     nuisance: Array  # (m, K)
     parameter_names: tuple[tuple[str, ...], ...]  # of the effects by setup of the table (setups, D)
 
-    def tangent(self, pose: Array, other: Array, rows: NDArray[np.intp]) -> list[Array]:
-        """Return some readings and their derivatives by both poses, nuisances and effects."""
-        row_values = self.mounting_values[rows], self.nuisance[rows], self.effect_parameters[rows]
-        return self.formula.tangent(pose, other, *row_values)
 
-
-@dataclass(frozen=True)
-class RowDerivatives:
-    """Derivatives of some rows of a table."""
-
-    rows: NDArray[np.intp]  # (m,)
-    posture_index: NDArray[np.intp]  # of each row's posture within `outputs` (m,)
-    paired: NDArray[np.bool_]  # which rows have a second posture (m,)
-    outputs: Outputs  # of the distinct postures
-    # by kind: itself, its rows, and their readings with derivatives by nuisances and effects
-    derivatives_by_kind: tuple[Any, ...]
-    posture_jacobian: Array  # derivative by the quantities that move the posture (m, P)
-    second_posture_jacobian: Array  # derivative by way of the second postures of paired rows (k, P)
-
-
+@dataclass(frozen=True, eq=False)
 class MeasurementModel:
-    """Readings of one table with their instruments in place.
+    """Readings of one table with their instruments in place."""
 
-    Args:
-        readings: of any kinds; their values do not count.
-        poses: of every setup's instrument; in the base frame where absent.
-        plate_xy: places on plates over their largest measured radius ``(n, 2)``; zero where absent.
-        nuisances: of every setup ``(setups, K)``; zero where absent.
-    """
+    readings: Readings  # of any kinds; their values do not count
+    # of every setup's instrument; in the base frame where absent
+    instrument_poses: tuple[InstrumentPose, ...] = ()
+    # places on plates over their largest measured radius (n, 2), along axes that turn with the
+    # plate; zero where absent
+    normalized_plate_xy: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    nuisance_values: Array | None = None  # of every setup (setups, K); zero where absent
 
-    def __init__(
-        self,
-        readings: Readings,
-        poses: Sequence[InstrumentPose] = (),
-        plate_xy: Array | None = None,
-        nuisances: Array | None = None,
-    ) -> None:
-        self.readings, self.nuisances = readings, nuisances
-        self.instrument_poses = tuple(poses) or (InstrumentPose(),) * len(readings.setups)
-        self.normalized_plate_xy = np.zeros((len(readings), 2)) if plate_xy is None else plate_xy
-        self.paired = np.flatnonzero(readings.paired)
-        on_leg = readings.leg >= 0
-        self.first_output = np.where(on_leg, LINES.start + POSE_SIZE * readings.leg, 0)
+    def __post_init__(self) -> None:
+        if not self.instrument_poses:
+            poses = (InstrumentPose(),) * len(self.readings.setups)
+            object.__setattr__(self, "instrument_poses", poses)
+        if not len(self.normalized_plate_xy):
+            object.__setattr__(self, "normalized_plate_xy", np.zeros((len(self.readings), 2)))
+
+    @cached_property
+    def paired(self) -> NDArray[np.intp]:
+        """Rows with a second command ``(k,)``."""
+        return np.flatnonzero(self.readings.paired)
+
+    @cached_property
+    def first_output(self) -> NDArray[np.int64]:
+        """First of the numbers of a posture that each reading follows ``(n,)``."""
+        leg = self.readings.leg
+        return np.where(leg >= 0, LINES.start + POSE_SIZE * leg, 0)
+
+    @cached_property
+    def _merged(self) -> dict[frozenset[str], tuple[Conditions, NDArray[np.intp]]]:
+        """What :meth:`postures` returned, by the conditions that matter."""
+        return {}
 
     def conditions(self) -> Conditions:
         """Return the conditions of every reading, then those of the second commands ``(N,)``."""
@@ -199,16 +194,17 @@ class MeasurementModel:
                 row[: len(of_setup)] = [values.get(name, 0.0) for name in of_setup]
             formula, setup = formulas.formula(observation, mounting.shape[1]), r.setup[rows]
             nuisance = np.zeros((len(rows), observation.nuisance_count))
-            if self.nuisances is not None:
-                nuisance = self.nuisances[setup, : observation.nuisance_count]
+            if self.nuisance_values is not None:
+                nuisance = self.nuisance_values[setup, : observation.nuisance_count]
             yield KindReadings(formula, rows, mounting, table[setup], nuisance, names)
 
     def predict(self, model: Model, values: Mapping[str, float]) -> Array:
-        """Return the predicted readings ``(n,)``, with the nuisances given to the constructor."""
-        conditions, posture = model.merged_conditions(self, values)
-        predicted = np.empty(len(self.readings))
-        rows, postures = np.arange(len(predicted)), self._posture_indices(posture)
-        pose, other = self._poses(model.outputs(values, conditions).values, rows, *postures)
+        """Return the predicted readings ``(n,)``, with :attr:`nuisance_values`."""
+        conditions, postures = self.postures(model, values)
+        predicted, outputs = np.empty(len(self.readings)), model.outputs(values, conditions).values
+        first, second = postures[..., None]
+        pose = outputs[first, self.first_output[:, None] + _POSE]
+        other = outputs[second, _POSE]
         for kind in self.by_kind(model, values):
             k, instrument = kind.rows, (kind.mounting_values, kind.nuisance, kind.effect_parameters)
             predicted[k] = kind.formula.value(pose[k], other[k], *instrument)[0][:, 0]
@@ -224,156 +220,122 @@ class MeasurementModel:
             values: all parameters that are not zero, SI.
             names: the parameters to differentiate by ``P``.
         """
-        conditions, posture = model.merged_conditions(self, [*values, *names])
-        n, kinds = len(self.readings), list(self.by_kind(model, values))
-        machine_parameters = model.displacement_model.parameter_index
-        columns = np.flatnonzero([name in machine_parameters for name in names])
-        value, jacobian = np.empty(n), np.zeros((n, len(names)))
-        width = max((kind.nuisance.shape[1] for kind in kinds), default=0)
-        poses = ReadingPoses(np.zeros((n, width)), np.empty((n, 3)), np.empty((n, 3)))
+        column = {name: k for k, name in enumerate(names)}
+        of_machine = [n for n in names if n in model.displacement_model.parameter_index]
 
-        def differentiate(postures: NDArray[np.intp]) -> tuple[Outputs, Array]:
-            machine_names = [names[k] for k in columns.tolist()]
-            return model.sensitivities(values, conditions.subset(postures), machine_names)
+        def differentiate(conditions: Conditions) -> tuple[Outputs, Array]:
+            return model.sensitivities(values, conditions, of_machine)
 
-        for block in self._derivative_blocks(posture, kinds, differentiate):
-            for kind, rows, reading, by_nuisance, by_value in block.derivatives_by_kind:
-                value[rows] = reading[:, 0]
-                poses.nuisance_jacobian[rows, : by_nuisance.shape[1]] = by_nuisance
-                self._fill_instrument_columns(kind, by_value, rows, names, jacobian)
-            block.posture_jacobian[block.paired] += block.second_posture_jacobian
-            rows, outputs, place = block.rows, block.outputs, block.posture_index
-            jacobian[np.ix_(rows, columns)] = block.posture_jacobian
-            offset = np.einsum("nij,nj->ni", outputs.R[place], self.readings.beside[rows])
-            poses.offset_from_tool[rows], poses.p[rows] = offset, outputs.p[place] + offset
-        return LinearRows(value, jacobian, poses)
+        merged = self.postures(model, [*values, *names])
+        found = self._derivatives(model, values, merged, len(of_machine), differentiate)
+        found.by_first[self.paired] += found.by_second
+        jacobian, setup = np.zeros((len(self.readings), len(names))), self.readings.setup
+        jacobian[:, [column[name] for name in of_machine]] = found.by_first
+        for kind in found.kinds:
+            for number, parameter_names in enumerate(kind.parameter_names):
+                rows = kind.rows[setup[kind.rows] == number]
+                for k, name in enumerate(parameter_names):
+                    if name in column:
+                        jacobian[rows, column[name]] = found.by_effect[rows, k]
+        return LinearRows(found.value, jacobian, found.poses)
 
     def joint_response(self, model: Model, values: Mapping[str, float]) -> JointResponse:
         """Return the response of the readings to virtual joints that move with the conditions."""
-        conditions, posture = model.merged_conditions(self, values)
-        n, kinds, pairs = len(self.readings), list(self.by_kind(model, values)), self.paired
-        slopes, second = np.zeros((n, JOINT_COUNT)), np.zeros((n, JOINT_COUNT))
 
-        def differentiate(postures: NDArray[np.intp]) -> tuple[Outputs, Array]:
-            outputs, tangent = model.tangent(values, conditions.subset(postures))
+        def differentiate(conditions: Conditions) -> tuple[Outputs, Array]:
+            outputs, tangent = model.tangent(values, conditions)
             return outputs, tangent[:, :, tangent.shape[2] - JOINT_COUNT :]
 
-        for block in self._derivative_blocks(posture, kinds, differentiate):
-            slopes[block.rows] = block.posture_jacobian
-            second[block.rows[block.paired]] = block.second_posture_jacobian
+        merged, n = self.postures(model, values), len(self.readings)
+        found = self._derivatives(model, values, merged, JOINT_COUNT, differentiate)
 
         def follow(joints: Array, functions: Array) -> Array:
-            response = (slopes @ joints)[:, None] * functions[:n]
-            response[pairs] += (second[pairs] @ joints)[:, None] * functions[n:]
+            response = (found.by_first @ joints)[:, None] * functions[:n]
+            response[self.paired] += (found.by_second @ joints)[:, None] * functions[n:]
             return np.asarray(response)
 
         return follow
 
-    # Postures of the readings --------------------------------------------------------------
-
-    def _posture_indices(self, posture: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
-        """Return the posture of each reading, and that of its second command where it has one, each
-        ``(n,)``, from the posture of every condition ``(N,)``.
+    def postures(self, model: Model, names: Iterable[str]) -> tuple[Conditions, NDArray[np.intp]]:
+        """Return the distinct conditions for the effects of the parameters ``names``, and for each
+        reading the index among them of its command and of its second one ``(2, n)``; of the command
+        again where there is no second.
         """
-        n = len(self.readings)
-        second = posture[:n].copy()
-        second[self.paired] = posture[n:]
-        return posture[:n], second
+        needs = model.needed_conditions(names)
+        if needs not in self._merged:
+            conditions, index = self.conditions().merged(needs)
+            first, second = np.split(index, [len(self.readings)])
+            postures = np.stack([first, first])
+            postures[1, self.paired] = second
+            self._merged[needs] = conditions, postures
+        return self._merged[needs]
 
-    def _derivative_blocks(
+    def _derivatives(
         self,
-        posture: NDArray[np.intp],
-        kinds: Sequence[KindReadings],
-        differentiate: Callable[[NDArray[np.intp]], tuple[Outputs, Array]],
-    ) -> Iterator[RowDerivatives]:
-        """Yield the derivatives of the readings in blocks of rows.
+        model: Model,
+        values: Mapping[str, float],
+        merged: tuple[Conditions, NDArray[np.intp]],
+        count: int,
+        differentiate: Callable[[Conditions], tuple[Outputs, Array]],
+    ) -> _Derivatives:
+        """Return the readings and their derivatives, computed in blocks of rows.
 
         Args:
-            posture: of every condition ``(N,)``.
-            kinds: the readings by kind.
-            differentiate: from numbers of distinct postures ``(k,)`` to their outputs and the
-                derivative of these ``(k, 48, P)``.
+            model: of the machine.
+            values: all parameters that are not zero, SI.
+            merged: as :meth:`postures` returns it.
+            count: of the quantities ``P`` that move the postures.
+            differentiate: from conditions ``(k,)`` to the outputs of their postures, and the
+                derivative of these by the quantities ``(k, 48, P)``.
         """
-        both = np.stack(self._posture_indices(posture))
-        order = np.argsort(both[0], kind="stable")
+        (conditions, postures), kinds = merged, list(self.by_kind(model, values))
+        found = _Derivatives.empty(kinds, len(self.readings), len(self.paired), count)
+        order = np.argsort(postures[0], kind="stable")
         for part in blocks(len(order), _ROWS):
             rows = order[part]
-            postures, index = np.unique(both[:, rows], return_inverse=True)
+            distinct, index = np.unique(postures[:, rows], return_inverse=True)
+            outputs, by_given = differentiate(conditions.subset(distinct))
             first, second = index.reshape(2, -1)
-            outputs, jacobian = differentiate(postures)
-            pose, other = self._poses(outputs.values, rows, first, second)
+            followed = first[:, None], self.first_output[rows, None] + _POSE
+            pose, other = outputs.values[followed], outputs.values[second[:, None], _POSE]
             by_pose, by_other = np.zeros((2, len(rows), POSE_SIZE))
-            by_kind = []
-            for kind, kind_rows, k in _kinds_within(kinds, rows):
-                reading, by_pose[k], by_other[k], *derivatives = kind.tangent(
-                    pose[k], other[k], kind_rows
-                )
-                by_kind.append((kind, rows[k], reading, *derivatives))
-            paired = np.isin(rows, self.paired)
-            yield RowDerivatives(
-                rows, first, paired, outputs, tuple(by_kind),
-                self._chain_rule(jacobian, by_pose, self.first_output[rows], first),
-                self._chain_rule(jacobian, by_other[paired], 0, second[paired]),
-            )  # fmt: skip
-
-    def _poses(
-        self,
-        outputs: Array,
-        rows: NDArray[np.intp],
-        first: NDArray[np.intp],
-        second: NDArray[np.intp],
-    ) -> tuple[Array, Array]:
-        """Return the outputs of their postures, and of their second ones, that rows follow, each
-        ``(m, 12)``.
-        """
-        columns = np.arange(POSE_SIZE)
-        pose = outputs[first[:, None], self.first_output[rows, None] + columns]
-        return pose, outputs[second[:, None], columns]
-
-    @staticmethod
-    def _chain_rule(
-        by_given: Array, by_output: Array, start: NDArray[np.int64] | int, posture: NDArray[np.intp]
-    ) -> Array:
-        """Return the derivative of rows ``(m, P)`` by the quantities that move their postures.
-
-        Args:
-            by_given: derivative of the postures' outputs ``(k, 48, P)``.
-            by_output: derivative of the rows by the outputs that they follow ``(m, 12)``.
-            start: first of these outputs ``(m,)``.
-            posture: of each row ``(m,)``.
-        """
-        start = np.broadcast_to(start, posture.shape)
-        jacobian = np.empty((len(posture), by_given.shape[2]))
-        for k in np.unique(start):
-            rows = np.flatnonzero(start == k)
-            outputs = by_given[posture[rows], k : k + POSE_SIZE]
-            jacobian[rows] = (by_output[rows, None] @ outputs)[:, 0]
-        return jacobian
-
-    def _fill_instrument_columns(
-        self,
-        kind: KindReadings,
-        by_value: Array,
-        rows: NDArray[np.intp],
-        names: Sequence[str],
-        jacobian: Array,
-    ) -> None:
-        """Fill the columns of the instruments' parameters with derivatives ``(m, D)``."""
-        setup = self.readings.setup[rows]
-        for number, parameter_names in enumerate(kind.parameter_names):
-            for column, name in enumerate(parameter_names):
-                if name in names:
-                    k = setup == number
-                    jacobian[rows[k], list(names).index(name)] = by_value[k, column]
+            for kind in kinds:
+                _, k, m = np.intersect1d(rows, kind.rows, True, return_indices=True)
+                reading, by_pose[k], by_other[k], by_nuisance, by_effect = kind.formula.tangent(
+                    pose[k], other[k],
+                    kind.mounting_values[m], kind.nuisance[m], kind.effect_parameters[m],
+                )  # fmt: skip
+                found.value[rows[k]] = reading[:, 0]
+                found.poses.nuisance_jacobian[rows[k], : by_nuisance.shape[1]] = by_nuisance
+                found.by_effect[rows[k], : by_effect.shape[1]] = by_effect
+            found.by_first[rows] = (by_pose[:, None] @ by_given[followed])[:, 0]
+            _, pair, k = np.intersect1d(self.paired, rows, True, return_indices=True)
+            outputs_of_pair = by_given[second[k, None], _POSE]
+            found.by_second[pair] = (by_other[k, None] @ outputs_of_pair)[:, 0]
+            offset = np.einsum("nij,nj->ni", outputs.R[first], self.readings.beside[rows])
+            found.poses.offset_from_tool[rows] = offset
+            found.poses.p[rows] = outputs.p[first] + offset
+        return found
 
 
-def _kinds_within(
-    kinds: Sequence[KindReadings], rows: NDArray[np.intp]
-) -> Iterator[tuple[KindReadings, NDArray[np.intp], NDArray[np.intp]]]:
-    """Yield the kinds that contain some of the rows, with indices into the kind's rows and into
-    ``rows``, both ``(k,)``.
+@dataclass(frozen=True)
+class _Derivatives:
+    """Readings of a table, and their derivatives by instruments and by ``P`` quantities that move
+    the postures.
     """
-    for kind in kinds:
-        _, k, kind_rows = np.intersect1d(rows, kind.rows, assume_unique=True, return_indices=True)
-        if len(k):
-            yield kind, kind_rows, k
+
+    kinds: Sequence[KindReadings]  # the readings by kind
+    value: Array  # (n,), metres or radians
+    poses: ReadingPoses  # in which they are taken
+    by_effect: Array  # by the effects of each reading's instrument (n, D)
+    by_first: Array  # by way of the first, or the only, posture (n, P)
+    by_second: Array  # by way of the second posture of readings that have one (k, P)
+
+    @classmethod
+    def empty(cls, kinds: Sequence[KindReadings], n: int, k: int, count: int) -> _Derivatives:
+        """Return arrays to be filled, for ``n`` readings of which ``k`` have a second posture."""
+        nuisance_count = max((kind.nuisance.shape[1] for kind in kinds), default=0)
+        effect_count = max((kind.effect_parameters.shape[1] for kind in kinds), default=0)
+        poses = ReadingPoses(np.zeros((n, nuisance_count)), np.empty((n, 3)), np.empty((n, 3)))
+        by_effect, by_first = np.zeros((n, effect_count)), np.empty((n, count))
+        return cls(kinds, np.empty(n), poses, by_effect, by_first, np.empty((k, count)))

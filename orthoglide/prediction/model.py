@@ -6,10 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from functools import cached_property
 from typing import Any, Literal
-from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.effects import CATALOGUE, Catalogue, LegConditions
 from orthoglide.errors import ClosureError
@@ -22,13 +20,7 @@ from orthoglide.mechanism.six_bars import OUTPUT_SIZE, VIRTUAL_PER_LEG
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings
 from orthoglide.prediction.conditions import Conditions
-from orthoglide.prediction.displacement import (
-    COMMAND,
-    CONDITION_COUNT,
-    FORCE,
-    Displacements,
-    leg_conditions,
-)
+from orthoglide.prediction.displacement import COMMAND, CONDITION_COUNT, FORCE, Displacements
 from orthoglide.prediction.load import (
     STRETCHES,
     drive_forces,
@@ -199,17 +191,13 @@ class Model:
             by_command = by_command + by_conditions[:, :, FORCE] @ forces
         return np.asarray(tangent[:, :3, :3] + tangent[:, :3, 3:] @ by_command)
 
-    def outputs(self, values: Mapping[str, float], conditions: Conditions) -> Outputs:
+    def outputs(self, values: Values, conditions: Conditions) -> Outputs:
         """Return poses and bars of closed postures.
 
         Raises:
             ClosureError: naming the first posture that does not close.
         """
-        return self.outputs_of_vector(self.parameter_vector(values), conditions)
-
-    def outputs_of_vector(self, theta: Array, conditions: Conditions) -> Outputs:
-        """Return poses and bars of closed postures for all parameters ``(P,)`` of the machine."""
-        displacements = self.loaded_displacements(theta, conditions)
+        displacements = self.loaded_displacements(values, conditions)
         return self.engine.outputs(self._travel(conditions), displacements)
 
     def sensitivities(
@@ -231,45 +219,21 @@ class Model:
             by_name[rows][:, :, columns] = tangent[:, :, 3:] @ by_theta[:, :, machine_parameters]
         return Outputs(outputs), by_name
 
-    def merged(
-        self, conditions: Conditions, names: Iterable[str]
-    ) -> tuple[Conditions, np.ndarray[Any, Any]]:
-        """Return the conditions that differ for the effects of the parameters ``names``, and for
-        each of ``n`` conditions its index among them ``(n,)``.
-        """
-        return conditions.merged(self._needed_conditions(names))
-
-    def _needed_conditions(self, names: Iterable[str]) -> frozenset[str]:
+    def needed_conditions(self, names: Iterable[str]) -> frozenset[str]:
         """Return the conditions besides the command that matter to parameters ``names``."""
         effects = [self.catalogue.effect_of(name) for name in names]
         # Forces cost a further closure: a load counts only where something gives way to it.
         load = frozenset[str]() if self.stiffness.bar is None else frozenset({"load"})
         return load.union(*(effect.needs for effect in effects if not effect.of_dial))
 
-    @cached_property
-    def _merged_cache(self) -> WeakKeyDictionary[Readings, dict[Any, Any]]:
-        """Merged conditions of readings, by the conditions that matter."""
-        return WeakKeyDictionary()
-
-    def merged_conditions(
-        self, measurement: MeasurementModel, names: Iterable[str]
-    ) -> tuple[Conditions, NDArray[np.intp]]:
-        """Return :meth:`merged` conditions of readings, cached for the next call."""
-        needs = self._needed_conditions(names)
-        cached = self._merged_cache.setdefault(measurement.readings, {})
-        if needs not in cached:
-            cached[needs] = measurement.conditions().merged(needs)
-        merged: tuple[Conditions, NDArray[np.intp]] = cached[needs]
-        return merged
-
     def leg_conditions(
         self, values: Mapping[str, float], conditions: Conditions
     ) -> tuple[LegConditions, ...]:
         """Return the conditions of each leg's effects in ``n`` postures, as arrays."""
-        vectors, sizes = self.condition_vectors(conditions).T, self.displacement_model.dimensions
+        vectors, model = self.condition_vectors(conditions).T, self.displacement_model
         drives = self.displacements(values, conditions)[:, :: len(VIRTUAL_NAMES)].T
         return tuple(
-            leg_conditions(sizes, vectors, leg, drive_error, self.pitch is not None)
+            model.leg_conditions(model.dimensions, vectors, leg, drive_error)
             for leg, drive_error in enumerate(drives)
         )
 
