@@ -64,6 +64,14 @@ def tcp_slopes(machine: Machine, names: Sequence[str], at: Conditions | None = N
     return slopes[:, :3]
 
 
+def output_sigmas(machine: Machine, slopes: Array) -> Array:
+    """Return standard deviations ``(...)`` of outputs by their derivatives ``(..., P)`` by the
+    parameters of the machine's posterior.
+    """
+    variance = np.einsum("...p,pq,...q->...", slopes, machine.posterior.covariance, slopes)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
 def without_translation(field: Array) -> Array:
     """Return a field over the workspace ``(g, 3, ...)`` minus its mean, the best translation."""
     return field - field.mean(axis=0)
@@ -97,11 +105,9 @@ def tcp_map(machine: Machine, commands: Array | None = None) -> TcpMap:
         commands: commands ``(g, 3)``, metres; by default :func:`workspace_commands`.
     """
     grid = workspace_commands(machine) if commands is None else commands
-    posterior, conditions = machine.posterior, Conditions.from_commands(grid)
-    slopes = without_translation(tcp_slopes(machine, posterior.names, conditions))
-    variance = np.einsum("gip,pq,giq->gi", slopes, posterior.covariance, slopes)
-    nominal = machine.with_only({}).forward(grid)
-    return TcpMap(grid, nominal, machine.forward(grid), np.sqrt(np.maximum(variance, 0.0)))
+    slopes = tcp_slopes(machine, machine.posterior.names, Conditions.from_commands(grid))
+    sigma = output_sigmas(machine, without_translation(slopes))
+    return TcpMap(grid, machine.with_only({}).forward(grid), machine.forward(grid), sigma)
 
 
 @dataclass(frozen=True)

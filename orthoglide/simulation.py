@@ -14,8 +14,8 @@ from orthoglide.fit.noise import check_noise, instrument_of
 from orthoglide.geometry import Array
 from orthoglide.instruments import InstrumentPose, Setup
 from orthoglide.machine import Machine, MachineSource
+from orthoglide.machine_file.values import check_magnitudes
 from orthoglide.mechanism.perfect_legs import Spheres, commands as commands_of
-from orthoglide.numerals import compact
 from orthoglide.observations import Readings, from_points, protocol, split_legs_and_tool
 from orthoglide.observations.protocols import ProtocolName
 from orthoglide.prediction import MeasurementModel, ReadingPoses
@@ -27,8 +27,6 @@ TCP_POINTS = 60
 
 _CONDITION_COLUMNS = {"time": "time_s", "temperature": "temperature_C", "load": "load_N",
             "approach": "approach_x, _y and _z"}  # fmt: skip
-
-_ABSURD_TOLERANCES = 100.0  # tolerances: so large is a value in another unit
 
 Seed = int | np.random.Generator
 
@@ -216,16 +214,8 @@ def _refusing_absurd_values(machine: Machine) -> Iterator[None]:
     try:
         yield
     except ClosureError:
-        sizes = {n: abs(v) / machine.tolerance(n) for n, v in machine.values.items()}
-        worst = max(sizes, key=lambda n: sizes[n], default="")
-        if not worst or sizes[worst] < _ABSURD_TOLERANCES:
-            raise
-        unit, value = machine.catalogue.effect_of(worst).unit, machine.values[worst]
-        raise InputError(
-            f"{worst} = {compact(value / unit.si, 6)}{unit.behind} is {sizes[worst]:.0f} times its "
-            f"tolerance of {machine.tolerance(worst) / unit.si:g}{unit.behind}, and the machine "
-            f"does not close with it: is it meant in another unit?"
-        ) from None
+        check_magnitudes(machine.spec, machine.values)
+        raise
 
 
 def _random_generator(seed: Seed) -> np.random.Generator:

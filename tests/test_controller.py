@@ -197,6 +197,14 @@ def test_points_out_of_reach_name_their_row(
     assert caught.value.leg == leg or not leg
 
 
+def test_the_first_row_out_of_reach_is_named_and_not_the_farthest() -> None:
+    path = np.zeros((9, 3))
+    path[4], path[7] = (0.0, 0.25, 0.25), (0.0, 0.3, 0.3)
+    with pytest.raises(UnreachableError, match=r"^row 5 of the path") as caught:
+        compensate(Machine.nominal(), path)
+    assert (caught.value.index, caught.value.leg) == ((4,), "x")
+
+
 @pytest.mark.parametrize("path", [np.zeros((0, 3)), np.zeros(3), np.zeros((2, 2))])
 def test_what_is_no_path_is_refused(path: Array) -> None:
     with pytest.raises(InputError, match="shape"):

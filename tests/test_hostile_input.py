@@ -186,7 +186,7 @@ def test_figures_take_no_formulas() -> None:
             figure.text(0.1, 0.2 * (k + 1), name)
         shown = "".join(ET.fromstring(svg_text(figure)).itertext())
     assert all(name in shown for name in names)
-    assert "$$" in slice_figure("$$ <b>", slices(og.Machine.nominal(), points=3))
+    assert "$$" in slice_figure("$$ <b>", slices(og.Machine.nominal(), side=3))
 
 
 @pytest.mark.parametrize("name", ["a--b", "---", "----->", "]]>", "<b>&", "a-"])

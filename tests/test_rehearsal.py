@@ -21,7 +21,7 @@ from orthoglide.cli import cli
 from orthoglide.firmware.klipper import import_printer
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.planning.sheets import instrument_sheet
-from orthoglide.rehearsal.outcome import Outcome, judge_claims, run_campaign
+from orthoglide.rehearsal.outcome import Outcome, Rehearsal, judge_claims, run_campaign
 from orthoglide.rehearsal.random_machines import (
     ALL_EFFECTS,
     EFFECT,
@@ -33,7 +33,6 @@ from orthoglide.rehearsal.random_machines import (
     draw_machine,
 )
 from orthoglide.rehearsal.rehearsing import weak_spots
-from orthoglide.rehearsal.table import Rehearsal
 from tests.klipper_files import DATA
 
 MACHINE = Path(__file__).parent / "data" / "rig" / "machine.toml"
@@ -294,7 +293,7 @@ def test_an_interrupt_keeps_what_was_finished(tmp_path: Path) -> None:
 
 @pytest.mark.thorough
 def test_a_process_that_is_ended_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("orthoglide.rehearsal.rehearsing.outcome_of", _end_this_process)
+    monkeypatch.setattr("orthoglide.rehearsal.rehearsing.run_campaign", _end_this_process)
     with pytest.raises(og.NumericsError, match="ended from outside"):
         og.rehearse(og.Machine.load(MACHINE), "standard", 2, jobs=2, out=tmp_path / "out")
 

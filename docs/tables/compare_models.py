@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 
 from orthoglide.comparison import Row, compare_effects, worst_by_effect
-from orthoglide.comparison.rows import EQUAL_WITHIN
+from orthoglide.comparison.comparing import EQUAL_WITHIN
 from orthoglide.comparison.tables import LIMITS, markdown_table
 
 COLUMNS = (

@@ -15,7 +15,7 @@ import click
 import orthoglide.cli.options as opt
 from orthoglide.cli.app import Group, cli, deliver, progress, warn
 from orthoglide.errors import FileError, InputError, UnreachableError
-from orthoglide.numerals import compact, plain
+from orthoglide.numerals import plain
 from orthoglide.progress import Step
 from orthoglide.text import csv_text
 
@@ -30,7 +30,7 @@ _force_option = opt.flag("--force", "Even where the verdict says not to act on t
 @cli.command()
 @click.argument("path", type=opt.PATH, metavar="PATH.csv")
 @opt.machine(required=True)
-@opt.out_file("File to write; else the commands are printed.", "COMMANDS.csv")
+@opt.out("File to write; else the commands are printed.", "COMMANDS.csv")
 @click.option("--load", "load_N", type=click.FloatRange(0, 1e4), default=0.0, metavar="N",
               show_default=True, help="Weight at the TCP.")  # fmt: skip
 @click.option("--warming", type=click.FloatRange(-100, 100), default=0.0, metavar="K",
@@ -166,7 +166,7 @@ def _kinematics_command(metavar: str) -> opt.Decorator:
         click.argument("numbers", nargs=-1, type=_Coordinate(), metavar=f"[{metavar}]"),
         opt.machine(),
         opt.file("--csv", "Rows to compute, in place of numbers.", "CSV"),
-        opt.out_file("With --csv: file to write; else the rows are printed.", "CSV"),
+        opt.out("With --csv: file to write; else the rows are printed.", "CSV"),
     )
 
 
@@ -254,24 +254,11 @@ def _solve_kinematics(
     With ``as_travel`` the commands are the controller's values. ``approach`` is the direction in
     which each drive arrives, where it is known.
     """
-    import numpy as np
-
-    from orthoglide.observations.checks import STROKE_SLACK, check_commands
+    from orthoglide.observations.checks import check_commands
 
     if to_tcp:
         return machine.forward(check_commands(inputs, as_travel, machine.spec, fail), **approach)
-    rho, geometry = machine.inverse(inputs, **approach), machine.geometry
-    outside = np.argwhere(~geometry.in_stroke(rho, STROKE_SLACK))
-    if len(outside):
-        row, axis = outside[0]
-        low, high = ((geometry.zero[axis] + limit) * 1e3 for limit in geometry.stroke)
-        fail(
-            f"the point needs carriage {geometry.leg_names[axis]} at "
-            f"{plain(rho[row, axis] * 1e3, 6)} mm, outside its stroke of {compact(low, 6)} to "
-            f"{compact(high, 6)} mm: give a point nearer to the middle",
-            int(row),
-        )
-    return rho
+    return check_commands(machine.inverse(inputs, **approach), False, machine.spec, fail)
 
 
 def _raise_input_error(message: str, row: int | None) -> NoReturn:
@@ -286,7 +273,7 @@ def _millimetres(metres: float) -> str:
 @opt.machine()
 @click.option("--magnify", type=float, default=1.0, show_default=True, metavar="X",
               help="Factor by which errors are enlarged.")  # fmt: skip
-@opt.out_file("Write a page that needs no network, and open no viewer.", "FILE.html")
+@opt.out("Write a page that needs no network, and open no viewer.", "FILE.html")
 @opt.flag("--no-open", "Print the viewer's address, and open no browser.")
 def view(machine: opt.MachineOption, magnify: float, out: Path | None, no_open: bool) -> None:
     """Show a machine in three dimensions.

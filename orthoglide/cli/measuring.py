@@ -65,7 +65,7 @@ def _sheet_files(
 @cli.command()
 @_kind_option
 @opt.machine()
-@opt.out_file("File to write, with a page to print beside it; else rows are printed.", "SHEET.csv")
+@opt.out("File to write, with a page to print beside it; else rows are printed.", "SHEET.csv")
 def protocol(kind: str, machine: opt.MachineOption, out: Path | None) -> None:
     """Write a measuring sheet: every row but the reading, and the same rows as a page to print.
 
@@ -87,7 +87,7 @@ def protocol(kind: str, machine: opt.MachineOption, out: Path | None) -> None:
 @cli.command()
 @opt.machine(required=True)
 @opt.pairs("--error", "More errors of the machine, in the units of files.", "NAME=NUMBER,...")
-@opt.out_file("Readings to write; else they are printed.", "CSV")
+@opt.out("Readings to write; else they are printed.", "CSV")
 @_kind_option
 @opt.file("--sheet", "Rows to be read in place of a protocol's; of any instruments.", "SHEET.csv")
 @opt.seed
@@ -201,7 +201,7 @@ def _ask(question: str) -> str:
 @cli.command()
 @click.argument("sheets", nargs=-1, type=opt.PATH, metavar="[SHEET.csv ...]")
 @opt.machine()
-@opt.out_file("Measuring sheet to write; for dials with a page to print.", "SHEET.csv")
+@opt.out("Measuring sheet to write; for dials with a page to print.", "SHEET.csv")
 @opt.names("--free", "Effects or parameters it is for.  [default: zeros and bar lengths]")
 @click.option("--count", type=int, help="Readings to choose.  [default: 24; all with --owns]")
 @opt.pairs("--want", "Accuracies wanted, in the units of files, TCP=0.01 among them: how often to "

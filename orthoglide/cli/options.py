@@ -162,31 +162,22 @@ def machine(required: bool = False) -> Decorator:
     )  # fmt: skip
 
 
-def _path_callback(check: Callable[[Path], None]) -> Callable[..., Path | None]:
-    """Return the callback of an option that checks a path before any work is done."""
+def out(
+    help: str = "Folder for the results; must be new or empty.", metavar: str = "DIR", **more: Any
+) -> Decorator:
+    """Return the option ``--out``, a new folder or a new file, refused before any work is done."""
 
-    def callback(context: click.Context, _: Any, path: Path | None) -> Path | None:
+    def check(context: click.Context, _: Any, path: Path | None) -> Path | None:
         if path is not None and not context.resilient_parsing:
-            check(path)
+            if metavar == "DIR":
+                from orthoglide.report.folder import check_folder
+
+                check_folder(path)
+            else:
+                check_new(path)
         return path
 
-    return callback
-
-
-def _check_folder(path: Path) -> None:
-    from orthoglide.report.folder import check_folder
-
-    check_folder(path)
-
-
-def out(help: str = "Folder for the results; must be new or empty.", **more: Any) -> Decorator:
-    """Return the option ``--out DIR``, a new folder."""
-    return file("--out", help, "DIR", callback=_path_callback(_check_folder), **more)
-
-
-def out_file(help: str, metavar: str, **more: Any) -> Decorator:
-    """Return the option ``--out FILE``, a new file."""
-    return file("--out", help, metavar, callback=_path_callback(check_new), **more)
+    return file("--out", help, metavar, callback=check, **more)
 
 
 seed = click.option(
@@ -246,8 +237,8 @@ def exclude(option: str, *others: str, because: str) -> None:
     texts = {p.name: _option_text(p) for p in context.command.params}
 
     def given(name: str) -> bool:
-        default = context.get_parameter_source(name) in (None, ParameterSource.DEFAULT)
-        return not default and context.params[name] not in (None, ())
+        typed = context.get_parameter_source(name) is ParameterSource.COMMANDLINE
+        return typed and context.params[name] != ()
 
     for other in filter(given, others if given(option) else ()):
         raise InputError(f"{texts[option]} and {texts[other]} exclude each other: {because}")

@@ -7,9 +7,9 @@ user of the simplified model cannot remove. All computations are nonlinear.
 """
 
 from orthoglide.comparison.comparing import (
-    Circumstances as Circumstances,
+    Row as Row,
     compare_effects as compare_effects,
     compare_machine as compare_machine,
     slices as slices,
+    worst_by_effect as worst_by_effect,
 )
-from orthoglide.comparison.rows import Row as Row, worst_by_effect as worst_by_effect

@@ -2,61 +2,123 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from orthoglide import reduction
-from orthoglide.comparison.rows import EQUAL_WITHIN, READING_LIMIT, Difference, Row
-from orthoglide.errors import InputError, NumericsError
+from orthoglide.errors import InputError, NumericsError, check_integer
 from orthoglide.geometry import LEGS, Array, Geometry, axial_vectors
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.perfect_legs import Spheres, commands
 from orthoglide.observations import Readings
-from orthoglide.observations.protocols import ProtocolName, protocol
+from orthoglide.observations.protocols import protocol
+from orthoglide.ordering import best_of, ranked
 from orthoglide.prediction import Conditions
 from orthoglide.reduction.spheres import Mode, intersect_spheres
-from orthoglide.units import ONE
+from orthoglide.units import ONE, Unit
+
+TCP_LIMIT = 5e-6
+"""Metres: the reduction is good enough where its fitted TCP is nowhere further off ..."""
+
+READING_LIMIT = 5e-6
+"""... and its fitted readings are no further off, rms: half the step of a workshop dial."""
+
+EQUAL_WITHIN = 1e-9
+"""Metres: differences that are closer together than this count as equal."""
+
+# The workspace is visited twice: cold, at time zero, every axis arriving in the + direction; then
+# warm, at the end, every axis arriving in the - direction. Six constants must do for both. Where
+# the machine file gives a stiffness, the load deforms the machine too.
+POINTS = 7  # of the workspace along each axis
+WARMING = 5.0  # kelvin from the first visit to the second, and over the campaign
+DURATION = 3600.0  # seconds from the first visit to the second
+LOAD = 10.0  # newtons at the TCP along base -z, always
+PITCH = 0.016  # of the screws, metres, where the machine file names none
 
 _FIT_STEPS = 20
 _NAN = float("nan")
-_NO_DIFFERENCE = Difference(_NAN, _NAN, (_NAN,) * 3)
 
 
 @dataclass(frozen=True)
-class Circumstances:
-    """What the machine goes through while it is compared.
+class Difference:
+    """Distance of two TCPs over the workspace, metres."""
 
-    The workspace is visited twice: cold, at time zero, every axis arriving in the + direction;
-    then warm, at the end, every axis arriving in the - direction. Six constants must do for both.
-    Where the machine file gives a stiffness, the load deforms the machine too.
+    mean: float  # over all points
+    max: float  # the largest
+    where: tuple[float, float, float]  # TCP (3,) at which it is the largest
+
+
+@dataclass(frozen=True)
+class Row:
+    """Difference of reduction and mechanism with one effect, or with all errors of a machine.
+
+    What is compared in readings is nan where dials do not stand on legs.
     """
 
-    points: int = 7  # of the workspace along each axis
-    warming: float = 5.0  # kelvin from the first visit to the second, and over the campaign
-    duration: float = 3600.0  # seconds from the first visit to the second
-    load: float = 10.0  # newtons at the TCP along base -z, always
-    pitch: float = 0.016  # of the screws, metres, where the machine file names none
-    kind: ProtocolName = "sweep"  # protocol of the campaign
+    name: str  # of the parameter, or `"machine"`
+    effect: str  # of the parameter; empty for a machine
+    unit: Unit  # in which files show the parameter
+    value: float  # of the parameter, SI; nan for a machine
+    nominal: Difference  # at the TCP, all six parameters of the reduction at zero
+    translated: Difference  # that difference after the best translation
+    fitted: Difference  # with the six parameters fitted to the TCP
+    six: tuple[float, ...]  # joint offsets and leg lengths fitted to the TCP, metres
+    rotation: float  # largest turn of the platform, radians; the reduction's never turns
+    # with the six fitted to the readings, the machine's tolerances as priors, after the best
+    # translation, which leg readings cannot see
+    identified: Difference = Difference(_NAN, _NAN, (_NAN,) * 3)
+    reading_change: float = _NAN  # what the effect does to the readings, datums fitted, rms, metres
+    reading_rms: float = _NAN  # residual after the six parameters and the datums are fitted, metres
+    reading_max: float = _NAN  # largest residual
 
-    def visit_conditions(self, rho: Array) -> Conditions:
-        """Return the conditions ``(2 n,)`` of the two visits to commands ``(n, 3)``."""
-        late = np.repeat([0.0, 1.0], len(rho))
-        return Conditions.from_commands(
-            np.tile(rho, (2, 1)),
-            approach=np.tile(1.0 - 2.0 * late[:, None], 3),
-            time=late * self.duration,
-            warming=late * self.warming,
-            load=self.load,
-        )
+    @property
+    def read(self) -> bool:
+        """Whether readings of dials were compared."""
+        return not math.isnan(self.reading_rms)
 
-    def campaign(self, geometry: Geometry) -> Readings:
-        """A sheet of the protocol that warms up evenly, under the load."""
-        blank = protocol(self.kind, geometry)
-        warmth = 20.0 + self.warming * blank.time / blank.time.max()
-        return replace(blank, temperature=warmth, load=np.full(len(blank), self.load))
+    @property
+    def good_enough(self) -> bool:
+        """Whether ``TCP_LIMIT`` and ``READING_LIMIT`` hold after the fits."""
+        return self.fitted.max <= TCP_LIMIT and not self.reading_rms > READING_LIMIT
+
+    @property
+    def good_up_to(self) -> float:
+        """Size of the parameter, SI, up to which the reduction is sufficient, by proportion."""
+        excess = self.fitted.max / TCP_LIMIT
+        if self.read:
+            excess = max(excess, self.reading_rms / READING_LIMIT)
+        return float(abs(self.value) / excess) if excess > 1e-6 else float("inf")
+
+
+def worst_by_effect(rows: Sequence[Row]) -> tuple[Row, ...]:
+    """Return for every effect the row with the largest difference, in the order of the rows.
+
+    Of equal rows it is the one with the largest residual of the readings, or the first, as for the
+    legs of most effects.
+    """
+    by_effect: dict[str, list[Row]] = {row.effect: [] for row in rows}
+    for row in ranked(rows, lambda row: row.reading_rms, EQUAL_WITHIN):
+        by_effect[row.effect].append(row)
+    return tuple(
+        best_of(members, lambda row: row.fitted.max, EQUAL_WITHIN) for members in by_effect.values()
+    )
+
+
+def visit_conditions(rho: Array) -> Conditions:
+    """Return the conditions ``(2 n,)`` of the two visits to commands ``(n, 3)``."""
+    late = np.repeat([0.0, 1.0], len(rho))
+    return Conditions.from_commands(
+        np.tile(rho, (2, 1)),
+        approach=np.tile(1.0 - 2.0 * late[:, None], 3),
+        time=late * DURATION,
+        warming=late * WARMING,
+        load=LOAD,
+    )
 
 
 def cube(geometry: Geometry) -> tuple[float, float]:
@@ -89,33 +151,24 @@ def grid(geometry: Geometry, count: int) -> Array:
 class Comparison:
     """The workspace of a machine, and a campaign of dials where they stand on legs."""
 
-    def __init__(
-        self, machine: MachineSource | None = None, circumstances: Circumstances | None = None
-    ) -> None:
-        self.circumstances = circumstances or Circumstances()
-        if self.circumstances.points < 2:
-            raise InputError("the workspace needs at least two points along each axis")
+    def __init__(self, machine: MachineSource | None = None, points: int = POINTS) -> None:
         plain = Machine.of(machine).with_only({})
-        pitch = plain.spec.screw_pitch or self.circumstances.pitch
+        pitch = plain.spec.screw_pitch or PITCH
         self.machine = replace(plain, spec=replace(plain.spec, screw_pitch=pitch))
         self.geometry, self.model = plain.geometry, self.machine.model
-        points = grid(self.geometry, self.circumstances.points)
-        self.p = np.tile(points, (2, 1))
-        self.conditions = self.circumstances.visit_conditions(
-            commands(Spheres.of_geometry(self.geometry), points)
-        )
+        places = grid(self.geometry, check_integer("points", points, 2))
+        self.p = np.tile(places, (2, 1))
+        rho = commands(Spheres.of_geometry(self.geometry), places)
+        self.conditions = visit_conditions(rho)
         zero = intersect_spheres(self.geometry.centres, self.geometry.L)
         self.mode: Mode = "machine" if np.abs(zero).max() < EQUAL_WITHIN else "other"
 
     @cached_property
     def campaign(self) -> Readings:
-        """Of dials on legs: the Orthoglide's alone."""
-        return self.circumstances.campaign(self.geometry)
-
-    @cached_property
-    def perfect_readings(self) -> Array:
-        """Readings of the campaign on the perfect machine ``(n,)``, metres."""
-        return self.model.readings({}, self.campaign)
+        """A sweep that warms up evenly, under the load, for dials on an Orthoglide's legs."""
+        blank = protocol("sweep", self.geometry)
+        warmth = 20.0 + WARMING * blank.time / blank.time.max()
+        return replace(blank, temperature=warmth, load=np.full(len(blank), LOAD))
 
     def mechanism_tcp(
         self, values: Mapping[str, float], conditions: Conditions | None = None
@@ -167,7 +220,6 @@ class Comparison:
         six = self.fit_tcp(tcp)
         effect = None if np.isnan(value) else self.machine.catalogue.effect_of(name)
         nominal = tcp - self.p
-        identified, reading_change, reading_rms, reading_max = self._reading_figures(values, tcp)
         return Row(
             name=name,
             effect=effect.name if effect else "",
@@ -176,43 +228,22 @@ class Comparison:
             nominal=self.difference(nominal),
             translated=self.difference(nominal - nominal.mean(axis=0)),
             fitted=self.difference(tcp - self.reduction_tcp(six)),
-            identified=identified,
             six=tuple(six.tolist()),
             rotation=rotation,
-            reading_change=reading_change,
-            reading_rms=reading_rms,
-            reading_max=reading_max,
-            legs=self.geometry.leg_names,
+            **(self._reading_figures(values, tcp) if self.geometry.dialled else {}),
         )
 
-    def _reading_figures(
-        self, values: Mapping[str, float], tcp: Array
-    ) -> tuple[Difference, float, float, float]:
-        """Return the figures of a row that come from readings of dials; nan on other layouts."""
-        if not self.geometry.dialled:
-            return _NO_DIFFERENCE, _NAN, _NAN, _NAN
-        change, best, priors = self.fit_reduction_to_readings(values)
-        identified = tcp - self.reduction_tcp(priors.values)
-        return (
-            self.difference(identified - identified.mean(axis=0)),
-            float(np.sqrt(np.mean(change**2))),
-            float(np.sqrt(np.mean(best.residuals**2))),
-            float(np.abs(best.residuals).max()),
-        )
-
-    def fit_reduction_to_readings(
-        self, values: Mapping[str, float]
-    ) -> tuple[Array, reduction.ReadingFit, reduction.ReadingFit]:
-        """Return the change of the readings by an effect, datums removed, and two fits of the
+    def _reading_figures(self, values: Mapping[str, float], tcp: Array) -> dict[str, Any]:
+        """Return the fields of a row that come from readings of dials, by two fits of the
         reduction: the best one, and the one that an identification with priors finds.
         """
         campaign, readings = self.campaign, self.model.readings(values, self.campaign)
         datums = np.eye(len(campaign.setups))[campaign.setup]
-        change = readings - self.perfect_readings
+        change = readings - self.model.readings({}, campaign)
         change = change - datums @ np.linalg.lstsq(datums, change, rcond=None)[0]
         setups = [campaign.setups[k] for k in campaign.setup]
         tolerances = [self.machine.tolerance(name) for name in self.machine.catalogue.base]
-        best, priors = (
+        best, with_priors = (
             reduction.fit_readings(
                 campaign.command,
                 campaign.leg,
@@ -227,13 +258,19 @@ class Comparison:
             )
             for prior in (np.inf, np.repeat(tolerances, len(LEGS)))
         )
-        return change, best, priors
+        identified = tcp - self.reduction_tcp(with_priors.values)
+        return {
+            "identified": self.difference(identified - identified.mean(axis=0)),
+            "reading_change": float(np.sqrt(np.mean(change**2))),
+            "reading_rms": float(np.sqrt(np.mean(best.residuals**2))),
+            "reading_max": float(np.abs(best.residuals).max()),
+        }
 
 
 def compare_effects(
     machine: MachineSource | None = None,
     names: Iterable[str] | None = None,
-    circumstances: Circumstances | None = None,
+    points: int = POINTS,
 ) -> tuple[Row, ...]:
     """Return a row for each effect, at its tolerance on an otherwise perfect machine.
 
@@ -242,12 +279,12 @@ def compare_effects(
             left out.
         names: effects, parameters or structured members; where absent all but those of plates, and
             of dials where none stand on legs. Dials by the campaign's first setup.
-        circumstances: see there.
+        points: of the workspace along each axis.
 
     Raises:
         InputError: for a name that is no effect, or one of dials where none stand on legs.
     """
-    comparison = Comparison(machine, circumstances)
+    comparison = Comparison(machine, points)
     plain, dialled = comparison.machine, comparison.geometry.dialled
     setups = [setup.name for setup in comparison.campaign.setups] if dialled else []
     if names is None:
@@ -263,21 +300,18 @@ def compare_effects(
     return tuple(rows)
 
 
-def compare_machine(
-    machine: MachineSource, circumstances: Circumstances | None = None
-) -> tuple[Row, ...]:
+def compare_machine(machine: MachineSource, points: int = POINTS) -> tuple[Row, ...]:
     """Return rows for a calibrated machine: all of its parameters together, then each alone.
 
     Args:
         machine: with the parameters to compare for.
-        circumstances: load, warmth, time, pitch and grid of the comparison; usual ones where
-            absent.
+        points: of the workspace along each axis.
 
     Returns:
         Row ``"machine"`` first, then one for every parameter that is not zero.
     """
     machine = Machine.of(machine)
-    comparison = Comparison(machine, circumstances)
+    comparison = Comparison(machine, points)
     effect_of = machine.catalogue.effect_of
     values = {n: value for n, value in machine.values.items() if value and not effect_of(n).of_body}
     single_rows = (comparison.row(name, value, {name: value}) for name, value in values.items())
@@ -293,15 +327,13 @@ class Slice:
     difference: Array  # the larger of the two visits' (n, m), metres; nan outside the workspace
 
 
-def slices(
-    machine: Machine, points: int = 41, circumstances: Circumstances | None = None
-) -> tuple[Slice, ...]:
+def slices(machine: Machine, side: int = 41, points: int = POINTS) -> tuple[Slice, ...]:
     """Return the difference of mechanism and fitted reduction on three planes of the workspace,
-    with an odd number of points along each side.
+    with an odd number of points along each side; the reduction is fitted as in a comparison.
     """
-    comparison = Comparison(machine, circumstances)
+    comparison = Comparison(machine, points)
     six = comparison.fit_tcp(comparison.mechanism_tcp(machine.values)[0])
-    places = grid(machine.geometry, points)
+    places = grid(machine.geometry, side)
     planes = []
     for normal in range(3):
         # The section of the cube is at p = 0, whether its grid contains that plane or not.
@@ -310,9 +342,7 @@ def slices(
         p = np.stack(np.meshgrid(*map(np.unique, plane_points.T), indexing="ij"), -1)
         inside = (p[:, :, None] == np.unique(plane_points, axis=0)).all(axis=-1).any(axis=-1)
         p = np.insert(p, normal, 0.0, -1)
-        conditions = comparison.circumstances.visit_conditions(
-            commands(Spheres.of_geometry(machine.geometry), p[inside])
-        )
+        conditions = visit_conditions(commands(Spheres.of_geometry(machine.geometry), p[inside]))
         tcp, _ = comparison.mechanism_tcp(machine.values, conditions)
         distance = np.linalg.norm(tcp - comparison.reduction_tcp(six, conditions), axis=1)
         size = np.full(p.shape[:2], np.nan)

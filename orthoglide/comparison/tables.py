@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from orthoglide.comparison.comparing import Slice, slices
-from orthoglide.comparison.rows import READING_LIMIT, TCP_LIMIT, Difference, Row
+from orthoglide.comparison.comparing import READING_LIMIT, TCP_LIMIT, Difference, Row, Slice, slices
 from orthoglide.figures import style
 from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 from orthoglide.numerals import plain
-from orthoglide.observations import csv_text
 from orthoglide.progress import Progress, Step, no_progress
 
-_TITLE = "When the simplified model is good enough"
 _UM = 1e6
 
 LIMITS = (
@@ -26,22 +23,12 @@ LIMITS = (
 )
 """What "the reduction will do" means."""
 
-LEGEND = (
-    "Lengths in µm, turns of the platform in µrad, places as TCP in mm, all over the cube of TCP "
-    "points within the strokes; calibrated TCP: identified from the readings with the tolerances "
-    "as priors, after the best translation; up to: the size at which the reduction stops being "
-    "enough, by proportion."
+_LEGEND = (
+    "Lengths in µm, turns of the platform in µrad, places as TCP in mm, all over the workspace; "
+    "calibrated TCP: identified from the readings with the tolerances as priors, after the best "
+    "translation; up to: the size at which the reduction stops being enough, by proportion."
 )
-"""What the table's columns are."""
-
-_LEGEND_WITHOUT_DIALS = (
-    f"The reduction will do where, after its six parameters are fitted, the TCP is nowhere more "
-    f"than {TCP_LIMIT * _UM:g} µm from the mechanism. Readings are not compared: dials are set "
-    f"against the legs of an Orthoglide alone. Lengths in µm, turns of the platform in µrad, "
-    f"places as TCP in mm, all over the workspace; up to: the size at which the reduction stops "
-    f"being enough, by proportion."
-)
-"""The legend where no dials stand on legs."""
+_NOT_READ = " Readings are not compared: dials are set against the legs of an Orthoglide alone."
 
 
 def micrometres(*values: float) -> str:
@@ -87,28 +74,17 @@ _COLUMNS: dict[str, Callable[[Row], str]] = {
 }
 
 
-def _cells_by_column(rows: Sequence[Row]) -> dict[str, list[str]]:
-    read = any(row.read for row in rows)
-    return {
-        head: [cell(row) for row in rows] for head, cell in _COLUMNS.items()
-        if read or head not in _READING_COLUMNS
-    }  # fmt: skip
-
-
-def legend(rows: Sequence[Row]) -> str:
-    """Return what the columns of the tables mean."""
-    return f"{LIMITS} {LEGEND}" if any(row.read for row in rows) else _LEGEND_WITHOUT_DIALS
-
-
 def markdown_table(rows: Sequence[Row], columns: Sequence[str] | None = None) -> str:
     """Return the table in Markdown: micrometres, microradians, and millimetres for places.
 
     Args:
         rows: effects, or a machine.
-        columns: heads of the columns to show; all where absent.
+        columns: heads of the columns to show; all where absent, those of readings only where some
+            were compared.
     """
-    table = _cells_by_column(rows)
-    table = {head: table[head] for head in columns or table}
+    read = any(row.read for row in rows)
+    shown = columns or [head for head in _COLUMNS if read or head not in _READING_COLUMNS]
+    table = {head: [_COLUMNS[head](row) for row in rows] for head in shown}
     table["effect"] = [f"`{name.replace('|', '/')}`" for name in table["effect"]]
     cells = [tuple(table), *zip(*table.values(), strict=True)]
     lines = ["| " + " | ".join(line) + " |" for line in cells]
@@ -118,50 +94,15 @@ def markdown_table(rows: Sequence[Row], columns: Sequence[str] | None = None) ->
 
 def short_table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return heads and rows of a table for the terminal, with the largest residuals."""
-    read = any(row.read for row in rows)
-    columns = ("effect", "TCP, max, µm", *["readings, rms, µm"] * read, "reduction will do")
-    cells = [
-        (
-            row.name,
-            micrometres(row.fitted.max),
-            *([micrometres(row.reading_rms)] if read else []),
-            "yes" if row.good_enough else "no",
-        )
-        for row in rows
-    ]
-    return columns, cells
-
-
-def csv_table(rows: Sequence[Row]) -> str:
-    """Return all numbers of the rows as CSV, names with their unit."""
-    return csv_text([_csv_record(row) for row in rows])
-
-
-def _csv_record(row: Row) -> dict[str, str]:
-    is_parameter = not math.isnan(row.value)
-    record = {
-        "effect": row.name,
-        "value": f"{row.value / row.unit.si:.6g}" if is_parameter else "",
-        "unit": row.unit.name if is_parameter else "",
+    columns: dict[str, Callable[[Row], str]] = {
+        "effect": lambda row: row.name,
+        "TCP, max, µm": lambda row: micrometres(row.fitted.max),
+        "readings, rms, µm": lambda row: micrometres(row.reading_rms),
+        "reduction will do": lambda row: "yes" if row.good_enough else "no",
     }
-    for name in ("nominal", "translated", "fitted", *["identified"] * row.read):
-        difference: Difference = getattr(row, name)
-        record[f"tcp_{name}_mean_mm"] = f"{difference.mean * 1e3:.7f}"
-        record[f"tcp_{name}_max_mm"] = f"{difference.max * 1e3:.7f}"
-        for axis, coordinate in zip(LEGS, difference.where, strict=True):
-            record[f"tcp_{name}_max_at_{axis}_mm"] = f"{round(coordinate * 1e3, 3) + 0.0:.3f}"
-    names = (f"{kind}_{leg}_mm" for kind in ("fitted_offset", "fitted_length") for leg in row.legs)
-    lengths = dict(zip(names, row.six, strict=True))
-    if row.read:
-        lengths |= {
-            "reading_change_rms_mm": row.reading_change,
-            "reading_fitted_rms_mm": row.reading_rms,
-            "reading_fitted_max_mm": row.reading_max,
-        }
-    # Zero has no sign, which rounding would choose.
-    record |= {name: f"{round(value * 1e3, 7) + 0.0:.7f}" for name, value in lengths.items()}
-    record["rotation_max_rad"] = f"{row.rotation:.9f}"
-    return record | {"reduction_will_do": "yes" if row.good_enough else "no"}
+    if not any(row.read for row in rows):
+        del columns["readings, rms, µm"]
+    return tuple(columns), [tuple(cell(row) for cell in columns.values()) for row in rows]
 
 
 def slice_figure(title: str, planes: Sequence[Slice]) -> str:
@@ -200,7 +141,6 @@ def comparison_files(
         drawn: rows of which a figure is drawn, if the reduction cannot follow them.
         progress: called with each figure.
     """
-    figures = _figures(machine, drawn, progress)
     sections = {
         f"{machine.spec.title}: all it has, and each alone": whole,
         "Every effect at its tolerance": rows,
@@ -209,21 +149,17 @@ def comparison_files(
         f"\n## {name}\n\n{markdown_table(part)}" for name, part in sections.items() if part
     )
     all_rows = [*whole, *rows]
-    return {
-        "table.csv": csv_table(all_rows),
-        "table.md": f"# {_TITLE}\n\n{legend(all_rows)}\n{tables}",
-        **{f"figures/{name}.svg": svg for name, svg in figures},
+    legend = f"{LIMITS} {_LEGEND}{'' if any(row.read for row in all_rows) else _NOT_READ}"
+    files = {
+        "table.md": f"# When the simplified model is good enough\n\n{legend}\n{tables}",
     }
-
-
-def _figures(
-    machine: Machine, rows: Sequence[Row], progress: Progress
-) -> Iterator[tuple[str, str]]:
-    """Yield drawings of the machine as identified, and of effects the reduction cannot follow."""
-    for row in rows:
+    for row in drawn:
         progress(Step("computing", f"drawing {row.name}"))
         if not row.effect:
-            yield row.name, slice_figure(machine.spec.title, slices(machine))
+            title, shown = machine.spec.title, machine
         elif not row.good_enough and row.fitted.max > 0:
-            single_error = machine.with_only({row.name: row.value})
-            yield row.name, slice_figure(f"{row.name} at its tolerance", slices(single_error))
+            title, shown = f"{row.name} at its tolerance", machine.with_only({row.name: row.value})
+        else:
+            continue
+        files[f"figures/{row.name}.svg"] = slice_figure(title, slices(shown))
+    return files

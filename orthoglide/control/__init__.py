@@ -1,9 +1,9 @@
 """Commands that bring the TCP to the wanted points, and numbers and files for other programs."""
 
-from orthoglide.control.compensation import Compensation as Compensation, compensate as compensate
-from orthoglide.control.files import (
+from orthoglide.control.compensation import (
+    Compensation as Compensation,
     commands_text as commands_text,
-    export_files as export_files,
+    compensate as compensate,
     read_path as read_path,
 )
 from orthoglide.control.numbers import (
@@ -15,5 +15,6 @@ from orthoglide.control.urdf import (
     calibrated_mjcf as calibrated_mjcf,
     calibrated_urdf as calibrated_urdf,
     constant_geometry as constant_geometry,
+    export_files as export_files,
 )
 from orthoglide.control.zero_checks import withholding_reason as withholding_reason

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.accuracy import tcp_slopes
+from orthoglide.accuracy import output_sigmas, tcp_slopes
 from orthoglide.control.zero_checks import checked_for_use
 from orthoglide.errors import ClosureError, InputError, UnreachableError, as_float_array
 from orthoglide.frames import Framed
@@ -17,12 +20,17 @@ from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.layout.leg import triple
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.perfect_legs import UNITS_REMEDY
+from orthoglide.notes import Note
 from orthoglide.numerals import compact, plain
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
 from orthoglide.observations.columns import native_command_names
 from orthoglide.observations.schema import APPROACH, PLACE, POINT, TRAVEL
+from orthoglide.observations.table import read_table
 from orthoglide.prediction import Conditions
+from orthoglide.text import csv_text
+
+_SHORTEST_PATH = 1e-3  # metres: a path within it is hardly one
 
 RESOLUTION = 1e-9
 """Metres: commands are rounded to this, the last digit that files show."""
@@ -210,8 +218,8 @@ def compensate(
     columns = Conditions.from_commands(wanted, time=time, warming=warming, load=load)
     conditions = {"time": columns.time, "warming": columns.warming, "load": columns.load}
     perfect = machine.with_only({})
-    nominal = _inverse(perfect, wanted)
-    before = None if start is None else _inverse(perfect, np.array([triple("start", start)]))
+    nominal = _inverse(perfect, wanted, {})
+    before = None if start is None else _inverse(perfect, np.array([triple("start", start)]), {})
     rho = _commands_along_path(machine, wanted, nominal, before, conditions, resolution)
     counts = machine.spec.controller.from_rho(rho, machine.geometry) / resolution
     travel = np.round(np.round(counts) * resolution, 12)
@@ -250,44 +258,39 @@ def _shape_and_offset_sigmas(machine: Machine, conditions: Conditions) -> tuple[
     """Return sigmas after the best translation over the workspace ``(n, 3)``, and of that
     translation ``(3,)``; nan if no parameter is known.
     """
-    names, covariance = machine.posterior.names, machine.posterior.covariance
+    names = machine.posterior.names
     if not names:
         return np.full((len(conditions.command), 3), np.nan), np.full(3, np.nan)
     slopes, offset = tcp_slopes(machine, names, conditions), tcp_slopes(machine, names).mean(axis=0)
-    return _output_sigmas(slopes - offset, covariance), _output_sigmas(offset, covariance)
+    return output_sigmas(machine, slopes - offset), output_sigmas(machine, offset)
 
 
-def _output_sigmas(slopes: Array, covariance: Array) -> Array:
-    variance = np.einsum("...p,pq,...q->...", slopes, covariance, slopes)
-    return np.sqrt(np.maximum(variance, 0.0))
-
-
-def _inverse(machine: Machine, wanted: Array, **conditions: Array) -> Array:
-    """Return the commands of all points of a path; an error names its row."""
-
-    def solve(rows: slice) -> Array:
-        return machine.inverse(wanted[rows], **{k: v[rows] for k, v in conditions.items()})
-
+def _inverse(
+    machine: Machine, wanted: Array, conditions: Mapping[str, Array], first_row: int = 0
+) -> Array:
+    """Return the commands of all points of a path, or of those from a row on; an error names the
+    first row out of reach.
+    """
     try:
-        return solve(slice(None))
+        return machine.inverse(wanted, **conditions)
     except (UnreachableError, ClosureError) as error:
-        row = error.index[0] if error.index else 0
-        for k in range(0 if error.index else len(wanted)):  # the error may not name a row
-            try:
-                solve(slice(k, k + 1))
-            except (UnreachableError, ClosureError):
-                row = k
-                break
+        if len(wanted) > 1:  # the first half that fails has that row
+            half, commands = len(wanted) // 2, list[Array]()
+            for rows in (slice(half), slice(half, None)):
+                at = {name: values[rows] for name, values in conditions.items()}
+                row = first_row + (rows.start or 0)
+                commands.append(_inverse(machine, wanted[rows], at, row))
+            return np.concatenate(commands)
         leg, excess = getattr(error, "leg", ""), float(getattr(error, "excess", 0.0))
-        cause = "the legs do not reach it"
-        if leg:
-            cause = f"leg {leg} is {excess * 1e3:.3f} mm too short"
+        cause = (
+            f"leg {leg} is {excess * 1e3:.3f} mm too short" if leg else "the legs do not reach it"
+        )
         remedy = UNITS_REMEDY if UNITS_REMEDY in str(error) else "move the point towards the middle"
         raise UnreachableError(
-            f"row {row + 1} of the path is out of reach: {cause}; {remedy}",
+            f"row {first_row + 1} of the path is out of reach: {cause}; {remedy}",
             leg=leg,
             excess=excess,
-            index=(row,),
+            index=(first_row,),
         ) from error
 
 
@@ -333,6 +336,47 @@ def _commands_along_path(
     """
     # Points far outside the stroke are refused before effects are solved for there.
     _check_stroke(machine, nominal, _STROKE_MARGIN)
-    middle = _inverse(machine, wanted, approach=np.zeros_like(wanted), **conditions)
+    middle = _inverse(machine, wanted, {**conditions, "approach": np.zeros_like(wanted)})
     approach = _arrival_directions(middle, before, 2 * resolution)
-    return _inverse(machine, wanted, approach=approach, **conditions)
+    return _inverse(machine, wanted, {**conditions, "approach": approach})
+
+
+# -- files -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class PathPoints:
+    """A path as it was read."""
+
+    p: Array  # TCP points (n, 3), metres, in the order of the rows
+    line: tuple[int, ...]  # line of each in the file (n,), header line 1
+    file: str  # its name as the caller gave it
+    warnings: tuple[Note, ...]  # what was noticed and is no error
+
+
+def read_path(path: str | os.PathLike[str]) -> PathPoints:
+    """Return a path of TCP points: columns ``p_x_mm``, ``p_y_mm``, ``p_z_mm``, rows in their order.
+
+    Args:
+        path: the CSV file.
+
+    Raises:
+        FileError: naming the line and what would be right.
+    """
+    table = read_table(path)
+    warnings = table.check_names(POINT.names(), POINT.names())
+    p = table.array(replace(POINT, empty_value=None))
+    if len(p) > 1 and 0 < np.abs(p).max() < _SHORTEST_PATH:
+        limit = f"{_SHORTEST_PATH * 1e3:g} mm"
+        text = f"all points lie within {limit} of the middle: are they metres?"
+        warnings = (*warnings, Note(text, "units"))
+    return PathPoints(p, table.lines, table.file, warnings)
+
+
+def commands_text(found: Compensation) -> str:
+    """Return commands as CSV: points, commands, and expected errors; empty where unknown."""
+    columns = []
+    for name, values in found.columns.items():
+        number_format = "+.0f" if name.startswith("approach") else "z.6f"
+        columns.append(["" if math.isnan(v) else format(v, number_format) for v in values])
+    return csv_text(tuple(found.columns), zip(*columns, strict=True))

@@ -141,7 +141,7 @@ class ControllerNumbers(Framed):
 
     name: str
     names: LegNames
-    drives: tuple[DriveNumbers, DriveNumbers, DriveNumbers]
+    drives: tuple[DriveNumbers, ...]
     left_over: tuple[str, ...]
     zeros_only: tuple[float, ...]
     checks: tuple[ZeroCheck, ...]
@@ -304,42 +304,38 @@ def controller_numbers(
         InputError: where the verdict says not to act on the machine's numbers.
     """
     machine = checked_for_use(machine, force)
-    settings = tool_settings(machine)
+    settings, effect_of = tool_settings(machine), machine.catalogue.effect_of
     offsets_alone = _values_by_kind(machine, settings["zeros"])["zero"]
     numbers = _values_by_kind(machine, settings["zeros" if zeros_only else "numbers"])
-    values, effect_of = machine.values, machine.catalogue.effect_of
-    others = [n for n, v in values.items() if v and effect_of(n).controller not in numbers]
-    left_over = ranked(others, lambda n: abs(values[n]) / machine.tolerance(n))
+    identified = _values_by_kind(machine, machine.values)["zero"]
+    held = ("zero",) if zeros_only else DRIVE_ENTRIES
+    others = [n for n, v in machine.values.items() if v and effect_of(n).controller not in held]
+    left_over = ranked(others, lambda n: abs(machine.values[n]) / machine.tolerance(n))
     # On a hanging layout the zeros leave the tool at its height.
     compromise = left_over or machine.geometry.layout.hanging
     best = _ZEROS_ALONE if zeros_only else "these numbers" if compromise else ""
-    none = np.zeros(3)
-    identified = _values_by_kind(machine, values).get("zero", none)
-    zero, scale, backlash, length = (
-        numbers.get(kind, none).tolist() for kind in ("zero", "scale", "backlash", "bar_length")
-    )
     controller, printer = machine.spec.controller, machine.spec.printer
-    drives = [
+    drives = tuple(
         DriveNumbers(
             leg,
             controller.sign[k],
             controller.zero[k],
-            zero[k],
-            scale[k],
-            backlash[k],
-            machine.geometry.L + length[k],
+            float(numbers["zero"][k]),
+            float(numbers["scale"][k]),
+            float(numbers["backlash"][k]),
+            machine.geometry.L + float(numbers["bar_length"][k]),
             best,
             float(identified[k]),
         )
         for k, leg in enumerate(machine.geometry.leg_names)
-    ]
+    )
     return ControllerNumbers(
         machine.spec.name,
         machine.geometry.layout.names,
-        (drives[0], drives[1], drives[2]),
+        drives,
         tuple(left_over),
         tuple((np.array(controller.zero) - np.array(controller.sign) * offsets_alone).tolist()),
-        check_zeros(machine, numbers.get("zero", none)),
+        check_zeros(machine, numbers["zero"]),
         {name: expected_error(machine, given) for name, given in settings.items()},
         None if printer is None else printer.paste(),
         bool(machine.spec.parameters),
@@ -348,12 +344,12 @@ def controller_numbers(
 
 def _values_by_kind(machine: Machine, values: dict[str, float]) -> dict[str, np.ndarray]:
     """Return the numbers of these parameters that a controller takes, by kind: ``(3,)``, SI."""
-    by_kind: dict[str, np.ndarray] = {}
+    by_kind: dict[str, np.ndarray] = {kind: np.zeros(3) for kind in DRIVE_ENTRIES}
     for name, value in values.items():
         kind = machine.catalogue.effect_of(name).controller
-        if kind in DRIVE_ENTRIES:
+        if kind in by_kind:
             leg = machine.geometry.leg_names.index(machine.catalogue.parameter(name).leg)
-            by_kind.setdefault(kind, np.zeros(3))[leg] += value
+            by_kind[kind][leg] += value
     return by_kind
 
 

@@ -1,22 +1,63 @@
-"""The calibrated machine as URDF and as MJCF, as far as constant geometry can hold it."""
+"""Files for other programs: the calibrated machine as URDF and MJCF, as far as constant geometry
+can hold it, and the controller's numbers.
+"""
 
 from __future__ import annotations
 
+import json
 import re
 import xml.etree.ElementTree as ET
 
 import numpy as np
 
+from orthoglide.control.numbers import controller_numbers
 from orthoglide.effects import Effect, LegConditions, Motion
 from orthoglide.effects.wording import grouped_by_effect
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.tree import VIRTUAL_NAMES, load
 from orthoglide.prediction import Conditions
-from orthoglide.urdf import to_mjcf
+from orthoglide.urdf import closures_text, file_names, parallel_robot_files, to_mjcf
 
 _PROBE = 1e-2  # metres of travel over which a path's slope is taken; paths held are straight
 _LATERAL = ("lateral_b", "lateral_c")
+
+
+def export_files(
+    machine: MachineSource, *, zeros_only: bool = False, force: bool = False
+) -> dict[str, str]:
+    """Return the files for other programs by name.
+
+    These are numbers for the controller, as text and as JSON; the calibrated URDF and its loop
+    closures, in the package's form and as ``robot.urdf`` with ``robot.yaml``; and MJCF for MuJoCo.
+    With ``zeros_only`` they are the zeros and nothing else.
+
+    Args:
+        machine: calibrated, or the path of its file.
+        zeros_only: as for `controller_numbers`.
+        force: as for `controller_numbers`.
+
+    Raises:
+        InputError: where the verdict says not to act on the machine's numbers.
+    """
+    machine = Machine.of(machine)
+    numbers = controller_numbers(machine, zeros_only=zeros_only, force=force)
+    numbers_files = {
+        "controller.txt": numbers.text(),
+        "controller.json": json.dumps(numbers.as_dict(), indent=2) + "\n",
+    }
+    if zeros_only:
+        return numbers_files
+    urdf, closures, mjcf = file_names(machine.geometry)
+    tree = calibrated_urdf(machine)
+    loops = load(machine.spec.urdf or machine.geometry).loops
+    return {
+        **numbers_files,
+        urdf: tree,
+        closures: closures_text(loops, urdf),
+        mjcf: calibrated_mjcf(machine),
+        **parallel_robot_files(machine.geometry, tree, loops),
+    }
 
 
 def calibrated_urdf(machine: MachineSource) -> str:

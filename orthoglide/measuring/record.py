@@ -72,19 +72,16 @@ class Record:
         if not self.path.exists():
             self._write(overwrite=False)
             return False
-        text = files.decode(files.read_bytes(self.path), self.path).replace("\r\n", "\n")
+        text = files.decode(files.read_bytes(self.path), self.path)
         complete = text[: text.rfind("\n") + 1]  # a row that was torn by a power cut is none
-        header, *rows = list(csv.reader(io.StringIO(complete, newline=""))) or [[]]
-        if tuple(header) != self._columns:
+        reader = csv.DictReader(io.StringIO(complete, newline=""))
+        self.rows = list(reader)
+        ragged = any(None in (*row, *row.values()) for row in self.rows)
+        if ragged or tuple(reader.fieldnames or ()) != self._columns:
             problem = "was not begun by this command with this machine file"
             raise FileError(
                 f"{problem}: choose another name for --out", file=printable_path(self.path), line=1
             )
-        for number, cells in enumerate(rows, start=2):
-            if len(cells) != len(header):
-                text = "has another number of columns than the first line: restore it"
-                raise FileError(text, file=printable_path(self.path), line=number)
-        self.rows = [dict(zip(header, cells, strict=True)) for cells in rows]
         self.idle = max(time.time() - self.path.stat().st_mtime, 0.0)
         if complete != text:
             self._write()

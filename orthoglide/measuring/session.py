@@ -1,4 +1,9 @@
-"""Measuring in conversation: a question, an answer, a row on the disk, until all is settled."""
+"""Measuring in conversation: a question, an answer, a row on the disk, until all is settled.
+
+Measuring begins with both dials near the platform of each leg in turn; where nothing is found, near
+the carriages too, as small causes take more readings. After that every sheet contains the readings
+that the verdict itself suggests.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +14,23 @@ from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from typing import Literal
 
-from orthoglide.closing import build_result, compute_outcome
+import numpy as np
+
+from orthoglide.closing import RunOutcome, build_result, compute_outcome
 from orthoglide.errors import FileError, InputError
 from orthoglide.machine import Machine
 from orthoglide.measuring.expected import ExpectedReadings
 from orthoglide.measuring.record import RETURN_POSTURE, SKIPPED_POSTURE, Record
-from orthoglide.measuring.schedule import MAX_READINGS, SETTLED_CRITERION, next_step, opening_sheet
 from orthoglide.observations import Moves, Readings
+from orthoglide.observations.protocols import (
+    labelled_postures,
+    leg_dial_campaign,
+    require_dial_layout,
+)
 from orthoglide.observations.writing import Row, command_columns
+from orthoglide.planning import next_sheet
+from orthoglide.planning.pool import dial_scale
+from orthoglide.planning.suggestions import DECISIVE_SIGMAS
 from orthoglide.report.sheet import command_convention, dial_words, mounted_together
 from orthoglide.text import abbreviated, printable_path
 from orthoglide.verdict import Verdict, build_request
@@ -62,6 +76,81 @@ def parse_answer(answer: str) -> Decimal | AnswerWord:
     return value
 
 
+# --- What to read, and when the verdict is settled ------------------------------------------------
+
+SETTLED_CRITERION = (
+    "The verdict is settled when no significant lack of fit is left and no suggested readings "
+    "would separate two explanations by two standard deviations; that nothing is wrong is believed "
+    "after 90 readings."
+)
+"""The criterion, in words."""
+
+MAX_READINGS = 126
+"""Readings after which the answer is what it is: half of a sweep sheet."""
+
+_INNER_STATIONS = (0.57, 0.43, 0.71, 0.34, 0.64)
+"""Stations between zero and the ends of the stroke, as parts of its halves, sheet by sheet: none on
+the same phase of a screw as zero and the ends, as round numbers often are."""
+
+_DIAL_PLACES = ((0.25, 0), (0.65, 0), (0.25, 1), (0.65, 2), (0.5, 0))
+"""Where the dials stand, as parts of the leg, and the bar that they touch (0: the median line),
+sheet by sheet. The first two together find every effect from a fifth more than the size at which a
+sweep sheet does, or less (``orthoglide.smallest_effects``)."""
+
+_CLEARANCE = 8e-3
+"""Metres that a dial keeps from the ends of its leg, over the whole stroke, times `dial_scale`."""
+
+_MIN_READINGS_NOTHING_WRONG = 90  # readings after which it is believed that nothing is wrong
+_MAX_SHEETS = 6  # after so many nobody goes on
+
+
+def opening_sheet(machine: Machine, number: int = 0) -> Readings:
+    """Return the sheet to begin with: both dials on each leg in turn, up, down and back, both ways
+    at all stations but the ends; later numbers have other places.
+
+    Raises:
+        InputError: for a machine against whose legs no dial is set.
+    """
+    geometry = machine.geometry
+    require_dial_layout(geometry)
+    share, bar = _DIAL_PLACES[number % len(_DIAL_PLACES)]
+    low, high = geometry.stroke
+    clearance = _CLEARANCE * dial_scale(geometry)
+    ends = (high + clearance) / geometry.L, 1 + (low - clearance) / geometry.L
+    share = round(float(np.clip(share, *ends)), 3)
+    inner = _INNER_STATIONS[number % len(_INNER_STATIONS)]
+    travels = [inner * high, high, inner * high, 0.0, inner * low, low, inner * low, 0.0]
+    return leg_dial_campaign(geometry, "measure", [(share,)], labelled_postures(travels), bar=bar)
+
+
+def next_step(
+    outcome: RunOutcome, number: int, readings_left: int
+) -> tuple[Readings | None, str, bool]:
+    """Return what to read after so many sheets, where there is room for so many readings more.
+
+    Returns:
+        The sheet, `None` where no further reading is worth it; why, a clause; and whether the
+        verdict is settled.
+    """
+    taken = sum(map(len, outcome.request.campaigns))
+    suggested = [
+        s for s in outcome.next_measurements
+        if s.aim == "trace" or (s.aim == "separate" and s.gain >= DECISIVE_SIGMAS)
+    ]  # fmt: skip
+    sheet = next_sheet(suggested)
+    if sheet is not None:
+        reason = suggested[0].reason.partition(":")[0]
+    elif not outcome.found and taken < _MIN_READINGS_NOTHING_WRONG:
+        reason, sheet = "nothing was found yet", opening_sheet(outcome.request.machine, number)
+    else:
+        return None, "no further readings within reach would tell more", outcome.stands
+    if len(sheet) > readings_left or number >= _MAX_SHEETS:
+        return None, f"{reason}, and no more readings were to be taken", False
+    # No two sheets have mountings of one name.
+    named = (replace(s, name=f"{s.name.removeprefix('next-')}-{number + 1}") for s in sheet.setups)
+    return replace(sheet, setups=tuple(named)), reason, False
+
+
 # --- The conversation -----------------------------------------------------------------------------
 
 
@@ -76,10 +165,9 @@ class SessionEnd:
 
 
 @dataclass(frozen=True, eq=False)
-class _SheetProgress:
-    """A sheet that the session goes through."""
+class _Part:
+    """The rows of one sheet."""
 
-    sheet: Readings
     rows: list[Row]  # as the file has them, moves included
     first_row: int  # number of rows of all sheets before it
     expected: ExpectedReadings  # readings of the sheet
@@ -107,9 +195,9 @@ class Session:
     max_readings: int = MAX_READINGS  # readings after which no more are asked for
     clock: Callable[[], float] = time.time  # seconds; only differences count
     _start_time: float = field(default=0.0, init=False)
-    _parts: list[_SheetProgress] = field(default_factory=list, init=False)  # up to the next row
+    _parts: list[_Part] = field(default_factory=list, init=False)  # up to the next row
     _machine_in_place: bool = field(default=False, init=False)  # at the last row of the file
-    _announced_dials: str = field(default="", init=False)  # dials announced last
+    _announced_dials: tuple[str, ...] = field(default=(), init=False)  # announced last
     _announced_position: str = field(default="", init=False)  # position announced last
 
     def run(self) -> SessionEnd | None:
@@ -132,32 +220,31 @@ class Session:
         self._start_time = self.clock() - last_time - self.record.idle
         self._begin_sheet(first)
         while True:
-            while self._rows_done < self._parts[-1].first_row:  # a reading was taken back
+            done = self._sheet_rows
+            while len(done) < self._parts[-1].first_row:  # a reading was taken back
                 self._parts.pop()
-            progress = self._parts[-1]
-            if self._rows_done < progress.end:
-                if not self._read_next(progress):
+            part = self._parts[-1]
+            if len(done) < part.end:
+                try:
+                    self._read_next(part, len(done) - part.first_row)
+                except EOFError:
                     return None
                 continue
-            rows = self.record.rows[: int(self._sheet_rows[progress.end - 1]["order"]) + 1]
+            rows = self.record.rows[: int(done[part.end - 1]["order"]) + 1]
             self.tell("\nComputing the verdict.")
             outcome = compute_outcome(build_request(self.record.campaign(rows), self.machine))
             readings_left = self.max_readings - sum(bool(row["reading_mm"]) for row in rows)
-            step = next_step(outcome, len(self._parts), readings_left)
-            if step.sheet is None:
+            sheet, reason, settled = next_step(outcome, len(self._parts), readings_left)
+            if sheet is None:
                 verdict = build_result(outcome, Verdict)
-                return SessionEnd(verdict, step.settled, step.reason, self.record.readings)
-            self.tell(f"\nNot settled yet, {step.reason}: {len(step.sheet)} readings more.")
-            self._begin_sheet(step.sheet)
+                return SessionEnd(verdict, settled, reason, self.record.readings)
+            self.tell(f"\nNot settled yet, {reason}: {len(sheet)} readings more.")
+            self._begin_sheet(sheet)
 
     @property
     def _sheet_rows(self) -> list[Row]:
         """Rows of the file in the order of the sheets, without moves that lead back."""
         return [row for row in self.record.rows if row["posture"] != RETURN_POSTURE]
-
-    @property
-    def _rows_done(self) -> int:
-        return len(self._sheet_rows)
 
     def _begin_sheet(self, sheet: Readings) -> None:
         """Go on with a sheet, of which the file may contain rows already.
@@ -174,27 +261,24 @@ class Session:
                     file=printable_path(self.record.path),
                     line=int(row["order"]) + 2,
                 )
-        self._parts.append(
-            _SheetProgress(sheet, rows, start, ExpectedReadings.of(sheet, self.machine))
-        )
+        self._parts.append(_Part(rows, start, ExpectedReadings.of(sheet, self.machine)))
 
-    def _read_next(self, progress: _SheetProgress) -> bool:
-        """Go to the next place of a sheet and read it; return False if somebody asks to stop."""
-        count = self._rows_done - progress.first_row
-        planned = progress.rows[count]
-        reading = sum(row["kind"] != "move" for row in progress.rows[:count])
-        self._announce_mounting(progress, planned["setup"])
+    def _read_next(self, part: _Part, count: int) -> None:
+        """Go to the place after ``count`` rows of a sheet and read it; `EOFError` for a stop."""
+        planned = part.rows[count]
+        reading = sum(row["kind"] != "move" for row in part.rows[:count])
+        self._announce_mounting(part, planned["setup"])
         if planned["kind"] == "move":
             self._move_without_reading(planned)
-            return True
+            return
         if not self._machine_in_place and self.record.rows:
-            self._lead_back(progress.sheet, reading)
+            self._lead_back(part.expected.sheet, reading)
         self._tell_position(planned, "go to", f"posture {planned['posture']}")
-        return self._ask_reading(progress, planned, reading)
+        self._ask_reading(part, planned, reading)
 
-    def _ask_reading(self, progress: _SheetProgress, planned: Row, reading: int) -> bool:
+    def _ask_reading(self, part: _Part, planned: Row, reading: int) -> None:
         """Ask for one reading until it is given, skipped, or the one before is taken back."""
-        answers = zip(progress.rows, self._sheet_rows[progress.first_row :], strict=False)
+        answers = zip(part.rows, self._sheet_rows[part.first_row :], strict=False)
         cells = [row["reading_mm"] for sheet_row, row in answers if sheet_row["kind"] != "move"]
         taken = {k: float(cell) * 1e-3 for k, cell in enumerate(cells) if cell}
         doubted = None
@@ -204,44 +288,42 @@ class Session:
             except InputError as error:
                 self.tell(f"  {error}")
                 continue
-            except EOFError:
-                return False
             if answer == "quit":
-                return False
+                raise EOFError
             if answer == "help":
                 self.tell(f"{HELP}\n{SETTLED_CRITERION}")
             elif answer == "skip":
-                self._append_row(_as_move(planned, SKIPPED_POSTURE))
-                return True
+                self._append(_as_move(planned, SKIPPED_POSTURE))
+                return
             elif answer == "undo":
                 if self.record.take_back():
                     self._machine_in_place, self._announced_position = False, ""
-                    return True
+                    return
                 self.tell("  there is no reading to take back")
             else:
                 metres = float(answer) * 1e-3
-                objection, possible = progress.expected.objection(reading, metres, taken)
+                objection, possible = part.expected.objection(reading, metres, taken)
                 if not objection or (possible and answer == doubted):
                     seconds = f"{max(self.clock() - self._start_time, 0.0):.0f}"
-                    self._append_row(planned | {"reading_mm": f"{answer:f}", "time_s": seconds})
-                    return True
+                    self._append(planned | {"reading_mm": f"{answer:f}", "time_s": seconds})
+                    return
                 doubted, judgement = answer, "is implausible" if possible else "cannot be"
                 remedy = "Type the same again to keep it, or the right number."
                 remedy = remedy if possible else "Type the number again."
                 self.tell(f"  {answer:f} mm {judgement}: {objection}. {remedy}")
 
-    def _append_row(self, row: Row) -> None:
+    def _append(self, row: Row) -> None:
         self.record.append(row)
         self._machine_in_place = True
 
-    def _announce_mounting(self, progress: _SheetProgress, setup: str) -> None:
+    def _announce_mounting(self, part: _Part, setup: str) -> None:
         """Say where the dials of a mounting stand, once."""
-        names = mounted_together(progress.rows)[setup]
-        if self._announced_dials == " and ".join(names):
+        names = mounted_together(part.rows)[setup]
+        if self._announced_dials == names:
             return
-        self._announced_dials, self._announced_position = " and ".join(names), ""
-        self.tell(f"\nMount {'dials' if len(names) > 1 else 'a dial'}: {self._announced_dials}")
-        for dial in progress.sheet.setups:
+        self._announced_dials, self._announced_position = names, ""
+        self.tell(f"\nMount {'dials' if len(names) > 1 else 'a dial'}: {' and '.join(names)}")
+        for dial in part.expected.sheet.setups:
             if dial.name in names:
                 remedy = "give all its numbers with the other sign"
                 words = "\n    ".join(dial_words(dial, self.machine, remedy))
@@ -251,7 +333,7 @@ class Session:
     def _move_without_reading(self, row: Row) -> None:
         """Send the machine to a place where nothing is read."""
         self._tell_position(row, "go past", "and read nothing")
-        self._append_row(row)
+        self._append(row)
 
     def _lead_back(self, sheet: Readings, reading: int) -> None:
         """Lead the machine back, so that it comes to the next place from the prescribed side."""

@@ -1,9 +1,9 @@
 """Readings to take for an identification, before any measurement and next, and what they show."""
 
-from orthoglide.planning.aliasing import aliasing as aliasing
 from orthoglide.planning.designs import (
     Design as Design,
     Repeats as Repeats,
+    aliasing as aliasing,
     design as design,
     index_table as index_table,
     observability as observability,

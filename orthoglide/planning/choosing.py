@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Self, TypeVar
 
 import numpy as np
+from scipy.special import logsumexp
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
@@ -139,7 +140,7 @@ class RivalSeparation(Criterion):
     @property
     def value(self) -> float:
         """Minus the logarithm of the mean relative likelihood of the wrong rivals."""
-        return -float(_log_mean_exp(-self.chi2 / 2))
+        return float(np.log(len(self.chi2)) - logsumexp(-self.chi2 / 2))
 
     @property
     def reached(self) -> bool:
@@ -158,7 +159,8 @@ class RivalSeparation(Criterion):
             differences = expected[:, self._ordered_pairs[pairs_fitted, 0]] - expected[:, [rival]]
             variance = np.sum(fitted * unknowns, axis=1) + steps.variance
             increases[:, pairs_fitted] = differences**2 / variance[:, None]
-        return np.asarray(-_log_mean_exp(-(self.chi2 + increases) / 2) - self.value)
+        log_likelihood = logsumexp(-(self.chi2 + increases) / 2, axis=1)
+        return np.asarray(np.log(len(self.chi2)) - log_likelihood - self.value)
 
 
 C = TypeVar("C", bound=Criterion)
@@ -224,8 +226,3 @@ def _add_greedily(
         criterion = criterion.with_step(steps, k)
         taken += steps.rows_of_step(k)
     return taken, criterion
-
-
-def _log_mean_exp(x: Array) -> Array:
-    maximum = x.max(axis=-1, keepdims=True)
-    return np.asarray(np.log(np.mean(np.exp(x - maximum), axis=-1)) + maximum[..., 0])

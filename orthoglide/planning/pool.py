@@ -48,30 +48,22 @@ def stations(leg: int, geometry: Geometry) -> list[Station]:
     low, high = geometry.stroke
     down = low * np.arange(_STEPS_DOWN, 0, -1) / _STEPS_DOWN
     travels = [*down, *(high * np.arange(_STEPS_UP + 1) / _STEPS_UP)]
-    reachable, offset = [], _OFF_AXIS * dial_scale(geometry)
-    for travel in travels:
-        p = np.zeros(3)
-        p[leg] = travel
-        reachable += _reachable_stations(f"{travel * 1e3:+.6g}", p, (1, -1), geometry)
-    others = [axis for axis in range(3) if axis != leg]
-    for travel, axis, side in product((low / 2, 0.0, high / 2), others, (1, -1)):
-        p = np.zeros(3)
-        p[leg], p[axis] = travel, side * offset
-        label = f"{travel * 1e3:+.6g} {LEGS[axis]}{side * offset * 1e3:+.6g}"
-        reachable += _reachable_stations(label, p, (1,), geometry)
-    return reachable
-
-
-def _reachable_stations(
-    label: str, p: Array, sides: Sequence[int], geometry: Geometry
-) -> list[Station]:
-    rho = np.round(reduction.inverse(p, geometry=geometry), _COMMAND_DECIMALS)
-    overshoot = stroke_overshoot(geometry.stroke)
-    return [
-        Station(label, rho, p, side)
-        for side in sides
-        if geometry.in_stroke(rho).all() and geometry.in_stroke(rho - side * overshoot).all()
+    # Label, TCP, and the directions from which each is reached.
+    planned: list[tuple[str, dict[int, float], tuple[int, ...]]] = [
+        (f"{travel * 1e3:+.6g}", {leg: travel}, (1, -1)) for travel in travels
     ]
+    offset, others = _OFF_AXIS * dial_scale(geometry), [axis for axis in range(3) if axis != leg]
+    for travel, axis, side in product((low / 2, 0.0, high / 2), others, (1, -1)):
+        label = f"{travel * 1e3:+.6g} {LEGS[axis]}{side * offset * 1e3:+.6g}"
+        planned.append((label, {leg: travel, axis: side * offset}, (1,)))
+    overshoot, reachable = stroke_overshoot(geometry.stroke), []
+    for label, coordinates, sides in planned:
+        p = np.array([coordinates.get(axis, 0.0) for axis in range(3)])
+        rho = np.round(reduction.inverse(p, geometry=geometry), _COMMAND_DECIMALS)
+        for side in sides:
+            if geometry.in_stroke(np.stack([rho, rho - side * overshoot])).all():
+                reachable.append(Station(label, rho, p, side))
+    return reachable
 
 
 def dial_scale(geometry: Geometry) -> float:

@@ -54,24 +54,22 @@ class Rival:
 
     words: str  # name in messages
     values: Values  # parameters of the machine, SI
+    covariance: Array  # of the unknowns of new readings (P, P), SI, tolerances as priors
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A fit of the readings at hand, as new readings take it."""
+
+    values: Values  # parameters of the machine, SI
     parts: tuple[str, ...]  # elementary parameters of the machine that its unknowns set
-    weights: Array  # of the elementary parameters for each unknown (E, P)
-    covariance: Array  # of the unknowns (P, P), SI, tolerances as priors
+    weights: Array  # of the elementary parameters for each unknown (E, U)
+    covariance: Array  # of the unknowns (U, U), SI, tolerances as priors
 
     @classmethod
-    def from_source(
-        cls, name: str, source: Estimate | Values, reference: Estimate, scale: float
-    ) -> Rival:
-        """Return a rival from its fit.
-
-        If only parameter values are given, unknowns, readings and covariance structure come from
-        ``reference``.
-
-        Args:
-            name: of the cause: a parameter, a structured member, or any other name.
-            source: a fit, or the machine's current parameters, SI.
-            reference: fit that is used if only values are given.
-            scale: factor by which the noise is larger than declared, due to lack of fit.
+    def of(cls, source: Estimate | Values, reference: Estimate) -> _Fitted:
+        """Return a fit; if only parameter values of the machine are given, SI, unknowns, readings
+        and covariance structure come from ``reference``. Its lack of fit widens the covariance.
         """
         fit = source if isinstance(source, Estimate) else reference
         problem, model, last = fit.problem, fit.at, fit.problem.last_factor_index
@@ -82,23 +80,16 @@ class Rival:
             replace(problem, use_tolerance_priors=True), model, fit.nuisance
         )
         unit = problem.tolerance * problem.tolerance[:, None]
+        scale = max(reference.sigma_scale, 1.0)
         covariance = np.linalg.inv(equations.information * unit / scale**2) * unit
-        catalogue = problem.machine.catalogue
-        with suppress(InputError):  # else it is a name for people
-            name = f'"{cause_short(catalogue, name)}"'
-        values = catalogue.machine_values(problem.values(last, model.x))
-        return cls(name, values, *problem.machine_parameters(last), covariance)
+        values = problem.machine.catalogue.machine_values(problem.values(last, model.x))
+        return cls(values, *problem.machine_parameters(last), covariance)
 
-    def weights_by_parameter(self, names: Sequence[str]) -> Array:
-        """Return the weights of elementary parameters ``(n, P)``; 0 for other parameters."""
+    def weights_of(self, names: Sequence[str]) -> Array:
+        """Return the weights of elementary parameters ``(n, U)``; 0 for other parameters."""
         matrix = np.zeros((len(names), self.weights.shape[1]))
         matrix[[names.index(part) for part in self.parts]] = self.weights
         return matrix
-
-    def parameter_covariance(self, names: Sequence[str]) -> Array:
-        """Return the covariance of elementary parameters ``(n, n)``, SI."""
-        matrix = self.weights_by_parameter(names)
-        return np.asarray(matrix @ self.covariance @ matrix.T)
 
 
 def _fitted_unknown(parts: Values, values: Values) -> float:
@@ -138,21 +129,26 @@ def next_measurements(
         raise InputError(f"a {type(fit).__name__} is no estimate: give what og.identify returns")
     machine = fit.problem.machine
     weak_directions = fit.weak[:_MOST_DIRECTIONS] if directions is None else directions
-    scale = max(fit.sigma_scale, 1.0)
-    candidates = [Rival.from_source(name, source, fit, scale) for name, source in rivals]
-    current = Rival.from_source("", fit, fit, scale)
-    names = tuple(dict.fromkeys(p for rival in (current, *candidates) for p in rival.parts))
+    current, *sources = (_Fitted.of(source, fit) for _, source in (("", fit), *rivals))
+    names = tuple(dict.fromkeys(p for fitted in (current, *sources) for p in fitted.parts))
     pool = _loaded_pool(fit)
     linearised = machine.model.linearised(current.values, pool, names)
     readings = _linear_readings(fit, pool, linearised.jacobian, linearised.reading_poses)
     suggestions: list[Suggestion] = []
-    pairs = [*combinations(range(len(candidates)), 2)] if pairs is None else pairs
+    pairs = [*combinations(range(len(sources)), 2)] if pairs is None else pairs
     if pairs:
+        candidates = []
+        for (name, _), fitted in zip(rivals, sources, strict=True):
+            with suppress(InputError):  # else it is a name for people
+                name = f'"{cause_short(machine.catalogue, name)}"'
+            weights = fitted.weights_of(names)
+            candidates.append(Rival(name, fitted.values, weights @ fitted.covariance @ weights.T))
         predicted = [machine.model.readings(rival.values, pool) for rival in candidates]
         extended = replace(readings, columns=np.column_stack([linearised.jacobian, *predicted]))
-        suggestions += _suggest_separating(machine, extended, names, candidates, pairs, count)
+        suggestions += _suggest_separating(machine, extended, candidates, pairs, count)
+    by_unknowns = replace(readings, columns=readings.columns @ current.weights_of(names))
     for direction in weak_directions:
-        suggestions.append(_suggest_narrowing(readings, names, current, fit, direction, count))
+        suggestions.append(_suggest_narrowing(by_unknowns, current, fit, direction, count))
     return tuple(suggestions)
 
 
@@ -178,17 +174,15 @@ def _linear_readings(
 def _suggest_separating(
     machine: Machine,
     readings: LinearReadings,
-    names: tuple[str, ...],
     rivals: Sequence[Rival],
     pairs: Sequence[Pair],
     count: int,
 ) -> list[Suggestion]:
     """Return readings between pairs of rivals, and the groups of rivals that no reading separates.
 
-    The columns of the readings belong to the elementary parameters of these names, then to the
-    predictions of each rival.
+    The columns of the readings belong to the unknowns, then to the predictions of each rival.
     """
-    covariances = np.stack([rival.parameter_covariance(names) for rival in rivals])
+    covariances = np.stack([rival.covariance for rival in rivals])
     before = RivalSeparation.between(covariances, np.array(pairs))
     separations = replace(before, information=readings.information()).sigmas
     inseparable = {pair: s for pair, s in separations.items() if s < _INSEPARABLE_SIGMAS}
@@ -313,16 +307,12 @@ def suggest_separating_located_errors(
     predicted = rows @ np.stack([member.mean for member in members], axis=1)
     columns = np.hstack([rows, predicted])
     readings = _linear_readings(posterior.after, pool, columns, reading_poses)
-    names = tuple(str(k) for k in located_class.coefficients)
-    identity = np.eye(len(names))
-    rivals = [Rival(f'"{m.words}"', m.machine, names, identity, m.covariance) for m in members]
+    rivals = [Rival(f'"{m.words}"', m.machine, m.covariance) for m in members]
     pairs = [*combinations(range(len(rivals)), 2)]
     pairs = [(a, b) for a, b in pairs if members[a].permanent or members[b].permanent]
     suggestions = list[Suggestion]()
     if pairs:
-        suggestions = _suggest_separating(
-            machine, readings, names, rivals, pairs, _READINGS_PER_CLASS
-        )
+        suggestions = _suggest_separating(machine, readings, rivals, pairs, _READINGS_PER_CLASS)
     temporary = [f'"{member.words}"' for member in members if not member.permanent]
     if len(temporary) > 1:
         reason = (
@@ -341,20 +331,21 @@ def suggest_separating_located_errors(
 
 def _suggest_narrowing(
     readings: LinearReadings,
-    names: tuple[str, ...],
-    rival: Rival,
+    fitted: _Fitted,
     estimate: Estimate,
     direction: WeakDirection,
     count: int,
 ) -> Suggestion:
-    """Return the readings that reduce the standard deviation of one weak direction of the fit."""
+    """Return the readings that reduce the standard deviation of one weak direction of the fit.
+
+    The columns of the readings belong to the unknowns of the fit.
+    """
     shares, catalogue = direction.parameters, estimate.problem.machine.catalogue
     tolerance = estimate.problem.tolerance
     combination = np.array([shares.get(n, 0.0) for n in estimate.problem.names]) * tolerance
-    columns = readings.columns @ (rival.weights_by_parameter(names) * tolerance)
-    information = np.linalg.inv(rival.covariance / tolerance / tolerance[:, None])
+    information = np.linalg.inv(fitted.covariance / tolerance / tolerance[:, None])
     start = CombinationPrecision(np.asarray(information), combination[:, None])
-    scaled, pool = replace(readings, columns=columns), readings.campaign
+    scaled, pool = replace(readings, columns=readings.columns * tolerance), readings.campaign
     rows, end = choose(scaled, start, count, mounting_cost=_MOUNTING_COST)
     before, after = (float(np.sqrt(c.combination_covariance[0, 0])) for c in (start, end))
     words = listed(f"the {parameter_words(catalogue.parameter(n), catalogue.legs)}" for n in shares)

@@ -1,4 +1,4 @@
-"""One campaign of a rehearsal: a machine is drawn, measured, calibrated, and compared."""
+"""One campaign: a machine is drawn, measured, calibrated, and compared; and the table of many."""
 
 from __future__ import annotations
 
@@ -6,21 +6,36 @@ import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from orthoglide.accuracy import expected_error
 from orthoglide.closing import RunOutcome, compute_outcome
 from orthoglide.errors import OrthoglideError
+from orthoglide.frames import Framed, data_frame
 from orthoglide.parameters import split_campaign
-from orthoglide.rehearsal.random_machines import DrawnMachine, Scope, draw_machine, kind_of_campaign
+from orthoglide.rehearsal.random_machines import (
+    KINDS,
+    OUTSIDE,
+    DrawnMachine,
+    Kind,
+    Scope,
+    draw_machine,
+    kind_of_campaign,
+)
+from orthoglide.report.terminal import console_text, table
 from orthoglide.result import Result
 from orthoglide.simulation import simulate, simulate_tcp
+from orthoglide.text import wrapped
 from orthoglide.threads import on_one_thread
 from orthoglide.verdict import build_request
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 _ACTIVE_SHARES = 2.0  # shares from which an effect counts as active: one in twenty reaches that
+_MAX_LISTED = 12  # failures that the text lists
 
 
 @dataclass(frozen=True)
@@ -48,6 +63,18 @@ class Outcome:
     def missed(self) -> bool:
         """True if a significant error was neither named nor located."""
         return bool(self.cause) and not (self.named or self.located or self.failed)
+
+    @property
+    def problem(self) -> str:
+        """What did not go as it should, a clause; empty if all did."""
+        problems = [f"failed, {self.failed}"] if self.failed else []
+        if self.missed:
+            measure = "its usual size" if self.kind == OUTSIDE.name else "its tolerance"
+            problems.append(f"missed that {self.words}, {self.size:.1f} times {measure}")
+        if self.false:
+            problems.append(f"claimed {', '.join(self.false)}, which was not there")
+        verdict = f" ({self.word})" if problems and self.word else ""
+        return f"{'; '.join(problems)}{verdict}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields for JSON, without those that are not a number."""
@@ -141,3 +168,101 @@ def _true_size(name: str, drawn: DrawnMachine) -> float:
     weights = catalogue.elementary_weights(name, list(setups))
     projection = sum(w * drawn.sizes.get(str(n), 0.0) for n, w in weights.items())
     return projection / sum(w**2 for w in weights.values())
+
+
+# -- the table -------------------------------------------------------------------------------------
+
+_TOOL_ERRORS = ("nominal_mm", "before_mm", "after_mm", "stated_mm", "inside")
+
+
+def _counts(outcomes: Sequence[Outcome]) -> dict[str, int]:
+    """Return the number of campaigns, and of those with each kind of outcome."""
+    fields = ("named", "located", "missed", "false", "failed")
+    counts = {name: sum(bool(getattr(o, name)) for o in outcomes) for name in fields}
+    return {"campaigns": len(outcomes), **counts}
+
+
+@dataclass(frozen=True)
+class Rehearsal(Framed):
+    """Campaigns on machines of a user's own dimensions and tolerances, held against the truth.
+
+    Attributes:
+        machine: its name.
+        readings: of the sheet.
+        seed: of every draw.
+        campaigns: one after the other.
+        weak: what the sheet hardly finds, cannot name or does not show, as rows of text.
+    """
+
+    machine: str
+    readings: int
+    seed: int
+    campaigns: tuple[Outcome, ...]
+    weak: tuple[str, ...]
+
+    def of(self, kind: Kind) -> tuple[Outcome, ...]:
+        """Return the campaigns on which that was wrong."""
+        return tuple(outcome for outcome in self.campaigns if outcome.kind == kind.name)
+
+    @property
+    def columns(self) -> dict[str, list[Any]]:
+        """The truth table, a row for each kind of machine.
+
+        ``named`` counts campaigns that named a true cause, ``located`` campaigns that located a
+        true error, ``false`` campaigns with any false claim. The tool's mean
+        errors are in millimetres after the best translation, ``inside`` is the share of its
+        coordinates within their stated 95 % interval.
+        """
+        rows = []
+        for kind in KINDS:
+            outcomes = self.of(kind)
+            errors = [[getattr(o, n) for n in _TOOL_ERRORS] for o in outcomes if not o.failed]
+            means = np.mean(errors or [[np.nan] * len(_TOOL_ERRORS)], axis=0).tolist()
+            means_by_name = dict(zip(_TOOL_ERRORS, means, strict=True))
+            rows.append({"wrong": kind.name, **_counts(outcomes), **means_by_name})
+        return {name: [row[name] for row in rows] for name in rows[0]}
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return all campaigns as a data frame, a row each.
+
+        Raises:
+            InputError: where pandas is not installed.
+        """
+        rows = [asdict(t) for t in self.campaigns]
+        return data_frame({name: [r[name] for r in rows] for name in rows[0]}, index="number")
+
+    @property
+    def line(self) -> str:
+        """Counts over all campaigns, in one line."""
+        return ", ".join(f"{name} {count}" for name, count in _counts(self.campaigns).items())
+
+    def __repr__(self) -> str:
+        return f"<Rehearsal {self.machine!r}: {len(self.campaigns)} campaigns, seed {self.seed}>"
+
+    def __str__(self) -> str:
+        columns = self.columns
+        kinds, errors = columns.pop("wrong"), [columns.pop(name) for name in _TOOL_ERRORS]
+        count_rows = zip(kinds, *(map(str, counts) for counts in columns.values()), strict=True)
+        error_rows = [
+            [kind, *(f"{value:.4f}" for value in values)]
+            for kind, *values in zip(kinds, *errors, strict=True) if np.isfinite(values[0])
+        ]  # fmt: skip
+        error_titles = (name.removesuffix("_mm") for name in _TOOL_ERRORS)
+        parts = [
+            f"{len(self.campaigns)} campaigns of {self.readings} readings on machines like "
+            f"{self.machine!r}, seed {self.seed}",
+            console_text(table(["what is wrong", "tried", *list(columns)[1:]], [*count_rows])),
+            "Mean TCP error after the best translation, mm; share of coordinates inside their "
+            "95 % interval:",
+            console_text(table(["what is wrong", *error_titles], error_rows)),
+        ]
+        failures = [f"campaign {o.number}, {o.kind}: {o.problem}"
+                    for o in self.campaigns if o.problem]  # fmt: skip
+        if failures:
+            if len(failures) > _MAX_LISTED:
+                failures[_MAX_LISTED:] = [f"and {len(failures) - _MAX_LISTED} more"]
+            parts += ["\nWhat went wrong:", *(f"  {line}" for line in failures)]
+        if self.weak:
+            title = "\nWeak spots of the sheet, where nothing else is wrong:"
+            parts += [title, *self.weak]
+        return wrapped("\n".join(parts))

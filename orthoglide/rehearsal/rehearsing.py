@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections.abc import Sequence
@@ -9,18 +10,20 @@ from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import get_args
 
-from orthoglide.errors import InputError, NumericsError, check_integer
+from orthoglide import __version__
+from orthoglide.errors import FileError, InputError, NumericsError, check_integer
+from orthoglide.files import as_file_errors, read_bytes, sha256, write_file
 from orthoglide.instruments import LegDial, PlateTouch
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.observations import Readings, protocol, read_readings
+from orthoglide.machine_file.writing import machine_text
+from orthoglide.observations import Readings, protocol, read_readings, readings_text
 from orthoglide.observations.protocols import ProtocolName
 from orthoglide.planning import aliasing, detectable_rows, sheets_by_kind, smallest_effects
 from orthoglide.progress import Progress, Step, no_progress
-from orthoglide.rehearsal.journal import Journal, request_digests
-from orthoglide.rehearsal.outcome import Outcome, run_campaign
+from orthoglide.rehearsal.outcome import Outcome, Rehearsal, run_campaign
 from orthoglide.rehearsal.random_machines import Scope
-from orthoglide.rehearsal.table import Rehearsal
 from orthoglide.simulation import missing_conditions
+from orthoglide.text import printable_path
 
 CAMPAIGNS = 90
 """Ten times :data:`orthoglide.rehearsal.random_machines.KIND_SEQUENCE`."""
@@ -72,13 +75,13 @@ def rehearse(
     machine = Machine.of(machine).with_only({})
     progress(Step("computing", "what the sheet can see"))
     scope = Scope.of(machine, *_sheets_to_read(machine, sheet, owns))
-    journal = None if out is None else Journal(Path(out), request_digests(scope, seed), campaigns)
+    journal = None if out is None else _Journal(Path(out), scope, seed, campaigns)
     weak = weak_spots(scope, seed)
     outcomes = _run_campaigns(scope, campaigns, seed, jobs, journal, progress)
     readings = sum(len(sheet) for sheet in scope.sheets)
     rehearsal = Rehearsal(machine.spec.title, readings, seed, outcomes, weak)
-    if journal is not None:
-        journal.conclude(f"{rehearsal}\n")
+    if out is not None:
+        write_file(Path(out) / "rehearsal.txt", f"{rehearsal}\n", overwrite=True)
     return rehearsal
 
 
@@ -121,35 +124,101 @@ def weak_spots(scope: Scope, seed: int = 0) -> tuple[str, ...]:
 
 
 def _run_campaigns(
-    scope: Scope, campaigns: int, seed: int, jobs: int | None, log: Journal | None, show: Progress
+    scope: Scope,
+    campaigns: int,
+    seed: int,
+    jobs: int | None,
+    journal: _Journal | None,
+    progress: Progress,
 ) -> tuple[Outcome, ...]:
     """Return all campaigns in their order, those of an earlier run as they were."""
     from joblib import Parallel, delayed
 
-    outcomes = dict(log.finished) if log else {}
+    outcomes = dict(journal.finished) if journal else {}
     pending, began = [k for k in range(campaigns) if k not in outcomes], time.monotonic()
 
-    def progress(done: int) -> None:
+    def show(done: int) -> None:
         left = len(pending) - done
         text = f"campaign {campaigns - left} of {campaigns}"
         if done and left:
             seconds = left * (time.monotonic() - began) / done
             text += f", about {seconds:.0f} s" if seconds < 90 else f", {seconds / 60:.0f} min"
             text += " left"
-        show(Step("computing", text, 100 * (campaigns - left) / campaigns))
+        progress(Step("computing", text, 100 * (campaigns - left) / campaigns))
 
-    progress(0)
+    show(0)
     tasks = (delayed(run_campaign)(scope, k, seed) for k in pending)
     try:
         parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
         for done, outcome in enumerate(parallel(tasks) if pending else (), start=1):
             outcomes[outcome.number] = outcome
-            if log:
-                log.add(outcome)
-            progress(done)
+            if journal:
+                journal.add(outcome)
+            show(done)
     except BrokenExecutor as error:
         raise NumericsError(
             "a process of the rehearsal was ended from outside, perhaps for want of memory: give "
             "fewer jobs"
         ) from error
     return tuple(outcomes[k] for k in range(campaigns))
+
+
+class _Journal:
+    """The file of finished campaigns, from which a stopped run is resumed.
+
+    Its first line says what determines every campaign, files by their digests; then a campaign a
+    line.
+
+    Args:
+        folder: that contains it; new, empty, or of an earlier run.
+        scope: machine and sheets of the rehearsal.
+        seed: of the rehearsal.
+        campaigns: that are asked for.
+
+    Raises:
+        FileError: if the folder contains something else, or campaigns of another rehearsal, or more
+            of them.
+    """
+
+    def __init__(self, folder: Path, scope: Scope, seed: int, campaigns: int) -> None:
+        self.path = folder / "campaigns.jsonl"
+        machine = machine_text(scope.machine.spec) + " ".join(scope.machine.catalogue)
+        request = {
+            "the version of orthoglide": __version__,
+            "the machine file": sha256(machine.encode()),
+            "the sheet": sha256(readings_text(scope.sheets, scope.machine.spec).encode()),
+            "the seed": str(seed),
+        }
+        with as_file_errors(folder):
+            folder.mkdir(exist_ok=True)
+            if not self.path.exists() and any(folder.iterdir()):
+                raise self._unusable("cannot be begun, as the folder holds no earlier rehearsal")
+        if not self.path.exists():
+            write_file(self.path, json.dumps(request) + "\n", overwrite=False)
+        content = read_bytes(self.path)
+        complete = content[: content.rfind(b"\n") + 1]
+        try:
+            stored_request, *records = map(json.loads, complete.decode().splitlines())
+            differences = [k for k, v in request.items() if stored_request[k] != v]
+            self.finished = {record["number"]: Outcome.from_dict(record) for record in records}
+        except (ValueError, TypeError, KeyError, AttributeError):
+            raise self._unusable("holds no campaigns of a rehearsal") from None
+        if differences:
+            verb = "is" if len(differences) == 1 else "are"
+            reason = f"{' and '.join(differences)} {verb} not the same"
+            raise self._unusable(f"holds campaigns of another rehearsal, as {reason}")
+        if (count := max(self.finished, default=-1) + 1) > campaigns:
+            raise self._unusable(f"holds {count} campaigns", f"ask for {count} or more, or ")
+        if len(complete) < len(content):  # stopped while a line was written
+            with as_file_errors(self.path):
+                os.truncate(self.path, len(complete))
+
+    def _unusable(self, problem: str, other_remedy: str = "") -> FileError:
+        remedy = f"{other_remedy}name another folder"
+        return FileError(f"{problem}: {remedy}", file=printable_path(self.path))
+
+    def add(self, outcome: Outcome) -> None:
+        """Write one more outcome to the file, at once."""
+        line = json.dumps(outcome.as_dict(), allow_nan=False) + "\n"
+        with as_file_errors(self.path), self.path.open("a", encoding="utf-8") as file:
+            file.write(line)
