@@ -108,9 +108,11 @@ def test_a_bar_wrong_by_five_millimetres_is_told(kind: str, length: float) -> No
     assert [cause.name for cause in verdict.effects] == ["leg_length.y"]
     assert verdict.effects[0].chosen.value == pytest.approx(length * 1e3, abs=0.5)
     (far,) = [w for w in verdict.after.warnings if w.kind == "tolerance"]
-    what, _, size = far.partition(" is ")
-    assert what == "leg length of leg y"
-    assert float(size.split()[0]) == pytest.approx(50, rel=0.1)
+    told = r"leg length of leg y is ([+−])([0-9.]+) mm, ([0-9.]+) times its tolerance"
+    ((sign, size, ratio),) = re.findall(told, far)
+    assert (sign == "+") == (length > 0)
+    assert float(size) == pytest.approx(5, rel=0.1)
+    assert float(ratio) == pytest.approx(50, rel=0.1)
     assert verdict.after.values["leg_length.y"] == pytest.approx(length, rel=0.1)
 
 

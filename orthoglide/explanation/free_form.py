@@ -194,7 +194,9 @@ def free_form_columns_of_factor(
     They are linearised about the parameters ``values``, SI.
     """
     response = factor.joint_response(model, values)
-    conditions = factor.conditions().with_time(_moments(factor.readings)[0])
+    conditions = factor.conditions()
+    if factor.on_legs:  # else there is no session
+        conditions = conditions.with_time(_moments(factor.readings)[0])
     legs = model.leg_conditions(values, conditions)
     if factor.on_legs and any(p.against == "reversal" for p in errors):
         half = np.ptp(model.geometry.stroke) / 2
