@@ -1,12 +1,21 @@
-"""Readings as a problem takes them: with their noise, and their instruments in place."""
+"""Rows of the independent machine as readings, and readings as a problem takes them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import orthoglide as og
 from orthoglide.fit import Factor, Problem, build_problem, noise_of
+
+
+def campaign_of(
+    rows: Sequence[Mapping[str, Any]], machine: og.Machine | None = None, name: str = "campaign"
+) -> og.Campaign:
+    """Rows of `tests.rig_campaigns` as a campaign."""
+    columns = {key: [row[key] for row in rows] for key in rows[0]}
+    spec = None if machine is None else machine.spec
+    return og.Campaign.from_frame(columns, name=name, machine_file=spec)
 
 
 def factor_of(readings: og.Readings, machine: og.Machine, noise: float | None = None) -> Factor:

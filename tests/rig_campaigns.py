@@ -513,12 +513,6 @@ def whole_turns(rows: Sequence[Row], setup: str, turn_mm: float) -> Fault:
     return Fault(spoilt.rows, [k for k, turn in zip(own, turns, strict=True) if turn != usual])
 
 
-def a_turn_off(rows: Sequence[Row], setup: str, posture: str, turn_mm: float = 1.0) -> Fault:
-    """All readings of one posture in a setup are that much more than the dial showed."""
-    touched = [k for k in _of(rows, setup) if rows[k]["posture"] == posture]
-    return _changed(rows, touched, lambda r: {"reading_mm": round(r["reading_mm"] + turn_mm, 6)})
-
-
 def stuck_dial(rows: Sequence[Row], setup: str, after: float = 0.5) -> Fault:
     """The dial of a setup keeps its value after that share of its rows."""
     touched = _of(rows, setup, after=after)

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.accuracy import expected_error, tcp_map, workspace_grid
+from orthoglide.accuracy import expected_error, workspace_grid
 from orthoglide.control import compensate
 from orthoglide.errors import FileError
 from orthoglide.machine_file import Posterior
 from orthoglide.report import result_text
 from orthoglide.verdict import Verdict, close_loop
+from tests.factors import campaign_of
 from tests.rig import Array, Rig
 from tests.rig_campaigns import simulate
 
@@ -43,7 +44,7 @@ def rig_of(which: str) -> Rig:
 @cache
 def verdict_of(which: str) -> Verdict:
     rows = simulate(rig_of(which), "sweep", np.random.default_rng(18))
-    return close_loop(og.Campaign.from_frame({n: [r[n] for r in rows] for n in rows[0]}))
+    return close_loop(campaign_of(rows))
 
 
 def parts(error: Array) -> tuple[float, float]:
@@ -161,20 +162,6 @@ def test_a_covariance_of_another_machine_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="not overwritten"):
         calibrated().save(tmp_path / "new.toml")
     assert not (tmp_path / "new.toml").exists()
-
-
-def test_the_workspace_meets_every_turn_of_the_screws() -> None:
-    """Turns of 20 mm, and commands 40 mm apart: a wave of one turn was nowhere to be seen."""
-    spec = replace(og.Machine.nominal().spec, screw_pitch=0.02)
-    waving = og.Machine(spec).with_parameters({"screw_error.x.sin": 8e-5})
-    rng = np.random.default_rng(4)
-    travel = rng.uniform(*spec.geometry.stroke, (2000, 3))
-    where = travel + spec.geometry.zero
-    off = waving.forward(where) - waving.with_only({}).forward(where)
-    true = np.linalg.norm(off - off.mean(axis=0), axis=1).mean()
-    assert expected_error(waving, {}).shape == pytest.approx(true, rel=0.1)
-    known = waving.with_posterior(waving.values, Posterior(NAMES, np.zeros(3), np.eye(3) * 1e-12))
-    assert tcp_map(known).error.mean() == pytest.approx(true, rel=0.1)  # as the page shows it
 
 
 def test_zeros_of_parallel_slides_leave_the_tool_at_its_height_above_the_plate() -> None:

@@ -10,7 +10,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -23,9 +22,8 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.errors import CrossCheckError
 from orthoglide.explanation.identifying import identify
-from orthoglide.machine_file import Controller, MachineFile, machine_text
+from orthoglide.machine_file import MachineFile, machine_text
 from orthoglide.observations import campaign_text, protocol
-from orthoglide.text import csv_text as table_text
 
 EXPERIMENT_2 = (files("orthoglide") / "data" / "experiment2.csv").read_text()
 EXPERIMENT_3 = (files("orthoglide") / "data" / "experiment3.csv").read_text()
@@ -87,42 +85,7 @@ def rows(edit: Edit) -> str:
     return stream.getvalue()
 
 
-def put(line: int, column: str, value: str) -> str:
-    def edit(table: list[list[str]]) -> None:
-        table[line - 1][table[0].index(column)] = value
-
-    return rows(edit)
-
-
-# kind: (content, line to blame or None, words of the remedy); the others are test_observations'.
-CAMPAIGNS: dict[str, tuple[str, int | None, str]] = {
-    "empty": ("", None, "give a file with content"),
-    "header only": (EXPERIMENT_2.splitlines()[0] + "\n", 1, "add the readings"),
-    "capitals": (EXPERIMENT_2.upper(), 1, "in small letters"),
-    "infinite command": (put(5, "rho_x_mm", "inf"), 5, "remove the row"),
-    "no such direction": (put(9, "direction", "up"), 9, "write one of these"),
-}
-
 TOML = machine_text(MachineFile())
-
-MACHINES: dict[str, tuple[str, int | None, str]] = {
-    "not TOML": (TOML.replace("L = 310.25", "L 310.25"), 5, "mend this line"),
-    "L without end": (
-        TOML.replace("L = 310.25", f"L = 1{'0' * 300}"),
-        5,
-        "below 10000, not 1e+300",
-    ),
-    "a structured member": (
-        TOML + '[parameters]\n"axis_tilt.cyclic" = { value = 1e-3, sigma = 0, unit = "rad" }\n',
-        None,
-        "there is no parameter 'axis_tilt.cyclic'",
-    ),
-    "wrong unit": (
-        TOML + '[parameters]\n"joint_offset.x" = { value = 1, sigma = 0, unit = "m" }\n',
-        None,
-        "convert it",
-    ),
-}
 
 
 def assert_refused(result: Result, file: str, line: int | None, remedy: str) -> None:
@@ -134,33 +97,6 @@ def assert_refused(result: Result, file: str, line: int | None, remedy: str) -> 
     assert remedy in sentence
     assert "\n" not in sentence
     assert "Traceback" not in sentence
-
-
-@pytest.mark.parametrize("kind", CAMPAIGNS)
-def test_malformed_campaigns(kind: str, here: Path) -> None:
-    content, line, remedy = CAMPAIGNS[kind]
-    (here / "bad.csv").write_text(content)
-    result = run("identify", "experiment2.csv", "bad.csv", "--out", "out")
-    assert_refused(result, "bad.csv", line, remedy)
-    assert sorted(os.listdir(here)) == ["bad.csv", "experiment2.csv"]
-
-
-@pytest.mark.parametrize("kind", MACHINES)
-def test_malformed_machine_files(kind: str, here: Path) -> None:
-    content, line, remedy = MACHINES[kind]
-    assert content != TOML
-    (here / "bad.toml").write_text(content)
-    line = line or next(
-        (k for k, row in enumerate(content.splitlines(), 1)
-         if row.startswith('"') and kind != "a structured member"), None
-    )  # fmt: skip
-    for command in (
-        ("identify", "experiment2.csv", "--out", "out"),
-        ("simulate", "--out", "sheet.csv"),
-        ("forward", "310.25", "310.25", "310.25"),
-    ):
-        assert_refused(run(*command, "--machine", "bad.toml"), "bad.toml", line, remedy)
-    assert sorted(os.listdir(here)) == ["bad.toml", "experiment2.csv"]
 
 
 @pytest.mark.parametrize(
@@ -245,19 +181,6 @@ def test_what_has_an_effect_is_taken(here: Path) -> None:
     done("design", "--owns", "leg", "--seed", "1", "--quiet")
 
 
-@pytest.mark.thorough
-def test_a_sheet_of_the_tool_is_told_where_dials_are_read(here: Path) -> None:
-    done("design", "--owns", "tcp", "--quiet", "--out", "s.csv")
-    for command, words in (
-        (("design", "s.csv"), "design --owns says what its instruments tell"),
-        (("measure", "--sheet", "s.csv", "--out", "m.csv"), "give it to close-loop"),
-    ):
-        result = run(*command)
-        assert result.exit_code == 2
-        assert "s.csv: holds readings at the tool (tcp): " in result.stderr
-        assert words in result.stderr
-
-
 def test_results_are_never_overwritten(here: Path) -> None:
     (here / "full").mkdir()
     (here / "full" / "thesis.tex").write_text("dear")
@@ -295,30 +218,16 @@ def test_failed_numerics_exit_with_3(here: Path, monkeypatch: pytest.MonkeyPatch
     assert os.listdir(here) == ["experiment2.csv"]
 
 
-@pytest.mark.thorough(except_for=["rename"])
-@pytest.mark.parametrize("where", ["write_bytes", "rename"])
-def test_interrupted_while_writing(here: Path, monkeypatch: pytest.MonkeyPatch, where: str) -> None:
+def test_interrupted_while_writing(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     command = a_folder(here)
-    monkeypatch.setattr(Path, where, interrupt)
+    monkeypatch.setattr(Path, "rename", interrupt)
     result = run(*command)
     assert result.exit_code == 130
     assert result.stderr.splitlines()[-1].startswith("orthoglide: interrupted: nothing")
     assert sorted(os.listdir(here)) == ["experiment2.csv", "planted.toml"]
-
-
-def test_interrupted_before_a_command_begins(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It ended with 1 and "Aborted!"."""
-
-    def interrupt(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(cli, "resolve_command", interrupt)
-    result = run("compare")
-    assert result.exit_code == 130
-    assert result.stderr == "orthoglide: interrupted: nothing is left half written\n"
 
 
 @pytest.mark.parametrize("made", ["mkdir", "open"])
@@ -406,22 +315,6 @@ def test_json_is_the_file_and_a_calibrated_machine_is_a_machine(here: Path) -> N
     )
 
 
-@pytest.mark.thorough
-def test_options_reach_the_identification(here: Path) -> None:
-    (here / "experiment3.csv").write_text(EXPERIMENT_3)
-    both = ("experiment2.csv", "experiment3.csv")
-    options = ("--own", "joint_offset", "--noise", "0.1", "--out", "a", "--json")
-    result = json.loads(done("identify", *both, *options))
-    assert "joint_offset.x@experiment3" in result["parameters"]
-    assert "leg_length.x" in result["parameters"]
-    assert (result["noise_mm"], result["noise_source"]) == (0.1, "declared")
-    free = ("--free", "joint_offset.x, joint_offset.y,leg_length.z", "--no-priors", "--reduced")
-    result = json.loads(done("identify", "experiment2.csv", *free, "--out", "b", "--json"))
-    assert list(result["parameters"]) == ["joint_offset.x", "joint_offset.y", "leg_length.z"]
-    assert result["method"]["name"] == "reduction"
-    assert result["arguments"]["priors"] is False
-
-
 # --- Sheets, simulated campaigns and kinematics ---------------------------------------------
 
 
@@ -444,17 +337,6 @@ def test_a_simulated_machine_is_found_again(here: Path) -> None:
     assert result["after"]["max_mm"] < 1e-8
 
 
-def test_errors_of_the_command_line_are_those_of_a_machine_file(here: Path) -> None:
-    planted_machine(here)
-    og.Machine.nominal().save("nominal.toml")
-    errors = ",".join(f"{name}={1e3 * value}" for name, value in PLANTED.items())
-    done("simulate", "--machine", "planted.toml", "--seed", "3", "--out", "a.csv")
-    done(
-        "simulate", "--machine", "nominal.toml", "--error", errors, "--seed", "3", "--out", "b.csv"
-    )
-    assert (here / "a.csv").read_bytes() == (here / "b.csv").read_bytes()
-
-
 def test_errors_that_change_no_reading_are_said(here: Path) -> None:
     og.Machine.nominal().save("nominal.toml")
     errors = (
@@ -470,16 +352,6 @@ def test_errors_that_change_no_reading_are_said(here: Path) -> None:
     ]
 
 
-def test_an_error_in_another_unit_is_refused_by_its_name(here: Path) -> None:
-    og.Machine.nominal().save("nominal.toml")
-    result = run("simulate", "--machine", "nominal.toml", "--error", "axis_tilt.y.z=6",
-                 "--out", "a.csv")  # fmt: skip
-    assert result.exit_code == 2
-    assert re.search(r"axis_tilt\.y\.z = 6 rad is \d+ times its tolerance of [\d.]+ rad",
-                     result.stderr)  # fmt: skip
-    assert not (here / "a.csv").exists()
-
-
 def test_an_error_of_no_setup_is_refused_with_those_there_are(here: Path) -> None:
     og.Machine.nominal().save("nominal.toml")
     command = ("simulate", "--machine", "nominal.toml", "--out", "a.csv", "--error")
@@ -488,28 +360,6 @@ def test_an_error_of_no_setup_is_refused_with_those_there_are(here: Path) -> Non
     assert "takes the name of a setup behind the dot, one of xy-0.5, xz-0.5" in told.stderr
     assert not (here / "a.csv").exists()
     done(*command, "gauge_scale.xy-0.5=0.01")
-
-
-@pytest.mark.thorough
-def test_states_of_two_machines_are_not_compared(here: Path) -> None:
-    """Nor are readings taken for two visits that are one file under two names, without a word."""
-    longer = replace(og.Machine.nominal().spec, name="longer", geometry=og.Geometry(L=0.4))
-    og.Machine(longer).save("longer.toml")
-    og.Machine.nominal().save("nominal.toml")
-    for name in ("nominal", "longer"):
-        done("simulate", "--machine", f"{name}.toml", "--out", f"{name}.csv")
-        done("identify", f"{name}.csv", "--machine", f"{name}.toml", "--out", name, "--quiet")
-    result = run("check", "nominal/result.json", "longer/result.json")
-    assert result.exit_code == 2
-    assert "machines of different dimensions" in result.stderr
-    same = run("check", "nominal.csv", "./nominal.csv", "--machine", "nominal.toml", "--quiet")
-    assert same.exit_code == 0
-    assert "OLD and NEW are the same file" in same.stderr
-    (here / "copy.csv").write_bytes((here / "nominal.csv").read_bytes())
-    result = run("identify", "nominal.csv", "copy.csv", "--out", "twice")
-    assert result.exit_code == 0
-    told = " ".join((result.stdout + result.stderr).split())
-    assert "readings of copy are those of nominal to the last digit" in told
 
 
 def test_no_number_is_cut_on_a_narrow_terminal(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -558,33 +408,14 @@ def test_a_design_is_no_larger_than_what_it_chooses_from(here: Path) -> None:
     assert "readings to choose from: give --count" in result.stderr
 
 
-@pytest.mark.thorough(except_for=["options0"])
-@pytest.mark.parametrize("options", [("--detect", "--count", "6"), ("--owns", "leg")])
-def test_what_a_design_sees_fits_the_terminal(
-    options: tuple[str, ...], here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_design_sees_fits_the_terminal(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = ("--detect", "--count", "6")
     monkeypatch.setenv("COLUMNS", "80")
     whole = done("design", *options).splitlines()
     assert 55 < max(map(len, whole)) <= 80
     assert " looks like " in " ".join(" ".join(whole).split())
     monkeypatch.setenv("COLUMNS", "60")
     assert max(map(len, done("design", *options).splitlines())) <= 60
-
-
-def test_a_comparison_fits_the_terminal(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "60")
-    told = done("compare", "--effects", "parallelogram_width,screw_error").splitlines()
-    assert max(map(len, told)) <= 60
-    (row,) = (line.split() for line in told if "screw_error" in line)
-    assert row[-1] == "no"
-    assert "good enough for 1 of 2." in told[-1]
-
-
-def test_a_quiet_design_is_one_line(here: Path) -> None:
-    few = ("design", "--count", "6", "--quiet")
-    assert done(*few) == "6 readings show 4 of 6 unknowns.\n"
-    assert done(*few, "--out", "sheet.csv") == "6 readings show 4 of 6 unknowns.\n"
-    assert (here / "sheet.csv").exists()
 
 
 def test_forward_and_inverse_agree(here: Path) -> None:
@@ -613,30 +444,6 @@ def test_forward_and_inverse_on_a_csv(here: Path) -> None:
     (here / "travel.csv").write_text("travel_x_mm,travel_y_mm,travel_z_mm\n0,0,0\n")
     done("forward", "--csv", "travel.csv", "--out", "zero.csv")
     assert (here / "zero.csv").read_text().splitlines()[1] == "0,0,0,0.000000,0.000000,0.000000"
-
-
-def test_forward_reads_what_compensate_wrote(here: Path) -> None:
-    """Commands both ways counted, and how each drive arrives: lost motion is in what it says."""
-    errors = {"joint_offset.x": 1e-3, "backlash.z": 2e-4}
-    counting = Controller(zero=(0.5, -0.02, 0.1), sign=(-1, 1, -1))
-    spec = replace(og.Machine.nominal().spec, controller=counting)
-    og.Machine(spec).with_parameters(errors).save("worn.toml")
-    (here / "path.csv").write_text("p_x_mm,p_y_mm,p_z_mm\n1,2,3\n-20,10,5\n0,0,-9\n")
-    machine = ("--machine", "worn.toml")
-    done("compensate", "path.csv", "--out", "commands.csv", *machine)
-    done("forward", "--csv", "commands.csv", "--out", "again.csv", *machine)
-    for row in csv.DictReader((here / "again.csv").open()):
-        for leg in "xyz":
-            assert float(row[f"computed_p_{leg}_mm"]) == pytest.approx(
-                float(row[f"p_{leg}_mm"]), abs=3e-6
-            )
-    bent = (here / "commands.csv").read_text()
-    rows = list(csv.DictReader(bent.splitlines()))
-    rows[1]["travel_x_mm"] = "1.0"
-    (here / "bent.csv").write_text(table_text(tuple(rows[0]), [r.values() for r in rows]))
-    result = run("forward", "--csv", "bent.csv", "--out", "other.csv", *machine)
-    assert result.exit_code == 2
-    assert "both rho_ and travel_" in result.stderr
 
 
 @pytest.mark.parametrize(

@@ -162,6 +162,22 @@ def test_files_that_are_not_there_are_refused(name: str, here: Path) -> None:
     assert tree(here) == before
 
 
+@pytest.mark.parametrize("name", with_option("--machine"))
+def test_machine_files_that_are_none_are_refused_by_their_line(name: str, here: Path) -> None:
+    (here / "bad.toml").write_text(TOML.replace("L = 310.25", "L 310.25"))
+    before, given = tree(here), words(name)
+    if "--machine" in given:
+        given[given.index("--machine") + 1] = "bad.toml"
+    else:
+        given += ["--machine", "bad.toml"]
+    result = run(*given)
+    assert (result.exit_code, result.stdout) == (2, ""), result.output
+    assert result.stderr.startswith("orthoglide: bad.toml, line 5: ")
+    assert "mend this line" in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert tree(here) == before
+
+
 @pytest.mark.parametrize("name", sorted(set(with_option("--out")) - {"measure", "rehearse"}))
 def test_results_are_never_overwritten(name: str, here: Path) -> None:
     (here / "full").mkdir()

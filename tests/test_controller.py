@@ -16,7 +16,7 @@ import pinocchio as pin
 import pytest
 from click.testing import CliRunner
 
-from orthoglide import Campaign, Machine, UnreachableError, identify
+from orthoglide import Machine, UnreachableError
 from orthoglide.accuracy import tcp_slopes, workspace_commands
 from orthoglide.cli import cli
 from orthoglide.control import (
@@ -39,9 +39,7 @@ from orthoglide.mechanism.tree import LoopedModel, Tree, general_tree, nominal_t
 from orthoglide.prediction import Conditions
 from orthoglide.urdf import closures, read_looped_urdf, to_urdf
 from tests.rig import Array, Rig
-from tests.rig_campaigns import simulate
 
-ROOT = Path(__file__).parents[1]
 PITCH = 0.02
 L = Geometry().L
 ONES = np.ones((3, 3))
@@ -102,24 +100,6 @@ def test_conditions_count() -> None:
     after = misses(rig.pose(plan.rho, plan.approach, time, warming).p, goal)
     assert after.max() < 2e-8
     assert misses(rig.pose(plan.rho, plan.approach).p, goal).max() > 1e-6
-
-
-def test_a_calibration_from_readings_pays_at_the_tcp() -> None:
-    errors = {
-        "joint_offset.x": 1.2e-3, "joint_offset.y": -0.8e-3, "joint_offset.z": 0.5e-3,
-        "backlash.y": 4e-5, "axis_tilt.z.x": 1.5e-3,
-    }  # fmt: skip
-    rig, goal = Rig(errors=errors), circle()
-    rows = simulate(rig, "sweep", np.random.default_rng(3), noise=2e-6, resolution=1e-6)
-    campaign = Campaign.from_frame({name: [r[name] for r in rows] for name in rows[0]})
-    free = ("joint_offset", "backlash.y", "axis_tilt.z.x")
-    plan = compensate(identify(campaign, free=free).machine, goal)
-    plain = compensate(Machine.nominal(), goal)
-    before = rig.pose(plain.rho, plain.approach).p - goal
-    after = rig.pose(plan.rho, plan.approach).p - goal
-    assert np.linalg.norm(before, axis=1).min() > 1e-3
-    assert np.linalg.norm(after, axis=1).max() < 3e-5
-    assert np.linalg.norm(after, axis=1).mean() < 0.02 * np.linalg.norm(before, axis=1).mean()
 
 
 def test_lost_motion_follows_the_order_of_the_path() -> None:
@@ -295,17 +275,6 @@ def test_the_rules_as_they_are_written_put_the_drives_right(way: int) -> None:
     for shown in (both, one):
         p = Rig(errors=DRIVES).pose(COUNTING.to_rho(shown, Geometry()), float(way)).p[0]
         assert np.abs(p - goal).max() < 1e-9
-
-
-def test_the_text_of_the_numbers_is_readable() -> None:
-    values = {f"axis_tilt.{leg}.{way}": 1e-3 for leg, way in ("xy", "yz", "zx")}
-    found = machine({**values, "rail_bow.x.z": 1e-4, "backlash.y": -1e-9, "joint_offset.x": 1e-3})
-    text = controller_numbers(found).text()
-    assert max(map(len, text.splitlines())) <= 100
-    assert not re.search(r"-0\.0+\b", "".join(re.findall(r"(?m)^  [xyz] .*$", text)))
-    told = "identified (rail bow and axis tilt); commands from"
-    assert told in " ".join(text.split())
-    assert "backlash" not in text  # rounds to nothing
 
 
 def number(printed: str) -> float:
@@ -698,27 +667,6 @@ def test_a_delta_is_called_what_it_is(tmp_path: Path) -> None:
     assert [loop.name for loop in robot.closures][:2] == ["a_parallelogram", "b_parallelogram"]
 
 
-def test_a_machine_with_a_curve_of_a_drive_is_exported(tmp_path: Path) -> None:
-    file, out = tmp_path / "m.toml", tmp_path / "out"
-    machine({"joint_offset.x": 1e-3}).save(file)
-    own, across = "drive_x_travel.x", "drive_x_command_y.x"
-    curves = {f"{own}.1": 0.1, f"{own}.3": -0.2, f"{across}.1": 0.02}
-    file.write_text(
-        file.read_text()
-        + "".join(
-            f'"{n}" = {{ value = {v}, sigma = 0.01, unit = "mm" }}\n' for n, v in curves.items()
-        )
-    )
-    code, text = invoke("export", "--machine", str(file), "--out", str(out))
-    assert code == 0, text
-    left = f"drive x travel (2 numbers), {across}.1"
-    told = " ".join((out / "controller.txt").read_text().split())
-    assert "identified (drive x travel and drive x command y); commands" in told
-    comment = (out / "orthoglide.urdf").read_text().partition("-->")[0]
-    assert f"Left out, for URDF holds constant geometry only: {left}." in comment
-    assert "Holds joint_offset.x." in comment
-
-
 def test_a_file_without_a_calibration_promises_nothing() -> None:
     found = compensate(Machine.nominal(), circle(4))
     assert "nothing is known of how near" in str(found)
@@ -728,16 +676,3 @@ def test_a_file_without_a_calibration_promises_nothing() -> None:
     text = controller_numbers(Machine.nominal()).text()
     assert "The machine file holds no calibration" in " ".join(text.split())
     assert "Nothing else was identified" not in text
-
-
-def test_what_compensation_gains_is_told_after_the_same_translation() -> None:
-    """A zero that is off moves everything alike, and is no error of shape by either commands."""
-    worn = Machine.nominal().with_parameters({"joint_offset.x": 1e-3}, {"joint_offset.x": 2e-6})
-    found = compensate(worn, circle(6))
-    assert found.error_before == pytest.approx(np.full(6, 1e-3), rel=0.15)
-    assert found.shape_before.max() < 2e-4
-    assert (found.shape_before > found.shape - 1e-9).all()
-    rms = 1e3 * np.sqrt(np.mean(found.shape_before**2))
-    assert f"without compensation expect the TCP to be off by {rms:.4f} mm rms" in str(found)
-    assert "a report states the mean over the workspace in place of the rms" in str(found)
-    assert f"{1e3 * np.sqrt(np.mean(found.shape**2)):.3f} mm rms off to expect" in repr(found)

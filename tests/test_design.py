@@ -13,13 +13,11 @@ from click.testing import CliRunner
 from scipy.stats import ncx2
 
 import orthoglide as og
-from orthoglide.cli.measuring import design as design_command, protocol as protocol_command
+from orthoglide.cli.measuring import design as design_command
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
-from orthoglide.explanation.signatures import Scoring, signatures
 from orthoglide.fit import Estimate, Problem, solve, with_free
-from orthoglide.machine_file import Controller
-from orthoglide.observations import Campaign, Moves, derive_approach, protocol
+from orthoglide.observations import Campaign, protocol
 from orthoglide.planning import (
     aliasing,
     design,
@@ -36,7 +34,6 @@ from orthoglide.planning.detectable import noncentrality, required_separation
 from orthoglide.planning.linear import LinearReadings, Steps
 from orthoglide.planning.pool import DIAL_TRAVEL, sheet_from_pool
 from tests.factors import problem_of
-from tests.relabelling import legs_renamed, relabelled
 from tests.rig import Rig
 from tests.rig_campaigns import APPROACH, read_csv, simulate, write_csv
 
@@ -98,24 +95,6 @@ def test_a_stage_that_hardly_moves_has_a_pool():
     assert stage.in_stroke(chosen.moves.command).all()
     shortest = reading_pool(og.Geometry(0.008, 0.002, 0.001, (-4e-4, 4e-4)))
     assert len(np.unique(shortest.setup)) == len(pool.setups)  # a dial keeps on so short a leg
-
-
-def test_the_pool_is_the_same_for_every_leg(machine):
-    pool = reading_pool(machine.geometry)
-
-    def rows(campaign):
-        table = [
-            (s.leg, s.axis, s.gauge, s.bar, *np.round(c, 9), *a)
-            for s, c, a in zip(
-                (campaign.setups[k] for k in campaign.setup),
-                campaign.command,
-                campaign.approach,
-                strict=True,
-            )
-        ]
-        return sorted(table)
-
-    assert rows(pool) == rows(legs_renamed(pool))
 
 
 # -- one step at a time is exact -----------------------------------------------------------------
@@ -225,15 +204,6 @@ def test_indices_are_those_of_the_definitions():
     assert (unseen.rank, set(unseen.indices.values())) == (1, {0.0})
 
 
-def test_observability_of_a_protocol_does_not_depend_on_the_legs_names(machine):
-    sheet_, families = protocol("standard"), ("joint_offset", "leg_length", "axis_tilt")
-    found = observability(machine, sheet_, families)
-    assert found.singular == pytest.approx(
-        observability(machine, legs_renamed(sheet_), families).singular, rel=1e-6, abs=1e-6
-    )
-    assert found.rank < found.unknowns  # six tilts are more than twelve deviations show
-
-
 # -- designs -------------------------------------------------------------------------------------
 
 
@@ -269,13 +239,6 @@ def test_a_design_is_a_sheet_that_reads_back(machine, count, tmp_path):
     assert np.array_equal(again.command, campaign.command)
     assert np.array_equal(again.approach, campaign.approach)
     assert again.setups == campaign.setups
-
-
-def test_a_sheet_numbers_the_visits_of_a_station(readings):
-    rows = [int(readings.rows_by_setup[0][2])] * 3 + [int(readings.rows_by_setup[0][5])]
-    made = sheet_from_pool(readings.campaign, rows)
-    assert made.repeat.tolist() == [1, 1, 2, 3]
-    assert len(made.setups) == 1
 
 
 @pytest.mark.parametrize(
@@ -358,34 +321,6 @@ def test_power_is_that_of_the_noncentral_distribution():
     assert np.mean(worse > 4) == pytest.approx(0.95, abs=0.005)
 
 
-@pytest.mark.thorough
-def test_an_effect_of_the_smallest_size_is_found_as_often_as_promised(machine):
-    told = smallest_effects(machine, protocol("standard"))
-    size = {s.name: s.detectable for s in told.smallest}["axis_offset.z.x"]
-    # As in the promise, the noise is known: from the machine file.
-    quiet = og.Machine(machine.spec)
-
-    def share(value: float) -> float:
-        hits = 0
-        for seed in range(25):
-            campaign = measured(quiet, Rig(errors={"axis_offset.z.x": value}), "standard", seed)
-            seen = signatures(og.identify(campaign, quiet, method="nested"))
-            best = Scoring.prepare(seen, seen.candidates).evidences(seen.residual).max()
-            hits += best > told.threshold
-        return hits / 25
-
-    assert share(size) >= 0.84  # 0.95 but for a chance of one in forty
-    assert share(0.4 * size) <= 0.6
-
-
-def test_smallest_effects_do_not_depend_on_the_legs_names(machine):
-    told = smallest_effects(machine, protocol("sweep"), names=["axis_tilt", "backlash"])
-    size = {s.name: s.detectable for s in told.smallest}
-    assert {n.partition(".")[0] for n in size} == {"axis_tilt", "backlash"}
-    for name in (s.name for s in told.smallest if s.elementary):
-        assert size[relabelled(CATALOGUE.parameter(name))] == pytest.approx(size[name], rel=0.02)
-
-
 def test_effects_with_one_signature_are_never_named(machine):
     told = {s.name: s for s in smallest_effects(machine, protocol("sweep")).smallest}
     same = told["axis_tilt.y.z"]
@@ -460,20 +395,6 @@ def test_a_mount_tilt_is_a_bar_mismatch_to_every_dial(machine):
     assert not re.search(r"[a-z]_[a-z]|\w\.\w\.\w", "".join(s.reason for s in found))
 
 
-def test_rivals_for_one_cause_are_not_told_from_rivals_for_another(machine, ambiguous):
-    _, fits = ambiguous
-    two = [(f"{name} of {which}", fit) for which in ("one", "two") for name, fit in fits.items()]
-    (found,) = next_measurements(
-        fits[RIVALS[0]], two, pairs=[(0, 1), (2, 3)], count=16, directions=()
-    )
-    assert found.aim == "separate"
-    for which, other in (("one", "two"), ("two", "one")):
-        both = f"{RIVALS[0]} of {which} from {RIVALS[1]} of {which}"
-        assert both in found.reason
-        assert f"of {which} from {RIVALS[1]} of {other}" not in found.reason
-    assert not next_measurements(fits[RIVALS[0]], two, pairs=[], directions=())
-
-
 def test_a_weak_direction_narrows_as_predicted(machine):
     campaign = measured(machine, Rig(), "standard", 3)
     estimate = og.identify(campaign, machine, method="nested")
@@ -526,19 +447,6 @@ def test_a_design_filled_in_row_by_row_gives_the_verdict(machine, tmp_path):
     assert verdict.after.values["backlash.y"] == pytest.approx(1e-4, rel=0.3)
 
 
-def test_a_sheet_without_its_moves_is_warned_of(machine, tmp_path):
-    asked = design(machine, ("backlash",), 24).campaign
-    row = np.arange(len(asked))
-    as_it_was = replace(asked, moves=Moves(), order=row, line=row + 2)
-    og.write_campaign(as_it_was, tmp_path / "old.csv")
-    (note,) = og.read_campaign(tmp_path / "old.csv", machine.spec, require_readings=False).warnings
-    assert note.kind == "approach"
-    came = derive_approach(asked.command, row)
-    wrong = (asked.approach[row[1:]] != came[1:]).any(axis=1)
-    assert set(note.lines) <= set((row[1:][wrong] + 2).tolist())
-    assert len(note.lines) > 5
-
-
 # -- the command ---------------------------------------------------------------------------------
 
 
@@ -559,32 +467,3 @@ def test_the_command_writes_a_sheet_and_compares(tmp_path, machine):
     assert isinstance(again.exception, InputError)
     wrong = CliRunner().invoke(design_command, ["--want", "TCP"])
     assert isinstance(wrong.exception, InputError)
-
-
-@pytest.fixture
-def counting(machine):
-    """The machine with a controller that counts in a way of its own."""
-    controller = Controller(zero=(0.1, -0.05, 0.0), sign=(-1, 1, 1))
-    return og.Machine(replace(machine.spec, controller=controller))
-
-
-@pytest.mark.parametrize("command", [protocol_command, design_command], ids=["protocol", "design"])
-def test_sheets_of_the_command_line_show_what_the_controller_shows(command, counting, tmp_path):
-    counting.save(tmp_path / "machine.toml")
-    out = tmp_path / "sheet.csv"
-    arguments = ["--machine", str(tmp_path / "machine.toml"), "--out", str(out)]
-    done = CliRunner().invoke(
-        command, [*arguments, *(["--count", "8"] * (command.name == "design"))]
-    )
-    assert done.exit_code == 0, done.output
-    rows = pd.read_csv(out)
-    assert not [name for name in rows if name.startswith("rho_")]
-    found = og.read_campaign(out, counting.spec, require_readings=False)
-    for axis, leg in enumerate("xyz"):
-        rho = np.concatenate([found.moves.command, found.command])[:, axis]
-        shown = counting.spec.controller.from_rho(rho[:, None].repeat(3, 1), counting.geometry)
-        assert np.allclose(sorted(rows[f"travel_{leg}_mm"]), sorted(shown[:, axis] * 1e3))
-    if command is protocol_command:
-        untimed = np.full(len(found), np.nan)  # no reading, no time
-        planned = protocol("standard", counting.geometry)
-        assert found.same_as(replace(planned, name="sheet", time=untimed))

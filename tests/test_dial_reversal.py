@@ -12,6 +12,7 @@ from orthoglide.explanation.identifying import identify
 from orthoglide.fit import Estimate
 from orthoglide.report import result_text
 from tests import rig_campaigns as rc
+from tests.factors import campaign_of
 from tests.rig import LEGS, Rig
 
 
@@ -24,30 +25,7 @@ def rows_of(reversal: dict[str, float], protocol: str = "sweep") -> list[rc.Row]
     return rc.simulate(rig, protocol, rng, background=0.02)
 
 
-def campaign_of(rows: list[rc.Row]) -> og.Campaign:
-    return og.Campaign.from_frame({key: [row[key] for row in rows] for key in rows[0]}, name="c")
-
-
 SETUPS = [f"{leg}{axis}-0.5" for leg in LEGS for axis in LEGS if axis != leg]
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(("setup", "size"), [("yz-0.5", 0.03), ("zx-0.5", -0.02)])
-def test_one_dial_that_lags_is_told_with_its_size(setup: str, size: float) -> None:
-    """It had been the rail, or the leg's end on the platform, with ten times the size."""
-    verdict = og.close_loop(campaign_of(rows_of({setup: size * 1e-3})))
-    assert verdict.word == "located"
-    (found,) = verdict.located
-    first = found.members[0]
-    assert first.name == f"dial.{setup}/approach"
-    assert first.value == pytest.approx(-size * 1e-3, abs=4e-6)  # less on the way up
-    assert f"the dial of {setup} reads more or less by the way that its plunger came" in str(
-        verdict
-    ).replace("\n", " ").lower().replace("  ", " ")
-    assert (
-        verdict.machine.values.keys()
-        == og.close_loop(campaign_of(rows_of({}))).machine.values.keys()
-    )
 
 
 @pytest.mark.thorough
@@ -68,26 +46,6 @@ def test_dials_of_one_make_lag_together(size: float) -> None:
     (action,) = [a for a in verdict.actions if a.options and "plungers" in a.options[0].words]
     assert "gauge block" in action.options[0].confirm
     assert "lost motion" not in action.words
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("seed", [2, 5, 6])
-def test_moves_too_small_to_go_by_their_sign(seed: int) -> None:
-    """Twelve dials, some postures between which one of them moves by a micrometre: the way it came
-    changed with each fit, and *unexplained* it was.
-    """
-    rng = np.random.default_rng([seed, 9])
-    rows = rc.protocol_rows("two-gauges")
-    setups = {str(row["setup"]) for row in rows}
-    base = {f"joint_offset.{leg}": float(rng.normal(0, 5e-4)) for leg in LEGS}
-    base |= {f"leg_length.{leg}": float(rng.normal(0, 5e-5)) for leg in LEGS}
-    rig = Rig(errors=base, extra_dial=dict.fromkeys(setups, rc.dial_reversal(3e-5)))
-    rows = rc.simulate(rig, rows, rng, background=0.02, noise=4e-6)
-    verdict = og.close_loop(campaign_of(rows))
-    assert verdict.word == "located"
-    (found,) = verdict.located
-    assert found.members[0].name == "dial/approach"
-    assert found.members[0].value == pytest.approx(-3e-5, abs=2e-6)
 
 
 def test_which_way_a_plunger_came() -> None:

@@ -111,19 +111,6 @@ def test_words_are_made_where_none_are_given(machine: og.Machine) -> None:
     assert "0.1 mm" in test
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("effect", [CARRIAGE_PLAY, SECOND_HARMONIC], ids=lambda e: e.name)
-def test_ones_own_effect_is_found_and_named(machine: og.Machine, effect: Effect) -> None:
-    plain = og.Machine(machine.spec).with_only({})
-    name = next(iter(effect.motions))
-    worn = machine.with_parameters({"joint_offset.x": 5e-4, name: 1.5e-4})
-    campaign = og.simulate(worn, sheet(machine), noise=5e-6, seed=3)
-    verdict = og.close_loop([campaign], plain, effects=[effect])
-    assert verdict.effects[0].name.split(".")[0] == effect.name
-    assert verdict.after.values[name] == pytest.approx(1.5e-4, abs=3e-5)
-    assert effect.sentence in str(verdict)
-
-
 @pytest.mark.parametrize(
     ("effect", "test"),
     [(SECOND_HARMONIC, "look at the encoder's disc: expect an amplitude of 0.05 mm"),
@@ -284,20 +271,6 @@ def test_a_machine_with_ones_own_effect_is_read_by_every_command(
         assert done.exit_code == 0, done.output
     with pytest.raises(InputError, match=r"Machine\.load\(FILE, effects=\[\.\.\.\]\)"):
         og.Machine.load("worn.toml")
-
-
-@pytest.mark.thorough
-def test_ones_own_effect_is_what_changed(machine: og.Machine, tmp_path: Path) -> None:
-    """``check`` could not be given it, and told of backlash."""
-    rough = Path(__file__).parent / "data" / "rig" / "machine.toml"
-    worn = machine.with_parameters({"carriage_play.y.b": 1.5e-4})
-    files = [str(tmp_path / name) for name in ("before.csv", "after.csv")]
-    for seed, (one, file) in enumerate(zip((machine, worn), files, strict=True)):
-        og.write_campaign(og.simulate(one, sheet(machine), noise=5e-6, seed=4 + seed), file)
-    given = ["--machine", str(rough), "--effects-file", OWN_FILE]
-    done = CliRunner().invoke(cli, ["check", *files, *given, "--quiet"])
-    assert done.exit_code == 0, done.output
-    assert done.output.startswith("Changed: carriage play of leg y")
 
 
 def test_a_place_in_a_dial_of_any_name_is_an_effect() -> None:

@@ -67,19 +67,6 @@ def test_every_difference_is_explained() -> None:
     assert all(row.remark for row in rows)
 
 
-@pytest.mark.thorough
-def test_the_mechanism_beside_the_linear_system() -> None:
-    found = load("published_tables").beyond()
-    assert len(found) == 12
-    for row in found:
-        if row.which != "offsets+lengths":
-            # Second order: 1.7 mm squared over 310 mm.
-            assert abs(row.mechanism - row.linear) < 0.01
-            assert abs(row.weighted - row.linear) < 0.1
-        elif row.name.startswith("leg_length"):
-            assert abs(row.with_priors) < 0.05 < abs(row.weighted)
-
-
 def test_your_own_csv(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     machine = Machine.nominal().with_parameters({"joint_offset.y": 1.2e-3})
     sheet = protocol("standard")

@@ -32,29 +32,17 @@ def tracked(seed: int, scale: float, **errors: float) -> Readings:
     )  # fmt: skip
 
 
-@pytest.mark.thorough(except_for=["1"])
-@pytest.mark.parametrize("seed", range(3))
-def test_a_sound_machine_is_sound_by_noise_that_nine_differences_tell(seed: int) -> None:
+def test_a_sound_machine_is_sound_by_noise_that_nine_differences_tell() -> None:
     """Half the noise is one chance in fifty then, and what is left was held against it as if it
     were known: *unexplained*.
     """
-    read = tracked(seed, 0.55, **{"joint_offset.a": 4e-4})
+    read = tracked(1, 0.55, **{"joint_offset.a": 4e-4})
     problem = assemble([read], UNTOLD, UNTOLD.catalogue.base)
     assert problem.noise_dof == 6.0
     verdict = og.close_loop(read, UNTOLD)
     assert verdict.before.scores.chi2 > 1.8 * verdict.before.scores.dof
     assert 0.003 < verdict.before.scores.lack_of_fit_p < 0.5
     assert verdict.word == "adequate"
-
-
-@pytest.mark.thorough
-def test_what_no_noise_does_is_left_all_the_same() -> None:
-    tilted = tracked(1, 0.55, **{"axis_tilt.b.radial": 5e-3})
-    verdict = og.close_loop(tilted, UNTOLD)
-    assert verdict.word != "adequate"
-    assert {"axis_tilt.b.radial"} <= {
-        n for c in verdict.effects for e in c.explanations for n in e.parameters
-    }
 
 
 def test_the_share_of_each_instrument_counts() -> None:

@@ -61,17 +61,6 @@ def test_another_add_on_is_found_by_its_entry_point(monkeypatch: pytest.MonkeyPa
     add_ons._entry_points.cache_clear()
 
 
-def test_an_edited_table_is_no_printer_s() -> None:
-    spec = import_printer(DATA / "electrocally.cfg").machine
-    table = {**spec.provenance["klipper"], "arm_length_mm": "long"}
-    edited = replace(spec, provenance={"klipper": table})
-    assert edited.printer is None
-    assert edited.kinematics is not None
-
-
-# What is read of a printer's file -----------------------------------------------------------------
-
-
 # Files of other firmware --------------------------------------------------------------------------
 
 
@@ -124,20 +113,6 @@ def test_a_height_map_is_read_where_it_was_touched(tmp_path: Path) -> None:
     assert [file.name for file in (tmp_path / "in").iterdir()] == ["heightmap.csv"]
     (again,) = read_readings(tmp_path / "in" / "heightmap.csv", MACHINE)
     assert np.array_equal(again.command, campaign.command)
-
-
-def test_a_mesh_is_the_same_from_either_file(tmp_path: Path) -> None:
-    """A profile of a printer's file, and its points as a list for the same machine."""
-    found = import_printer(DATA / "v400-april.cfg")
-    mesh = found.campaigns[1]
-    kinematics = found.machine.kinematics
-    assert kinematics is not None
-    rows = kinematics.places(mesh.command) * 1e3
-    text = "x,y,z\n" + "".join(f"{x:.6f},{y:.6f},{z:.9f}\n" for x, y, z in rows)
-    (tmp_path / "mesh.csv").write_text(text)
-    (campaign,) = import_plates(tmp_path / "mesh.csv", found.machine).campaigns
-    assert np.abs(campaign.command - mesh.command).max() < 2e-9
-    assert np.array_equal(campaign.touching, mesh.touching)
 
 
 PLAIN = [(0, 0, 0.1), (50, 0, -0.25), (0, 50.5, 1.5)]

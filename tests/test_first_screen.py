@@ -5,14 +5,12 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-import orthoglide as og
 from orthoglide.closing import RunOutcome, build_result
 from orthoglide.closing.fill import cause_value
 from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
@@ -24,19 +22,16 @@ from orthoglide.layout import LinearDelta
 from orthoglide.numerals import ByUnit
 from orthoglide.parameters import Parameter
 from orthoglide.report.claims import probability_words
-from orthoglide.report.page import finding, render_template
+from orthoglide.report.page import render_template
 from orthoglide.report.sections import budget
 from orthoglide.report.sentences import _rms_change
 from orthoglide.report.terminal import action_lines
 from orthoglide.result import Action, BudgetItem, Suspect
 from orthoglide.verdict import Verdict
-from tests import rig_campaigns as rc
-from tests.rig import Rig
-from tests.test_report import closed_of, result_of, screen, words
+from tests.test_report import closed_of, result_of, screen
 from tests.tiers import in_turn
 
 DELTA = catalogue_of(LinearDelta.names)
-DATA = Path(og.__file__).parent / "data"
 
 
 def explained(name: str, value: float, catalogue: Catalogue, probability: float) -> Explanation:
@@ -261,16 +256,6 @@ def test_how_sure_it_is_counts_all_names_of_a_cause() -> None:
     ]  # fmt: skip
 
 
-def test_rivals_beyond_the_first_are_folded_and_counted() -> None:
-    several = [explained(p, 1e-3, CATALOGUE, 0.05) for p in CATALOGUE["rail_bow"].motions]
-    several += [explained(p, 1e-3, CATALOGUE, 0.05) for p in CATALOGUE["leg_length"].motions]
-    first = explained("axis_tilt.y.z", 2.4e-3, CATALOGUE, 0.5)
-    verdict = made_up("ambiguous", Cause(first, tuple(several), ()))
-    assert "or 4 more" in screen(verdict)
-    html = render_template("sections/finding.html.j2", data=finding(verdict), result=verdict)
-    assert all(one.words[1:] in words(html) for one in several)
-
-
 # --- The tool, and what to do ---------------------------------------------------------------
 
 
@@ -279,56 +264,6 @@ def test_identify_says_what_to_enter_and_what_to_run_next() -> None:
     zero = closed_of().numbers.zeros_only[0] * 1e3
     assert f"Enter new zeros in the controller: x {zero:.3f}" in text
     assert "orthoglide close-loop takes the same files" in text
-
-
-def lost(which: str) -> Verdict:
-    """A machine that loses 0.2 mm in a way that no catalogue knows, by its own simulator."""
-    zeros = {"joint_offset.x": 5e-4, "joint_offset.y": -3e-4, "joint_offset.z": 8e-4}
-    rig = {
-        "platform": Rig(errors=zeros, extra_platform=(rc.platform_play(0, 1, 2e-4),)),
-        "reversal": Rig(errors=zeros, extra=(rc.hysteresis(1, 2e-4),)),
-    }[which]
-    sheet = "fine-sweep" if which == "reversal" else "sweep"
-    rows = rc.simulate(rig, sheet, np.random.default_rng(5))
-    table = {key: [row[key] for row in rows] for key in rows[0]}
-    return og.close_loop([og.Campaign.from_frame(table, name="lost")])
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("which", "said", "test"),
-    [
-        (
-            "platform",
-            r"end of leg x moves on the platform toward y by the side it is approached from, by "
-            r"([\d.]+) mm \(between the two ways of coming to a place\)",
-            r"Set a dial on the end of leg x at the platform along y and come to one place from "
-            r"smaller and from larger travel of x: expect ([\d.]+) mm between the two",
-        ),
-        (
-            "reversal",
-            r"Drive y goes wrong along its axis by the way gone since it turned round, by "
-            r"([\d.]+) mm \(from the turn on\)",
-            r"Set a dial on carriage y along its travel, come to one place after a long way "
-            r"without a turn, then turn just before it: expect up to ([\d.]+) mm",
-        ),
-    ],
-)
-def test_lost_motion_without_a_name_has_its_whole_size_everywhere(
-    which: str, said: str, test: str
-) -> None:
-    verdict = lost(which)
-    assert verdict.word == "located"
-    text = screen(verdict)
-    for pattern in (said, test):
-        found = re.search(pattern, text)
-        assert found, text
-        assert float(found[1]) == pytest.approx(0.2, abs=0.03)
-    (mark,) = verdict.picture.options[0].marks
-    size = re.match(r"([\d.]+) mm$", mark.label)
-    assert size
-    assert float(size[1]) == pytest.approx(0.2, abs=0.03)
-    assert mark.both
 
 
 @pytest.mark.parametrize(("name", "loses"), [("backlash.x", True), ("rail_bow.x.z", False)])

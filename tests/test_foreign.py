@@ -71,21 +71,6 @@ def test_a_four_bar_is_two_circles_over_a_whole_turn() -> None:
         assert max(posture.residual.values()) < 1e-11
 
 
-def test_a_fixed_joint_carries_its_link_along() -> None:
-    """The camera stands on the coupler; its joint would be one more that nothing holds."""
-    mechanism = robot(FOUR_BAR, "camera")
-    assert mechanism.tree.model.nv == 3
-    for angle in (-0.5, 0.0, 0.8):
-        end, crank = coupler_end(angle), CRANK * np.array([-np.sin(angle), np.cos(angle)])
-        x, y = (end - crank) @ [[0.4, -0.2], [0.2, 0.4]] / COUPLER**2
-        turn = np.array([[x, -y], [y, x]])
-        posture = mechanism.close([angle])
-        assert np.abs(posture.p[:2] - crank - turn @ [0.1, 0.3]).max() < 1e-12
-        assert posture.p[2] == pytest.approx(0.07)
-        c, s = np.cos(0.5), np.sin(0.5)
-        assert np.abs(posture.R[:2, :2] - turn @ [[c, -s], [s, c]]).max() < 1e-12
-
-
 @pytest.mark.parametrize("joint", ["crank_joint", "elbow", "rocker_joint"])
 def test_joints_without_limits_are_turned_all_the_same(joint: str, tmp_path: Path) -> None:
     """Pinocchio holds them as cosine and sine."""
@@ -173,11 +158,6 @@ def test_constraint_jacobian_is_a_central_difference_anywhere(folder: Path) -> N
         )  # fmt: skip
         assert np.abs(constraints.residual(q)).max() > 0.01
         assert np.abs(constraints.jacobian(q) - numeric).max() < 1e-8
-
-
-def test_the_rods_of_a_delta_may_spin() -> None:
-    found = robot(DELTA).mobility([0.1, 0.2, -0.1])
-    assert found.mobility == 3 + 6
 
 
 # -- this package's own files by that door ---------------------------------------------------

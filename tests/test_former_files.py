@@ -210,12 +210,8 @@ def test_a_result_that_kept_no_rows_is_refused_in_a_sentence() -> None:
     ("old", "new"),
     [
         (FORMER / "schema-1" / "dials", FORMER / "schema-2" / "dials" / "result.json"),
-        pytest.param(
-            FORMER / "early-schema-2" / "dials", RIG / "rig-2.csv", marks=pytest.mark.thorough
-        ),
-        pytest.param(
-            FORMER / "schema-2" / "delta", INPUTS / "delta.csv", marks=pytest.mark.thorough
-        ),
+        (FORMER / "early-schema-2" / "dials", RIG / "rig-2.csv"),
+        (FORMER / "schema-2" / "delta", INPUTS / "delta.csv"),
     ],
     ids=lambda path: str(path.relative_to(HERE)),
 )

@@ -143,15 +143,6 @@ def test_names_of_setups_change_no_number(
         assert name in "".join(figure.itertext())
 
 
-def test_a_setup_called_common_is_no_structured_member() -> None:
-    setups = ("common", "other")
-    every = CATALOGUE.expand(["gauge_scale"], setups)
-    assert [p.setup for p in every] == ["common", "other"]
-    member = CATALOGUE.parameter("gauge_scale.common", setups)
-    assert (member.member, member.setup) == ("common", "")
-    assert len(CATALOGUE.elementary_weights(member, setups)) == 2
-
-
 @pytest.mark.parametrize("setup", ["a", "a@b", "common", '"', 'a"@"b', "@"])
 @pytest.mark.parametrize("campaign", ["", "april", "b@c"])
 def test_names_of_dial_parameters_are_read_as_they_were_meant(setup: str, campaign: str) -> None:
@@ -208,20 +199,6 @@ def test_what_cannot_be_shown_is_refused(character: str, here: Path) -> None:
     (here / "c.csv").write_text(EXPERIMENT_2)
     (here / "m.toml").write_text(toml, encoding="utf-8")
     assert "m.toml" in refused("identify", "c.csv", "--out", "out", "--machine", "m.toml")
-
-
-@pytest.mark.thorough
-def test_a_file_name_that_is_no_text(here: Path) -> None:
-    name = os.fsdecode(b"b\xff\x1b.csv")
-    try:
-        Path(name).write_text(EXPERIMENT_2)
-    except OSError:
-        pytest.skip("this file system has no such names")
-    result = run("identify", name, "--out", "out", "--own", "joint_offset")
-    assert result.exit_code == 0, result.output
-    stored = json.loads((here / "out" / "result.json").read_text(encoding="utf-8"))
-    assert stored["inputs"][0]["file"] == "b\ufffd\ufffd.csv"
-    assert run("rerun", "out/result.json").exit_code == 0
 
 
 # --- Files that are hardly any ------------------------------------------------------------------

@@ -15,8 +15,7 @@ from orthoglide.errors import FileError
 from orthoglide.firmware.klipper import import_printer
 from orthoglide.machine import Machine
 from orthoglide.verdict import close_loop
-from tests.klipper_files import DATA, imported, simulated_cfg
-from tests.rig_delta import DeltaRig
+from tests.klipper_files import DATA, imported
 
 ENDSTOP = re.compile(r"(#\*# position_endstop = )([0-9.]+)")
 V400, T1 = (DATA / name for name in ("v400-april.cfg", "t1-stock.cfg"))
@@ -59,19 +58,6 @@ def test_what_import_says_is_said_of_results(tmp_path: Path) -> None:
     assert far in json.loads((out / "result.json").read_text())["warnings"]
     assert far in og.identify([folder / "calibration.csv"], machine).warnings
     assert far in verdict.machine.spec.provenance["klipper"]["warnings"]
-
-
-@pytest.mark.thorough
-def test_files_that_do_not_go_together_are_told_once_and_of_the_right_one(tmp_path: Path) -> None:
-    text = T1.read_text().replace("delta_radius = 171.8", "delta_radius = 172.8")
-    found = imported(tmp_path, text)
-    assert "calibrate_again" not in found.machine.provenance["klipper"]
-    machine, by_name = Machine(found.machine), {c.name: c for c in found.campaigns}
-    heights, mesh = by_name["calibration"], by_name["mesh-default"]
-    for given, once, imported_too in (([heights, mesh], 1, 0), ([mesh], 0, 1), ([heights], 0, 0)):
-        verdict = close_loop(given, machine)
-        assert len([c for c in verdict.cautions if "are not of one plate" in c]) == once
-        assert len([w for w in verdict.warnings if "are not of one plate" in w]) == imported_too
 
 
 # Lines above the header of SAVE_CONFIG ------------------------------------------------------------
@@ -218,19 +204,3 @@ def test_a_folder_with_a_printer_s_file_and_one_packed(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(FileError, match=r"printer\.cfg: there is no such file"):
         import_printer(tmp_path / "empty")
-
-
-# Meshes that lie apart, and touches that are none -------------------------------------------------
-
-
-def test_a_touch_that_is_none_is_set_aside_by_its_row(tmp_path: Path) -> None:
-    """One is four millimetres lower."""
-    text = simulated_cfg(DeltaRig(), count=5)
-    rows = re.findall(r"#\*# \t(.*\n)", text)
-    cells = rows[2].split(", ")
-    cells[2] = f"{float(cells[2]) - 4:.6f}"
-    found = imported(tmp_path, text.replace(rows[2], ", ".join(cells)))
-    (fault,) = close_loop(list(found.campaigns), found.machine).blunders
-    assert fault.kind == "outlier"
-    assert fault.excluded
-    assert "mm off what all others say" in fault.message

@@ -1,6 +1,5 @@
 """The linear delta against three spheres and against an independent machine of six bars."""
 
-import pickle
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,7 @@ from orthoglide.effects.free_form import free_forms
 from orthoglide.effects.wording import cause_words, parameter_words
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
-from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta, Orthoglide
+from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta
 from orthoglide.machine import Machine
 from orthoglide.machine_file import (
     Controller,
@@ -183,20 +182,6 @@ def test_compensated_commands_reach_the_points_on_the_independent_machine(machin
         assert np.abs(rig.pose(commands[k], target, **one_of(seen, k))[0] - target).max() < 1e-6
 
 
-def test_every_layout_has_its_names() -> None:
-    assert "axis_tilt.tangential.common" in CATALOGUE.structured_members("axis_tilt")
-    assert {"plate_bow", "plate_trefoil"} <= set(catalogue_of(Orthoglide.names))
-    for name in CATALOGUE:
-        assert pickle.loads(pickle.dumps(CATALOGUE[name])) is CATALOGUE[name]
-
-
-def test_directions_are_said_as_sides() -> None:
-    said = cause_words(CATALOGUE, "axis_tilt.a.radial", {"axis_tilt.a.radial": -2e-3})
-    assert "toward the centre by 2 mrad" in said
-    common = "rail_tilt.tangential.common"
-    assert "the clockwise side" in cause_words(CATALOGUE, common, {common: -2e-3})
-
-
 def test_machine_files_keep_the_layout() -> None:
     spec = MachineFile(name="delta", geometry=UNEVEN)
     assert parse_machine_file(machine_text(spec)) == spec
@@ -252,9 +237,7 @@ def test_legs_given_freely_are_the_machine(geometry: Geometry) -> None:
     assert np.abs(other.inverse(p) - travel).max() < 1e-11
 
 
-@pytest.mark.thorough(except_for=["2-0.02", "6--0.02", "6-0.0", "6-0.001"])
-@pytest.mark.parametrize("longer", [-0.02, 0.0, 1e-3, 0.02])  # mm
-@pytest.mark.parametrize("digits", [2, 6])
+@pytest.mark.parametrize(("digits", "longer"), [(2, 0.02), (6, -0.02), (6, 0.0), (6, 1e-3)])  # mm
 def test_free_legs_that_touch_need_no_micrometres(
     longer: float, digits: int, tmp_path: Path
 ) -> None:

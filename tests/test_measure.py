@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
 
@@ -18,7 +17,6 @@ from click.testing import CliRunner
 import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.errors import FileError, InputError
-from orthoglide.machine_file import Controller
 from orthoglide.measuring import (
     MAX_READINGS,
     SETTLED_CRITERION,
@@ -197,46 +195,6 @@ def test_a_file_of_something_else_is_refused(machine: og.Machine, tmp_path: Path
         run()
 
 
-@pytest.mark.thorough
-def test_it_goes_on_within_a_later_sheet_in_the_controllers_own_coordinates(
-    machine: og.Machine, tmp_path: Path
-) -> None:
-    """Nothing is wrong: dials near the platform, then near the carriages; stopped in between."""
-    controller = Controller(zero=(0.3, 0.1, 0.0), sign=(1, -1, 1))
-    machine = replace(machine, spec=replace(machine.spec, controller=controller))
-    path, count, said = tmp_path / "c.csv", 0, list[str]()
-    operator = Operator(
-        Rig(errors={"joint_offset.x": 0.6e-3}), np.random.default_rng(8),
-        rho_of=lambda shown: controller.to_rho(shown, machine.geometry),
-    )  # fmt: skip
-
-    def answer(question: str) -> str:
-        nonlocal count
-        count += 1
-        return "quit" if count == 60 else f"{operator.hear(question):.2f}"
-
-    def tell(text: str) -> None:
-        said.append(text)
-        for line in text.split("\n"):
-            operator.hear(line)
-
-    def run() -> SessionEnd | None:
-        return Session(machine, Record(path, machine.spec), answer, tell).run()
-
-    assert run() is None
-    kept = path.read_text()
-    end = run()
-    assert end is not None
-    assert path.read_text().startswith(kept)
-    assert (end.settled, end.readings, end.verdict.word) == (True, 96, "adequate")
-    assert [text for text in said if "nothing was found yet" in text]
-    campaign = og.read_campaign(path, machine.spec)
-    assert {round(s.gauge / machine.geometry.L, 2) for s in campaign.setups} == {0.25, 0.65}
-    assert "travel_x_mm" in kept
-    offset = og.identify(campaign, machine).values["joint_offset.x"]
-    assert offset == pytest.approx(0.6e-3, abs=0.2e-3)
-
-
 # --- In a process of its own --------------------------------------------------------------------
 
 
@@ -313,45 +271,9 @@ def test_a_campaign_that_was_killed_goes_on_and_names_what_is_wrong(tmp_path: Pa
     assert "shows:" not in said
 
 
-@pytest.mark.thorough
-def test_a_recorded_campaign_is_replayed_through_a_pipe(tmp_path: Path) -> None:
-    """Its own rows as the sheet, its readings line by line on standard input."""
-    recorded = MACHINE.parent / "rig-3.csv"
-    readings = [str(row["reading_mm"]) for row in read_csv(recorded)]
-    path = tmp_path / "replayed.csv"
-    process = start(path, "--sheet", str(recorded), "--most", str(len(readings)))
-    said, errors = process.communicate("\n".join(readings) + "\n", timeout=120)
-    assert process.returncode == 0, errors
-    assert f"after {len(readings)} readings" in said
-    machine = og.Machine.load(MACHINE)
-    one, other = (og.read_campaign(p, machine.spec) for p in (recorded, path))
-    np.testing.assert_array_equal(one.reading, other.reading)
-    np.testing.assert_array_equal(one.command, other.command)
-    assert f"Verdict {og.close_loop(other, machine).word}" in said
-
-
 def test_the_end_of_the_input_is_a_stop(tmp_path: Path) -> None:
     command = ["measure", "--machine", str(MACHINE), "--out", str(tmp_path / "c.csv")]
     result = CliRunner().invoke(cli, command, input="0\n")
     assert (result.exit_code, result.stderr) == (0, "")
     assert "Stopped with 1 reading in" in result.stdout
     assert result.stdout.count("shows:") == 2
-
-
-def test_the_help_says_the_criterion_and_how_many_readings() -> None:
-    text = " ".join(CliRunner().invoke(cli, ["measure", "--help"]).output.split())
-    assert SETTLED_CRITERION in text
-    assert f"[default: {MAX_READINGS}; x>=2]" in text
-
-
-def test_bad_usage(tmp_path: Path) -> None:
-    def code(*words: str) -> int:
-        return CliRunner().invoke(cli, ["measure", *words]).exit_code
-
-    out = str(tmp_path / "c.csv")
-    assert code() == 2
-    assert code("--out", out, "--most", "1") == 2
-    assert code("--out", out, "--machine", "nowhere.toml") == 2
-    assert code("--out", out, "--sheet", "nowhere.csv") == 2
-    assert code("--out", str(tmp_path / "no" / "c.csv")) == 2
-    assert not list(tmp_path.iterdir())

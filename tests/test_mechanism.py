@@ -3,7 +3,6 @@
 import pickle
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -16,12 +15,8 @@ from orthoglide.geometry import Array, Geometry
 from orthoglide.machine import Machine
 from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.constraints import Constraints
-from orthoglide.mechanism.engine import PinocchioEngine
-from orthoglide.mechanism.mechanism import _rebuild_mechanism
 from orthoglide.mechanism.perfect_legs import commands as commands_of
-from orthoglide.mechanism.symbolic_closure import closure_functions
 from orthoglide.mechanism.tree import (
-    RELIEF_NAMES,
     VIRTUAL_NAMES,
     LoopedModel,
     Tree,
@@ -29,7 +24,6 @@ from orthoglide.mechanism.tree import (
     load,
     nominal_tree,
 )
-from orthoglide.urdf import Closure
 from tests.engines import (
     NOMINAL,
     OTHER,
@@ -38,7 +32,6 @@ from tests.engines import (
     forward,
     given,
     mechanism,
-    outputs,
     six_bars,
 )
 from tests.rig import _solve, rotation
@@ -133,22 +126,6 @@ def test_a_guess_in_the_other_assembly_mode_is_no_posture() -> None:
             mechanism().close(rho, guess=other)
 
 
-def test_other_assembly_mode_with_errors_is_another_pose_of_the_same_bars() -> None:
-    rho, moves = commands(20, 4), displacements(20, 4, 1e-3)
-    mirrored = reduction.forward(rho, mode="other")
-    for k, (root, point, length) in enumerate(zip(*parts(rho, moves), strict=True)):
-        posture = mechanism().close(rho[k], moves[k], mode="other")
-        assert np.abs(posture.p - mirrored[k]).max() < 0.05
-        spans = posture.p + point @ posture.R.T - root
-        assert np.abs(np.linalg.norm(spans, axis=1) - length).max() < 1e-11
-
-
-def test_platform_does_not_turn_while_nothing_is_displaced() -> None:
-    rho = commands(200, 5)
-    assert np.abs(outputs(rho).R - np.eye(3)).max() < 1e-12
-    assert max(np.abs(mechanism().close(r).R - np.eye(3)).max() for r in rho) < 1e-12
-
-
 def test_velocity_jacobian_equals_eq_5() -> None:
     rho = np.concatenate([commands(100, 6), CORNERS])
     expected = reduction.jacobians(reduction.forward(rho), rho).rho
@@ -191,18 +168,6 @@ def test_newton_matrix_is_the_jacobian_where_the_loops_are_closed(displaced: flo
         assert np.abs(constraints.newton_matrix() - exact).max() < 1e-9
 
 
-def test_symbolic_residual_vanishes_where_pinocchios_does() -> None:
-    tree, rho, moves = mechanism().tree, commands(50, 9), displacements(50, 9)
-    functions = closure_functions(tree)
-    judge = PinocchioEngine(mechanism())
-    for r, m in zip(rho, moves, strict=True):
-        q = mechanism().close(r, m).q
-        known = np.concatenate([r - NOMINAL.L, m.ravel()])
-        assert np.abs(functions.residual(q[tree.free], known).full()).max() < 1e-12
-        shown = judge.outputs(known[None, :3], known[None, 3:]).values[0]
-        assert np.abs(functions.outputs(q[tree.free], known).full()[:, 0] - shown).max() < 1e-12
-
-
 # -- mobility, rigid and relieved legs -------------------------------------------------------
 
 
@@ -214,18 +179,6 @@ def test_mobility_is_three_everywhere_in_the_stroke() -> None:
         assert [found.by_loop[f"{leg}_parallelogram"] for leg in "xyz"] == [2, 2, 2]
         assert [found.by_loop["platform_xy"], found.by_loop["platform_xz"]] == [6, 6]
     assert "mobility 3, 6 redundant rows" in str(found)
-
-
-def test_closure_is_well_conditioned_everywhere_in_the_stroke() -> None:
-    for rho in np.concatenate([CORNERS, commands(50, 13)]):
-        posture = mechanism().close(rho)
-        closure = mechanism().constraints.jacobian(posture.q)[:, mechanism().tree.free]
-        assert np.linalg.cond(closure) < 100
-        most, _, least = np.linalg.svd(mechanism().velocity_jacobian(posture), compute_uv=False)
-        assert least > 0.1  # else a leg is stretched across its drive, a serial singularity
-        assert 1 / most > 0.1  # else the three legs lie in one plane, a parallel singularity
-    isotropic = mechanism().velocity_jacobian(mechanism().close(NOMINAL.zero))
-    assert np.linalg.cond(isotropic) == pytest.approx(1.0, abs=1e-12)
 
 
 CONSISTENT = {
@@ -267,24 +220,6 @@ def test_rigid_legs_refuse_parts_that_do_not_fit(moves: Array) -> None:
     assert np.abs(relieved.q[mechanism().tree.relief]).max() > 1e-6
 
 
-def test_relieved_legs_are_six_bars() -> None:
-    rho, moves = commands(200, 15), displacements(200, 15)
-    p, R = rigid_platform(rho, moves)
-    out = outputs(rho, moves)
-    assert np.abs(out.p - p).max() < 1e-12
-    assert np.abs(out.R - R).max() < 1e-11
-    assert np.abs(R - np.eye(3)).max() > 1e-2  # the errors do turn the platform
-
-
-def test_rigid_and_relieved_free_joints_are_the_documented_ones() -> None:
-    tree, nominal = general_tree(load()), nominal_tree(load())
-    assert len(tree.free) == 21
-    assert len(tree.relief) == 3 * len(RELIEF_NAMES)
-    places = np.concatenate([tree.drive, tree.free, tree.virtual])
-    assert sorted(places) == list(range(tree.model.nq))
-    assert len(nominal.relief) == len(nominal.virtual) == 0
-
-
 # -- cold and warm starts --------------------------------------------------------------------
 
 
@@ -309,63 +244,6 @@ def test_a_warm_start_gives_the_same_pose_in_fewer_steps() -> None:
         assert np.abs(cold.p - warm.p).max() < 1e-13
         assert warm.iterations <= cold.iterations
     assert mechanism().close(r, m, guess=cold).iterations == 1
-
-
-# -- where the loops are cut, and in which units ---------------------------------------------
-
-
-def tie(first: str, second: str) -> Closure:
-    return Closure(f"platform_{first}{second}", "frame", f"{first}_tcp", f"{second}_tcp")
-
-
-TIES = {
-    "xy-yz": (tie("x", "y"), tie("y", "z")),
-    "yz-zx": (tie("y", "z"), tie("z", "x")),
-    "zx-yx": (tie("z", "x"), tie("y", "x")),
-}
-
-
-@pytest.mark.parametrize("ties", TIES.values(), ids=TIES)
-def test_pose_does_not_depend_on_which_platforms_are_tied(ties: tuple[Closure, ...]) -> None:
-    same_pose_with((*mechanism().tree.loops[:3], *ties), 21)
-
-
-def test_pose_does_not_depend_on_which_end_of_a_parallelogram_comes_first() -> None:
-    loops = mechanism().tree.loops
-    same_pose_with(tuple(replace(k, frame_1=k.frame_2, frame_2=k.frame_1) for k in loops), 22)
-
-
-def same_pose_with(loops: tuple[Closure, ...], seed: int) -> None:
-    own = mechanism()
-    variant = PinocchioEngine(
-        _rebuild_mechanism(NOMINAL, own.looped, replace(own.tree, loops=loops))
-    )
-    asked = given(commands(50, seed), displacements(50, seed))
-    expected, expected_slopes = six_bars().tangent(*asked)
-    found, slopes = variant.tangent(*asked)
-    assert np.abs(found.values - expected.values).max() < 1e-12
-    assert np.abs(slopes - expected_slopes).max() < 1e-10
-
-
-@pytest.mark.parametrize("scale", [1e-3, 1e3], ids=["mm", "km"])
-@pytest.mark.parametrize("relieved", [True, False], ids=["relieved", "rigid"])
-def test_pose_does_not_depend_on_the_rows_units(scale: float, relieved: bool) -> None:
-    tree = mechanism().tree
-    constraints = Constraints(tree)
-    weight = np.ones(21)
-    weight[[*range(9), 9, 10, 11, 15, 16, 17]] = scale  # lengths against angles
-    moving = tree.free if relieved else tree.passive
-    rho = commands(20, 23)
-    moves = displacements(20, 23) if relieved else np.tile(CONSISTENT["path"], (20, 1, 1))
-    for r, m in zip(rho, moves, strict=True):
-        q = np.zeros(tree.model.nq)
-        q[tree.drive], q[tree.virtual] = r - NOMINAL.L, m.ravel()
-        for _ in range(12):
-            residual = weight * constraints.residual(q)
-            matrix = weight[:, None] * constraints.newton_matrix()[:, moving]
-            q[moving] -= np.linalg.lstsq(matrix, residual, rcond=1e-12)[0]
-        own = mechanism().close(r, m, legs="relieved" if relieved else "rigid")
-        assert np.abs(own.q - q).max() < 1e-12
 
 
 # -- refusals --------------------------------------------------------------------------------
@@ -405,10 +283,6 @@ def right_or_refused(rho: Array) -> tuple[int, int]:
     return closed, refused
 
 
-def test_carriages_beyond_the_origin_close_on_the_right_pose_or_not_at_all() -> None:
-    assert right_or_refused(np.random.default_rng(5).uniform(-0.4, 0.4, (200, 3)))[0] > 20
-
-
 @pytest.mark.parametrize("command", [[0, 0, 0], [0.06, -0.1, 0.0]])
 def test_where_the_assembly_modes_meet_is_no_pose(command: list[float]) -> None:
     """Travel in place of commands: all carriages at the origin, or one of them."""
@@ -426,13 +300,6 @@ def test_points_beyond_the_carriages_are_said_to_be_there() -> None:
         MACHINE.inverse([[0.0, 0.0, 0.0], [0.2, 0.2, 0.2]])
     assert on.value.index == (1,)
     assert on.value.excess == pytest.approx(0.157331, abs=1e-6)
-
-
-def test_whatever_the_legs_reach_near_the_stroke_closes() -> None:
-    low, high = NOMINAL.stroke
-    rho = NOMINAL.L + np.random.default_rng(25).uniform(1.3 * low, 1.3 * high, (300, 3))
-    assert np.abs(forward(rho) - reduction.forward(rho)).max() < 1e-12
-    assert max(np.abs(mechanism().close(r).p - reduction.forward(r)).max() for r in rho) < 1e-12
 
 
 def test_a_batch_names_the_posture_that_fails() -> None:

@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.errors import InputError
+from orthoglide.errors import FileError, InputError
 from orthoglide.fit import assemble
 from orthoglide.fit.factors import Factor
 from orthoglide.fit.noise import noise_of
 from orthoglide.fit.solving import Method
 from orthoglide.instruments import (
     OBSERVATIONS,
+    TOOL_OBSERVATIONS,
     InstrumentPose,
     InstrumentPriors,
     Observation,
@@ -28,6 +29,7 @@ from orthoglide.instruments import (
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument
 from orthoglide.observations import Readings, concatenated, read_campaign, write_campaign
+from orthoglide.observations.schema import COLUMNS
 from orthoglide.prediction import MeasurementModel
 from tests.observation_examples import (
     BALL,
@@ -363,6 +365,41 @@ def with_sigma(readings: Readings, sigma: float) -> Readings:
     return replace(readings, sigma=np.full(len(readings), sigma))
 
 
+# -- what a declaration owes -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_instrument_is_declared_whole(kind: str) -> None:
+    one = OBSERVATIONS[kind]
+    assert "" not in (one.instrument_phrase, one.quantity_phrase)
+    assert one.unit in ("mm", "mrad")
+    shown = one.quantity_phrase.format("AXIS", "LEG")
+    assert ("AXIS" in shown, "LEG" in shown) == (bool(one.axes), one.on_leg)
+    assert one.repeatability > 0
+    priors = InstrumentPriors(dial_placement_sd=1e-4, surface_slope_sd=1e-4)
+    known = one.nuisance_sds(mounted(one), np.array([0]), priors)
+    assert known.shape == (one.nuisance_count,)
+    assert (known > 0).all()
+
+
+@pytest.mark.parametrize("kind", TOOL_OBSERVATIONS)
+def test_a_sheet_stays_within_its_circle(kind: str) -> None:
+    one, t = OBSERVATIONS[kind], np.arange(12) * np.pi / 6
+    points, others = one.sheet_points(np.stack([np.cos(t), np.sin(t), 0 * t], axis=1))
+    assert (others is not None) is one.paired
+    for places in (points, *([] if others is None else [others])):
+        assert np.linalg.norm(places, axis=1).max() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_column_that_a_kind_needs_is_missed(kind: str) -> None:
+    frame = filled(kind, "orthoglide").to_frame()
+    needed = [c.name for c in COLUMNS if c.required and c.applies_to(OBSERVATIONS[kind])]
+    for column in (c for c in needed if c in frame and c != "order"):
+        with pytest.raises(FileError, match=f"has no column {column}"):
+            Readings.from_frame(frame.drop(columns=column))
+
+
 # -- files and tables ------------------------------------------------------------------------------
 
 
@@ -434,6 +471,8 @@ def test_parts_of_a_table_and_tables_put_together_keep_their_readings(
     shown = MeasurementModel(back, stands_of(kind, back)).predict(model, TRUE[layout])
     assert np.array_equal(shown, whole[by_setup])
     assert machine.geometry.layout.names == back.legs
+    with pytest.raises(InputError, match="two setups are called"):
+        concatenated([readings, readings])
 
 
 def mixed(layout: str, errors: dict[str, float], seed: int) -> Readings:

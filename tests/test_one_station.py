@@ -79,32 +79,6 @@ def test_a_bump_is_found_again_by_its_name(at: float) -> None:
     assert [str(name) for name in motions] == [str(name) for name in place.effect.motions]
 
 
-@pytest.mark.thorough
-def test_a_dial_that_is_wrong_at_one_reading_is_named_or_rivals_the_command() -> None:
-    """Its rows were set aside as those of a wrong command."""
-    errors = {"joint_offset.x": 8e-4, "joint_offset.y": -1.5e-3, "axis_tilt.x.y": 1e-3}
-    machine = og.Machine.nominal().with_parameters(errors)
-    sheet = og.simulate(machine, "sweep", noise=5e-6, seed=3)
-    true = machine.readings(sheet)
-    own = sheet.setup == 0
-    at = np.unique(np.round(true[own], 5))[-3]
-    dent = 8e-5 * np.exp(-0.5 * ((true - at) / 2e-5) ** 2) * own
-    assert 3 <= np.sum(dent > 4e-5) <= 6
-    verdict = og.close_loop(sheet.with_readings(np.round((sheet.reading + dent) / 1e-5) * 1e-5))
-    assert verdict.blunders == ()
-    (found,) = verdict.located
-    assert any(curve.name.startswith("dial.xy-0.5/reading") for curve in found.members)
-
-
-@pytest.mark.thorough
-def test_a_single_part_comes_before_patterns_that_fit_no_better() -> None:
-    verdict = og.close_loop([og.read_campaign(RIG2 / "b2.csv")])
-    (cause,) = verdict.effects
-    assert "bar_mismatch.y" in (cause.name, *(one.name for one in cause.same))
-    patterns = [one for one in cause.explanations if "symmetric" in one.name]
-    assert all(one.probability < cause.together for one in patterns)
-
-
 def _bump(at: float) -> FreeForm:
     """Of the x rail toward z."""
     machine = og.Machine.nominal()

@@ -19,7 +19,7 @@ import orthoglide as og
 from orthoglide.errors import FileError, InputError
 from orthoglide.instruments import Setup
 from orthoglide.machine import Machine
-from orthoglide.observations import Readings, protocol, read_campaign, write_campaign
+from orthoglide.observations import Readings, protocol, read_campaign
 from orthoglide.planning import observability
 from orthoglide.report.sheet import sheet_page
 from tests.command_line import run
@@ -100,39 +100,6 @@ def test_xmax_gives_the_x_offset_once_the_z_offset_is_known() -> None:
         og.identify(readings, MACHINE, ["joint_offset"], priors=False)
 
 
-def test_the_first_technique_finds_what_the_second_finds() -> None:
-    """The same machine by Fig. 4a, differences at one posture, and by Fig. 4b, from Zero."""
-    found = {}
-    for kind in ("parallelism", "standard"):
-        readings = measured(protocol(kind), OFFSETS)  # type: ignore[arg-type]
-        found[kind] = og.identify(readings, MACHINE, ["joint_offset"], priors=False, noise=1e-5)
-        for name, value in OFFSETS.items():
-            assert abs(found[kind].values[name] - value) < 1e-9
-        assert np.abs(found[kind].residuals).max() < 1e-12
-    noisy = {}
-    rng = np.random.default_rng(2)
-    for kind in found:
-        readings = measured(protocol(kind), OFFSETS)  # type: ignore[arg-type]
-        shown = readings.with_readings(readings.reading + 1e-5 * rng.standard_normal(len(readings)))
-        noisy[kind] = og.identify(shown, MACHINE, ["joint_offset"], noise=1e-5)
-    one, other = noisy.values()
-    for name in OFFSETS:
-        both = np.hypot(one.sigmas[name], other.sigmas[name])
-        assert abs(one.values[name] - other.values[name]) < 3.5 * both
-
-
-def test_both_techniques_together_say_more_than_either() -> None:
-    sheets = [protocol("parallelism"), protocol("standard")]
-    several = [measured(sheet, OFFSETS) for sheet in sheets]
-    alone = [og.identify(one, MACHINE, ["joint_offset"]) for one in several]
-    both = og.identify(several, MACHINE, ["joint_offset"])
-    for name, value in OFFSETS.items():
-        assert both.sigmas[name] < min(one.sigmas[name] for one in alone)
-        assert abs(both.values[name] - value) < 1e-6
-    noise = both.problem.noise_by_instrument
-    assert list(noise) == ["parallelism", "leg"]
-
-
 # -- the surface -----------------------------------------------------------------------------------
 
 
@@ -201,15 +168,6 @@ def test_one_posture_of_a_setup_is_enough_and_no_dial_stands_still(tmp_path: Pat
     assert found.scores.dof == pytest.approx(1.0)
 
 
-def test_a_leg_needs_no_second_dial_in_a_mixed_file(tmp_path: Path) -> None:
-    several = og.observations.concatenated([protocol("parallelism"), protocol("standard")])
-    readings = measured(replace(several, time=np.full(len(several), np.nan)), OFFSETS)
-    write_campaign(readings, tmp_path / "c.csv")
-    back = read_campaign(tmp_path / "c.csv")
-    assert back.setups == readings.setups
-    assert np.allclose(back.reading, readings.reading, atol=1e-15)
-
-
 def test_the_reduction_says_that_it_knows_single_dials_only() -> None:
     readings = measured(protocol("parallelism"), OFFSETS)
     with pytest.raises(
@@ -231,9 +189,6 @@ def test_deviations_are_the_readings_themselves() -> None:
         assert abs(one.values[name] - other.values[name]) < 0.05 * one.sigmas[name]
 
 
-# -- for a user ------------------------------------------------------------------------------------
-
-
 def test_the_protocol_reads_both_dials_at_zero_max_and_min() -> None:
     sheet = protocol("parallelism")
     assert len(sheet) == 54
@@ -249,6 +204,9 @@ def test_the_protocol_reads_both_dials_at_zero_max_and_min() -> None:
     assert "do not zero it in between" not in page
     with pytest.raises(InputError, match=r"only readings of single dials.*kind parallelism"):
         observability(MACHINE, sheet, ["joint_offset"])
+
+
+# -- for a user ------------------------------------------------------------------------------------
 
 
 def done(*arguments: object) -> str:
@@ -280,11 +238,3 @@ def test_a_user_goes_from_the_sheet_to_the_report(tmp_path: Path) -> None:
     assert "the surface that they were set to zero against may slope by 0.05 mrad" in page
     assert "zero is free in every setup" not in page
     assert "zero is arbitrary" not in page
-
-
-def test_parallelism_readings_alone_are_identified() -> None:
-    """Without unknowns and nuisances, as before a calibration, nothing is fitted."""
-    readings = og.simulate(og.Machine.nominal(), og.protocol("parallelism"), seed=1)
-    estimate = og.identify(readings)
-    assert estimate.nominal.rms > 0
-    assert og.close_loop(readings).word in ("adequate", "diffuse")

@@ -14,11 +14,9 @@ import pytest
 import orthoglide as og
 from benchmarks.delta_readings import measured as read_by
 from benchmarks.delta_truth import machine as delta
-from orthoglide.closing import build_result
 from orthoglide.planning import suggest_separating_located_errors
-from orthoglide.report import report_files
 from tests.rig import Rig
-from tests.rig_campaigns import hysteresis, s_curve
+from tests.rig_campaigns import s_curve
 from tests.rig_delta import DeltaRig
 from tests.studied import studied
 from tests.test_design import RIG, driven, measured
@@ -60,28 +58,6 @@ def test_the_readings_proposed_for_a_class_of_places_leave_the_true_one(
     (left,) = after.located
     assert (left.name, left.members[0].probability > 0.9) == (TRUE, True)
     assert after.effects == ()
-
-
-@pytest.mark.thorough
-def test_the_sheet_and_the_page_hold_them_and_they_come_first() -> None:
-    _, _, closed = located(6)
-    verdict = build_result(closed, og.Verdict)
-    (one,) = proposed(verdict)
-    files = report_files(verdict)
-    for row in {row["setup"] for row in one.readings if row["setup"]}:
-        assert row in files["next_measurements.csv"]
-    assert "To tell apart what these readings cannot" in files["report.html"]
-    assert verdict.actions[0].words == f"Measure more: {one.reason}"
-
-
-@pytest.mark.thorough
-def test_a_place_that_is_alone_needs_no_readings(machine: og.Machine) -> None:
-    rig = Rig(errors=OFF, extra=(hysteresis(0, 1.2e-4),))
-    verdict = og.close_loop([measured(machine, rig, "sweep", 6)], machine)
-    (found,) = verdict.located
-    assert [c.name for c in found.members] == ["drive.x/reversal"]
-    assert found.probability > 0.9
-    assert not proposed(verdict)
 
 
 def class_of(closed: Any, *names: str) -> Any:

@@ -11,9 +11,8 @@ import sys
 import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import numpy as np
 import pytest
@@ -109,23 +108,6 @@ def test_simulate_is_the_command(exact: bool, tmp_path: Path) -> None:
     )
 
 
-def test_a_sheet_to_rehearse_may_be_named() -> None:
-    assert str in get_args(get_type_hints(og.rehearse)["sheet"])
-
-
-def test_units_for_effects_of_ones_own() -> None:
-    assert (og.Unit("mm", 1e-3), og.Unit("rad", 1.0), og.Unit("1", 1.0)) == (og.MM, og.RAD, og.ONE)
-
-
-def test_simulated_noise_is_as_told() -> None:
-    machine = og.Machine.nominal()
-    quiet, loud = (og.simulate(machine, noise=noise, seed=1) for noise in (0.0, 1e-4))
-    assert 0.5e-4 < np.std(loud.reading - quiet.reading) < 2e-4
-    for bad in ({"noise": -1e-5}, {"noise": 20.0}, {"seed": -1}):
-        with pytest.raises(og.InputError):
-            og.simulate(machine, **bad)  # type: ignore[arg-type]
-
-
 def test_compensate_is_the_command(tmp_path: Path) -> None:
     machine = og.Machine.nominal().with_parameters(ERRORS)
     machine.save(tmp_path / "m.toml")
@@ -192,18 +174,6 @@ def test_what_a_verdict_holds_is_shown_in_a_few_lines(
         closed.after.nuisance,
     ):  # fmt: skip
         assert len(repr(held)) < 600
-
-
-@pytest.mark.parametrize("kind", ["standard", "sweep"])
-def test_the_frame_of_a_campaign_reads_back(kind: Any) -> None:
-    filled = og.simulate(og.Machine.nominal().with_parameters(ERRORS), kind, seed=2)
-    frame = filled.to_frame()
-    assert len(frame) == len(filled) + len(filled.moves)
-    assert frame["reading_mm"].dropna().to_numpy() == pytest.approx(filled.reading * 1e3)
-    assert og.Campaign.from_frame(frame, name=filled.name).same_as(filled)
-    sheet = og.protocol(kind).with_moves()
-    again = og.Campaign.from_frame(sheet.to_frame(), name=sheet.name, require_readings=False)
-    assert again.same_as(replace(sheet, time=np.full(len(sheet), np.nan)))  # none was taken
 
 
 def test_frames_say_what_they_need(estimate: og.Estimate, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -277,42 +247,6 @@ def test_points_in_millimetres_are_said_to_be_far() -> None:
         og.Machine.nominal().inverse([-12, 24, 24])
     with pytest.raises(og.UnreachableError, match=f"^row 1 .* too short; {told}"):
         og.compensate(og.Machine.nominal(), [[-12, 24, 24]])
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("kind", [str, Path])
-def test_campaigns_are_read_where_paths_are_given(
-    kind: Callable[[Path], Any],
-    machine: og.Machine,
-    estimate: og.Estimate,
-    verdict: og.Verdict,
-) -> None:
-    path = kind(RIG / "rig-2.csv")
-    assert og.identify(path, machine).values == estimate.values
-    assert og.identify([path], machine).values == estimate.values
-    assert og.close_loop(path, machine).values == verdict.values
-
-
-@pytest.mark.thorough
-def test_a_machine_is_read_where_a_path_is_given(estimate: og.Estimate) -> None:
-    file = RIG / "machine.toml"
-    for given in (file, str(file), og.Machine.load(file).spec):
-        assert og.identify(RIG / "rig-2.csv", given).values == estimate.values
-    found = og.check(RIG / "rig-2.csv", RIG / "rig-2.csv", str(file))
-    assert not any(d.changed for d in found.differences)
-    assert og.Machine.of(None) == og.Machine.nominal()
-    with pytest.raises(og.FileError, match=r"none\.toml"):
-        og.close_loop(RIG / "rig-2.csv", "none.toml")
-    with pytest.raises(og.InputError, match="a dict is no machine"):
-        og.identify(RIG / "rig-2.csv", {})  # type: ignore[arg-type]
-
-
-def test_no_campaign_is_refused(tmp_path: Path) -> None:
-    for ask in (og.identify, og.close_loop):
-        with pytest.raises(og.InputError, match="no campaign"):
-            ask([])
-        with pytest.raises(og.FileError, match=r"none\.csv"):
-            ask(tmp_path / "none.csv")
 
 
 def test_types_are_shipped(tmp_path: Path) -> None:

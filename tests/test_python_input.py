@@ -137,19 +137,6 @@ def test_a_column_twice_is_said_as_of_a_file() -> None:
     refused(lambda: fit(df), "a DataFrame holds no readings: .* og.Campaign.from_frame")
 
 
-@pytest.mark.thorough
-def test_campaigns_without_a_file_are_named_in_python() -> None:
-    other = og.simulate(WORN, "standard", noise=5e-6, seed=2)
-    refused(lambda: fit([DIALS, other]), "dataclasses.replace.campaign, name='second'")
-    refused(lambda: fit([POINTS, POINTS]), "dataclasses.replace.campaign, name='second'")
-    fit([DIALS, replace(other, name="second")])
-    fit([POINTS, replace(POINTS, name="second")])
-
-
-def test_one_radius_is_that_of_all_towers() -> None:
-    assert og.LinearDelta(radius=0.12) == og.LinearDelta(radius=(0.12, 0.12, 0.12))
-
-
 def test_one_effect_is_a_list_of_one() -> None:
     mine = replace(WORN.catalogue["axis_tilt"], name="mine")
     known = WORN.with_effects(mine)  # type: ignore[arg-type]
@@ -189,35 +176,9 @@ def test_states_are_read_from_results_too(tmp_path: Path) -> None:
     refused(lambda: read_states(verdict.request, away), "machines of different dimensions")
 
 
-def test_points_are_written_a_row_each(tmp_path: Path) -> None:
-    og.write_campaign(POINTS, tmp_path / "points.tcp.csv")
-    again = og.read_tcp(tmp_path / "points.tcp.csv")
-    assert np.array_equal(again.reading, POINTS.reading)
-    assert np.array_equal(again.line, POINTS.line)
-
-
 def test_what_holds_no_readings_is_not_written(tmp_path: Path) -> None:
     for given in ("abc", None, [], DIALS.subset(np.zeros(len(DIALS), dtype=bool))):
         refused(lambda given=given: og.write_campaign(given, tmp_path / "x.csv"), "with readings")
-
-
-def test_planning_takes_the_path_of_a_machine() -> None:
-    path = Path(__file__).parent / "data" / "rig" / "machine.toml"
-    machine = og.Machine.load(path)
-    one, other = (og.design(given, count=6).campaign for given in (path, machine))
-    assert np.array_equal(one.command, other.command)
-    refused(lambda: og.tool_sheets(3, ["plate"]), "a int is no machine")  # type: ignore[arg-type]
-
-
-def test_bounds_of_what_is_free_hold() -> None:
-    found = fit(bounds={"joint_offset": 1e-5, "leg_length.x": 1e-3})
-    assert max(abs(found.values[f"joint_offset.{leg}"]) for leg in "xyz") < 1.1e-5
-
-
-def test_smallest_effects_of_one_parameter() -> None:
-    found = og.smallest_effects(WORN, DIALS, names=["axis_tilt.y.z"])
-    assert {s.effect for s in found.smallest} == {"axis_tilt"}
-    assert {s.name for s in found.smallest if s.elementary} == {"axis_tilt.y.z"}
 
 
 def test_figures_are_svg(tmp_path: Path) -> None:
@@ -296,11 +257,3 @@ def test_readings_that_cannot_be(call: Callable[[], Any], words: str) -> None:
 )
 def test_the_loop_checks_all_that_it_is_given(call: Callable[[], Any], words: str) -> None:
     refused(call, words)
-
-
-@pytest.mark.thorough
-def test_lists_do_for_arrays() -> None:
-    lists = og.Readings.from_points(
-        AT.command.tolist(), AT.p.tolist(), [np.nan] * 20, [[0] * 3] * 20, list(range(20))
-    )
-    assert fit(lists).values == fit(POINTS).values

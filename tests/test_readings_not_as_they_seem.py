@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -12,18 +11,12 @@ import pytest
 
 import orthoglide as og
 from benchmarks.attribution_cases import base_errors
-from benchmarks.attribution_run import campaign as campaign_of, points_of
-from orthoglide.closing import build_result
+from benchmarks.attribution_run import campaign as campaign_of
 from orthoglide.errors import InputError
-from orthoglide.explanation.lack_of_fit import LackOfFitTest
 from orthoglide.machine_file.measured import Measured
-from orthoglide.notes import Note
-from orthoglide.report import result_text
-from orthoglide.report.sentences import evidence
 from orthoglide.simulation import simulate, simulate_tcp
 from tests import rig_campaigns as rc
 from tests.rig import Rig
-from tests.studied import studied
 
 RIG = Path(__file__).parent / "data" / "rig"
 MACHINE = og.Machine.load(RIG / "machine.toml")
@@ -44,20 +37,9 @@ def shuffled(campaign: og.Campaign, seed: int, within: bool) -> og.Campaign:
 
 @pytest.mark.parametrize("within", [False, True], ids=["all", "within setups"])
 @pytest.mark.parametrize("number", [2, 5])
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.thorough)])
-def test_shuffled_readings_are_refused(number: int, seed: int, within: bool) -> None:
+def test_shuffled_readings_are_refused(number: int, within: bool) -> None:
     with pytest.raises(InputError, match=rf"rig-{number}.csv.*visits to the same posture scatter"):
-        og.close_loop(shuffled(rig(number), seed, within))
-
-
-@pytest.mark.thorough
-def test_one_shuffled_setup_is_set_aside() -> None:
-    whole = rig(5)
-    rows = np.flatnonzero(whole.setup == 3)
-    readings = whole.reading.copy()
-    readings[rows] = readings[np.random.default_rng(0).permutation(rows)]
-    (blunder,) = og.close_loop(whole.with_readings(readings), MACHINE).blunders
-    assert (blunder.kind, blunder.setups) == ("scatter", (whole.setups[3].name,))
+        og.close_loop(shuffled(rig(number), 0, within))
 
 
 @pytest.mark.thorough
@@ -77,13 +59,11 @@ def test_commands_in_each_others_columns_are_refused(
     og.close_loop(campaign_of(rc.simulate(far, rc.protocol_rows(protocol), rng)), MACHINE)
 
 
-@pytest.mark.thorough(except_for=["order0"])
-@pytest.mark.parametrize("order", [(1, 0, 2), (2, 0, 1)])
-def test_one_dial_does_not_tell_whose_columns_were_exchanged(order: tuple[int, ...]) -> None:
+def test_one_dial_does_not_tell_whose_columns_were_exchanged() -> None:
     whole = rig()
     one = whole.subset(whole.setup == 0)
     with pytest.raises(InputError, match="in another order of drives, which they cannot tell"):
-        og.identify(replace(one, command=one.command[:, order]), MACHINE)
+        og.identify(replace(one, command=one.command[:, [1, 0, 2]]), MACHINE)
 
 
 @pytest.mark.parametrize("factor", [25.4, 1 / 25.4])
@@ -99,11 +79,10 @@ def test_millimetres_of_a_fine_dial_are_no_inches() -> None:
     og.identify(rig(), og.Machine(finer))
 
 
-@pytest.mark.parametrize("kind", ["standard", pytest.param("sweep", marks=pytest.mark.thorough)])
-@pytest.mark.parametrize("length", [5e-3, pytest.param(-5e-3, marks=pytest.mark.thorough)])
-def test_a_bar_wrong_by_five_millimetres_is_told(kind: str, length: float) -> None:
+def test_a_bar_wrong_by_five_millimetres_is_told() -> None:
+    length = 5e-3
     wrong = MACHINE.with_parameters({"leg_length.y": length})
-    verdict = og.close_loop(simulate(wrong, kind, noise=5e-6, seed=1), MACHINE)
+    verdict = og.close_loop(simulate(wrong, "standard", noise=5e-6, seed=1), MACHINE)
     assert verdict.word == "explained"
     assert [cause.name for cause in verdict.effects] == ["leg_length.y"]
     assert verdict.effects[0].chosen.value == pytest.approx(length * 1e3, abs=0.5)
@@ -136,14 +115,8 @@ def tcp_points(slip: float, **more: float):
 
 @pytest.mark.parametrize(
     ("slip", "frame"),
-    [
-        (-0.01, "translation"),
-        *(pytest.param(*case, marks=pytest.mark.thorough) for case in (
-            (0.001, "rigid"), (0.1, "rigid"), (0.1, "translation"), (-0.01, "rigid"),
-            (0.001, "translation"),
-        )),
-    ],
-)  # fmt: skip
+    [(-0.01, "translation"), pytest.param(0.001, "rigid", marks=pytest.mark.thorough)],
+)
 def test_a_slip_in_a_tcp_point_is_named(slip: float, frame) -> None:
     (said,) = [w for w in og.identify(tcp_points(slip), MACHINE, frame=frame).warnings
                if w.kind == "slip"]  # fmt: skip
@@ -163,17 +136,6 @@ def test_copies_of_repeats_are_said() -> None:
 
 
 @pytest.mark.thorough
-def test_what_is_odd_about_one_of_several_files_names_it() -> None:
-    odd = replace(rig(), warnings=(Note("leg z moves by only 0 mm along its own axis", "command"),))
-
-    def said(*given: og.Campaign) -> list[Note]:
-        return [w for w in og.identify(given, MACHINE).warnings if w.kind == "campaign"]
-
-    assert said(odd) == ["leg z moves by only 0 mm along its own axis"]
-    assert said(rig(1), odd) == ["rig-2.csv: leg z moves by only 0 mm along its own axis"]
-
-
-@pytest.mark.thorough
 def test_the_training_file_as_holdout_is_said() -> None:
     renamed = replace(rig(), name="other", file="other.csv")
     same = og.close_loop(rig(), MACHINE, holdout=renamed)
@@ -186,91 +148,3 @@ def test_the_training_file_as_holdout_is_said() -> None:
     for tcp, said in zip(points, (1, 0), strict=True):
         judged = og.close_loop([rig(1), points[0]], MACHINE, tcp=tcp)
         assert len([w for w in judged.after.warnings if w.kind == "holdout"]) == said
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("missing", [False, True])
-def test_points_of_the_tool_that_are_there_twice_are_said(missing: bool) -> None:
-    points = tcp_points(0.0)
-    if missing:
-        left_out = (points.axis == 1) & (points.order >= 3) & (points.order < 12)
-        points = points.subset(~left_out)
-    renamed = replace(points, name="other", file="other.csv")
-
-    def copies(*given: og.Readings) -> list[Note]:
-        found = og.identify(list(given), MACHINE, method="nested")
-        return [w for w in found.warnings if w.kind == "copies"]
-
-    assert not copies(points)
-    (whole,) = copies(points, renamed)
-    assert "the readings of other are those of points to the last digit" in whole
-    at = points.points()
-    n = len(at.p)
-    rows = np.r_[0:n, 3, 8]
-    some = (getattr(at, k)[rows] for k in ("command", "p", "sigma", "approach"))
-    (again,) = copies(og.Readings.from_points(*some, file="somewhere/points.csv"))
-    assert again.lines == (n + 2, n + 3)
-    assert f"points.csv, lines {n + 2}, {n + 3}: the same point as before" in again
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(("number", "beside"), [(2, 1e-3), (3, 5e-4)])
-def test_a_command_recorded_wrongly_is_blamed_on_no_part(number: int, beside: float) -> None:
-    """Dials that all show 69 % too little, with certainty, and zeros a millimetre off to enter.
-
-    Half a millimetre may be a defect of the drive at this place, which stands in one set with it.
-    """
-    rng = np.random.default_rng([9090, number, round(abs(beside) * 1e5)])
-    machine = Rig(errors=base_errors(rng)).with_background(rng, 0.1)
-    rows = rc.simulate(machine, ("sweep", "two-gauges")[number % 2], rng)
-    leg = str(rng.choice(list("xyz")))
-    moved = {2: "+40", 3: "-100"}[number]
-    for row in rows:
-        if row["leg"] == leg and row["posture"] == moved:
-            row[f"rho_{leg}_mm"] = round(float(row[f"rho_{leg}_mm"]) + beside * 1e3, 6)
-    verdict = studied([campaign_of(rows)], MACHINE, tcp=points_of(machine, rng))
-    assert not verdict.effects
-    if beside < 1e-3:
-        (place,) = verdict.located
-        assert (verdict.word, place.members[0].place.leg) == ("ambiguous", "xyz".index(leg))
-        assert place.data[0].data == "command"
-        assert place.data[0].probability > 0.9
-    else:
-        (told,) = verdict.blunders
-        assert (told.kind, told.commands[0][0]) == ("command", "xyz".index(leg))
-        assert told.commands[0][1] == pytest.approx(-beside, abs=0.1e-3)
-        assert verdict.word in ("adequate", "diffuse")
-        assert not verdict.located
-    assert verdict.tcp is not None
-    assert verdict.tcp["translation"].after[0] < 0.02e-3
-
-
-@pytest.mark.thorough
-def test_a_few_readings_of_a_sound_machine_are_no_fault() -> None:
-    """Nothing is left over for a test: it had been significant below a millionth."""
-    sheet, off = og.protocol("sweep"), {"joint_offset.x": 1e-3, "leg_length.y": 3e-5}
-    campaign = og.simulate(og.Machine.nominal().with_parameters(off), sheet, noise=5e-6, seed=4)
-    rows = np.flatnonzero(campaign.leg == 0)
-    rng, words = np.random.default_rng(6), []
-    for count in (4, 5, 5, 6, 6):
-        chosen = np.sort(rng.choice(rows, count, replace=False))
-        try:
-            verdict = og.close_loop(campaign.subset(chosen), MACHINE)
-        except InputError:  # these determine nothing
-            continue
-        words.append(verdict.word)
-        assert verdict.left.p_value > 0.01
-    assert len(words) > 2
-    assert set(words) == {"adequate"}
-
-
-@pytest.mark.thorough
-def test_what_was_not_looked_at_has_no_probability() -> None:
-    closed = replace(
-        studied(rig(1), MACHINE), word="partial", residual_test=LackOfFitTest(float("nan"))
-    )
-    lost = build_result(closed, og.Verdict)
-    said = evidence(lost)
-    assert "What was found does not predict the readings that it was found by." in said
-    assert "probability" not in said
-    assert json.loads(result_text(lost))["left"]["lack_of_fit_p"] is None

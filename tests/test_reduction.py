@@ -28,11 +28,6 @@ legs = st.integers(0, 2)
 properties = settings(max_examples=25, deadline=None)
 
 
-def cycle(x, axis=-1):
-    """What belonged to x belongs to y, and so on round."""
-    return np.roll(x, 1, axis=axis)
-
-
 def differences(function, x, step=1e-4):
     """Sixth-order central differences, the derivative's index last."""
     columns = []
@@ -102,14 +97,6 @@ def test_no_cancellation_near_zero(tiny):
     p = reduction.forward(MACHINE.zero + tiny * np.array([1.0, -2.0, 3.0]))
     given = (MACHINE.zero + tiny * np.array([1.0, -2.0, 3.0])) - MACHINE.zero
     np.testing.assert_allclose(p, given, rtol=30 * tiny + 1e-14)
-
-
-@properties
-@given(travels, shifts, shifts)
-def test_cyclic_relabelling(travel, offsets, lengths):
-    p = reduction.forward(L + travel, offsets, lengths)
-    again = reduction.forward(cycle(L + travel), cycle(offsets), cycle(lengths))
-    np.testing.assert_allclose(again, cycle(p), atol=1e-15)
 
 
 @properties
@@ -262,31 +249,11 @@ def test_singular_postures_have_no_jacobian():
 
 
 @properties
-@given(travels, shifts, shifts, st.sampled_from(["machine", "other"]))
-def test_spheres_about_the_carriages_are_the_quadratic(travel, offsets, lengths, mode):
-    centres = np.diag(L + travel + offsets)
-    np.testing.assert_allclose(
-        reduction.intersect_spheres(centres, L + lengths, mode),
-        reduction.forward(L + travel, offsets, lengths, mode=mode),
-        atol=5e-15,
-    )
-
-
-@properties
 @given(arrays(float, (3, 3), elements=st.floats(-0.01, 0.01)), inner, shifts)
 def test_spheres_meet_wherever_the_carriages_stand(wander, travel, lengths):
     centres, bars = np.diag(L + travel) + wander, L + lengths
     p = reduction.intersect_spheres(centres, bars)
     np.testing.assert_allclose(np.linalg.norm(p - centres, axis=-1), bars, atol=2e-15)
-
-
-def test_spheres_in_a_batch_name_the_failure():
-    centres = np.tile(np.diag(MACHINE.zero), (4, 1, 1))
-    centres[3, 1, 1] = 3 * L
-    with pytest.raises(UnreachableError, match="leg y") as caught:
-        reduction.intersect_spheres(centres, L)
-    assert caught.value.index == (3,)
-    np.testing.assert_allclose(reduction.intersect_spheres(centres[:3], L), 0, atol=1e-16)
 
 
 # --- readings -----------------------------------------------------------------------------------
@@ -633,70 +600,6 @@ def test_linear_fit_is_weighted_system_11():
     offsets = reduction.fit_readings(**data, sigma=2e-5, linear=True, free=[1, 1, 1, 0, 0, 0])
     nonlinear = reduction.fit_readings(**data, sigma=2e-5, free=[1, 1, 1, 0, 0, 0])
     assert 0 < np.max(np.abs(offsets.values - nonlinear.values)) < 2e-5  # second order
-
-
-def test_cyclic_relabelling_of_a_campaign_relabels_the_fit():
-    data = _experiment("experiment2.csv")
-    fit = reduction.fit_readings(**data, sigma=2e-5)
-    turned = data | {
-        "commands": cycle(data["commands"]),
-        "legs": (data["legs"] + 1) % 3,
-        "axes": (data["axes"] + 1) % 3,
-    }
-    again = reduction.fit_readings(**turned, sigma=2e-5)
-    np.testing.assert_allclose(
-        again.offsets_and_lengths,
-        cycle(fit.offsets_and_lengths.reshape(2, 3)).reshape(1, 6),
-        atol=1e-12,
-    )
-
-
-def test_campaigns_share_some_parameters_and_own_others():
-    rng = np.random.default_rng(7)
-    both = [_campaign(rng, 30, 5) for _ in range(2)]
-    commands, leg, axes, gauges = (np.concatenate([c[k] for c in both]) for k in range(4))
-    datum = np.zeros((60, 10))
-    datum[:30, :5], datum[30:, 5:] = both[0][4], both[1][4]
-    group = np.repeat([0, 1], 30)
-    # Offsets are each campaign's own, lengths are shared: P = 3 + 3 + 3.
-    maps = np.zeros((2, 6, 9))
-    for g in range(2):
-        maps[g, :3, 3 * g : 3 * g + 3] = np.eye(3)
-        maps[g, 3:, 6:] = np.eye(3)
-    x = rng.normal(0, 1e-3, 9)
-    six = maps @ x
-    y = reduction.predict_readings(
-        commands, leg, axes, gauges, six[group, :3], six[group, 3:]
-    ).values
-    fit = reduction.fit_readings(
-        commands, leg, axes, gauges, y, 1e-5, group=group, maps=maps, nuisance=datum
-    )
-    assert fit.converged
-    np.testing.assert_allclose(fit.values, x, atol=1e-12)
-    np.testing.assert_allclose(fit.offsets_and_lengths, six, atol=1e-12)
-    noisy = y + rng.normal(0, 5e-5, 60)
-    call = {"group": group, "maps": maps, "nuisance": datum}
-    near, far = (
-        reduction.fit_readings(commands, leg, axes, gauges, noisy, 1e-5, x0=x0, **call)
-        for x0 in (0.0, 2e-3)
-    )
-    assert near.converged
-    np.testing.assert_allclose(near.values, far.values, atol=1e-12)
-
-
-def test_held_parameters_stay_and_invisible_ones_show_in_the_rank():
-    data = _experiment("experiment2.csv")
-    start = np.array([0, 0, 0, 1e-4, 2e-4, 3e-4])
-    free = np.array([1, 1, 1, 0, 0, 0], dtype=bool)
-    fit = reduction.fit_readings(**data, sigma=2e-5, free=free, x0=start)
-    np.testing.assert_array_equal(fit.values[3:], start[3:])
-    np.testing.assert_array_equal(fit.covariance[3:], 0)
-    one = data["legs"] == 0
-    few = {k: v[one] for k, v in data.items()} | {"nuisance": data["nuisance"][one][:, :2]}
-    assert reduction.fit_readings(**few, sigma=2e-5).rank < 6
-    nothing = reduction.fit_readings(**data, sigma=2e-5, free=False)
-    assert nothing.converged
-    assert nothing.rank == 0
 
 
 # --- the house ----------------------------------------------------------------------------------

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,7 +17,6 @@ from click.testing import CliRunner
 import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.firmware.klipper import import_printer
-from orthoglide.instruments import OBSERVATIONS
 from orthoglide.planning.sheets import instrument_sheet
 from orthoglide.rehearsal.outcome import Outcome, Rehearsal, judge_claims, run_campaign
 from orthoglide.rehearsal.random_machines import (
@@ -27,7 +24,6 @@ from orthoglide.rehearsal.random_machines import (
     EFFECT,
     KIND_SEQUENCE,
     KINDS,
-    NOTHING,
     OUTSIDE,
     Scope,
     draw_machine,
@@ -67,26 +63,6 @@ def test_one_effect_stands_out(scope: Scope) -> None:
         size = np.linalg.norm([v / one.machine.tolerance(n) for n, v in beyond.items()])
         assert 3 <= size <= 10
         assert size == pytest.approx(one.size)
-
-
-def test_every_effect_is_drawn_that_the_sheet_could_show(scope: Scope) -> None:
-    found = {drawn(scope, EFFECT, k).cause.partition(".")[0] for k in range(300)}
-    assert found == {n.effect for n in scope.parameters}
-    assert "screw_error" in found
-    assert "thermal_growth" not in found
-
-
-def test_what_is_outside_has_no_shape_of_the_catalogue(scope: Scope) -> None:
-    by_name = {p.name: p for p in scope.places}
-    for k in range(10):
-        one = drawn(scope, OUTSIDE, k)
-        place = by_name[one.cause]
-        u = np.linspace(-1, 1, 401)
-        weights = [one.machine.values[n] for n in place.effect.motions]
-        curve = np.stack(place.kernel.functions(u), axis=1) @ weights
-        assert np.sqrt(np.mean(curve**2)) == pytest.approx(one.size * place.prior_sd, rel=0.02)
-        left = curve - np.polyval(np.polyfit(u, curve, 2), u)
-        assert np.linalg.norm(left) > 0.99 * np.linalg.norm(curve)
 
 
 # --- how it is scored -----------------------------------------------------------------------------
@@ -269,29 +245,6 @@ def test_the_command_keeps_and_prints(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_an_interrupt_keeps_what_was_finished(tmp_path: Path) -> None:
-    """As its user stops it: the whole process group hears it."""
-    out = tmp_path / "out"
-    process = subprocess.Popen(
-        [sys.executable, "-m", "orthoglide", "rehearse", "--jobs", "2", "--out", str(out)],
-        stderr=subprocess.PIPE, text=True, start_new_session=True, cwd=Path(__file__).parents[1],
-    )  # fmt: skip
-    import signal
-    import time
-
-    kept, until = out / "campaigns.jsonl", time.monotonic() + 120
-    while time.monotonic() < until and not (kept.exists() and kept.read_text().count("\n") > 1):
-        time.sleep(0.1)
-    os.killpg(process.pid, signal.SIGINT)
-    _, error = process.communicate(timeout=60)
-    assert process.returncode == 130, error
-    last = error.strip().splitlines()[-1]
-    assert last.startswith("orthoglide: interrupted:")
-    assert "the same command goes on" in last
-    assert kept.read_text().count("\n") > 1
-
-
-@pytest.mark.thorough
 def test_a_process_that_is_ended_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr("orthoglide.rehearsal.rehearsing.run_campaign", _end_this_process)
     with pytest.raises(og.NumericsError, match="ended from outside"):
@@ -310,34 +263,6 @@ def delta() -> og.Machine:
     return og.Machine(import_printer(DATA / "electrocally.cfg").machine)
 
 
-@pytest.mark.thorough
-def test_a_delta_is_rehearsed_with_the_instruments_one_owns(delta: og.Machine) -> None:
-    found = og.rehearse(delta, campaigns=15, owns=["plate", "incline"], seed=3, jobs=2)
-    assert not any(t.failed for t in found.campaigns), found
-    assert found.readings == 55
-    assert not any(t.false for t in found.of(NOTHING))
-    effects = found.of(EFFECT)
-    assert sum(bool(t.named) for t in effects) > len(effects) / 2
-    inside = [t.inside for t in found.of(NOTHING) + effects]
-    assert np.mean(inside) > 0.9
-    assert not re.search(r"\bdials?\b", str(found))
-    again = og.rehearse(delta, campaigns=2, owns=["plate", "incline"], seed=3)
-    assert [t.named for t in again.campaigns] == [t.named for t in found.campaigns[:2]]
-
-
 def test_a_sheet_and_what_one_owns_exclude_each_other(delta: og.Machine) -> None:
     with pytest.raises(og.InputError, match="exclude each other"):
         og.rehearse(delta, instrument_sheet(delta, "tcp"), owns=["plate"], campaigns=1)
-
-
-@pytest.mark.parametrize("kind", ["tcp", "plate", "distance", "ballbar", "incline"])
-def test_readings_at_the_tool_are_simulated_with_their_noise(delta: og.Machine, kind: str) -> None:
-    """About the exact ones, but for datums, and no two alike."""
-    sheet = instrument_sheet(delta, kind)
-    exact = og.simulate(delta, sheet, exact=True)
-    one, two = (og.simulate(delta, sheet, seed=seed) for seed in (1, 2))
-    assert not np.array_equal(one.reading, two.reading)
-    assert np.abs(one.reading - exact.reading).max() < 1e-2
-    fit = og.identify([one], delta, ["joint_offset"])
-    left = fit.scores.turn_rms if kind == "incline" else fit.scores.rms
-    assert 0.5 < left / OBSERVATIONS[kind].repeatability < 2

@@ -33,16 +33,7 @@ from orthoglide.result.result import sheet_of
 from orthoglide.verdict import Verdict, close_loop
 from tests.page_laws import broken, too_long
 from tests.studied import studied
-from tests.test_report import (
-    RIG,
-    browsed,
-    check_page,
-    check_timeless,
-    opened,
-    printed,
-    screen,
-    words,
-)
+from tests.test_report import RIG, browsed, check_page, check_timeless, opened, screen, words
 
 CASES = ("explained", "partial", "unexplained", "faulty")
 
@@ -230,15 +221,6 @@ def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
     assert re.search(rf"{left_out} of \d+ readings do not count", told)
 
 
-def test_the_list_counts_the_readings_of_the_sheet() -> None:
-    files = files_of("explained")
-    result = json.loads(files["result.json"])
-    assert len([s for s in result["next_measurements"] if s["readings"]]) == 2
-    taken = [row for row in csv.DictReader(io.StringIO(files["next_measurements.csv"]))
-             if row["kind"] != "move"]  # fmt: skip
-    assert f"the report proposes {len(taken)}" in result["actions"][-1]["words"]
-
-
 def test_numbers_are_withheld_where_the_verdict_says_not_to_act() -> None:
     page = files_of("partial")["report.html"]
     section = words(page[page.index('id="controller"') : page.index('id="judged"')])
@@ -409,17 +391,6 @@ def test_a_verdict_shows_itself() -> None:
     assert list(frame.index) == [*verdict.before.names, "axis_tilt.y.z"]
 
 
-# --- The workspace --------------------------------------------------------------------------
-
-
-def test_the_workspace_is_told_before_and_after() -> None:
-    space = verdict_of("explained").workspace
-    assert np.all(space.sure > 0)
-    assert np.all(space.sure_before > space.sure)
-    assert space.before.mean() < space.nominal.mean()
-    assert np.all(space.before > 0)
-
-
 # --- The first screen -----------------------------------------------------------------------
 
 
@@ -546,8 +517,3 @@ def test_on_a_phone_the_drawing_stands_in_the_first_screen_whatever_many_rivals(
     said, top, bottom, rivals = (float(str(told[k])) for k in ("said", "top", "bottom", "rivals"))
     assert said <= top < bottom <= 844
     assert rivals >= bottom
-
-
-def test_what_is_folded_is_printed(tmp_path: Path) -> None:
-    (tmp_path / "page.html").write_text(files_of("explained")["report.html"], encoding="utf-8")
-    assert printed(tmp_path / "page.html") > 8  # folded it is four

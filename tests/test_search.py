@@ -96,8 +96,7 @@ def test_states_with_one_group_more_have_their_evidence(state: State) -> None:
             assert table[:, group, t] == pytest.approx(full, abs=1e-6)
 
 
-@pytest.mark.thorough(except_for=["0", "1", "2", "3"])
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_the_best_of_all_states_of_two_is_found(seed: int) -> None:
     """Three causes that nearly show what two others do: one at a time goes astray there."""
     rng = np.random.default_rng(seed)

@@ -12,15 +12,10 @@ import pytest
 
 import orthoglide as og
 from benchmarks.delta_truth import machine, measured
-from orthoglide.effects import CATALOGUE
 from orthoglide.effects.free_form import free_forms
 from orthoglide.effects.plates import residual_plate_shapes
 from orthoglide.geometry import Geometry
-from orthoglide.machine_file import Dial, MachineFile, machine_text, parse_machine_file
-from orthoglide.observations import readings_from_rows
-from orthoglide.units import MM
-from tests import rig_campaigns
-from tests.rig import Rig
+from orthoglide.machine_file import MachineFile, machine_text, parse_machine_file
 from tests.rig_delta import DeltaRig
 
 PERIOD = 0.055
@@ -100,28 +95,3 @@ def test_parts_of_a_workshop_s_machines_are_made_to_the_same_tolerances() -> Non
         f'{text}\n[parameters]\n"{name}.x.1" = {{value = 0.001, sigma = 0.0, unit = "mm"}}\n'
     ).catalogue
     assert kept[name].tolerance == pytest.approx(0.2 * 0.05)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("seed", [1])
-def test_the_rail_of_a_stage_with_bars_of_31_mm_is_found(seed: int) -> None:
-    """A tenth of a workshop's machine in all, readings and tolerances too."""
-    rng, leg = np.random.default_rng(seed), seed % 3
-    axis = (leg + 1 + seed % 2) % 3
-    bent = (rig_campaigns.s_curve(leg, axis, 5e-5),)
-    rig = Rig(L=0.31, errors={"joint_offset.x": 1e-3}, extra=bent).with_background(rng, 0.05)
-    rows = rig_campaigns.simulate(rig, "sweep", rng, noise=3e-6, resolution=1e-6)
-    small = [
-        {n: f"{float(v) / 10:.9g}" if n.endswith("_mm") else str(v) for n, v in row.items()}
-        for row in rows
-    ]
-    spec = replace(
-        MachineFile(),
-        geometry=Geometry(0.031, 0.008, 0.0031, (-0.01, 0.006)),
-        dial=Dial(1e-7, 3e-7, 1e-4),
-        tolerance={n: e.tolerance * e.unit.si / 10 for n, e in CATALOGUE.items() if e.unit == MM},
-    )
-    verdict = og.close_loop(readings_from_rows(small, spec, name="stage"), og.Machine(spec))
-    (located,) = verdict.located
-    place = located.members[0]
-    assert place.name == f"rail.{'xyz'[leg]}.{'xyz'[axis]}/travel"

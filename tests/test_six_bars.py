@@ -148,8 +148,8 @@ def drawn_machines(geometry: Geometry, n: int, times: float) -> tuple[Array, Arr
 
 
 @pytest.mark.parametrize("geometry", [NOMINAL, WIDE], ids=["Orthoglide", "wide delta"])
-@pytest.mark.parametrize("n", [1000, pytest.param(100_000, marks=pytest.mark.thorough)])
-def test_no_machine_with_errors_of_three_tolerances_fails(geometry: Geometry, n: int) -> None:
+def test_no_machine_with_errors_of_three_tolerances_fails(geometry: Geometry) -> None:
+    n = 1000
     travel, moves = drawn_machines(geometry, n, 3.0)
     assert np.abs(moves).max(axis=0).min() > 1e-5  # every virtual joint is displaced
     out = six_bars(geometry).outputs(travel, moves)
@@ -207,19 +207,6 @@ def test_order_and_size_of_a_batch_do_not_matter() -> None:
         assert np.array_equal(slope[0], slopes[k])
     assert forward(np.empty((0, 3))).shape == (0, 3)
     assert engine.tangent(travel[:0], moves[:0])[1].shape == (0, OUTPUT_SIZE, 33)
-
-
-def test_a_posture_does_not_see_its_neighbours() -> None:
-    """Also where one of them needs more than the usual steps."""
-    travel, moves = postures(NOMINAL, 40, 10)
-    far = moves.copy()
-    far[::7] *= 5.0
-    mixed = six_bars().outputs(travel, far).values
-    plain = six_bars().outputs(travel, moves).values
-    kept = np.arange(40) % 7 != 0
-    assert np.array_equal(mixed[kept], plain[kept])
-    expected = judge(NOMINAL).outputs(travel[::7], far[::7]).values
-    assert np.abs(mixed[::7] - expected).max() < 1e-12
 
 
 @cache
@@ -294,23 +281,6 @@ def test_misshaped_arrays_are_refused(shapes: tuple[tuple[int, ...], ...]) -> No
     for ask in (six_bars().outputs, six_bars().tangent):
         with pytest.raises(InputError, match=r"\(n, 3\) .* \(n, 30\)"):
             ask(*map(np.zeros, shapes))
-
-
-def test_far_errors_close_as_pinocchio_closes_them_or_not_at_all() -> None:
-    """Errors of centimetres and degrees, from which Newton's first steps do not arrive."""
-    travel, moves = postures(NOMINAL, 150, 15, 0.02)
-    closed = 0
-    for k in range(len(travel)):
-        asked = travel[k : k + 1], moves[k : k + 1]
-        try:
-            expected = judge(NOMINAL).outputs(*asked).values
-        except ClosureError:
-            with pytest.raises(ClosureError):
-                six_bars().outputs(*asked)
-            continue
-        closed += 1
-        assert np.abs(six_bars().outputs(*asked).values - expected).max() < 1e-11
-    assert 40 < closed < 100
 
 
 @pytest.mark.parametrize(

@@ -202,9 +202,6 @@ def test_unknowns_stay_within_fifty_tolerances() -> None:
         assert unknown.bound == pytest.approx(max(50 * unknown.tolerance, 0.05))
 
 
-# -- station means --------------------------------------------------------------------------------
-
-
 # -- accuracy -------------------------------------------------------------------------------------
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
-from orthoglide.mechanism.symbolic import SymbolicTree, Transform, joint_transform, rotation_error
+from orthoglide.mechanism.symbolic import SymbolicTree
 from orthoglide.mechanism.tree import LoopedModel, Tree, general_tree, load, nominal_tree
 
 # Name of the file, kind of root, and the kinds of joint for which it was chosen.
@@ -117,16 +117,6 @@ def test_joints_by_hand() -> None:
     assert largest_difference(model, 20) < 1e-12
 
 
-def test_an_oblique_joint_without_limits() -> None:
-    model = pin.buildModelFromXML(
-        """<robot name="one"><link name="a"/><link name="b"/>
-        <joint name="j" type="continuous"><parent link="a"/><child link="b"/>
-        <origin xyz="1 2 3" rpy="0.1 0.2 0.3"/><axis xyz="1 -2 0.5"/></joint></robot>"""
-    )
-    assert "UnboundedUnaligned" in model.joints[1].shortname()
-    assert largest_difference(model, 20) < 1e-12
-
-
 def chain(*joints: Any) -> pin.JointModelComposite:
     """One composite joint of several."""
     composite = pin.JointModelComposite()
@@ -203,46 +193,3 @@ def test_relative_transforms(first: str, second: str) -> None:
         one, two = (data.oMf[model.getFrameId(name)] for name in (first, second))
         expected = one.actInv(two).homogeneous[:3]
         assert np.abs(compare(q).full() - expected).max() < 1e-12
-
-
-def test_relative_transforms_skip_what_both_frames_share() -> None:
-    tree = SymbolicTree(general_tree(load()).model)
-    between = tree.relative("x_bar2_tip", "x_knuckle_tip")
-    used = {symbol.name() for symbol in ca.symvar(ca.vertcat(ca.vec(between.R), between.t))}
-    model = tree.model
-    for name in ("x_slide", "x_theta", "x_travel", "x_turn_a", "y_slide"):
-        assert f"q_{model.joints[model.getJointId(name)].idx_q}" not in used
-    assert f"q_{model.joints[model.getJointId('x_bar1')].idx_q}" in used
-
-
-def test_transforms_read_by_cancellation() -> None:
-    one, two = pin.SE3.Random(), pin.SE3.Random()
-    a, b = Transform.from_se3(one), Transform.from_se3(two)
-    product, back = a @ b.inverse(), Transform.identity() @ a
-    for own, expected in ((product, one * two.inverse()), (back, one)):
-        assert np.abs(ca.DM(own.R).full() - expected.rotation).max() < 1e-14
-        assert np.abs(ca.DM(own.t).full().ravel() - expected.translation).max() < 1e-14
-
-
-def test_derivatives_equal_pinocchios_jacobian() -> None:
-    model = general_tree(load()).model
-    tree = SymbolicTree(model)
-    place = tree.frame("y_tcp").t
-    slope = ca.Function("slope", [tree.q], [ca.jacobian(place, tree.q)])
-    data, frame = model.createData(), model.getFrameId("y_tcp")
-    for q in configurations(model, 5):
-        expected = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
-        assert np.abs(slope(q).full() - expected).max() < 1e-12
-
-
-def test_rotation_error_is_regular_at_the_identity() -> None:
-    turn = ca.SX.sym("turn", 3)
-    R = ca.SX.eye(3)
-    for k, kind in enumerate((pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ())):
-        model = pin.Model()
-        model.addJoint(0, kind, pin.SE3.Identity(), "one")
-        R = R @ joint_transform(model.joints[1], turn[k]).R
-    error = ca.Function("error", [turn], [rotation_error(R), ca.jacobian(rotation_error(R), turn)])
-    value, slope = (out.full() for out in error(np.zeros(3)))
-    assert np.array_equal(value, np.zeros((3, 1)))
-    assert np.abs(slope - np.eye(3)).max() < 1e-15

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import csv
 import json
-import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.fit.excitation import excited_effects
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations import Readings, read_readings, readings_text
@@ -127,28 +124,6 @@ def test_places_of_a_sheet_are_visited_again_from_the_same_side(legs: str) -> No
     assert min((tracker.approach > 0).mean(), (tracker.approach < 0).mean()) > 0.3
 
 
-def test_plates_are_touched_from_above_and_distances_have_no_side() -> None:
-    plate, distance = tool_sheets(Machine(SPEC), ["plate", "distance"])
-    assert (plate.approach == -1).all()
-    assert not distance.approach.any()
-    assert not len(plate.moves)
-    assert not len(distance.moves)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("seed", [81, 82])
-@pytest.mark.parametrize("legs", ["abc", "xyz"])
-def test_lost_motion_is_found_with_a_sheet_of_the_tool(
-    legs: str, seed: int, tmp_path: Path
-) -> None:
-    """It was *adequate* on a linear delta, and sound readings were refused on an Orthoglide."""
-    rows = filled(rows_of(sheet_text(legs)), legs, LOST, seed)
-    verdict = og.close_loop([written(tmp_path / "april.csv", rows)], Machine(SPECS[legs]))
-    (found,) = verdict.effects
-    assert found.name == f"backlash.{legs[2]}"
-    assert found.chosen.values[found.name] == pytest.approx(LOST, rel=0.1)
-
-
 def circled(legs: str, lost: float, seed: int) -> list[Row]:
     """Two circles that cross, gone through without moves, their sides not told."""
     rows = [row for row in rows_of(sheet_text(legs)) if row["kind"] != "move"]
@@ -175,24 +150,3 @@ def test_lost_motion_that_passes_for_noise_is_not_ruled_out(tmp_path: Path) -> N
     sound = og.close_loop([written(tmp_path / "sound.csv", told_sides)], Machine(SPEC))
     assert "lost motion" not in str(sound)
     assert "consistent with the noise of the readings" in " ".join(str(sound).split())
-
-
-@pytest.mark.thorough
-def test_visits_that_differ_may_be_lost_motion_where_sides_are_untold(tmp_path: Path) -> None:
-    file = written(tmp_path / "april.csv", circled("xyz", LOST, 81))
-    told = " ".join(b.message for b in og.close_loop([file], Machine.nominal()).blunders)
-    assert re.search(r"or it is lost motion, .*approach_\* is empty", told)
-
-
-@pytest.mark.thorough
-def test_an_unknown_side_is_no_other_side(tmp_path: Path) -> None:
-    """A probe comes from above; where nobody knows how a tracker's places were come to, the two
-    differ by nothing that is known.
-    """
-    plate, tracker = tool_sheets(Machine(SPEC), ["plate", "tcp"])
-    for one, shown in ((replace(tracker, approach=0 * tracker.approach), False), (tracker, True)):
-        read = [og.simulate(Machine(SPEC), s, seed=1) for s in (plate, one)]
-        (tmp_path / f"{shown}.csv").write_text(readings_text(read, SPEC))
-        (both,) = read_readings(tmp_path / f"{shown}.csv", SPEC)
-        names = {e.name for e in excited_effects(og.identify(both, Machine(SPEC)).problem)}
-        assert ("backlash" in names) is shown

@@ -20,18 +20,10 @@ from orthoglide.report.rows import score_rows
 from orthoglide.report.sentences import headline
 from orthoglide.result import Request
 from orthoglide.verdict import Verdict, close_loop, run
-from tests import rig_campaigns as rc
-from tests.rig import Rig
 from tests.studied import studied
 
 MACHINE = Machine.nominal()
 ERRORS = {"joint_offset.x": 8e-4, "joint_offset.y": -5e-4}
-
-
-@cache
-def dials() -> Readings:
-    rows = rc.simulate(Rig(errors=ERRORS), rc.protocol_rows("standard"), np.random.default_rng(5))
-    return Readings.from_frame({k: [row[k] for row in rows] for k in rows[0]}, name="dials")
 
 
 def tool(
@@ -56,42 +48,6 @@ def tool(
     if "incline" in kinds:
         frame["reading_mrad"] = [row[6] if row[7] else "" for row in rows]
     return Readings.from_frame(frame, name="tool")
-
-
-@cache
-def odd_tool() -> Verdict:
-    return build_result(odd_loop(), Verdict)
-
-
-@cache
-def odd_loop() -> RunOutcome:
-    """The dials find nothing odd, the tracker's places are off without pattern."""
-    return studied([dials(), tool(("tcp",), odd=4e-4)], MACHINE)
-
-
-@pytest.mark.thorough
-def test_what_is_left_is_shared_by_all_that_was_read() -> None:
-    verdict = odd_tool()
-    assert not verdict.stands
-    assert sum(one.share for one in verdict.left.mountings) == pytest.approx(1.0)
-    after = odd_loop().after
-    squares = after.problem.weighing.whiten(after.residuals) ** 2
-    on_dials = float(squares[: len(dials())].sum() / squares.sum())
-    assert sum(one.share for one in verdict.left.by_dial) == pytest.approx(on_dials)
-    assert on_dials < 0.1
-
-
-@pytest.mark.thorough
-def test_what_is_left_at_the_tool_is_told_and_followed_there() -> None:
-    verdict = odd_tool()
-    most = verdict.left.by_instrument[0]
-    said = f"largest in {most.reads} (tcp) ({100 * most.share:.0f} % of it)"
-    assert said in headline(verdict)
-    assert "shows on leg" not in headline(verdict)
-    follow = verdict.next_measurements[0]
-    assert follow.aim == "trace"
-    assert f"the residual is largest in {most.reads}" in follow.reason
-    assert not any("shows on leg" in option.words for option in verdict.picture.options)
 
 
 TWISTED = {**ERRORS, "mount_tilt.x.a": 0.012}

@@ -10,6 +10,7 @@ import pytest
 import orthoglide as og
 from orthoglide.explanation.free_form import free_form_columns
 from tests import rig_campaigns as rc
+from tests.factors import campaign_of
 from tests.rig import Rig
 
 RIG = Rig(errors={"joint_offset.x": 1.2e-3, "joint_offset.y": -7e-4, "joint_offset.z": 4e-4})
@@ -46,7 +47,7 @@ KINDS = {
 def test_what_no_catalogue_lists_is_located(kind: str) -> None:
     rig, (part, leg, against), size = KINDS[kind]
     rows = rc.simulate(rig, ROWS, np.random.default_rng(5))
-    verdict = og.close_loop([og.Campaign.from_frame(_frame(rows))])
+    verdict = og.close_loop([campaign_of(rows)])
     (found, *_) = verdict.located
     first = found.members[0]
     assert (first.part, first.leg, first.against) == (part, leg, against)
@@ -58,15 +59,10 @@ def test_what_no_catalogue_lists_is_located(kind: str) -> None:
 
 def test_readings_that_follow_within_a_fraction_of_a_second_may_jump() -> None:
     rows = rc.simulate(KINDS["jump of a drive"][0], ROWS, np.random.default_rng(5))
-    frame = _frame(rows)
-    frame["time_s"] = [0.03 * k for k in range(len(rows))]
-    fit = og.identify([og.Campaign.from_frame(frame)])
+    quick = [row | {"time_s": 0.03 * k} for k, row in enumerate(rows)]
+    fit = og.identify([campaign_of(quick)])
     rest = np.random.default_rng(6).normal(size=len(rows))
     _, found = free_form_columns(fit.problem, fit.x, rest)
     names = [place.name for place in found]
     assert sum("drive.x/time@" in name for name in names) >= 2
     assert len(set(names)) == len(names)
-
-
-def _frame(rows: list[rc.Row]) -> dict[str, list[object]]:
-    return {name: [row[name] for row in rows] for name in rows[0]}

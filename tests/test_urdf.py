@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from orthoglide import urdf
 from orthoglide.control.urdf import calibrated_urdf
-from orthoglide.errors import FileError
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
@@ -272,26 +271,6 @@ def test_a_calibrated_machine_loaded_back_closes_where_ours_does(
         for leg in geometry.leg_names:
             place = data.oMf[model.getFrameId(f"{leg}_tcp")].translation
             assert np.abs(place - expected).max() < 1e-9
-
-
-BROKEN = {
-    "no such frame": ("'x_tcp'", "'x_tip'", "no two frames"),
-    "a kind too few": ("'6d', '6d'", "'6d'", "kinds for 5 loops"),
-    "no such kind": ("'6d'", "'5d'", "neither 3d nor 6d"),
-    "no list": ("name_mot: [", "name_mot: ", "no list in brackets"),
-    "replaced joints": ("joint_name: []", "joint_name: ['x_slide']", "kinds for 1 joints"),
-}
-
-
-@pytest.mark.parametrize("kind", BROKEN)
-def test_parallel_robots_that_cannot_be_meant_are_refused(kind: str, tmp_path: Path) -> None:
-    old, new, phrase = BROKEN[kind]
-    written = urdf.parallel_robot_files(NOMINAL)
-    assert old in written["robot.yaml"]
-    (tmp_path / "robot.urdf").write_text(written["robot.urdf"])
-    (tmp_path / "robot.yaml").write_text(written["robot.yaml"].replace(old, new))
-    with pytest.raises(FileError, match=phrase):
-        urdf.read_parallel_robot(tmp_path)
 
 
 def test_other_spellings_of_the_convention_are_read(tmp_path: Path) -> None:

@@ -23,7 +23,6 @@ from tests.test_report import browsed
 umsgpack = pytest.importorskip("umsgpack", reason="the viewer needs meshcat")
 pytest.importorskip("meshcat")
 
-OWN_FILE = str(Path(__file__).parents[1] / "examples" / "carriage_play.py")
 ERRORS = {
     "orthoglide": {
         "axis_tilt.x.y": 2e-3, "rail_bow.y.z": 3e-4, "leg_length.z": 4e-4, "bar_mismatch.x": 2e-4,
