@@ -148,6 +148,19 @@ def test_drives_of_three_per_cent_are_told_of_the_drives() -> None:
     assert "measure 100 mm of the carriage's travel" in cause.chosen.look_at
 
 
+def test_what_is_more_probable_than_not_is_told_and_tested() -> None:
+    """Nothing was said to be wrong while the table of the page had the drive at 0.56."""
+    verdict = closed("one-drive-3-percent", "printer.cfg")
+    assert verdict.word == "adequate"
+    said = headline(verdict)
+    assert re.match(
+        r"Perhaps drive b moves [23]\.\d % more than it is told: its probability is 0\.[5-8]\d?,",
+        said,
+    )
+    (test,) = (a for a in verdict.actions if a.kind == "confirm")
+    assert "carriage b" in test.options[0].confirm
+
+
 def test_travel_that_is_counted_down_is_told() -> None:
     folder = FIELD / "travel-counted-down"
     machine = og.Machine.load(folder / "machine.toml")

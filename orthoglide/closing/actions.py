@@ -32,6 +32,7 @@ _DIAL_REVERSAL_TEST = (
 )
 _ALTERNATIVE_TO_ZEROS = "instead of new zeros (not both; the gain is beyond that of the zeros)"
 _REPAIR = "Confirm the cause by its test, repair it, and measure again"
+_TEST_LIKELY = "Test what is likely, but not certain"
 _CHECK_SCATTER = (
     "Before more is measured, look for what is loose, or correct the noise that was declared"
 )
@@ -130,6 +131,9 @@ def _finding_actions(
                 plate = any(bool(effect.plate) for effect in effects)
             gain, ambiguous = gains.get(name, (0.0, 0.0)), len(options) > 1
             yield Action(kind, _REPAIR, *gain, options, ambiguous, ambiguous and plate)
+    for cause in outcome.possible if outcome.word != "unexplained" else ():
+        options = (Suspect(cause.words, cause.look_at, cause.confirm),)
+        yield Action("confirm", _TEST_LIKELY, options=options)
     for change in outcome.moved:
         outdated = _FILES_OUTDATED.format(change.files[1])
         by_zeros = zeros and effect_of(change.parameter).controller == "zero"

@@ -85,7 +85,10 @@ def compute_outcome(request: Request, progress: Progress = no_progress) -> RunOu
         sets.causes, sets.located, sets.candidate_scores, fit_test, posterior,
         data_faults, fit_with_faults=base_fit if data_faults else None,
         alone=sets.single_causes if verdict in ("adequate", "diffuse") else (),
-        possible=sets.possible_causes if verdict == "unexplained" else (),
+        possible=tuple(
+            cause for cause in sets.possible_causes
+            if verdict == "unexplained" or cause.probability > EVEN_PROBABILITY
+        ),
     )  # fmt: skip
     earlier_changes = [c.with_later_fit(outcome.after) for c in base_fit.changes]
     changed = (

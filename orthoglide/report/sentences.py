@@ -87,6 +87,12 @@ def finding_text(result: Result) -> str:
             f"nearly all of their information."
         )
     first = _zeros_sentence(result)
+    if result.possible:
+        cause = result.possible[0]
+        return (
+            f"{first}Perhaps {cause.words}: its probability is {compact(cause.probability, 2)}, "
+            f"too low for a correction."
+        )
     if result.improved and result.before.scores.lack_of_fit_p < _BASE_FITS_P:
         return (
             f"{first}No single cause stands out{' beyond that' if first else ''}: every part is "

@@ -156,8 +156,9 @@ class Result(Judged, Framed):
             versions.
         withheld: what is not advised, with the reason.
         contradicted: how readings or points held out contradict the result, a sentence; else empty.
-        possible: if the model does not fit and nothing was found, the most probable causes, each
-            conditional on its being present.
+        possible: causes that are not certain enough to be added, each conditional on its being
+            present: the most probable ones if the model does not fit and nothing was found, else
+            those more probable than not.
     """
 
     request: Request
