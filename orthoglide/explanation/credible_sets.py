@@ -156,7 +156,7 @@ class _CredibleSetReader:
                 break
             moments = mixture.likeliest_moments(mixture.child((), k), self.groups[k].coefficients)
             explanations.append(self._explain(k, float(mixture.inclusion[k]), *moments))
-        return tuple(explanations)
+        return tuple(e for e in explanations if e.exceeds_uncertainty)
 
     def _cause(self, member: int, odds: Sequence[tuple[int, float]]) -> Cause:
         """Return the credible set of a cause with a name, from its groups and probabilities."""

@@ -186,6 +186,17 @@ def _plausible_rows(
         plausible &= np.hypot(*p[:, 0, :2].T) <= numbers.delta_radius
     plausible &= np.abs(deviation) <= readings.max_error
     plausible &= np.mean(plausible) > 0.5
+    if len(plausible) > 1 and not plausible.any():
+        reached = np.abs(excess[np.isfinite(excess)]) * 1e3
+        misses = f", which the stored numbers miss by up to {plain(reached.max(), 1)} mm"
+        config.note(
+            "readings",
+            f"left out: all {len(plausible)} {readings.kind}s of [delta_calibrate]"
+            f"{misses if len(reached) else ', which the arms do not reach'}: they are of different "
+            f"times, or a number of one tower is wrong: look at its angle, arm_length, microsteps, "
+            f"full_steps_per_rotation and rotation_distance, and run DELTA_CALIBRATE",
+        )
+        return np.asarray(plausible)
     for k in np.flatnonzero(~plausible):
         entry, value = section.entries[readings.keys[k]], readings.value[k]
         config.note(
