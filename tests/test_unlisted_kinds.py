@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -66,3 +68,26 @@ def test_readings_that_follow_within_a_fraction_of_a_second_may_jump() -> None:
     names = [place.name for place in found]
     assert sum("drive.x/time@" in name for name in names) >= 2
     assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_a_machine_that_lost_a_step_is_calibrated_as_it_is_after_it(
+    timed: bool, tmp_path: Path
+) -> None:
+    """The zeros were those from before; without times a dial was turned and a stand was knocked."""
+    rows = rc.simulate(KINDS["jump of a drive"][0], ROWS, np.random.default_rng(5))
+    readings = campaign_of(rows)
+    if not timed:
+        readings = replace(readings, time=np.full(len(readings), np.nan))
+    verdict = og.close_loop([readings])
+    (found,) = verdict.located
+    assert found.name.startswith("drive.x/time@" + "order" * (not timed))
+    assert re.search(r"at \d+ s, at once" if timed else r"after order \d+, at once", str(verdict))
+    now = Rig(errors={**RIG.errors, "joint_offset.x": RIG.error("joint_offset.x") + 1e-4})
+    points = rc.tcp_points(now, 30, np.random.default_rng(1))
+    command = np.array([[row[c] for c in rc.RHO] for row in points]) * 1e-3
+    true = np.array([[row[f"p_{a}_mm"] for a in "xyz"] for row in points]) * 1e-3
+    verdict.machine.save(tmp_path / "now.toml")
+    for machine in (verdict.machine, og.Machine.load(tmp_path / "now.toml")):
+        error = machine.forward(command) - true
+        assert np.abs(error - error.mean(axis=0)).max() < 1.5e-5

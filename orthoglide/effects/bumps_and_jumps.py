@@ -14,6 +14,7 @@ from orthoglide.effects.free_form import (
     Joints,
     Part,
     Range,
+    Session,
     free_forms,
     scaled_to_machine,
 )
@@ -112,6 +113,17 @@ def _bump_travel(effects: Iterable[str]) -> set[float]:
     return positions
 
 
+def _jumps(effects: Iterable[str], names: LegNames) -> tuple[FreeForm, ...]:
+    """Return the jumps at the moments among names of effects; see `FreeForm.name`."""
+    jumps: list[FreeForm] = []
+    for name in effects:
+        if match := re.fullmatch(r".*_time_(?:(\d+)s|order(\d+))", name):
+            timed, moment = match[1] is not None, float(match[1] or match[2])
+            sessions = [Session(0.0, 1.0, leg, timed) for leg in (*range(len(LEGS)), None)]
+            jumps += [with_jump(f, moment) for f in free_forms(sessions, names) if may_jump(f)]
+    return tuple(jumps)
+
+
 def with_free_forms(catalogue: Catalogue, names: Iterable[str], geometry: Geometry) -> Catalogue:
     """Return a catalogue with those free-form errors of a machine that parameters name."""
     wanted = {name.partition(".")[0] for name in names} - set(catalogue)
@@ -120,4 +132,5 @@ def with_free_forms(catalogue: Catalogue, names: Iterable[str], geometry: Geomet
     forms = free_forms((), catalogue.legs, geometry.stroke, geometry.scale)
     forms += travel_bumps([_bump_travel(wanted)] * len(LEGS), catalogue.legs, geometry.stroke,
                    geometry.scale)  # fmt: skip
+    forms += _jumps(wanted, catalogue.legs)
     return catalogue.with_effects(form.effect for form in forms if form.effect.name in wanted)

@@ -96,8 +96,10 @@ class FreeForm:
 
     @property
     def of_machine(self) -> bool:
-        """Whether a calibrated machine keeps it; changes with time belong to the campaign."""
-        return self.in_model and self.against != "time"
+        """Whether a calibrated machine keeps it. Slow changes with time belong to the campaign;
+        after a jump the machine stays as it is.
+        """
+        return self.in_model and (self.against != "time" or self.jump is not None)
 
     @property
     def in_model(self) -> bool:
@@ -129,7 +131,9 @@ class FreeForm:
 
     @cached_property
     def effect(self) -> Effect:
-        """The effect with one parameter a coefficient, for a machine that has this error."""
+        """The effect with one parameter a coefficient, for a machine that has this error; after a
+        jump it is constant.
+        """
         unit = RAD if self.is_rotation else MM
         words = self.words
         return Effect(
@@ -139,7 +143,7 @@ class FreeForm:
             because="what no known shape explains is a few hundredths",
             sentence=words,
             look_at=self.look_at,
-            members=partial(_members, self),
+            members=partial(_members, self if self.jump is None else replace(self, kernel=Level())),
             words=Words(many=words),
             paired=True,
             names=self.names,

@@ -83,16 +83,14 @@ class Bump:
 
 @dataclass(frozen=True)
 class Jump:
-    """A step of unit height at one value of the variable, up to zero: the machine is as it is after
-    the step, since that is the one to be calibrated.
-    """
+    """A step of unit height at one value of the variable."""
 
     position: float  # where it is, within [-1, 1]
     count = 1
 
     def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
         """The step."""
-        return [np.where(u > self.position, 0.0, -1.0)][which]
+        return [np.where(u > self.position, 1.0, 0.0)][which]
 
 
 @dataclass(frozen=True)

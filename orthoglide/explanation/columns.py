@@ -59,7 +59,8 @@ from orthoglide.parameters import Parameter
 _VAGUE_SD = 1e3
 """Tolerances: prior sd of a coefficient whose prior is given by rows of its own."""
 
-_ZERO_SD = 1e-9  # tolerances: prior sd of a coefficient that a twin represents
+_ZERO_SD = 1e-9
+"""Tolerances: prior sd of a coefficient that a twin represents, and of an inactive jump."""
 
 _LARGEST_SURFACE_BACKGROUND = 0.1
 """Tolerances: largest usual background if only a surface was measured. A wider one fits any surface
@@ -211,6 +212,9 @@ def _machine_model(
     prior_rows = np.pad(matrix, [(0, 0), (0, len(sd) - matrix.shape[1])]), target
     plate_shapes = np.arange(len(units)) >= len(units) - plate_count
     fixed_sd[plate_shapes] = 1.0
+    spans = coefficient_spans(errors, len(sd))
+    for span in (spans[e.name] for e in errors if e.jump is not None):
+        fixed_sd[span] = _ZERO_SD  # a jump that is not active is none
     readings = _WhitenedReadings.of(problem, nuisance, rows, problem.measured - value_at_zero)
     slopes = tool_slopes(full_problem, x) * sd
     twin_parameters = twins(full_problem, base_count, readings.columns[:, : len(sd)], slopes)
