@@ -59,8 +59,7 @@ from orthoglide.parameters import Parameter
 _VAGUE_SD = 1e3
 """Tolerances: prior sd of a coefficient whose prior is given by rows of its own."""
 
-_ZERO_SD = 1e-9
-"""Tolerances: prior sd of a coefficient that a twin represents, and of an inactive jump."""
+_ZERO_SD = 1e-9  # tolerances: prior sd of what a twin represents, and of inactive jumps
 
 _LARGEST_SURFACE_BACKGROUND = 0.1
 """Tolerances: largest usual background if only a surface was measured. A wider one fits any surface
@@ -208,13 +207,10 @@ def _machine_model(
     fitted = fitted_basis(problem, nuisance, base)[: len(residual)]
     rows, units, errors, plate_count = _scaled_columns(full_problem, linearised, residual, fitted)
     value_at_zero = linearised.value - linearised.jacobian @ x - displacement
-    fixed_sd, (matrix, target) = _fixed_priors(problem, len(units))
+    fixed_sd, (matrix, target) = _fixed_priors(problem, len(units), errors, len(sd))
     prior_rows = np.pad(matrix, [(0, 0), (0, len(sd) - matrix.shape[1])]), target
     plate_shapes = np.arange(len(units)) >= len(units) - plate_count
     fixed_sd[plate_shapes] = 1.0
-    spans = coefficient_spans(errors, len(sd))
-    for span in (spans[e.name] for e in errors if e.jump is not None):
-        fixed_sd[span] = _ZERO_SD  # a jump that is not active is none
     readings = _WhitenedReadings.of(problem, nuisance, rows, problem.measured - value_at_zero)
     slopes = tool_slopes(full_problem, x) * sd
     twin_parameters = twins(full_problem, base_count, readings.columns[:, : len(sd)], slopes)
@@ -385,13 +381,17 @@ def _with_plate_priors(linear: LinearModel, problem: Problem) -> LinearModel:
     return linear
 
 
-def _fixed_priors(problem: Problem, count: int) -> tuple[Array, tuple[Array, Array]]:
+def _fixed_priors(
+    problem: Problem, count: int, errors: Sequence[FreeForm], first: int
+) -> tuple[Array, tuple[Array, Array]]:
     """Return prior sd ``(C,)`` of coefficients without background scale, else nan, and prior rows.
 
     The prior sd of a base parameter is its prior width, in tolerances. Parameters of an earlier
-    calibration have rows instead, matrix and target.
+    calibration have rows instead, matrix and target. A jump that is not active is none.
     """
-    fixed_sd = np.full(count, np.nan)
+    fixed_sd, spans = np.full(count, np.nan), coefficient_spans(errors, first)
+    for error in errors:
+        fixed_sd[spans[error.name]] = np.nan if error.jump is None else _ZERO_SD
     fixed_sd[: len(problem.names)] = [u.prior_width for u in problem.unknowns]
     if problem.earlier_posterior is None:
         return fixed_sd, (np.zeros((0, len(problem.names))), np.zeros(0))
