@@ -70,16 +70,9 @@ def visible_free_form_errors(problem: Problem) -> tuple[FreeForm, ...]:
     """
     if only_surface_readings(problem):
         return ()
-    sessions: list[Session] = []
-    if len(problem.campaigns) == 1 and not problem.tool_factors:
-        (campaign,) = problem.campaigns
-        moments, timed = _moments(campaign)
-        for leg in (*range(len(LEGS)), None):
-            of_leg = moments if leg is None else moments[campaign.leg == leg]
-            if len(of_leg) and np.ptp(of_leg) > 0:
-                sessions.append(Session(float(of_leg.min()), float(of_leg.max()), leg, timed))
     machine = problem.machine
     geometry = machine.geometry
+    sessions = [session for session in _sessions(problem) if session.timed]
     errors = free_forms(sessions, machine.catalogue.legs, geometry.stroke, geometry.scale)
     if len(problem.campaigns) < len(problem.factors):
         # Only readings of legs distinguish a moved bar end from a moved carriage.
@@ -90,6 +83,21 @@ def visible_free_form_errors(problem: Problem) -> tuple[FreeForm, ...]:
     one_sided = ~axes_approached_from_both_sides(approach)  # lost motion is invisible
     hidden = {"approach": one_sided, "reversal": one_sided | bool(problem.tool_factors)}
     return tuple(e for e in errors if e.against not in hidden or not hidden[e.against][e.leg])
+
+
+def _sessions(problem: Problem) -> list[Session]:
+    """Return the sessions of each leg and of the whole campaign; none beside other readings, or of
+    several campaigns.
+    """
+    if len(problem.campaigns) != 1 or problem.tool_factors:
+        return []
+    (campaign,), sessions = problem.campaigns, list[Session]()
+    moments, timed = _moments(campaign)
+    for leg in (*range(len(LEGS)), None):
+        of_leg = moments if leg is None else moments[campaign.leg == leg]
+        if len(of_leg) and np.ptp(of_leg) > 0:
+            sessions.append(Session(float(of_leg.min()), float(of_leg.max()), leg, timed))
+    return sessions
 
 
 def _moments(readings: Readings) -> tuple[Array, bool]:
@@ -136,7 +144,10 @@ def free_form_columns(
     errors = visible_free_form_errors(problem)
     if not errors:
         return iter(()), ()
-    if jumping := [p for p in errors if may_jump(p)]:
+    # Of readings without times only jumps are considered: the order tells no rate of a change.
+    machine, stroke = problem.machine, problem.machine.geometry.stroke
+    forms = free_forms(_sessions(problem), machine.catalogue.legs, stroke, machine.geometry.scale)
+    if jumping := [form for form in forms if may_jump(form)]:
         fitted = np.zeros((len(residual), 0)) if fitted is None else fitted
         errors += tuple(_jump_candidates(problem, x, residual, jumping, fitted))
     return _columns_of_problem(problem, x, errors), errors
@@ -178,12 +189,12 @@ def _jump_candidates(
         explained = np.cumsum(step[:, None] * fitted, axis=0)[allowed]
         remaining = squares[allowed] - np.sum(explained**2, axis=1)
         gain = products[allowed] ** 2 / np.maximum(remaining, _LEAST_SIGNAL**2)
-        likeliest: dict[str, FreeForm] = {}
-        for moment in (moments[allowed] + moments[allowed + 1])[descending(gain)].tolist():
-            jump = with_jump(error, moment / 2)
-            likeliest.setdefault(jump.name, jump)  # one for each full second
-        for jump in [*likeliest.values()][:_MOST_JUMPS]:
-            yield replace(jump, chance=1 / len(likeliest))
+        between = (moments[allowed] + moments[allowed + 1])[descending(gain)] / 2
+        # One for each full second, or reading, which names a jump.
+        names = np.rint(between) if error.timed else np.floor(between)
+        _, first = np.unique(names, return_index=True)
+        for moment in between[np.sort(first)[:_MOST_JUMPS]].tolist():
+            yield replace(with_jump(error, moment), chance=1 / len(first))
 
 
 def free_form_columns_of_factor(
