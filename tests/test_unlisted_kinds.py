@@ -64,7 +64,7 @@ def test_readings_that_follow_within_a_fraction_of_a_second_may_jump() -> None:
     quick = [row | {"time_s": 0.03 * k} for k, row in enumerate(rows)]
     fit = og.identify([campaign_of(quick)])
     rest = np.random.default_rng(6).normal(size=len(rows))
-    _, found = free_form_columns(fit.problem, fit.x, rest)
+    _, found = free_form_columns(fit.problem, fit.x, rest, np.zeros((len(rest), 0)))
     names = [place.name for place in found]
     assert sum("drive.x/time@" in name for name in names) >= 2
     assert len(set(names)) == len(names)

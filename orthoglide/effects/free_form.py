@@ -65,7 +65,7 @@ class FreeForm:
         if self.bump is not None:
             return f"{self.location_key}@{round(self.bump * 1e3, 2 if self.of_dial else 1):g}"
         if self.jump is not None:
-            return f"{self.location_key}@{''.join(self.moment.split()[1:])}"
+            return f"{self.location_key}@{self.moment.replace(' ', '')}"
         key = self.location_key
         return key.replace("/travel", "/waves") if self.short_waves else key
 
@@ -166,12 +166,13 @@ class FreeForm:
                 fault = "is wrong at one place of its range and nowhere else"
             return f"the dial of {self.setup} {fault}"
         leg = self.names.legs[self.leg]
+        preposition = "at" if self.timed else "after"
         dependence = {
             "travel": self._travel_words,
             "approach": "by the side it is approached from",
             "reversal": "by the way gone since it turned round",
             "command": f"by the command of drive {self.names.legs[self.command_drive]}",
-            "time": "with time" if self.jump is None else f"{self.moment}, at once",
+            "time": "with time" if self.jump is None else f"{preposition} {self.moment}, at once",
         }[self.against]
         fault = {
             "drive": f"drive {leg} goes wrong along its axis",
@@ -188,9 +189,9 @@ class FreeForm:
 
     @property
     def moment(self) -> str:
-        """Moment of a jump: ``at 1710 s``, or ``after order 57``, that of the last reading."""
+        """Moment of a jump: ``1710 s``, or ``order 57`` of the last reading before it."""
         jump = 0.0 if self.jump is None else self.jump
-        return f"at {jump:.0f} s" if self.timed else f"after order {math.floor(jump)}"
+        return f"{jump:.0f} s" if self.timed else f"order {math.floor(jump)}"
 
     @property
     def _travel_words(self) -> str:
@@ -343,7 +344,8 @@ def _time_dependent_forms(session: Session) -> Iterator[FreeForm]:
     )  # fmt: skip
     if session.leg is None:
         drive = partial(form, "drive", joints=(("travel", 1.0),), direction="")
-        yield from (drive(leg, kernel=_DRIFT, prior_sd=100 * _UM) for leg in (-1, 0, 1, 2))
+        for leg in (-1, *range(len(LEGS))):  # -1: all drives alike
+            yield drive(leg, kernel=_DRIFT, prior_sd=100 * _UM)
         return
     both_bars = (("stretch1", 1.0), ("stretch2", 1.0))
     for joints, direction in ((both_bars[:1], "1"), (both_bars[1:], "2"), (both_bars, "")):

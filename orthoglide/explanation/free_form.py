@@ -131,7 +131,7 @@ def bump_travels(problem: Problem) -> list[list[float]]:
 
 
 def free_form_columns(
-    problem: Problem, x: Array, residual: Array, fitted: Array | None = None
+    problem: Problem, x: Array, residual: Array, fitted: Array
 ) -> tuple[Iterator[Array], tuple[FreeForm, ...]]:
     """Return the columns ``(n, K)`` of each free-form error, in its unit, and these errors.
 
@@ -139,7 +139,7 @@ def free_form_columns(
         problem: the readings.
         x: its unknowns ``(P,)``, SI.
         residual: of the readings there ``(n,)``, SI.
-        fitted: orthonormal columns of everything fitted, in sigmas ``(n, q)``; by default none.
+        fitted: orthonormal columns of everything fitted, in sigmas ``(n, q)``.
     """
     errors = visible_free_form_errors(problem)
     if not errors:
@@ -148,7 +148,6 @@ def free_form_columns(
     machine, stroke = problem.machine, problem.machine.geometry.stroke
     forms = free_forms(_sessions(problem), machine.catalogue.legs, stroke, machine.geometry.scale)
     if jumping := [form for form in forms if may_jump(form)]:
-        fitted = np.zeros((len(residual), 0)) if fitted is None else fitted
         errors += tuple(_jump_candidates(problem, x, residual, jumping, fitted))
     return _columns_of_problem(problem, x, errors), errors
 

@@ -177,16 +177,16 @@ class Search:
             return []
         self.child_log_weights(state)
         left, shrink = self._active_directions(self.scales, state)
-        causes, states = self._single_causes, list[State]()
-        components, products = self._past_active(left, shrink, self._first_column[causes])
+        singles, states = self._single_groups, list[State]()
+        components, products = self._past_active(left, shrink, self._first_column[singles])
         gram = self._crossed - components.transpose(0, 2, 1) @ components
-        is_excluded = np.isin(causes, [*excluded, *(g for g, _ in state)])
-        cost = np.where(is_excluded, np.inf, self.cost[causes])
+        is_excluded = np.isin(singles, [*excluded, *(g for g, _ in state)])
+        cost = np.where(is_excluded, np.inf, self.cost[singles])
         weights = self.visited[state], self._explained(left, shrink)
         for i, tau, j, other_tau, log_weights in likely_pairs(
             self.linear, gram, products, weights, cost, self._coarse_scales
         ):
-            pair = (int(causes[i]), tau), (int(causes[j]), other_tau)
+            pair = (int(singles[i]), tau), (int(singles[j]), other_tau)
             states.append(tuple(sorted((*state, *pair))))
             self.visited.setdefault(states[-1], log_weights)
         return [best_of(states, self.log_weight, LOG_ODDS_MARGIN)] if states else []
@@ -257,7 +257,7 @@ class Search:
         return np.flatnonzero(chosen).tolist()
 
     @cached_property
-    def _single_causes(self) -> NDArray[np.intp]:
+    def _single_groups(self) -> NDArray[np.intp]:
         """Indices of the visible causes and data faults with one coefficient."""
         named = [not g.free_form for g in self.linear.groups]
         sizes = zip(self.linear.groups, map(len, self._columns_of_group), strict=True)
@@ -267,7 +267,7 @@ class Search:
     @cached_property
     def _crossed(self) -> Array:
         """Inner products of the columns of one-coefficient causes ``(scales, ones, ones)``."""
-        index = self._first_column[self._single_causes]
+        index = self._first_column[self._single_groups]
         blocks = (s.some_group_columns(index) for s in self.scales)
         return np.stack([columns.T @ columns for columns in blocks])
 

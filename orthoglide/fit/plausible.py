@@ -93,29 +93,28 @@ def _check_travel(readings: Readings, machine: Machine) -> None:
         off = _plane_residual(touches, (1.0, 1.0, 1.0), machine)
         if off < _MIN_MISFIT_RATIO * _TOUCH_NOISE:
             continue
-        factors = min(_TRAVEL_FACTORS, key=lambda each: _plane_residual(touches, each, machine))
-        least = _plane_residual(touches, factors, machine)
+        least, factors = min((_plane_residual(touches, f, machine), f) for f in _TRAVEL_FACTORS)
         if least < _PLATE_FLATNESS and off > _MIN_MISFIT_RATIO * max(least, _TOUCH_NOISE):
             heights = "those of no plane" if np.isfinite(off) else "out of the machine's reach"
             raise InputError(
                 f"{source(readings)}, setup {setup.name!r}: the heights are {heights}; with travel "
-                f"{_travel_remedy(factors, machine).format(f'{compact(least * 1e3, 1)} mm')}"
+                f"{_travel_remedy(factors, least, machine)}"
             )
 
 
-def _travel_remedy(factors: tuple[float, ...], machine: Machine) -> str:
-    """Return how travel fits, with ``{}`` in place of the misfit, and what to do."""
+def _travel_remedy(factors: tuple[float, ...], misfit: float, machine: Machine) -> str:
+    """Return with which factors of travel the touches fit a plane, to a misfit in metres, and what
+    to do.
+    """
+    fits = f"they fit a plane to {compact(misfit * 1e3, 1)} mm"
     if min(factors) < 0:
         legs = [machine.geometry.leg_names[k] for k, f in enumerate(factors) if f < 0]
         which = "" if len(legs) == len(factors) else f" by {' and '.join(legs)}"
         signs = [round(s * f) for s, f in zip(machine.spec.controller.sign, factors, strict=True)]
-        return (
-            f"counted the other way{which} they fit a plane to {{}}: set sign = {signs} under "
-            f"[controller]"
-        )
+        return f"counted the other way{which} {fits}: set sign = {signs} under [controller]"
     return (
-        f"multiplied by {factors[0]:.4g} they fit a plane to {{}}: look at the microsteps and at "
-        f"the unit of travel, and correct the columns of travel"
+        f"multiplied by {factors[0]:.4g} {fits}: look at the microsteps and at the unit of travel, "
+        f"and correct the columns of travel"
     )
 
 
