@@ -7,10 +7,8 @@ from typing import Any
 
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.motions import Constant, LegConditions, Motion, once
-from orthoglide.effects.words import Words, micrometres, mm, sign_word
+from orthoglide.effects.words import Words
 from orthoglide.units import MM, Unit
-
-_PER_HOUR = 3600e6
 
 
 def _both_bars(basis: Callable[[LegConditions], Any]) -> tuple[Motion, Motion]:
@@ -26,18 +24,12 @@ LEG_LENGTH = Effect(
     look_at="the bars' length between their pivots, with a height gauge or a long calliper",
     members=once(*_both_bars(Constant(1.0))),
     words=Words(
-        lambda p, v: (
-            f"the bars of leg {p.leg} are {mm(v)} {sign_word(v, 'longer', 'shorter')} than nominal"
-        ),
-        lambda p: f"the bars of leg {p.leg} are not of nominal length",
+        "the bars of leg {leg} are {size} {longer|shorter} than nominal",
+        "the bars of leg {leg} are not of nominal length",
         "the bars of the legs are not of nominal length",
-        confirm=lambda p, v: (
-            f"measure the bars of leg {p.leg} between their pivots: expect {mm(v)} "
-            f"{sign_word(v)} than nominal on the average of the two"
-        ),
-        common=lambda v: (
-            f"the bars of all legs are {mm(v)} {sign_word(v, 'longer', 'shorter')} than nominal"
-        ),
+        confirm="measure the bars of leg {leg} between their pivots: expect {size} {more|less} "
+        "than nominal on the average of the two",
+        common="the bars of all legs are {size} {longer|shorter} than nominal",
     ),
     controller="bar_length",
     urdf=True,
@@ -52,15 +44,11 @@ BAR_MISMATCH = Effect(
     look_at="the two bars side by side, and the play of their pivots",
     members=once(Motion("stretch1", Constant(0.5)), Motion("stretch2", Constant(-0.5))),
     words=Words(
-        lambda p, v: (
-            f"bar 1 of leg {p.leg} is {mm(v)} {sign_word(v, 'longer', 'shorter')} than bar 2"
-        ),
-        lambda p: f"the two bars of leg {p.leg} differ in length",
+        "bar 1 of leg {leg} is {size} {longer|shorter} than bar 2",
+        "the two bars of leg {leg} differ in length",
         "the two bars of each leg differ in length",
-        confirm=lambda p, v: (
-            f"measure both bars of leg {p.leg} between their pivots: expect bar 1 {mm(v)} "
-            f"{sign_word(v, 'longer', 'shorter')} than bar 2"
-        ),
+        confirm="measure both bars of leg {leg} between their pivots: expect bar 1 {size} "
+        "{longer|shorter} than bar 2",
     ),
 )
 
@@ -73,16 +61,12 @@ PARALLELOGRAM_WIDTH = Effect(
     look_at="the distance of the bars at both ends, with a calliper",
     members=once(Motion("width1", Constant(0.5)), Motion("width2", Constant(0.5))),
     words=Words(
-        lambda p, v: (
-            f"the short link of leg {p.leg} at the platform is {mm(v)} "
-            f"{sign_word(v, 'wider', 'narrower')} than the one at the carriage"
-        ),
-        lambda p: f"the two short links of leg {p.leg} differ",
+        "the short link of leg {leg} at the platform is {size} {wider|narrower} than the one at "
+        "the carriage",
+        "the two short links of leg {leg} differ",
         "the short links at the platform differ from those at the carriages",
-        confirm=lambda p, v: (
-            f"measure the distance of the bars of leg {p.leg} at both ends: expect it {mm(v)} "
-            f"{sign_word(v, 'wider', 'narrower')} at the platform"
-        ),
+        confirm="measure the distance of the bars of leg {leg} at both ends: expect it {size} "
+        "{wider|narrower} at the platform",
     ),
 )
 
@@ -95,17 +79,12 @@ THERMAL_GROWTH = Effect(
     look_at="what warms the leg: a motor nearby, sun, the spindle's air",
     members=once(*_both_bars(lambda c: c.length * c.warming)),
     words=Words(
-        lambda p, v: (
-            f"the bars of leg {p.leg} {sign_word(v, 'grow', 'shrink')} by "
-            f"{micrometres(v, 'a metre and kelvin')}"
-        ),
-        lambda p: f"the bars of leg {p.leg} grow with temperature",
+        "the bars of leg {leg} {grow|shrink} by {size}",
+        "the bars of leg {leg} grow with temperature",
         "the bars grow with temperature",
-        lambda v: micrometres(v, "a metre and kelvin"),
-        lambda p, v: (
-            f"measure the bars of leg {p.leg} cold and 10 K warmer: expect them "
-            f"{micrometres(10 * v, 'a metre')} {sign_word(v, 'longer', 'shorter')}"
-        ),
+        "{µm} a metre and kelvin",
+        "measure the bars of leg {leg} cold and 10 K warmer: expect them {µm:10} a metre "
+        "{longer|shorter}",
     ),
     group="temperature",
 )
@@ -119,17 +98,12 @@ THERMAL_DRIFT = Effect(
     look_at="whether the machine was warm when the readings began",
     members=once(*_both_bars(lambda c: c.length * c.time)),
     words=Words(
-        lambda p, v: (
-            f"the bars of leg {p.leg} {sign_word(v, 'grow', 'shrink')} by "
-            f"{micrometres(v, 'a metre and hour', _PER_HOUR)}"
-        ),
-        lambda p: f"the bars of leg {p.leg} grow as time goes on",
+        "the bars of leg {leg} {grow|shrink} by {size}",
+        "the bars of leg {leg} grow as time goes on",
         "the bars grow as time goes on",
-        lambda v: micrometres(v, "a metre and hour", _PER_HOUR),
-        lambda p, v: (
-            f"measure the bars of leg {p.leg} at the start and an hour later: expect them "
-            f"{micrometres(v, 'a metre', _PER_HOUR)} {sign_word(v, 'longer', 'shorter')}"
-        ),
+        "{µm:3600} a metre and hour",
+        "measure the bars of leg {leg} at the start and an hour later: expect them {µm:3600} a "
+        "metre {longer|shorter}",
     ),
     group="temperature",
     instead_of="temperature",

@@ -5,13 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Any
 
 from orthoglide.effects.catalogue import Catalogue
 from orthoglide.effects.free_form import (
     FreeForm,
-    Joints,
     Part,
     Range,
     Session,
@@ -19,7 +16,6 @@ from orthoglide.effects.free_form import (
     scaled_to_machine,
 )
 from orthoglide.effects.kernels import Bump, Jump
-from orthoglide.effects.motions import command_variable, travel_variable
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.layout import LegNames
 
@@ -60,21 +56,14 @@ def travel_bumps(
         scale: of its size, that of a workshop being 1.
     """
     middle, half = (stroke[0] + stroke[1]) / 2, (stroke[1] - stroke[0]) / 2
+    candidates: tuple[tuple[Part, str], ...] = (("drive", ""), ("rail", "b"), ("rail", "c"))
     forms: list[FreeForm] = []
     for leg, positions in enumerate(travel):
-        across = dict(zip("bc", names.across[leg], strict=True))
         for position in positions:
             bump = Bump((position - middle) / half, _BUMP_WIDTH * scale / half)
-            candidates: list[tuple[Part, Joints, str, Any]] = [
-                ("drive", (("travel", 1.0),), "", partial(command_variable, leg)),
-                *(
-                    ("rail", ((f"lateral_{a}", 1.0),), direction, travel_variable)
-                    for a, direction in across.items()
-                ),
-            ]
-            for part, joints, direction, variable in candidates:
-                form = FreeForm(part, leg, joints, direction, "travel", 0, variable, bump, 30 * _UM,
-                              bump=position, names=names, chance=1 / len(positions))  # fmt: skip
+            for part, axis in candidates:
+                form = FreeForm(part, leg, axis, "travel", bump, 30 * _UM,
+                                bump=position, names=names, chance=1 / len(positions))  # fmt: skip
                 forms.append(scaled_to_machine(form, scale))
     return tuple(forms)
 

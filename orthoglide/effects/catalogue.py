@@ -6,9 +6,9 @@ Its effects are defined in the other files of this folder, or by a user; see CON
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import Any
 
 from orthoglide.effects import bars, dials, drives, plates, rails
@@ -175,30 +175,20 @@ class Catalogue(Mapping[str, Effect]):
         if isinstance(name, Parameter):
             return name
         effect, setups = self.effect_of(name), tuple(setups)
-        plain, _, campaign = name.partition("@")
-        if effect.of_dial:
-            setup, shape, setup_campaign = setup_parts(name[len(effect.name) + 1 :], effect.shapes)
-            for candidate in effect.parameters(setups):
+        for names in (effect.parameters, partial(self.structured_members, effect.name)):
+            for candidate in names(setups):
                 if name == candidate or name.startswith(f"{candidate}@"):
                     return candidate.at(name[len(candidate) + 1 :])
-            members = self.structured_members(effect.name, ("any",))
-            if setup and plain not in members and plain != f"{effect.name}.common" and not setups:
-                return Parameter(effect.name, setup=setup, direction=shape, campaign=setup_campaign)
-        else:
-            for candidate in effect.motions:
-                if plain == candidate:
-                    return candidate.at(campaign)
-        for member in self.structured_members(effect.name, setups):
-            if plain == member:
-                return member.at(campaign)
-        if effect.of_dial:
-            choices = f", one of {', '.join(setups)}" if setups else ""
+        if not effect.of_dial:
             raise InputError(
-                f"{name}: {effect.name} takes the name of a setup behind the dot{choices}"
+                f"there is no parameter {name!r}: {effect.name} has {', '.join(effect.motions)}"
             )
-        raise InputError(
-            f"there is no parameter {name!r}: {effect.name} has {', '.join(effect.motions)}"
-        )
+        setup, shape, campaign = setup_parts(name[len(effect.name) + 1 :], effect.shapes)
+        members = {*self.structured_members(effect.name, ("any",)), f"{effect.name}.common"}
+        if setup and not setups and name.partition("@")[0] not in members:
+            return Parameter(effect.name, setup=setup, direction=shape, campaign=campaign)
+        choices = f", one of {', '.join(setups)}" if setups else ""
+        raise InputError(f"{name}: {effect.name} takes the name of a setup behind the dot{choices}")
 
     def elementary_weights(self, name: str, setups: Iterable[str] = ()) -> dict[str, float]:
         """Weights of the parameters that a name stands for: itself, or a structured member's.
@@ -306,24 +296,15 @@ def catalogue_of(names: LegNames) -> Catalogue:
 
 def _in_layout_words(effect: Effect, names: LegNames) -> Effect:
     """An effect on a layout, in the words of that layout; names of setups stay as they are."""
-    if effect.of_dial or not names.noun_replacements:
+    if effect.of_dial:
         return replace(effect, names=names)
-    words = effect.words
-    clause_names = ("one", "short", "common", "confirm")
-    clauses = {name: _clause_in_layout_words(getattr(words, name), names) for name in clause_names}
     return replace(
         effect,
         names=names,
         sentence=names.in_layout_words(effect.sentence),
         look_at=names.in_layout_words(effect.look_at),
-        words=replace(words, many=names.in_layout_words(words.many), **clauses),
+        words=replace(effect.words, many=names.in_layout_words(effect.words.many)),
     )
-
-
-def _clause_in_layout_words(
-    clause: Callable[..., str] | None, names: LegNames
-) -> Callable[..., str] | None:
-    return None if clause is None else lambda *given: names.in_layout_words(clause(*given))
 
 
 # An effect contains functions, which do not pickle: effects of the package are pickled by name.

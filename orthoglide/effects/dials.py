@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.motions import cos, sin
-from orthoglide.effects.words import Words, mm, mrad, percent, sign_word
+from orthoglide.effects.words import Words
 from orthoglide.units import ONE, RAD, Unit
 
 GAUGE_DIRECTION = Effect(
@@ -19,16 +19,11 @@ GAUGE_DIRECTION = Effect(
     sentence="the dial's stem is not along the axis: it sees part of the other direction",
     look_at="the stem against a square, looking along the leg",
     words=Words(
-        lambda p, v: (
-            f"the dial of {p.setup} is turned by {mrad(v)} about the leg, "
-            f"{sign_word(v, 'right-handed', 'left-handed')}"
-        ),
-        lambda p: f"the dial of {p.setup} is turned about the leg",
+        "the dial of {setup} is turned by {size} about the leg, {right-handed|left-handed}",
+        "the dial of {setup} is turned about the leg",
         "the dials are turned about their legs",
-        confirm=lambda p, v: (
-            f"hold a square to the stem of {p.setup}, looking along the leg: expect the stem "
-            f"{mrad(v)} off, {sign_word(v, 'right-handed', 'left-handed')} about the leg's axis"
-        ),
+        confirm="hold a square to the stem of {setup}, looking along the leg: expect the stem "
+        "{size} off, {right-handed|left-handed} about the leg's axis",
     ),
     group="dial",
     dial=lambda reading, angle: cos(angle) * reading.shown + sin(angle) * reading.across,
@@ -42,13 +37,11 @@ GAUGE_SCALE = Effect(
     sentence="the dial shows more or less than it is moved",
     look_at="the dial against gauge blocks",
     words=Words(
-        lambda p, v: f"the dial of {p.setup} shows {percent(v)} {sign_word(v)} than it is moved",
-        lambda p: f"the dial of {p.setup} shows more or less than it is moved",
+        "the dial of {setup} shows {size} {more|less} than it is moved",
+        "the dial of {setup} shows more or less than it is moved",
         "the dials show more or less than they are moved",
-        confirm=lambda p, v: (
-            f"put gauge blocks 5 mm apart under the dial of {p.setup}: expect {mm(5e-3 * v)} "
-            f"{sign_word(v)} than 5 mm"
-        ),
+        confirm="put gauge blocks 5 mm apart under the dial of {setup}: expect {mm:5e-3} "
+        "{more|less} than 5 mm",
     ),
     group="dial",
     dial=lambda reading, scale: (1 + scale) * reading.shown,
@@ -62,17 +55,12 @@ GAUGE_DRIFT = Effect(
     sentence="the dial's stand creeps",
     look_at="the stand's clamps and its foot; let it settle, then read zero again at the end",
     words=Words(
-        lambda p, v: (
-            f"the stand of {p.setup} creeps: its reading {sign_word(v, 'grows', 'falls')} by "
-            f"{mm(v * 3600)} an hour"
-        ),
-        lambda p: f"the stand of {p.setup} creeps",
+        "the stand of {setup} creeps: its reading {grows|falls} by {size}",
+        "the stand of {setup} creeps",
         "the dials' stands creep",
-        lambda v: f"{mm(v * 3600)} an hour",
-        lambda p, v: (
-            f"leave the machine at rest for an hour with the dial of {p.setup} in place: expect "
-            f"its reading to {sign_word(v, 'grow', 'fall')} by {mm(v * 3600)}"
-        ),
+        "{mm:3600} an hour",
+        "leave the machine at rest for an hour with the dial of {setup} in place: expect its "
+        "reading to {grow|fall} by {mm:3600}",
     ),
     group="dial",
     dial=lambda reading, rate: reading.shown + rate * reading.time,

@@ -8,8 +8,7 @@ import numpy as np
 
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.motions import Constant, LegConditions, Motion, cos, once, sin
-from orthoglide.effects.words import Words, micrometres, mm, percent, sign_word
-from orthoglide.numerals import compact
+from orthoglide.effects.words import Words
 from orthoglide.units import MM, ONE, Unit
 
 
@@ -31,13 +30,11 @@ JOINT_OFFSET = Effect(
     look_at="the reference switch and the zero mark of the drive",
     members=once(Motion("travel", Constant(1.0))),
     words=Words(
-        lambda p, v: f"the zero of drive {p.leg} is {mm(v)} too far {sign_word(v, 'out', 'in')}",
-        lambda p: f"the zero of drive {p.leg} is off",
+        "the zero of drive {leg} is {size} too far {out|in}",
+        "the zero of drive {leg} is off",
         "the zeros of the drives are off",
-        confirm=lambda p, v: (
-            f"send drive {p.leg} to its zero and measure its carriage against the zero mark: "
-            f"expect it {mm(v)} too far {sign_word(v, 'out', 'in')}"
-        ),
+        confirm="send drive {leg} to its zero and measure its carriage against the zero mark: "
+        "expect it {size} too far {out|in}",
     ),
     group="drive",
     controller="zero",
@@ -54,13 +51,11 @@ ENCODER_SCALE = Effect(
     "100 mm of the carriage's travel",
     members=once(Motion("travel", lambda c: c.nominal_travel)),
     words=Words(
-        lambda p, v: f"drive {p.leg} moves {percent(v)} {sign_word(v)} than it is told",
-        lambda p: f"drive {p.leg} moves more or less than it is told",
+        "drive {leg} moves {size} {more|less} than it is told",
+        "drive {leg} moves more or less than it is told",
         "the drives move more or less than they are told",
-        confirm=lambda p, v: (
-            f"set a dial or a scale on carriage {p.leg} and command a move of 50 mm: expect "
-            f"{mm(50e-3 * v)} {sign_word(v)} than 50 mm"
-        ),
+        confirm="set a dial or a scale on carriage {leg} and command a move of 50 mm: expect "
+        "{mm:50e-3} {more|less} than 50 mm",
     ),
     group="drive",
     controller="scale",
@@ -75,13 +70,11 @@ SCREW_ERROR = Effect(
     look_at="the screw's coupling and bearing, an encoder mounted off centre",
     members=lambda leg: {"sin": (Motion("travel", _sine),), "cos": (Motion("travel", _cosine),)},
     words=Words(
-        lambda p, v: f"drive {p.leg} runs {mm(v)} ahead and behind once a turn of its screw",
-        lambda p: f"drive {p.leg} runs ahead and behind once a turn of its screw",
+        "drive {leg} runs {size} ahead and behind once a turn of its screw",
+        "drive {leg} runs ahead and behind once a turn of its screw",
         "the drives run ahead and behind once a turn of their screws",
-        confirm=lambda p, v: (
-            f"set a dial on carriage {p.leg} and move one turn of the screw in eight steps: expect "
-            f"the errors of the steps to span {mm(2 * v)}"
-        ),
+        confirm="set a dial on carriage {leg} and move one turn of the screw in eight steps: "
+        "expect the errors of the steps to span {mm:2}",
     ),
     group="drive",
     paired=True,
@@ -96,17 +89,12 @@ BACKLASH = Effect(
     look_at="the preload of the nut, the coupling's clamp, the thrust bearing, the belt",
     members=once(Motion("travel", lambda c: -c.approach / 2)),
     words=Words(
-        lambda p, v: (
-            f"drive {p.leg} has {mm(v)} of lost motion"
-            + " with the wrong sign, as where a controller makes up for too much" * (v < 0)
-        ),
-        lambda p: f"drive {p.leg} has lost motion",
+        "drive {leg} has {size} of lost motion"
+        "{| with the wrong sign, as where a controller makes up for too much}",
+        "drive {leg} has lost motion",
         "the drives have lost motion",
-        confirm=lambda p, v: (
-            f"set a dial on carriage {p.leg} and come to one place from smaller and from larger "
-            f"travel: expect it {mm(v)} {sign_word(v, 'farther out', 'farther in')} when it comes "
-            f"from larger travel"
-        ),
+        confirm="set a dial on carriage {leg} and come to one place from smaller and from larger "
+        "travel: expect it {size} {farther out|farther in} when it comes from larger travel",
     ),
     group="drive",
     controller="backlash",
@@ -121,17 +109,12 @@ DRIVE_COMPLIANCE = Effect(
     look_at="the thrust bearing, the servo's stiffness, the carriage's clamp",
     members=once(Motion("travel", lambda c: c.force)),
     words=Words(
-        lambda p, v: (
-            f"drive {p.leg} {sign_word(v, 'gives way', 'moves against the load')} by "
-            f"{micrometres(v, 'a newton')}"
-        ),
-        lambda p: f"drive {p.leg} gives way under the load",
+        "drive {leg} {gives way|moves against the load} by {size}",
+        "drive {leg} gives way under the load",
         "the drives give way under the load",
-        lambda v: micrometres(v, "a newton"),
-        lambda p, v: (
-            f"set a dial on carriage {p.leg} and push with 10 N along its rail: expect "
-            f"{compact(abs(v) * 1e7, 2)} µm {sign_word(v, 'with', 'against')} the push"
-        ),
+        "{µm} a newton",
+        "set a dial on carriage {leg} and push with 10 N along its rail: expect {µm:10} "
+        "{with|against} the push",
     ),
     group="load",
 )

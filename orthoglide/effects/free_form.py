@@ -8,20 +8,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Literal
 
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.kernels import BuildUp, Bump, Jump, Kernel, Level
-from orthoglide.effects.motions import (
-    LegConditions,
-    Motion,
-    command_variable,
-    time_variable,
-    travel_variable,
-)
+from orthoglide.effects.motions import LegConditions, Motion
 from orthoglide.effects.words import Words, toward
 from orthoglide.geometry import LEGS
 from orthoglide.layout import LegNames, Orthoglide
@@ -30,9 +24,9 @@ from orthoglide.units import MM, RAD
 
 Dependence = Literal["travel", "approach", "reversal", "command", "time", "reading"]
 Part = Literal["drive", "rail", "carriage", "bar", "platform", "dial"]
-Joints = tuple[tuple[str, float], ...]
 Range = tuple[float, float]
 FreeFunctions = Kernel | BuildUp | Bump | Jump | Level
+_UM = 1e-6
 
 
 @dataclass(frozen=True)
@@ -41,13 +35,11 @@ class FreeForm:
 
     part: Part  # of the leg
     leg: int  # 0, 1 or 2; -1 of all dials together
-    joints: Joints  # virtual joints that move, each with its share
-    direction: str  # that it moves in or turns about, as a letter of the base; empty for none
+    axis: str  # of the leg, a, b or c, that it moves along or turns about; of a bar its number
     against: Dependence  # what it depends on
-    command_drive: int  # the drive whose command it depends on, with `against` `"command"`
-    variable: Callable[[LegConditions], Any]  # in [-1, 1], of the leg's conditions
     kernel: FreeFunctions  # how smooth it is
-    prior_sd: float  # prior standard deviation of its displacement, SI
+    prior_sd: float = 50 * _UM  # prior standard deviation of its displacement, SI
+    command_drive: int = 0  # the drive whose command it depends on, with `against` `"command"`
     # first and last of its variable, seconds or metres; `None`: the stroke
     span: Range | None = None
     setup: str = ""  # the dial's mounting; empty where it is all of them, or no dial
@@ -58,6 +50,28 @@ class FreeForm:
     jump: float | None = None  # moment at which it jumps; `None`: it does not
     timed: bool = True  # whether moments are seconds; else they count the readings
     chance: float = 1.0  # prior weight relative to other free-form errors
+
+    @property
+    def direction(self) -> str:
+        """The letter of the base for its axis; the number of a bar; else empty.
+
+        Where a leg has the name of one of its directions, its slide is called a, as in its frame.
+        """
+        across = self.names.across[self.leg]
+        slide = "a" if self.names.legs[self.leg] in across else self.names.legs[self.leg]
+        return dict(zip("abc", (slide, *across), strict=True)).get(self.axis, self.axis)
+
+    @property
+    def joints(self) -> tuple[tuple[str, float], ...]:
+        """Virtual joints of the leg that move, each with its share."""
+        return {
+            "drive": (("travel", 1.0),),
+            "rail": ((f"lateral_{self.axis}", 1.0),),
+            "platform": ((f"lateral_{self.axis}", -1.0),),
+            "carriage": ((f"turn_{self.axis}", 1.0),),
+            "bar": tuple((f"stretch{bar}", 1.0) for bar in self.axis or "12"),
+            "dial": (),
+        }[self.part]
 
     @property
     def name(self) -> str:
@@ -220,10 +234,25 @@ class FreeForm:
         """The free functions at these conditions, for coefficients of unit variance."""
         if self.against == "reversal":
             return list(conditions.built_up[which])
-        values = self.kernel.functions(self.variable(conditions), which)
+        values = self.kernel.functions(self._variable(conditions), which)
         if self.against == "approach":
             return [value * conditions.approach / 2 for value in values]
         return values
+
+    def _variable(self, c: LegConditions) -> Any:
+        """Return what it depends on, from -1 to 1 over the stroke or the session.
+
+        It is the carriage's travel or, of a drive, a command; a time is constant outside of the
+        session.
+        """
+        if self.against == "time":
+            start, end = self.span or (0.0, 1.0)
+            position = (c.time - start) / max((end - start) / 2, 1e-9) - 1
+            return (abs(position + 1) - abs(position - 1)) / 2  # of symbols too
+        if self.part != "drive":
+            return c.u
+        drive = self.command_drive if self.against == "command" else self.leg
+        return c.over_stroke(c.commands[drive] - c.command + c.nominal_travel)
 
 
 def _members(form: FreeForm, leg: int) -> Mapping[str, tuple[Motion, ...]]:
@@ -255,7 +284,6 @@ _PER_LENGTH, _MOST = 5, 96  # functions of half a stroke as long as a correlatio
 _PLATFORM_PRIOR_WEIGHT = 0.1
 BUILD_UP = BuildUp((0.05, 0.1, 0.2, 0.4, 0.8))
 _CREEP, _DIAL = Kernel(0.5, 8, rough=1.0), Kernel(0.5, 6)
-_UM = 1e-6
 
 
 @dataclass(frozen=True)
@@ -290,7 +318,7 @@ def free_forms(
     half = (stroke[1] - stroke[0]) / 2
     forms: list[FreeForm] = []
     for leg in range(len(LEGS)):
-        for form in _leg_forms(leg, names):
+        for form in _leg_forms(leg):
             forms.append(form)
             if form.against == "travel" and form.part == "drive":
                 forms.append(replace(form, kernel=_SCREW, short_waves=True))
@@ -300,56 +328,35 @@ def free_forms(
     return tuple(scaled_to_machine(replace(form, names=names), scale) for form in forms)
 
 
-def _leg_forms(leg: int, names: LegNames) -> Iterator[FreeForm]:
+def _leg_forms(leg: int) -> Iterator[FreeForm]:
     """Yield the free-form errors of one leg that do not depend on time, without short waves."""
-
-    def form(
-        part: Part, joint: str, direction: str, against: Dependence, variable: Any,
-        kernel: FreeFunctions, prior_sd: float = 50 * _UM, share: float = 1.0, drive: int = 0,
-    ) -> FreeForm:  # fmt: skip
-        chance = _PLATFORM_PRIOR_WEIGHT if (part, against) == ("platform", "travel") else 1.0
-        joints = ((joint, share),)
-        return FreeForm(part, leg, joints, direction, against, drive, variable, kernel, prior_sd,
-                        chance=chance)  # fmt: skip
-
-    command = partial(command_variable, leg)
-    yield form("drive", "travel", "", "travel", command, _DRIVE, 100 * _UM)
-    yield form("drive", "travel", "", "approach", command, _LOST)
-    yield form("drive", "travel", "", "reversal", _no_variable, BUILD_UP)
+    yield FreeForm("drive", leg, "", "travel", _DRIVE, 100 * _UM)
+    yield FreeForm("drive", leg, "", "approach", _LOST)
+    yield FreeForm("drive", leg, "", "reversal", BUILD_UP)
     for other in range(len(LEGS)):
         if other != leg:
-            command = partial(command_variable, other)
-            yield form("drive", "travel", "", "command", command, _ACROSS, drive=other)
-    across = dict(zip("bc", names.across[leg], strict=True))
-    parts: tuple[tuple[Part, float], ...] = (("rail", 1.0), ("platform", -1.0))
-    for axis, letter in across.items():
-        for part, share in parts:
-            joint = f"lateral_{axis}"
-            yield form(part, joint, letter, "travel", travel_variable, _FINE, share=share)
-            yield form(part, joint, letter, "approach", travel_variable, _COARSE, share=share)
-    # Where a leg has the name of one of its directions, its slide is called a, as in its frame.
-    slide = "a" if names.legs[leg] in across.values() else names.legs[leg]
-    for axis, letter in {"a": slide, **across}.items():
-        yield form("carriage", f"turn_{axis}", letter, "travel", travel_variable, _ACROSS, 1e-3)
+            yield FreeForm("drive", leg, "", "command", _ACROSS, command_drive=other)
+    parts: tuple[tuple[Part, float], ...] = (("rail", 1.0), ("platform", _PLATFORM_PRIOR_WEIGHT))
+    for axis in "bc":
+        for part, chance in parts:
+            yield FreeForm(part, leg, axis, "travel", _FINE, chance=chance)
+            yield FreeForm(part, leg, axis, "approach", _COARSE)
+    for axis in "abc":
+        yield FreeForm("carriage", leg, axis, "travel", _ACROSS, 1e-3)
     for bar in "12":
-        yield form("bar", f"stretch{bar}", bar, "approach", travel_variable, _COARSE)
+        yield FreeForm("bar", leg, bar, "approach", _COARSE)
 
 
 def _time_dependent_forms(session: Session) -> Iterator[FreeForm]:
     """Yield what changes in a session: bars of the leg that is read; drives in the campaign."""
     span = session.start, session.end
-    form = partial(
-        FreeForm, against="time", command_drive=0, variable=partial(time_variable, *span),
-        span=span, timed=session.timed,
-    )  # fmt: skip
+    form = partial(FreeForm, against="time", span=span, timed=session.timed)
     if session.leg is None:
-        drive = partial(form, "drive", joints=(("travel", 1.0),), direction="")
         for leg in (-1, *range(len(LEGS))):  # -1: all drives alike
-            yield drive(leg, kernel=_DRIFT, prior_sd=100 * _UM)
+            yield form("drive", leg, "", kernel=_DRIFT, prior_sd=100 * _UM)
         return
-    both_bars = (("stretch1", 1.0), ("stretch2", 1.0))
-    for joints, direction in ((both_bars[:1], "1"), (both_bars[1:], "2"), (both_bars, "")):
-        yield form("bar", session.leg, joints, direction, kernel=_OU, prior_sd=50 * _UM)
+    for bars in ("1", "2", ""):
+        yield form("bar", session.leg, bars, kernel=_OU)
 
 
 def scaled_to_machine(form: FreeForm, scale: float) -> FreeForm:
@@ -377,9 +384,7 @@ def dial_free_forms(
         ("approach", Level(), 10 * _UM, reading if turns else None),
     )
     return tuple(
-        FreeForm(
-            "dial", leg, (), "", against, 0, _no_variable, kernel, prior_sd * scale, span, setup
-        )
+        FreeForm("dial", leg, "", against, kernel, prior_sd * scale, span=span, setup=setup)
         for against, kernel, prior_sd, span in candidates
         if span is not None
     )
@@ -392,9 +397,4 @@ def common_dial_form(reading: Range, scale: float = 1.0) -> FreeForm:
         reading: range of the readings, metres.
         scale: of the machine's size.
     """
-    return FreeForm("dial", -1, (), "", "approach", 0, _no_variable, Level(), 10 * _UM * scale,
-                    reading)  # fmt: skip
-
-
-def _no_variable(c: LegConditions) -> Any:
-    raise TypeError("this free-form error depends on no variable of the leg")
+    return FreeForm("dial", -1, "", "approach", Level(), 10 * _UM * scale, span=reading)

@@ -39,8 +39,12 @@ class LegConditions:
     @property
     def u(self) -> Any:
         """True travel over the stroke: -1 at its lower end, +1 at its upper."""
+        return self.over_stroke(self.travel)
+
+    def over_stroke(self, travel: Any) -> Any:
+        """Return a travel over the stroke: -1 at its lower end, +1 at its upper."""
         low, high = self.stroke
-        return (self.travel - (low + high) / 2) / ((high - low) / 2)
+        return (travel - (low + high) / 2) / ((high - low) / 2)
 
 
 @dataclass(frozen=True)
@@ -165,22 +169,3 @@ def sideways(make: Callable[[str, int], tuple[Motion, ...]]) -> Members:
     """
     b, c = LATERAL_KEYS
     return _SameForEachLeg(((b, tuple(make("b", +1))), (c, tuple(make("c", -1)))))
-
-
-def travel_variable(c: LegConditions) -> Any:
-    """Return the position of a carriage, from -1 to 1 over the stroke."""
-    return c.u
-
-
-def command_variable(leg: int, c: LegConditions) -> Any:
-    """Return the commanded position of a drive, from -1 to 1 over the stroke."""
-    low, high = c.stroke
-    travel = c.commands[leg] - c.command + c.nominal_travel
-    return (travel - (low + high) / 2) / ((high - low) / 2)
-
-
-def time_variable(start: float, end: float, c: LegConditions) -> Any:
-    """Return the time within a session, from -1 to 1 and constant outside it."""
-    half = max((end - start) / 2, 1e-9)
-    position = (c.time - start) / half - 1
-    return (abs(position + 1) - abs(position - 1)) / 2  # within -1 and 1, of symbols too

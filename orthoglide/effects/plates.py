@@ -8,9 +8,8 @@ larger, the distances that are read on it are longer.
 from __future__ import annotations
 
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.words import Words, mm, percent, sign_word
+from orthoglide.effects.words import Words
 from orthoglide.geometry import Array
-from orthoglide.parameters import Parameter
 from orthoglide.units import MM, ONE
 
 PLATE_SHAPE_SD = 1e-4
@@ -24,16 +23,12 @@ PLATE_BOW = Effect(
     sentence="the plate is a bowl or a dome",
     look_at="the plate with a straight edge across its middle",
     words=Words(
-        lambda p, v: (
-            f"{_plate(p)} is a {sign_word(v, 'bowl', 'dome')}: its rim stands {mm(v)} "
-            f"{sign_word(v, 'higher', 'lower')} than its middle"
-        ),
-        lambda p: f"{_plate(p)} is a bowl or a dome",
+        "the plate{of_setup} is a {bowl|dome}: its rim stands {size} {higher|lower} than its "
+        "middle",
+        "the plate{of_setup} is a bowl or a dome",
         "the plates are bowls or domes",
-        confirm=lambda p, v: (
-            f"lay a straight edge across {_plate(p)}: expect a gap of {mm(v)} under its "
-            f"{sign_word(v, 'middle', 'ends')}"
-        ),
+        confirm="lay a straight edge across the plate{of_setup}: expect a gap of {size} under its "
+        "{middle|ends}",
     ),
     group="plate",
     plate=(("", lambda x, y: x**2 + y**2),),
@@ -47,16 +42,11 @@ PLATE_TREFOIL = Effect(
     sentence="the plate has three high and three low sides",
     look_at="the plate turned by 60 degrees on its seat: a pattern of its own turns with it",
     words=Words(
-        lambda p, v: (
-            f"{_plate(p)} has three lobes {mm(v)} high, one of them toward "
-            f"{_lobe(p.direction, v)} degrees"
-        ),
-        lambda p: f"{_plate(p)} has three high and three low sides",
+        "the plate{of_setup} has three lobes {size} high, one of them toward {lobe} degrees",
+        "the plate{of_setup} has three high and three low sides",
         "the plates have three high and three low sides",
-        confirm=lambda p, v: (
-            f"turn {_plate(p)} by 60 degrees and measure again: expect its three lobes "
-            f"of {mm(v)} to turn with it: low toward {_lobe(p.direction, v)} degrees"
-        ),
+        confirm="turn the plate{of_setup} by 60 degrees and measure again: expect its three lobes "
+        "of {size} to turn with it: low toward {lobe} degrees",
     ),
     group="plate",
     plate=(
@@ -64,9 +54,6 @@ PLATE_TREFOIL = Effect(
         ("sin", lambda x, y: 3 * x**2 * y - y**3),
     ),
 )
-
-
-_REFERENCE_LENGTH = 0.1  # metres: a length that a calliper and a rule both reach
 
 PART_SIZE = Effect(
     "part_size",
@@ -76,34 +63,16 @@ PART_SIZE = Effect(
     sentence="the printed part, or the calliper, is off in size beyond the plastic's shrinkage",
     look_at="the calliper against a gauge block or a second calliper, and the slicer's scale",
     words=Words(
-        lambda p, v: (
-            f"the printed part, or the calliper, makes distances{_in_setup(p)} {percent(v)} "
-            f"{sign_word(v, 'longer', 'shorter')} than the plastic's shrinkage does"
-        ),
-        lambda p: "the printed part, or the calliper, is off in size beyond the shrinkage",
+        "the printed part, or the calliper, makes distances{in_setup} {size} {longer|shorter} than "
+        "the plastic's shrinkage does",
+        "the printed part, or the calliper, is off in size beyond the shrinkage",
         "the printed parts, or the calliper, are off in size beyond the shrinkage",
-        confirm=lambda p, v: (
-            f"measure a gauge block, or 100 mm of a good rule, with the calliper: expect "
-            f"{mm(_REFERENCE_LENGTH * v)} {sign_word(v)}, or look for that in the slicer's scale"
-        ),
+        confirm="measure a gauge block, or 100 mm of a good rule, with the calliper: expect "
+        "{mm:0.1} {more|less}, or look for that in the slicer's scale",
     ),
     group="part",
     part=lambda length, size: (1 + size) * length,
 )
-
-
-def _plate(p: Parameter) -> str:
-    return f"the plate of {p.setup}" if p.setup else "the plate"
-
-
-def _lobe(component: str, value: float) -> int:
-    """Return the direction of a lobe from +x, counter-clockwise, degrees."""
-    direction = 0 if component == "cos" else 30
-    return direction if value >= 0 else direction + 60
-
-
-def _in_setup(p: Parameter) -> str:
-    return f" in {p.setup}" if p.setup else ""
 
 
 EFFECTS = (PLATE_BOW, PLATE_TREFOIL)

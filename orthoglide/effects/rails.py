@@ -6,19 +6,7 @@ from typing import Any
 
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.motions import Constant, LegConditions, Motion, once, sideways
-from orthoglide.effects.words import (
-    Words,
-    across,
-    along,
-    mm,
-    mrad,
-    rotation_sense,
-    sign_word,
-    slope,
-    toward,
-)
-from orthoglide.layout import LinearDelta, Orthoglide
-from orthoglide.parameters import Parameter
+from orthoglide.effects.words import Words
 from orthoglide.units import MM, RAD
 
 
@@ -31,23 +19,8 @@ def _turned(axis: str, sign: int) -> Motion:
     return Motion("turn_c" if axis == "b" else "turn_b", Constant(float(sign)))
 
 
-def _bracket_axis(p: Parameter) -> str:
-    """Return words for the axis about which a bracket is turned."""
-    names = Orthoglide.names
-    along_base_axes = p.leg in names.legs  # whose legs lie along base axes
-    if p.direction == "a":
-        return f"{p.leg}, the leg's own axis" if along_base_axes else "the leg's own axis"
-    return (
-        f"{names.across[names.index(p.leg)][0]}, the axis of its pivots"
-        if along_base_axes
-        else "the axis of its pivots"
-    )
-
-
-def _bracket_sense(p: Parameter, value: float) -> str:
-    """Return the sense in which a bracket is turned, as seen by a viewer of the machine."""
-    return rotation_sense(p.direction, value, p.leg in LinearDelta.names.legs)
-
+_SLOPE = "{mrad} ({mm:0.1} over 100 mm)"
+"""A slope, also as the deviation over 100 mm that a mechanic measures."""
 
 AXIS_OFFSET = Effect(
     "axis_offset",
@@ -58,15 +31,11 @@ AXIS_OFFSET = Effect(
     look_at="the rail's seat and shims, square to its travel",
     members=sideways(lambda axis, _: (Motion(f"lateral_{axis}", Constant(1.0)),)),
     words=Words(
-        lambda p, v: (
-            f"the {p.leg} rail stands {mm(v)} beside its place, toward {toward(p.direction, v)}"
-        ),
-        lambda p: f"the {p.leg} rail stands beside its place in {across(p.direction)}",
+        "the {leg} rail stands {size} beside its place, toward {toward}",
+        "the {leg} rail stands beside its place in {across}",
         "the rails stand beside their places",
-        confirm=lambda p, v: (
-            f"measure where the {p.leg} rail stands relative to the others in "
-            f"{across(p.direction)}: expect {mm(v)} toward {toward(p.direction, v)}"
-        ),
+        confirm="measure where the {leg} rail stands relative to the others in {across}: expect "
+        "{size} toward {toward}",
     ),
     controller="place",  # of a tower; an Orthoglide's controller knows of none
     urdf=True,
@@ -81,17 +50,12 @@ AXIS_TILT = Effect(
     look_at="the rail against a granite square, over the whole travel",
     members=sideways(lambda axis, _: (Motion(f"lateral_{axis}", _travel),)),
     words=Words(
-        lambda p, v: (
-            f"the path of the {p.leg} carriage is out of square toward "
-            f"{toward(p.direction, v)} by {slope(v)}"
-        ),
-        lambda p: f"the path of the {p.leg} carriage is out of square in {across(p.direction)}",
+        "the path of the {leg} carriage is out of square toward {toward} by {size}",
+        "the path of the {leg} carriage is out of square in {across}",
         "the paths of the carriages are out of square",
-        slope,
-        lambda p, v: (
-            f"set a dial on carriage {p.leg} against a square that {along(p.leg, p.direction)}: "
-            f"expect {mm(0.1 * v)} toward {toward(p.direction, v)}"
-        ),
+        _SLOPE,
+        "set a dial on carriage {leg} against a square that {along}: expect {mm:0.1} toward "
+        "{toward}",
     ),
     urdf=True,
 )
@@ -105,18 +69,12 @@ RAIL_TILT = Effect(
     look_at="the rail's seat with a level: does the carriage lean with it?",
     members=sideways(lambda axis, sign: (Motion(f"lateral_{axis}", _travel), _turned(axis, sign))),
     words=Words(
-        lambda p, v: (
-            f"the {p.leg} rail leans toward {toward(p.direction, v)} by {slope(v)} and its "
-            f"carriage with it"
-        ),
-        lambda p: f"the {p.leg} rail leans in {across(p.direction)} and its carriage with it",
+        "the {leg} rail leans toward {toward} by {size} and its carriage with it",
+        "the {leg} rail leans in {across} and its carriage with it",
         "the rails lean and their carriages with them",
-        slope,
-        lambda p, v: (
-            f"set a dial on carriage {p.leg} against a square that {along(p.leg, p.direction)}: "
-            f"expect {mm(0.1 * v)} toward {toward(p.direction, v)}, and a square "
-            f"held to the carriage {mrad(v)} off"
-        ),
+        _SLOPE,
+        "set a dial on carriage {leg} against a square that {along}: expect {mm:0.1} toward "
+        "{toward}, and a square held to the carriage {mrad} off",
     ),
 )
 
@@ -130,16 +88,12 @@ RAIL_BOW = Effect(
     look_at="the rail against a straight edge, its bolts and what lies under it",
     members=sideways(lambda axis, _: (Motion(f"lateral_{axis}", lambda c: c.u * c.u - 1),)),
     words=Words(
-        lambda p, v: (
-            f"the {p.leg} rail is bent: its middle stands {mm(v)} toward {toward(p.direction, -v)} "
-            f"off the line between its ends"
-        ),
-        lambda p: f"the {p.leg} rail is bent in {across(p.direction)}",
+        "the {leg} rail is bent: its middle stands {size} toward {away} off the line between its "
+        "ends",
+        "the {leg} rail is bent in {across}",
         "the rails are bent",
-        confirm=lambda p, v: (
-            f"lay a straight edge along the {p.leg} rail over its whole stroke: expect its middle "
-            f"{mm(v)} toward {toward(p.direction, -v)}"
-        ),
+        confirm="lay a straight edge along the {leg} rail over its whole stroke: expect its middle "
+        "{size} toward {away}",
     ),
 )
 
@@ -155,16 +109,11 @@ MOUNT_TILT = Effect(
         "b": (Motion("turn_b", Constant(1.0)),),
     },
     words=Words(
-        lambda p, v: (
-            f"the first hinge of leg {p.leg} is turned by {mrad(v)} about {_bracket_axis(p)}, "
-            f"{_bracket_sense(p, v)}"
-        ),
-        lambda p: f"the first hinge of leg {p.leg} is turned about {_bracket_axis(p)}",
+        "the first hinge of leg {leg} is turned by {size} about {axis}, {sense}",
+        "the first hinge of leg {leg} is turned about {axis}",
         "the first hinges of the legs are turned on their carriages",
-        confirm=lambda p, v: (
-            f"hold a square between carriage {p.leg} and the first hinge of its leg: expect the "
-            f"hinge {mrad(v)} off about {_bracket_axis(p)}, {_bracket_sense(p, v)}"
-        ),
+        confirm="hold a square between carriage {leg} and the first hinge of its leg: expect the "
+        "hinge {size} off about {axis}, {sense}",
     ),
 )
 
@@ -177,18 +126,13 @@ RAIL_TORSION = Effect(
     look_at="the tower's extrusion, with a square against its face at both ends",
     members=once(Motion("turn_a", lambda c: c.u)),
     words=Words(
-        lambda p, v: (
-            f"the {p.leg} rail is twisted: from one end of the stroke to the other its carriage "
-            f"turns by {mrad(2 * v)} about it, "
-            f"{sign_word(v, 'counter-clockwise', 'clockwise')} on the way up"
-        ),
-        lambda p: f"the {p.leg} rail is twisted along its length",
+        "the {leg} rail is twisted: from one end of the stroke to the other its carriage turns by "
+        "{size} about it, {counter-clockwise|clockwise} on the way up",
+        "the {leg} rail is twisted along its length",
         "the rails are twisted along their lengths",
-        lambda v: mrad(2 * v),
-        lambda p, v: (
-            f"hold a square to carriage {p.leg} at both ends of its stroke: expect it to turn by "
-            f"{mrad(2 * v)} about the rail"
-        ),
+        "{mrad:2}",
+        "hold a square to carriage {leg} at both ends of its stroke: expect it to turn by {size} "
+        "about the rail",
     ),
 )
 

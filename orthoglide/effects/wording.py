@@ -7,12 +7,12 @@ from collections.abc import Iterable, Mapping
 
 from orthoglide.effects.catalogue import CATALOGUE, Catalogue
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.words import across, mm, mrad, percent, rotation_sense, toward
+from orthoglide.effects.words import Clause, across, filled, quantity, rotation_sense, toward
 from orthoglide.layout import DIRECTIONS, LegNames, LinearDelta
 from orthoglide.numerals import MINUS, compact
 from orthoglide.parameters import Parameter
 
-_SIZES = {"mm": mm, "rad": mrad, "1": percent}
+_DISPLAY_UNITS = {"mm": "mm", "rad": "mrad", "1": "%"}
 _ABOUT = {"a": " about the legs' own axes", "b": " about their pivots"}
 
 
@@ -31,7 +31,7 @@ def cause_words(catalogue: Catalogue, name: str, values: Mapping[str, float]) ->
         if parameter.member and effect.of_body:
             text = value_words(effect, _without_setup(effect, parameter), values[name])
         elif parameter.member == "common" and effect.words.common is not None:
-            text = effect.words.common(values[name])
+            text = _clause(effect, effect.words.common, parameter, values[name])
         elif parameter.member:
             pattern = effect.names.in_layout_words(_pattern(effect, parameter, values[name]))
             text = f"{_clause_of_all(effect)}, {pattern}"
@@ -66,7 +66,7 @@ def cause_short(catalogue: Catalogue, name: str) -> str:
 def value_words(effect: Effect, parameter: Parameter, value: float) -> str:
     """Return the clause of one parameter with its value, SI."""
     if effect.words.one is not None:
-        return effect.words.one(parameter, value)
+        return _clause(effect, effect.words.one, parameter, value)
     size = _signed_size_or_amplitude(effect, value)
     return f"{_clause_without_size(effect, parameter)}, by {size}"
 
@@ -74,17 +74,17 @@ def value_words(effect: Effect, parameter: Parameter, value: float) -> str:
 def confirm_words(effect: Effect, parameter: Parameter, value: float) -> str:
     """Return a test on the machine that confirms a cause, with the reading to expect."""
     if effect.words.confirm is not None:
-        return effect.words.confirm(parameter, value)
+        return _clause(effect, effect.words.confirm, parameter, value)
     size = _signed_size_or_amplitude(effect, value)
     return f"look at {effect.look_at}: expect {'an amplitude of ' * effect.paired}{size}"
 
 
 def size_words(effect: Effect, value: float) -> str:
     """Return the absolute value of a size, SI, as text in the unit of the effect."""
-    if effect.words.size is not None:
-        return effect.words.size(value)
-    if effect.unit.name in _SIZES:
-        return _SIZES[effect.unit.name](value)
+    if (size := effect.words.size) is not None:
+        return filled(size, Parameter(effect.name), value) if isinstance(size, str) else size(value)
+    if effect.unit.name in _DISPLAY_UNITS:
+        return quantity(value, _DISPLAY_UNITS[effect.unit.name])
     return f"{compact(abs(value) / effect.unit.si, 2)}{effect.unit.behind}"
 
 
@@ -170,9 +170,23 @@ def _campaign_suffix(parameter: Parameter | None, name: str) -> str:
     return f" ({campaign})" if campaign else ""
 
 
+def _clause(
+    effect: Effect, clause: Clause, parameter: Parameter, value: float | None = None
+) -> str:
+    """Return a clause of an effect for a parameter and its value; ``None`` without a size."""
+    if isinstance(clause, str):
+        size = "" if value is None else size_words(effect, value)
+        text = filled(clause, parameter, value or 0.0, size)
+    elif value is None:
+        text = clause(parameter)
+    else:
+        text = clause(value) if parameter.member else clause(parameter, value)
+    return text if effect.of_dial else effect.names.in_layout_words(text)
+
+
 def _clause_without_size(effect: Effect, parameter: Parameter) -> str:
     if effect.words.short is not None:
-        return effect.words.short(parameter)
+        return _clause(effect, effect.words.short, parameter)
     place = f"in setup {parameter.setup}" if parameter.setup else f"on leg {parameter.leg}"
     lateral = _is_lateral(effect, parameter.direction)
     direction = f" toward {toward(parameter.direction, 1.0)}" if lateral else ""

@@ -2,35 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
+from orthoglide.errors import InputError
+from orthoglide.layout import LinearDelta, Orthoglide
 from orthoglide.numerals import MINUS, compact
 from orthoglide.parameters import Parameter
 
 _ROUNDING = 1e-13  # SI: a smaller value counts as zero and has no sign
 
 
-def mm(value: float) -> str:
-    """Return the absolute value of a length in metres as text: ``0.12 mm``."""
-    return f"{compact(abs(value) * 1e3, 2)} mm"
+_DISPLAY_FACTORS = {"mm": 1e3, "mrad": 1e3, "%": 100.0, "µm": 1e6}
+"""Units of texts with their number in one SI unit."""
 
 
-def mrad(value: float) -> str:
-    """Return the absolute value of an angle in radians as text: ``2.5 mrad``."""
-    return f"{compact(abs(value) * 1e3, 2)} mrad"
-
-
-def slope(value: float) -> str:
-    """Return the absolute value of a slope in radians as text, also as the deviation over 100 mm
-    that a mechanic measures: ``2.5 mrad (0.25 mm over 100 mm)``.
-    """
-    return f"{mrad(value)} ({compact(abs(value) * 100, 2)} mm over 100 mm)"
-
-
-def percent(value: float) -> str:
-    """Return the absolute value of a ratio as text: ``0.3 %``."""
-    return f"{compact(abs(value) * 100, 2)} %"
+def quantity(value: float, unit: str) -> str:
+    """Return the absolute value of an SI value as text, in mm, mrad, % or µm: ``0.12 mm``."""
+    return f"{compact(abs(value) * _DISPLAY_FACTORS[unit], 2)} {unit}"
 
 
 _TOWER_SIDES = {
@@ -86,39 +76,110 @@ def sign_word(value: float, positive: str = "more", negative: str = "less") -> s
     return positive if value >= -_ROUNDING else negative
 
 
-def micrometres(value: float, per: str, scale: float = 1e6) -> str:
-    """Return the absolute value of a small ratio as text: ``12 µm a metre and kelvin``.
+@dataclass(frozen=True)
+class _Multiple:
+    """A multiple of an SI value, with the factor as format: ``{mm:0.1}``."""
+
+    value: float
+    unit: str
+
+    def __format__(self, factor: str) -> str:
+        return quantity(self.value * float(factor or 1), self.unit)
+
+
+def _hinge_axis(parameter: Parameter) -> str:
+    """Return words for an axis of a leg: its own, a, or that of its pivots, b."""
+    names, along_leg = Orthoglide.names, parameter.direction == "a"
+    axis = "the leg's own axis" if along_leg else "the axis of its pivots"
+    if parameter.leg not in names.legs:  # whose legs lie along base axes
+        return axis
+    letter = parameter.leg if along_leg else names.across[names.index(parameter.leg)][0]
+    return f"{letter}, {axis}"
+
+
+def _lobe(parameter: Parameter, value: float) -> int:
+    """Return the direction of a lobe of a plate from +x, counter-clockwise, degrees."""
+    return (0 if parameter.direction == "cos" else 30) + (0 if value >= 0 else 60)
+
+
+_BLANKS: Mapping[str, Callable[[Parameter, float], Any]] = {
+    "leg": lambda p, v: p.leg,
+    "setup": lambda p, v: p.setup,
+    "of_setup": lambda p, v: f" of {p.setup}" if p.setup else "",
+    "in_setup": lambda p, v: f" in {p.setup}" if p.setup else "",
+    "toward": lambda p, v: toward(p.direction, v),
+    "away": lambda p, v: toward(p.direction, -v),
+    "across": lambda p, v: across(p.direction),
+    "along": lambda p, v: along(p.leg, p.direction),
+    "axis": lambda p, v: _hinge_axis(p),
+    "sense": lambda p, v: rotation_sense(p.direction, v, p.leg in LinearDelta.names.legs),
+    "lobe": _lobe,
+}
+
+
+@dataclass(frozen=True)
+class _Blanks:
+    """The contents of the blanks of a text."""
+
+    parameter: Parameter
+    value: float
+    size: str
+
+    def __getitem__(self, blank: str) -> Any:
+        if blank == "size":
+            return self.size
+        if blank in _DISPLAY_FACTORS:
+            return _Multiple(self.value, blank)
+        if blank in _BLANKS:
+            return _BLANKS[blank](self.parameter, self.value)
+        positive, bar, negative = blank.partition("|")
+        if not bar:
+            raise InputError(
+                f"the words of an effect have the blank {{{blank}}}: use "
+                f"{', '.join(('size', *_DISPLAY_FACTORS, *_BLANKS))}, or two words, {{more|less}}"
+            )
+        return sign_word(self.value, positive, negative)
+
+
+Clause = str | Callable[..., str]
+"""A text with blanks, or a function that returns the text."""
+
+
+def filled(text: str, parameter: Parameter, value: float, size: str = "") -> str:
+    """Return a text with its blanks filled; see `Words`.
 
     Args:
-        value: ratio, SI.
-        per: words that follow the micrometres.
-        scale: micrometres for a ratio of one.
+        text: the text.
+        parameter: gives leg, direction and setup.
+        value: its value, SI.
+        size: text of that size.
     """
-    return f"{compact(abs(value) * scale, 2)} µm {per}"
-
-
-ValueClause = Callable[[Parameter, float], str]
-"""Returns a clause for a parameter and its value, SI."""
+    return text.format_map(_Blanks(parameter, value, size))
 
 
 @dataclass(frozen=True)
 class Words:
     """The texts that describe an effect. Those that are absent are made of ``Effect.sentence``.
 
+    Each is a text with blanks, or a function of what is named below. Blanks are ``{leg}`` and
+    ``{setup}`` of the parameter; ``{size}`` of its value; ``{mm}``, ``{mrad}``, ``{µm}`` and
+    ``{%}``, the value in another unit, ``{mm:0.1}`` a tenth of it; ``{more|less}``, one of two
+    words by its sign; and by its direction ``{toward}`` and ``{away}``, ``{across}`` without sign,
+    and ``{axis}`` with ``{sense}`` of a rotation.
+
     Attributes:
-        one: returns the clause for one parameter and its value, SI, with sign, size and unit.
-        short: returns the clause for one parameter without a size.
-        many: clause for the effect on all legs, without a size.
-        size: returns the text of a size, SI, with its unit.
-        confirm: returns a test that confirms one parameter of some value, SI, on the machine, with
-            the reading to expect.
-        common: returns the clause for a value, SI, that all legs have in common, with sign, size
-            and unit.
+        one: clause for one parameter and its value, SI, with sign, size and unit.
+        short: clause for one parameter without a size.
+        many: clause for the effect on all legs, without a size and without blanks.
+        size: text of a size, SI, with its unit.
+        confirm: test that confirms one parameter of some value, SI, on the machine, with the
+            reading to expect.
+        common: clause for a value, SI, that all legs have in common, with sign, size and unit.
     """
 
-    one: ValueClause | None = None
-    short: Callable[[Parameter], str] | None = None
+    one: Clause | None = None
+    short: Clause | None = None
     many: str = ""
-    size: Callable[[float], str] | None = None
-    confirm: ValueClause | None = None
-    common: Callable[[float], str] | None = None
+    size: Clause | None = None
+    confirm: Clause | None = None
+    common: Clause | None = None
