@@ -16,7 +16,7 @@ from orthoglide.explanation.identifying import identify
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.mechanism.engine import PinocchioEngine, SixBars
-from orthoglide.mechanism.symbolic_closure import closure_functions
+from orthoglide.mechanism.symbolic import closure_functions
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import protocol
 from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, shipped_folder

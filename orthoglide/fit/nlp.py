@@ -21,7 +21,7 @@ from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.instruments import POSE_SIZE
 from orthoglide.mechanism.six_bars import OUTPUT_SIZE
-from orthoglide.mechanism.symbolic_closure import closure_functions
+from orthoglide.mechanism.symbolic import closure_functions
 from orthoglide.prediction import Model
 
 _OPTIONS: dict[str, Any] = {

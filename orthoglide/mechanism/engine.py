@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -64,28 +63,6 @@ class Outputs:
         return self.values[..., LINES].reshape(*self.values.shape[:-1], 3, 2, 2, 3)
 
 
-class Engine(Protocol):
-    """Interface of the engines that close postures."""
-
-    mechanism: Mechanism
-
-    def outputs(self, travel: Array, moves: Array) -> Outputs:
-        """Return the outputs of closed postures.
-
-        Raises:
-            ClosureError: naming the first posture that does not close.
-        """
-        ...
-
-    def tangent(self, travel: Array, moves: Array) -> tuple[Outputs, Array]:
-        """Return the outputs and their derivative ``(n, 48, 33)`` by travel and moves.
-
-        Raises:
-            ClosureError: naming the first posture that does not close.
-        """
-        ...
-
-
 def batch_index(shape: tuple[int, ...], index: tuple[int, ...]) -> tuple[int, ...]:
     """Return the index in a batch of ``shape`` of a posture numbered in the flattened batch."""
     return tuple(int(k) for k in np.unravel_index(index[0], shape)) if index else ()
@@ -106,11 +83,19 @@ class PinocchioEngine:
         self.largest_residual = dict.fromkeys(mechanism.tree.rows, 0.0)
 
     def outputs(self, travel: Array, moves: Array) -> Outputs:
-        """See :class:`Engine`."""
+        """Return the outputs of closed postures.
+
+        Raises:
+            ClosureError: naming the first posture that does not close.
+        """
         return self._close_each(travel, moves, tangents=False)[0]
 
     def tangent(self, travel: Array, moves: Array) -> tuple[Outputs, Array]:
-        """See :class:`Engine`."""
+        """Return the outputs and their derivative ``(n, 48, 33)`` by travel and moves.
+
+        Raises:
+            ClosureError: naming the first posture that does not close.
+        """
         return self._close_each(travel, moves, tangents=True)
 
     def _close_each(self, travel: Array, moves: Array, tangents: bool) -> tuple[Outputs, Array]:
@@ -242,7 +227,7 @@ class SixBars:
         return single
 
     def outputs(self, travel: Array, moves: Array) -> Outputs:
-        """See :class:`Engine`."""
+        """Return the outputs of closed postures; see :meth:`PinocchioEngine.outputs`."""
         if travel.shape != (len(moves), 3) or moves.shape[1:] != (INPUT_SIZE - 3,):
             raise InputError(
                 f"travel (n, 3) and displacements (n, {INPUT_SIZE - 3}) are needed, not "
@@ -289,11 +274,15 @@ class SixBars:
             raise
 
     def tangent(self, travel: Array, moves: Array) -> tuple[Outputs, Array]:
-        """See :class:`Engine`."""
+        """Return outputs and derivative; see :meth:`PinocchioEngine.tangent`."""
         outputs = self.outputs(travel, moves)
         poses = outputs.values[:, :12]
         (by_given,) = self._tangent("tangent", self.constants, travel, moves, poses)
         return outputs, by_given
+
+
+Engine = SixBars | PinocchioEngine
+"""Closes postures."""
 
 
 def _is_closed(check: Array, tolerance: float) -> NDArray[np.bool_]:

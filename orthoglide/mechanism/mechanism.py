@@ -15,8 +15,7 @@ from scipy.linalg.lapack import dgesv
 
 from orthoglide.errors import ClosureError, InputError, as_float_array, check_choice
 from orthoglide.geometry import Array, Geometry, Mode
-from orthoglide.mechanism.constraints import Constraints
-from orthoglide.mechanism.mobility import Mobility, mobility
+from orthoglide.mechanism.constraints import Constraints, Mobility, mobility
 from orthoglide.mechanism.perfect_legs import Spheres, assembly_mode, free_joints, tool_position
 from orthoglide.mechanism.tree import (
     RELIEF_NAMES,
@@ -76,12 +75,12 @@ class Mechanism:
     def __init__(
         self, geometry: Geometry | None = None, *, urdf: str | os.PathLike[str] = ""
     ) -> None:
-        self.geometry = geometry or Geometry()
-        self.looped = load(urdf or self.geometry)
-        self._set_tree(general_tree(self.looped))
+        geometry = geometry or Geometry()
+        looped = load(urdf or geometry)
+        self._build(geometry, looped, general_tree(looped))
 
-    def _set_tree(self, tree: Tree) -> None:
-        self.tree = tree
+    def _build(self, geometry: Geometry, looped: LoopedModel, tree: Tree) -> None:
+        self.geometry, self.looped, self.tree = geometry, looped, tree
         self.constraints = Constraints(tree)
         self.lock = RLock()  # of Pinocchio's scratch data
         self.tool = tree.frame(tree.tool)
@@ -104,15 +103,13 @@ class Mechanism:
             FileError: where a file is missing or invalid.
             InputError: where the tree has no link ``tool``.
         """
-        mechanism = cls.__new__(cls)
-        mechanism.geometry, mechanism.looped = Geometry(), load(folder)
-        tree = nominal_tree(mechanism.looped)
-        mechanism._set_tree(replace(tree, tool=tool) if tool else tree)
-        return mechanism
+        looped = load(folder)
+        tree = nominal_tree(looped)
+        return _built(Geometry(), looped, replace(tree, tool=tool) if tool else tree)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Constraint objects do not pickle: another process builds its own.
-        return _rebuild_mechanism, (self.geometry, self.looped, self.tree)
+        return _built, (self.geometry, self.looped, self.tree)
 
     def __repr__(self) -> str:
         model, rows = self.tree.model, sum(loop.rows for loop in self.tree.loops)
@@ -315,10 +312,9 @@ class Mechanism:
         return mobility(Constraints(nominal), q)
 
 
-def _rebuild_mechanism(geometry: Geometry, looped: LoopedModel, tree: Tree) -> Mechanism:
+def _built(geometry: Geometry, looped: LoopedModel, tree: Tree) -> Mechanism:
     mechanism = Mechanism.__new__(Mechanism)
-    mechanism.geometry, mechanism.looped = geometry, looped
-    mechanism._set_tree(tree)
+    mechanism._build(geometry, looped, tree)
     return mechanism
 
 

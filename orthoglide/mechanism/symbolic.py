@@ -7,6 +7,7 @@ and Park 2017, chapter 4). Expressions are SX: cheap to evaluate, to differentia
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from orthoglide.errors import InputError
+from orthoglide.mechanism.tree import Tree
 
 # Placements are read from text: rounding errors of exact rotations would cost operations.
 _ROUNDING = 1e-15
@@ -173,3 +175,48 @@ class SymbolicTree:
 def rotation_error(R: Any) -> Any:
     """Return ``0.5 vee(R - R^T)`` (3,), which is regular at the identity, unlike an angle."""
     return 0.5 * ca.vertcat(R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1])
+
+
+@dataclass(frozen=True)
+class ClosureFunctions:
+    """The closures of a tree as CasADi functions, for the nonlinear programme.
+
+    They have 21 free joints, 3 drives and 30 virtual joints, and do not use the six bars.
+
+    Attributes:
+        residual: (free, [travel; displacements]) -> closure residual ``(21,)``, metres and sines.
+        outputs: (free, [travel; displacements]) -> ``(48,)``, as in
+            :mod:`~orthoglide.mechanism.six_bars`.
+    """
+
+    residual: Any
+    outputs: Any
+
+
+def closure_functions(tree: Tree) -> ClosureFunctions:
+    """Return the functions of a general tree."""
+    x, given = ca.SX.sym("x", len(tree.free)), ca.SX.sym("given", 3 + len(tree.virtual))
+    q = ca.SX.zeros(tree.model.nq)
+    for k, place in enumerate(tree.free):
+        q[int(place)] = x[k]
+    for k, place in enumerate([*tree.drive, *tree.virtual]):
+        q[int(place)] = given[k]
+    walked = SymbolicTree(tree.model, q)
+    parts = []
+    for loop in tree.loops:
+        between = walked.relative(loop.frame_1, loop.frame_2)
+        parts += [between.t, rotation_error(between.R)] if loop.kind == "frame" else [between.t]
+    arguments, names = [x, given], ["free", "given"]
+    return ClosureFunctions(
+        ca.Function("residual", arguments, [ca.vertcat(*parts)], names, ["residual"]),
+        ca.Function("outputs", arguments, [_outputs(walked, tree)], names, ["outputs"]),
+    )
+
+
+def _outputs(walked: SymbolicTree, tree: Tree) -> Any:
+    tcp = walked.frame(tree.tool)
+    parts = [tcp.t, ca.vec(tcp.R.T)]
+    for leg in tree.leg_names:
+        joints = [tree.model.getJointId(f"{leg}_{name}") for name in ("bar1", "knuckle", "bar2")]
+        parts += [*(walked.joint(joint).t for joint in joints), walked.frame(f"{leg}_bar2_tip").t]
+    return ca.densify(ca.vertcat(*parts))
