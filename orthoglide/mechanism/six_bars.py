@@ -145,16 +145,12 @@ class _Leg:
         self.axes = ca.reshape(c[_AXES:_SLIDE], 3, 3).T
         self.slide = c[_SLIDE:_ROOTS]
         turn_a, turn_b, turn_c = (_axis_rotation(axis, v[3 + axis]) for axis in range(3))
-        turned = turn_a @ turn_b
-        # Axes of the three rotations, in the frame of the unrotated carriage.
-        self.spins = (ca.SX([1, 0, 0]), turn_a[:, 1], turned[:, 2])
-        turned = turned @ turn_c
-        self.arms = [turned @ c[_ROOTS + 3 * k : _ROOTS + 3 * k + 3] for k in range(2)]
-        centre = self.slide * travel + v[0:3]
-        self.roots = [c[_START:_AXES] + self.axes @ (centre + arm) for arm in self.arms]
-        self.widths = [c[_WIDTHS + 3 * k : _WIDTHS + 3 * k + 3] for k in range(2)]
+        turned, centre = turn_a @ turn_b @ turn_c, self.slide * travel + v[0:3]
+        arms = [turned @ c[_ROOTS + 3 * k : _ROOTS + 3 * k + 3] for k in range(2)]
+        self.roots = [c[_START:_AXES] + self.axes @ (centre + arm) for arm in arms]
+        widths = [c[_WIDTHS + 3 * k : _WIDTHS + 3 * k + 3] for k in range(2)]
         tips = [c[_POINTS + 3 * k : _POINTS + 3 * k + 3] for k in range(2)]
-        self.points = [tips[k] + v[8 + k] * self.widths[k] for k in range(2)]
+        self.points = [tips[k] + v[8 + k] * widths[k] for k in range(2)]
         self.lengths = [c[_LENGTHS + k] + v[6 + k] for k in range(2)]
         self.tip = (tips[0] + tips[1]) / 2
 
@@ -242,18 +238,22 @@ def _closed(symbols: _Symbols, p: Any, R: Any) -> list[Any]:
         # Cayley's map of a small turn, column by column: R + 2 / (1 + h.h) h x (R + h x R).
         factor, old = 2 / (1 + ca.sumsqr(half)), ca.horzsplit(R)
         R = ca.horzcat(*[c + factor * ca.cross(half, c + ca.cross(half, c)) for c in old])
-    lines, misfit = [], ca.SX(0)
+    misfit = ca.SX(0)
     for leg in symbols.legs:
-        for k in range(2):
-            end = p + R @ leg.points[k]
-            lines += [leg.roots[k], end]
-            misfit = ca.fmax(misfit, ca.fabs(ca.norm_2(end - leg.roots[k]) - leg.lengths[k]))
-    outputs = ca.densify(ca.vertcat(p, ca.vec(R.T), *lines))
+        for root, point, length in zip(leg.roots, leg.points, leg.lengths, strict=True):
+            misfit = ca.fmax(misfit, ca.fabs(ca.norm_2(p + R @ point - root) - length))
     centres = symbols.centres()
     normal = ca.cross(centres[1] - centres[0], centres[2] - centres[0])
     side = ca.dot(normal, p - centres[0]) * symbols.upward(normal, centres)
     side /= symbols.legs[0].lengths[0] ** 5
-    return ca.cse([outputs, ca.vertcat(misfit, side, ca.trace(R))])
+    return ca.cse([_outputs(symbols, p, R), ca.vertcat(misfit, side, ca.trace(R))])
+
+
+def _outputs(symbols: _Symbols, p: Any, R: Any) -> Any:
+    """Return the outputs ``(48,)`` of a pose."""
+    pairs = [pair for leg in symbols.legs for pair in zip(leg.roots, leg.points, strict=True)]
+    lines = [end for root, point in pairs for end in (root, p + R @ point)]
+    return ca.densify(ca.vertcat(p, ca.vec(R.T), *lines))
 
 
 def _newton_rows(symbols: _Symbols, p: Any, R: Any) -> tuple[list[list[Any]], list[Any]]:
@@ -314,67 +314,27 @@ def tangent_function() -> Any:
     """Return the CasADi function (constants, travel, moves, pose (12,)) -> d outputs / d given.
 
     The matrix is ``(48, 33)``: by the travel of the three drives, then by the virtual joints leg by
-    leg. With the bars closed, ``e . dp + (R point x e) . dw = length dlength + e . droot - e . R
-    dpoint``; the ends of the bars follow.
+    leg. By the theorem on implicit functions the rows of Newton's method also give the velocity
+    of the platform: ``rows (dp, dw) = d((length^2 - e . e) / 2) / d given``.
     """
-    symbols, pose = _Symbols(), ca.SX.sym("pose", 12)
+    symbols, pose, twist = _Symbols(), ca.SX.sym("pose", 12), ca.SX.sym("twist", 6)
     p, R = pose[0:3], ca.reshape(pose[3:12], 3, 3).T
-    rows, _ = _newton_rows(symbols, p, R)
+    given = ca.vertcat(symbols.travel, symbols.moves)
+    rows, misses = _newton_rows(symbols, p, R)
+    by_given = ca.jacobian(ca.vertcat(*misses), given)
+    total, difference = (by_given[0::2, :] + sign * by_given[1::2, :] for sign in (1, -1))
     shared, differences, inverse_sums, inverse_schur = _blocks(rows)
-    # Columns of the inverse of all six rows, by the sum and the difference of each leg's.
+    # Products of 3 x 3 matrices first: each of the 33 columns depends on two bars alone.
     turn_by_sum = -inverse_schur @ differences @ inverse_sums
-    point_by_sum, point_by_difference = inverse_sums - shared @ turn_by_sum, -shared @ inverse_schur
-    solution = (point_by_sum, point_by_difference, turn_by_sum, inverse_schur)
-    arms = [[R @ point for point in leg.points] for leg in symbols.legs]
-    columns: list[Any] = [None] * INPUT_SIZE
-    for number in range(3):
-        for place, column in _leg_columns(symbols, number, R, arms, rows, solution).items():
-            columns[place] = column
+    dw = turn_by_sum @ total + inverse_schur @ difference
+    dp = (inverse_sums - shared @ turn_by_sum) @ total - shared @ inverse_schur @ difference
+    turned = ca.horzcat(*[c + ca.cross(twist[3:6], c) for c in ca.horzsplit(R)])
+    by_pose = ca.jacobian(_outputs(symbols, p + twist[0:3], turned), twist)
+    tangent = ca.jacobian(_outputs(symbols, p, R), given) + by_pose @ ca.vertcat(dp, dw)
     return ca.Function(
         "tangent",
         [*symbols.inputs, pose],
-        ca.cse([ca.densify(ca.horzcat(*columns))]),
+        ca.cse([ca.densify(tangent)]),
         ["constants", "travel", "moves", "pose"],
         ["by_given"],
     )
-
-
-def _leg_columns(
-    symbols: _Symbols, number: int, R: Any, arms: list[list[Any]], rows: list[list[Any]],
-    solution: tuple[Any, ...],
-) -> dict[int, Any]:  # fmt: skip
-    """Return derivatives of the outputs by a drive and its leg's virtual joints, by input index."""
-    leg, zero = symbols.legs[number], ca.SX(3, 1)
-    virtual = 3 + VIRTUAL_PER_LEG * number
-    # By input index: derivatives of the bars' roots (base frame), points (rotated) and lengths.
-    moved: dict[int, tuple[list[Any], list[Any], list[Any]]] = {
-        number: ([leg.axes @ leg.slide] * 2, [zero] * 2, [0, 0])
-    }
-    for axis in range(3):
-        moved[virtual + axis] = ([leg.axes[:, axis]] * 2, [zero] * 2, [0, 0])
-        turned_roots = [leg.axes @ ca.cross(leg.spins[axis], arm) for arm in leg.arms]
-        moved[virtual + 3 + axis] = (turned_roots, [zero] * 2, [0, 0])
-    for k in range(2):
-        lengthened = [1 if k == bar else 0 for bar in range(2)]
-        widened = [R @ leg.widths[k] if k == bar else zero for bar in range(2)]
-        moved[virtual + 6 + k] = ([zero] * 2, [zero] * 2, lengthened)
-        moved[virtual + 8 + k] = ([zero] * 2, widened, [0, 0])
-    columns = {}
-    for place, (roots, points, lengths) in moved.items():
-        right = []
-        for k in range(2):
-            e = ca.vertcat(*rows[2 * number + k][:3])
-            right.append(leg.lengths[k] * lengths[k] + ca.dot(e, roots[k] - points[k]))
-        total, difference = right[0] + right[1], right[0] - right[1]
-        by_sum, by_difference, turn_by_sum, turn_by_difference = solution
-        dp = by_sum[:, number] * total + by_difference[:, number] * difference
-        dw = turn_by_sum[:, number] * total + turn_by_difference[:, number] * difference
-        turned = ca.horzcat(*[ca.cross(dw, column) for column in ca.horzsplit(R)])
-        parts = [dp, ca.vec(turned.T)]
-        for other in range(3):
-            for k in range(2):
-                end = dp + ca.cross(dw, arms[other][k])
-                same_leg = other == number
-                parts += [roots[k] if same_leg else zero, end + points[k] if same_leg else end]
-        columns[place] = ca.vertcat(*parts)
-    return columns
