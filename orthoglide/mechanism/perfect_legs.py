@@ -25,23 +25,14 @@ UNITS_REMEDY = "give metres in Python, millimetres on the command line and in fi
 
 @dataclass(frozen=True)
 class Spheres:
-    """Three spheres on which the tool lies while the platform is not turned.
+    """Three spheres on which the tool lies while the platform is not turned."""
 
-    Attributes:
-        centres: at mechanical zero ``(leg, 3)``, metres.
-        slides: directions in which they move ``(leg, 3)``.
-        lengths: radii ``(leg,)``, metres.
-        zero: command at mechanical zero ``(3,)``, metres.
-        hanging: whether the platform hangs below parallel rails.
-        names: of the legs.
-    """
-
-    centres: Array
-    slides: Array
-    lengths: Array
-    zero: Array
-    hanging: bool
-    names: tuple[str, ...]
+    centres: Array  # at mechanical zero (leg, 3), metres
+    slides: Array  # directions in which they move (leg, 3)
+    lengths: Array  # radii (leg,), metres
+    zero: Array  # command at mechanical zero (3,), metres
+    hanging: bool  # whether the platform hangs below parallel rails
+    names: tuple[str, ...]  # of the legs
 
     @classmethod
     def of_geometry(cls, geometry: Geometry) -> Spheres:

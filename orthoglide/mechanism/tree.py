@@ -9,7 +9,6 @@ below, where a new virtual joint is one line.
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.text import printable_path
-from orthoglide.urdf import Closure, read_looped_urdf, shipped_folder, write
+from orthoglide.urdf import Closure, generated_files, read_looped_urdf, shipped_folder
 
 JointFactory = Callable[[], Any]
 """Returns the Pinocchio model of a joint that is not in the URDF."""
@@ -72,27 +71,18 @@ _PARALLEL = 1e-3
 
 @dataclass(frozen=True)
 class Tree:
-    """A Pinocchio model with its loop closures and its joints by kind.
-
-    Attributes:
-        model: the tree. Never changed after it is built.
-        loops: the closures, naming frames of the model.
-        motors: names of the driven joints, one degree of freedom each.
-        drive: positions in the velocity vector of the drives.
-        passive: positions of the passive joints; of three legs five each, leg by leg.
-        relief: positions of the relief joints ``(6,)``, or empty.
-        virtual: positions of the virtual joints ``(30,)``, ten a leg, or empty.
-        tool: name of the frame that is the tool.
+    """A Pinocchio model with its loop closures, and its joints by kind as positions in the velocity
+    vector.
     """
 
-    model: pin.Model
-    loops: tuple[Closure, ...]
-    motors: tuple[str, ...]
-    drive: NDArray[np.intp]
-    passive: NDArray[np.intp]
-    relief: NDArray[np.intp]
-    virtual: NDArray[np.intp]
-    tool: str
+    model: pin.Model  # the tree; never changed after it is built
+    loops: tuple[Closure, ...]  # the closures, naming frames of the model
+    motors: tuple[str, ...]  # names of the driven joints, one degree of freedom each
+    drive: NDArray[np.intp]  # the drives
+    passive: NDArray[np.intp]  # the passive joints; of three legs five each, leg by leg
+    relief: NDArray[np.intp]  # the relief joints (6,), or empty
+    virtual: NDArray[np.intp]  # the virtual joints (30,), ten a leg, or empty
+    tool: str  # name of the frame that is the tool
 
     @cached_property
     def free(self) -> NDArray[np.intp]:
@@ -166,20 +156,20 @@ def load(source: Geometry | str | os.PathLike[str] | None = None) -> LoopedModel
     """Return a machine's model and closures, read from its URDF and the closures file beside it.
 
     Args:
-        source: dimensions, from which both files are generated first; or a folder with both files;
-            the published machine's files, which the package ships, where absent.
+        source: dimensions, from which the content of both files is generated; or a folder with
+            both; the published machine's files, which the package ships, where absent.
 
     Raises:
         FileError: where a file is missing or invalid.
     """
     if isinstance(source, Geometry) and source != Geometry():
-        with tempfile.TemporaryDirectory() as folder:
-            write(folder, source)
-            return load(folder)
-    folder_of = shipped_folder() if source is None or isinstance(source, Geometry) else source
-    files = read_looped_urdf(folder_of)
+        files = generated_files(source)
+    elif source is None or isinstance(source, Geometry):
+        files = read_looped_urdf(shipped_folder())
+    else:
+        files = read_looped_urdf(source)
     try:
-        model = pin.buildModelFromUrdf(str(files.path))
+        model = pin.buildModelFromXML(files.urdf)
     except (ValueError, RuntimeError):
         raise FileError(
             "Pinocchio finds no tree of links and joints in it, and prints why: correct it",

@@ -24,19 +24,12 @@ _PARALLEL_COSINE = 0.999  # least cosine between an edge of a rail and its slide
 
 @dataclass(frozen=True, eq=False)
 class RailPath:
-    """The path of one carriage in the base frame.
+    """The path of one carriage in the base frame."""
 
-    Attributes:
-        origin: nominal place of the carriage at mechanical zero ``(3,)``, metres.
-        slide: nominal direction of the slide ``(3,)``, a unit vector.
-        travel: stations over the stroke ``(k,)``, increasing, metres from mechanical zero.
-        lateral: displacement of the carriage across the slide there ``(k, 3)``, metres.
-    """
-
-    origin: Array
-    slide: Array
-    travel: Array
-    lateral: Array
+    origin: Array  # nominal place of the carriage at mechanical zero (3,), metres
+    slide: Array  # nominal direction of the slide (3,), a unit vector
+    travel: Array  # stations over the stroke (k,), increasing, metres from mechanical zero
+    lateral: Array  # displacement of the carriage across the slide there (k, 3), metres
 
     def displacement_and_direction(self, travel: float) -> tuple[Array, Array]:
         """Return displacement ``(3,)``, metres, and direction ``(3,)`` of the path at a travel.

@@ -14,6 +14,7 @@ from orthoglide.scene.parts import Dial, Mark, Posed
 
 _ARROW_LENGTH = 46.0  # length of an arrow on the paper
 _MAX_BOW = 34.0  # length on the paper of the largest error of a path
+_LABEL_DISTANCE = 1.1  # distance of a label over the length of its arrow
 
 
 def mark_svg(mark: Mark, posed: Posed, dials: Sequence[Dial], paper: Paper) -> str:
@@ -46,10 +47,14 @@ def arrow(a: Array, b: Array, paper: Paper, colour: str, width: float = 2.6) -> 
     )
 
 
-def _direction_arrows(at: Array, direction: Array, mark: Mark, paper: Paper) -> str:
-    """Return an arrow from a point along a direction, and against it if the mark has both."""
-    forward = arrow(at, at + direction, paper, "mark")
-    return forward + (arrow(at, at - direction, paper, "mark") if mark.both else "")
+def _labelled_arrow(at: Array, mark: Mark, paper: Paper, length: float = _ARROW_LENGTH) -> str:
+    """Return an arrow from a point along the mark's direction, with its label at the end; one
+    against it as well if the mark has both.
+    """
+    direction = length * paper.unit * mark.way
+    drawn = arrow(at, at + direction, paper, "mark")
+    drawn += arrow(at, at - direction, paper, "mark") if mark.both else ""
+    return drawn + paper.place_text(at + _LABEL_DISTANCE * direction, mark.label, at)
 
 
 def _stroke(points: Sequence[Array], paper: Paper, width: float, dash: str = "") -> str:
@@ -65,13 +70,10 @@ def _drive(mark: Mark, posed: Posed, paper: Paper) -> str:
     at = posed.carriage(mark.leg)
     low, high = posed.geometry.stroke
     along = [posed.path(mark.leg, low), posed.path(mark.leg, high)]
-    start = at + 0.5 * posed.geometry.d * mark.way
-    shift = _ARROW_LENGTH * paper.unit * mark.way
     return (
         _stroke(along, paper, 2.0, ' stroke-dasharray="2 5"')
         + _stroke([at, at], paper, 11.0)
-        + _direction_arrows(start, shift, mark, paper)
-        + paper.place_text(start + 1.1 * shift, mark.label, start)
+        + _labelled_arrow(at + 0.5 * posed.geometry.d * mark.way, mark, paper)
     )
 
 
@@ -81,13 +83,11 @@ def _rail(mark: Mark, posed: Posed, paper: Paper) -> str:
     shift = _MAX_BOW * paper.unit * mark.way
     actual = [p + float(v) * shift for p, v in zip(straight, curve[:, 1], strict=True)]
     at = posed.path(mark.leg, mark.at)
-    ends = posed.rail(mark.leg)
     return (
-        _stroke(ends, paper, 5.0)
+        _stroke(posed.rail(mark.leg), paper, 5.0)
         + _stroke(straight, paper, 1.2, ' stroke-dasharray="3 4"')
         + _stroke(actual, paper, 2.2)
-        + _direction_arrows(at, shift, mark, paper)
-        + paper.place_text(at + shift, mark.label, at)
+        + _labelled_arrow(at, mark, paper, _MAX_BOW)
     )
 
 
@@ -138,13 +138,8 @@ def _stretched(lines: Array, longer: bool, paper: Paper) -> str:
 
 def _platform_end(mark: Mark, posed: Posed, paper: Paper) -> str:
     """Return the leg's end at the platform."""
-    at = posed.platform(mark.leg)
-    shift = _ARROW_LENGTH * paper.unit * mark.way
-    return (
-        _stroke(list(posed.lines[mark.leg, :, 1]), paper, 5.0)
-        + _direction_arrows(at, shift, mark, paper)
-        + paper.place_text(at + 1.1 * shift, mark.label, at)
-    )
+    ends = _stroke(list(posed.lines[mark.leg, :, 1]), paper, 5.0)
+    return ends + _labelled_arrow(posed.platform(mark.leg), mark, paper)
 
 
 def _plate(mark: Mark, posed: Posed, paper: Paper) -> str:
@@ -161,7 +156,4 @@ def _dial_mark(mark: Mark, dial: Dial, paper: Paper) -> str:
         f'<circle cx="{x:.1f}" cy="{y:.1f}" r="7" fill="none" stroke="var(--m-mark)" '
         f'stroke-width="3"/>'
     )
-    shift = _ARROW_LENGTH * paper.unit * mark.way
-    if mark.way.any():
-        drawn += arrow(dial.at, dial.at + shift, paper, "mark")
-    return drawn + paper.place_text(dial.at + 1.1 * shift, mark.label, dial.at)
+    return drawn + _labelled_arrow(dial.at, mark, paper)

@@ -41,20 +41,13 @@ _OPTIONAL = ("joint_name", "joint_type")
 
 @dataclass(frozen=True)
 class ParallelRobot:
-    """A machine with loops, the content of its two files.
+    """A machine with loops, the content of its two files."""
 
-    Attributes:
-        path: the URDF.
-        urdf: its text.
-        closures: of the tree, in the order of the file.
-        motors: names of the joints that are driven.
-        replaced: joints of the tree to replace: name to ``"SPHERICAL"`` or ``"FIXED"``.
-    """
-
-    path: Path
-    urdf: str
-    closures: tuple[Closure, ...]
-    motors: tuple[str, ...]
+    path: Path  # of the URDF
+    urdf: str  # its text
+    closures: tuple[Closure, ...]  # of the tree, in the order of the file
+    motors: tuple[str, ...]  # names of the joints that are driven
+    # joints of the tree to replace: name to "SPHERICAL" or "FIXED"
     replaced: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -79,6 +72,12 @@ def parallel_robot_files(
     }
     text = "".join(f"{key}: {value}\n" for key, value in lists.items())
     return {ROBOT_URDF: urdf or to_urdf(geometry), ROBOT_YAML: text}
+
+
+def generated_files(geometry: Geometry) -> ParallelRobot:
+    """Return the content of both files of the nominal machine with these dimensions."""
+    motors = tuple(f"{leg}_slide" for leg in geometry.leg_names)
+    return ParallelRobot(Path(URDF_FILE), to_urdf(geometry), closures(geometry), motors)
 
 
 def read_looped_urdf(folder: str | os.PathLike[str]) -> ParallelRobot:
