@@ -37,6 +37,7 @@ from orthoglide.report.sentences import (
     meaning,
 )
 from orthoglide.result import Result
+from orthoglide.result.findings import FAULT_NAMES
 from orthoglide.text import listed, sentence
 
 if TYPE_CHECKING:
@@ -226,7 +227,7 @@ def _environment() -> Environment:
     )  # fmt: skip
     environment.filters.update(
         {word.__name__: word for word in _FILTERS}, fixed="{:.{}f}".format,
-        fault_name=sections.FAULT_NAMES.get,
+        fault_name=FAULT_NAMES.get,
     )  # fmt: skip
     environment.globals.update(
         possible_titles=POSSIBLE_TITLES, max_drawn=MAX_DRAWN, most_listed=MAX_LISTED

@@ -26,22 +26,6 @@ Data = dict[str, Any]
 _MOST_ITEMS = 12  # rows of the budget
 _MIN_SHARE = 0.01  # smallest share of the tool's error for which a row of the budget is shown
 
-FAULT_NAMES = {
-    "outlier": "a reading out of line",
-    "knocked_stand": "a stand that was knocked",
-    "zeroed": "a dial set to zero anew at each repeat",
-    "command": "a posture that is not where its command says",
-    "sign": "a dial that counted the other way",
-    "label": "a setup of another leg or direction",
-    "exchanged_labels": "two setups exchanged",
-    "shifted": "readings a row too late or too early",
-    "unit": "a wrong unit",
-    "turns": "readings whole turns of the hand off",
-    "stuck": "a dial that stuck",
-    "scatter": "visits that do not repeat",
-    "moved": "an instrument that was moved",
-}
-
 
 def largest_residual(residual: SetupResidual) -> str:
     """Return the largest residual of a mounting; of one posture with its direction."""

@@ -17,14 +17,22 @@ from orthoglide.parameters import split_campaign
 from orthoglide.result.codec import SHORT_DIGITS, Key, Share, encoded, in_mm_short
 from orthoglide.result.fits import Scores
 
-_FAULT_PHRASES = {
-    "command": "another command than the one written",
+FAULT_NAMES = {
     "outlier": "a slip of the reading",
-    "knocked_stand": "a dial's stand that was knocked",
-    "zeroed": "a dial that was set to zero anew",
+    "knocked_stand": "a stand that was knocked",
+    "zeroed": "a dial set to zero anew at each repeat",
+    "command": "a posture that is not where its command says",
+    "sign": "a dial that counted the other way",
+    "label": "a setup of another leg or direction",
+    "exchanged_labels": "two setups exchanged",
+    "shifted": "readings a row too late or too early",
+    "unit": "a wrong unit",
+    "turns": "readings whole turns of the hand off",
+    "stuck": "a dial that stuck",
+    "scatter": "visits that do not repeat",
     "moved": "an instrument that was moved",
 }
-"""Data faults that can explain the readings as a cause does, as noun phrases."""
+"""Kinds of data faults as noun phrases."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -211,7 +219,7 @@ class DataRival:
     @property
     def brief(self) -> str:
         """The fault with its file and its first line, a clause."""
-        what = _FAULT_PHRASES.get(self.data, "a fault of the data")
+        what = FAULT_NAMES.get(self.data, "a fault of the data")
         if self.data == "outlier" and len(set(self.rows)) > 1:
             what = "one dial that reads wrong at one place"
         return f"{what} in {self.file}, line {min(self.rows)}"
