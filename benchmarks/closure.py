@@ -58,7 +58,7 @@ same six bars.
 ## What the rows are
 
 - *Machine.forward*: commands and parameters in, TCP out; *twenty effects* at their tolerances.
-- *Closure object*: `SixBars.single`, without checks.
+- *Closure object*: its function evaluated in place, without checks.
 - *Pinocchio*: `Mechanism.close`, Newton's method on Pinocchio's constraint Jacobian.
 - *All sensitivities*: derivatives by three drives and thirty virtual joints.
 - *Compiled*: by the computer's C compiler, once, after 50 000 postures, and kept in a cache
@@ -137,7 +137,11 @@ def add_engine(add: Callable[..., None], engine: SixBars, how: str) -> None:
     """The closure object alone, and its sensitivities."""
     travel = commands(4000) - GEOMETRY.L
     moves = 1e-3 * np.random.default_rng(1).standard_normal((len(travel), 30))
-    single, each = engine.single(), list(zip(travel[:500], moves[:500], strict=True))
+    single, each = (
+        engine._close.rows("close").single,
+        list(zip(travel[:500], moves[:500], strict=True)),
+    )
+    single.arguments[0][:] = engine.constants
 
     def bare() -> None:
         _, own_travel, own_moves = single.arguments

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import pytest
 
 from orthoglide import files
@@ -193,14 +194,15 @@ def test_another_kind_of_computer_has_a_library_of_its_own(
     from orthoglide.mechanism import compiled
 
     monkeypatch.setenv("ORTHOGLIDE_CACHE", str(tmp_path))
+    x = ca.SX.sym("x")
 
     def made(build: bool) -> Path | None:
-        code, flags = "int f(void) { return 1; }", ("-O1", "-march=native")
-        return compiled.library("f", lambda: code, flags, build=build)
+        return compiled.library("f", (lambda: [ca.Function("f", [x], [x])]) if build else None)
 
     own = made(build=True)
     assert own is not None
     assert made(build=False) == own
+    assert "#define __" in compiled._compiler_target(str(compiler()))
     monkeypatch.setattr(compiled, "_compiler_target", lambda *_: "#define __of_another_kind__ 1")
     assert made(build=False) is None
     assert made(build=True) not in (None, own)

@@ -44,54 +44,35 @@ def compiled(
         The functions in the same order, or ``None`` where there is no compiler, it fails, or the
         cache is empty. Interpreted functions return the same numbers to the last bit.
     """
-
-    def source() -> str:
-        generator = ca.CodeGenerator("closure", {"verbose": False})
-        for function in build() if build else []:
-            generator.add(function)
-        return str(generator.dump())
-
-    path = library(f"{key} {ca.CasadiMeta.version()}", source, _FLAGS, build=build is not None)
+    path = library(f"{key} {ca.CasadiMeta.version()}", build)
     try:
         return None if path is None else [ca.external(name, str(path)) for name in names]
     except RuntimeError:  # the file system does not allow execution
         return None
 
 
-def library(
-    content: str, source: Callable[[], str], flags: Sequence[str], *, build: bool
-) -> Path | None:
-    """Return the path of the compiled library of a source, from the cache if possible.
+def library(key: str, build: Callable[[], list[Any]] | None) -> Path | None:
+    """Return the path of a compiled library, as :func:`compiled` finds or builds it.
 
-    Args:
-        content: identifies the source.
-        source: returns the source in C.
-        flags: of the compiler. The compiler's target is part of the name of the library, so
-            different computers can share the cache.
-        build: whether to compile where the cache is empty.
-
-    Returns:
-        ``None`` where there is no compiler, it fails, or the cache is empty and ``build`` false.
+    The compiler's target is part of its name, so different computers can share the cache.
     """
-    command = compiler()
-    if command is None:
+    if (command := compiler()) is None:
         return None
     try:
-        target = _compiler_target(command, tuple(flags))
-        digest = _digest("\n".join([content, command, *flags, target]).encode())
-        folder = _cache_folder()
+        described = "\n".join([key, command, *_FLAGS, _compiler_target(command)])
+        folder, digest = _cache_folder(), _digest(described.encode())
         cached = _cached_library(folder, digest)
-        if cached or not build:
+        if cached or build is None:
             return cached
-        return _build_library(command, flags, source(), folder, digest)
+        return _build_library(command, build(), folder, digest)
     except (OSError, subprocess.SubprocessError):
         return None
 
 
 @cache
-def _compiler_target(command: str, flags: tuple[str, ...]) -> str:
+def _compiler_target(command: str) -> str:
     """Return the compiler's macros, which describe the computer that it compiles for."""
-    command_line = [command, *flags, "-dM", "-E", "-x", "c", "-"]
+    command_line = [command, *_FLAGS, "-dM", "-E", "-x", "c", "-"]
     return subprocess.run(command_line, check=True, input="", capture_output=True, text=True).stdout
 
 
@@ -128,14 +109,15 @@ def _cached_library(folder: Path, digest: str) -> Path | None:
     return None
 
 
-def _build_library(
-    command: str, flags: Sequence[str], source: str, folder: Path, digest: str
-) -> Path:
+def _build_library(command: str, functions: list[Any], folder: Path, digest: str) -> Path:
+    generator = ca.CodeGenerator("closure", {"verbose": False})
+    for function in functions:
+        generator.add(function)
     with tempfile.TemporaryDirectory(dir=folder) as workspace:
         code, out = Path(workspace) / "closure.c", Path(workspace) / "closure.so"
-        code.write_text(source, encoding="utf-8")
+        code.write_text(str(generator.dump()), encoding="utf-8")
         subprocess.run(
-            [command, *flags, *_SHARED, str(code), "-o", str(out), "-lm"],
+            [command, *_FLAGS, *_SHARED, str(code), "-o", str(out), "-lm"],
             check=True,
             capture_output=True,
             timeout=120,

@@ -7,8 +7,6 @@ virtual joints ``(n, 30)``, metres and radians, and return the same outputs and 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache, cached_property
 from pathlib import Path
 
@@ -21,7 +19,7 @@ from orthoglide.geometry import Array
 from orthoglide.mechanism import six_bars
 from orthoglide.mechanism.mechanism import CLOSED, Mechanism, Posture
 from orthoglide.mechanism.perfect_legs import SIDE_ROUNDING
-from orthoglide.mechanism.rows import CompilableFunctions, InPlaceFunction
+from orthoglide.mechanism.rows import CompilableFunctions
 from orthoglide.mechanism.six_bars import INPUT_SIZE, LINES, OUTPUT_SIZE, ROTATION, TCP
 
 # Bars are closed to rounding where their length is off by less than this fraction.
@@ -105,8 +103,10 @@ class PinocchioEngine:
         zero = self.mechanism.geometry.zero
         for k in range(n):
             with self.mechanism.lock:  # the outputs are read from Pinocchio's scratch data
-                with _number_posture_in_errors(k, n):
+                try:
                     posture = self.mechanism.close(zero + travel[k], moves[k].reshape(3, -1))
+                except ClosureError as error:
+                    raise _numbered(error, k, n) from None
                 values[k] = self._posture_outputs(posture)
                 if tangents:
                     by_given[k] = self._posture_tangent(posture)
@@ -149,14 +149,10 @@ class PinocchioEngine:
         return np.concatenate([tool[:3], rotation.reshape(INPUT_SIZE, 9).T, *bar_ends])
 
 
-@contextmanager
-def _number_posture_in_errors(index: int, count: int) -> Iterator[None]:
-    """Add the number of the posture in its batch to a closure error."""
-    try:
-        yield
-    except ClosureError as error:
-        prefix = f"posture {index + 1} of {count}: " if count > 1 else ""
-        raise ClosureError(f"{prefix}{error}", residuals=error.residuals, index=(index,)) from None
+def _numbered(error: ClosureError, index: int, count: int, hint: str = "") -> ClosureError:
+    """Return a closure error with the number of the posture in its batch, and a hint."""
+    prefix = f"posture {index + 1} of {count}: " if count > 1 else ""
+    return ClosureError(f"{prefix}{error}{hint}", residuals=error.residuals, index=(index,))
 
 
 class SixBars:
@@ -216,16 +212,6 @@ class SixBars:
         """Whether closures run compiled."""
         return self._close.compiled
 
-    def single(self) -> InPlaceFunction:
-        """Return the closure of one posture for evaluation in place, without checks.
-
-        Constants ``(106,)``, travel ``(3,)`` and displacements ``(30,)`` in, outputs ``(48,)`` and
-        check ``(3,)`` out.
-        """
-        single = InPlaceFunction(self._close.rows("close").function)
-        single.arguments[0][:] = self.constants
-        return single
-
     def outputs(self, travel: Array, moves: Array) -> Outputs:
         """Return the outputs of closed postures; see :meth:`PinocchioEngine.outputs`."""
         if travel.shape != (len(moves), 3) or moves.shape[1:] != (INPUT_SIZE - 3,):
@@ -256,22 +242,18 @@ class SixBars:
         reference = PinocchioEngine(self.mechanism)
         for row in np.flatnonzero(~_is_closed(check, CLOSED)):
             part = slice(row, row + 1)
-            numbered = _number_posture_in_errors(int(row), len(travel))
-            with numbered, self._hint_at_travel(travel[row]):
+            try:
                 values[row] = reference.outputs(travel[part], moves[part]).values[0]
+            except ClosureError as error:
+                hint = self._travel_hint(travel[row])
+                raise _numbered(error, int(row), len(travel), hint) from None
 
-    @contextmanager
-    def _hint_at_travel(self, travel: Array) -> Iterator[None]:
-        """Add a hint to a closure error of a command that was probably meant as travel."""
-        geometry = self.mechanism.geometry
-        try:
-            yield
-        except ClosureError as error:
-            zero = geometry.zero
-            if zero.any() and geometry.in_stroke(travel + 2 * zero).all():
-                message = f"{error}: at mechanical zero every command is {zero[0]:g} m, not 0"
-                raise ClosureError(message, residuals=error.residuals) from None
-            raise
+    def _travel_hint(self, travel: Array) -> str:
+        """Return a hint at a command that was probably meant as travel; empty for others."""
+        geometry, zero = self.mechanism.geometry, self.mechanism.geometry.zero
+        meant_as_travel = zero.any() and geometry.in_stroke(travel + 2 * zero).all()
+        hint = f": at mechanical zero every command is {zero[0]:g} m, not 0"
+        return hint if meant_as_travel else ""
 
     def tangent(self, travel: Array, moves: Array) -> tuple[Outputs, Array]:
         """Return outputs and derivative; see :meth:`PinocchioEngine.tangent`."""
