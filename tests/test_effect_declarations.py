@@ -5,6 +5,7 @@ import math
 import pickle
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,17 @@ from click.testing import CliRunner
 
 import orthoglide as og
 from orthoglide.cli import cli
-from orthoglide.effects import CATALOGUE, Effect, Motion, cos, once, sin
+from orthoglide.effects import CATALOGUE, Effect, Motion, Words, cos, once, sin
 from orthoglide.effects.custom import load_effects
 from orthoglide.effects.free_form import dial_free_forms
 from orthoglide.effects.motions import Constant, sideways
-from orthoglide.effects.wording import cause_short, cause_words, confirm_words, parameter_words
+from orthoglide.effects.wording import (
+    cause_short,
+    cause_words,
+    confirm_words,
+    parameter_words,
+    value_words,
+)
 from orthoglide.errors import InputError
 from orthoglide.explanation import Explanation
 from orthoglide.parameters import Parameter
@@ -109,6 +116,20 @@ def test_words_are_made_where_none_are_given(machine: og.Machine) -> None:
     assert "0.05 mm" in cause_words(catalogue, "encoder_second.y", pair)
     test = confirm_words(CARRIAGE_PLAY, catalogue.parameter("carriage_play.x.b"), 1e-4)
     assert "0.1 mm" in test
+
+
+def test_words_are_texts_with_blanks_or_functions() -> None:
+    words = (
+        Words("leg {leg} {toward} sags {more|less} by {size}, a tenth {mm:0.1}", "leg {leg} sags"),
+        Words(lambda p, v: f"leg {p.leg} sags {v * 1e3:g} mm", lambda p: f"leg {p.leg} sags"),
+    )
+    parameter = Parameter("sag", "x", "z")
+    blanks, functions = (replace(CARRIAGE_PLAY, name="sag", words=one) for one in words)
+    said = value_words(blanks, parameter, -2e-3)
+    assert said == "leg x −z sags less by 2 mm, a tenth 0.2 mm"
+    assert value_words(functions, parameter, -2e-3) == "leg x sags -2 mm"
+    with pytest.raises(InputError, match=r"the blank \{height\}: use size, mm"):
+        Words("{height} too high")
 
 
 @pytest.mark.parametrize(

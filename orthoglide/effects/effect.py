@@ -19,9 +19,9 @@ from orthoglide.effects.motions import (
     LATERAL_KEYS,
     Condition,
     DialReading,
-    DialRecorder,
     Members,
     Motion,
+    conditions_read,
     no_motions,
 )
 from orthoglide.effects.words import Words
@@ -154,7 +154,7 @@ class Effect:
     def needs(self) -> frozenset[Condition]:
         """Conditions that its bases depend on, found by evaluating them."""
         if (dial := self.dial) is not None:
-            return DialRecorder(1.0, 1.0, 1.0).needs(lambda reading: dial(reading, 1e-3))
+            return conditions_read(lambda reading: dial(reading, 1e-3), DialReading(1.0, 1.0, 1.0))
         needs_by_motion = [m.needs for _, motions in self.motions.values() for m in motions]
         return frozenset().union(*needs_by_motion)
 

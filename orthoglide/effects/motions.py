@@ -77,26 +77,24 @@ _CONDITIONS: Mapping[str, Condition] = {
 
 
 class _Recorder:
-    """Numbers in place of conditions, which record which of them were read."""
+    """Passes on the attributes of a sample, and records which conditions are read."""
 
-    def __getattribute__(self, name: str) -> Any:
+    def __init__(self, sample: LegConditions | DialReading) -> None:
+        self.sample, self.read = sample, set[Condition]()
+
+    def __getattr__(self, name: str) -> Any:
         if name in _CONDITIONS:
-            object.__getattribute__(self, "__dict__").setdefault("used", set()).add(name)
-        return object.__getattribute__(self, name)
-
-    def needs(self, function: Callable[[Any], Any]) -> frozenset[Condition]:
-        """Return the conditions that a function reads, found by evaluating it."""
-        self.__dict__["used"] = set()
-        function(self)
-        return frozenset(_CONDITIONS[name] for name in self.__dict__["used"])
+            self.read.add(_CONDITIONS[name])
+        return getattr(self.sample, name)
 
 
-class _LegRecorder(_Recorder, LegConditions):
-    pass
-
-
-class DialRecorder(_Recorder, DialReading):
-    """Numbers in place of a dial's reading, which record whether its time was read."""
+def conditions_read(
+    function: Callable[[Any], Any], sample: LegConditions | DialReading
+) -> frozenset[Condition]:
+    """Return the conditions that a function reads, found by evaluating it on a sample."""
+    recorder = _Recorder(sample)
+    function(recorder)
+    return frozenset(recorder.read)
 
 
 def sin(angle: Any) -> Any:
@@ -130,7 +128,7 @@ class Motion:
     def needs(self) -> frozenset[Condition]:
         """Conditions that the basis reads, found by evaluating it."""
         sample = 0.3, 0.3, (-0.1, 0.06), 0.02, 1.0, 1.0, 1.0, 1.0, 0.01, 0.3, (0.3,) * 3
-        return _LegRecorder(*sample).needs(self.basis)
+        return conditions_read(self.basis, LegConditions(*sample))
 
 
 Members = Callable[[int], Mapping[str, tuple[Motion, ...]]]

@@ -183,3 +183,9 @@ class Words:
     size: Clause | None = None
     confirm: Clause | None = None
     common: Clause | None = None
+
+    def __post_init__(self) -> None:
+        sample = Parameter("effect", "x", "z")
+        for text in (self.one, self.short, self.size, self.confirm, self.common):
+            if isinstance(text, str):
+                filled(text, sample, 0.0)  # raises InputError for an unknown blank
