@@ -28,9 +28,7 @@ def cause_words(catalogue: Catalogue, name: str, values: Mapping[str, float]) ->
     effect, parameter = _resolve_name(catalogue, name)
     suffix = _campaign_suffix(parameter, name)
     if name in values and parameter is not None:
-        if parameter.member and effect.of_body:
-            text = value_words(effect, _without_setup(effect, parameter), values[name])
-        elif parameter.member == "common" and effect.words.common is not None:
+        if parameter.member == "common" and effect.words.common is not None:
             text = _clause(effect, effect.words.common, parameter, values[name])
         elif parameter.member:
             pattern = effect.names.in_layout_words(_pattern(effect, parameter, values[name]))
@@ -55,8 +53,6 @@ def cause_short(catalogue: Catalogue, name: str) -> str:
     suffix = _campaign_suffix(parameter, name)
     if parameter is None and name != effect.name:  # the paired parameters of one leg
         parameter = next(p for p in effect.motions if p.startswith(f"{name.split('@')[0]}."))
-    if parameter is not None and parameter.member and effect.of_body:
-        return _clause_without_size(effect, _without_setup(effect, parameter)) + suffix
     if parameter is not None and not parameter.member:
         return _clause_without_size(effect, parameter) + suffix
     member = parameter.member if parameter is not None else ""
@@ -156,13 +152,13 @@ def _resolve_name(catalogue: Catalogue, name: str) -> tuple[Effect, Parameter | 
     if plain == effect.name or (effect.paired and plain in {f"{effect.name}.{k}" for k in legs}):
         return effect, None
     if effect.of_dial and not isinstance(name, Parameter) and plain.endswith("common"):
-        return effect, Parameter(effect.name, member=plain[len(effect.name) + 1 :])
-    return effect, catalogue.parameter(name)
-
-
-def _without_setup(effect: Effect, member: Parameter) -> Parameter:
-    shape = member.member.rpartition(".")[0]
-    return Parameter(effect.name, direction=shape)
+        parameter = Parameter(effect.name, member=plain[len(effect.name) + 1 :])
+    else:
+        parameter = catalogue.parameter(name)
+    if parameter.member and effect.of_body:  # one plate or part, in whatever setups it was read
+        shape = parameter.member.rpartition(".")[0]
+        parameter = Parameter(effect.name, direction=shape, campaign=parameter.campaign)
+    return effect, parameter
 
 
 def _campaign_suffix(parameter: Parameter | None, name: str) -> str:
