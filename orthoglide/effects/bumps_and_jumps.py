@@ -47,13 +47,8 @@ millimetre would have been noticed."""
 def travel_bumps(
     travel: Sequence[Collection[float]], names: LegNames, stroke: Range, scale: float = 1.0
 ) -> tuple[FreeForm, ...]:
-    """Return the errors of drives and rails at one travel alone.
-
-    Args:
-        travel: where each leg may have a bump, metres from mechanical zero.
-        names: of legs and directions.
-        stroke: travel limits of the machine, metres.
-        scale: of its size, that of a workshop being 1.
+    """Return the errors of drives and rails at one travel alone, as `free_forms` does others;
+    ``travel``: where each leg may have a bump, metres from mechanical zero.
     """
     middle, half = (stroke[0] + stroke[1]) / 2, (stroke[1] - stroke[0]) / 2
     candidates: tuple[tuple[Part, str], ...] = (("drive", ""), ("rail", "b"), ("rail", "c"))

@@ -391,10 +391,7 @@ def dial_free_forms(
 
 
 def common_dial_form(reading: Range, scale: float = 1.0) -> FreeForm:
-    """Return the reversal error that all dials of one make share.
-
-    Args:
-        reading: range of the readings, metres.
-        scale: of the machine's size.
+    """Return the reversal error that all dials of one make share; ``reading``: range of the
+    readings, metres.
     """
     return FreeForm("dial", -1, "", "approach", Level(), 10 * _UM * scale, span=reading)

@@ -95,12 +95,8 @@ def _signed_size_or_amplitude(effect: Effect, value: float) -> str:
 
 
 def parameter_words(parameter: Parameter, names: LegNames = CATALOGUE.legs) -> str:
-    """Return the name of a parameter as words for tables: ``axis tilt of leg y toward z`` for
-    ``axis_tilt.y.z``.
-
-    Args:
-        parameter: a parameter or a structured member.
-        names: names of the machine's legs and parts; on a delta a leg is a tower with its rods.
+    """Return the name of a parameter or structured member as words for tables, in those of a
+    layout: ``axis tilt of leg y toward z`` for ``axis_tilt.y.z``.
     """
     return names.in_layout_words(_parameter_words(parameter, names.effect_words(parameter.effect)))
 

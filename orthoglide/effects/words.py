@@ -55,11 +55,8 @@ def rotation_sense(about: str, value: float, tower: bool) -> str:
 
 
 def along(leg: str, axis: str) -> str:
-    """Return where to set a square against a leg, and how to move along it, a clause.
-
-    Args:
-        leg: name of the leg.
-        axis: direction across the leg; its name shows whether the leg is a tower.
+    """Return where to set a square against a leg, and how to move along it, a clause; the name of
+    the direction ``axis`` shows whether the leg is a tower.
     """
     if axis in _TOWER_SIDES:
         return f"stands along tower {leg}, and move 100 mm up"
@@ -146,13 +143,8 @@ Clause = str | Callable[..., str]
 
 
 def filled(text: str, parameter: Parameter, value: float, size: str = "") -> str:
-    """Return a text with its blanks filled; see `Words`.
-
-    Args:
-        text: the text.
-        parameter: gives leg, direction and setup.
-        value: its value, SI.
-        size: text of that size.
+    """Return a text with its blanks filled from a parameter, its value, SI, and the text of its
+    size; see `Words`.
     """
     return text.format_map(_Blanks(parameter, value, size))
 

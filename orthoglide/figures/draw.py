@@ -46,14 +46,8 @@ def draw_one(result: Result, what: str) -> Drawing:
 def draw_fit(
     readings: ReadingsShown, noise: ByUnit, fit: Framed, catalogue: Catalogue, what: str
 ) -> Drawing:
-    """Return one figure of a fit: ``"residuals"``, ``"readings"`` or ``"parameters"``.
-
-    Args:
-        readings: the readings with their predictions by the nominal machine and by the fit.
-        noise: standard deviation of a reading.
-        fit: the fit, whose columns are the identified parameters.
-        catalogue: effects of the fit.
-        what: name of the figure.
+    """Return one figure of a fit, with effects of a catalogue: ``"residuals"``, ``"readings"`` or
+    ``"parameters"``; ``noise`` is the standard deviation of a reading.
 
     Raises:
         InputError: if there is no such figure.
@@ -96,10 +90,7 @@ def _draw_named(figures: _FigureMakers, what: str) -> Drawing:
 
 def draw_workspace(space: Workspace, improved: bool) -> Drawing:
     """Return the figure of the TCP's error and its uncertainty at three heights; darker is larger.
-
-    Args:
-        space: the TCP over the workspace.
-        improved: whether the final model differs from the base model.
+    ``improved``: whether the final model differs from the base model.
     """
     places = np.round(space.at * 1e3, 6) + 0.0
     levels = np.unique(places[:, 2])
@@ -156,11 +147,8 @@ def _draw_level(axes: Axes, at: Array, values: Array, colour: str, largest: floa
 
 
 def draw_parameters(columns: Mapping[str, Sequence[Any]], catalogue: Catalogue) -> Drawing:
-    """Return the figure of values with 95 % intervals against tolerances, a strip for each effect.
-
-    Args:
-        columns: name, value, limits of the interval and tolerance of each, as a fit has them.
-        catalogue: of their effects.
+    """Return the figure of values with 95 % intervals against tolerances, a strip for each effect;
+    ``columns`` are those of a fit.
     """
     strips: dict[Effect, list[int]] = {}
     names = columns["parameter"]

@@ -37,11 +37,7 @@ MAX_DRAWN = 400
 
 def _rows_to_draw(x: Array, residual: Array) -> NDArray[np.intp]:
     """Return the rows to draw ``(k,)``: all, or of more than `MAX_DRAWN` the two extreme residuals
-    in each part of the scale.
-
-    Args:
-        x: abscissa of each reading ``(m,)``.
-        residual: residual of each reading ``(m,)``.
+    in each part of the scale; abscissas ``x`` and residuals are ``(m,)``.
     """
     if len(x) <= MAX_DRAWN:
         return np.arange(len(x))
@@ -69,11 +65,8 @@ def _panels(readings: ReadingsShown, before: Array) -> list[_Panel]:
 
 
 def draw_readings(readings: ReadingsShown, before: Array) -> Drawing:
-    """Return the figure of readings, fit and residuals by setup.
-
-    Args:
-        readings: the readings.
-        before: predictions before the fit ``(n,)``, metres or radians.
+    """Return the figure of readings, fit and residuals by setup; ``before``: predictions before the
+    fit ``(n,)``, metres or radians.
     """
     setups, height = _panels(readings, before), style.PANEL_SIZE[1]
     limits = {unit: _axis_limits(some) for unit, some in _panels_by_unit(setups).items()}
@@ -147,12 +140,8 @@ def _draw_residual_panel(axes: Axes, setup: _Panel) -> None:
 
 
 def draw_residuals(readings: ReadingsShown, before: Array, noise: ByUnit) -> Drawing:
-    """Return the figure of residuals by setup, before and after.
-
-    Args:
-        readings: the readings.
-        before: predictions before the fit ``(n,)``, metres or radians.
-        noise: standard deviation of a reading.
+    """Return the figure of residuals by setup, before and after, with the noise of a reading;
+    ``before`` as for `draw_readings`.
     """
     setups = _panels(readings, before)
     names = [s.mounting.name for s in setups]

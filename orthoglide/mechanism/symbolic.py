@@ -75,11 +75,7 @@ def _quaternion(q: Any) -> Any:
 
 
 def joint_transform(joint: Any, q: Any) -> Transform:
-    """Return the transform across one joint of a Pinocchio model.
-
-    Args:
-        joint: an element of ``model.joints``.
-        q: the joint's coordinates, SX ``(nq,)``.
+    """Return the transform across an element of ``model.joints`` at coordinates, SX ``(nq,)``.
 
     Raises:
         InputError: for a kind of joint that is not supported.

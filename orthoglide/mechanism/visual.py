@@ -44,11 +44,8 @@ class RailPath:
 
 
 def visual_model(tree: Tree, looped: LoopedModel) -> Any:
-    """Return the solids of a URDF as ``pin.GeometryModel``, attached to the joints of a tree.
-
-    Args:
-        tree: of the machine, with or without virtual joints.
-        looped: the model from which the tree was made.
+    """Return the solids of a URDF as ``pin.GeometryModel``, attached to the joints of the tree that
+    was made from it.
     """
     visual = pin.buildGeomFromUrdfString(looped.model, looped.text, pin.GeometryType.VISUAL)
     for item in visual.geometryObjects:

@@ -79,13 +79,8 @@ def residual_table(result: Result) -> str:
 
 
 def _reading_cells(readings: Readings, row: int, direction: str, two_dials: bool) -> list[Any]:
-    """Return the cells that identify a reading.
-
-    Args:
-        readings: the readings.
-        row: row within them.
-        direction: axis that is read, with its sign.
-        two_dials: whether there are columns of two dials on a leg.
+    """Return the cells that identify a reading along a direction; ``two_dials``: whether there are
+    columns of two dials on a leg.
     """
     setup = readings.setups[readings.setup[row]]
     name = "" if readings.by_point else setup.name

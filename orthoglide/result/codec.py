@@ -122,7 +122,7 @@ def encoded(value: Any, key: Key = Key()) -> Any:  # frozen
         case np.ndarray():
             if value.dtype.kind != "f":
                 return value.tolist()
-            return _nested(key.numbers(value), value.shape)
+            return np.array(key.numbers(value), dtype=object).reshape(value.shape).tolist()
         case Mapping():
             return {str(name): encoded(item, key) for name, item in value.items()}
         case _ if is_dataclass(value):
@@ -130,15 +130,6 @@ def encoded(value: Any, key: Key = Key()) -> Any:  # frozen
         case list() | tuple():
             return [encoded(item, key) for item in value]
     raise TypeError(f"no JSON of {type(value).__name__}")
-
-
-def _nested(flat: list[Any], shape: tuple[int, ...]) -> Any:
-    """Return the elements of an array as nested lists."""
-    if not shape:
-        return flat[0]
-    for width in shape[:0:-1]:
-        flat = [flat[k : k + width] for k in range(0, len(flat), width)] if width else []
-    return flat or np.empty(shape).tolist()
 
 
 def _encoded_fields(value: Any) -> Any:

@@ -27,13 +27,10 @@ class Picture:
     options: tuple[Option, ...]  # explanations of every finding, most probable first
     first: tuple[int, ...]  # number of the most probable option of every finding
 
-    def svg(self, alone: bool = False) -> str:
-        """Return the drawing as SVG; ``alone``: as a separate file."""
+    def svg(self) -> str:
+        """Return the drawing as SVG for a page."""
         title = "The machine, what was found marked on it" if self.options else "The machine"
-        return drawing(
-            self.posed, self.options, self.dials, title=title, first_shown=self.first,
-            standalone=alone,
-        )  # fmt: skip
+        return drawing(self.posed, self.options, self.dials, title=title, first_shown=self.first)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
