@@ -5,140 +5,21 @@ SI in and out; arrays carry batch axes first: commands rho ``(..., 3)``, points 
 
 from __future__ import annotations
 
+import ast
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
-    from orthoglide.as_pinocchio import (
-        PinocchioModel as PinocchioModel,
-        pinocchio_model as pinocchio_model,
-    )
-    from orthoglide.checking import Check as Check, check as check
-    from orthoglide.comparison import (
-        compare_effects as compare_effects,
-        compare_machine as compare_machine,
-    )
-    from orthoglide.control import (
-        Compensation as Compensation,
-        ControllerNumbers as ControllerNumbers,
-        calibrated_mjcf as calibrated_mjcf,
-        calibrated_urdf as calibrated_urdf,
-        compensate as compensate,
-        controller_numbers as controller_numbers,
-        export_files as export_files,
-        read_path as read_path,
-    )
-    from orthoglide.effects import (
-        Effect as Effect,
-        Motion as Motion,
-        Parameter as Parameter,
-        Words as Words,
-        once as once,
-        sideways as sideways,
-    )
-    from orthoglide.errors import (
-        ClosureError as ClosureError,
-        CrossCheckError as CrossCheckError,
-        FileError as FileError,
-        InputError as InputError,
-        NumericsError as NumericsError,
-        OrthoglideError as OrthoglideError,
-        SolverError as SolverError,
-        UnidentifiableError as UnidentifiableError,
-        UnreachableError as UnreachableError,
-    )
-    from orthoglide.explanation.identifying import identify as identify
-    from orthoglide.firmware.imported import Imported as Imported
-    from orthoglide.firmware.klipper import import_printer as import_printer
-    from orthoglide.firmware.plate_lists import import_plates as import_plates
-    from orthoglide.fit import Estimate as Estimate
-    from orthoglide.geometry import Geometry as Geometry
-    from orthoglide.layout import (
-        FreeLeg as FreeLeg,
-        FreeLegs as FreeLegs,
-        LinearDelta as LinearDelta,
-    )
-    from orthoglide.machine import Machine as Machine, Pose as Pose
-    from orthoglide.machine_file import (
-        Dial as Dial,
-        Instrument as Instrument,
-        MachineFile as MachineFile,
-    )
-    from orthoglide.mechanism import Mechanism as Mechanism
-    from orthoglide.observations import (
-        Campaign as Campaign,
-        Readings as Readings,
-        Setup as Setup,
-        TcpPoints as TcpPoints,
-        ToolCampaign as ToolCampaign,
-        ToolSetup as ToolSetup,
-        protocol as protocol,
-        read_campaign as read_campaign,
-        read_readings as read_readings,
-        read_tcp as read_tcp,
-        write_campaign as write_campaign,
-    )
-    from orthoglide.planning import (
-        Design as Design,
-        Suggestion as Suggestion,
-        design as design,
-        next_measurements as next_measurements,
-        repeats_needed as repeats_needed,
-        smallest_effects as smallest_effects,
-        tool_sheets as tool_sheets,
-    )
-    from orthoglide.rehearsal import Rehearsal as Rehearsal, rehearse as rehearse
-    from orthoglide.result import Result as Result
-    from orthoglide.simulation import simulate as simulate, simulate_tcp as simulate_tcp
-    from orthoglide.transmission import (
-        CubeTransmission as CubeTransmission,
-        transmission_factors as transmission_factors,
-        transmission_over_cube as transmission_over_cube,
-    )
-    from orthoglide.units import MM as MM, ONE as ONE, RAD as RAD, Unit as Unit
-    from orthoglide.verdict import Verdict as Verdict, close_loop as close_loop
+from pathlib import Path
+from typing import Any
 
 __version__ = "0.1.0"
 
-# Pinocchio and CasADi take a third of a second to load: names are fetched when they are used.
-_WHERE = {
-    "checking": "Check check",
-    "comparison": "compare_effects compare_machine",
-    "control": (
-        "Compensation ControllerNumbers calibrated_mjcf calibrated_urdf compensate "
-        "controller_numbers export_files read_path"
-    ),
-    "effects": "Effect Motion Parameter Words once sideways",
-    "errors": (
-        "ClosureError CrossCheckError FileError InputError NumericsError OrthoglideError "
-        "SolverError UnidentifiableError UnreachableError"
-    ),
-    "explanation.identifying": "identify",
-    "fit": "Estimate",
-    "geometry": "Geometry",
-    "firmware.imported": "Imported",
-    "firmware.klipper": "import_printer",
-    "firmware.plate_lists": "import_plates",
-    "layout": "FreeLeg FreeLegs LinearDelta",
-    "machine": "Machine Pose",
-    "machine_file": "Dial Instrument MachineFile",
-    "mechanism": "Mechanism",
-    "observations": (
-        "Campaign Readings Setup TcpPoints ToolCampaign ToolSetup protocol read_campaign "
-        "read_readings read_tcp write_campaign"
-    ),
-    "as_pinocchio": "PinocchioModel pinocchio_model",
-    "planning": (
-        "Design Suggestion design next_measurements repeats_needed smallest_effects tool_sheets"
-    ),
-    "rehearsal": "Rehearsal rehearse",
-    "result": "Result",
-    "simulation": "simulate simulate_tcp",
-    "transmission": "CubeTransmission transmission_factors transmission_over_cube",
-    "units": "MM ONE RAD Unit",
-    "verdict": "Verdict close_loop",
-}
-_MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
+# Pinocchio and CasADi take a third of a second to load: names are fetched when they are used. Type
+# checkers and this file read them in `__init__.pyi`.
+_STUB = ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+_MODULE = {
+    name.name: node.module
+    for node in _STUB.body if isinstance(node, ast.ImportFrom) and node.module
+    for name in node.names
+}  # fmt: skip
 
 __all__ = sorted(_MODULE)
 
@@ -146,7 +27,7 @@ __all__ = sorted(_MODULE)
 def __getattr__(name: str) -> Any:
     if name not in _MODULE:
         raise AttributeError(f"module 'orthoglide' has no attribute {name!r}")
-    return getattr(import_module(f"orthoglide.{_MODULE[name]}"), name)
+    return getattr(import_module(_MODULE[name]), name)
 
 
 def __dir__() -> list[str]:

@@ -16,9 +16,6 @@ from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from orthoglide.errors import InputError, check_choice
 from orthoglide.notes import Note
 
@@ -33,16 +30,6 @@ EXACT_DIGITS = 17
 
 MARK_KEY = "numbers"
 """Key of a firmware's table: short identifier of its numbers."""
-
-
-class Kinematics(Protocol):
-    """Inverse and forward kinematics of a controller."""
-
-    def travel(self, p: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Travel of the carriages from mechanical zero ``(n, 3)`` for places ``(n, 3)``, metres."""
-
-    def places(self, travel: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Places of the tool ``(n, 3)`` at a travel ``(n, 3)``, metres."""
 
 
 @dataclass(frozen=True)
@@ -120,8 +107,10 @@ class Printer(Protocol):
     """A firmware's numbers of one machine, read from the table of its machine file."""
 
     @property
-    def kinematics(self) -> Kinematics:
-        """Kinematics of the firmware; travel counts from mechanical zero of the machine file."""
+    def kinematics(self) -> Any:
+        """Kinematics of the firmware, an `orthoglide.machine_file.DeltaKinematics`; travel counts
+        from mechanical zero of the machine file.
+        """
 
     def objection(self, geometry: Any) -> tuple[str, ...]:
         """Return why dimensions contradict the numbers, and the path of the key of the machine file

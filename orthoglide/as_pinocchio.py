@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
@@ -42,7 +43,7 @@ class PinocchioModel:
     rigid_datas: Any
     visual_model: Any
     q: Array
-    drives: Array
+    drives: NDArray[np.intp]
     tool: int
 
 
@@ -65,16 +66,14 @@ def pinocchio_model(machine: MachineSource | None = None) -> PinocchioModel:
     locked = [k for k in range(1, tree.model.njoints) if tree.model.joints[k].idx_v in tree.virtual]
     solids = [visual_model(tree, machine.model.mechanism.looped)]
     model, (visual,) = pin.buildReducedModel(tree.model, solids, locked, posture.q)
-    kept_positions = [k for k in range(tree.model.nq) if k not in set(tree.virtual.tolist())]
-    reduced_position = {int(old): new for new, old in enumerate(kept_positions)}
-    drives = np.array([reduced_position[int(k)] for k in tree.drive])
-    free = np.array([reduced_position[int(k)] for k in tree.free])
+    kept = np.setdiff1d(np.arange(tree.model.nq), tree.virtual)
+    drives, free = np.searchsorted(kept, tree.drive), np.searchsorted(kept, tree.free)
     no_joints = np.zeros(0, dtype=np.intp)
     reduced = Tree(model, tree.loops, tree.motors, drives, free, no_joints, no_joints, tree.tool)
     constraints = Constraints(reduced)
     return PinocchioModel(
         model, constraints.models, constraints.datas, *_rigid_constraints(reduced), visual,
-        posture.q[kept_positions], drives, reduced.frame(tree.tool),
+        posture.q[kept], drives, reduced.frame(tree.tool),
     )  # fmt: skip
 
 

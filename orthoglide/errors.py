@@ -10,7 +10,10 @@ from collections.abc import Collection, Iterable, Mapping
 from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
+
+from orthoglide.text import printable_path
 
 if TYPE_CHECKING:
     import numpy as np
@@ -18,7 +21,19 @@ if TYPE_CHECKING:
 
 
 class OrthoglideError(Exception):
-    """Base class of the exceptions of this package."""
+    """Base class of the exceptions of this package.
+
+    Args:
+        message: what is wrong, in words.
+        evidence: values of attributes that the class declares.
+    """
+
+    def __init__(self, message: str, **evidence: Any) -> None:
+        super().__init__(message)
+        for name, value in evidence.items():
+            if not hasattr(type(self), name):
+                raise TypeError(f"a {type(self).__name__} has no {name!r}")
+            setattr(self, name, value)
 
 
 class InputError(OrthoglideError, ValueError):
@@ -30,48 +45,36 @@ class FileError(InputError):
 
     Args:
         message: the problem and its remedy, in one sentence.
-        file: the file's name as the caller gave it.
+        file: the file's name as the caller gave it; what cannot be printed is replaced.
         line: number of the line in question, if any, counted from 1 with the header as line 1.
     """
 
-    def __init__(self, message: str, *, file: str = "", line: int | None = None) -> None:
-        place = file if line is None else f"{file}, line {line}"
+    def __init__(
+        self, message: str, *, file: str | PathLike[str] = "", line: int | None = None
+    ) -> None:
+        self.file = printable_path(file)
+        place = self.file if line is None else f"{self.file}, line {line}"
         super().__init__(f"{place}: {message}" if place else message)
-        self.file = file
         self.line = line
         self.reason = message
 
 
 class UnreachableError(InputError):
-    """A command or pose is out of the legs' reach.
+    """A command or pose is out of the legs' reach."""
 
-    Args:
-        message: which leg, and by how much.
-        leg: ``"x"``, ``"y"`` or ``"z"``, or ``""`` where no single leg is too short.
-        excess: by how much, in metres (positive).
-        index: index in the batch, ``()`` for a single pose.
-    """
-
-    def __init__(
-        self, message: str, *, leg: str = "", excess: float = 0.0, index: tuple[int, ...] = ()
-    ) -> None:
-        super().__init__(message)
-        self.leg = leg
-        self.excess = excess
-        self.index = index
+    leg: str = ""
+    """Name of the leg that is too short, or empty where no single leg is."""
+    excess: float = 0.0
+    """By how much, metres (positive)."""
+    index: tuple[int, ...] = ()
+    """Index in the batch; empty for a single pose."""
 
 
 class UnidentifiableError(InputError):
-    """The readings cannot determine the requested parameters.
+    """The readings cannot determine the requested parameters."""
 
-    Args:
-        message: what cannot be determined, in words.
-        directions: each a mapping from parameter name to its share in an undetermined direction.
-    """
-
-    def __init__(self, message: str, *, directions: tuple[Mapping[str, float], ...] = ()) -> None:
-        super().__init__(message)
-        self.directions = directions
+    directions: tuple[Mapping[str, float], ...] = ()
+    """Each a mapping from parameter name to its share in an undetermined direction."""
 
 
 class NumericsError(OrthoglideError, ArithmeticError):
@@ -79,51 +82,27 @@ class NumericsError(OrthoglideError, ArithmeticError):
 
 
 class ClosureError(NumericsError):
-    """The loops could not be closed.
+    """The loops could not be closed."""
 
-    Args:
-        message: what did not close, in words.
-        residuals: the closure residual by loop, metres for points, and for the platform's frames
-            the larger of metres and radians.
-        index: index in the batch, ``()`` for a single posture.
-    """
-
-    def __init__(
-        self,
-        message: str,
-        *,
-        residuals: Mapping[str, float] | None = None,
-        index: tuple[int, ...] = (),
-    ) -> None:
-        super().__init__(message)
-        self.residuals = dict(residuals or {})
-        self.index = index
+    residuals: Mapping[str, float] = MappingProxyType({})
+    """Closure residual by loop: metres for points, and for the platform's frames the larger of
+    metres and radians."""
+    index: tuple[int, ...] = ()
+    """Index in the batch; empty for a single posture."""
 
 
 class SolverError(NumericsError):
-    """An optimiser stopped without a solution that passes the checks of this package.
+    """An optimiser stopped without a solution that passes the checks of this package."""
 
-    Args:
-        message: which check failed, and by how much.
-        evidence: the figures behind it.
-    """
-
-    def __init__(self, message: str, *, evidence: Mapping[str, Any] | None = None) -> None:
-        super().__init__(message)
-        self.evidence = dict(evidence or {})
+    evidence: Mapping[str, Any] = MappingProxyType({})
+    """The figures behind it."""
 
 
 class CrossCheckError(NumericsError):
-    """Two independent derivations disagree beyond what rounding or theory allow.
+    """Two independent derivations disagree beyond what rounding or theory allow."""
 
-    Args:
-        message: which two, and by how much.
-        difference: the largest difference, in metres.
-    """
-
-    def __init__(self, message: str, *, difference: float = float("nan")) -> None:
-        super().__init__(message)
-        self.difference = difference
+    difference: float = float("nan")
+    """The largest difference, metres."""
 
 
 def check_choice(noun: str, value: object, choices: Iterable[str]) -> None:

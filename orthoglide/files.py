@@ -7,13 +7,11 @@ import os
 import secrets
 import select
 import stat
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 from orthoglide.errors import FileError, as_path
-from orthoglide.text import printable_path
 
 TEXT_LIMIT = 2**20
 """Largest file that people write by hand, bytes; such files are parsed key by key."""
@@ -51,26 +49,24 @@ def read_bytes(path: str | os.PathLike[str], max_size: int | None = None) -> byt
     try:
         content = _content(path, max_size)
     except FileNotFoundError:
-        raise FileError(
-            "there is no such file: check the name", file=printable_path(path)
-        ) from None
+        problem = "there is no such file: check the name"
     except TimeoutError:
-        raise FileError(
-            f"is a pipe that says nothing for {PIPE_TIMEOUT:g} seconds: give a file",
-            file=printable_path(path),
-        ) from None
+        problem = f"is a pipe that says nothing for {PIPE_TIMEOUT:g} seconds: give a file"
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise FileError(
-            f"cannot be read ({reason}): give a readable file", file=printable_path(path)
-        ) from None
-    if len(content) > max_size:
-        raise FileError(
-            f"is larger than {max_size // 2**20} MB: give the right file", file=printable_path(path)
-        )
-    if not content.removeprefix(_BOM).strip():
-        raise FileError("is empty: give a file with content", file=printable_path(path))
-    return content
+        problem = f"cannot be read ({system_reason(error)}): give a readable file"
+    else:
+        if len(content) > max_size:
+            problem = f"is larger than {max_size // 2**20} MB: give the right file"
+        elif not content.removeprefix(_BOM).strip():
+            problem = "is empty: give a file with content"
+        else:
+            return content
+    raise FileError(problem, file=path)
+
+
+def system_reason(error: OSError) -> str:
+    """Return what the operating system says of an error, as a clause."""
+    return (error.strerror or str(error)).lower()
 
 
 def _content(path: str | os.PathLike[str], max_size: int) -> bytes:
@@ -79,29 +75,16 @@ def _content(path: str | os.PathLike[str], max_size: int) -> bytes:
     def opener(name: str, flags: int) -> int:  # a pipe without a writer is not waited for here
         return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
 
-    with open(path, "rb", buffering=0, opener=opener) as stream:
-        if stat.S_ISREG(os.fstat(stream.fileno()).st_mode) or os.name == "nt":
-            return _read_up_to(max_size, stream.read)
-        silent_since = time.monotonic()
-
-        def read(count: int) -> bytes | None:
-            nonlocal silent_since
-            remaining = silent_since + PIPE_TIMEOUT - time.monotonic()
-            if remaining <= 0 or not select.select([stream], [], [], remaining)[0]:
-                raise TimeoutError
-            silent_since = time.monotonic()
-            return stream.read(count)
-
-        return _read_up_to(max_size, read)
-
-
-def _read_up_to(max_size: int, read: Callable[[int], bytes | None]) -> bytes:
     content = bytearray()
-    while len(content) <= max_size:
-        piece = read(_READ_SIZE)
-        if piece == b"":
-            break
-        content += piece or b""  # None: another reader took it
+    with open(path, "rb", buffering=0, opener=opener) as stream:
+        waits = os.name != "nt" and not stat.S_ISREG(os.fstat(stream.fileno()).st_mode)
+        while len(content) <= max_size:
+            if waits and not select.select([stream], [], [], PIPE_TIMEOUT)[0]:
+                raise TimeoutError
+            piece = stream.read(_READ_SIZE)
+            if piece == b"":
+                break
+            content += piece or b""  # None: another reader took it
     return bytes(content[: max_size + 1])
 
 
@@ -126,16 +109,14 @@ def decode(content: bytes, path: str | os.PathLike[str], errors: str = "strict")
     """
     for start, message in _BINARY.items():
         if content.startswith(start):
-            raise FileError(message, file=printable_path(path))
+            raise FileError(message, file=path)
     if b"\0" in content:
-        raise FileError("is not text: give a UTF-8 text file", file=printable_path(path))
+        raise FileError("is not text: give a UTF-8 text file", file=path)
     try:
         return content.decode("utf-8-sig", errors)
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
-        raise FileError(
-            "is not UTF-8 text: save it as UTF-8", file=printable_path(path), line=line
-        ) from None
+        raise FileError("is not UTF-8 text: save it as UTF-8", file=path, line=line) from None
 
 
 def sha256(content: bytes) -> str:
@@ -190,25 +171,16 @@ def temporary_path(target: Path) -> Path:
 
 def _move_into_place(name: Path, target: Path, overwrite: bool) -> None:
     """Rename a finished file; another process may have created the target meanwhile."""
-    if overwrite:
-        os.replace(name, target)
-        return
-    try:
-        os.link(name, target)  # never replaces another file or a dangling link
-    except FileExistsError:
-        raise _exists_error(target) from None
-    except OSError:  # a file system without hard links: take the name, then fill it
-        try:
+    if not overwrite:
+        try:  # take the name, whatever the file system, then fill it
             os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
         except FileExistsError:
             raise _exists_error(target) from None
-        os.replace(name, target)
+    os.replace(name, target)
 
 
 def _exists_error(path: str | os.PathLike[str]) -> FileError:
-    return FileError(
-        "exists and is not overwritten: choose another name", file=printable_path(path)
-    )
+    return FileError("exists and is not overwritten: choose another name", file=path)
 
 
 def check_new(path: str | os.PathLike[str]) -> None:
@@ -227,7 +199,6 @@ def as_file_errors(path: str | os.PathLike[str]) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
         raise FileError(
-            f"cannot be written ({reason}): choose another place or name", file=printable_path(path)
+            f"cannot be written ({system_reason(error)}): choose another place or name", file=path
         ) from None

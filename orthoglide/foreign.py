@@ -6,6 +6,7 @@ import re
 import shlex
 from collections.abc import Collection
 from pathlib import Path
+from statistics import fmean
 
 from orthoglide.errors import FileError
 from orthoglide.text import MACHINE_OPTION, printable_path
@@ -87,8 +88,11 @@ def refuse_foreign(path: Path, content: bytes, accepted: Collection[str]) -> Non
             raise FileError(message.format(shlex.quote(file)), file=file)
     for name, (pattern, touch_advice, arm, radius) in _FIRMWARE_CONFIGS.items():
         if re.search(pattern, text, re.MULTILINE):
-            sizes = [f"L = {value:.7g}" for value in _mean_value(arm, text)]
-            sizes += [f"radius_mm less r_mm = {value:.7g}" for value in _mean_value(radius, text)]
+            sizes = list[str]()
+            for key, size_pattern in (("L", arm), ("radius_mm less r_mm", radius)):
+                match = re.search(size_pattern, text, re.MULTILINE | re.IGNORECASE)
+                if match and (values := re.findall(_NUMBER, match[1])):  # several: one a tower
+                    sizes.append(f"{key} = {fmean(map(float, values)):.7g}")
             sizes_text = f" with {' and '.join(sizes)}" if sizes else ""
             raise FileError(
                 f'is {name}, which is not read: write a machine file of kind "linear-delta"'
@@ -96,12 +100,3 @@ def refuse_foreign(path: Path, content: bytes, accepted: Collection[str]) -> Non
                 f"import plates",
                 file=file,
             )
-
-
-def _mean_value(pattern: str, text: str) -> list[float]:
-    """Return the number that a pattern finds, or the mean of several separated by colons, as a list
-    of one; an empty list without any.
-    """
-    match = re.search(pattern, text, re.MULTILINE | re.IGNORECASE)
-    values = [float(v) for v in re.findall(_NUMBER, match[1])] if match else []
-    return [sum(values) / len(values)] if values else []

@@ -55,13 +55,16 @@ def data_frame(columns: Mapping[str, Sequence[Any]], index: str | None = None) -
     return frame if index is None else frame.set_index(index)
 
 
-def html_table(caption: str, columns: Mapping[str, Sequence[Any]], rows: int = 20) -> str:
+_MAX_ROWS = 20  # of a table in a notebook
+
+
+def html_table(caption: str, columns: Mapping[str, Sequence[Any]]) -> str:
     """Return an HTML table of columns by name; the middle of a long table is left out, and floats
     have five digits.
     """
     lines = list(zip(*columns.values(), strict=True))
-    if len(lines) > rows:
-        half = rows // 2
+    if len(lines) > _MAX_ROWS:
+        half = _MAX_ROWS // 2
         lines = [*lines[:half], ("...",) * len(columns), *lines[-half:]]
     body = "".join(f"<tr>{_cells('td', line)}</tr>" for line in lines)
     head = f"<thead><tr>{_cells('th', columns)}</tr></thead>"

@@ -23,13 +23,8 @@ from orthoglide.machine_file import (
     read_machine_file,
     write_machine_file,
 )
-from orthoglide.machine_file.values import (
-    check_magnitudes,
-    check_sigmas,
-    parameter_entries,
-    refuse_structured_members,
-)
-from orthoglide.mechanism.engine import Outputs, batch_index
+from orthoglide.machine_file.values import check_magnitudes, check_sigmas, parameter_entries
+from orthoglide.mechanism.engine import batch_index
 from orthoglide.mechanism.mechanism import Posture
 from orthoglide.mechanism.perfect_legs import commands as commands_of
 from orthoglide.observations import Readings
@@ -93,9 +88,7 @@ class Machine:
         Raises:
             FileError: naming file, line and remedy.
         """
-        spec = read_machine_file(path, CATALOGUE.with_effects(effects))
-        refuse_structured_members(spec)
-        return cls(spec)
+        return cls(read_machine_file(path, CATALOGUE.with_effects(effects)))
 
     @classmethod
     def from_urdf(
@@ -189,11 +182,9 @@ class Machine:
         check_magnitudes(self.spec, values)
         return self._with_entries(dict(self.spec.parameters), values, sigmas or {})
 
-    def with_only(
-        self, values: Mapping[str, float], sigmas: Mapping[str, float] | None = None
-    ) -> Machine:
-        """Return this machine with only these parameters; arguments as for `with_parameters`."""
-        return self._with_entries({}, values, sigmas or {})
+    def with_only(self, values: Mapping[str, float]) -> Machine:
+        """Return this machine with only these parameters, SI; names as for `with_parameters`."""
+        return self._with_entries({}, values, {})
 
     def with_posterior(self, values: Mapping[str, float], posterior: Posterior) -> Machine:
         """Return this machine with only these parameters, and their posterior.
@@ -273,17 +264,13 @@ class Machine:
                 or commands so large that they must be millimetres.
         """
         commands = self.geometry.commands(rho)
-        out = self._outputs(commands, conditions)
-        return Pose(out.p.reshape(commands.shape), out.R.reshape(*commands.shape, 3))
-
-    def _outputs(self, commands: Array, conditions: Mapping[str, ArrayLike]) -> Outputs:
-        """Return the outputs of closed postures, one row a command."""
         at_commands = Conditions.from_commands(commands, **conditions)
         try:
-            return self.model.outputs(self._theta, at_commands)
+            out = self.model.outputs(self._theta, at_commands)
         except ClosureError as error:
             error.index = batch_index(commands.shape[:-1], error.index)
             raise
+        return Pose(out.p.reshape(commands.shape), out.R.reshape(*commands.shape, 3))
 
     def close(self, rho: ArrayLike, **conditions: ArrayLike) -> Posture:
         """Close one posture in Pinocchio and return all its joints, errors of the parts included.
@@ -355,8 +342,7 @@ class Machine:
 
     def forward(self, rho: ArrayLike, **conditions: ArrayLike) -> Array:
         """Return the TCP ``(..., 3)``, metres, of commands; arguments as for :meth:`pose`."""
-        commands = self.geometry.commands(rho)
-        return self._outputs(commands, conditions).p.reshape(commands.shape)
+        return self.pose(rho, **conditions).p
 
     def jacobian(self, rho: ArrayLike, **conditions: ArrayLike) -> Array:
         """Return dp/drho ``(..., 3, 3)`` of the TCP; arguments as for :meth:`pose`."""

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 Stage = Literal[
-    "computing", "reading", "identifying", "faults", "searching", "comparing", "testing",
+    "computing", "identifying", "faults", "searching", "comparing", "testing",
     "verifying", "judging", "suggesting", "drawing", "writing",
 ]  # fmt: skip
 
 _STAGES: Mapping[Stage, tuple[str, int]] = {
     "computing": ("", 0),  # the detail says what
-    "reading": ("reading", 2),
     "identifying": ("identifying", 8),
     "faults": ("looking for faults of the data", 20),
     "searching": ("searching for causes", 30),
@@ -39,9 +38,9 @@ class Step:
         return f"{_STAGES[self.stage][0]} {self.detail}".strip()
 
     @property
-    def start_percent(self) -> int:
-        """Start of the stage in the closed-loop computation, per cent."""
-        return _STAGES[self.stage][1]
+    def percent(self) -> float:
+        """What is done of the computation, per cent: counted, or by the stage of a closed loop."""
+        return _STAGES[self.stage][1] if self.done is None else self.done
 
 
 Progress = Callable[[Step], None]

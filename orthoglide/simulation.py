@@ -12,7 +12,7 @@ from orthoglide.errors import ClosureError, InputError, check_integer
 from orthoglide.fit.factors import Factor
 from orthoglide.fit.noise import check_noise, instrument_of
 from orthoglide.geometry import Array
-from orthoglide.instruments import InstrumentPose, Setup
+from orthoglide.instruments import InstrumentPose
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.machine_file.values import check_magnitudes
 from orthoglide.mechanism.perfect_legs import Spheres, commands as commands_of
@@ -92,9 +92,14 @@ def _fill_in(
             drawn = _draw_dial_nuisances(factor, rng)
         else:
             drawn = _draw_tool_nuisances(factor, predicted.reading_poses, rng)
-        stands = map(_displaced_stand, sheet.setups, factor.instrument_poses, drawn)
-        displaced, nuisances = zip(*stands, strict=True)
-        model = MeasurementModel(sheet, displaced, factor.normalized_plate_xy, np.stack(nuisances))
+        displaced, nuisances = list[InstrumentPose](), np.zeros_like(drawn)
+        for setup, stand, row, drawn_row in zip(
+            sheet.setups, factor.instrument_poses, nuisances, drawn, strict=True
+        ):
+            own = slice(setup.observation.nuisance_count)
+            pose, row[own] = setup.observation.apply_pose_nuisances(stand, drawn_row[own])
+            displaced.append(pose)
+        model = MeasurementModel(sheet, tuple(displaced), factor.normalized_plate_xy, nuisances)
         readings = model.predict(machine.model, machine.values)
     sigma, resolution = sheet.sigma.copy(), np.zeros(len(sheet))
     for observation, rows in sheet.observations:
@@ -131,15 +136,6 @@ def _draw_tool_nuisances(factor: Factor, poses: ReadingPoses, rng: np.random.Gen
         visible = poses.nuisance_jacobian[factor.setup == k].any(axis=0) & (sigma > 0)
         nuisances[k, visible] = rng.normal(scale=np.minimum(sigma[visible], _DATUM_RANGE))
     return nuisances
-
-
-def _displaced_stand(
-    setup: Setup, stand: InstrumentPose, drawn: Array
-) -> tuple[InstrumentPose, Array]:
-    """Return the displaced pose of an instrument, and the nuisances ``(K,)`` that remain."""
-    count = setup.observation.nuisance_count
-    stand, remaining = setup.observation.apply_pose_nuisances(stand, drawn[:count])
-    return stand, np.pad(remaining, (0, len(drawn) - count))
 
 
 def _nuisance_sigmas(factor: Factor) -> Array:

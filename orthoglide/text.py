@@ -119,11 +119,10 @@ def wrapped(text: str) -> str:
     )  # fmt: skip
 
 
-def is_terminal(err: bool = False) -> bool:
-    """Return whether the output, or the error stream, is a terminal."""
-    stream = sys.stderr if err else sys.stdout
+def is_terminal() -> bool:
+    """Return whether the output is a terminal."""
     try:
-        return stream is not None and stream.isatty()
+        return sys.stdout is not None and sys.stdout.isatty()
     except (AttributeError, ValueError):  # no file, or closed
         return False
 

@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import wraps
-from typing import ParamSpec, TypeVar
+from typing import Any, TypeVar
 
-_P = ParamSpec("_P")
-_R = TypeVar("_R")
+from threadpoolctl import threadpool_limits
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def on_one_thread(function: Callable[_P, _R]) -> Callable[_P, _R]:
+def on_one_thread(function: _Function) -> _Function:
     """Return the function with linear algebra on one thread while it runs.
 
     Its matrices are small: on several cores synchronisation takes up to ten times as long as the
     work itself. The number of threads of the calling program does not change.
     """
-
-    @wraps(function)
-    def wrapper(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        from threadpoolctl import threadpool_limits
-
-        with threadpool_limits(1, user_api="blas"):
-            return function(*args, **kwargs)
-
-    return wrapper
+    wrapped: _Function = threadpool_limits.wrap(limits=1, user_api="blas")(function)
+    return wrapped

@@ -1,4 +1,4 @@
-"""The border between files and SI: units and exact conversion.
+"""The border between files and SI: units, kinds of values, and exact conversion.
 
 A number in a file is a decimal; it becomes SI by shifting its decimal point and is rounded to
 binary once. Writing shifts the shortest decimal back. So 310.25 mm is read as the float nearest
@@ -7,9 +7,11 @@ to 0.31025 m and written as 310.25 again, and every round trip is exact.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from decimal import Decimal
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Unit(NamedTuple):
@@ -63,6 +65,23 @@ UNIT_MISTAKES = {
     0.01: "in hundredths of a millimetre",
 }
 """Factors that correct readings in a wrong unit, with the mistake in words."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Kind of a value in a file.
+
+    Attributes:
+        allowed: the allowed values, as words that follow "must be".
+        read: converts a value of the file to SI, or raises ValueError with the remedy.
+        write: converts a value in SI to that of the file.
+        unit: in the file; empty for none.
+    """
+
+    allowed: str
+    read: Callable[[Any], Any]
+    write: Callable[[Any], Any] = lambda value: value
+    unit: str = ""
 
 
 def to_si(number: str | int | float | Decimal, factor: float = 1.0) -> float:

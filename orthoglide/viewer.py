@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from html import escape
 from itertools import product
@@ -101,15 +102,11 @@ class MagnifiedMachine:
         within their strokes; at most half a stroke.
         """
         geometry = self.model.geometry
-        low, high = geometry.stroke
-        for share in np.linspace(0.5, 0.05, 10):
-            goal = start + share * (high - low) * direction
-            try:
-                (rho,) = commands_of(self.model.mechanism.spheres, goal[None])
-            except UnreachableError:
-                continue
-            if (low <= rho - geometry.zero).all() and (rho - geometry.zero <= high).all():
-                return float(share * (high - low))
+        for reach in np.linspace(0.5, 0.05, 10) * np.ptp(geometry.stroke):
+            with suppress(UnreachableError):
+                rho = commands_of(self.model.mechanism.spheres, (start + reach * direction)[None])
+                if geometry.in_stroke(rho, 0.0).all():
+                    return float(reach)
         return 0.0
 
 
@@ -124,7 +121,12 @@ def show(machine: MagnifiedMachine, rho: Array, *, open_browser: bool = False) -
     Raises:
         InputError: if meshcat is not installed, or the loops do not close with errors this large.
     """
-    visualizer = _visualizer()
+    try:
+        import meshcat  # noqa: F401
+    except ImportError:
+        raise InputError("the viewer needs meshcat: pip install orthoglide[viewer]") from None
+    from pinocchio.visualize import MeshcatVisualizer
+
     if rho.shape != (3,):
         raise InputError(f"the viewer shows one command of shape (3,), not {rho.shape}")
     if not (np.isfinite(machine.factor) and machine.factor >= 0):
@@ -135,7 +137,7 @@ def show(machine: MagnifiedMachine, rho: Array, *, open_browser: bool = False) -
     visual = visual_model(tree, mechanism.looped)
     fit_bars(visual, tree, displacements)
     bent_rails = bend_rails(visual, paths, _RAIL_DISTANCE * geometry.d)
-    viewer = visualizer(tree.model, None, visual)
+    viewer = MeshcatVisualizer(tree.model, None, visual)
     viewer.initViewer()
     viewer.loadViewerModel("machine")
     viewer.display(posture.q)
@@ -144,7 +146,7 @@ def show(machine: MagnifiedMachine, rho: Array, *, open_browser: bool = False) -
         fixed = [str(item.name) for item in nominal.geometryObjects if item.parentJoint == 0]
         for name in set(fixed) - set(bent_rails):
             nominal.removeGeometryObject(name)
-        ghost = visualizer(tree.model, None, nominal)
+        ghost = MeshcatVisualizer(tree.model, None, nominal)
         ghost.initViewer(viewer=viewer.viewer)
         ghost.loadViewerModel("nominal", visual_color=_NOMINAL_COLOUR)
         ghost.display(mechanism.close(rho).q)
@@ -153,17 +155,6 @@ def show(machine: MagnifiedMachine, rho: Array, *, open_browser: bool = False) -
     if open_browser:
         viewer.viewer.open()
     return viewer
-
-
-def _visualizer() -> Any:
-    """Return Pinocchio's class of viewers."""
-    try:
-        import meshcat  # noqa: F401
-    except ImportError:
-        raise InputError("the viewer needs meshcat: pip install orthoglide[viewer]") from None
-    from pinocchio.visualize import MeshcatVisualizer
-
-    return MeshcatVisualizer
 
 
 def _animate(viewer: Any, machine: MagnifiedMachine, rho: Array, posture: Posture) -> None:

@@ -17,11 +17,10 @@ LONGEST_FUNCTION = 60
 
 # A part (module or folder) may import from the layers below its own, never from beside or above.
 LAYERS: tuple[frozenset[str], ...] = (
-    frozenset(
-        {"errors", "notes", "ordering", "parameters", "progress", "text", "threads", "units"}
-    ),
+    frozenset({"notes", "ordering", "parameters", "progress", "text", "threads", "units"}),
+    frozenset({"errors"}),
     frozenset({"add_ons", "layout"}),
-    frozenset({"geometry", "files", "foreign", "frames", "numerals", "quantities"}),
+    frozenset({"geometry", "files", "foreign", "frames", "numerals"}),
     frozenset({"reduction", "urdf", "effects", "scene"}),
     frozenset({"instruments"}),
     frozenset({"mechanism", "machine_file"}),
@@ -145,13 +144,14 @@ def test_no_two_files_import_each_other() -> None:
 
 
 # Where the name of a firmware may stand outside `firmware/`: its command, and its Python functions.
-NAMES_FIRMWARE = {"foreign.py", "__init__.py", "cli/machines.py"}
+NAMES_FIRMWARE = {"foreign.py", "__init__.pyi", "cli/machines.py"}
 _FIRMWARE = re.compile("klipper|reprap|smoothie|marlin|rrf", re.IGNORECASE)
 
 
 def test_only_commands_name_a_firmware() -> None:
     """Everything else asks through `add_ons`; texts, keys and templates count too."""
-    every = [p for p in PACKAGE.rglob("*") if p.suffix in (".py", ".j2", ".toml", ".js", ".css")]
+    suffixes = (".py", ".pyi", ".j2", ".toml", ".js", ".css")
+    every = [p for p in PACKAGE.rglob("*") if p.suffix in suffixes]
     found = {
         str(path.relative_to(PACKAGE))
         for path in every

@@ -183,7 +183,7 @@ def test_a_bar_from_the_first_second(here: Path) -> None:
 def test_progress_is_shown_when_piped(capsys: pytest.CaptureFixture[str]) -> None:
     """Plain lines, at most one a second, none of a run that is over at once."""
     with progress(quiet=False) as show:
-        show(Step("reading"))
+        show(Step("identifying"))
         assert capsys.readouterr().err == ""
         time.sleep(1.1)
         show(Step("comparing", "axis_tilt.y.z"))

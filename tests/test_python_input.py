@@ -87,7 +87,7 @@ def test_misspelt_options(call: Callable[[], Any], words: str) -> None:
     ("no parameters", lambda: WORN.with_parameters(None), "give {NAME: NUMBER}, not a NoneType"),
     ("pairs", lambda: WORN.with_parameters([("joint_offset.x", 0.0)]), "go by name"),
     ("only", lambda: WORN.with_only({"joint_offset.x": "1"}), "joint_offset.x must be a number"),
-    ("sigmas", lambda: WORN.with_only({}, [1.0]), "standard deviations go by name"),
+    ("sigmas", lambda: WORN.with_parameters({}, [1.0]), "standard deviations go by name"),
     ("two radii", lambda: og.LinearDelta(radius=(0.1, 0.1)), "radius must be three finite numbers"),
     ("a tool", lambda: og.LinearDelta(radius=0.1, tool="a"), "tool must be numbers"),
     ("a leg", lambda: og.FreeLeg("one", (0, 0), (1, 0, 0), (0, 1, 0)), "leg one: origin must be t"),

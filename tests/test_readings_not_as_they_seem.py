@@ -13,7 +13,7 @@ import orthoglide as og
 from benchmarks.attribution_cases import base_errors
 from benchmarks.attribution_run import campaign as campaign_of
 from orthoglide.errors import InputError
-from orthoglide.machine_file.measured import Measured
+from orthoglide.machine_file.model import Measured
 from orthoglide.simulation import simulate, simulate_tcp
 from tests import rig_campaigns as rc
 from tests.rig import Rig

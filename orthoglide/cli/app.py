@@ -14,12 +14,11 @@ import click
 
 from orthoglide import __version__
 from orthoglide.errors import InputError, OrthoglideError
-from orthoglide.files import write_files
+from orthoglide.files import system_reason, write_files
 from orthoglide.progress import Progress, Step
 from orthoglide.text import MACHINE_OPTION, abbreviated
 
 BAD_INPUT, NUMERICS_FAILED, INTERRUPTED = 2, 3, 130  # 130: 128 + SIGINT, as shells have it
-_STOPPED = "interrupted: nothing is left half written"
 _MAX_MESSAGE = 1000  # characters of an error: file, line and remedy fit, a pasted file does not
 _MAX_HELP_SENTENCE = 200  # characters: no first sentence of a command's help is cut in the list
 _RESUMABLE = ("measure", "rehearse")  # commands that keep in --out what was done
@@ -27,12 +26,7 @@ _PROGRESS_INTERVAL = 1.0  # seconds between two lines of progress where the erro
 
 
 class Refusal(click.ClickException):
-    """Ends a command with one sentence on the error stream.
-
-    Args:
-        message: the sentence.
-        exit_code: of the process.
-    """
+    """Ends a command with one sentence on the error stream, and an exit code."""
 
     def __init__(self, message: str, exit_code: int) -> None:
         super().__init__(abbreviated(" ".join(message.split()), _MAX_MESSAGE))
@@ -47,11 +41,7 @@ class Command(click.Command):
     """A command that takes its machine file by itself as well as with ``--machine``."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Read the command line; a word that ends in .toml and is no option's value is the machine.
-
-        Raises:
-            InputError: if two machine files are given.
-        """
+        """Read the command line; a word in .toml that is no option's value is the machine file."""
         options = [p for p in self.params if isinstance(p, click.Option)]
         if not any("--machine" in option.opts for option in options):
             return super().parse_args(ctx, args)
@@ -76,24 +66,13 @@ class Command(click.Command):
             raise
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; an interrupt ends it with one sentence."""
-        try:
+        """Run the command; an error becomes an exit code and one sentence."""
+        with _refusals(ctx):
             return super().invoke(ctx)
-        except InputError as error:
-            machine_options = getattr(ctx.params.get("machine"), "words", "") or MACHINE_OPTION
-            raise Refusal(str(error).replace(MACHINE_OPTION, machine_options), BAD_INPUT) from error
-        except KeyboardInterrupt:
-            message = _STOPPED
-            if ctx.info_name in _RESUMABLE and ctx.params["out"] is not None:
-                message += "; the same command goes on from what --out holds"
-            raise Refusal(message, INTERRUPTED) from None
 
 
 class Group(click.Group):
-    """A group that lists its commands in the order of the work, and reports the package's errors.
-
-    ``ORTHOGLIDE_TRACEBACK=1`` shows where an unexpected error was raised.
-    """
+    """A group that lists its commands in the order of the work."""
 
     command_class = Command
 
@@ -108,28 +87,43 @@ class Group(click.Group):
                                 for name, command in self.commands.items()])  # fmt: skip
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run a command; an error becomes an exit code and one sentence."""
-        try:
+        """Run a command; an error in its options becomes an exit code and one sentence."""
+        with _refusals(ctx):
             return super().invoke(ctx)
-        except OrthoglideError as error:
-            code = BAD_INPUT if isinstance(error, InputError) else NUMERICS_FAILED
-            raise Refusal(str(error), code) from error
-        except (click.ClickException, click.exceptions.Exit, click.Abort):
-            raise
-        except KeyboardInterrupt:  # before a command began
-            raise Refusal(_STOPPED, INTERRUPTED) from None
-        except Exception as error:
-            broken_pipe = isinstance(error, OSError) and error.errno == errno.EPIPE
-            if broken_pipe or os.environ.get("ORTHOGLIDE_TRACEBACK"):
-                raise  # click ends quietly where the reader of a pipe has left
-            raise _unexpected_refusal(error) from error
+
+
+@contextmanager
+def _refusals(ctx: click.Context) -> Iterator[None]:
+    """Turn errors within the block into refusals.
+
+    ``ORTHOGLIDE_TRACEBACK=1`` shows where an unexpected error was raised.
+    """
+    try:
+        yield
+    except InputError as error:
+        machine_options = getattr(ctx.params.get("machine"), "words", "") or MACHINE_OPTION
+        raise Refusal(str(error).replace(MACHINE_OPTION, machine_options), BAD_INPUT) from error
+    except OrthoglideError as error:
+        raise Refusal(str(error), NUMERICS_FAILED) from error
+    except (click.ClickException, click.exceptions.Exit, click.Abort):
+        raise
+    except KeyboardInterrupt:
+        message = "interrupted: nothing is left half written"
+        if ctx.info_name in _RESUMABLE and ctx.params["out"] is not None:
+            message += "; the same command goes on from what --out holds"
+        raise Refusal(message, INTERRUPTED) from None
+    except Exception as error:
+        broken_pipe = isinstance(error, OSError) and error.errno == errno.EPIPE
+        if broken_pipe or os.environ.get("ORTHOGLIDE_TRACEBACK"):
+            raise  # click ends quietly where the reader of a pipe has left
+        raise _unexpected_refusal(error) from error
 
 
 def _unexpected_refusal(error: Exception) -> Refusal:
     """Return the refusal for an error that no function of the package raised on purpose."""
     kind, text = type(error).__name__, abbreviated(str(error), 200)
     if isinstance(error, OSError):
-        reason = (error.strerror or text).lower()
+        reason = system_reason(error)
         return Refusal(f"the output cannot be written ({reason}): choose another place", BAD_INPUT)
     if isinstance(error, ArithmeticError | MemoryError) or kind == "LinAlgError":
         message = f"the numerics failed ({kind}: {text}): look for readings far from all others"
@@ -179,8 +173,7 @@ def progress(quiet: bool) -> Iterator[Progress]:
         task = bar.add_task("starting", total=100)
 
         def show(step: Step) -> None:
-            done = step.start_percent if step.done is None else step.done
-            completed = max(done, bar.tasks[0].completed)
+            completed = max(step.percent, bar.tasks[0].completed)
             bar.update(task, description=str(step), completed=completed)
 
         yield show
@@ -195,11 +188,7 @@ def warn(sentences: Iterator[str] | tuple[object, ...]) -> None:
 def deliver(
     text: str, files: Mapping[Any, str | bytes] | None = None, folder: Path | None = None
 ) -> None:
-    """Write new files, all or none, into a new folder if one is given; and print an answer.
-
-    Raises:
-        FileError: if a file exists already or cannot be written.
-    """
+    """Write new files, all or none, into a new folder if one is given; and print an answer."""
     if folder is None:
         write_files(files or {})
     else:

@@ -15,7 +15,6 @@ import orthoglide.cli.options as opt
 from orthoglide.cli.app import cli, deliver, progress, warn
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.numerals import compact
-from orthoglide.progress import Step
 from orthoglide.text import wrapped
 
 if TYPE_CHECKING:
@@ -106,10 +105,7 @@ def _report_line(folder: Path, page: str = "report.html") -> str:
 
 
 def _demo_requests(seed: int, files: dict[str, str | bytes]) -> dict[str, tuple[str, Request]]:
-    """Return an introduction and the request of each run of the demo, by name.
-
-    The input of the runs is added to ``files``.
-    """
+    """Return an introduction and the request of each run by name; their input joins ``files``."""
     from importlib.resources import as_file, files as packaged
     from tempfile import TemporaryDirectory
 
@@ -198,15 +194,10 @@ def _run(
     fit_tcp: tuple[Path, ...], quiet: bool, as_json: bool,
     settings: Mapping[str, Any] | None = None, **options: Any,
 ) -> None:  # fmt: skip
-    """Run a request, write its folder if there is one, and print the result.
-
-    Raises:
-        InputError: if a file or an option cannot be used.
-    """
+    """Run a request, write its folder if there is one, and print the result."""
     if not campaigns and not fit_tcp:
         raise InputError("name at least one campaign, or TCP points with --fit-tcp")
     with progress(quiet or as_json) as step:
-        step(Step("reading"))
         from orthoglide.observations import read_tcp
         from orthoglide.report import report_files, result_text
         from orthoglide.text import printable_path
@@ -266,7 +257,6 @@ def check(
             f"readings: give the result.json beside it"
         )
     with progress(quiet) as step:
-        step(Step("reading"))
         from orthoglide.checking import check as compare, read_states
         from orthoglide.checking.pages import changes_text, check_files
         from orthoglide.observations.repetition import copied_files
@@ -304,7 +294,6 @@ def rerun(result: Path, effects_file: Path | None, out: Path | None, quiet: bool
       orthoglide rerun april --out again
     """
     with progress(quiet) as step:
-        step(Step("reading"))
         from orthoglide.files import result_file
         from orthoglide.report import report_files, result_text
         from orthoglide.result import read_result, request_of

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from contextlib import redirect_stdout
 from dataclasses import replace
 from io import StringIO
@@ -22,7 +21,7 @@ from orthoglide.text import csv_text
 if TYPE_CHECKING:
     from orthoglide.firmware.imported import Imported
     from orthoglide.geometry import Array
-    from orthoglide.machine import Machine
+    from orthoglide.observations.checks import Fail
 
 _force_option = opt.flag("--force", "Even where the verdict says not to act on the numbers.")
 
@@ -203,12 +202,19 @@ def _compute(
     to_tcp: bool, *, numbers: tuple[float, ...], machine: opt.MachineOption, csv: Path | None,
     out: Path | None,
 ) -> None:  # fmt: skip
-    """Print the TCP of commands, or commands for a TCP; or append them to the rows of a file.
-
-    Raises:
-        InputError: if a number is missing or out of reach; names file and line.
-    """
+    """Print the TCP of commands, or commands for a TCP; or append them to the rows of a file."""
     import numpy as np
+
+    from orthoglide.observations.checks import check_commands
+    from orthoglide.observations.columns import native_command_column, stated_commands
+    from orthoglide.observations.schema import APPROACH, POINT
+    from orthoglide.observations.table import read_table
+
+    def solve(inputs: Array, fail: Fail, as_travel: bool = False, **approach: Array) -> Array:
+        """Return the TCP of commands ``(n, 3)``, or the commands of a TCP, metres."""
+        if to_tcp:
+            return robot.forward(check_commands(inputs, as_travel, robot.spec, fail), **approach)
+        return check_commands(robot.inverse(inputs, **approach), False, robot.spec, fail)
 
     if (csv is None) == (not numbers) or (out is not None and csv is None):
         raise InputError("give either three numbers in mm, or --csv with the rows to compute")
@@ -216,13 +222,9 @@ def _compute(
     if csv is None:
         if len(numbers) != 3 or not np.isfinite(numbers).all():
             raise InputError("give exactly three finite numbers, in mm")
-        results = _solve_kinematics(to_tcp, robot, np.array([numbers]) * 1e-3, _raise_input_error)
-        click.echo(" ".join(map(_millimetres, results[0])))
+        result = solve(np.array([numbers]) * 1e-3, _raise_input_error)[0]
+        click.echo(" ".join(map(_millimetres, result)))
         return
-    from orthoglide.observations.columns import native_command_column, stated_commands
-    from orthoglide.observations.schema import APPROACH, POINT
-    from orthoglide.observations.table import read_table
-
     rows, layout = read_table(csv), robot.geometry.layout.names
     columns, result_columns = replace(POINT, empty_value=None), native_command_column(layout)
     if to_tcp:
@@ -232,8 +234,8 @@ def _compute(
     approach = {}
     if set(APPROACH.names(layout.legs)) <= set(rows.names):
         approach["approach"] = rows.array(APPROACH, layout.legs)
-    as_travel, values = names[0].startswith("travel"), rows.array(columns, layout.legs)
-    results = _solve_kinematics(to_tcp, robot, values, rows.fail, as_travel, **approach)
+    values = rows.array(columns, layout.legs)
+    results = solve(values, rows.fail, names[0].startswith("travel"), **approach)
     if result_names[0].startswith("travel"):
         results = robot.spec.controller.from_rho(results, robot.geometry)
     if set(result_names) & set(rows.names):  # desired values stay beside the computed ones
@@ -243,22 +245,6 @@ def _compute(
         ([*row, *map(_millimetres, new)] for row, new in zip(rows.rows, results, strict=True)),
     )
     _deliver_table(text, out, f"{len(results)} rows" if out else "")
-
-
-def _solve_kinematics(
-    to_tcp: bool, machine: Machine, inputs: Array, fail: Callable[[str, int | None], NoReturn],
-    as_travel: bool = False, **approach: Array,
-) -> Array:  # fmt: skip
-    """Return the TCP of commands ``(n, 3)``, or the commands of a TCP, metres.
-
-    With ``as_travel`` the commands are the controller's values. ``approach`` is the direction in
-    which each drive arrives, where it is known.
-    """
-    from orthoglide.observations.checks import check_commands
-
-    if to_tcp:
-        return machine.forward(check_commands(inputs, as_travel, machine.spec, fail), **approach)
-    return check_commands(machine.inverse(inputs, **approach), False, machine.spec, fail)
 
 
 def _raise_input_error(message: str, row: int | None) -> NoReturn:
@@ -288,23 +274,22 @@ def view(machine: opt.MachineOption, magnify: float, out: Path | None, no_open: 
       orthoglide view april/calibrated.toml --magnify 50 --out april.html
     """
     from orthoglide.pictures import SHOWN_CONDITIONS
-    from orthoglide.viewer import MagnifiedMachine, show, static_page
 
     opt.exclude("out", "no_open", because="a page is written, and no viewer is opened")
     robot = machine.load()
-    zero = robot.geometry.zero
-    drawn = MagnifiedMachine(robot.model, robot.values, SHOWN_CONDITIONS, magnify)
     with redirect_stdout(StringIO()):  # meshcat prints the address of its server
-        viewer = show(drawn, zero, open_browser=out is None and not no_open)
+        viewer = robot.show(
+            magnify=magnify, out=out, open_browser=out is None and not no_open, **SHOWN_CONDITIONS
+        )
     description = "without errors"
     if robot.values:
+        zero = robot.geometry.zero
         tool_error = robot.forward(zero, **SHOWN_CONDITIONS) - robot.with_only({}).forward(zero)
         distances = ", ".join(plain(1e3 * v, 3) for v in tool_error)
         scale = "true to scale" if magnify == 1 else f"errors {magnify:g} times as large"
         description = f"{scale}; its errors put the tool {distances} mm off in x, y and z"
     if out is not None:
-        page = static_page(viewer, drawn, robot.spec.title)
-        deliver(f"{click.format_filename(out)}: the machine, {description}", {out: page})
+        deliver(f"{click.format_filename(out)}: the machine, {description}")
         return
     deliver(f"{viewer.viewer.url()} shows the machine, {description}")
     click.pause("Press a key to end the viewer.")  # at once where nobody is at a terminal

@@ -29,19 +29,15 @@ _INSTRUMENT_KINDS = ("leg (dials), parallelism, tcp, plate, distance, ballbar, i
 
 
 def _dial_sheet(path: Path, machine: Machine, remedy: str) -> Readings:
-    """Return a measuring sheet of single dials on legs, filled in or not.
-
-    Raises:
-        FileError: if it has other readings; ``remedy`` says what to do with them.
+    """Return a measuring sheet of single dials on legs, filled in or not; if it has other readings,
+    an error says what to do with them.
     """
     from orthoglide.observations import read_readings
 
     sheet = read_readings(path, machine.spec, require_readings=False)[-1]
     if other_kinds := dict.fromkeys(s.kind for s in sheet.setups if s.observation.dials != 1):
         contents = "readings at the tool" if sheet.of_tool else "readings of two dials at a time"
-        raise FileError(
-            f"holds {contents} ({', '.join(other_kinds)}): {remedy}", file=printable_path(path)
-        )
+        raise FileError(f"holds {contents} ({', '.join(other_kinds)}): {remedy}", file=path)
     return sheet
 
 

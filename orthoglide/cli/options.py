@@ -128,37 +128,28 @@ class MachineOption:
         return text
 
     def load(self) -> Machine:
-        """Return the machine, and print warnings about its file.
-
-        Raises:
-            FileError: naming file, line and remedy.
-        """
+        """Return the machine, and print warnings about its file."""
         from orthoglide.machine import Machine
 
-        effects = self.effects
-        machine = Machine.nominal() if self.path is None else Machine.load(self.path, effects)
+        machine = Machine.of(self.path, self.effects)
         printer = machine.spec.printer
         doubts = "" if printer is None else printer.doubts(machine)
         warn(tuple(filter(None, (doubts, *machine.warnings))))
-        return machine.with_effects(effects)
+        return machine
 
 
 def machine(required: bool = False) -> Decorator:
     """Return the options ``--machine FILE`` and ``--effects-file``, together a `MachineOption`."""
-    key = "orthoglide.effects_file"
-
-    def store_effects(context: click.Context, _: Any, path: Path | None) -> None:
-        context.meta[key] = path
 
     def combine(context: click.Context, _: Any, path: Path | None) -> MachineOption:
-        return MachineOption(path, context.meta.get(key))
+        return MachineOption(path, context.params.pop("effects_file", None))
 
     ending = "." if required else "; the nominal Orthoglide if absent."
     return combine_options(
         file("--machine", f"Machine file, also by itself{ending}", "FILE.toml",
              required=required, callback=combine),
         file("--effects-file", "Python file with effects of your own, beside the catalogue.",
-             "FILE.py", is_eager=True, expose_value=False, callback=store_effects),
+             "FILE.py", is_eager=True),
     )  # fmt: skip
 
 
@@ -187,11 +178,8 @@ quiet = flag("--quiet", "No progress; the answer in one line.")
 
 
 def noise(default_text: str = "the machine file's", minimum: float = NOISE_LIMITS[0]) -> Decorator:
-    """Return the option ``--noise MM``, metres in Python.
-
-    Args:
-        default_text: which value is used without the option, for the help.
-        minimum: smallest value that is accepted, metres.
+    """Return the option ``--noise MM``, metres in Python and no less than ``minimum``; help says
+    which value is used without it.
     """
 
     def metres(_: Any, __: Any, value: float | None) -> float | None:
@@ -212,12 +200,8 @@ def noise(default_text: str = "the machine file's", minimum: float = NOISE_LIMIT
 
 
 def values_in_si(option: str, numbers: Pairs, catalogue: Catalogue) -> dict[str, float]:
-    """Return the numbers of an option by name, in SI.
-
-    Numbers are given in the units of files; that of TCP is given in millimetres.
-
-    Raises:
-        InputError: if a name is given twice or is unknown.
+    """Return the numbers of an option by name, in SI; they are given in the units of files, that of
+    TCP in millimetres.
     """
     values = dict[str, float]()
     for name, value in numbers:
@@ -228,10 +212,8 @@ def values_in_si(option: str, numbers: Pairs, catalogue: Catalogue) -> dict[str,
 
 
 def exclude(option: str, *others: str, because: str) -> None:
-    """Refuse options that have no effect together with another one, by their names in Python.
-
-    Raises:
-        InputError: if ``option`` and one of the others were given; ``because`` is the reason.
+    """Refuse options, by their names in Python, that have no effect together with another one;
+    ``because`` is the reason.
     """
     context = click.get_current_context()
     texts = {p.name: _option_text(p) for p in context.command.params}

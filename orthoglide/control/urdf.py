@@ -80,27 +80,23 @@ def calibrated_urdf(machine: MachineSource) -> str:
     machine = Machine.of(machine)
     nominal = load(machine.spec.urdf or machine.geometry).text
     robot = ET.fromstring(nominal)
-    origins = {j.get("name"): j.find("origin") for j in robot.iter("joint")}
-    axes = {j.get("name"): j.find("axis") for j in robot.iter("joint")}
+    joints = {str(joint.get("name")): joint for joint in robot.iter("joint")}
     for leg, (moves, slope) in _leg_displacements(machine).items():
-        slide = origins[f"{leg}_slide"]
-        orientation = Rotation.from_euler("xyz", _attribute(slide, "rpy"))
+        slide, carriage = joints[f"{leg}_slide"], joints[f"{leg}_theta"]
         path = np.array([moves["travel"], moves["lateral_b"], moves["lateral_c"]])
-        _shift(slide, orientation.apply(path))
-        direction = np.array([1.0, *slope])
-        axis = axes[f"{leg}_slide"]
-        if axis is not None and slope.any():
-            axis.set("xyz", _numbers_text(direction / np.linalg.norm(direction)))
+        _shift(slide, Rotation.from_euler("xyz", _numbers(slide, "origin", "rpy")).apply(path))
+        if slope.any():
+            direction = np.array([1.0, *slope])
+            _set_numbers(slide, "axis", "xyz", direction / np.linalg.norm(direction))
         angles = [moves["turn_a"], moves["turn_b"], moves["turn_c"]]
-        carriage = origins[f"{leg}_theta"]
-        if carriage is not None and any(angles):  # about a, the turned b, then the turned c
-            tilt = Rotation.from_euler("xyz", _attribute(carriage, "rpy"))
+        if any(angles):  # about a, the turned b, then the turned c
+            tilt = Rotation.from_euler("xyz", _numbers(carriage, "origin", "rpy"))
             rotation = Rotation.from_euler("XYZ", angles) * tilt
-            carriage.set("rpy", _numbers_text(rotation.as_euler("xyz")))
-        _shift(origins[f"{leg}_knuckle"], [-moves["stretch1"], 0, 0])
-        _shift(origins[f"{leg}_bar2_tip_fixed"], [-moves["stretch2"], 0, 0])
-        _shift(origins[f"{leg}_platform"], [0, 0, -moves["width1"]])
-        _shift(origins[f"{leg}_knuckle_tip_fixed"], [0, 0, -moves["width1"] - moves["width2"]])
+            _set_numbers(carriage, "origin", "rpy", rotation.as_euler("xyz"))
+        _shift(joints[f"{leg}_knuckle"], [-moves["stretch1"], 0, 0])
+        _shift(joints[f"{leg}_bar2_tip_fixed"], [-moves["stretch2"], 0, 0])
+        _shift(joints[f"{leg}_platform"], [0, 0, -moves["width1"]])
+        _shift(joints[f"{leg}_knuckle_tip_fixed"], [0, 0, -moves["width1"] - moves["width2"]])
     ET.indent(robot)
     body = ET.tostring(robot, encoding="unicode")
     return f'<?xml version="1.0"?>\n<!-- {_comment(machine)} -->\n{body}\n'
@@ -189,15 +185,18 @@ def _comment(machine: Machine, of_format: str = "URDF") -> str:
     return re.sub("-(?=-)", "- ", "\n     ".join(lines))
 
 
-def _attribute(element: ET.Element | None, name: str) -> Array:
-    text = "" if element is None else element.get(name, "")
+def _numbers(joint: ET.Element, child: str, attribute: str) -> Array:
+    element = joint.find(child)
+    text = "" if element is None else element.get(attribute, "")
     return np.array(text.split(), dtype=float) if text else np.zeros(3)
 
 
-def _numbers_text(values: Array) -> str:
-    return " ".join(repr(float(v) + 0.0) for v in values)
+def _set_numbers(joint: ET.Element, child: str, attribute: str, values: Array) -> None:
+    element = joint.find(child)
+    element = ET.SubElement(joint, child) if element is None else element
+    element.set(attribute, " ".join(repr(float(v) + 0.0) for v in values))
 
 
-def _shift(origin: ET.Element | None, displacement: Array | list[float]) -> None:
-    if origin is not None and np.any(displacement):
-        origin.set("xyz", _numbers_text(_attribute(origin, "xyz") + displacement))
+def _shift(joint: ET.Element, displacement: Array | list[float]) -> None:
+    if np.any(displacement):
+        _set_numbers(joint, "origin", "xyz", _numbers(joint, "origin", "xyz") + displacement)

@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.numerals import signed
 from orthoglide.observations import Readings, protocol
-from orthoglide.ordering import best_of
+from orthoglide.ordering import largest
 
 ShownPositions = tuple[float, float, float]
 
@@ -115,21 +116,23 @@ def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
     if not machine.geometry.dialled:  # whose legs no dial is set against
         return ()
     sheet = protocol("standard", machine.geometry)
-    pairs = [pair for setup in range(len(sheet.setups)) for pair in _posture_pairs(sheet, setup)]
-    effect_of = machine.catalogue.effect_of
-    backlash = [v for n, v in machine.values.items() if effect_of(n).controller == "backlash"]
-    resolution = machine.spec.dial.resolution
-    has_backlash = any(abs(v) > resolution / 2 for v in backlash)
+    pairs = np.concatenate([_posture_pairs(sheet, setup) for setup in range(len(sheet.setups))])
+    effect_of, resolution = machine.catalogue.effect_of, machine.spec.dial.resolution
+    has_backlash = any(
+        abs(value) > resolution / 2 and effect_of(name).controller == "backlash"
+        for name, value in machine.values.items()
+    )
     right = _readings_at_shift(machine, sheet, -offsets)
     checks = []
     for drive in np.flatnonzero(offsets):
         wrong_offsets = np.where(np.arange(3) == drive, offsets, -offsets)
         wrong = _readings_at_shift(machine, sheet, wrong_offsets)
         change = right - wrong
-        separation = {(first, row): abs(change[row] - change[first]) for first, row in pairs}
-        first, row = best_of(pairs, separation.__getitem__)
-        if separation[first, row] < 2 * resolution:
+        separation = abs(change[pairs[:, 1]] - change[pairs[:, 0]])
+        best = largest(separation)
+        if separation[best] < 2 * resolution:
             continue
+        first, row = pairs[best].tolist()
         setup = sheet.setups[sheet.setup[row]]
         checks.append(
             ZeroCheck(
@@ -149,12 +152,12 @@ def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
     return tuple(checks)
 
 
-def _posture_pairs(sheet: Readings, setup: int) -> list[tuple[int, int]]:
-    """Return the first rows of a setup at Zero and at each of its other postures."""
+def _posture_pairs(sheet: Readings, setup: int) -> NDArray[np.int64]:
+    """Return the first rows ``(n, 2)`` of a setup at Zero and at each of its other postures."""
     rows = np.flatnonzero(sheet.setup == setup)
     first_rows = {sheet.posture[row]: int(row) for row in rows[::-1]}
     zero = first_rows.pop("zero")
-    return [(zero, row) for row in first_rows.values()]
+    return np.array([(zero, row) for row in first_rows.values()])
 
 
 def _readings_at_shift(machine: Machine, sheet: Readings, shift: Array) -> Array:

@@ -14,7 +14,6 @@ import numpy as np
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.motions import Basis, DialReading, LegConditions
 from orthoglide.errors import FileError, InputError
-from orthoglide.text import printable_path
 
 _ARITHMETIC = (
     "write it with + - * / ** and with sin and cos of orthoglide.effects, without math, or if "
@@ -97,18 +96,16 @@ def load_effects(path: str | os.PathLike[str] | None) -> tuple[Effect, ...]:
     if path is None:
         return ()
     if not Path(path).is_file():
-        raise FileError("there is no such file: check the name", file=printable_path(path))
+        raise FileError("there is no such file: check the name", file=path)
     try:
         variables = runpy.run_path(os.fspath(path))
     except SyntaxError as error:
         raise FileError(
-            f"is not Python ({error.msg}): correct it", file=printable_path(path), line=error.lineno
+            f"is not Python ({error.msg}): correct it", file=path, line=error.lineno
         ) from None
     except (Exception, SystemExit) as error:
-        raise FileError(
-            f"fails with {type(error).__name__}: {error}", file=printable_path(path)
-        ) from error
+        raise FileError(f"fails with {type(error).__name__}: {error}", file=path) from error
     effects = [value for value in variables.values() if isinstance(value, Effect)]
     if not effects:
-        raise FileError("declares no Effect at its top level: add one", file=printable_path(path))
+        raise FileError("declares no Effect at its top level: add one", file=path)
     return tuple(dict.fromkeys(effects))

@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 
 from orthoglide import files
-from orthoglide.add_ons import Kinematics
 from orthoglide.errors import FileError
 from orthoglide.firmware.imported import (
     Imported,
@@ -29,7 +28,7 @@ from orthoglide.firmware.touches import MIN_PLACES, Touch, TouchLists, read_touc
 from orthoglide.foreign import refuse_foreign
 from orthoglide.geometry import fit_plane
 from orthoglide.instruments import PlateTouch
-from orthoglide.machine_file import AnyMachine, MachineFile, machine_file_of
+from orthoglide.machine_file import AnyMachine, DeltaKinematics, MachineFile, machine_file_of
 from orthoglide.notes import Note
 from orthoglide.observations.schema import APPROACH, PLACE, TEMPERATURE
 from orthoglide.text import printable_path
@@ -99,7 +98,7 @@ def _distinct(touch_lists: TouchLists) -> Iterator[list[Touch]]:
 
 
 def _usable_touches(
-    touches: Sequence[Touch], kinematics: Kinematics, touch_lists: TouchLists
+    touches: Sequence[Touch], kinematics: DeltaKinematics, touch_lists: TouchLists
 ) -> list[Touch]:
     """Return the touches of a list within reach of the arms and near its median height; none if
     they are too few for a plane.

@@ -13,14 +13,12 @@ from orthoglide.machine_file.posterior import (
     Posterior as Posterior,
     symmetric_root as symmetric_root,
 )
-from orthoglide.machine_file.reading import (
+from orthoglide.machine_file.toml import (
     AnyMachine as AnyMachine,
+    machine_file_contents as machine_file_contents,
     machine_file_of as machine_file_of,
+    machine_text as machine_text,
     parse_machine_file as parse_machine_file,
     read_machine_file as read_machine_file,
-)
-from orthoglide.machine_file.writing import (
-    machine_file_contents as machine_file_contents,
-    machine_text as machine_text,
     write_machine_file as write_machine_file,
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -10,40 +10,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.add_ons import MARK_KEY, Kinematics, Printer, add_on, firmware_table
+from orthoglide.add_ons import MARK_KEY, Printer, add_on, firmware_table
 from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.layout import ORTHOGLIDE, LinearDelta
-from orthoglide.machine_file.measured import Measured
+from orthoglide.layout.leg import Triple
 from orthoglide.machine_file.posterior import Posterior
 from orthoglide.parameters import Parameter
 from orthoglide.reduction.spheres import intersect_spheres
-
-Triple = tuple[float, float, float]
 
 SCHEMA_VERSION = 1
 """Version of the machine file that this package reads and writes."""
 
 
 @dataclass(frozen=True)
-class Dial:
-    """The dial, in metres.
-
-    Attributes:
-        resolution: step of the display.
-        repeatability: standard deviation of one reading, if known.
-        placement: standard deviation of the dial's place along a leg.
-    """
-
-    resolution: float = 1e-5
-    repeatability: float | None = None
-    placement: float = 1e-3
-
-
-@dataclass(frozen=True)
 class Instrument:
-    """Accuracy of an instrument other than a dial on a leg, metres (radians of a level).
+    """Accuracy of an instrument, metres (radians of a level).
 
     Attributes:
         resolution: step of its display, if it matters.
@@ -52,6 +35,18 @@ class Instrument:
 
     resolution: float | None = None
     repeatability: float | None = None
+
+
+@dataclass(frozen=True)
+class Dial(Instrument):
+    """Accuracy of the dial on the legs, metres.
+
+    Attributes:
+        placement: standard deviation of its place along a leg.
+    """
+
+    resolution: float = 1e-5
+    placement: float = 1e-3
 
 
 @dataclass(frozen=True)
@@ -93,10 +88,6 @@ class Stiffness:
     def __post_init__(self) -> None:
         if self.bar is not None and not 0 < self.bar < np.inf:
             raise InputError(f"a bar's stiffness must be positive, in N/m, not {self.bar}")
-        if self.torsion is not None and not 0 <= self.torsion < np.inf:
-            raise InputError(
-                f"torsional stiffness must not be negative, in N m/rad, not {self.torsion}"
-            )
 
     def warnings(self, file: str) -> tuple[str, ...]:
         """Return warnings about the constants of a file."""
@@ -143,11 +134,58 @@ class DeltaKinematics:
         centres = self.sphere_centres_at_zero + travel[:, :, None] * np.array([0.0, 0.0, 1.0])
         return intersect_spheres(centres, self.arm_lengths)
 
-    @classmethod
-    def from_geometry(cls, geometry: Geometry) -> DeltaKinematics:
-        """Return the kinematics of the nominal machine."""
-        joints = [leg.carriage - leg.platform for leg in geometry.legs]
-        return cls(np.array(joints), np.full(3, geometry.L))
+
+MEASURED_TRAVEL = 0.1
+"""Commanded travel for the measurement of a carriage's travel, metres: the length of a rule."""
+
+_DRIVE_SCALE_SD = 1e-3
+"""Standard deviation of the scale between drives of one machine: belts stretch differently."""
+
+_MAX_RELATIVE_DEVIATION = 0.5  # from the nominal length: beyond, the unit or the part is another
+
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Measured lengths with their standard deviations.
+
+    Attributes:
+        rods: mean length of the bars between their pivots, metres.
+        travel: mean travel of the carriages at a command of `MEASURED_TRAVEL`, metres.
+    """
+
+    rods: Pair | None = None
+    travel: Pair | None = None
+
+    def parameter_priors(
+        self, catalogue: Catalogue, geometry: Geometry, tolerance: Mapping[str, float]
+    ) -> Iterator[tuple[tuple[Parameter, ...], float, Array]]:
+        """Yield parameters, the measured deviation of their mean, and their covariance ``(3, 3)``,
+        SI.
+
+        The common part has the variance of the measurement. Single bars differ by their tolerance,
+        single drives by `_DRIVE_SCALE_SD`.
+
+        Raises:
+            InputError: where a length differs from the nominal one by more than half.
+        """
+        for key, pair, quantity, nominal, scale in (
+            ("rods_mm", self.rods, "bar_length", geometry.L, 1.0),
+            ("travel_of_100_mm", self.travel, "scale", MEASURED_TRAVEL, 1 / MEASURED_TRAVEL),
+        ):
+            if pair is None:
+                continue
+            if abs(pair[0] / nominal - 1) > _MAX_RELATIVE_DEVIATION:
+                raise InputError(
+                    f"{key} is {pair[0] * 1e3:g} mm, where the machine has {nominal * 1e3:g} mm by "
+                    f"its other numbers: correct one of them, in millimetres"
+                )
+            (name,) = (effect for effect in catalogue.correctable_by(quantity))
+            spread = tolerance[name] if quantity == "bar_length" else _DRIVE_SCALE_SD
+            value, sigma = (pair[0] - nominal) * scale, pair[1] * scale
+            covariance = np.full((3, 3), sigma**2) + spread**2 * np.eye(3)
+            yield catalogue[name].parameters(), value, covariance
 
 
 @dataclass(frozen=True)
@@ -251,14 +289,14 @@ class MachineFile:
         return add_on(name).stored(table) if name else None
 
     @property
-    def kinematics(self) -> Kinematics | None:
+    def kinematics(self) -> DeltaKinematics | None:
         """Kinematics of a delta's controller, from its firmware's numbers if known; ``None`` for
         other machines.
         """
         if not isinstance(self.geometry.layout, LinearDelta):
             return None
         if self.printer is None:
-            return DeltaKinematics.from_geometry(self.geometry)
+            return DeltaKinematics(self.geometry.centres, np.full(3, self.geometry.L))
         return self.printer.kinematics
 
     def __post_init__(self) -> None:

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import io
 import os
-import zipfile
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array
-
-_ARRAY_NAMES = ("names", "mean", "covariance", "sha256")
 
 
 def symmetric_root(covariance: Array) -> Array:
@@ -107,7 +105,7 @@ def posterior_bytes(posterior: Posterior, digest: str) -> bytes:
     """Return the content of that file, identical bytes for identical numbers; ``digest`` is the
     sha256 of its machine file.
     """
-    arrays = {
+    arrays: dict[str, Any] = {
         "names": np.array(posterior.names, dtype=np.str_),
         "mean": posterior.mean,
         "covariance": posterior.covariance,
@@ -116,12 +114,7 @@ def posterior_bytes(posterior: Posterior, digest: str) -> bytes:
     if posterior.conditional_variance is not None:
         arrays["alone"] = posterior.conditional_variance
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w") as archive:
-        for name, array in arrays.items():
-            content = io.BytesIO()
-            np.lib.format.write_array(content, np.asarray(array, order="C"), allow_pickle=False)
-            entry = zipfile.ZipInfo(f"{name}.npy")  # of no date, where np.savez may differ
-            archive.writestr(entry, content.getvalue())
+    np.savez(stream, **arrays)
     return stream.getvalue()
 
 
@@ -134,17 +127,13 @@ def parse_posterior(content: bytes, digest: str, file: str) -> Posterior:
     """
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-            names, mean, covariance, stored_digest = (stored[key] for key in _ARRAY_NAMES)
+            names, stored_digest = tuple(map(str, stored["names"])), str(stored["sha256"])
+            mean, covariance = (stored[key].astype(float) for key in ("mean", "covariance"))
             conditional_variance = stored["alone"].astype(float) if "alone" in stored else None
-        posterior = Posterior(
-            tuple(map(str, names)),
-            mean.astype(float),
-            covariance.astype(float),
-            conditional_variance,
-        )
+        posterior = Posterior(names, mean, covariance, conditional_variance)
     except Exception:  # a damaged archive fails in as many ways as it can be damaged
         raise FileError("is damaged: write the machine again", file=file) from None
-    if str(stored_digest) != digest:
+    if stored_digest != digest:
         raise FileError(
             "belongs to another machine file than the one beside it: put back the one it was "
             "written with, or remove this to take its parameters for independent",

@@ -12,9 +12,7 @@ from orthoglide.geometry import Geometry
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta, Orthoglide
 from orthoglide.machine_file import model
-from orthoglide.machine_file.document import Key, Section
-from orthoglide.machine_file.measured import Measured
-from orthoglide.quantities import TEXT, list_of, one_of, quantity
+from orthoglide.machine_file.document import TEXT, Key, Section, list_of, one_of, quantity
 from orthoglide.units import MM, NOISE_LIMITS, ONE, RAD, Unit
 
 INSTRUMENT_KINDS = tuple(name for name, kind in OBSERVATIONS.items() if kind.dials != 1)
@@ -96,7 +94,7 @@ CLASS = Section("class", model.MachineFile, (
         "If absent, a linear delta has belts, and other machines are of a laboratory.",
         attribute="build"),
 ))
-MEASURED = Section("measured", Measured, (
+MEASURED = Section("measured", model.Measured, (
     Key("rods_mm", list_of(_POSITIVE_LENGTH, 2),
         "Length of the bars between their pivots, in the mean of all: `[272.1, 0.1]`."),
     Key("travel_of_100_mm", list_of(_POSITIVE_LENGTH, 2), "How far a carriage went that was told "

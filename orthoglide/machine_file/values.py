@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from orthoglide.effects import Catalogue
-from orthoglide.errors import FileError, InputError, check_mapping
+from orthoglide.errors import InputError, check_mapping
 from orthoglide.machine_file.model import MachineFile, ParameterValue
 from orthoglide.numerals import compact
 
@@ -83,18 +83,3 @@ def parameter_entries(
             combined_sd = float(np.hypot(entry.sigma, weight * sigma))
             entries[part] = ParameterValue(entry.value + weight * float(value), combined_sd, unit)
     return entries
-
-
-def refuse_structured_members(spec: MachineFile) -> None:
-    """Refuse structured members in a machine file, which has elementary parameters only.
-
-    Raises:
-        FileError: naming the member and what it stands for.
-    """
-    for name in (*spec.parameters, *(spec.posterior.names if spec.posterior else ())):
-        if spec.catalogue.parameter(name).member:
-            effect = spec.catalogue.effect_of(name)
-            raise FileError(
-                f"there is no parameter {name!r}: {effect.name} has {', '.join(effect.motions)}",
-                file=spec.file,
-            )

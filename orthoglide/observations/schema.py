@@ -22,8 +22,7 @@ from orthoglide.instruments import (
     Observation,
 )
 from orthoglide.numerals import compact
-from orthoglide.quantities import Kind
-from orthoglide.units import MM, NOISE_LIMITS, ONE, RAD, Unit
+from orthoglide.units import MM, NOISE_LIMITS, ONE, RAD, Kind, Unit
 
 MAX_ROTATION_SD = 0.1
 """The largest standard deviation of an angle, radians: a level in a telephone shows hundredths."""

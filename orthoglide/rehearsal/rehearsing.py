@@ -15,7 +15,7 @@ from orthoglide.errors import FileError, InputError, NumericsError, check_intege
 from orthoglide.files import as_file_errors, read_bytes, sha256, write_file
 from orthoglide.instruments import LegDial, PlateTouch
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.machine_file.writing import machine_text
+from orthoglide.machine_file import machine_text
 from orthoglide.observations import Readings, protocol, read_readings, readings_text
 from orthoglide.observations.protocols import ProtocolName
 from orthoglide.planning import aliasing, detectable_rows, sheets_by_kind, smallest_effects
@@ -23,7 +23,6 @@ from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.rehearsal.outcome import Outcome, Rehearsal, run_campaign
 from orthoglide.rehearsal.random_machines import Scope
 from orthoglide.simulation import missing_conditions
-from orthoglide.text import printable_path
 
 CAMPAIGNS = 90
 """Ten times :data:`orthoglide.rehearsal.random_machines.KIND_SEQUENCE`."""
@@ -215,7 +214,7 @@ class _Journal:
 
     def _unusable(self, problem: str, other_remedy: str = "") -> FileError:
         remedy = f"{other_remedy}name another folder"
-        return FileError(f"{problem}: {remedy}", file=printable_path(self.path))
+        return FileError(f"{problem}: {remedy}", file=self.path)
 
     def add(self, outcome: Outcome) -> None:
         """Write one more outcome to the file, at once."""

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from orthoglide.errors import FileError
 from orthoglide.files import as_file_errors, temporary_path
-from orthoglide.text import printable_path
 
 _REPORT_FILES = {
     "calibrated.npz", "calibrated.toml", "figures", "next_measurements.csv",
@@ -46,7 +45,7 @@ def check_folder(out: Path, overwrite: bool = False) -> Path:
                 not os.access(parent, os.W_OK | os.X_OK),
         }  # fmt: skip
     if problem := next((words for words, applies in problems.items() if applies), ""):
-        raise FileError(problem, file=printable_path(out))
+        raise FileError(problem, file=out)
     return target
 
 
@@ -68,7 +67,7 @@ def write_folder(out: Path, files: Mapping[str, str | bytes], overwrite: bool = 
             temporary.mkdir()
             for name, content in files.items():
                 if ".." in Path(name).parts or Path(name).is_absolute():
-                    raise FileError("is no place within the folder", file=printable_path(name))
+                    raise FileError("is no place within the folder", file=name)
                 path = temporary / name
                 path.parent.mkdir(exist_ok=True)
                 path.write_bytes(content.encode() if isinstance(content, str) else content)

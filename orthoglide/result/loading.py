@@ -21,7 +21,7 @@ from orthoglide.machine_file.posterior import parse_posterior
 from orthoglide.observations import Readings, readings_from_rows
 from orthoglide.result.codec import decoded
 from orthoglide.result.request import COMMANDS, Request
-from orthoglide.text import abbreviated, printable_path, unprintable_problem
+from orthoglide.text import abbreviated, unprintable_problem
 
 _LAST_LINE = 1_000_000
 _LONGEST_NAME = 255  # bytes
@@ -49,7 +49,7 @@ def read_result(path: Path) -> dict[str, Any]:
     """
 
     def fail(message: str, line: int | None = None) -> NoReturn:
-        raise FileError(message, file=printable_path(path), line=line) from None
+        raise FileError(message, file=path, line=line) from None
 
     text = decode(read_bytes(path), path)
     try:
