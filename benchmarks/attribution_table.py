@@ -153,7 +153,7 @@ def requirements(records: Sequence[Record]) -> Table:
          share([r for r in done if r["kind"] != "fault"], lambda r: bool(r["blunders"]))),
         ("parameters seen: inside their 95 % interval", ">= 93 %", _covered(done)),
         ("TCP coordinates inside their 95 % interval", ">= 93 %", _inside(done)),
-        ("TCP error over that of an identification told the effect, median", "",
+        ("TCP error over that of an identification given the effect, median", "",
          f"{np.median([r['tcp']['after'][0] / r['told'][0] for r in told] or [np.nan]):.2f}"),
     ]  # fmt: skip
     return Table("What is required and what was found", "", rows)
@@ -380,7 +380,7 @@ def reliability(records: Sequence[Record]) -> Table:
 def accuracy(records: Sequence[Record]) -> Table:
     """Mean TCP error, best translation removed."""
     rows: list[Sequence[str]] = [
-        ("", "campaigns", "nominal", "before", "after", "told the effect", "inside")
+        ("", "campaigns", "nominal", "before", "after", "given the effect", "inside")
     ]
     groups = {
         "nothing": [r for r in well(records) if r["kind"] == "nothing"],

@@ -26,17 +26,11 @@ from benchmarks.delta_readings import INSTRUMENTS
 UNSEEN = 3.0
 """A cause is invisible that shows less than this in all readings together, in sigmas."""
 
-ENDS = ("adequate", "diffuse", "noisy", "rows set aside", "refused", "explained", "ambiguous",
-        "located", "partial", "unexplained", "error")  # fmt: skip
-"""How a campaign can end: the verdict's word; where it is adequate, with a warning that readings
-are far noisier than is usual, or with rows set aside as faulty; readings refused as faulty, or
-another error."""
-
 Test = Callable[[Record], bool]
 
 
 def tables(records: Sequence[Record]) -> Iterator[Table]:
-    """What is asked, by instrument; and how campaigns end, by what was wrong."""
+    """What is asked, by instrument."""
     failed = Counter(map(ending, records))
     note = (
         f"{len(records)} campaigns; readings refused as faulty: {failed['refused']}, ended in "
@@ -46,7 +40,6 @@ def tables(records: Sequence[Record]) -> Iterator[Table]:
     )
     rows = [["", *INSTRUMENTS], *_of_effects(records), *_of_strangers(records), *_of_whole(records)]
     yield Table("What is reported of simulated deltas", note, rows)
-    yield endings(records)
 
 
 def seen(record: Record) -> bool:
@@ -55,40 +48,16 @@ def seen(record: Record) -> bool:
 
 
 def ending(record: Record) -> str:
-    """How a campaign ended, one of `ENDS`."""
+    """How a campaign ended: its verdict, or another end.
+
+    *Noisy* and *rows set aside* are adequate with a warning that readings are far noisier than is
+    usual, or with a data fault; *refused* are readings called faulty, *error* is any other error.
+    """
     if record["word"] == "error" and record["message"].startswith("InputError"):
         return "refused"
     if record["word"] != "adequate":
         return str(record["word"])
     return "rows set aside" if record["blunders"] else "noisy" if record["loud"] else "adequate"
-
-
-def endings(records: Sequence[Record]) -> Table:
-    """Campaigns by what was wrong and by how they ended; nothing is left out."""
-    groups: dict[str, list[Record]] = {}
-    for record in records:
-        kind = record["kind"]
-        title = {"nothing": "nothing", "whole": "everything, a little"}.get(kind, kind)
-        if kind == "effect":
-            title = "a clear cause" if record["truth"] and _plain(record) else "a fainter cause"
-        if kind == "outside":
-            title = f"outside: {record['what']}" + ("" if seen(record) else ", below three sigma")
-        groups.setdefault(title, []).append(record)
-    first = {"nothing": 0, "a clear cause": 1, "a fainter cause": 2, "everything, a little": 3}
-    # Earlier versions had no diffuse verdict.
-    ends = [e for e in ENDS if e != "diffuse" or any(ending(r) == e for r in records)]
-    rows = [["", *ends]]
-    for title in sorted(groups, key=lambda t: (first.get(t, 4 + ("below" in t)), t)):
-        count = Counter(map(ending, groups[title]))
-        rows.append([title, *(str(count[end] or "") for end in ends)])
-    note = (
-        "All campaigns by what was wrong, all instruments together. *Noisy*: adequate, with a "
-        "warning that the readings are noisier than usual. *Rows set aside*: a data fault was "
-        "reported, and the rest is adequate. *Refused*: an error that calls the readings faulty. "
-        "What lies outside the catalogue and ends *adequate* was not noticed; *explained* or "
-        "*ambiguous*, it got a wrong name."
-    )
-    return Table("How campaigns end", note, rows)
 
 
 def _row(title: str, records: Sequence[Record], test: Test) -> list[str]:
@@ -140,8 +109,8 @@ def _of_strangers(records: Sequence[Record]) -> list[list[str]]:
     return [
         _row("outside the catalogue, three sigma or more: not noticed", strange,
              ends("adequate", "diffuse")),
-        _row("  taken for noise, with a warning", strange, ends("noisy")),
-        _row("  taken for faulty readings", strange, ends("refused", "rows set aside")),
+        _row("  taken for noise, with a warning, or for faulty readings", strange,
+             ends("noisy", "refused", "rows set aside")),
         _row("  said to be unexplained, or explained in part", strange,
              ends("unexplained", "partial")),
         _row("  explained by a wrong name", strange, wrongly_explained),

@@ -24,27 +24,26 @@ HEAD = """# Real printers
 
 Read this page to see what the tool says of machines that nobody simulated. It is printed by
 `python -m benchmarks.deltas` from numbers that owners stored for their own printers
-(`tests/data/delta`, with their sources). [Linear deltas](linear-deltas.md) says how to do the same
-with yours.
+(`tests/data/delta`, with their sources). For your own see [linear deltas](linear-deltas.md).
 
 ## What was found
 
 *Base* and *found* are residuals in mm rms: with endstops, radius, angles and arms fitted, and with
-what the closed loop found. For each cause the table names the likeliest explanation, its
-probability, and the number of explanations in its credible set with the probability that it is
-the plate's own shape.
+what the closed loop found. Each cause stands with its likeliest explanation and its probability,
+and with the size of its credible set and the probability that it is the plate's own shape.
 """
 UNUSED = """
 ## Held against readings that were not used
 
-One set of readings of a machine is used, and the machine found predicts each of the others; the
-columns are ratios of root mean squares, closed loop to base and to the numbers that the firmware
-stored. Stored numbers were fitted to some of these readings and are flattered by them. The files
-below v400-april were looked for after the methods were made; only how rare a background wider than
-0.1 tolerance is was settled with them in sight. t1-mnemonic3d is the printer of t1-stock at another
-time. *First* is the first cause with the number of its alternatives, or the verdict where there is
-none; *new numbers* is how often they were offered. `python -m benchmarks.held_out` prints every
-prediction, and takes folders of your own files.
+One set of readings of a machine is used, and the machine found predicts each of the others. Columns
+are ratios of root mean squares: closed loop to base, and to the numbers that the firmware stored,
+which were fitted to some of these readings. The files below v400-april were looked for after the
+methods were made; only how rare a background wider than 0.1 tolerance is was settled with them in
+sight. t1-mnemonic3d is the printer of t1-stock at another time.
+
+*First* is the first cause with the number of its alternatives, or the verdict; *new numbers* is how
+often they were offered. `python -m benchmarks.held_out` prints every prediction, and takes folders
+of your own files.
 """
 
 
@@ -75,17 +74,10 @@ def forty_one_points() -> tuple[og.Readings, og.Machine]:
 
 
 def cases() -> Iterator[tuple[str, Sequence[og.Readings], og.Machine]]:
-    """All of every file, and what is asked for by itself."""
+    """Name, readings and machine of every file, and of the 41 points."""
     for path in sorted(DATA.glob("*.cfg")):
         found = og.import_printer(path)
-        machine = og.Machine(found.machine)
-        yield path.stem, found.campaigns, machine
-        meshes = [c for c in found.campaigns if c.name.startswith("mesh")]
-        if len(meshes) > 1:
-            for mesh in meshes:
-                yield f"{path.stem}, {mesh.name} alone", [mesh], machine
-            both = [c for c in found.campaigns if c not in meshes[:-1]]
-            yield f"{path.stem}, {meshes[-1].name} with heights and distances", both, machine
+        yield path.stem, found.campaigns, og.Machine(found.machine)
     campaign, machine = forty_one_points()
     yield "t1-41", [campaign], machine
 

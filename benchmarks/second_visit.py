@@ -110,8 +110,8 @@ def told(changes: Iterable[Record], truth: Errors) -> list[Record]:
 def table(found: Sequence[Record]) -> Iterator[str]:
     """The table, in Markdown."""
     yield (
-        "| changed, and by which route | n | all told and nothing else | told | first of its set "
-        + ("| false | 95 % interval holds |")
+        "| changed, and by which route | n | all reported and nothing else | reported "
+        "| first of its set | false | 95 % interval holds |"
     )
     yield "|---" * 7 + "|"
     for route in ROUTES:

@@ -72,16 +72,16 @@ class Kind:
     """Kind of a value in a file.
 
     Attributes:
-        allowed: the allowed values, as words that follow "must be".
         read: converts a value of the file to SI, or raises ValueError with the remedy.
         write: converts a value in SI to that of the file.
         unit: in the file; empty for none.
+        choices: the allowed words of a column of words.
     """
 
-    allowed: str
     read: Callable[[Any], Any]
     write: Callable[[Any], Any] = lambda value: value
     unit: str = ""
+    choices: tuple[str, ...] = ()
 
 
 def to_si(number: str | int | float | Decimal, factor: float = 1.0) -> float:

@@ -28,8 +28,9 @@ NOMINAL = og.Machine.nominal()
 HEAD = """# Gallery of verdicts
 
 Compare your report with an example of its verdict: what was hidden in a simulated machine, what its
-readings showed, and what to do. Made by `python docs/images/gallery.py`; the drawings are those of
-the reports, and blue is where each dial stood.
+readings showed, and what to do. Made by `python docs/images/gallery.py`. In the drawings blue is
+where each dial stood. *Tool* is its mean error over the workspace after the best translation: now,
+with new zeros, and with compensated commands.
 [Closing the loop](closing-the-loop.md#verdicts) defines the verdicts, and the
 [truth table](truth-table.md#verdicts) counts how often they are right.
 """
@@ -142,8 +143,8 @@ def section(case: Case) -> str:
         [
             f"## {case.name.capitalize()}",
             f"{sentence(MEANINGS[verdict.word])} {ADVICE[case.name]}",
-            f"Hidden in the machine: {case.hidden}.",
-            f"![The machine, what was found marked on it](images/{drawn.name})",
+            f"Hidden: {case.hidden}.",
+            f"![What was found, on the machine](images/{drawn.name})",
             f"**{claim_text(verdict)}**",
             errors(verdict),
         ]
@@ -155,7 +156,7 @@ def errors(verdict: og.Verdict) -> str:
     tool = verdict.numbers.expected
     shown = ("now", "zeros", "compensated") if verdict.stands else ("now", "zeros")
     sizes = ", ".join(f"{name} {tool[name].shape * 1e3:.3f} mm" for name in shown)
-    return f"The tool's mean error over the workspace, best translation removed: {sizes}."
+    return f"Tool: {sizes}."
 
 
 if __name__ == "__main__":

@@ -9,11 +9,8 @@ from orthoglide.instruments import OBSERVATIONS, Observation
 from orthoglide.observations import schema
 from orthoglide.observations.schema import COLUMNS, COMMANDS, ORDER, Column
 
-COLUMN_HEAD = "| column | unit | kinds | if empty | value | meaning |\n|---|---|---|---|---|---|"
-KIND_HEAD = (
-    "| kind | taken by | reading | further columns | fitted with every setup |\n"
-    "|---|---|---|---|---|"
-)
+COLUMN_HEAD = "| column | kinds | if empty | meaning |\n|---|---|---|---|"
+KIND_HEAD = "| kind | taken by | reading | fitted with every setup |\n|---|---|---|---|"
 WAYS = (schema.TRAVEL, schema.PLACE)  # to state commands instead of joint coordinates
 
 
@@ -35,8 +32,9 @@ def kinds(column: Column) -> str:
     """Return the kinds of readings that have a column."""
     found = [kind for kind, one in OBSERVATIONS.items() if has(column, one)]
     tool = [kind for kind, one in OBSERVATIONS.items() if not one.on_leg]
-    if len(found) == len(OBSERVATIONS):
-        return "all"
+    without = [kind for kind in OBSERVATIONS if kind not in found]
+    if len(without) <= 1:
+        return " but ".join(["all", *(f"`{kind}`" for kind in without)])
     return "all of the tool" if found == tool else ", ".join(f"`{kind}`" for kind in found)
 
 
@@ -49,10 +47,16 @@ def empty(column: Column) -> str:
     return f"`{shown}`" if written else ""
 
 
+def sentences(column: Column) -> str:
+    """Return the meaning of a column, with the words that it takes."""
+    words = ", ".join(f"`{word}`" for word in column.kind.choices)
+    return f"{column.meaning} One of {words}." if words else column.meaning
+
+
 def column_table() -> str:
     """Return the table of the columns, without those of a second command."""
     lines = [
-        f"| {names(c)} | {c.kind.unit} | {kinds(c)} | {empty(c)} | {c.kind.allowed} | {c.meaning} |"
+        f"| {names(c)} | {kinds(c)} | {empty(c)} | {sentences(c)} |"
         for c in COLUMNS
         if c not in COMMANDS.values()
     ]
@@ -60,13 +64,9 @@ def column_table() -> str:
 
 
 def kind_table() -> str:
-    """Return the table of the kinds of readings, with the columns that not all of them have."""
-    skipped = {*schema.READINGS.values(), *schema.SIGMAS.values(), *COMMANDS.values()}
-    skipped -= {COMMANDS[schema.TRAVEL]}  # the second command in one of its ways is enough
-    further = [c for c in COLUMNS if kinds(c) != "all" and c.attribute and c not in skipped]
+    """Return the table of the kinds of readings."""
     lines = [
-        f"| `{kind}` | {one.instrument_phrase} | {one.sheet_instruction} | "
-        f"{', '.join(names(c) for c in further if has(c, one))} | {one.nuisance_summary} |"
+        f"| `{kind}` | {one.instrument_phrase} | {one.sheet_instruction} | {one.nuisance_summary} |"
         for kind, one in OBSERVATIONS.items()
     ]
     return "\n".join([KIND_HEAD, *lines]).replace("|  |", "| |")

@@ -9,6 +9,7 @@ left, one line an effect, at its worst parameter; with ``--markdown`` the tables
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 
 from orthoglide.comparison import Row, compare_effects, worst_by_effect
 from orthoglide.comparison.comparing import EQUAL_WITHIN
@@ -21,8 +22,7 @@ COLUMNS = (
 LEGEND = (
     "Columns: the TCP's error and the readings' (rms, max) once the six parameters are fitted to "
     "each; the TCP's error of an identification from the readings, with priors and after the best "
-    "translation; the size up to which the reduction will do. Lengths in µm, turns in µrad, over "
-    "the largest cube within the strokes."
+    "translation; the size *up to* which the reduction will do. Lengths in µm, turns in µrad."
 )
 
 
@@ -30,27 +30,21 @@ def effects() -> tuple[Row, ...]:
     return worst_by_effect(compare_effects())
 
 
-def names(rows: tuple[Row, ...]) -> str:
+def names(rows: Iterable[Row]) -> str:
     return ", ".join(f"`{row.effect}`" for row in rows) or "none"
-
-
-def summary(rows: tuple[Row, ...]) -> str:
-    seen = [r for r in rows if max(r.nominal.max, r.reading_change) > EQUAL_WITHIN]
-    exact = tuple(r for r in seen if max(r.fitted.max, r.reading_max) <= EQUAL_WITHIN)
-    enough = tuple(r for r in seen if r.good_enough and r not in exact)
-    not_enough = tuple(r for r in seen if not r.good_enough)
-    unseen = tuple(r for r in rows if r not in seen)
-    return (
-        f"- Represented exactly: {names(exact)}.\n"
-        f"- Not represented, but small enough at their tolerance: {names(enough)}.\n"
-        f"- Beyond the reduction at their tolerance: {names(not_enough)}.\n"
-        f"- Without effect on a machine that is else perfect: {names(unseen)}.\n"
-    )
 
 
 def markdown() -> str:
     rows = effects()
-    return f"{LIMITS}\n\n{summary(rows)}\n{LEGEND}\n\n{markdown_table(rows, COLUMNS)}"
+    seen = [r for r in rows if max(r.nominal.max, r.reading_change) > EQUAL_WITHIN]
+    exact = [r for r in seen if max(r.fitted.max, r.reading_max) <= EQUAL_WITHIN]
+    unseen = [r for r in rows if r not in seen]
+    summary = (
+        f"- Represented exactly: {names(exact)}.\n"
+        f"- Without effect on an otherwise perfect machine: {names(unseen)}.\n"
+    )
+    shown = tuple(r for r in seen if r not in exact)
+    return f"{LIMITS}\n\n{summary}\n{LEGEND}\n\n{markdown_table(shown, COLUMNS)}"
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ from orthoglide.machine_file import schema
 from orthoglide.machine_file.document import Key, Section
 from orthoglide.units import Unit
 
-HEAD = ("key", "unit", "default", "value", "meaning")
+HEAD = ("key", "default", "meaning")
 NO_DEFAULTS = (schema.TOP, schema.GEOMETRY)  # a nominal machine has values that no file may omit
 FAMILY_UNIT = Unit("the effect's", 1.0)
 
@@ -45,10 +45,7 @@ def row(*cells: str) -> str:
 
 def rows(section: Section, keys: tuple[Key, ...] = ()) -> list[str]:
     """Return a line for each key of a section, or for those given."""
-    return [
-        row(f"`{k.name}`", k.kind.unit, default(section, k), k.kind.allowed, k.meaning)
-        for k in keys or section.keys
-    ]
+    return [row(f"`{k.name}`", default(section, k), k.meaning) for k in keys or section.keys]
 
 
 def layout_rows() -> list[str]:
@@ -57,16 +54,18 @@ def layout_rows() -> list[str]:
     only = tuple(key for key in delta.keys if key not in free.keys)
     return [
         *rows(free),
-        row('of `kind = "linear-delta"`', "", "", "", "Legs on three towers; these keys besides."),
+        row('of `kind = "linear-delta"`', "", "Legs on three towers; these keys besides."),
         *rows(delta, only),
-        row(f"**`[{schema.LEG.name}]`**", "", "", "", 'Three tables of `kind = "legs"`, by leg.'),
+        row(
+            f"**`[{schema.LEG.name}]`**", "", 'Three tables of `kind = "legs"`; vectors are lists.'
+        ),
         *rows(schema.LEG),
     ]
 
 
 def markdown() -> str:
     """Return the table of the page."""
-    lines = [row(*HEAD), "|---|---|---|---|---|", *rows(schema.TOP)]
+    lines = [row(*HEAD), "|---|---|---|", *rows(schema.TOP)]
     known = (
         schema.GEOMETRY,
         schema.INSTRUMENT,
@@ -79,7 +78,7 @@ def markdown() -> str:
     keys["tolerance"] = rows(schema.tolerances(CATALOGUE), (schema.SURFACE_SLOPE,))
     keys["parameters"] = rows(schema.parameter(FAMILY_UNIT))
     for table, meaning in schema.TABLES.items():
-        lines += [row(f"**`[{table}]`**", "", "", "", meaning), *keys.get(table, ())]
+        lines += [row(f"**`[{table}]`**", "", meaning), *keys.get(table, ())]
     return "\n".join(lines) + "\n"
 
 

@@ -63,7 +63,7 @@ def introduction() -> Iterator[str]:
         "of their printed figures are wrong. It is printed by "
         "`python docs/tables/published_experiments.py --markdown`. An experiment is twelve "
         "averaged deviations, of which joint offsets take three degrees of freedom; the stated "
-        "repeatability is 0.02 mm. Tolerances are the package's defaults."
+        "repeatability is 0.02 mm."
     )
     yield ""
 
@@ -124,8 +124,8 @@ def together() -> Iterator[str]:
     yield "## Both experiments together"
     yield ""
     yield (
-        "Between the two, only the offsets in the controller were changed. Offsets are specific to "
-        "each experiment, everything else is shared."
+        "Offsets, which were changed in the controller between the two, are specific to each "
+        "experiment; everything else is shared."
     )
     yield ""
     before, after = verdict.before.scores, verdict.after.scores
@@ -175,11 +175,11 @@ def held_out() -> Iterator[str]:
     yield "## Prediction of the other experiment"
     yield ""
     yield (
-        "Geometry from one experiment; the other's own offsets and datums fitted to itself, each "
-        "reading scored left out."
+        "Geometry from one experiment; offsets and datums fitted to the other, each reading scored "
+        "left out. Errors in mm, rms."
     )
     yield ""
-    yield "| learned on | predicted | offsets and lengths (mm) | with what was found (mm) |"
+    yield "| learned on | predicted | offsets and lengths | with what was found |"
     yield "|---|---|---|---|"
     pairs = (("experiment2", "experiment3"), ("experiment3", "experiment2"))
     change = []
@@ -210,13 +210,11 @@ def sources() -> Iterator[str]:
     yield "## The printed readings"
     yield ""
     yield (
-        "The readings in `orthoglide/data` are numbers typed from the tables of A. Pashkevich, "
-        "D. Chablat, P. Wenger (IFAC INCOM, 2006) and of A. Pashkevich, D. Chablat, P. Wenger, "
-        "R. Gomolitsky (in Parallel Manipulators, New Developments, I-Tech 2008, ISBN "
-        "978-3-902613-20-2). The chapter's licence is CC BY-NC-SA 3.0. Its measurements are facts, "
-        "given here with their source, misprints included; no text or figure of it was taken "
-        "over but the misprints quoted below. `orthoglide/data/SOURCE.md` lists the table behind "
-        "every file."
+        "The readings in `orthoglide/data` are numbers typed from the tables of both papers "
+        "([sources](../README.md#sources)), misprints included; `orthoglide/data/SOURCE.md` lists "
+        "the table behind every file. The chapter of 2008 is under CC BY-NC-SA 3.0. Its "
+        "measurements are facts, and no text or figure of it was taken over but the misprints "
+        "quoted below."
     )
     yield ""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from textwrap import fill
+
 from orthoglide.effects.catalogue import CATALOGUE, catalogue_of
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.wording import confirm_words
@@ -22,29 +24,57 @@ _DELTA_CATALOGUE = catalogue_of(LinearDelta.names)
 EFFECTS = (*CATALOGUE.values(), *(e for e in _DELTA_CATALOGUE.values() if e.name not in CATALOGUE))
 """Effects of the page: those of the Orthoglide, then those that only other layouts have."""
 
-_HEAD = f"""# The catalogue of effects
+_SETTINGS = {
+    "zero": "zeros",
+    "scale": "scales",
+    "backlash": "backlash",
+    "bar_length": "bar lengths",
+}
+"""Settings of a controller, by the `controller` of an effect."""
 
-Look up an effect by its name in a report: what to look at, what confirms it, and what it is called
-in files. Printed by `python -m orthoglide.effects.page`;
+_HEAD = """# The catalogue of effects
+
+Look up an effect by its name in a report: what it is called in files, how large it is expected to
+be, and how to see it without a program. Printed by `python -m orthoglide.effects.page`;
 [Contributing](../CONTRIBUTING.md#add-an-effect-in-four-steps) says how to add one.
 
 - **Tolerance**: the standard deviation expected of a carefully built machine, and the prior; your
   own goes into `[tolerance]` of the [machine file](files.md).
 - **Parameters** carry a leg and, where a second letter follows, the direction of the error
   ([conventions](conventions.md#signs-of-errors)); those of dials and plates the name of the setup.
-- **Together**: patterns that symmetry makes likely, one parameter each.
-- {" and ".join(f"`{name}`" for name in CATALOGUE.base)} are identified always.
+- **Patterns** are candidates too, with one parameter each: `.common` is the same value everywhere.
+  Where a second letter follows, `.cyclic` is + for x.y, y.z, z.x and − for y.x, z.y, x.z, and
+  `.xy.symmetric` or `.xy.antisymmetric` are x.y and y.x with equal or opposite signs.
+- **Test**: what confirms one tolerance of the first parameter, and its sign.
 """
 
 
 def effects_page() -> str:
-    """The page as Markdown."""
-    parts = [_HEAD, _overview()]
+    """Return the page as Markdown."""
+    parts = [_HEAD + _corrections(), _overview()]
     for group, heading in GROUPS.items():
         effects = [effect for effect in EFFECTS if effect.group == group]
         if effects:
             parts += [f"## {heading}\n", *(_section(effect) for effect in effects)]
     return "\n".join(parts)
+
+
+def _corrections() -> str:
+    """Return what corrects which effects, as the last items of the head's list."""
+    at_rest = [effect for effect in EFFECTS if effect.at_rest and not effect.of_dial]
+    urdf = ", ".join(f"`{effect.name}`" for effect in at_rest if effect.urdf)
+    settings = ", ".join(
+        f"{_SETTINGS[effect.controller]} (`{effect.name}`)"
+        for effect in at_rest
+        if effect.controller in _SETTINGS
+    )
+    corrections = (
+        "- **Corrections**: compensated commands correct every effect of drives, rails, brackets, "
+        f"bars and links; a calibrated URDF contains {urdf}; a controller may have settings for "
+        f"{settings}."
+    )
+    base = " and ".join(f"`{name}`" for name in CATALOGUE.base)
+    return f"{fill(corrections, 100, subsequent_indent='  ')}\n- {base} are identified always.\n"
 
 
 def _overview() -> str:
@@ -61,45 +91,19 @@ def _overview() -> str:
 
 def _section(effect: Effect) -> str:
     names = [f"`{n}`" for n in effect.parameters(("SETUP",))]
-    catalogue = CATALOGUE if effect.name in CATALOGUE else _DELTA_CATALOGUE
-    members = [
-        f"`{n}`"
-        for n in catalogue.structured_members(effect.name, _SETUPS if effect.of_dial else ())
-    ]
     first = next(iter(effect.parameters(("SETUP",))))
     lines = [
         f"### {effect.name}",
         "",
-        f"- Look at: {effect.look_at}{'' if effect.look_at.endswith('?') else '.'}",
-        f"- Tolerance: {effect.because}.",
-        f"- Confirmed, at one tolerance of `{first}`: "
-        f"{confirm_words(effect, first, effect.tolerance_si)}.",
         f"- Parameters: {', '.join(names)}.",
+        f"- Tolerance: {effect.because}.",
+        f"- Test: {confirm_words(effect, first, effect.tolerance_si)}.",
     ]
-    if members:
-        lines.append(f"- Together: {', '.join(members)}.")
     if effect.name not in CATALOGUE:
         lines.append("- On linear deltas and machines of kind `legs`, not on an Orthoglide.")
     if effect.needs:
         lines.append(f"- Depends on: {', '.join(sorted(effect.needs))}.")
-    lines.append(f"- Corrected by: {_correction(effect)}.")
     return "\n".join(lines) + "\n"
-
-
-def _correction(effect: Effect) -> str:
-    if effect.of_dial:
-        return "nothing, as it is no error of the machine"
-    setting_names = {"zero": "zero", "scale": "scale factor", "backlash": "backlash setting",
-              "bar_length": "bar length"}  # fmt: skip
-    corrections = ["compensated commands"]
-    if effect.urdf:
-        corrections.append("a calibrated URDF")
-    if effect.controller in setting_names:
-        corrections.append(f"the controller's {setting_names[effect.controller]}")
-    return ", ".join(corrections) if effect.at_rest else "none of the controller's numbers"
-
-
-_SETUPS = ("a", "b")  # any two: what several dials can have in common has no setup's name
 
 
 if __name__ == "__main__":

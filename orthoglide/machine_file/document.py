@@ -229,7 +229,7 @@ def quantity(unit: Unit, low: float = 0.0, high: float = 1e4, closed: bool = Fal
             raise ValueError(f"must be {allowed}, not {float(number):g}{hint}")
         return units.to_si(number, unit.si)
 
-    return Kind(allowed, read, partial(units.from_si, factor=unit.si), unit.behind.strip())
+    return Kind(read, partial(units.from_si, factor=unit.si), unit.behind.strip())
 
 
 def list_of(
@@ -265,7 +265,7 @@ def list_of(
     def write(values: Any) -> list[Any]:
         return [each.write(value) for value in values]
 
-    return Kind(f"{requirement}, each {each.allowed}", read, write, each.unit)
+    return Kind(read, write, each.unit)
 
 
 def one_of(values: tuple[Any, ...], remedy: str = "") -> Kind:
@@ -280,7 +280,7 @@ def one_of(values: tuple[Any, ...], remedy: str = "") -> Kind:
         advice = remedy or (f"did you mean {suggestion!r}?" if suggestion else "correct it")
         raise ValueError(f"must be {allowed}, not {_quoted_value(value)}: {advice}")
 
-    return Kind(allowed, read)
+    return Kind(read)
 
 
 def _text(value: Any) -> str:
@@ -289,4 +289,4 @@ def _text(value: Any) -> str:
     return value
 
 
-TEXT = Kind("text in quotes", _text)
+TEXT = Kind(_text)

@@ -56,7 +56,7 @@ def _check_stroke(low: float, high: float) -> None:
 # fmt: off
 TOP = Section("", model.MachineFile, (
     Key("schema", one_of((model.SCHEMA_VERSION,), "this program reads no other version"),
-        "Version of the format.", required=True, attribute=None),
+        "Version of the format: 1.", required=True, attribute=None),
     Key("name", TEXT, "Name of the machine, for people."),
     Key("urdf", TEXT, "Folder, seen from this file, with `orthoglide.urdf` and "
         "`orthoglide.closures.toml`, which then state where the joints are."),
@@ -76,9 +76,9 @@ DIAL = Section("dial_mm", model.Dial, (
     Key("placement", quantity(MM, 0, 100, closed=True), "Standard deviation of `gauge_mm`."),
 ))
 INSTRUMENT = Section("instrument", model.Instrument, (
-    Key("resolution", quantity(MM, 0, 10), "Step of the display; mrad for `incline`."),
-    Key("repeatability", quantity(MM, 0, 10), "Standard deviation of one reading; mrad for "
-        "`incline`. If absent, it is estimated from the repeats."),
+    Key("resolution", quantity(MM, 0, 10), "Step of the display: mm, or mrad for `incline`."),
+    Key("repeatability", quantity(MM, 0, 10), "Standard deviation of one reading, in "
+        "the unit of `resolution`. If absent, it is estimated from the repeats."),
 ))
 DRIVE = Section("drive", model.MachineFile, (
     Key("screw_pitch_mm", quantity(MM, 0.1, 1000), "Lead of the drives' screws. If absent, "
@@ -97,8 +97,8 @@ CLASS = Section("class", model.MachineFile, (
 MEASURED = Section("measured", model.Measured, (
     Key("rods_mm", list_of(_POSITIVE_LENGTH, 2),
         "Length of the bars between their pivots, in the mean of all: `[272.1, 0.1]`."),
-    Key("travel_of_100_mm", list_of(_POSITIVE_LENGTH, 2), "How far a carriage went that was told "
-        "to go 100 mm, in the mean of all: `[100.2, 0.05]`.", attribute="travel"),
+    Key("travel_of_100_mm", list_of(_POSITIVE_LENGTH, 2), "How far a carriage went at a command "
+        "of 100 mm, in the mean of all: `[100.2, 0.05]`.", attribute="travel"),
 ))
 STIFFNESS = Section("stiffness", model.Stiffness, (
     Key("torsion_Nmm_per_rad", quantity(Unit("N mm/rad", 1e-3), 0, _MAX_STIFFNESS, closed=True),
@@ -108,7 +108,8 @@ STIFFNESS = Section("stiffness", model.Stiffness, (
         "Axial stiffness of a bar. If absent, bars are rigid.", attribute="bar"),
 ))
 KIND = Key("kind", one_of((Orthoglide.kind, LinearDelta.kind, FreeLegs.kind)),
-           "Kind of the layout.", required=True, attribute=None)
+           f"`{Orthoglide.kind}`, `{LinearDelta.kind}` or `{FreeLegs.kind}`.", required=True,
+           attribute=None)
 LAYOUT_R = Key("r_mm", _PLATFORM_RADIUS, "The `r` of `[geometry_mm]`, if it is not given there.",
                attribute=None)
 _TOOL = Key("tool_mm", _POINT, "The tool's tip from the middle of the platform's joints.")
@@ -117,7 +118,8 @@ LAYOUTS = {
     LinearDelta.kind: Section("layout", LinearDelta, (
         KIND,
         Key("radius_mm", list_of(quantity(MM, 1), 3, single_allowed=True),
-            "Horizontal distance of the towers' joints from the centre.", required=True),
+            "Horizontal distance of the towers' joints from the centre, one or by tower.",
+            required=True),
         Key("angles_deg", list_of(_ANGLE, 3, single_allowed=True),
             "Directions of the towers from the centre, counter-clockwise from +x."),
         LAYOUT_R,
@@ -131,8 +133,8 @@ LEG = Section("layout.leg.NAME", FreeLeg, (
     Key("slide", _DIRECTION, "Direction of travel, away from the platform.", required=True),
     Key("link", _DIRECTION, "Direction of the short links.", required=True),
 ))
-SURFACE_SLOPE = Key("surface_slope", quantity(RAD, 0, 1), "Slope of the reference surface in "
-                    "readings of kind `parallelism`. If absent, the surface is taken as exact.")
+SURFACE_SLOPE = Key("surface_slope", quantity(RAD, 0, 1), "Slope of the reference surface of "
+                    "kind `parallelism`, rad. If absent, the surface is taken as exact.")
 SECTIONS_BY_ATTRIBUTE = {
     "dial": DIAL, "controller": CONTROLLER, "measured": MEASURED, "stiffness": STIFFNESS,
 }  # by attribute

@@ -58,9 +58,7 @@ def number_kind(unit: Unit = ONE, low: float = -_MAX_VALUE, high: float = _MAX_V
     def write(value: float) -> str:
         return "" if value != value else str(units.from_si(value, unit.si))
 
-    limits = f"{compact(low, 6)} to {compact(high, 6)}"
-    allowed = "a number" if (low, high) == (-_MAX_VALUE, _MAX_VALUE) else limits
-    return Kind(allowed, read, write, unit.behind.strip())
+    return Kind(read, write, unit.behind.strip())
 
 
 def integer_kind(low: int) -> Kind:
@@ -73,7 +71,7 @@ def integer_kind(low: int) -> Kind:
             raise ValueError(f"not a whole number from {low} on: correct it")
         return int(value)
 
-    return Kind(f"a whole number from {low} on", read, str)
+    return Kind(read, str)
 
 
 def word_kind(meanings: Mapping[str, Any], remedy: str = "", empty_meaning: Any = None) -> Kind:
@@ -87,9 +85,7 @@ def word_kind(meanings: Mapping[str, Any], remedy: str = "", empty_meaning: Any 
     word_of: dict[Any, str] = {}
     for word, meaning in meanings.items():
         word_of.setdefault(meaning, word)
-    allowed = ", ".join(
-        f"`{word}`" for meaning, word in word_of.items() if meaning != empty_meaning
-    )
+    choices = tuple(word for meaning, word in word_of.items() if meaning != empty_meaning)
     word_of[empty_meaning] = ""
 
     def read(cell: str) -> Any:
@@ -99,7 +95,7 @@ def word_kind(meanings: Mapping[str, Any], remedy: str = "", empty_meaning: Any 
             )
         return meanings[cell]
 
-    return Kind(allowed, read, word_of.__getitem__)
+    return Kind(read, word_of.__getitem__, choices=choices)
 
 
 def _label(cell: str) -> str:
@@ -110,7 +106,7 @@ def _label(cell: str) -> str:
     return cell
 
 
-LABEL = Kind(f"one line, up to {_MAX_LABEL_LENGTH} characters", _label)
+LABEL = Kind(_label)
 """A name for people."""
 
 
@@ -227,8 +223,8 @@ TRAVEL = Column("travel_{leg}_mm", number_kind(MM),
     "Or the commands as the controller shows them. Layouts other than the Orthoglide have these "
     "only, by the names of their legs.", "command")
 PLACE = Column("{axis}_mm", number_kind(MM),
-    "Or where the controller of a linear delta is told to send the tool. `z_mm` is empty if a "
-    "plate is to be touched there.", "command")
+    "Or where the controller of a linear delta sends the tool. `z_mm` is empty if a plate is to be "
+    "touched there.", "command")
 GAUGE = _setup_column("gauge_mm", number_kind(MM),
     "Where the dial stands along the leg's own axis, `r` removed.", "gauge")
 GAUGE2 = _setup_column("gauge2_mm", number_kind(MM),
@@ -249,7 +245,7 @@ APPROACH = Column("approach_{leg}",
     "from the order.", "approach", 0, always_written=True)
 TIME = Column("time_s", number_kind(Unit("s", 1.0)), "Time since the start.", "time", NAN)
 TEMPERATURE = Column("temperature_C", number_kind(Unit("degrees Celsius", 1.0), -40, 100),
-    "Recorded temperature.", "temperature", NAN)
+    "Recorded temperature, degrees Celsius.", "temperature", NAN)
 LOAD = Column("load_N", number_kind(Unit("N", 1.0), 0, 1e4), "Weight at the TCP.", "load", 0.0)
 READINGS = {
     unit.name: Column(f"reading_{unit.name}", number_kind(unit), "What the instrument shows.",
