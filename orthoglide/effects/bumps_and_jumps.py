@@ -103,8 +103,8 @@ def _jumps(effects: Iterable[str], names: LegNames) -> tuple[FreeForm, ...]:
     for name in effects:
         if match := re.fullmatch(r".*_time_(?:(\d+)s|order(\d+))", name):
             timed, moment = match[1] is not None, float(match[1] or match[2])
-            sessions = [Session(0.0, 1.0, leg, timed) for leg in (*range(len(LEGS)), None)]
-            jumps += [with_jump(f, moment) for f in free_forms(sessions, names) if may_jump(f)]
+            forms = free_forms(Session(0.0, 1.0, timed), names)
+            jumps += [with_jump(form, moment) for form in forms if may_jump(form)]
     return tuple(jumps)
 
 
@@ -113,7 +113,7 @@ def with_free_forms(catalogue: Catalogue, names: Iterable[str], geometry: Geomet
     wanted = {name.partition(".")[0] for name in names} - set(catalogue)
     if not wanted:
         return catalogue
-    forms = free_forms((), catalogue.legs, geometry.stroke, geometry.scale)
+    forms = free_forms(None, catalogue.legs, geometry.stroke, geometry.scale)
     forms += travel_bumps([_bump_travel(wanted)] * len(LEGS), catalogue.legs, geometry.stroke,
                    geometry.scale)  # fmt: skip
     forms += _jumps(wanted, catalogue.legs)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Literal
@@ -269,6 +269,7 @@ def _basis(form: FreeForm, k: int, share: float, conditions: LegConditions) -> A
 
 _LENGTH = 0.08  # metres: half of the stroke at which the lengths below were written
 _FINE, _COARSE = Kernel(0.030 / _LENGTH, 12), Kernel(0.050 / _LENGTH, 8)
+_FINE_AND_LINE = replace(_FINE, line=True)
 # A coupling slips, an encoder misses a count, a carriage sticks and jumps: down to 2 mm.
 _DRIVE, _LOST = Kernel(0.030 / _LENGTH, 96, rough=0.1), Kernel(0.030 / _LENGTH, 24, rough=0.1)
 # Harmonics of a screw, a worn ball: unknown between stations that are farther apart.
@@ -280,8 +281,6 @@ _DRIFT = Kernel(0.5, 12, rough=0.1)  # warmth comes and goes slowly, and begins 
 # stroke. On a stroke of less than three such waves the kernels above describe them as well.
 _SHORT, _SHORT_FROM = 0.015, 1.5 * _LENGTH
 _PER_LENGTH, _MOST = 5, 96  # functions of half a stroke as long as a correlation length; in all
-# The leg's end hardly depends on the travel, and a bent rail gives nearly the same readings.
-_PLATFORM_PRIOR_WEIGHT = 0.1
 BUILD_UP = BuildUp((0.05, 0.1, 0.2, 0.4, 0.8))
 _CREEP, _DIAL = Kernel(0.5, 8, rough=1.0), Kernel(0.5, 6)
 
@@ -292,7 +291,6 @@ class Session:
 
     start: float  # first moment
     end: float  # last moment
-    leg: int | None = None  # whose dials were read; `None`: of the whole campaign
     timed: bool = True  # whether moments are seconds; else they count the readings
 
 
@@ -302,7 +300,7 @@ def _short_wave_kernel(half: float) -> Kernel:
 
 
 def free_forms(
-    sessions: Sequence[Session] = (),
+    session: Session | None = None,
     names: LegNames = Orthoglide.names,
     stroke: Range = (-_LENGTH, _LENGTH),
     scale: float = 1.0,
@@ -310,7 +308,7 @@ def free_forms(
     """Return all free-form errors of a machine.
 
     Args:
-        sessions: of each leg, and of the campaign.
+        session: of the campaign; without one, nothing changes with time.
         names: of legs and directions.
         stroke: travel limits of the machine, metres.
         scale: of its size, that of a workshop being 1.
@@ -324,7 +322,8 @@ def free_forms(
                 forms.append(replace(form, kernel=_SCREW, short_waves=True))
             elif form.against == "travel" and form.part != "platform" and half > _SHORT_FROM:
                 forms.append(replace(form, kernel=_short_wave_kernel(half), short_waves=True))
-    forms += (form for session in sessions for form in _time_dependent_forms(session))
+    if session is not None:
+        forms += _time_dependent_forms(session)
     return tuple(scaled_to_machine(replace(form, names=names), scale) for form in forms)
 
 
@@ -336,10 +335,11 @@ def _leg_forms(leg: int) -> Iterator[FreeForm]:
     for other in range(len(LEGS)):
         if other != leg:
             yield FreeForm("drive", leg, "", "command", _ACROSS, command_drive=other)
-    parts: tuple[tuple[Part, float], ...] = (("rail", 1.0), ("platform", _PLATFORM_PRIOR_WEIGHT))
+    # A straight line of the rail is a tilt of its axis, which has a name.
+    parts: tuple[tuple[Part, Kernel], ...] = (("rail", _FINE), ("platform", _FINE_AND_LINE))
     for axis in "bc":
-        for part, chance in parts:
-            yield FreeForm(part, leg, axis, "travel", _FINE, chance=chance)
+        for part, kernel in parts:
+            yield FreeForm(part, leg, axis, "travel", kernel)
             yield FreeForm(part, leg, axis, "approach", _COARSE)
     for axis in "abc":
         yield FreeForm("carriage", leg, axis, "travel", _ACROSS, 1e-3)
@@ -348,15 +348,14 @@ def _leg_forms(leg: int) -> Iterator[FreeForm]:
 
 
 def _time_dependent_forms(session: Session) -> Iterator[FreeForm]:
-    """Yield what changes in a session: bars of the leg that is read; drives in the campaign."""
+    """Yield what changes in a session: one bar or both of a leg, one drive or all alike."""
     span = session.start, session.end
     form = partial(FreeForm, against="time", span=span, timed=session.timed)
-    if session.leg is None:
-        for leg in (-1, *range(len(LEGS))):  # -1: all drives alike
-            yield form("drive", leg, "", kernel=_DRIFT, prior_sd=100 * _UM)
-        return
-    for bars in ("1", "2", ""):
-        yield form("bar", session.leg, bars, kernel=_OU)
+    for leg in range(len(LEGS)):
+        for bars in ("1", "2", ""):
+            yield form("bar", leg, bars, kernel=_OU)
+    for leg in (-1, *range(len(LEGS))):  # -1: all drives alike
+        yield form("drive", leg, "", kernel=_DRIFT, prior_sd=100 * _UM)
 
 
 def scaled_to_machine(form: FreeForm, scale: float) -> FreeForm:

@@ -72,8 +72,10 @@ def visible_free_form_errors(problem: Problem) -> tuple[FreeForm, ...]:
         return ()
     machine = problem.machine
     geometry = machine.geometry
-    sessions = [session for session in _sessions(problem) if session.timed]
-    errors = free_forms(sessions, machine.catalogue.legs, geometry.stroke, geometry.scale)
+    session = _session(problem)
+    if session is not None and not (session.timed and problem.campaigns):
+        session = None  # the order tells no rate of a change, and instruments at the tool drift too
+    errors = free_forms(session, machine.catalogue.legs, geometry.stroke, geometry.scale)
     if len(problem.campaigns) < len(problem.factors):
         # Only readings of legs distinguish a moved bar end from a moved carriage.
         errors = tuple(e for e in errors if not e.moves_bar_ends)
@@ -85,19 +87,12 @@ def visible_free_form_errors(problem: Problem) -> tuple[FreeForm, ...]:
     return tuple(e for e in errors if e.against not in hidden or not hidden[e.against][e.leg])
 
 
-def _sessions(problem: Problem) -> list[Session]:
-    """Return the sessions of each leg and of the whole campaign; none beside other readings, or of
-    several campaigns.
-    """
-    if len(problem.campaigns) != 1 or problem.tool_factors:
-        return []
-    (campaign,), sessions = problem.campaigns, list[Session]()
-    moments, timed = _moments(campaign)
-    for leg in (*range(len(LEGS)), None):
-        of_leg = moments if leg is None else moments[campaign.leg == leg]
-        if len(of_leg) and np.ptp(of_leg) > 0:
-            sessions.append(Session(float(of_leg.min()), float(of_leg.max()), leg, timed))
-    return sessions
+def _session(problem: Problem) -> Session | None:
+    """Return the session of a campaign; ``None`` of several, or of several kinds of readings."""
+    if len(problem.factors) != 1:
+        return None
+    moments, timed = _moments(problem.factors[0].readings)
+    return Session(float(moments.min()), float(moments.max()), timed) if np.ptp(moments) else None
 
 
 def _moments(readings: Readings) -> tuple[Array, bool]:
@@ -144,9 +139,8 @@ def free_form_columns(
     errors = visible_free_form_errors(problem)
     if not errors:
         return iter(()), ()
-    # Of readings without times only jumps are considered: the order tells no rate of a change.
     machine, stroke = problem.machine, problem.machine.geometry.stroke
-    forms = free_forms(_sessions(problem), machine.catalogue.legs, stroke, machine.geometry.scale)
+    forms = free_forms(_session(problem), machine.catalogue.legs, stroke, machine.geometry.scale)
     if jumping := [form for form in forms if may_jump(form)]:
         errors += tuple(_jump_candidates(problem, x, residual, jumping, fitted))
     return _columns_of_problem(problem, x, errors), errors
@@ -205,8 +199,7 @@ def free_form_columns_of_factor(
     """
     response = factor.joint_response(model, values)
     conditions = factor.conditions()
-    if factor.on_legs:  # else there is no session
-        conditions = conditions.with_time(_moments(factor.readings)[0])
+    conditions = conditions.with_time(_moments(factor.readings)[0])
     legs = model.leg_conditions(values, conditions)
     if factor.on_legs and any(p.against == "reversal" for p in errors):
         half = np.ptp(model.geometry.stroke) / 2
