@@ -14,6 +14,7 @@ from orthoglide.explanation.alternative_readings import (
     setups_to_reinterpret,
 )
 from orthoglide.explanation.data_faults import ReportedFault, find_data_faults, without_faults
+from orthoglide.explanation.faults import Fault, setups_of
 from orthoglide.explanation.identifying import identify
 from orthoglide.fit import Estimate, solve
 from orthoglide.machine import Machine
@@ -198,8 +199,8 @@ def test_a_wrong_command_is_told_as_the_controller_has_it(machine):
     spoilt, touched = rc.wrong_command(rows, posture_of(rows, "y", "max"), 0, 1.0)
     (blunder,) = found_in(spoilt, judge)
     assert (blunder.kind, [row for _, row in blunder.rows]) == ("command", touched)
-    ((drive, size),) = blunder.commands
-    assert (drive, size) == (0, pytest.approx(-1e-3, abs=1e-4))
+    assert blunder.fault.drive == 0
+    assert blunder.fault.size == pytest.approx(-1e-3, abs=1e-4)
     counted = re.search(r"\(the controller's ([\d.]+) where ([\d.]+)\) is written", blunder.message)
     assert counted, blunder.message
     assert float(counted[1]) - float(counted[2]) == pytest.approx(1.0, abs=0.1)
@@ -246,13 +247,13 @@ def test_readings_a_row_off(by, errors, machine):
 def test_a_label_puts_no_two_dials_at_one_place_at_once(machine):
     """A wrong command at one posture was told of a dial whose place the other one takes."""
     problem = estimate_of(rows_of("standard"), machine).problem
-    setups = problem.setups
+    (setup,) = (k for k, s in enumerate(problem.setups) if s.name == "xy-0.5")
     labels = [
         a.fault
         for a in list_alternative_readings(problem, setups_to_reinterpret(problem, []))
-        if a.labels
+        if a.fault.relabels
     ]
-    tried = {f.label for f in labels if f.kind == "label" and setups[f.setups[0]].name == "xy-0.5"}
+    tried = {f.label for f in labels if f.kind == "label" and setups_of(problem, f) == [setup]}
     assert tried == {(1, 0), (1, 2), (2, 0), (2, 1)}
 
 
@@ -279,7 +280,7 @@ def test_the_message_names_the_place_and_scores_tell_what_it_cost(tmp_path, nomi
     assert blunder.message.startswith("monday.csv, line 22, setup 'yx-0.5', posture max: ")
     assert "measure this place again" in blunder.message
     assert blunder.lines([campaign]) == {str(path): (22,)}
-    again = solve(without_faults(estimate.problem, [blunder]), method="nested")
+    again = solve(without_faults(estimate.problem, [blunder.fault]), method="nested")
     assert blunder.rms_with == pytest.approx(estimate.scores.rms, rel=1e-6)
     assert blunder.rms_without < 0.3 * blunder.rms_with
     assert len(again.residuals) == len(estimate.residuals) - 1
@@ -290,7 +291,9 @@ def test_the_message_names_the_place_and_scores_tell_what_it_cost(tmp_path, nomi
 def test_a_knocked_setup_becomes_two(machine):
     rows, touched = rc.knocked_stand(rows_of("standard", seed=2), "yz-0.5", 0.5)
     estimate = estimate_of(rows, machine)
-    clean = without_faults(estimate.problem, find_data_faults(estimate).data_faults)
+    clean = without_faults(
+        estimate.problem, [f.fault for f in find_data_faults(estimate).data_faults]
+    )
     (campaign,) = clean.campaigns
     assert (len(campaign), len(campaign.setups)) == (len(rows), 7)
     assert [k for k, s in enumerate(campaign.setup) if s == 6] == touched
@@ -308,7 +311,7 @@ def test_rows_are_counted_within_their_campaign(machine):
     (blunder,) = find_data_faults(estimate).data_faults
     assert blunder.rows == ((1, 11),)
     assert blunder.message.startswith("second, line 13,")
-    clean = without_faults(estimate.problem, [blunder])
+    clean = without_faults(estimate.problem, [blunder.fault])
     assert [len(c) for c in clean.campaigns] == [54, 53]
 
 
@@ -319,8 +322,7 @@ def test_a_change_since_a_calibration_is_as_free_without_the_faulty_rows(machine
     rows = rc.outlier(rows_of(seed=4, **moved), 20, 0.5).rows
     read = estimate_of(rows, calibrated)
     assert [str(change.parameter) for change in read.changes] == list(moved)
-    slip = ReportedFault("outlier", ((0, 20),), (), "", 0.0, 0.0, 0.0)
-    clean = without_faults(read.problem, [slip])
+    clean = without_faults(read.problem, [Fault("outlier", np.array([20]))])
     widths = {str(u.name): u.prior_width for u in read.problem.unknowns}
     assert widths["joint_offset.x"] == 10.0
     assert {str(u.name): u.prior_width for u in clean.unknowns} == widths
@@ -329,9 +331,8 @@ def test_a_change_since_a_calibration_is_as_free_without_the_faulty_rows(machine
 def test_a_campaign_of_faults_alone_is_refused_for_its_own(machine):
     every = [campaign_of(rows_of("standard", seed=k), machine, f"visit-{k}") for k in (1, 2)]
     problem = identify(every, machine, method="nested").problem
-    first = ReportedFault("outlier", ((0, 3),), (), "visit-1, line 5", 0.0, 0.0, 0.0)
-    whole = ReportedFault(
-        "unit", tuple((1, k) for k in range(54)), (), "visit-2 is in", 0.0, 0.0, 0.0
-    )
-    with pytest.raises(InputError, match=r"all 54 rows of visit-2 are faulty.* \(visit-2 is in\)"):
+    first, whole = Fault("outlier", np.array([3])), Fault("unit", np.arange(54, 108), 10.0)
+    with pytest.raises(
+        InputError, match=r"all 54 rows of visit-2 are faulty.* \(visit-2, 54 lines"
+    ):
         without_faults(problem, [first, whole])

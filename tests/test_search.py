@@ -271,24 +271,24 @@ def test_other_readings_against_their_covariance_written_out(causes: int) -> Non
     rng, n, own = np.random.default_rng(causes), 30, np.arange(10)
     machine, residual = 3 * rng.standard_normal((n, causes)), 5 * rng.standard_normal(n)
     datums = np.repeat(50 * np.eye(3), 10, axis=0)
-    wide = FullLikelihood(
-        Weighing(np.full(n, 2.0), np.zeros(n), np.arange(n)), machine, datums, residual
-    )
+    weighing = Weighing(np.full(n, 2.0), np.zeros(n), np.arange(n))
+    wide = FullLikelihood(weighing, np.hstack([machine, datums]), residual, (1.0, 1.0))
     cov = np.eye(n) + machine @ machine.T + datums @ datums.T
     change = rng.standard_normal((n, 2))
     changed = residual[:, None] + change / 2
     expected = [log_likelihood(one, cov) for one in changed.T]
     assert wide.log_likelihood(change) == pytest.approx(expected)
     silent = log_likelihood(changed[10:, 0], cov[10:, 10:])
-    assert wide.log_likelihood(change)[0] + wide.deletion_gain(own, change[:, 0]) == pytest.approx(
-        silent
-    )
+    deletion = wide.deletion(own, change[:, 0])
+    assert wide.log_likelihood(change)[0] + deletion.gain == pytest.approx(silent)
     foretold = cov[:10, 10:] @ np.linalg.solve(cov[10:, 10:], residual[10:])
-    assert wide.deletion_residual(own).difference == pytest.approx(2 * (residual[:10] - foretold))
+    difference = wide.deletion(own, np.zeros(n)).difference
+    assert difference == pytest.approx(2 * (residual[:10] - foretold))
     columns, placed, rest = rng.standard_normal((10, causes)), np.full((10, 1), 50.0), residual[::3]
     moved = np.vstack([columns, machine[10:]])
     other = np.eye(n) + moved @ moved.T
     other[10:, 10:] += datums[10:] @ datums[10:].T
     other[:10, :10] += placed @ placed.T
     labelled = log_likelihood(np.concatenate([rest, residual[10:]]), other)
-    assert wide.relabelled_log_likelihood(own, columns, placed, rest) == pytest.approx(labelled)
+    relabelled = wide.relabelled(own, 2 * columns, 2 * placed, 2 * rest)
+    assert relabelled.log_likelihood(np.zeros((n, 1))) == pytest.approx([labelled])

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.explanation.data_faults import ReportedFault, without_faults
+from orthoglide.explanation.data_faults import without_faults
+from orthoglide.explanation.faults import Fault
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument
 from orthoglide.observations import Readings
@@ -69,12 +70,7 @@ def test_what_moved_and_is_given_as_another_setup_is_nothing_wrong() -> None:
 def test_what_moved_twice_leaves_no_setup_without_readings() -> None:
     """Whichever is found first: a setup without readings ended the run in a traceback."""
     problem = og.identify([read("tcp")], MACHINE).problem
-    late, later = (
-        ReportedFault(
-            "moved", tuple((0, k) for k in range(first, len(problem.measured))), (), "", 0, 0, 0
-        )
-        for first in (6, 30)
-    )
+    late, later = (Fault("moved", np.arange(first, len(problem.measured))) for first in (6, 30))
     for order in ([late, later], [later, late]):
         (factor,) = without_faults(problem, order).factors
         assert np.bincount(factor.setup).min() > 0

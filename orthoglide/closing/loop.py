@@ -127,7 +127,9 @@ def _search(
     credible sets of active causes, the test for lack of fit, and the verdict.
     """
     progress(Step("searching"))
-    problem = without_faults(base_fit.problem, data_faults) if data_faults else base_fit.problem
+    problem = base_fit.problem
+    if data_faults:
+        problem = without_faults(problem, [reported.fault for reported in data_faults])
     # A changed parameter is a cause only if its value after the change is still significant.
     # Without readings on legs, a change with several members cannot be assigned to one parameter,
     # so it is no cause.

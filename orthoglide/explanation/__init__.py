@@ -7,6 +7,7 @@ Columns of the linear model
     candidates            causes of the catalogue, and which groups of coefficients may be active
     free_form             free-form errors at a joint, of a dial or of a plate
     faults                data faults as hypotheses, and their messages
+    corrections           readings with their data faults corrected
     fault_columns         data faults as columns: slips, knocks, moved instruments, wrong commands
     twins                 parameters with equal effects on readings and tool
     screening             a score test of all data faults, after which few are kept

@@ -183,8 +183,7 @@ def _displacement_by_commands(
     if corrected:
         by_command = command_derivatives(full_problem, linearised.x, linearised.value)
         for fault in corrected:
-            drive, size = fault.commands[0]
-            displacement[fault.rows] += by_command[fault.rows, drive] * size
+            displacement[fault.rows] += by_command[fault.rows, fault.drive] * fault.size
     return displacement
 
 

@@ -21,7 +21,7 @@ from orthoglide.errors import InputError
 from orthoglide.explanation.alternatives import Alternatives
 from orthoglide.explanation.base_causes import far_base_causes
 from orthoglide.explanation.causes import CandidateScore, Cause, CredibleSets, Curve, Located
-from orthoglide.explanation.faults import factors_and_rows, fault_message
+from orthoglide.explanation.faults import fault_message, lines_of
 from orthoglide.explanation.full_posterior import FullPosterior
 from orthoglide.explanation.linear_model import Group
 from orthoglide.geometry import Array
@@ -119,14 +119,12 @@ class _CredibleSetReader:
 
     def _data_rivals(self, member: int, odds: Sequence[tuple[int, float]]) -> Iterator[DataRival]:
         """Yield the data faults of a credible set, which rival its causes."""
-        by_name = {s.name: s for s in self.posterior.linearised.suspects}
         problem = self.posterior.linearised.problem
         for k, probability in odds:
             coefficients = self.groups[k].coefficients
             mean, _ = self.alternatives.moments(member, k, coefficients)
-            fault = by_name[self.groups[k].name].with_sizes(mean[coefficients])
-            rows = tuple(int(problem.factors[t].readings.line[row])
-                         for t, row in factors_and_rows(problem, fault.rows))  # fmt: skip
+            fault = self.posterior.data_fault(k, mean)
+            rows = tuple(line for _, line in lines_of(problem, fault))
             yield DataRival(fault.kind, rows, probability, fault_message(problem, fault))
 
     def single_causes(self) -> tuple[Explanation, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.fit import Problem
-from orthoglide.geometry import LEGS, Array
+from orthoglide.geometry import LEGS
 from orthoglide.machine_file import Controller
 from orthoglide.numerals import compact, plain, signed
 from orthoglide.observations import Readings, Setup, source
@@ -27,8 +27,10 @@ Rows = NDArray[np.int64]
 DATUM_KINDS: tuple[Kind, ...] = ("knocked_stand", "zeroed", "moved")
 """Faults whose rows keep their weight but get a separate datum."""
 
-REQUIRED_EVIDENCE = 7.0
-"""Log Bayes factor that a fault must reach after the prior odds of its kind: about 1 in 1000."""
+MISREADING_KINDS: tuple[Kind, ...] = (
+    "sign", "label", "exchanged_labels", "shifted", "unit", "turns", "stuck",
+)  # fmt: skip
+"""Faults of which the readings stand for others, with which the search continues."""
 
 _LOCAL_RANGE = 2e-3  # metres: range and size of an error of a drive at one command alone
 _MOST_LINES_LISTED = 12  # lines that a message lists one by one
@@ -43,18 +45,16 @@ class Fault:
     # stacked faulty readings, in the order they were taken; for a knocked stand the readings after
     # the knock, for dials set to zero anew those after the first repeat
     rows: Rows
-    setups: tuple[int, ...]  # numbered over all campaigns
     # outlier or knock: metres; unit: factor; shifted: number of rows by which readings stand too
-    # late; turns: metres that one turn of the hand shows
+    # late; turns: metres that one turn of the hand shows; exchanged_labels: 1 if the labels are
+    # exchanged, 0 if the readings are, the first half of the rows with the second
     size: float = 0.0
     label: tuple[int, int] = (0, 0)  # wrong label: the leg and axis that fit
-    # wrong command: drives that may be concerned, the likeliest first, each with the commanded less
-    # the written position, metres
-    commands: tuple[tuple[int, float], ...] = ()
-    # zeroed: each datum less that of the first repeat, metres; turns: excess of each row, metres;
-    # unit: factors that fit nearly equally well
+    drive: int | None = None  # whose command is wrong: by size, the commanded less the written
+    # zeroed: each datum less that of the first repeat, metres; turns: excess of each row, metres
     sizes: tuple[float, ...] = ()
-    alternatives: tuple[Fault, ...] = ()  # of another kind, which the readings do not rule out
+    # what the readings do not rule out either: other drives, and a fault of another kind
+    alternatives: tuple[Fault, ...] = ()
 
     @property
     def excluded(self) -> bool:
@@ -62,49 +62,30 @@ class Fault:
         return self.kind not in DATUM_KINDS
 
     @property
-    def offsets(self) -> tuple[float, ...]:
-        """Offset of each group of :func:`datum_rows`, metres."""
-        return () if self.excluded else self.sizes or (self.size,)
+    def relabels(self) -> bool:
+        """True if its rows get other labels; their readings are the same."""
+        return self.kind == "label" or (self.kind == "exchanged_labels" and self.size != 0)
 
 
-def rows_in_order(problem: Problem, setup: int) -> Rows:
-    """Return the stacked rows of a setup in the order they were taken."""
-    rows = np.flatnonzero(problem.setup_of_row == setup)
-    return np.asarray(rows[np.argsort(problem.dial_column("order")[rows], kind="stable")])
+def setups_of(problem: Problem, fault: Fault) -> list[int]:
+    """Return the setups of a fault's rows, numbered over all tables."""
+    return np.unique(problem.setup_of_row[fault.rows]).tolist()
 
 
 def weighted_rows(problem: Problem, setup: int) -> Rows:
-    """Return the weighted rows of a setup of dials in the order they were taken."""
-    rows = rows_in_order(problem, setup)
-    return rows[np.concatenate([f.noise.weighted for f in problem.leg_factors])[rows]]
-
-
-def datum_rows(problem: Problem, fault: Fault) -> list[Rows]:
-    """Return the groups of rows that get a separate datum: by setup, and by repeat if zeroed."""
-    if fault.excluded:
-        return []
-    setup = problem.setup_of_row
-    repeat = problem.dial_column("repeat") if fault.kind == "zeroed" else np.zeros_like(setup)
-    return split_by_datum(fault.kind, fault.rows, setup, repeat)
-
-
-def datum_columns(problem: Problem, fault: Fault) -> Array:
-    """Return the readings by an offset of each group of :func:`datum_rows` ``(n, datums)``."""
-    columns = np.zeros((len(problem.measured), len(fault.offsets)))
-    for k, rows in enumerate(datum_rows(problem, fault)):
-        columns[rows, k] = 1.0
-    return columns
+    """Return the stacked rows of a setup that have any weight, in the order they were taken."""
+    weighted = np.concatenate([f.noise.weighted for f in problem.factors])
+    order = np.concatenate([f.readings.order for f in problem.factors])
+    rows = np.flatnonzero((problem.setup_of_row == setup) & weighted)
+    return np.asarray(rows[np.argsort(order[rows], kind="stable")])
 
 
 def split_by_datum(kind: Kind, rows: Rows, setup: Rows, repeat: Rows) -> list[Rows]:
-    """Split rows by datum, given the setup and the repeat of all readings ``(n,)``."""
+    """Split rows by datum: by setup, and by repeat if dials were zeroed, given the setup and the
+    repeat of all readings ``(n,)``.
+    """
     datum = group_ids(np.column_stack([setup, repeat * (kind == "zeroed")])[rows])
     return [rows[datum == k] for k in range(datum.max(initial=-1) + 1)]
-
-
-def campaign_index(problem: Problem, rows: Rows) -> int:
-    """Return the number of the campaign to which stacked rows belong."""
-    return next(k for k, part in enumerate(problem.leg_rows) if rows[0] < part.stop)
 
 
 def factors_and_rows(problem: Problem, rows: Rows) -> tuple[tuple[int, int], ...]:
@@ -114,6 +95,13 @@ def factors_and_rows(problem: Problem, rows: Rows) -> tuple[tuple[int, int], ...
     factors = np.searchsorted(stops, ordered, side="right").tolist()
     pairs = zip(factors, ordered.tolist(), strict=True)
     return tuple((k, row - problem.factor_rows[k].start) for k, row in pairs)
+
+
+def lines_of(problem: Problem, fault: Fault) -> tuple[tuple[int, int], ...]:
+    """Return the table and the line of every row of a fault."""
+    tables = [f.readings for f in problem.factors]
+    places = factors_and_rows(problem, fault.rows)
+    return tuple((k, int(tables[k].line[row])) for k, row in places)
 
 
 def _readings_and_setup(problem: Problem, fault: Fault) -> tuple[int, int, Readings, Setup]:
@@ -131,11 +119,12 @@ def fault_message(problem: Problem, fault: Fault) -> str:
     lines = _line_list(
         [*dict.fromkeys(int(readings.line[row]) for k, row in places if k == factor)]
     )
-    setups = " and ".join(repr(problem.setups[s].name) for s in fault.setups)
-    plural = "s" * (len(fault.setups) > 1)
-    where = "" if readings.by_point else f", setup{plural} {setups}"
+    setups = [repr(problem.setups[s].name) for s in setups_of(problem, fault)]
+    plural = "s" * (len(setups) > 1)
+    where = "" if readings.by_point else f", setup{plural} {' and '.join(setups)}"
     label = _row_label(problem, places)
-    clauses = [_clause(problem, each) for each in (fault, *fault.alternatives)]
+    others = [a for a in fault.alternatives if a.kind != fault.kind]
+    clauses = [_clause(problem, each) for each in (fault, *others)]
     return f"{source(readings)}, {lines}{where}{label}: {'; or '.join(clauses)}"
 
 
@@ -204,12 +193,9 @@ def _clause(problem: Problem, fault: Fault) -> str:
                 f"{lateness}: move them {direction} by one, and measure the one that is lost again"
             )
         case "unit":
-            factors = fault.sizes or (fault.size,)
-            factor_words = " or ".join(f"{factor:.4g}" for factor in factors)
             return (
-                f"the readings fit once they are multiplied by {factor_words}, so they seem to be "
-                f"{', or '.join(UNIT_MISTAKES[f] for f in factors)}: put this setup into "
-                f"millimetres"
+                f"the readings fit once they are multiplied by {fault.size:.4g}, so they seem to "
+                f"be {UNIT_MISTAKES[fault.size]}: put this setup into millimetres"
             )
         case "turns":
             return _turns_clause(fault)
@@ -228,8 +214,7 @@ def _clause(problem: Problem, fault: Fault) -> str:
             reading = compact(problem.measured[fault.rows[0]] * 1e3, 6)
             return (
                 f"the dial shows {reading} mm in {len(fault.rows)} readings one after the other "
-                f"while the machine moves it by {fault.size * 1e3:.2g} mm: free the plunger and "
-                f"measure these rows again"
+                f"while the machine moves: free the plunger and measure these rows again"
             )
 
 
@@ -238,17 +223,17 @@ def _scatter_clause(problem: Problem, fault: Fault) -> str:
     k, *_, setup = _readings_and_setup(problem, fault)
     instrument, size = setup.observation, f"{fault.size * 1e3:.2g}"
     if problem.factors[k].on_legs:
-        return (
-            f"visits to the same posture scatter by {size} mm, which is no noise of a dial: rows "
-            f"were exchanged, the readings have another unit, or the dial is loose; put it right, "
-            f"or declare the noise with --noise"
+        place, remedy = "posture", "declare the noise with --noise"
+    else:
+        place = "place, or to places beside it," if instrument.touches else "place"
+        remedy = (
+            f"give repeatability in the machine file under [instrument.{instrument.kind}]"
+            f"{_lost_motion_clause(problem, fault)}"
         )
-    neighbours = ", or to places beside it," if instrument.touches else ""
     return (
-        f"visits to the same place{neighbours} scatter by {size} {instrument.unit}, which is no "
-        f"noise of such an instrument: rows were exchanged, the readings have another unit, or "
-        f"something is loose; put it right, or give repeatability in the machine file under "
-        f"[instrument.{instrument.kind}]{_lost_motion_clause(problem, fault)}"
+        f"visits to the same {place} scatter by {size} {instrument.unit}, which is no noise of "
+        f"such an instrument: rows were exchanged, the readings have another unit, or something is "
+        f"loose; put it right, or {remedy}"
     )
 
 
@@ -261,7 +246,7 @@ def _lost_motion_clause(problem: Problem, fault: Fault) -> str:
 def _label_clause(problem: Problem, fault: Fault) -> str:
     """Return which setup the readings fit: with the opposite sign, another leg, or another dial."""
     if fault.kind == "sign":
-        setup = problem.setups[fault.setups[0]]
+        *_, setup = _readings_and_setup(problem, fault)
         other = ("" if setup.sign < 0 else "-") + LEGS[setup.axis]
         return (
             f"the readings fit with the opposite sign, so the dial counted the other way: look at "
@@ -294,9 +279,10 @@ def _turns_clause(fault: Fault) -> str:
 
 def _zeroed_clause(problem: Problem, fault: Fault) -> str:
     """Return by how much the datum of each repeat differs from that of the first."""
-    repeat = problem.dial_column("repeat")
+    repeat = np.concatenate([f.readings.repeat for f in problem.factors])
     by_setup: dict[str, list[str]] = {}
-    for rows, size in zip(datum_rows(problem, fault), fault.sizes, strict=True):
+    datums = split_by_datum("zeroed", fault.rows, problem.setup_of_row, repeat)
+    for rows, size in zip(datums, fault.sizes, strict=True):
         clauses = by_setup.setdefault(problem.setups[problem.setup_of_row[rows[0]]].name, [])
         clauses.append(f"{signed(size * 1e3, 3)} mm at repeat {repeat[rows[0]]}")
     plural = len(by_setup) > 1
@@ -313,7 +299,9 @@ def _command_clause(problem: Problem, fault: Fault) -> str:
     (k, row), *_ = factors_and_rows(problem, fault.rows)
     written = problem.campaigns[k].command[row]
     spec, options = problem.machine.spec, []
-    for drive, size in fault.commands:
+    faults = [fault, *(a for a in fault.alternatives if a.kind == fault.kind)]
+    sizes = {f.drive: f.size for f in faults if f.drive is not None}
+    for drive, size in sizes.items():
         fitted = written + size * np.eye(3)[drive]
         text = f"rho_{LEGS[drive]} = {plain(fitted[drive] * 1e3, 2)} mm where "
         text += compact(written[drive] * 1e3, 8)
@@ -329,7 +317,7 @@ def _command_clause(problem: Problem, fault: Fault) -> str:
     # A small error may also be the drive's, if no other posture has it near this command.
     others = np.delete(problem.dial_column("command"), fault.rows, axis=0) - written
     isolated = (np.abs(others) > _LOCAL_RANGE).all(axis=0)
-    drives = [LEGS[k] for k, size in fault.commands if abs(size) <= _LOCAL_RANGE and isolated[k]]
+    drives = [LEGS[k] for k, size in sizes.items() if abs(size) <= _LOCAL_RANGE and isolated[k]]
     if not drives:
         return text
     return f"{text}; or drive {' or '.join(drives)} is off at this place alone: measure it again"

@@ -15,7 +15,8 @@ import numpy as np
 from orthoglide.effects.free_form import FreeForm
 from orthoglide.errors import ClosureError, NumericsError, SolverError
 from orthoglide.explanation.columns import LinearisedModel, linearise_full_model
-from orthoglide.explanation.fault_columns import FaultColumns, FaultKey, with_commands_corrected
+from orthoglide.explanation.corrections import with_faults_corrected
+from orthoglide.explanation.fault_columns import FaultKey
 from orthoglide.explanation.faults import Fault
 from orthoglide.explanation.mixture import LEAST_PROBABILITY, AveragedMoments, Mixture
 from orthoglide.fit import Estimate
@@ -79,18 +80,19 @@ class FullPosterior:
         """Chi2 per degree of freedom of the best explanation, its priors counted."""
         return self.mixture.chi2 / max(len(self.mixture.linear.residual), 1)
 
-    @property
-    def active_faults(self) -> tuple[FaultColumns, ...]:
-        """Data faults and changes that are active in the best explanation."""
-        by_name = {s.name: s for s in self.linearised.suspects}
-        names = [self.mixture.linear.groups[k].name for k, _ in self.mixture.best]
-        return tuple(by_name[name] for name in names if name in by_name)
+    def data_fault(self, group: int, mean: Array) -> Fault:
+        """Return the data fault of a group, with its size at a mean of coefficients ``(C,)``."""
+        groups = self.mixture.linear.groups
+        columns = self.linearised.suspects[group - len(groups)]  # those of the last groups
+        return columns.with_sizes(mean[groups[group].coefficients])
 
-    def sized_fault(self, suspect: FaultColumns) -> Fault:
-        """Return an active data fault with its size in the best explanation."""
-        group = next(g for g in self.mixture.linear.groups if g.name == suspect.name)
-        mean = self.mixture.likeliest_mean(self.mixture.best)
-        return suspect.with_sizes(mean[group.coefficients])
+    @property
+    def wrong_commands(self) -> dict[str, Fault]:
+        """Wrong commands of the best explanation by the names of their groups."""
+        groups, best = self.mixture.linear.groups, self.mixture.best
+        mean = self.mixture.likeliest_mean(best)
+        faults = {groups[k].name: self.data_fault(k, mean) for k, _ in best if groups[k].of_data}
+        return {name: fault for name, fault in faults.items() if fault.drive is not None}
 
     @property
     def next_point(self) -> Array:
@@ -263,16 +265,15 @@ def posterior_with_corrected_commands(before: Estimate) -> FullPosterior:
     with _closure_explained(before):
         posterior = posterior_at_base_fit(before)
         for _ in range(_LINEARISATIONS):
-            active = [s for s in posterior.active_faults if s.fault.commands]
-            wrong = {s.name: posterior.sized_fault(s) for s in active}
+            wrong = posterior.wrong_commands
             if wrong.keys() == corrected.keys() and all(
                 abs(wrong[name].size - corrected[name].size) < _COMMAND_CONVERGED for name in wrong
             ):
                 break
-            corrected, faults = wrong, list(wrong.values())
-            problem = with_commands_corrected(before.problem, faults)
+            corrected = wrong
+            problem = with_faults_corrected(before.problem, [*wrong.values()])
             fit = solve(problem, method="nested", widen=False) if wrong else before
-            posterior = _posterior_at(fit, (), corrected=faults, suspected_faults=True)
+            posterior = _posterior_at(fit, (), corrected=[*wrong.values()], suspected_faults=True)
     return posterior
 
 
@@ -342,10 +343,8 @@ def _converge(
 ) -> FullPosterior:
     """Return the posterior linearised at its mean, starting from ``first_posterior`` if given."""
     with _closure_explained(before):
-        if first_posterior is None or given:
-            best = posterior = _posterior_at(before, given, suspected_faults=fault_keys)
-        else:
-            best = posterior = first_posterior
+        first = None if given else first_posterior
+        best = posterior = first or _posterior_at(before, given, suspected_faults=fault_keys)
         for _ in range(_LINEARISATIONS - 1):
             if posterior.linearised.linearisation_error < _CONVERGED:
                 break

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from orthoglide.errors import InputError, check_choice
-from orthoglide.explanation.credible_faults import certain_data_faults
+from orthoglide.explanation.credible_faults import credible_faults
 from orthoglide.explanation.faults import fault_message
 from orthoglide.explanation.full_posterior import posterior_with_corrected_commands
 from orthoglide.explanation.recalibration import account_for_changes
@@ -138,6 +138,6 @@ def _tool_fault_notes(estimate: Estimate) -> Iterator[Note]:
     if not problem.tool_factors:
         return
     check_scatter(problem)
-    for fault in certain_data_faults(posterior_with_corrected_commands(estimate)):
-        if fault.setups[0] not in problem.leg_setups:
+    for fault in credible_faults(posterior_with_corrected_commands(estimate)).certain:
+        if problem.setup_of_row[fault.rows[0]] not in problem.leg_setups:
             yield Note(f"{fault_message(problem, fault)}; close-loop sets it aside", "slip")

@@ -8,97 +8,142 @@ residual of the readings, and then from what the readings with these turns corre
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from orthoglide.errors import NumericsError
 from orthoglide.explanation.alternative_readings import (
     EXPECTED_COUNT,
     AlternativeReadings,
-    list_alternative_readings,
-    with_misreading_corrected,
+    RowsBySetup,
 )
 from orthoglide.explanation.columns import LinearisedModel
-from orthoglide.explanation.faults import Fault, Rows, campaign_index
+from orthoglide.explanation.corrections import with_faults_corrected
+from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
+from orthoglide.explanation.faults import Fault, Rows, setups_of
 from orthoglide.explanation.full_likelihood import (
     WIDEST_DATUM,
     FullLikelihood,
+    Scales,
     in_standard_deviations,
 )
-from orthoglide.explanation.full_posterior import FullPosterior
-from orthoglide.fit import Problem
+from orthoglide.explanation.full_posterior import FullPosterior, posterior_at_base_fit
+from orthoglide.fit import Estimate, Problem, solve
+from orthoglide.fit.least_squares import linearise, nuisances
 from orthoglide.geometry import Array
-from orthoglide.ordering import LOG_ODDS_MARGIN, descending
+from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, descending
 
 _MOST_READINGS = 10_000  # readings: for more, four matrices by unknowns take over 0.4 GB
 _MOST_RANKED = 5  # alternatives that are searched in full
 
-_BACKGROUND_SCALES = ((0.01, 0.003), (0.1, 0.1), (1.0, 0.1), (1.0, 3.0))
-"""Background scales of the parameters, in tolerances, and of the free-form errors."""
+_MISREADING_MARGIN = 3.0
+"""Log odds by which a misreading must be likelier: its prior probability is a guess."""
+
+BACKGROUND_SCALES: Sequence[Scales] = ((0.01, 0.003), (0.1, 0.1), (1.0, 0.1), (1.0, 3.0))
+"""Backgrounds under which misreadings of dials are ranked."""
 
 
-def rank_alternative_readings(
-    posterior: FullPosterior, rows_by_setup: Mapping[int, Rows]
-) -> list[tuple[float, AlternativeReadings]]:
-    """Return the alternative readings that fit better than the readings as they stand, the
-    likeliest first, each with its gain of log evidence.
+def fit_nested(problem: Problem) -> Estimate:
+    """Return the fit of readings that are still in doubt."""
+    return solve(problem, method="nested", widen=False)
+
+
+def likeliest_misreading(
+    base: Estimate,
+    posterior: FullPosterior,
+    alternatives: Sequence[AlternativeReadings],
+    rows_by_setup: RowsBySetup,
+    other_evidence: float = -np.inf,
+    background_scales: Sequence[Scales] = BACKGROUND_SCALES,
+) -> Fault | None:
+    """Return the misreading that explains the readings clearly better; ``None`` if there is none.
 
     Args:
-        posterior: of the readings as they stand.
-        rows_by_setup: rows of each setup without a misreading, in the order they were taken.
+        base: fit to the readings as they stand.
+        posterior: its posterior, which may have corrected commands that a misreading explains.
+        alternatives: to be compared.
+        rows_by_setup: rows of their setups, in the order they were taken.
+        other_evidence: log evidence of another explanation of the readings.
+        background_scales: under which alternatives are ranked.
     """
-    model = posterior.linearised
-    if len(model.value_at_zero) > _MOST_READINGS:
+    candidates = list[tuple[float, Fault]]()
+    for alternative in _rank(posterior, alternatives, rows_by_setup, background_scales):
+        try:
+            corrected = with_faults_corrected(base.problem, [alternative.fault])
+            other = posterior_at_base_fit(fit_nested(corrected))
+        except NumericsError:
+            continue
+        if other.mixture.probability_rare < EVEN_PROBABILITY:  # more noise explains anything
+            candidates.append((other.evidence + alternative.log_odds, alternative.fault))
+    if not candidates:
+        return None
+    evidence, fault = best_of(candidates, lambda one: one[0], LOG_ODDS_MARGIN)
+    threshold = max(posterior.evidence, other_evidence) + _MISREADING_MARGIN
+    return fault if evidence > threshold else None
+
+
+def _rank(
+    posterior: FullPosterior,
+    alternatives: Sequence[AlternativeReadings],
+    rows_by_setup: RowsBySetup,
+    background_scales: Sequence[Scales],
+) -> list[AlternativeReadings]:
+    """Return the alternative readings that fit better than the readings as they stand, the
+    likeliest first.
+    """
+    model, problem = posterior.linearised, posterior.linearised.problem
+    if not alternatives or len(problem.measured) > _MOST_READINGS:
         return []
-    alternatives = list_alternative_readings(model.problem, rows_by_setup)
-    if not alternatives:
-        return []
-    likelihoods = _likelihoods(model)
-    alternatives = [*alternatives, *turn_alternatives(model.problem, likelihoods, rows_by_setup)]
-    no_change = np.zeros((len(model.value_at_zero), 1))
-    by_background = np.array([w.log_likelihood(no_change)[0] for w in likelihoods])
-    as_read = np.logaddexp.reduce(by_background)
-    pairs = list(zip(by_background, likelihoods, strict=True))
-    bounds = {s: max(p + w.relabelling_bound(rows) for p, w in pairs) - as_read
+    likelihoods = _likelihoods(model, background_scales)
+    no_change = np.zeros(len(problem.measured))
+    dials = {s: rows for s, rows in rows_by_setup.items() if s in problem.leg_setups}
+    alternatives = [*alternatives, *turn_alternatives(problem, likelihoods, dials)]
+    changes, lost = zip(*(_change(problem, a.fault) for a in alternatives), strict=True)
+    all_changes = np.column_stack([no_change, *changes])
+    by_scale = np.stack([w.log_likelihood(all_changes) for w in likelihoods])
+    as_read, *scores = np.logaddexp.reduce(by_scale, axis=0)
+    pairs = list(zip(by_scale[:, 0], likelihoods, strict=True))
+    bounds = {s: max(p + w.deletion(rows, no_change).relabelling_bound for p, w in pairs) - as_read
               for s, rows in rows_by_setup.items()}  # fmt: skip
-    changes = np.stack([alternative.change for alternative in alternatives], axis=1)
-    by_scale = np.stack([w.log_likelihood(changes) for w in likelihoods])
-    scores = np.logaddexp.reduce(by_scale, axis=0)
     # A misreading may come beside the data faults that are active, or in place of them.
     model_with_faults, cost = _with_active_faults_fixed(posterior)
     if cost:
-        both = np.hstack([no_change, changes])
-        each = [w.log_likelihood(both) for w in _likelihoods(model_with_faults)]
-        with_faults = np.logaddexp.reduce(each) - cost
-        as_read = max(as_read, with_faults[0])
-        scores = np.maximum(scores, with_faults[1:])
-    # The background that the readings of all other setups favour, by relabelled setups.
-    backgrounds: dict[tuple[int, ...], int] = {}
+        with_faults = _likelihoods(model_with_faults, background_scales)
+        each = [w.log_likelihood(all_changes) for w in with_faults]
+        as_read, *scores = np.maximum([as_read, *scores], np.logaddexp.reduce(each) - cost)
     for k, alternative in enumerate(alternatives):
-        fault, labels = alternative.fault, alternative.labels
-        if labels and alternative.log_odds + sum(bounds[s] for s in labels) < 0:
-            scores[k] = -np.inf
-        elif labels:
-            if fault.setups not in backgrounds:
-                others = [p + w.deletion_gain(fault.rows) for p, w in pairs]
-                backgrounds[fault.setups] = int(np.argmax(others))
-            best = backgrounds[fault.setups]
-            scores[k] = _relabelled_log_likelihood(
-                model, likelihoods[best], _BACKGROUND_SCALES[best], alternative
-            )
-        elif len(alternative.zero_weight):
-            change = alternative.change if alternative.change.any() else None
-            deleted = [p + w.deletion_gain(alternative.zero_weight, change)
-                       for p, w in zip(by_scale[:, k], likelihoods, strict=True)]  # fmt: skip
+        fault = alternative.fault
+        if fault.relabels:
+            bound = alternative.log_odds + sum(bounds[s] for s in setups_of(problem, fault))
+            if bound > 0:
+                scores[k] = _relabelled_log_likelihood(model, likelihoods, fault)
+            else:
+                scores[k] = -np.inf
+        elif len(lost[k]):
+            deleted = [p + w.deletion(lost[k], changes[k]).gain
+                       for p, w in zip(by_scale[:, k + 1], likelihoods, strict=True)]  # fmt: skip
             scores[k] = np.logaddexp.reduce(deleted)
-    gains = scores + np.array([alternative.log_odds for alternative in alternatives]) - as_read
+    gains = np.array([s + a.log_odds - as_read for s, a in zip(scores, alternatives, strict=True)])
     order = descending(gains, LOG_ODDS_MARGIN)[:_MOST_RANKED]
-    return [(float(gains[k]), alternatives[k]) for k in order if gains[k] > 0]
+    return [alternatives[k] for k in order if gains[k] > 0]
 
 
-def _likelihoods(model: LinearisedModel) -> list[FullLikelihood]:
-    return [FullLikelihood.from_linear_model(model, *scales) for scales in _BACKGROUND_SCALES]
+def _change(problem: Problem, fault: Fault) -> tuple[Array, Rows]:
+    """Return the corrected less the given readings ``(n,)``, and the rows that are lost."""
+    corrected = with_faults_corrected(problem, [fault])
+    lost = [
+        f.noise.weighted & ~c.noise.weighted
+        for f, c in zip(problem.factors, corrected.factors, strict=True)
+    ]
+    return corrected.measured - problem.measured, np.flatnonzero(np.concatenate(lost))
+
+
+def _likelihoods(
+    model: LinearisedModel, background_scales: Sequence[Scales]
+) -> list[FullLikelihood]:
+    return [FullLikelihood.from_linear_model(model, scales) for scales in background_scales]
 
 
 def _with_active_faults_fixed(posterior: FullPosterior) -> tuple[LinearisedModel, float]:
@@ -115,31 +160,26 @@ def _with_active_faults_fixed(posterior: FullPosterior) -> tuple[LinearisedModel
 
 
 def _relabelled_log_likelihood(
-    model: LinearisedModel,
-    likelihood: FullLikelihood,
-    scales: tuple[float, float],
-    alternative: AlternativeReadings,
+    model: LinearisedModel, likelihoods: Sequence[FullLikelihood], fault: Fault
 ) -> float:
     """Return the log likelihood of readings under other labels, with setups at unknown places."""
-    problem, changed = model.problem, np.sort(alternative.fault.rows)
-    k = campaign_index(problem, changed)
-    relabelled = with_misreading_corrected(problem, alternative.fault).factors[k]
-    factor = relabelled.subset(changed - problem.leg_rows[k].start)
-    names, matrix = problem.elementary_parameters(k)
-    linearised = factor.linearise(problem.machine.model, problem.values(k, model.point), names)
-    jacobian = linearised.jacobian @ matrix
+    corrected, changed = with_faults_corrected(model.problem, [fault]), np.sort(fault.rows)
+    linearised = linearise(corrected, model.point)
+    jacobian = linearised.jacobian[changed]
     count = jacobian.shape[1]
     rows = np.zeros((len(changed), model.rows.shape[1]))
     rows[:, :count] = jacobian * model.units[:count]
     rows[:, ~model.rows.any(axis=0)] = 0.0
-    weighing = likelihood.weighing.subset(changed)
-    columns, expected = in_standard_deviations(model, rows, *scales)
-    residual = problem.measured[changed] - linearised.value + jacobian @ model.point - expected
-    nuisances = factor.nuisances(linearised.reading_poses)
-    instrument = weighing.whiten(nuisances.columns * np.minimum(nuisances.sd, WIDEST_DATUM))
-    return likelihood.relabelled_log_likelihood(
-        changed, weighing.whiten(columns), instrument, weighing.whiten(residual)
-    )
+    residual = (corrected.measured - linearised.value)[changed] + jacobian @ model.point
+    nuisance = nuisances(corrected, linearised.reading_poses)
+    placed = nuisance.columns[changed] / np.sqrt(np.maximum(nuisance.precision, WIDEST_DATUM**-2.0))
+    placed = placed[:, placed.any(axis=0)]
+    by_scale = []
+    for likelihood in likelihoods:
+        columns, expected = in_standard_deviations(model, rows, likelihood.scales)
+        relabelled = likelihood.relabelled(changed, columns, placed, residual - expected)
+        by_scale.append(relabelled.log_likelihood(np.zeros((len(model.value_at_zero), 1)))[0])
+    return float(np.logaddexp.reduce(by_scale))
 
 
 HAND_TURNS = (1e-3, 5e-4, 2e-4, 2.54e-3, 2.54e-4)
@@ -153,7 +193,7 @@ _EQUAL_DECIMALS = 9  # decimals of a metre: five turns of 0.2 mm are one of 1 mm
 
 
 def turn_alternatives(
-    problem: Problem, likelihoods: Sequence[FullLikelihood], rows_by_setup: Mapping[int, Rows]
+    problem: Problem, likelihoods: Sequence[FullLikelihood], rows_by_setup: RowsBySetup
 ) -> list[AlternativeReadings]:
     """Return the likeliest whole turns by which readings of each setup, or of all, are off.
 
@@ -166,8 +206,9 @@ def turn_alternatives(
     least, most = _DIVISION_RANGE
     steps = {s: float(problem.resolution[rows].max()) for s, rows in rows_by_setup.items()}
     for likelihood in likelihoods:
+        no_change = np.zeros(len(problem.measured))
         deviations = {
-            s: likelihood.deletion_residual(rows).difference for s, rows in rows_by_setup.items()
+            s: likelihood.deletion(rows, no_change).difference for s, rows in rows_by_setup.items()
         }
         for turn in HAND_TURNS:
             # Dials whose step, 0 if unknown, allows such a hand.
@@ -196,13 +237,13 @@ def _are_turns(off: Array, station: Rows) -> bool:
 
 
 def _turn_alternative(
-    problem: Problem, rows: Mapping[int, Rows], off: Array, turn: float
+    problem: Problem, dials: RowsBySetup, off: Array, turn: float
 ) -> AlternativeReadings:
-    setups = tuple(s for s, setup_rows in rows.items() if off[setup_rows].any())
-    log_count = sum(_log_count_of_turns(problem, rows[s], off[rows[s]], turn) for s in setups)
-    affected = np.flatnonzero(off)
-    fault = Fault("turns", affected, setups, turn, sizes=tuple(off[affected].tolist()))
-    return AlternativeReadings(fault, -off, float(np.log(EXPECTED_COUNT)) - log_count)
+    affected = [rows for rows in dials.values() if off[rows].any()]
+    log_count = sum(_log_count_of_turns(problem, rows, off[rows], turn) for rows in affected)
+    all_rows = np.flatnonzero(off)
+    fault = Fault("turns", all_rows, turn, sizes=tuple(off[all_rows].tolist()))
+    return AlternativeReadings(fault, float(np.log(EXPECTED_COUNT)) - log_count)
 
 
 def _whole_turns(residual: Array, turn: float) -> Array:
@@ -216,7 +257,7 @@ def _whole_turns(residual: Array, turn: float) -> Array:
     return np.asarray(whole - values[count.argmax()])
 
 
-def _joint_turns(likelihood: FullLikelihood, rows: Mapping[int, Rows], turn: float) -> Array:
+def _joint_turns(likelihood: FullLikelihood, rows: RowsBySetup, turn: float) -> Array:
     """Return the whole turns of all setups at once ``(n,)``, metres; zeros if not converged."""
     residual = likelihood.weighing.metres(likelihood.residual)
     last = np.zeros(len(residual))

@@ -14,6 +14,7 @@ from scipy.special import chdtrc
 from orthoglide.errors import InputError
 from orthoglide.explanation.faults import Fault, Rows, factors_and_rows, fault_message
 from orthoglide.fit import Factor, Problem
+from orthoglide.fit.noise import noise_of, rms_noise
 from orthoglide.fit.repeats import common_rounding
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
@@ -60,7 +61,7 @@ def find_scattered_setups(problem: Problem) -> list[Fault]:
         if not factor.noise.from_repeats[own_rows].all():  # declared
             limit = _SCATTER_LIMIT_OF_TOOL * float(np.median(factor.noise.total))
         differences = _successive_differences(factor.readings.subset(own_rows))
-        fault = Fault("scatter", rows, (number,), _robust_scatter(differences, step))
+        fault = Fault("scatter", rows, _robust_scatter(differences, step))
         candidates.append((fault, len(differences) >= _FEWEST_DIFFERENCES and fault.size > limit))
         pooled.append(differences / limit)
     scattered = [fault for fault, exceeds in candidates if exceeds]
@@ -80,15 +81,15 @@ def check_scatter(problem: Problem) -> None:
     Raises:
         InputError: names file and setup, and what to do.
     """
-    first, messages = len(problem.leg_setups), list[str]()
-    for number, (k, factor, setup, _) in enumerate(problem.iter_tool_setups(), first):
+    messages = list[str]()
+    for k, factor, setup, _ in problem.iter_tool_setups():
         setup_rows = np.flatnonzero((factor.setup == setup) & factor.noise.weighted)
         if not len(setup_rows) or not factor.noise.from_repeats[setup_rows].any():
             continue
         size = float(np.sqrt(np.mean(factor.noise.total[setup_rows] ** 2)))
         if size > _SCATTER_LIMIT_OF_TOOL * _expected_noise(factor, setup_rows):
             rows = setup_rows + problem.factor_rows[k].start
-            messages.append(fault_message(problem, Fault("scatter", rows, (number,), size)))
+            messages.append(fault_message(problem, Fault("scatter", rows, size)))
     if messages:
         raise InputError("; ".join(messages))
 
@@ -232,3 +233,39 @@ def with_smaller_noise(problem: Problem, squares: Mapping[str, float]) -> Proble
         smaller = replace(noise, sigma=noise.sigma * scale, common=noise.common * scale)
         factors.append(replace(factor, noise=smaller))
     return replace(problem, factors=tuple(factors))
+
+
+def with_noise_reestimated(problem: Problem, excluded: NDArray[np.bool_] | None = None) -> Problem:
+    """Return the problem with the noise of repeats estimated again from weighted rows.
+
+    Rows ``excluded`` ``(n,)`` do not contribute, but get the median of that noise.
+    """
+    noise = problem.noise
+    kinds = {kind for kind, level in noise.levels.items() if level.source == "repeats"}
+    for factor in problem.factors:  # a plate's roughness needs no repeats
+        kinds |= set(np.array(factor.readings.kind)[factor.noise.from_repeats].tolist())
+    if not kinds:
+        return problem
+    left_out = np.zeros(len(problem.measured), dtype=bool) if excluded is None else excluded
+    parts = zip(problem.factors, problem.factor_rows, strict=True)
+    pairs = [(f, f.noise.weighted & ~left_out[part]) for f, part in parts]
+    tables = [f.readings.subset(used) for f, used in pairs]
+    steps = [f.noise.step[used] for f, used in pairs]
+    noise_again, rows = noise_of(tables, problem.machine.spec, steps=steps)
+    factors = []
+    for (factor, used), new in zip(pairs, rows, strict=True):
+        of_kinds = np.isin(factor.readings.kind, list(kinds)) & factor.noise.weighted
+        if len(counted := np.flatnonzero(of_kinds[used])):
+            median = counted[np.argsort(new.sigma[counted])[len(counted) // 2]]
+            row_of_new = np.full(len(used), median)
+            row_of_new[used] = np.arange(used.sum())
+            factor = factor.with_noise(np.flatnonzero(of_kinds), new.subset(row_of_new[of_kinds]))
+        factors.append(factor if factor.on_legs else factor.with_roughness(problem.machine))
+    levels = {k: noise_again.levels.get(k, v) if k in kinds else v for k, v in noise.levels.items()}
+    on_legs = bool(problem.leg_factors)
+    if not on_legs:
+        total = [f.noise.total[used] for f, (_, used) in zip(factors, pairs, strict=True)]
+        noise_again = replace(noise, typical=rms_noise(tables, total))
+    basis = noise_again if not on_legs or noise.source == "repeats" else noise
+    kept_noise = replace(basis, levels=levels, refuted=noise.refuted)
+    return replace(problem, factors=tuple(factors), noise=kept_noise)

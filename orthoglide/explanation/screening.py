@@ -52,24 +52,32 @@ def screen_data_faults(
         return []
     kinds = np.array([s.fault.kind for s in suspects])
     columns, whitened_residual = whitened
-    fault_columns, n = None, len(residual)
-    if n * sum(s.coefficient_count for s in suspects) <= _MOST_DENSE_NUMBERS:
+    n = len(residual)
+    ends = np.cumsum([s.coefficient_count for s in suspects])
+    dense = n * ends[-1] <= _MOST_DENSE_NUMBERS
+    if dense:
         fault_columns = nuisance.project(np.hstack([s.full_columns(n) for s in suspects]))
         fault_columns = np.pad(fault_columns, [(0, len(columns) - len(fault_columns)), (0, 0)])
     cost = np.log(len(SLAB_SCALES) / np.array([s.expected_count for s in suspects]))
     chosen = {k for k, s in enumerate(suspects) if s.name in required}
     gram, products = columns.T @ columns, columns.T @ whitened_residual
     for sd in backgrounds:
-        if fault_columns is not None:
+        if dense:
             scaled = columns * sd
             root = np.linalg.cholesky(scaled @ scaled.T + np.eye(len(scaled)))
-            white = (np.linalg.solve(root, side) for side in (fault_columns, whitened_residual))
-            gains = _log_bayes_factors(suspects, *white)
+            past = np.linalg.solve(root, whitened_residual)
+            blocks = np.split(np.linalg.solve(root, fault_columns), ends[:-1], axis=1)
+            scored = [(block, past) for block in blocks]
         else:
             precision = sd[:, None] * gram * sd + np.eye(len(sd))
             past = residual - rows @ (sd * np.linalg.solve(precision, sd * products))
             past = past - nuisance.explained_residual(past)
-            gains = _log_bayes_factors_by_rows(suspects, problem, past)
+            # That other coefficients can imitate a fault is neglected, as for few columns among
+            # many readings.
+            weight = 1 / np.hypot(problem.sigma, problem.shared_rounding_sd)
+            scored = [(s.columns * weight[s.fault.rows, None], (past * weight)[s.fault.rows])
+                      for s in suspects]  # fmt: skip
+        gains = _log_bayes_factors(scored)
         for kind in dict.fromkeys(kinds.tolist()):
             of_kind = np.flatnonzero(kinds == kind)
             best = of_kind[descending(gains[of_kind], LOG_ODDS_MARGIN)[:_KEPT_PER_KIND]]
@@ -77,62 +85,18 @@ def screen_data_faults(
     return [suspects[k] for k in sorted(chosen)]
 
 
-def _log_bayes_factors(suspects: Sequence[FaultColumns], columns: Array, residual: Array) -> Array:
-    """Return log Bayes factors of the faults at their best scales, from columns side by side."""
-    sizes = np.array([s.coefficient_count for s in suspects])
-    first = np.cumsum(sizes) - sizes
-    products, log_bayes_factors = columns.T @ residual, np.empty(len(suspects))
-    chi2 = np.array([residual @ residual])
-    for size in np.unique(sizes).tolist():
-        of_size = np.flatnonzero(sizes == size)
-        column_index = first[of_size][:, None] + np.arange(size)
-        blocks = columns[:, column_index]
-        gram = np.einsum("mgi,mgj->gij", blocks, blocks)
-        log_bayes_factors[of_size] = _best_log_bayes_factors(gram, products[column_index], chi2)
-    return log_bayes_factors
-
-
-def _log_bayes_factors_by_rows(
-    suspects: Sequence[FaultColumns], problem: Problem, residual: Array
-) -> Array:
-    """Return the log Bayes factor of each fault at its best scale, from the rows that it moves.
-
-    It neglects that other coefficients can imitate a fault, which holds for few columns among many
-    readings.
-
-    Args:
-        suspects: the faults.
-        problem: the readings.
-        residual: of these, with background and nuisances projected out ``(n,)``.
+def _log_bayes_factors(whitened: Sequence[tuple[Array, Array]]) -> Array:
+    """Return the log Bayes factor of each fault at its best scale, from the whitened columns
+    ``(m, q)`` and residual ``(m,)`` of each.
     """
-    weight = 1 / (problem.sigma**2 + problem.shared_rounding_sd**2)
-    sizes = np.array([s.coefficient_count for s in suspects])
-    log_bayes_factors = np.empty(len(suspects))
-    single = np.flatnonzero(sizes == 1).tolist()
-    if len(single):
-        rows = np.concatenate([suspects[k].fault.rows for k in single])
-        columns = np.concatenate([suspects[k].columns[:, 0] for k in single])
-        counts = [len(suspects[k].fault.rows) for k in single]
-        first = np.cumsum([0, *counts[:-1]])
-        gram = np.add.reduceat(columns**2 * weight[rows], first)
-        products = np.add.reduceat(columns * weight[rows] * residual[rows], first)
-        chi2 = np.add.reduceat(residual[rows] ** 2 * weight[rows], first)
-        log_bayes_factors[single] = _best_log_bayes_factors(
-            gram[:, None, None], products[:, None], chi2
-        )
-    for k in np.flatnonzero(sizes > 1).tolist():
-        rows, fault_block = suspects[k].fault.rows, suspects[k].columns
-        weighted = fault_block * weight[rows, None]
-        chi2 = np.array(float(residual[rows] ** 2 @ weight[rows]))
-        log_bayes_factors[k] = _best_log_bayes_factors(
-            fault_block.T @ weighted, weighted.T @ residual[rows], chi2
-        )
+    products = [columns.T @ residual for columns, residual in whitened]
+    sizes, log_bayes_factors = np.array([len(p) for p in products]), np.empty(len(products))
+    for size in np.unique(sizes):
+        index = np.flatnonzero(sizes == size).tolist()
+        gram = np.stack([whitened[k][0].T @ whitened[k][0] for k in index])
+        chi2 = np.array([whitened[k][1] @ whitened[k][1] for k in index])
+        of_size = np.stack([products[k] for k in index])
+        by_scale = (explained_by_group(gram, of_size, chi2, tau) for tau in SLAB_SCALES)
+        best = np.max([explained / 2 - occam for explained, occam in by_scale], axis=0)
+        log_bayes_factors[index] = best
     return log_bayes_factors
-
-
-def _best_log_bayes_factors(gram: Array, products: Array, chi2: Array) -> Array:
-    """Return log Bayes factors ``(...)`` at the best scale; arguments as of
-    :func:`explained_by_group`.
-    """
-    by_scale = (explained_by_group(gram, products, chi2, tau) for tau in SLAB_SCALES)
-    return np.asarray(np.max([explained / 2 - occam for explained, occam in by_scale], axis=0))

@@ -1,0 +1,123 @@
+"""Readings with their data faults corrected: values, labels, commands and datums."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.explanation.faults import MISREADING_KINDS, Fault, Rows, split_by_datum
+from orthoglide.fit import Problem
+from orthoglide.geometry import Array
+from orthoglide.observations import Readings
+
+
+def with_faults_corrected(problem: Problem, faults: Sequence[Fault]) -> Problem:
+    """Return the problem with data faults corrected and an unchanged number of rows.
+
+    Readings that a misreading lost get zero weight. Rows of other faults keep their weight.
+    """
+    # A shifted datum splits a setup, so misreadings of whole setups are corrected first.
+    for fault in sorted(faults, key=lambda f: f.kind not in MISREADING_KINDS):
+        problem = _with_fault_corrected(problem, fault)
+    return problem
+
+
+def _with_fault_corrected(problem: Problem, fault: Fault) -> Problem:
+    rows, measured = fault.rows, problem.measured.copy()
+    match fault.kind:
+        case "command":
+            return _with_tables_changed(problem, fault, _with_command_corrected)
+        case _ if not fault.excluded:
+            return _with_tables_changed(problem, fault, _with_datums_split)
+        case _ if fault.relabels:
+            return _with_tables_changed(problem, fault, _with_labels_corrected)
+        case "exchanged_labels":
+            measured[rows] = measured[np.roll(rows, len(rows) // 2)]
+        case "stuck":
+            return without_weight(problem, rows)
+        case "shifted":
+            late = fault.size > 0
+            measured[rows] = measured[np.roll(rows, -1 if late else 1)]
+            lost = rows[[-1 if late else 0]]
+            return without_weight(_with_readings(problem, measured), lost)
+        case "turns":
+            measured[rows] -= np.array(fault.sizes)
+        case "sign" | "unit":
+            measured[rows] *= fault.size
+    return _with_readings(problem, measured)
+
+
+def _with_readings(problem: Problem, measured: Array) -> Problem:
+    pairs = zip(problem.factors, problem.factor_rows, strict=True)
+    return replace(problem, factors=tuple(f.with_readings(measured[part]) for f, part in pairs))
+
+
+def without_weight(problem: Problem, rows: Rows | NDArray[np.bool_]) -> Problem:
+    """Return the problem with zero weight of some readings."""
+    zero_weight = np.zeros(len(problem.measured), dtype=bool)
+    zero_weight[rows] = True
+    pairs = zip(problem.factors, problem.factor_rows, strict=True)
+    return replace(problem, factors=tuple(f.without_weight(zero_weight[part]) for f, part in pairs))
+
+
+def _with_tables_changed(
+    problem: Problem, fault: Fault, change: Callable[[Readings, Fault, Rows], Readings]
+) -> Problem:
+    """Return the problem with each table changed that contains rows of a fault."""
+    factors = list(problem.factors)
+    for k, part in enumerate(problem.factor_rows):
+        rows = fault.rows[(fault.rows >= part.start) & (fault.rows < part.stop)] - part.start
+        if len(rows):
+            factors[k] = factors[k].with_table(change(factors[k].readings, fault, rows))
+    return replace(problem, factors=tuple(factors))
+
+
+def _with_command_corrected(table: Readings, fault: Fault, rows: Rows) -> Readings:
+    """Return the table with another command in some rows, and the approach derived again."""
+    command = table.command.copy()
+    command[rows, fault.drive] += fault.size
+    corrected = replace(table, command=command)
+    derived = table.approach == table.derived_approach
+    approach = np.where(derived, corrected.derived_approach, table.approach)
+    return replace(corrected, approach=approach)
+
+
+def _with_datums_split(table: Readings, fault: Fault, rows: Rows) -> Readings:
+    """Return the table with a setup of its own for the rows of each datum."""
+    for part in split_by_datum(fault.kind, rows, table.setup, table.repeat):
+        number = table.setup[part[0]]
+        if len(part) == np.sum(table.setup == number):
+            continue
+        names = {s.name for s in table.setups}
+        name = f"{table.setups[number].name}-from-line-{int(table.line[part].min())}"
+        while name in names:
+            name += "-again"
+        setup = table.setup.copy()
+        # A later knock may have split off some of the rows before.
+        setup[part[setup[part] == number]] = len(table.setups)
+        added = replace(table.setups[number], name=name)
+        table = replace(table, setups=(*table.setups, added), setup=setup)
+    return table
+
+
+def _with_labels_corrected(table: Readings, fault: Fault, rows: Rows) -> Readings:
+    """Return the table with another leg and axis of a setup, with the labels of two setups
+    exchanged, or with the axes of a level exchanged.
+    """
+    if table.angular[rows[0]]:
+        axis = table.axis.copy()
+        axis[rows] = 1 - axis[rows]
+        return replace(table, axis=axis)
+    setups = list(table.setups)
+    numbers = np.unique(table.setup[rows]).tolist()
+    if fault.kind == "label":
+        leg, direction = fault.label
+        labels = [replace(setups[k], leg=leg, axis=direction) for k in numbers]
+    else:
+        labels = [setups[k] for k in reversed(numbers)]
+    for k, label in zip(numbers, labels, strict=True):
+        setups[k] = replace(label, name=setups[k].name)
+    return replace(table, setups=tuple(setups))
