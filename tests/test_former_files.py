@@ -87,12 +87,12 @@ def test_a_missing_covariance_is_a_warning_and_another_one_an_error(tmp_path: Pa
     ("name", "campaign"),
     [
         ("schema-2/dials", RIG / "rig-2.csv"),
+        ("schema-2/located", INPUTS / "s-curve.csv"),
         *(
             pytest.param(*case, marks=pytest.mark.thorough)
             for case in (
                 ("schema-1/dials", RIG / "rig-2.csv"),
                 ("early-schema-2/dials", RIG / "rig-2.csv"),
-                ("schema-2/located", INPUTS / "s-curve.csv"),
                 ("schema-2/delta", INPUTS / "delta.csv"),
             )
         ),

@@ -74,7 +74,8 @@ def test_a_mesh_of_other_numbers_or_another_plate_is_told(tmp_path: Path) -> Non
     assert notes[0].startswith("mesh-2023.csv and mesh-default.csv are not of")
     size = re.search(r"their heights differ by (0\.\d+) mm", notes[0])
     assert size is not None
-    assert float(size[1]) == pytest.approx(0.3, abs=0.05)  # what the radius does to heights
+    # What the radius does to heights is up to 0.3 mm, and this at a quarter of the places.
+    assert float(size[1]) == pytest.approx(0.25, abs=0.05)
 
 
 def test_what_the_importer_assumed_is_corrected_together() -> None:
@@ -286,6 +287,15 @@ SAID = {
     "another offset of the probe": (
         lambda t: t.replace("#*# z_offset = 18.024", "#*# z_offset = 17.624"),
         "were stored with a z_offset of", 1, 19),
+    "distances in inches": (
+        lambda t: re.sub(r"(#\*# distance\d+ = )(\S+)", lambda m: f"{m[1]}{float(m[2]) / 25.4}", t),
+        "left out: all 12 distances", 1, 7),
+    "distances above the plate": (
+        lambda t: re.sub(r"(#\*# distance\d+_pos[12] = )", r"\g<1>-", t),
+        "left out: all 12 distances", 1, 7),
+    "one distance above the plate": (
+        lambda t: t.replace("33994.155,33460.943,33523.056", "32994.155,32460.943,32523.056"),
+        "distance3 is at z = 0 mm, where", 1, 18),
     "steps of older firmware": (
         lambda t: t.replace("rotation_distance: 40", "step_distance: 0.0125"), "steps", 0, 19),
 }  # fmt: skip

@@ -40,7 +40,7 @@ DURATION = 3600.0  # seconds from the first visit to the second
 LOAD = 10.0  # newtons at the TCP along base -z, always
 PITCH = 0.016  # of the screws, metres, where the machine file names none
 
-_FIT_STEPS = 20
+_FIT_TOLERANCE = 1e-14  # relative changes at which a fit ends, close to rounding
 _NAN = float("nan")
 
 
@@ -182,31 +182,23 @@ class Comparison:
 
     def reduction_tcp(self, six: Array, conditions: Conditions | None = None) -> Array:
         """Return the TCP ``(n, 3)`` of the reduction with offsets and lengths ``(6,)``, metres."""
-        return intersect_spheres(*self._spheres(six, conditions or self.conditions), self.mode)
-
-    def _spheres(self, six: Array, conditions: Conditions) -> tuple[Array, Array]:
-        """Return centres ``(n, leg, 3)``, bars carried to the TCP, and radii ``(leg,)``, metres."""
-        travel = conditions.command - self.geometry.zero + six[:3]
+        travel = (conditions or self.conditions).command - self.geometry.zero + six[:3]
         centres = self.geometry.centres + travel[..., None] * self.geometry.slides
-        return centres, self.geometry.L + six[3:]
+        return intersect_spheres(centres, self.geometry.L + six[3:], self.mode)
 
     def fit_tcp(self, p: Array) -> Array:
-        """Return offsets and lengths ``(6,)`` fitted to the TCP by least squares, Gauss-Newton."""
-        six = np.zeros(6)
-        for _ in range(_FIT_STEPS):
-            centres, radii = self._spheres(six, self.conditions)
-            fitted = intersect_spheres(centres, radii, self.mode)
-            # Of each leg |p - c| = L: (p - c) . dp = (p - c) . slide d(offset) + L dL
-            bars = fitted[:, None] - centres
-            slide_slopes = np.einsum("nli,li->nl", bars, self.geometry.slides)[:, None]
-            inverse = np.linalg.inv(bars)
-            slopes = inverse * slide_slopes, inverse * radii
-            columns = np.concatenate(slopes, axis=-1).reshape(-1, 6)
-            step = np.linalg.lstsq(columns, (p - fitted).reshape(-1), rcond=None)[0]
-            six = six + step
-            if np.abs(step).max() < 1e-12:
-                return six
-        raise NumericsError("the reduction does not converge on the TCP: are the errors absurd?")
+        """Return offsets and lengths ``(6,)`` fitted to the TCP by least squares."""
+        from scipy.optimize import least_squares  # which is slow to load
+
+        fit = least_squares(
+            lambda six: (self.reduction_tcp(six) - p).ravel(), np.zeros(6), method="lm",
+            xtol=_FIT_TOLERANCE, ftol=_FIT_TOLERANCE, gtol=_FIT_TOLERANCE,
+        )  # fmt: skip
+        if not fit.success:
+            raise NumericsError(
+                "the reduction does not converge on the TCP: are the errors absurd?"
+            )
+        return np.asarray(fit.x)
 
     def difference(self, differences: Array) -> Difference:
         """Return mean, largest value and place of differences ``(2 n, 3)`` over the workspace."""

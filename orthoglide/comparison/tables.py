@@ -56,8 +56,6 @@ def _place_text(difference: Difference) -> str:
     return "({})".format(", ".join(plain(x * 1e3, 0) for x in difference.where))
 
 
-_READING_COLUMNS = ("readings: change", "six fitted: rms, max", "calibrated TCP: max")
-
 _COLUMNS: dict[str, Callable[[Row], str]] = {
     "effect": lambda row: row.name,
     "size": lambda row: _size_text(row, row.value, "all"),
@@ -71,38 +69,36 @@ _COLUMNS: dict[str, Callable[[Row], str]] = {
     "calibrated TCP: max": lambda row: micrometres(row.identified.max),
     "reduction will do": lambda row: "yes" if row.good_enough else "no",
     "up to": lambda row: _size_text(row, row.value and row.good_up_to, "–"),
+    # of the short table
+    "TCP, max, µm": lambda row: micrometres(row.fitted.max),
+    "readings, rms, µm": lambda row: micrometres(row.reading_rms),
 }
+_SHORT = ("effect", "TCP, max, µm", "readings, rms, µm", "reduction will do")
+_LONG = tuple(_COLUMNS)[:-2]
+_OF_READINGS = {
+    "readings: change", "six fitted: rms, max", "calibrated TCP: max", "readings, rms, µm",
+}  # fmt: skip
 
 
-def markdown_table(rows: Sequence[Row], columns: Sequence[str] | None = None) -> str:
-    """Return the table in Markdown: micrometres, microradians, and millimetres for places.
-
-    Args:
-        rows: effects, or a machine.
-        columns: heads of the columns to show; all where absent, those of readings only where some
-            were compared.
+def short_table(
+    rows: Sequence[Row], columns: Sequence[str] = _SHORT
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return heads and rows of a table, by default for the terminal; columns of readings only where
+    some were compared.
     """
     read = any(row.read for row in rows)
-    shown = columns or [head for head in _COLUMNS if read or head not in _READING_COLUMNS]
-    table = {head: [_COLUMNS[head](row) for row in rows] for head in shown}
-    table["effect"] = [f"`{name.replace('|', '/')}`" for name in table["effect"]]
-    cells = [tuple(table), *zip(*table.values(), strict=True)]
-    lines = ["| " + " | ".join(line) + " |" for line in cells]
-    lines.insert(1, "|" + "---|" * len(table))
-    return "\n".join(lines) + "\n"
+    heads = tuple(head for head in columns if read or head not in _OF_READINGS)
+    return heads, [tuple(_COLUMNS[head](row) for head in heads) for row in rows]
 
 
-def short_table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Return heads and rows of a table for the terminal, with the largest residuals."""
-    columns: dict[str, Callable[[Row], str]] = {
-        "effect": lambda row: row.name,
-        "TCP, max, µm": lambda row: micrometres(row.fitted.max),
-        "readings, rms, µm": lambda row: micrometres(row.reading_rms),
-        "reduction will do": lambda row: "yes" if row.good_enough else "no",
-    }
-    if not any(row.read for row in rows):
-        del columns["readings, rms, µm"]
-    return tuple(columns), [tuple(cell(row) for cell in columns.values()) for row in rows]
+def markdown_table(rows: Sequence[Row], columns: Sequence[str] = _LONG) -> str:
+    """Return the table in Markdown: micrometres, microradians, and millimetres for places."""
+    heads, cells = short_table(rows, columns)
+    names = [f"`{name.replace('|', '/')}`" for name, *_ in cells]
+    lines = [heads, *((name, *row[1:]) for name, row in zip(names, cells, strict=True))]
+    text = ["| " + " | ".join(line) + " |" for line in lines]
+    text.insert(1, "|" + "---|" * len(heads))
+    return "\n".join(text) + "\n"
 
 
 def slice_figure(title: str, planes: Sequence[Slice]) -> str:
@@ -139,7 +135,7 @@ def comparison_files(
         whole: rows of all that it was identified to have; may be empty.
         rows: rows of every effect at its tolerance.
         drawn: rows of which a figure is drawn, if the reduction cannot follow them.
-        progress: called with each figure.
+        progress: called before each figure.
     """
     sections = {
         f"{machine.spec.title}: all it has, and each alone": whole,

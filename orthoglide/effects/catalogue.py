@@ -36,7 +36,7 @@ stretch, and a pulley's or a microstep's number is entered by hand: drives of th
 much were reported."""
 
 
-_COMMON_TOLERANCES = {"leg_length": 1.0}
+_COMMON_TOLERANCES = {"leg_length": 6.0}
 """Standard deviations, in the effects' own units, of the common error of parts of one set whose
 size an owner enters: rods are even to a few hundredths, but their length is read off a rule or a
 shop's page. Rods of 217 were entered as 234, 272 as 268, 288 as 270."""

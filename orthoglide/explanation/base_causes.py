@@ -23,11 +23,12 @@ def far_base_causes(posterior: FullPosterior) -> Iterator[Cause]:
     than single parts, it is reported in their place.
     """
     problem = posterior.before.problem
-    catalogue, effects = problem.machine.catalogue, [n.effect for n in problem.names]
-    for effect in dict.fromkeys(effects):
+    catalogue = problem.machine.catalogue
+    news = {k: problem.names[k] for k in np.flatnonzero(~problem.calibrated_before).tolist()}
+    for effect in dict.fromkeys(name.effect for name in news.values()):
         if catalogue[effect].controller == "zero":
             continue
-        index = [k for k, name in enumerate(problem.names) if name.effect == effect]
+        index = [k for k, name in news.items() if name.effect == effect]
         identity = np.eye(len(index))
         single = [(problem.names[k], identity[i]) for i, k in enumerate(index)]
         causes = _beyond_tolerance(posterior, index, single)

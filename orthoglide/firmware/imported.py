@@ -117,14 +117,9 @@ def readings_from_cells(
     name: str, rows: Sequence[Mapping[str, str]], machine: MachineFile,
     lines: Sequence[int] = (), file: str = "",
 ) -> Readings:  # fmt: skip
-    """Return rows as the readings of a machine.
+    """Return rows of cells by column, one or more, as the readings of a machine.
 
-    Args:
-        name: name of the readings.
-        rows: cells of a file of readings by column, at least one row.
-        machine: machine of the commands.
-        lines: line of each row in its file.
-        file: name of that file, for errors.
+    Errors name the line of a row in a file, if these are given.
 
     Raises:
         FileError: if the readings cannot be used.

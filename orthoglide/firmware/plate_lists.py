@@ -151,13 +151,6 @@ def _left_out_sentences(touch_lists: TouchLists) -> Iterator[str]:
         yield f"left out: line{'s' * (len(lines) > 1)} {line_numbers}: {reason}{value}"
 
 
-def _off_plane(touches: Sequence[Touch]) -> float:
-    """Return the largest distance of a touch from the plane through all, millimetres."""
-    p = np.array([(t.x, t.y, t.z) for t in touches])
-    _, residual = fit_plane(p, p[:, 2])
-    return float(np.abs(residual).max())
-
-
 def _notes(lists: Sequence[Sequence[Touch]], touch_lists: TouchLists, file: str) -> Iterator[Note]:
     """Yield remarks on the lists that were read."""
     yield from (Note(f"{file}: {text}", "readings") for text in _left_out_sentences(touch_lists))
@@ -166,7 +159,8 @@ def _notes(lists: Sequence[Sequence[Touch]], touch_lists: TouchLists, file: str)
             f"{file} has {len(lists)} lists: give close-loop those that were probed with the same "
             f"numbers of the firmware", "mesh",
         )  # fmt: skip
-    max_residual = max(_off_plane(touches) for touches in lists)
+    points = (np.array([(t.x, t.y, t.z) for t in touches]) for touches in lists)
+    max_residual = max(float(np.abs(fit_plane(p, p[:, 2])[1]).max()) for p in points)
     if max_residual > _MAX_OFF_PLANE:
         yield Note(
             f"heights lie up to {max_residual:.1f} mm off a plane: look whether they are in "

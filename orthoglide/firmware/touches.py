@@ -125,10 +125,10 @@ def _read_maps(lines: Sequence[str], file: str, touch_lists: TouchLists) -> None
         block, touch_lists.starts_list = rows[start + 1 : end], True
         try:
             (_, names), (_, values), *heights = block
-            sizes = _sizes(_cells(names), _cells(values))
+            sizes = dict(zip(_cells(names.lower()), _cells(values), strict=False))
             across, along = (_span(sizes, axis) for axis in range(2))
             heights[0]
-        except (KeyError, ValueError, IndexError):
+        except (ValueError, IndexError):
             line, names = block[0] if block else rows[start]
             raise FileError(
                 f"has a height map whose sizes or heights are missing or not understood, "
@@ -142,22 +142,17 @@ def _read_maps(lines: Sequence[str], file: str, touch_lists: TouchLists) -> None
         _read_heights(heights, (across, along), radius, swapped, touch_lists)
 
 
-def _sizes(names: Sequence[str], values: Sequence[str]) -> dict[str, str]:
-    """Return sizes of a height map by their present names: ``xmin`` is now ``min0``."""
-    sizes = dict(zip((name.lower() for name in names), values, strict=False))
-    for name in [*sizes]:
-        if name[0] in "xy":
-            sizes[f"{name[1:]}{'xy'.index(name[0])}"] = sizes[name]
-    return sizes
-
-
 def _span(sizes: Mapping[str, str], axis: int) -> list[float]:
-    """Return the places of a height map along an axis, millimetres."""
-    low, count = _number(sizes[f"min{axis}"]), int(_number(sizes[f"num{axis}"]))
-    step = _number(sizes.get(f"spacing{axis}") or sizes["spacing"])
-    if not (math.isfinite(low + step) and 0 < count <= _MAX_MAP_LINES):
+    """Return the places of a height map along an axis, millimetres; ``xmin`` is now ``min0``."""
+
+    def size(name: str) -> float:
+        names = (f"{name}{axis}", f"{'xy'[axis]}{name}", name)
+        return _number(next((sizes[n] for n in names if sizes.get(n)), ""))
+
+    low, step, count = map(size, ("min", "spacing", "num"))
+    if not (math.isfinite(low + step) and 1 <= count <= _MAX_MAP_LINES):
         raise ValueError(axis)
-    return [low + k * step for k in range(count)]
+    return [low + k * step for k in range(int(count))]
 
 
 def _read_heights(

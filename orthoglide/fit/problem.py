@@ -217,9 +217,19 @@ class Problem:
             return np.full(len(self.unknowns), np.inf)
         return np.asarray(self.tolerance * np.array([u.prior_width for u in self.unknowns]))
 
+    @cached_property
+    def calibrated_before(self) -> NDArray[np.bool_]:
+        """Which unknowns an earlier calibration found and nothing has changed ``(P,)``: their
+        values are no news, however far beyond their tolerances.
+        """
+        earlier = self.earlier_posterior
+        known = () if earlier is None or self.machine.spec.is_measured else earlier.names
+        return np.array([name in known for name in self.names], dtype=bool)
+
     def is_implausible(self, x: Array) -> NDArray[np.bool_]:
         """Return which unknowns ``x`` ``(P,)`` are implausible by their tolerances."""
-        return np.asarray(np.abs(self.without_common_error(x)) > MAX_TOLERANCES * self.tolerance)
+        beyond = np.abs(self.without_common_error(x)) > MAX_TOLERANCES * self.tolerance
+        return np.asarray(beyond & ~self.calibrated_before)
 
     def without_common_error(self, x: Array) -> Array:
         """Subtract the common mean from parameters ``x`` ``(P,)`` whose size the owner entered.

@@ -6,8 +6,8 @@ sigmas, after the nuisances of the instruments and all other parameters are fitt
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -50,24 +50,17 @@ Pair = tuple[QuotedExplanation, QuotedExplanation]
 
 @dataclass(frozen=True)
 class ReadingProposal:
-    """Readings that could be taken."""
+    """Readings that could be taken, and what they would decide."""
 
     brief: str  # what they are
     how: str  # they are taken
     sheet: str  # where there is one
     problem: Problem  # of them alone, in the unknowns of the readings at hand
     common_equipment: bool = True  # whether a workshop has what they take
+    separations: Mapping[Pair, float] = field(default_factory=dict)  # sigmas, likelier rival first
 
-
-@dataclass(frozen=True)
-class Decision:
-    """What an instrument's readings would decide."""
-
-    proposal: ReadingProposal  # whose readings
-    separations: dict[Pair, float]  # sigmas by pair of a set, the likelier rival first
-
-    def pairs_of_set(self, rivals: Sequence[QuotedExplanation], *, separated: bool) -> list[Pair]:
-        """Return the pairs of a set that are separated, or those that are not, likeliest first."""
+    def pairs(self, rivals: Sequence[QuotedExplanation], *, separated: bool) -> list[Pair]:
+        """Return the pairs of rivals that are separated, or those that are not, likeliest first."""
         pairs = [p for p in self.separations if p[0] in rivals and self.separates(p) == separated]
         return ranked(pairs, _pair_probability)
 
@@ -133,28 +126,22 @@ def _suggest_instruments(
     pairs = [pair for members in sets for pair in combinations(members, 2)]
     if not pairs:
         return ()
-    decisions = _in_order(
-        Decision(p, dict(zip(pairs, separation(p.problem, pairs), strict=True))) for p in proposals
-    )
+    remaining, ordered = list[ReadingProposal](), list[ReadingProposal]()
+    for proposal in proposals:
+        sigmas = dict(zip(pairs, separation(proposal.problem, pairs), strict=True))
+        remaining.append(replace(proposal, separations=sigmas))
+    while remaining:
+        limit = max(p.probability for p in remaining) - _PROBABILITY_TOLERANCE - RELATIVE_MARGIN
+        ordered.append(next(p for p in remaining if p.probability > limit))
+        remaining.remove(ordered[-1])
     for common in (True, False):  # a tracker or a ball bar only where nothing else decides
-        candidates = [d for d in decisions if d.proposal.common_equipment is common]
-        deciding = [d for d in candidates if d.probability > 0]
+        candidates = [p for p in ordered if p.common_equipment is common]
+        deciding = [p for p in candidates if p.probability > 0]
         if deciding:
-            return tuple(_instrument_suggestion(rivals, d, sets, candidates) for d in deciding)
+            return tuple(_instrument_suggestion(rivals, p, sets, candidates) for p in deciding)
     a, b = pairs[0]
     reason = f"no instrument at the tool separates {a.words} from {b.words}"
     return (Suggestion(reason, "none", 0.0, None),)
-
-
-def _in_order(decisions: Iterable[Decision]) -> list[Decision]:
-    """Return decisions by descending probability; within its tolerance their order is kept."""
-    remaining, ordered = [*decisions], list[Decision]()
-    while remaining:
-        highest = max(decision.probability for decision in remaining)
-        limit = highest - _PROBABILITY_TOLERANCE - RELATIVE_MARGIN
-        ordered.append(next(d for d in remaining if d.probability > limit))
-        remaining.remove(ordered[-1])
-    return ordered
 
 
 # -- what could be read ----------------------------------------------------------------------------
@@ -287,33 +274,34 @@ def _cause_vector(explanation: Explanation, problem: Problem) -> Array:
 
 def _instrument_suggestion(
     rivals: str,
-    decision: Decision,
+    proposal: ReadingProposal,
     sets: Sequence[Sequence[QuotedExplanation]],
-    decisions: Sequence[Decision],
+    proposals: Sequence[ReadingProposal],
 ) -> Suggestion:
-    text = "; ".join(s for members in sets for s in _sentences(decision, members, decisions))
-    proposal, separation = decision.proposal, max(decision.separations.values())
+    text = "; ".join(s for members in sets for s in _sentences(proposal, members, proposals))
     verb = "measure" if proposal.common_equipment else "measure with"
     what = f"to tell the {rivals} apart {verb} {proposal.brief}{proposal.how}"
-    reason = f"{what}: {text}{proposal.sheet}"
+    reason, separation = f"{what}: {text}{proposal.sheet}", max(proposal.separations.values())
     return Suggestion(reason, "none", separation, None, what=f"{what}{proposal.sheet}")
 
 
 def _sentences(
-    decision: Decision, members: Sequence[QuotedExplanation], decisions: Sequence[Decision]
+    proposal: ReadingProposal,
+    members: Sequence[QuotedExplanation],
+    proposals: Sequence[ReadingProposal],
 ) -> Iterator[str]:
     """Yield sentences on the separated pairs of a set and on the likeliest unseparated pair."""
-    if separated := decision.pairs_of_set(members, separated=True):
+    if separated := proposal.pairs(members, separated=True):
         first = separated[0][0]
-        sigmas = {b: decision.separations[a, b] for a, b in separated if a is first}
+        sigmas = {b: proposal.separations[a, b] for a, b in separated if a is first}
         names = [rival.words for rival in sigmas]
         if len(names) > _MAX_NAMED:
             names[_MAX_NAMED:] = [f"{len(names) - _MAX_NAMED} more"]
         least = f"{min(sigmas.values()):.0f} sigma or more"
         yield f"it tells {first.words} from {listed(names)}, by {least}"
-    if unseparated := decision.pairs_of_set(members, separated=False):
+    if unseparated := proposal.pairs(members, separated=False):
         a, b = unseparated[0]
-        others = [d.proposal.brief for d in decisions if d.separates((a, b))]
+        others = [p.brief for p in proposals if p.separates((a, b))]
         yield (
             f"it does not tell {a.words} from {b.words}, "
             f"{f'for that take {others[0]}' if others else 'as none of these does'}"

@@ -84,14 +84,8 @@ def visible(station: Station, setup: Setup, geometry: Geometry) -> bool:
 
 
 def reading_pool(geometry: Geometry, *, load: float = 0.0) -> Readings:
-    """Return every reading that can be chosen, as a campaign without readings.
-
-    Args:
-        geometry: whose stroke and lengths count.
-        load: at the TCP, newtons.
-
-    Returns:
-        A campaign with a setup for every leg, direction, place and bar, one row a station.
+    """Return every reading that can be chosen, under a load in newtons, as a campaign without
+    readings: a setup for every leg, direction, place and bar, one row a station.
     """
     require_dial_layout(geometry)
     setups: list[Setup] = []
@@ -116,12 +110,8 @@ def reading_pool(geometry: Geometry, *, load: float = 0.0) -> Readings:
 
 
 def sheet_from_pool(pool: Readings, chosen: Sequence[int], name: str = "next") -> Readings:
-    """Return chosen rows of a pool, mounting by mounting, visits numbered, with their moves.
-
-    Args:
-        pool: as from :func:`reading_pool`.
-        chosen: indices, with repetitions where a station is visited again.
-        name: of the campaign.
+    """Return chosen rows of a pool, with repetitions where a station is visited again, mounting by
+    mounting, visits numbered, with their moves.
     """
     rows = np.array(sorted(chosen, key=lambda k: (pool.setup[k], k)), dtype=np.int64)
     repeat = np.array([int(np.sum(rows[:i] == k)) + 1 for i, k in enumerate(rows)], dtype=np.int64)

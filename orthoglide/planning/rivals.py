@@ -229,11 +229,7 @@ def _separating_suggestion(
 
 
 def _inseparable_groups(separations: Mapping[Pair, float]) -> list[tuple[list[int], float]]:
-    """Return groups of which no two rivals can be separated, and the most sigmas between any two.
-
-    Args:
-        separations: of the inseparable pairs, sigmas.
-    """
+    """Return groups of rivals that no reading separates, and the most sigmas between any two."""
     groups: list[set[int]] = []
     for pair in sorted(separations):
         unions = (g | set(pair) for g in groups)

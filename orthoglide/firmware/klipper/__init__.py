@@ -118,14 +118,14 @@ class Printer:
     def imported(self, names: Collection[str]) -> Iterator[Note]:
         """Yield the remarks of the import for a result of readings of these names.
 
-        A remark that two campaigns disagree is kept only if the first of them was read without the
-        second: where both are read, `cautions` finds it again.
+        A remark that two campaigns disagree is kept only if one of them was read without the other:
+        where both are read, `cautions` finds it again.
         """
         warnings = self.table.get(provenance.WARNINGS_KEY)
         for text in warnings if isinstance(warnings, list) else ():
             if isinstance(text, str) and (
                 (pair := _DISAGREEING_FILES.match(text)) is None
-                or (pair[1] in names and pair[2] not in names)
+                or (pair[1] in names) != (pair[2] in names)
             ):
                 yield Note(text, "imported")
 

@@ -7,6 +7,7 @@ import math
 import os
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NoReturn
@@ -149,15 +150,20 @@ class Config:
         """Add a note for the owner."""
         self.notes.append(Note(text, kind))
 
+    @contextmanager
+    def leaving_out(self, what: str = "", kind: str = "readings") -> Iterator[None]:
+        """Leave out what is read within the block, with a note, if the file has it wrong."""
+        try:
+            yield
+        except FileError as error:
+            self.note(kind, f"left out: {what}{error}")
+
     def number_or_zero(self, name: str, key: str, low: float, high: float) -> float:
         """Return a number of a section; 0 if it is missing, and 0 with a note if it is unusable."""
-        section = self.sections.get(name)
-        try:
-            return section.number(key, 0.0, low, high) if section else 0.0
-        except FileError as error:
-            self.note("readings", f"{error}; 0 is taken")
-            del self.sections[name].entries[key]
-            return 0.0
+        with self.leaving_out():
+            return self.section_or_empty(name).number(key, 0.0, low, high)
+        del self.sections[name].entries[key]  # so that it is said once
+        return 0.0
 
     def section(self, name: str) -> ConfigSection:
         """Return a section that must be there.
@@ -229,17 +235,19 @@ def _saved_lines(lines: Lines, file: str) -> Lines:
     """
     headers = [k for k, line in lines if _HEADER.match(line.lstrip())]
     first = headers[0] if headers else 1
-    below = [k for k, line in _written_lines(lines) if k > first and line.strip()]
-    second, unmarked = "a second header", f"a line without {_SAVED_MARK}"
-    for line_numbers, finding in ((headers[1:], second), (below, unmarked)):
-        if headers and line_numbers:
-            raise FileError(
-                f"{finding} stands below the header of SAVE_CONFIG (line {first}), and the "
-                f"firmware then leaves the whole block out: put {_SAVED_MARK} before it if it "
-                f"belongs to the block, else move it above the header or remove it",
-                file=file,
-                line=line_numbers[0],
-            )
+    intruders = dict.fromkeys(headers[1:], "a second header")
+    intruders |= {
+        k: f"a line without {_SAVED_MARK}" for k, line in _written_lines(lines)
+        if headers and k > first and line.strip()
+    }  # fmt: skip
+    for k, finding in intruders.items():
+        raise FileError(
+            f"{finding} stands below the header of SAVE_CONFIG (line {first}), and the firmware "
+            f"then leaves the whole block out: put {_SAVED_MARK} before it if it belongs to the "
+            f"block, else move it above the header or remove it",
+            file=file,
+            line=k,
+        )
     return [
         (k, line.lstrip().removeprefix(_SAVED_MARK).removeprefix(" ")) for k, line in lines
         if line.lstrip().startswith(_SAVED_MARK) and k >= first
@@ -253,12 +261,12 @@ def _lost_headers(saved: Config) -> Iterator[Note]:
     misplaced = [
         (line, f"{key} stands twice in [{name}]", "it") for line, key, name in saved.repeated_keys
     ]
-    for kind, keys in _SAVED_KEYS.items():
-        misplaced += [
-            (entry.line, f"{key} stands in [{name}]", f"[{kind}]")
-            for name, section in saved.sections.items() if name.partition(" ")[0] != kind
-            for key, entry in section.entries.items() if keys.fullmatch(key)
-        ]  # fmt: skip
+    misplaced += [
+        (entry.line, f"{key} stands in [{name}]", f"[{kind}]")
+        for name, section in saved.sections.items() for key, entry in section.entries.items()
+        for kind, keys in _SAVED_KEYS.items()
+        if name.partition(" ")[0] != kind and keys.fullmatch(key)
+    ]  # fmt: skip
     for line, finding, header in sorted(misplaced)[:1]:
         yield Note(
             f"{saved.file}, line {line}: {finding}, so the header above it was lost: write "

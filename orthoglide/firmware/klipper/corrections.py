@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -47,10 +47,10 @@ class ResidualChange:
     new: float  # with the new ones
 
 
-def make_corrections(
+def make_record(
     old: Numbers, new: Numbers, changes: Sequence[ResidualChange], keep: str, rods_measured: bool
-) -> Corrections:
-    """Return new numbers beside the old ones.
+) -> dict[str, Any]:
+    """Return what a calibrated machine keeps of new numbers.
 
     Args:
         old: present numbers.
@@ -61,7 +61,31 @@ def make_corrections(
     """
     # Files have equal weights, as heights of two days differ by more than touches scatter.
     heights = [(x.old, x.new) for x in changes if x.kind == "heights"] or [(0.0, 0.0)]
-    before, after = np.sqrt(np.mean(np.square(heights), axis=0)).tolist()
+    height_rms = np.sqrt(np.mean(np.square(heights), axis=0)) * 1e3
+    return {
+        "new": (old if keep else new).as_dict(),  # numbers that fit worse are never shown as new
+        **({"tried": new.as_dict()} if keep else {}),
+        "height_rms_mm": height_rms.round(6).tolist(),
+        "keep_old_because": keep,
+        **({"rods_measured": True} if rods_measured else {}),
+        "left_of_readings": [
+            {"file": x.file, "kind": x.kind, "count": x.count,
+             "old_rms_mm": round(x.old * 1e3, 6), "new_rms_mm": round(x.new * 1e3, 6)}
+            for x in changes
+        ],
+    }  # fmt: skip
+
+
+def corrections_of(old: Numbers, record: Mapping[str, Any]) -> Corrections:
+    """Return the new numbers of a record beside the old ones; without residuals if an earlier
+    version wrote it.
+
+    Raises:
+        KeyError, TypeError, ValueError: if there is no record, or it was edited.
+    """
+    offered, new = (Numbers.from_table(record.get(k, record["new"])) for k in ("new", "tried"))
+    before, after = (float(value) * 1e-3 for value in record["height_rms_mm"])
+    keep, rods_measured = str(record["keep_old_because"]), record.get("rods_measured") is True
     rod_change, rods = float(np.mean(new.arm) - np.mean(old.arm)), ""
     if abs(rod_change) > MAX_ROD_SPREAD:  # the size is told with the causes
         rods = f"; they have {'longer' if rod_change > 0 else 'shorter'} rods, as " + (
@@ -73,11 +97,12 @@ def make_corrections(
             f"; their arms differ by {spread * 1e3:.2f} mm, more than rods of one set do: measure "
             f"the rods before you enter them"
         )
-    offered = old if keep else new  # numbers that fit worse are never shown as new
-    values = offered.values
     return Corrections(
-        rows=[(" ".join(key), value, values[key]) for key, value in old.values.items()],
-        left=[(f"{x.file}, {x.kind}", f"{x.old * 1e3:.3f}", f"{x.new * 1e3:.3f}") for x in changes],
+        rows=[(" ".join(key), value, offered.values[key]) for key, value in old.values.items()],
+        left=[
+            (f"{x['file']}, {x['kind']}", f"{x['old_rms_mm']:.3f}", f"{x['new_rms_mm']:.3f}")
+            for x in record.get("left_of_readings", ())
+        ],
         height=(before, after),
         keep=keep,
         words=(
@@ -85,18 +110,7 @@ def make_corrections(
             f"leave {after * 1e3:.3f} mm rms, and {before * 1e3:.3f} mm with the old ones{rods}"
         ),
         where=PASTE_INSTRUCTIONS,
-        kept={
-            "new": offered.as_dict(),
-            **({"tried": new.as_dict()} if keep else {}),
-            "height_rms_mm": [round(before * 1e3, 6), round(after * 1e3, 6)],
-            "keep_old_because": keep,
-            **({"rods_measured": True} if rods_measured else {}),
-            "left_of_readings": [
-                {"file": x.file, "kind": x.kind, "count": x.count,
-                 "old_rms_mm": round(x.old * 1e3, 6), "new_rms_mm": round(x.new * 1e3, 6)}
-                for x in changes
-            ],
-        },
+        kept=record,
         file=CONFIG_FILE,
         paste=tuple(offered.lines()),
         undo=tuple(old.lines()),
@@ -120,47 +134,29 @@ def _largest_change(old: Numbers, new: Numbers) -> str:
     return best_of(moves, lambda words: abs(moves[words]))
 
 
-def make_paste(old: Numbers, table: object) -> Paste:
+def make_paste(old: Numbers, record: Any) -> Paste:
     """Return the numbers that a machine file keeps in place of the old ones, to paste."""
     facts: dict[str, object] = {"old": old.as_dict()}
     try:
-        corrections = _stored_corrections(old, table)
-    except (KeyError, TypeError, ValueError):  # nothing was kept, or the table was edited
+        corrections = corrections_of(old, record)
+    except (AttributeError, KeyError, TypeError, ValueError):  # nothing was kept, or it was edited
         lacking = facts | {"missing": _NO_NEW_NUMBERS}
         return Paste({"drive": [], "old": [], "new": []}, lacking, (_NO_NEW_NUMBERS,))
     drive, before, after = zip(*corrections.rows, strict=True)
     columns = {"drive": [*drive], "old": [*map(float, before)], "new": [*map(float, after)]}
     number_lines = [f"  {name:28}{was:>14}{new:>14}" for name, was, new in corrections.rows]
     residual_lines = [f"  {name:40}{was:>8}{new:>8}" for name, was, new in corrections.left]
-    residual_title = "Left of the readings by its equations, rms, mm, old and new:"
-    return Paste(columns, facts | dict(corrections.kept), (
-        *(() if corrections.keep else (_ENTER_ALL,)),
+    tables = (
         "\n".join((f"{corrections.file:30}{'old':>14}{'new':>14}", *number_lines)),
-        "\n".join((residual_title, *residual_lines)),
-        *((f"Do not enter new numbers: {corrections.keep}.",) if corrections.keep else ()),
-        *(() if corrections.keep else (
-            corrections.where,
-            "\n".join(("To paste:", *corrections.paste)),
-            "\n".join(("To undo:", *corrections.undo)),
+        "\n".join((
+            "Left of the readings by its equations, rms, mm, old and new:", *residual_lines
         )),
-        "What no number of the firmware holds stands in the report.",
-    ))  # fmt: skip
-
-
-def _stored_corrections(old: Numbers, table: Any) -> Corrections:
-    """Return the new numbers of a machine file; without residuals if an earlier version wrote it.
-
-    Raises:
-        KeyError, TypeError, ValueError: if the file has no new numbers, or was edited.
-    """
-    if not isinstance(table, Mapping):
-        raise TypeError
-    changes = [
-        ResidualChange(str(x["file"]), str(x["kind"]), int(x["count"]),
-                       float(x["old_rms_mm"]) * 1e-3, float(x["new_rms_mm"]) * 1e-3)
-        for x in table.get("left_of_readings", ())
-    ]  # fmt: skip
-    keep = str(table.get("keep_old_because", ""))
-    rods_measured = table.get("rods_measured") is True
-    new = Numbers.from_table(table["new"])
-    return replace(make_corrections(old, new, changes, keep, rods_measured), kept=table)
+    )  # fmt: skip
+    paragraphs: tuple[str, ...] = (
+        _ENTER_ALL, *tables, corrections.where,
+        "\n".join(("To paste:", *corrections.paste)), "\n".join(("To undo:", *corrections.undo)),
+    )  # fmt: skip
+    if corrections.keep:
+        paragraphs = (*tables, f"Do not enter new numbers: {corrections.keep}.")
+    last = "What no number of the firmware holds stands in the report."
+    return Paste(columns, facts | dict(record), (*paragraphs, last))

@@ -6,15 +6,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.errors import FileError, InputError
+from orthoglide.errors import InputError
 from orthoglide.firmware.imported import Row
 from orthoglide.firmware.klipper.config import Config, ConfigSection
 from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
@@ -65,31 +65,6 @@ def probe_offset(config: Config) -> tuple[float, Array]:
     return above * 1e-3, np.array(beside) * 1e-3
 
 
-@dataclass(frozen=True, eq=False)
-class _StoredReadings:
-    """Readings of one kind, and the motor steps of the positions at which they were taken."""
-
-    kind: str
-    keys: list[str]
-    value: Array  # (n,), metres
-    steps: Array  # at one or two places (n, k, 3)
-
-    @property
-    def is_distance(self) -> bool:
-        """Whether these are distances between two places."""
-        return self.steps.shape[1] > 1
-
-    def excess(self, p: Array) -> Array:
-        """Return computed minus stored values ``(n,)`` for places ``(n, k, 3)``, metres."""
-        computed = np.linalg.norm(p[:, 1] - p[:, 0], axis=1) if self.is_distance else p[:, 0, 2]
-        return np.asarray(computed - self.value)
-
-    @property
-    def max_error(self) -> Array:
-        """Largest plausible difference of computed and stored values ``(n,)``, metres."""
-        return np.maximum(_MAX_VALUE_ERROR, _MAX_DISTANCE_SHARE * self.value * self.is_distance)
-
-
 def stored_readings(config: Config, numbers: Numbers) -> tuple[list[Row], bool]:
     """Return the stored heights and distances, and whether z = 0 was moved since.
 
@@ -98,61 +73,65 @@ def stored_readings(config: Config, numbers: Numbers) -> tuple[list[Row], bool]:
     section, moved, rows = config.section_or_empty("delta_calibrate"), False, list[Row]()
     if not section.entries:
         return [], False
-    temperature = section.temperature
-    try:
+    with config.leaving_out("heights and distances: "):
         step = np.array([_microstep(config, name) for name in TOWERS])
-    except FileError as error:
-        config.note("readings", f"heights and distances are left out: {error}")
-        return [], False
-    for kind in _STORED_KINDS:
-        readings = _read_kind(config, kind)
-        if not readings.keys:
-            continue
-        travel, p = _stored_positions(config, numbers, readings, step)
-        plausible = _plausible_rows(config, numbers, readings, p)
-        keys, value = list(compress(readings.keys, plausible)), readings.value[plausible]
-        readings = replace(readings, keys=keys, value=value)
-        if readings.is_distance:
-            rows += _distance_rows(readings, travel[plausible])
-        elif plausible.any():
-            shift = _endstop_shift(config, kind, p[plausible, 0], value)
-            rows += _height_rows(config, readings, travel[plausible, 0], shift)
-            moved |= shift != 0
-    return [replace(row, temperature=temperature) for row in rows], moved
+        for kind in _STORED_KINDS:
+            keys, value, steps = _read_kind(config, section, kind)
+            if not keys:
+                continue
+            travel, p = _stored_positions(config, numbers, kind, value, steps * step)
+            kept = _plausible_rows(config, numbers, kind, keys, value, p)
+            keys, value, travel = list(compress(keys, kept)), value[kept], travel[kept]
+            if steps.shape[1] > 1:  # distances between two places
+                rows += _distance_rows(keys, value, travel)
+            elif keys:
+                shift = _endstop_shift(config, kind, p[kept, 0], value)
+                rows += _height_rows(config, kind, value, travel[:, 0], shift)
+                moved |= shift != 0
+    return [replace(row, temperature=section.temperature) for row in rows], moved
 
 
-def _read_kind(config: Config, kind: str) -> _StoredReadings:
-    """Return the readable readings of a kind."""
-    section = config.section("delta_calibrate")
+def _read_kind(config: Config, section: ConfigSection, kind: str) -> tuple[list[str], Array, Array]:
+    """Return the keys of the readable readings of a kind, their values ``(n,)``, metres, and the
+    motor steps of the one or two places at which they were taken ``(n, k, 3)``.
+    """
     places, low, high = _STORED_KINDS[kind]
     pattern = re.compile(rf"{kind}([0-9]{{1,4}})(?:_pos[12]?)?")
     indices = {int(m[1]) for key in section.entries if (m := pattern.fullmatch(key))}
-    keys, values, steps = list[str](), list[float](), list[list[list[float]]]()
+    values, steps = dict[str, float](), list[list[list[float]]]()
     for key in (f"{kind}{k}" for k in sorted(indices)):
-        try:
+        with config.leaving_out():
             value = section.number(key, low=low, high=high) * 1e-3
-            positions = [section.numbers(f"{key}_{place}", 3) for place in places]
-        except FileError as error:
-            config.note("readings", f"left out: {error}")
-            continue
-        keys.append(key)
-        values.append(value)
-        steps.append(positions)
-    return _StoredReadings(kind, keys, np.array(values), np.array(steps))
+            steps.append([section.numbers(f"{key}_{place}", 3) for place in places])
+            values[key] = value
+    return [*values], np.array([*values.values()]), np.array(steps)
+
+
+def _excess(value: Array, p: Array) -> tuple[Array, Array]:
+    """Return computed minus stored values for places ``(n, k, 3)``, and the largest plausible size
+    of that, metres: of a height ``(n, 1)``; of a distance and of z at its ends, which are on the
+    plate, ``(n, 3)``.
+    """
+    if p.shape[1] == 1:
+        return p[:, :, 2] - value[:, None], np.full((len(value), 1), _MAX_VALUE_ERROR)
+    distance = np.linalg.norm(p[:, 1] - p[:, 0], axis=1)
+    most = np.full((len(value), 3), _MAX_VALUE_ERROR)
+    most[:, 0] = np.maximum(_MAX_VALUE_ERROR, _MAX_DISTANCE_SHARE * value)
+    return np.column_stack([distance - value, p[:, :, 2]]), most
 
 
 def _stored_positions(
-    config: Config, numbers: Numbers, readings: _StoredReadings, step: Array
+    config: Config, numbers: Numbers, kind: str, value: Array, way: Array
 ) -> tuple[Array, Array]:
     """Return the travel of readings from mechanical zero, and the places of the nozzle by the
     firmware's equations, ``(n, k, 3)`` each, metres; nan where the arms do not reach.
 
     Microsteps may have been changed since the readings were stored: the first ratio at which most
-    readings are plausible is taken, else 1.
+    readings are plausible is taken, else 1. ``way`` is that from the endstops at the present ratio.
     """
 
     def positions_at(ratio: float) -> tuple[Array, Array]:
-        heights = numbers.at_endstop - readings.steps * step * ratio
+        heights = numbers.at_endstop - way * ratio
         p = np.full(heights.shape, np.nan)
         for index in np.ndindex(heights.shape[:-1]):
             with suppress(InputError):
@@ -161,11 +140,12 @@ def _stored_positions(
 
     for ratio in _STEP_RATIOS:
         travel, p = positions_at(ratio)
-        if np.mean(np.abs(readings.excess(p)) <= readings.max_error) > 0.5:
+        excess, most = _excess(value, p)
+        if np.mean((np.abs(excess) <= most).all(axis=1)) > 0.5:
             if ratio != 1.0:
                 config.note(
                     "readings",
-                    f"the positions of {readings.kind}s in [delta_calibrate] were stored with "
+                    f"the positions of {kind}s in [delta_calibrate] were stored with "
                     f"{1 / ratio:g} times the microsteps of now, and are taken so",
                 )
             return travel, p
@@ -173,40 +153,46 @@ def _stored_positions(
 
 
 def _plausible_rows(
-    config: Config, numbers: Numbers, readings: _StoredReadings, p: Array
+    config: Config, numbers: Numbers, kind: str, keys: Sequence[str], value: Array, p: Array
 ) -> NDArray[np.bool_]:
     """Return which readings agree with the stored numbers ``(n,)``; none if most of them do not.
 
     A common shift of heights is left to `_endstop_shift`.
     """
-    section, excess = config.section("delta_calibrate"), readings.excess(p)
-    deviation, plausible = excess, np.isfinite(excess)
-    if not readings.is_distance:
-        deviation = excess - (np.nanmedian(excess) if plausible.any() else 0.0)
-        plausible &= np.hypot(*p[:, 0, :2].T) <= numbers.delta_radius
-    plausible &= np.abs(deviation) <= readings.max_error
+    excess, most = _excess(value, p)
+    reached = np.asarray(np.isfinite(excess).all(axis=1))
+    common, plausible = 0.0, reached.copy()
+    if p.shape[1] == 1:
+        common = float(np.median(excess[reached])) if reached.any() else 0.0
+        plausible = reached & (np.hypot(*p[:, 0, :2].T) <= numbers.delta_radius)
+    plausible &= (np.abs(excess - common) <= most).all(axis=1)
     plausible &= np.mean(plausible) > 0.5
     if len(plausible) > 1 and not plausible.any():
-        reached = np.abs(excess[np.isfinite(excess)]) * 1e3
-        misses = f", which the stored numbers miss by up to {plain(reached.max(), 1)} mm"
+        misses = ", which the arms do not reach"
+        if reached.any():
+            largest = plain(np.abs(excess[reached]).max() * 1e3, 1)
+            misses = f", which the stored numbers miss by up to {largest} mm"
         config.note(
             "readings",
-            f"left out: all {len(plausible)} {readings.kind}s of [delta_calibrate]"
-            f"{misses if len(reached) else ', which the arms do not reach'}: they are of different "
-            f"times, or a number of one tower is wrong: look at its angle, arm_length, microsteps, "
-            f"full_steps_per_rotation and rotation_distance, and run DELTA_CALIBRATE",
+            f"left out: all {len(plausible)} {kind}s of [delta_calibrate]{misses}: they are of "
+            f"different times, or a number of one tower is wrong: look at its angle, arm_length, "
+            f"microsteps, full_steps_per_rotation and rotation_distance, and run DELTA_CALIBRATE",
         )
-        return np.asarray(plausible)
-    for k in np.flatnonzero(~plausible):
-        entry, value = section.entries[readings.keys[k]], readings.value[k]
+        return plausible
+    elsewhere = ", or in another place of DELTA_ANALYZE's list" if p.shape[1] > 1 else ""
+    for k in np.flatnonzero(~plausible).tolist():
+        entry = config.section("delta_calibrate").entries[keys[k]]
+        stored, computed = value[k], value[k] + excess[k, 0]
+        if (worst := int(np.argmax(np.abs(excess[k]) / most[k]))) > 0:  # an end of a distance
+            stored, computed = 0.0, excess[k, worst]
         config.note(
             "readings",
-            f"left out: {entry.file}, line {entry.line}: [delta_calibrate] {readings.keys[k]} is "
-            f"{compact(value * 1e3, 6)} mm, where the stored numbers give "
-            f"{plain((value + excess[k]) * 1e3, 1)} mm at its stored position: they are of "
-            f"different times, or it is mistyped or in another place of DELTA_ANALYZE's list",
+            f"left out: {entry.file}, line {entry.line}: [delta_calibrate] {keys[k]} is "
+            f"{'at z = ' * (worst > 0)}{compact(stored * 1e3, 6)} mm, where the stored numbers "
+            f"give {plain(computed * 1e3, 1)} mm at its stored position: they are of different "
+            f"times, or it is mistyped{elsewhere}",
         )
-    return np.asarray(plausible)
+    return plausible
 
 
 def _endstop_shift(config: Config, kind: str, p: Array, height: Array) -> float:
@@ -241,19 +227,19 @@ def _endstop_shift(config: Config, kind: str, p: Array, height: Array) -> float:
 
 
 def _height_rows(
-    config: Config, readings: _StoredReadings, travel: Array, shift: float
+    config: Config, kind: str, value: Array, travel: Array, shift: float
 ) -> Iterator[Row]:
     """Yield touches of the plate, by the probe or (``manual_height``) by the nozzle itself."""
     offset, beside = probe_offset(config)
-    stored_offset, touch_offset = float(np.median(readings.value)), None
-    if readings.kind == "height" and abs(offset) >= _MIN_PROBE_OFFSET and not readings.value.any():
+    stored_offset, touch_offset = float(np.median(value)), None
+    if kind == "height" and abs(offset) >= _MIN_PROBE_OFFSET and not value.any():
         config.note(
             "heights",
             "the heights of [delta_calibrate] are all 0, as DELTA_CALIBRATE METHOD=manual stores "
             "them: they are taken as touches of the nozzle itself; if the probe touched, with a "
             "z_offset of 0, run DELTA_CALIBRATE again",
         )
-    elif readings.kind == "height":
+    elif kind == "height":
         touch_offset = beside
         if not shift and offset and abs(stored_offset - offset) > _EQUAL_OFFSETS:
             config.note(
@@ -263,22 +249,21 @@ def _height_rows(
                 f"now: the nozzle may end {abs(stored_offset - offset) * 1e3:.2g} mm too high or "
                 f"too low; run DELTA_CALIBRATE again",
             )
-    setup = {"height": "heights", "manual_height": "manual-heights"}[readings.kind]
-    for position, height in zip(travel, readings.value, strict=True):
+    setup = {"height": "heights", "manual_height": "manual-heights"}[kind]
+    for position, height in zip(travel, value.tolist(), strict=True):
         label = f"{position[0] * 1e3:.0f} {position[1] * 1e3:.0f}"
-        reading = float(height) + shift
-        yield Row(PlateTouch.kind, setup, label, position, reading, beside=touch_offset)
+        yield Row(PlateTouch.kind, setup, label, position, height + shift, beside=touch_offset)
 
 
-def _distance_rows(readings: _StoredReadings, travel: Array) -> Iterator[Row]:
+def _distance_rows(keys: Sequence[str], value: Array, travel: Array) -> Iterator[Row]:
     """Yield distances of a printed part: six spokes and six sides of its rim, each between two
     pillars.
     """
-    for key, ends, value in zip(readings.keys, travel, readings.value.tolist(), strict=True):
+    for key, ends, distance in zip(keys, travel, value.tolist(), strict=True):
         label = key.removeprefix("distance")
         is_rim = int(label) % 12 >= 6
         setup, sigma = ("rim", RIM_REPEATABILITY) if is_rim else ("spokes", math.nan)
-        yield Row(Distance.kind, setup, label, ends[0], value, second=ends[1], sigma=sigma,
+        yield Row(Distance.kind, setup, label, ends[0], distance, second=ends[1], sigma=sigma,
                   material=PRINTED)  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from itertools import chain, count
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.errors import FileError, InputError
+from orthoglide.errors import InputError
 from orthoglide.firmware.imported import Row, plain_name
 from orthoglide.firmware.klipper.config import Config, ConfigSection
 from orthoglide.firmware.klipper.heights import probe_offset
@@ -48,10 +48,10 @@ def stored_meshes(
     profile_by_content: dict[tuple[float, bytes], str] = {}
     for profile, section in profiles.items():
         name = _unique_name(profile, rows_by_campaign)
-        try:
+        rows = list[Row]()
+        with config.leaving_out(f"mesh {profile!r}: ", kind="mesh"):
             rows = list(_touches(config, numbers, section, name, turned.get(profile, 0.0)))
-        except FileError as error:
-            config.note("mesh", f"left out: mesh {profile!r}: {error}")
+        if not rows:
             continue
         command = np.array([row.travel for row in rows])
         first_profile = profile_by_content.setdefault((rows[0].turned, command.tobytes()), profile)
@@ -157,11 +157,8 @@ def _touched_points(config: Config, table: Array, place: Array, offset: Array) -
         low, high = f"faulty_region_{k}_min", f"faulty_region_{k}_max"
         if low not in general:
             break
-        try:
+        with config.leaving_out(kind="mesh"):
             corners = np.array([general.numbers(low, 2), general.numbers(high, 2)]) * 1e-3
-        except FileError as error:
-            config.note("mesh", f"left out: {error}")
-            continue
-        for positions in (place, place - offset):
-            touched &= ~((positions >= corners[0]) & (positions <= corners[1])).all(axis=1)
+            for positions in (place, place - offset):
+                touched &= ~((positions >= corners[0]) & (positions <= corners[1])).all(axis=1)
     return touched

@@ -13,7 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from orthoglide.add_ons import Corrections
-from orthoglide.firmware.klipper.corrections import ResidualChange, make_corrections
+from orthoglide.firmware.klipper.corrections import ResidualChange, corrections_of, make_record
+from orthoglide.firmware.klipper.heights import CALIPER_REPEATABILITY
+from orthoglide.firmware.klipper.importing import PROBE_REPEATABILITY
 from orthoglide.firmware.klipper.numbers import Numbers
 from orthoglide.firmware.klipper.provenance import CALIBRATION
 from orthoglide.geometry import Array, fit_plane, plane_columns
@@ -22,8 +24,11 @@ from orthoglide.observations import Readings
 
 _MIN_GAIN = 0.05  # share of a residual: numbers that gain less are not worth entering
 _CHANCE_GAIN = 12.0
-"""Gain of chi2 by Akaike's criterion: two for each of six fitted numbers, of which chance explains
-one."""
+"""Change of chi2 by Akaike's criterion: two for each of six fitted numbers, of which chance
+explains one."""
+
+_NOISE = {"heights": PROBE_REPEATABILITY, "distances": CALIPER_REPEATABILITY}
+"""Standard deviation of a reading, metres."""
 
 _MIN_REACH = 1 / 3
 """Share of the radius of the towers that touches must reach: numbers that fit the middle of a plate
@@ -54,17 +59,15 @@ def new_numbers(
 
     With the new numbers, the firmware computes places of the nozzle over the plate nearest to those
     of the calibrated machine; the plate is z = 0. Measured distances are fitted with them.
-
-    Args:
-        old: present numbers of the firmware.
-        machine: calibrated machine.
-        campaigns: all readings.
-        meshes_relative: whether the firmware subtracts the height at one place from every mesh.
-        calibrate_again: whether the firmware's own calibration has to be run again first.
     """
     touched = [c.subset(np.flatnonzero(c.touching)) for c in campaigns if c.touching.sum() > 2]
     paired = [c.subset(np.flatnonzero(c.paired)) for c in campaigns if c.paired.any()]
-    plates = [plate_heights(lambda c: _nozzle_pose(machine, c), old, t) for t in touched]
+
+    def nozzle(command: Array) -> tuple[Array, Array]:
+        pose = machine.pose(command)
+        return pose.p, pose.R[:, 2]
+
+    plates = [plate_heights(nozzle, old, t) for t in touched]
     reach = [float(np.hypot(*places.T).max()) for places, _ in plates]
     widest = max(reach, default=0.0)
     if widest < _MIN_REACH * old.delta_radius:
@@ -85,27 +88,42 @@ def new_numbers(
     new = _fit_numbers(start, residuals, count)
     changes = tuple(residual_changes(old, new, campaigns, meshes_relative))
     keep = _RECALIBRATE_FIRST if calibrate_again else rejection_reason(changes)
-    return make_corrections(old, new, changes, keep, rods_measured)
+    return corrections_of(old, make_record(old, new, changes, keep, rods_measured))
 
 
 def rejection_reason(changes: Sequence[ResidualChange]) -> str:
-    """Return why new numbers are not to be entered; empty if they are better."""
-    heights = [c for c in changes if c.kind == "heights"]
-    worse = [c for c in changes if c.new > (1 + _MIN_GAIN) * c.old]
-    if any(map(_residual_falls, heights)) and not worse:
-        return ""
-    change = (worse or heights)[0]
-    verb = "rises" if worse else "changes too little,"
+    """Return why new numbers are not to be entered; empty if they are better.
+
+    They are better if they fit some readings better by more than chance, and none worse.
+    """
+    touches = sum(c.count for c in changes if c.kind == "heights")
+    if touches <= _COUNT_WITHOUT_ARMS:
+        return (
+            f"{touches} touches of the plate would be fitted by {_COUNT_WITHOUT_ARMS} numbers "
+            f"whatever they are: touch it at more places"
+        )
+    if worse := [c for c in changes if c.new > c.old and _is_more_than_chance(c)]:
+        return _residual_clause(worse[0], "rises")
+    if not any(c.new < c.old and _is_more_than_chance(c) for c in changes):
+        return _residual_clause(changes[0], "changes by no more than chance,")
+    return ""
+
+
+def _residual_clause(change: ResidualChange, verb: str) -> str:
     return (
         f"with them the residual of the {change.kind} of {change.file} {verb} from "
         f"{change.old * 1e3:.3f} to {change.new * 1e3:.3f} mm rms"
     )
 
 
-def _residual_falls(change: ResidualChange) -> bool:
-    """Return whether the new numbers fit the readings of a file better, by more than chance."""
-    gain = 2 * change.count * np.log(max(change.old, 1e-12) / max(change.new, 1e-12))
-    return bool(change.new < (1 - _MIN_GAIN) * change.old and gain > _CHANCE_GAIN)
+def _is_more_than_chance(change: ResidualChange) -> bool:
+    """Return whether the residual of readings changes by more than chance, and noticeably.
+
+    Their noise is that of the instrument, or the smaller of the two residuals if this is larger.
+    """
+    low, high = sorted((change.old, change.new))
+    chi2 = change.count * (high**2 - low**2) / max(_NOISE[change.kind], low) ** 2
+    return high > (1 + _MIN_GAIN) * low and chi2 > _CHANCE_GAIN
 
 
 def residual_changes(
@@ -149,12 +167,6 @@ def plate_heights(pose: PoseFunction, old: Numbers, touches: Readings) -> tuple[
         lower = probe[2] + tilt @ beside - nozzle[2] - offset
         height[rows] = p[rows, 2] + up[rows] @ beside - touches.reading[rows] - lower
     return p[:, :2], height
-
-
-def _nozzle_pose(machine: Machine, command: Array) -> tuple[Array, Array]:
-    """Return places of a machine's nozzle, and upward parts of its platform's axes."""
-    pose = machine.pose(command)
-    return pose.p, pose.R[:, 2]
 
 
 def _zero_plane(
