@@ -140,14 +140,11 @@ def build_request(
     """
     machine = Machine.of(machine, effects)
     check_list("own", own)
-    tables = read_tables(campaigns, machine)
-    leg_readings = tuple(table for table in tables if not table.of_tool)
-    points = tuple(table for table in tables if table.of_tool)
+    tables = tuple(read_tables(campaigns, machine))
     tcp_points = None if tcp is None else points_of(tcp, machine)
     held = () if holdout is None else readings_of(holdout, machine)
     return Request(
-        "close-loop", leg_readings, machine, tuple(own), noise, seed, held, tcp_points,
-        points=points, frame=frame,
+        "close-loop", tables, machine, tuple(own), noise, seed, held, tcp_points, frame=frame,
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ import pytest
 
 import orthoglide as og
 from orthoglide.checking import check
+from orthoglide.closing.actions import actions
 from orthoglide.errors import InputError
 from orthoglide.explanation.change_search import INDISTINGUISHABLE_CHI2, SLAB_ODDS, SLAB_WIDTHS
 from orthoglide.explanation.data_faults import find_data_faults
@@ -147,7 +148,7 @@ def test_four_changes_since_a_calibration(visits: tuple[og.Campaign, og.Campaign
         assert change.sigma < abs(TRUE[name]) / 3
     assert "leg_length.x" not in {str(c.parameter) for c in again.changed}
     # Each is one thing to do, with what it may be instead: a page shows five of these and no more.
-    to_do = [a.options for a in again.actions if a.words.startswith("Confirm the repair")]
+    to_do = [a.options for a in actions(again) if a.words.startswith("Confirm the repair")]
     assert [len(options) for options in to_do] == [len(c.members) for c in again.changed]
 
 

@@ -15,11 +15,11 @@ import pytest
 import orthoglide as og
 from benchmarks.delta_readings import measured
 from benchmarks.delta_truth import machine as delta
-from orthoglide import units
-from orthoglide.checking import Check, Difference, check
+from orthoglide.checking import Check, check
 from orthoglide.checking.pages import changes_text
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
+from orthoglide.explanation.change import Change
 from orthoglide.firmware.klipper import import_printer
 from orthoglide.observations import Readings
 from tests import rig_campaigns as rc
@@ -170,11 +170,11 @@ def test_two_calibrations_that_a_printer_stores_are_compared() -> None:
 
 def test_a_difference_beyond_its_sigma_is_never_said_to_be_within_it() -> None:
     """4.8 sigma were listed under "nothing else changed beyond its uncertainty"."""
-    unit = units.MM
-    parameters = [CATALOGUE.parameter(f"joint_offset.{leg}") for leg in "xyz"]
-    moved = Difference(parameters[0], 0.0, 1e-3, 1e-5, unit, True)
-    still = Difference(parameters[1], 0.0, 1e-5, 1e-5, unit, False)
-    apart = Difference(parameters[2], 0.0, 5e-5, 1e-5, unit, False)
+    moved, still, apart = (
+        Change({CATALOGUE.parameter(f"joint_offset.{leg}"): size}, CATALOGUE, before=0.0,
+               after=size, sigma=1e-5, changed=size > 1e-4)
+        for leg, size in (("x", 1e-3), ("y", 1e-5), ("z", 5e-5))
+    )  # fmt: skip
     found = Check(("a",), ("b",), None, (moved, still, apart))  # type: ignore[arg-type]
     _, within, beyond = found.sentences
     assert within == (

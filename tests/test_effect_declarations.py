@@ -27,9 +27,9 @@ from orthoglide.effects.wording import (
     value_words,
 )
 from orthoglide.errors import InputError
-from orthoglide.explanation import Explanation
 from orthoglide.parameters import Parameter
 from orthoglide.prediction import Conditions, Model
+from orthoglide.result import Explanation
 from orthoglide.units import MM
 
 PACKAGE = Path(og.__file__).parent

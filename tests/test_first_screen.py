@@ -12,11 +12,9 @@ import numpy as np
 import pytest
 
 from orthoglide.closing import RunOutcome, build_result
-from orthoglide.closing.fill import cause_value
 from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
 from orthoglide.effects.free_form import free_forms
 from orthoglide.effects.wording import cause_short
-from orthoglide.explanation import Cause, Explanation
 from orthoglide.explanation.change import Change
 from orthoglide.layout import LinearDelta
 from orthoglide.numerals import ByUnit
@@ -26,7 +24,7 @@ from orthoglide.report.page import render_template
 from orthoglide.report.sections import budget
 from orthoglide.report.sentences import _rms_change
 from orthoglide.report.terminal import action_lines
-from orthoglide.result import Action, BudgetItem, Suspect
+from orthoglide.result import Action, BudgetItem, Cause, Explanation, Suspect
 from orthoglide.verdict import Verdict
 from tests.test_report import closed_of, result_of, screen
 from tests.tiers import in_turn
@@ -67,7 +65,7 @@ def made_up(
     kept |= {} if drawn else {"picture": replace(base().picture, options=())}
     closed.__dict__.update(kept)
     # The words of a cause follow from the catalogue of its own machine.
-    return replace(build_result(closed, Verdict), effects=tuple(map(cause_value, causes)))
+    return replace(build_result(closed, Verdict), effects=causes)
 
 
 def item(name: str, **values: Any) -> BudgetItem:
@@ -209,8 +207,8 @@ def test_a_reader_finds_what_changed_in_words_on_the_drawing_and_in_what_to_do(
     """Of what is new, and of what was put right; a cause found tells of its own change."""
     effect, value = CATALOGUE.effect_of(name), 2.5 * sign * CATALOGUE.effect_of(name).tolerance_si
     new = Change(
-        name, (name,), "", ("calibrated.toml", "second"), 9.0, CATALOGUE, 0.0, value,
-        abs(value) / 20, abs(value) / 20,
+        {name: value}, CATALOGUE, "", ("calibrated.toml", "second"), 0.0, value,
+        abs(value) / 20, abs(value) / 20, 9.0,
     )  # fmt: skip
     for change, state in ((new, "Now"), (replace(new, before=value, after=0.0), "Before")):
         verdict = made_up("adequate", changed=(change,), drawn=True)

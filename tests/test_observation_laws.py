@@ -581,7 +581,8 @@ def test_a_result_says_the_noise_of_its_kind_and_where_it_is_from(kind: str, lay
     ):
         problem = assemble(readings, of, ["joint_offset"])
         assert list(problem.noise_by_instrument) == [kind]
-        size, source = problem.noise_by_instrument[kind]
+        noise = problem.noise_by_instrument[kind]
+        size, source = noise.sigma, noise.source
         assert (size, source) == (pytest.approx(expected, rel=1e-9), where)
 
 

@@ -207,7 +207,7 @@ def test_noise_comes_from_instrument_rows_and_roughness(tmp_path: Path) -> None:
     assert (
         problem.noise.typical
         == pytest.approx(problem.sigma[0])
-        == problem.noise_by_instrument["plate"][0]
+        == problem.noise_by_instrument["plate"].sigma
     )
     assert roughness(np.zeros((5, 2)), np.zeros(5), np.zeros((5, 3)))[0] == 0.0
 

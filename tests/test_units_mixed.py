@@ -93,7 +93,7 @@ def test_millimetres_and_milliradians_are_told_apart() -> None:
 def test_what_readings_do_not_see_is_not_called_nominal() -> None:
     """A level sees no zeros: an offset of 0.5 mm was told as nominal to 0.02 mm."""
     level = tool(("incline",), errors={"joint_offset.x": 5e-4})
-    said = headline(run(Request("identify", (), MACHINE, points=(level,))))
+    said = headline(run(Request("identify", (level,), MACHINE)))
     assert "nominal to" not in said
     assert "Joint offsets not seen by these readings" in said
     assert "the noise of a reading (0.02 mrad)" in said

@@ -2,35 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from orthoglide.checking.difference import COLUMNS, Difference
 from orthoglide.checking.plates import PlateMove, plate_moves
-from orthoglide.checking.states import (
-    State,
-    joint_request,
-    read_states,
-    single_request,
-    with_distinct_names,
-)
+from orthoglide.checking.states import State, joint_request, read_states, with_distinct_names
 from orthoglide.closing import RunOutcome, build_result, compute_outcome
-from orthoglide.effects import Catalogue
-from orthoglide.explanation import Located
-from orthoglide.explanation.change import Change
+from orthoglide.explanation.change import COLUMNS, Change, sigma_of_difference
 from orthoglide.explanation.change_search import visits
 from orthoglide.explanation.recalibration import account_for_changes
 from orthoglide.fit import Problem, assemble, solve
-from orthoglide.fit.unknowns import Unknown
+from orthoglide.fit.unknowns import Unknown, join_unknowns
 from orthoglide.frames import Framed
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.ordering import ranked
 from orthoglide.parameters import Parameter
 from orthoglide.progress import Progress, Step, no_progress
+from orthoglide.result import Located
 from orthoglide.threads import on_one_thread
 from orthoglide.verdict import Verdict
 
@@ -44,7 +36,6 @@ class Check(Framed):
         new: names of the campaigns of the new state.
         closed: the machine as it is now, from the new readings alone.
         differences: of the base parameters, of the causes found and of what changed.
-        changes: changed parameters, those of probed plates included.
         moves: plates that lie elsewhere than before.
         gone: errors located in the old state alone; if there are any, or any new ones, each state
             is closed by itself, because no parameter describes the change.
@@ -54,8 +45,7 @@ class Check(Framed):
     old: tuple[str, ...]
     new: tuple[str, ...]
     closed: RunOutcome
-    differences: tuple[Difference, ...]
-    changes: tuple[Change, ...] = ()
+    differences: tuple[Change, ...]
     moves: tuple[PlateMove, ...] = ()
     gone: tuple[Located, ...] = ()
     come: tuple[Located, ...] = ()
@@ -69,15 +59,15 @@ class Check(Framed):
         """Columns of a table with one row per difference, in the units of files."""
         rows = []
         for d in self.differences:
-            sizes = (d.before, d.after, d.after - d.before, d.sigma)
+            sizes = (d.before, d.after, d.difference, d.sigma)
             rows.append((d.parameter, *(v / d.unit.si for v in sizes), d.unit.name, d.changed))
         titles = ("parameter", *COLUMNS)
         return dict(zip(titles, map(list, zip(*rows, strict=True)), strict=True))
 
     @property
-    def plates(self) -> tuple[str, ...]:
-        """A sentence for each change of a probed plate."""
-        return tuple(c.message for c in self.changes if c.parameter.setup)
+    def changes(self) -> tuple[Change, ...]:
+        """The differences that exceed their uncertainty."""
+        return tuple(d for d in self.differences if d.changed)
 
     @property
     def lying(self) -> tuple[str, ...]:
@@ -110,11 +100,9 @@ class Check(Framed):
     @cached_property
     def sentences(self) -> tuple[str, ...]:
         """What changed, largest in sigmas first, and the uncertainty of unchanged parameters."""
-        changed = ranked(
-            (d for d in self.differences if d.changed), lambda d: abs(d.after - d.before) / d.sigma
-        )
+        changed = ranked(self.changes, lambda d: abs(d.difference) / d.sigma)
         unchanged = [d for d in self.differences if not d.changed]
-        what = "nothing else" if changed or self.plates or self.moves or self.places else "nothing"
+        what = "nothing else" if changed or self.moves or self.places else "nothing"
         clauses = {
             f"{what} changed beyond its uncertainty": False,
             "of these the two states differ, each by itself, but all readings together need no "
@@ -125,13 +113,13 @@ class Check(Framed):
             for words, significant in clauses.items()
         )
         last = (f"{words}: {', '.join(listed)}" for words, listed in by_clause if listed)
-        return (*self.places, *self.plates, *map(str, changed), *self.lying, *last)
+        sentences = (change.comparison for change in changed)
+        return (*self.places, *sentences, *self.lying, *last)
 
     @property
     def line(self) -> str:
         """One line with the names of what changed and the verdict on the new readings."""
-        names = [d.words for d in self.differences if d.changed]
-        names += ["the plate"] * bool(self.plates)
+        names = [change.words for change in self.changes]
         names += ["where the plate lies"] * bool(self.moves)
         names += ["what is located"] * bool(self.places)
         what = f"Changed: {', '.join(names)}" if names else "Nothing changed"
@@ -180,25 +168,23 @@ def check(
     request, past = joint_request(machine, before, after, noise, seed)
     together = compute_outcome(request, progress)
     # Alternatives of a change make the old state ambiguous, but not the new one.
-    closed = compute_outcome(single_request(request, after), progress)
+    closed = compute_outcome(replace(request, given=tuple(after)), progress)
     old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
     jointly = not past and len(visits(together.before.problem)) > 1
     closed_before, gone, come = None, tuple[Located, ...](), tuple[Located, ...]()
     if not jointly or together.changed or any(map(_has_unnamed, (together, closed))):
-        closed_before = compute_outcome(single_request(request, before), progress)
+        closed_before = compute_outcome(replace(request, given=tuple(before)), progress)
         gone = _located_only_in_first(closed_before, closed)
         come = _located_only_in_first(closed, closed_before)
         jointly = jointly and not gone and not come
     progress(Step("comparing"))
     if jointly or closed_before is None:
-        changes = tuple(c for c in together.changed if np.isfinite(c.after))
-        differences = tuple(_joint_differences(together, new_names, changes))
+        differences = tuple(_joint_differences(together, new_names))
     else:
-        differences = tuple(_separate_differences(closed_before, closed))
         between = ", ".join(old_names), ", ".join(new_names)
-        changes = tuple(_as_change(d, between, machine.catalogue) for d in differences if d.changed)
+        differences = tuple(_separate_differences(closed_before, closed, between))
     moves = plate_moves(together.after.problem, together.after.x, old_names, new_names)
-    return Check(old_names, new_names, closed, differences, changes, moves, gone, come)
+    return Check(old_names, new_names, closed, differences, moves, gone, come)
 
 
 def _has_unnamed(closed: RunOutcome) -> bool:
@@ -222,9 +208,7 @@ def _located_only_in_first(first: RunOutcome, second: RunOutcome) -> tuple[Locat
         located
         for located in first.located
         if curves.isdisjoint(curve.name for curve in located.members)
-        and legs.isdisjoint(
-            c.place.names.legs[c.place.leg] for c in located.members if c.place.leg >= 0
-        )
+        and legs.isdisjoint(curve.leg for curve in located.members)
     )
 
 
@@ -247,12 +231,12 @@ def _located_words(located: Located) -> str:
     return f"{first.words}{rivals}"
 
 
-def _joint_differences(
-    together: RunOutcome, later: Collection[str], changes: Sequence[Change]
-) -> Iterator[Difference]:
+def _joint_differences(together: RunOutcome, later: Collection[str]) -> Iterator[Change]:
     """Yield the changed parameters, then all others from a fit of all readings with one value
     before and one in later campaigns.
     """
+    changes = [change for change in together.changed if np.isfinite(change.after)]
+    yield from changes
     names = _compared_parameters(together)
     problem, request = together.before.problem, together.request
     # Faulty rows have zero weight in these tables.
@@ -263,39 +247,32 @@ def _joint_differences(
     problem_of_both = assemble(tables, request.machine, names, per_campaign=names, noise=noise)
     fit = account_for_changes(solve(_with_one_value_per_state(problem_of_both, later)))
     catalogue, changed = request.machine.catalogue, {c.parameter for c in changes}
-    legs = catalogue.legs
-    for c in changes:
-        if not c.parameter.setup:
-            yield Difference(
-                c.parameter, c.before, c.after, c.sigma, c.unit, True, c.alternatives_clause, legs
-            )
     places: dict[Parameter, list[int]] = {}
     for k, unknown in enumerate(fit.names):
         places.setdefault(catalogue.parameter(unknown).plain, []).append(k)
     for name, columns in places.items():
         if len(columns) == 2 and name not in changed:
             before, after = fit.x[columns].tolist()
-            spread = fit.covariance[np.ix_(columns, columns)]
-            sigma = float(np.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1]))
-            unit = catalogue.effect_of(name).unit
-            yield Difference(name, before, after, sigma, unit, False, legs=legs)
+            sigma = sigma_of_difference(fit.covariance[np.ix_(columns, columns)])
+            yield Change(
+                {name: after - before}, catalogue, before=before, after=after, sigma=sigma,
+                changed=False,
+            )  # fmt: skip
 
 
 def _separate_differences(
-    closed_before: RunOutcome, closed_now: RunOutcome
-) -> Iterator[Difference]:
+    closed_before: RunOutcome, closed_now: RunOutcome, between: tuple[str, str]
+) -> Iterator[Change]:
     """Yield the parameters that both states determine by themselves, with the uncertainty of each,
     because different instruments see different errors.
     """
     names = dict.fromkeys([*_compared_parameters(closed_before), *_compared_parameters(closed_now)])
     rivals = {
-        name: (*cause.same, *cause.rivals)
+        name: tuple(one.words for one in (*cause.same, *cause.rivals))
         for cause in (*closed_before.effects, *closed_now.effects)
         for name in cause.chosen.parameters
     }
-    others = {n: f" (or {', or '.join(e.words for e in es)})" for n, es in rivals.items() if es}
-    catalogue = closed_now.catalogue
-    machines = closed_before.machine, closed_now.machine
+    catalogue, machines = closed_now.catalogue, (closed_before.machine, closed_now.machine)
     posteriors = [machine.posterior for machine in machines]
     for name in names:
         if not all(name in posterior.names for posterior in posteriors):
@@ -307,24 +284,23 @@ def _separate_differences(
             # An error that readings did not show is small in a sound machine, but may be large.
             alone = 0.0 if conditional is None else float(conditional[k])
             variance += max(float(posterior.covariance[k, k]), alone)
-        parameter, clause = catalogue.parameter(name), others.get(name, "")
-        unit, sigma = catalogue.effect_of(parameter).unit, float(np.sqrt(variance))
-        difference = Difference(
-            parameter, before, after, sigma, unit, False, clause, catalogue.legs
-        )
-        yield replace(difference, changed=difference.is_significant)
+        sigma = float(np.sqrt(variance))
+        change = Change(
+            {catalogue.parameter(name): after - before}, catalogue, "", between, before, after,
+            sigma, sigma, rivals=rivals.get(name, ()),
+        )  # fmt: skip
+        yield replace(change, changed=change.is_significant)
 
 
 def _with_one_value_per_state(problem: Problem, later: Collection[str]) -> Problem:
     """Return the problem with one value of each per-campaign parameter before, and one later."""
-    joined: dict[tuple[str, bool], Unknown] = {}
-    for unknown in problem.unknowns:
+
+    def state(unknown: Unknown) -> tuple[bool, str]:
         factor = next(k for k, parts in enumerate(unknown.weights) if parts)
-        key = unknown.name.plain, problem.factors[factor].name in later
-        known = joined.setdefault(key, unknown)
-        parts = tuple(a or b for a, b in zip(known.weights, unknown.weights, strict=True))
-        joined[key] = replace(known, weights=parts)
-    old_first = sorted(joined, key=lambda key: key[1])
+        return problem.factors[factor].name in later, unknown.name.plain
+
+    joined = join_unknowns(problem.unknowns, state)
+    old_first = sorted(joined, key=lambda key: key[0])
     return replace(problem, unknowns=tuple(joined[key] for key in old_first))
 
 
@@ -341,12 +317,3 @@ def _compared_parameters(closed: RunOutcome) -> list[str]:
     )  # the others are free-form
     named = (n for n in in_catalogue if not catalogue.effect_of(n).of_dial)
     return list(dict.fromkeys(map(str, (*base, *named))))
-
-
-def _as_change(difference: Difference, between: tuple[str, str], catalogue: Catalogue) -> Change:
-    """Return a difference between separately closed states as a change."""
-    d = difference
-    return Change(
-        d.parameter, (d.parameter,), "", between, float("nan"), catalogue,
-        before=d.before, after=d.after, sigma=d.sigma, sigma_after=d.sigma,
-    )  # fmt: skip

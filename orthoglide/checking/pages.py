@@ -7,7 +7,7 @@ from typing import Any
 
 from orthoglide import __version__
 from orthoglide.checking.comparing import Check
-from orthoglide.checking.difference import COLUMNS
+from orthoglide.explanation.change import COLUMNS
 from orthoglide.numerals import plain
 from orthoglide.progress import Progress, no_progress
 from orthoglide.report import report_files

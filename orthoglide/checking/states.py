@@ -116,18 +116,10 @@ def joint_request(
     A fit has the dials first and assigns readings of the tool to the last state, so old ones are
     omitted if the new state has dials.
     """
-    dials = tuple(r for r in (*before, *after) if not r.of_tool)
-    tool = [r for r in (*before, *after) if r.of_tool]
-    old_tool = [r for r in before if r in tool and any(d in after for d in dials)]
-    points = tuple(r for r in tool if r not in old_tool)
-    request = Request("close-loop", dials, machine, (), noise, seed, points=points)
-    return request, bool(old_tool)
-
-
-def single_request(request: Request, side: Sequence[Readings]) -> Request:
-    """Return the request of one state alone."""
-    dials = tuple(r for r in side if not r.of_tool)
-    return replace(request, campaigns=dials, points=tuple(r for r in side if r.of_tool))
+    with_dials = not all(one.of_tool for one in after)
+    kept = [one for one in before if not (with_dials and one.of_tool)]
+    request = Request("close-loop", (*kept, *after), machine, (), noise, seed)
+    return request, len(kept) < len(before)
 
 
 def with_distinct_names(

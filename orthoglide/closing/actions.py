@@ -9,12 +9,12 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Literal
 
 from orthoglide.control import withholding_reason
+from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.wording import cause_words, confirm_words
-from orthoglide.explanation import Cause, Curve, Located
 from orthoglide.explanation.change import Change
 from orthoglide.numerals import plain, with_sigma
 from orthoglide.ordering import ranked
-from orthoglide.result import Action, Suspect, Withheld
+from orthoglide.result import Action, Cause, Curve, Located, Suspect, Withheld
 from orthoglide.text import MACHINE_OPTION
 
 if TYPE_CHECKING:
@@ -119,13 +119,13 @@ def _finding_actions(
         options = suspects(finding)
         if kind == "confirm":
             yield Action(kind, first, options=options)
-        elif may_be_lost_motion(finding):
+        elif finding.loses:
             remark = f"{_LOST_MOTION_EXCLUDED}{_lost_motion_remedy(finding)}"
             yield Action(kind, f"{_REPAIR} ({remark})", options=options)
         else:
             name, plate = finding.name, False
             if isinstance(finding, Located):
-                name = finding.in_machine(outcome.catalogue)[0]
+                name = finding.in_budget
             else:
                 effects = [e.catalogue.effect_of(e.name) for e in finding.explanations]
                 plate = any(bool(effect.plate) for effect in effects)
@@ -145,19 +145,10 @@ def _finding_actions(
             yield Action("confirm", words, options=suspects(change))
         else:
             gain = (math.nan, math.nan)
-            gain = gain if may_be_lost_motion(change) else gains.get(change.parameter, gain)
+            gain = gain if change.loses else gains.get(change.parameter, gain)
             alternative = "enter the new zeros, not both" if by_zeros else "correct for it"
             words = f"Confirm the change. Then put it back, or {alternative}; {outdated}"
             yield Action(kind, words, *gain, options=suspects(change))
-
-
-def may_be_lost_motion(finding: Cause | Located | Change) -> bool:
-    """Return whether a finding may be lost motion, which the tool's expected errors exclude."""
-    if isinstance(finding, Located):
-        return any(curve.place.loses for curve in finding.members)
-    explanation = finding.chosen if isinstance(finding, Cause) else finding
-    names = finding.members if isinstance(finding, Change) else finding.parameters
-    return any("approach" in explanation.catalogue.effect_of(name).needs for name in names)
 
 
 def _lost_motion_remedy(finding: Cause | Located) -> str:
@@ -203,7 +194,8 @@ def _suspect_of_change(change: Change, k: int) -> Suspect:
 
 def located_error_test(curve: Curve) -> str:
     """Return the test that shows lost motion of a located error; empty for other errors."""
-    place, size = curve.place, curve.size_words
+    place: FreeForm = curve.place
+    size = curve.size_words
     if place.of_dial:
         return _DIAL_REVERSAL_TEST.format(size) if place.depends_on_approach else ""
     leg = place.names.legs[place.leg]

@@ -10,12 +10,11 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from orthoglide.accuracy import tcp_map, without_translation, workspace_grid
-from orthoglide.closing.actions import actions, may_be_lost_motion, not_advised
+from orthoglide.closing.actions import actions, not_advised
 from orthoglide.closing.outcome import RunOutcome
-from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
 from orthoglide.errors import NumericsError
-from orthoglide.explanation import Cause, Curve, FullPosterior, Located
+from orthoglide.explanation import FullPosterior
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.data_faults import ReportedFault
 from orthoglide.explanation.free_form import only_surface_readings
@@ -24,7 +23,6 @@ from orthoglide.fit.assembling import with_free
 from orthoglide.fit.excitation import excited_effects, unmet_conditions
 from orthoglide.fit.noise_notes import noise_scales
 from orthoglide.fit.reading_tables import fitted_readings, row_indices
-from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.observations import Readings, campaign_rows, source
@@ -32,10 +30,9 @@ from orthoglide.parameters import Parameter
 from orthoglide.planning import INSTRUMENT_WORDS, Suggestion
 from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.result import (
-    CandidateScore,
+    Cause,
     DataFault,
     Fit,
-    InstrumentNoise,
     Noise,
     Possible,
     Proposal,
@@ -44,7 +41,6 @@ from orthoglide.result import (
     Unseen,
     Workspace,
     encoded,
-    findings,
     fits,
 )
 from orthoglide.threads import on_one_thread
@@ -73,7 +69,7 @@ def build_result(outcome: RunOutcome, cls: type[R], progress: Progress = no_prog
 
 
 def _result_values(outcome: RunOutcome) -> Result:
-    base, after, catalogue = outcome.before, outcome.after, outcome.catalogue
+    base, after = outcome.before, outcome.after
     uncovered = {id(change) for change in outcome.moved}
     kinds = {s.kind for f in after.problem.factors for s in f.readings.setups}
     sheet, posterior = outcome.next_sheet, outcome.posterior
@@ -86,10 +82,8 @@ def _result_values(outcome: RunOutcome) -> Result:
         before=_value_of(Fit, base),
         after=_value_of(Fit, after),
         rms_of_all=outcome.first_fit.scores.rms,
-        effects=tuple(map(cause_value, outcome.effects)),
-        located=tuple(_located_value(located, catalogue) for located in outcome.located),
+        effects=tuple(map(_with_drawn_signatures, outcome.effects)),
         alone=tuple(replace(one, shown=np.zeros(0)) for one in outcome.alone),
-        candidates=tuple(_candidates(outcome)),
         blunders=_data_faults(outcome),
         changed=tuple(_change_value(c, id(c) not in uncovered) for c in outcome.changed),
         weak=after.weak,
@@ -111,18 +105,6 @@ def _result_values(outcome: RunOutcome) -> Result:
         possible=tuple(_possible_causes(outcome)),
         noise_by_setup=tuple(_noise_by_setup(after)),
     )
-
-
-def _candidates(outcome: RunOutcome) -> Iterator[CandidateScore]:
-    """Yield the causes and located errors that were considered, in words."""
-    posterior = outcome.posterior
-    places = () if posterior is None else posterior.linearised.free_form_errors
-    place_words = {place.name: place.words for place in places}
-    for candidate in outcome.candidates:
-        words = place_words.get(candidate.name, "")
-        if candidate.parameters:
-            words = cause_short(outcome.catalogue, candidate.name)
-        yield replace(candidate, words=words)
 
 
 def _data_faults(outcome: RunOutcome) -> tuple[DataFault, ...]:
@@ -165,13 +147,9 @@ def _warnings(outcome: RunOutcome) -> tuple[Note, ...]:
 
 def _noise(outcome: RunOutcome) -> Noise:
     problem = outcome.after.problem
-    by_instrument = {
-        kind: InstrumentNoise(float(sigma), OBSERVATIONS[kind].unit, source)
-        for kind, (sigma, source) in problem.noise_by_instrument.items()
-    }
-    return Noise(
-        problem.declared_noise, problem.single_reading_sd, problem.noise_source, by_instrument
-    )
+    by_instrument = problem.noise_by_instrument
+    source = next(iter(by_instrument.values())).source
+    return Noise(problem.declared_noise, problem.single_reading_sd, source, by_instrument)
 
 
 def _possible_causes(outcome: RunOutcome) -> Iterator[Possible]:
@@ -273,50 +251,16 @@ def _value_of(cls: type[T], source: object, **others: Any) -> T:
     return cls(**{name: getattr(source, name) for name in names}, **others)
 
 
-def cause_value(cause: Cause) -> findings.Cause:
-    """Return the value of a cause with its credible set; few explanations keep the readings that
-    they predict.
+def _with_drawn_signatures(cause: Cause) -> Cause:
+    """Return a cause of which only the explanations that a figure shows keep the readings that they
+    predict.
     """
     drawn = cause.explanations[:MAX_DRAWN_CAUSES]
-    chosen, rivals, same = (
+    rivals, same = (
         tuple(one if one in drawn else replace(one, shown=np.zeros(0)) for one in members)
-        for members in ((cause.chosen,), cause.rivals, cause.same)
+        for members in (cause.rivals, cause.same)
     )
-    return findings.Cause(
-        chosen[0], rivals, same, places=tuple(map(_curve_value, cause.places)),
-        loses=may_be_lost_motion(cause), data=cause.data,
-    )  # fmt: skip
-
-
-def _located_value(located: Located, catalogue: Catalogue) -> findings.Located:
-    """Return the value of a located error; ``catalogue``: effects of the calibrated machine."""
-    resembling, ruled_out = (
-        tuple(cause_short(catalogue, name) for name in names)
-        for names in (located.resembling, located.ruled_out)
-    )
-    return _value_of(
-        findings.Located, located, members=tuple(map(_curve_value, located.members)),
-        resembling_words=resembling, ruled_out=ruled_out,
-        in_budget=located.in_machine(catalogue)[0], loses=may_be_lost_motion(located),
-    )  # fmt: skip
-
-
-def _curve_value(curve: Curve) -> findings.Curve:
-    place, legs = curve.place, curve.place.names.legs
-    return _value_of(
-        findings.Curve,
-        curve,
-        leg=legs[place.leg] if place.leg >= 0 else None,
-        part=place.part,
-        direction=place.direction or None,
-        against=place.against,
-        short_waves=place.short_waves,
-        by_leg=legs[place.command_drive] if place.against == "command" else None,
-        setup=place.setup or None,
-        description=place.words,
-        of_dial=place.of_dial,
-        of_machine=place.of_machine,
-    )
+    return replace(cause, rivals=rivals, same=same)
 
 
 def _data_fault_value(
@@ -346,5 +290,5 @@ def _change_value(change: Change, covered: bool) -> fits.Change:
     return _value_of(
         fits.Change, change, before=change.before / si, after=change.after / si,
         sigma=change.sigma / si, unit=change.unit.name, each=change.member_clauses,
-        loses=may_be_lost_motion(change), covered_by_cause=covered,
+        covered_by_cause=covered,
     )  # fmt: skip

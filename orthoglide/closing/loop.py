@@ -23,7 +23,7 @@ from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
 from orthoglide.explanation.data_faults import ReportedFault, find_data_faults, without_faults
 from orthoglide.explanation.fault_columns import FaultKey
 from orthoglide.explanation.identifying import identify
-from orthoglide.explanation.lack_of_fit import SIGNIFICANT, LackOfFitTest, estimate_lack_of_fit
+from orthoglide.explanation.lack_of_fit import SIGNIFICANT, estimate_lack_of_fit
 from orthoglide.explanation.recalibration import account_for_changes, ambiguity_clause
 from orthoglide.explanation.repeats import with_refuted_noise_enlarged
 from orthoglide.fit import Estimate, assemble, refit_with_residual_noise, solve
@@ -34,7 +34,7 @@ from orthoglide.notes import Note
 from orthoglide.observations import Readings
 from orthoglide.observations.repetition import shared_fraction
 from orthoglide.progress import Progress, Step, no_progress
-from orthoglide.result import Request, Word
+from orthoglide.result import LackOfFit, Request, Word
 from orthoglide.threads import on_one_thread
 
 _MAX_RESIDUAL_SHARE = 0.1  # share of the base model's lack of fit that located errors may leave
@@ -122,7 +122,7 @@ def _search(
     progress: Progress,
     first_posterior: FullPosterior | None = None,
     ambiguous: Collection[FaultKey] = (),
-) -> tuple[FullPosterior, CredibleSets, LackOfFitTest, Word]:
+) -> tuple[FullPosterior, CredibleSets, LackOfFit, Word]:
     """Search with faulty rows excluded and changed parameters free; return the posterior, the
     credible sets of active causes, the test for lack of fit, and the verdict.
     """
@@ -215,7 +215,7 @@ def _with_warnings(outcome: RunOutcome, *notes: Note) -> RunOutcome:
     return replace(outcome, after=replace(outcome.after, warnings=warnings))
 
 
-def _lacks_explanation(fit_test: LackOfFitTest) -> bool:
+def _lacks_explanation(fit_test: LackOfFit) -> bool:
     """Return whether an explanation is missing.
 
     One is missing if the residual is significant or was not tested. One is also missing if more
@@ -225,7 +225,7 @@ def _lacks_explanation(fit_test: LackOfFitTest) -> bool:
     return not fit_test.p_value >= SIGNIFICANT or fit_test.rare > EVEN_PROBABILITY
 
 
-def _verdict(sets: CredibleSets, fit_test: LackOfFitTest) -> Word:
+def _verdict(sets: CredibleSets, fit_test: LackOfFit) -> Word:
     """Return the verdict from the credible sets and from the test of the residual."""
     if not sets.causes and not sets.located:
         if fit_test.base_p_value >= SIGNIFICANT:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -12,10 +12,10 @@ from orthoglide.closing.actions import next_measurements
 from orthoglide.closing.picture import picture
 from orthoglide.control import ControllerNumbers, controller_numbers
 from orthoglide.effects import Catalogue
-from orthoglide.explanation import Cause, Explanation, FullPosterior, Located, budget
+from orthoglide.explanation import FullPosterior, budget
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.data_faults import ReportedFault
-from orthoglide.explanation.lack_of_fit import LackOfFitTest, residual_by_setup
+from orthoglide.explanation.lack_of_fit import residual_by_setup
 from orthoglide.fit import Estimate
 from orthoglide.machine import Machine
 from orthoglide.numerals import distinct_figures
@@ -23,10 +23,13 @@ from orthoglide.observations import Readings
 from orthoglide.result import (
     BudgetItem,
     CandidateScore,
+    Cause,
+    Explanation,
     HoldOut,
     Identified,
     Judged,
     LackOfFit,
+    Located,
     Picture,
     Request,
     TcpErrors,
@@ -48,7 +51,7 @@ class RunOutcome(Judged):
     effects: tuple[Cause, ...]  # active causes
     located: tuple[Located, ...]  # active free-form errors
     candidates: tuple[CandidateScore, ...]  # what was considered, most probable first
-    residual_test: LackOfFitTest  # lack of fit of the last fit
+    residual_test: LackOfFit  # lack of fit of the last fit, without residuals by setup
     posterior: FullPosterior | None = None  # of everything; none after `identify`
     blunders: tuple[ReportedFault, ...] = ()  # data faults
     changed: tuple[Change, ...] = ()  # parameters that differ between campaigns
@@ -154,7 +157,7 @@ class RunOutcome(Judged):
             return ()
         causes: dict[str, tuple[str, ...]] = {c.name: c.all_parameters for c in self.effects}
         causes |= {c.parameter: c.members for c in self.moved if c.is_cause}
-        causes |= dict(one.in_machine(self.catalogue) for one in self.located)
+        causes |= {one.in_budget: one.parameters for one in self.located}
         return budget(self.posterior, causes)
 
     @cached_property
@@ -167,21 +170,8 @@ class RunOutcome(Judged):
     @cached_property
     def lack_of_fit(self) -> LackOfFit:
         """The residuals of the last fit against the noise."""
-        background, stopped = float("nan"), "no cause was to be added"
-        if self.posterior is not None:
-            background = self.posterior.background_scale
-            stopped = "nothing else stands out of the noise and of the background of small errors"
         mountings = tuple(sorted(residual_by_setup(self.after), key=lambda setup: setup.leg < 0))
-        test = self.residual_test
-        return LackOfFit(
-            test.p_value,
-            background,
-            test.rare,
-            test.shaped,
-            test.with_unreported,
-            stopped,
-            mountings,
-        )
+        return replace(self.residual_test, mountings=mountings)
 
     @cached_property
     def picture(self) -> Picture:

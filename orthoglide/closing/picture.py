@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.words import toward
-from orthoglide.explanation import Curve
 from orthoglide.explanation.change import Change
 from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 from orthoglide.numerals import compact
 from orthoglide.pictures import dials, joint_mark, option
-from orthoglide.result import Picture
+from orthoglide.result import Curve, Picture
 from orthoglide.scene import Mark, Option
 
 if TYPE_CHECKING:
@@ -56,7 +56,8 @@ def _change_options(machine: Machine, change: Change) -> list[Option]:
 
 def _located_option(machine: Machine, curve: Curve) -> Option:
     """Return a located error with the mark of its joint, which moves by the curve found."""
-    place, size = curve.place, curve.size_words
+    place: FreeForm = curve.place
+    size = curve.size_words
     if place.of_dial:
         return Option(place.words, (Mark("dial", -1, np.zeros(3), size, setup=place.setup),))
     if place.moves_bar_ends:

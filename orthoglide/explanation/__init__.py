@@ -45,14 +45,7 @@ Results
 """
 
 from orthoglide.explanation.budget import BudgetItem as BudgetItem, budget as budget
-from orthoglide.explanation.causes import (
-    CandidateScore as CandidateScore,
-    Cause as Cause,
-    CredibleSets as CredibleSets,
-    Curve as Curve,
-    Explanation as Explanation,
-    Located as Located,
-)
+from orthoglide.explanation.causes import CredibleSets as CredibleSets
 from orthoglide.explanation.columns import with_all_parameters as with_all_parameters
 from orthoglide.explanation.credible_sets import credible_sets as credible_sets
 from orthoglide.explanation.free_form import visible_free_form_errors as visible_free_form_errors

@@ -7,11 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.special import ndtr
 
-from orthoglide.explanation.causes import Cause
 from orthoglide.explanation.full_posterior import FullPosterior
 from orthoglide.fit.problem import MAX_TOLERANCES
 from orthoglide.geometry import Array
-from orthoglide.result import Explanation
+from orthoglide.result import Cause, Explanation
 
 _CERTAIN_SIGMAS = 2.0  # standard deviations by which a parameter must exceed its limit
 
@@ -75,5 +74,5 @@ def _beyond_tolerance(
             posterior.machine.catalogue,
             dict(zip(names, values.tolist(), strict=True)),
         )
-        causes.append(Cause(explanation, (), ()))
+        causes.append(Cause(explanation))
     return causes

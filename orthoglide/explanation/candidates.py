@@ -53,71 +53,50 @@ def candidates(
     by_weights: dict[str, Candidate] = {}
     for effect in effects:
         own_names = [n for n in names if n.effect == effect.name]
-        single = (
-            _dial_candidates(effect, own_names, catalogue)
-            if effect.of_dial
-            else _machine_candidates(effect, own_names, catalogue)
-        )
-        for candidate in (*single, *_family_candidates(effect, own_names)):
+        list_parts = _plate_candidates if effect.of_body else _part_candidates
+        parts = list_parts(effect, own_names, catalogue)
+        for candidate in (*parts, *_family_candidates(effect, own_names)):
             # Equal weights under two names would be one cause twice.
             weights_key = (sorted((str(n), w) for n, w in c.items()) for c in candidate.weights)
             by_weights.setdefault(repr(sorted(weights_key)), candidate)
     return tuple(by_weights.values())
 
 
-def _dial_candidates(
+def _plate_candidates(
     effect: Effect, names: list[Parameter], catalogue: Catalogue
 ) -> list[Candidate]:
-    """Return the candidates of an effect of dials: its members within each campaign."""
-    members = [Candidate(n, effect.name, (n,), ({n: 1.0},)) for n in names]
-    if effect.of_body:  # one plate, which all setups and campaigns share
-        if len(set(names)) == len({n.direction for n in names}):
-            return members
-        shared = catalogue.structured_members(effect.name, tuple({n.setup for n in names}))
-        weights_of = {m: {n: 1.0 for n in names if n.plain in w} for m, w in shared.items()}
-        return [_pattern_candidate(effect, m, w) for m, w in weights_of.items() if w]
-    for campaign in dict.fromkeys(n.campaign for n in names):
-        plain_names = [n.plain for n in names if n.campaign == campaign]
-        setups = tuple(n.setup for n in plain_names)
-        for member, weights in catalogue.structured_members(effect.name, setups).items():
-            weights_by_name = {n.at(campaign): w for n, w in weights.items()}
-            members.append(_pattern_candidate(effect, member.at(campaign), weights_by_name))
-    return members
+    """Return the shapes of one plate, which all setups and campaigns share."""
+    if len(set(names)) == len({n.direction for n in names}):
+        return [Candidate(n, effect.name, (n,), ({n: 1.0},)) for n in names]
+    shared = catalogue.structured_members(effect.name, tuple({n.setup for n in names}))
+    weights_of: dict[Parameter, dict[str, float]]
+    weights_of = {m: {n: 1.0 for n in names if n.plain in w} for m, w in shared.items()}
+    return [Candidate(m, effect.name, (m,), (w,)) for m, w in weights_of.items() if w]
 
 
-def _machine_candidates(
+def _part_candidates(
     effect: Effect, names: list[Parameter], catalogue: Catalogue
-) -> list[Candidate]:
-    """Return the candidates of an effect of the machine.
+) -> Iterator[Candidate]:
+    """Yield the parts that an effect may concern: single ones, and patterns of several.
 
-    The parameters that are specific to campaigns make one cause together.
+    Parameters of the machine that are specific to campaigns make one cause together. Those of dials
+    do not, because each campaign has other dials.
     """
-    copies_by_parameter: dict[Parameter, list[Parameter]] = {}
+    blocks: dict[str, dict[Parameter, tuple[str, ...]]] = {}  # campaigns by plain name
     for name in names:
-        copies_by_parameter.setdefault(name.plain, []).append(name)
-    members = [
-        Candidate(plain, effect.name, tuple(full), tuple({n: 1.0} for n in full))
-        for plain, full in copies_by_parameter.items()
-    ]
-    shared = {plain for plain, full in copies_by_parameter.items() if full == [plain]}
-    patterns = catalogue.structured_members(effect.name)
-    campaign_sets = {tuple(n.campaign for n in full) for full in copies_by_parameter.values()}
-    if shared or len(campaign_sets) != 1:
-        complete = {m: w for m, w in patterns.items() if set(w) <= shared}
-        return members + [_pattern_candidate(effect, m, w) for m, w in complete.items()]
-    (campaigns,) = campaign_sets
-    for member, weights in patterns.items():
-        if set(weights) <= set(copies_by_parameter):
-            copies = tuple({str(n.at(c)): w for n, w in weights.items()} for c in campaigns)
-            parameters = tuple(member.at(c) for c in campaigns)
-            members.append(Candidate(member, effect.name, parameters, copies))
-    return members
-
-
-def _pattern_candidate(
-    effect: Effect, member: Parameter, weights: Mapping[Parameter, float]
-) -> Candidate:
-    return Candidate(member, effect.name, (member,), ({str(n): w for n, w in weights.items()},))
+        block = blocks.setdefault(name.campaign if effect.of_dial else "", {})
+        block[name.plain] = (*block.get(name.plain, ()), name.campaign)
+    for block in blocks.values():
+        patterns = catalogue.structured_members(effect.name, [n.setup for n in block])
+        for member, weights in (*((n, {n: 1.0}) for n in block), *patterns.items()):
+            campaign_sets = {block.get(n, ()) for n in weights}
+            if len(campaign_sets) == 1 and all(campaign_sets):
+                (campaigns,) = campaign_sets
+                parameters = tuple(member.at(c) for c in campaigns)
+                copies: tuple[dict[str, float], ...]
+                copies = tuple({n.at(c): w for n, w in weights.items()} for c in campaigns)
+                cause = parameters[0] if effect.of_dial else member
+                yield Candidate(cause, effect.name, parameters, copies)
 
 
 def _family_candidates(effect: Effect, names: list[Parameter]) -> list[Candidate]:

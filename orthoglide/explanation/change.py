@@ -1,8 +1,9 @@
-"""A parameter that changed: between two campaigns, or since an earlier calibration."""
+"""One parameter of a machine in two states: at two visits, or at a visit and a calibration."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -11,39 +12,59 @@ import numpy as np
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import parameter_words, signed_size
 from orthoglide.fit.estimate import Estimate
+from orthoglide.geometry import Array
 from orthoglide.numerals import compact, decimals_for, plain, signed
 from orthoglide.parameters import Parameter
 from orthoglide.units import Unit
 
 SIGNIFICANT_SIGMAS = 3.0
-"""Sigmas beyond which the error that remains after a change is significant."""
+"""Sigmas beyond which a difference, or the error that remains after a change, is significant: one
+false change in forty comparisons of ten parameters."""
+
+COLUMNS = ("old", "new", "difference", "sigma", "unit", "changed")
+"""Titles of `Change.cells`."""
 
 
 @dataclass(frozen=True, repr=False)
 class Change:
-    """A parameter of the machine that differs from its value in an earlier file."""
+    """A parameter of the machine before and after, with all others that may have changed instead.
 
-    parameter: Parameter  # the most probable one
-    # all parameters whose change explains these readings equally well, the most probable first
-    members: tuple[Parameter, ...]
-    since: str  # name of the first campaign after the change; empty since an earlier calibration
-    # files, or names, of the last one before and the first after the change
-    between: tuple[str, str]
-    evidence: float  # log Bayes factor in its favour, prior odds included
+    The search estimates the sizes; a fit with the parameter separate gives both values.
+    """
+
+    # change of each parameter that explains these readings equally well, if it is the one that
+    # changed, SI; the most probable first
+    sizes: Mapping[Parameter, float]
     catalogue: Catalogue  # catalogue of the parameters
-    before: float = float("nan")  # value before the change, SI
-    after: float = float("nan")  # value after the change, SI
-    sigma: float = float("nan")  # standard deviation of the difference, SI
-    sigma_after: float = float("nan")  # standard deviation of the value after the change, SI
-    sizes: tuple[float, ...] = ()  # change of each of `members`, if it is the one that changed, SI
-    size_sigma: float = float("nan")  # standard deviation of the first of `sizes`, SI
+    since: str = ""  # name of the first campaign after it; empty since an earlier calibration
+    # files, or names, of the last campaign before and the first after the change
+    between: tuple[str, str] = ("", "")
+    before: float = math.nan  # value before the change, SI
+    after: float = math.nan  # value after the change, SI
+    sigma: float = math.nan  # standard deviation of the difference, SI
+    sigma_after: float = math.nan  # standard deviation of the value after the change, SI
+    evidence: float = math.nan  # log Bayes factor in its favour, given the other changes
+    log_odds_against: float = 0.0  # log prior odds against it
+    size_sigma: float = math.nan  # standard deviation of the first of `sizes`, SI
     sigma_between_sets: float = 0.0  # part of `size_sigma` from other sets of changes, SI
     vague: bool = False  # whether the value before is an average over ambiguous causes
     # standard deviation of an error that the readings before could not show, SI
     unseen_before: float = 0.0
+    changed: bool = True  # whether the difference exceeds its uncertainty
+    rivals: tuple[str, ...] = ()  # causes that explain the values equally well, a clause each
 
     def __repr__(self) -> str:
         return f"<Change of {self.parameter}: {self.message}>"
+
+    @property
+    def members(self) -> tuple[Parameter, ...]:
+        """All parameters whose change explains these readings equally well."""
+        return tuple(self.sizes)
+
+    @property
+    def parameter(self) -> Parameter:
+        """The most probable one of them."""
+        return self.members[0]
 
     @property
     def unit(self) -> Unit:
@@ -57,12 +78,66 @@ class Change:
         return before, after
 
     @property
+    def difference(self) -> float:
+        """Value after the change less that before, SI."""
+        return self.after - self.before
+
+    @property
     def change_by_member(self) -> dict[Parameter, float]:
-        """Change of each member, if it is the one that changed, SI; nan if unknown."""
-        change, effect_of = self.after - self.before, self.catalogue.effect_of
-        units = (effect_of(name).unit for name in self.members)
-        sizes = self.sizes or [change if unit == self.unit else math.nan for unit in units]
-        return dict(zip(self.members, (change, *sizes[1:]), strict=True))
+        """Change of each member, if it is the one that changed, SI."""
+        return {**self.sizes, self.parameter: self.difference}
+
+    @property
+    def summed_members(self) -> tuple[Parameter, ...]:
+        """Members that the readings determine only by their sum, which ``before`` and ``after``
+        are: those of equal unit at one leg and direction, one plate, or one pattern of legs. Base
+        parameters are not summed, because their tolerances separate them.
+        """
+        effect_of = self.catalogue.effect_of
+
+        def place(name: Parameter) -> tuple[object, ...]:
+            return name.leg, name.direction, name.setup, name.member, effect_of(name).unit
+
+        equal_place = tuple(n for n in self.members if place(n) == place(self.parameter))
+        is_base = effect_of(self.parameter).name in self.catalogue.base
+        return self.members[:1] if is_base else equal_place
+
+    @property
+    def campaign_parameters(self) -> tuple[str, ...]:
+        """Members as per-campaign parameters from ``since`` on, for ``build_problem``."""
+        return tuple(f"{name}@{self.since}" for name in self.members)
+
+    # Whether it is one ----------------------------------------------------------------------
+
+    @property
+    def is_significant(self) -> bool:
+        """True if both values differ by more than three sigmas."""
+        return abs(self.difference) > SIGNIFICANT_SIGMAS * self.sigma
+
+    @property
+    def is_reported(self) -> bool:
+        """True if the difference exceeds its sigma and what earlier readings could not show."""
+        return abs(self.difference) > max(self.sigma, SIGNIFICANT_SIGMAS * self.unseen_before)
+
+    @property
+    def is_cause(self) -> bool:
+        """True if the error that remains after the change is significant."""
+        return abs(self.after) > SIGNIFICANT_SIGMAS * self.sigma_after
+
+    @property
+    def loses(self) -> bool:
+        """True if it may be lost motion, which the expected errors of the tool exclude."""
+        return any("approach" in self.catalogue.effect_of(name).needs for name in self.members)
+
+    # In words -------------------------------------------------------------------------------
+
+    @property
+    def words(self) -> str:
+        """The parameter in words."""
+        return self._words_of(self.parameter)
+
+    def _words_of(self, parameter: Parameter) -> str:
+        return parameter_words(parameter, self.catalogue.legs)
 
     @property
     def message(self) -> str:
@@ -77,7 +152,17 @@ class Change:
     @property
     def what(self) -> str:
         """Clause with the parameter, both values, and the alternatives."""
-        return self._clause(self.alternatives_clause)
+        return self._clause(self._alternatives_clause)
+
+    @property
+    def what_without_alternatives(self) -> str:
+        """Clause with the parameter and both values, without the alternatives."""
+        return self._clause("")
+
+    def _clause(self, alternatives: str) -> str:
+        before, after, difference, sigma = self._figures(self.unit.spoken)
+        size = f"by {difference}" if self.vague else f"from {before} to {after}"
+        return f"the {self.words}{alternatives} changed {size} {self.unit.spoken.name} (± {sigma})"
 
     @property
     def member_clauses(self) -> tuple[str, ...]:
@@ -85,72 +170,62 @@ class Change:
         return (f"{self.when} {self.what_without_alternatives}", *self._alternatives)
 
     @property
-    def what_without_alternatives(self) -> str:
-        """Clause with the parameter and both values, without the alternatives."""
-        return self._clause("")
-
-    def _parameter_words(self, parameter: Parameter) -> str:
-        return parameter_words(parameter, self.catalogue.legs)
-
-    def _clause(self, alternatives: str) -> str:
-        unit = self.unit.spoken
-        decimals = decimals_for(self.sigma / unit.si, most=9)
-        before, after = (plain(v / unit.si, decimals) for v in (self.before, self.after))
-        size = f"from {before} to {after}"
-        if self.vague:
-            size = f"by {signed((self.after - self.before) / unit.si, decimals)}"
-        return (
-            f"the {self._parameter_words(self.parameter)}{alternatives} changed {size} {unit.name} "
-            f"(± {self.sigma / unit.si:.{decimals}f})"
-        )
-
-    @property
-    def alternatives_clause(self) -> str:
-        """The alternatives with their sizes, in brackets; empty if there are none."""
-        return f" (or {', or '.join(self._alternatives)})" if self._alternatives else ""
+    def _alternatives_clause(self) -> str:
+        """The alternatives in brackets; empty if there are none."""
+        alternatives = (*self._alternatives, *self.rivals)
+        return f" (or {', or '.join(alternatives)})" if alternatives else ""
 
     @property
     def _alternatives(self) -> tuple[str, ...]:
-        clauses = []
-        for name, change in list(self.change_by_member.items())[1:]:
-            words = f"the {self._parameter_words(name)}"
-            if math.isfinite(change):
-                words += f" by {signed_size(self.catalogue.effect_of(name), change)}"
-            clauses.append(words)
-        return tuple(clauses)
-
-    @property
-    def summed_members(self) -> tuple[Parameter, ...]:
-        """Members whose sum ``before`` and ``after`` describe."""
-        return summed_members(self.members, self.catalogue)
-
-    @property
-    def campaign_parameters(self) -> tuple[str, ...]:
-        """Members as per-campaign parameters from ``since`` on, for ``build_problem``."""
-        return tuple(f"{name}@{self.since}" for name in self.members)
-
-    @property
-    def is_reported(self) -> bool:
-        """True if the difference exceeds its sigma and what earlier readings could not show."""
-        least = max(self.sigma, SIGNIFICANT_SIGMAS * self.unseen_before)
-        return abs(self.after - self.before) > least
+        """A clause for each member but the first, with its size."""
+        effect_of = self.catalogue.effect_of
+        return tuple(
+            f"the {self._words_of(name)} by {signed_size(effect_of(name), self.sizes[name])}"
+            for name in self.members[1:]
+        )
 
     @property
     def found_only_now(self) -> str:
         """Note in place of a change that is not reported; empty if it is insignificant."""
-        significant = abs(self.after - self.before) >= SIGNIFICANT_SIGMAS * self.sigma_after
+        significant = abs(self.difference) >= SIGNIFICANT_SIGMAS * self.sigma_after
         if self.is_reported or not significant:
             return ""
         value, unit = compact(self.after / self.unit.spoken.si, 3), self.unit.spoken.name
         return (
-            f"the {self._parameter_words(self.parameter)} is {value} {unit}: the readings of the "
-            f"calibration before could not see it, so nothing shows that it changed since"
+            f"the {self.words} is {value} {unit}: the readings of the calibration before could not "
+            f"see it, so nothing shows that it changed since"
+        )
+
+    # In a comparison ------------------------------------------------------------------------
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """Old and new value, difference and sigma in the unit of files, and whether it changed."""
+        return (*self._figures(self.unit), self.unit.name, "yes" if self.changed else "no")
+
+    def _figures(self, unit: Unit) -> tuple[str, str, str, str]:
+        """Return the value before and after, the difference and its sigma."""
+        si, places = unit.si, decimals_for(self.sigma / unit.si, most=9)
+        before, after = (plain(v / si, places) for v in (self.before, self.after))
+        return before, after, signed(self.difference / si, places), f"{self.sigma / si:.{places}f}"
+
+    @property
+    def comparison(self) -> str:
+        """Both values and their difference, a clause."""
+        unit = self.unit.spoken
+        before, after, difference, sigma = self._figures(unit)
+        return (
+            f"{self.words}{self._alternatives_clause} changed from {before} to {after} {unit.name}:"
+            f" by {difference} ± {sigma}"
         )
 
     @property
-    def is_cause(self) -> bool:
-        """True if the error that remains after the change is significant."""
-        return abs(self.after) > SIGNIFICANT_SIGMAS * self.sigma_after
+    def unchanged_clause(self) -> str:
+        """The difference of an unchanged parameter, for a list."""
+        _, _, difference, sigma = self._figures(self.unit.spoken)
+        return f"{self.words} {difference} ± {sigma} {self.unit.spoken.name}"
+
+    # With the values of a fit ---------------------------------------------------------------
 
     def with_later_fit(self, estimate: Estimate) -> Change:
         """Return the change with the value and the sigma of a later fit."""
@@ -158,11 +233,10 @@ class Change:
         places = [k for k, name in enumerate(estimate.names) if name in summed]
         if len(places) < len(summed):
             return self
-        variance = estimate.covariance[np.ix_(places, places)].sum()
-        after = float(estimate.x[places].sum())
+        after, sigma_after = sum_and_sigma(estimate, places)
         after += self.before if self.parameter.member else 0.0  # its unknown is the change
-        before = after - (self.after - self.before) if self.vague else self.before
-        return replace(self, before=before, after=after, sigma_after=float(np.sqrt(variance)))
+        before = after - self.difference if self.vague else self.before
+        return replace(self, before=before, after=after, sigma_after=sigma_after)
 
     def with_separate_fit(self, estimate: Estimate) -> Change:
         """Return the change with the values of a fit in which one of its members is separate.
@@ -173,32 +247,23 @@ class Change:
         names = estimate.problem.names
         for name in self.members:
             places = [k for k, n in enumerate(names) if n.plain == name]
-            pair = [p for p in pairwise(places) if names[p[1]] == f"{name}@{self.since}"]
+            pair = [[*p] for p in pairwise(places) if names[p[1]] == f"{name}@{self.since}"]
             if not pair:
                 continue
-            pair_columns = list(pair[0])  # before the change, and after
-            (before, after), covariance = (
-                estimate.x[pair_columns],
-                estimate.covariance[np.ix_(pair_columns, pair_columns)],
-            )
-            chosen = self.members.index(name)
-            size = self.sizes[chosen]
-            ratio = abs(size / self.sizes[0])
+            # Before the change, and after.
+            before, after = estimate.x[pair[0]].tolist()
+            covariance = estimate.covariance[np.ix_(pair[0], pair[0])]
+            size, ratio = self.sizes[name], abs(self.sizes[name] / self.sizes[self.parameter])
             size_sigma, between_sets = self.size_sigma * ratio, self.sigma_between_sets * ratio
-            sigma = math.sqrt(
-                covariance[0, 0] + covariance[1, 1] - 2 * covariance[0, 1] + between_sets**2
-            )
+            sigma = math.hypot(sigma_of_difference(covariance), between_sets)
             if abs(after - before - size) > SIGNIFICANT_SIGMAS * size_sigma:
                 middle, sigma = (before + after) / 2, size_sigma
                 before, after = middle - size / 2, middle + size / 2
-            order = [chosen, *(k for k in range(len(self.members)) if k != chosen)]
             return replace(
                 self,
-                parameter=name,
-                members=tuple(self.members[k] for k in order),
-                sizes=tuple(self.sizes[k] for k in order),
-                before=float(before),
-                after=float(after),
+                sizes={name: size, **self.sizes},
+                before=before,
+                after=after,
                 sigma=sigma,
                 sigma_after=float(np.sqrt(covariance[1, 1])),
                 size_sigma=size_sigma,
@@ -207,15 +272,12 @@ class Change:
         return self
 
 
-def summed_members(members: tuple[Parameter, ...], catalogue: Catalogue) -> tuple[Parameter, ...]:
-    """Return the members that the readings determine only by their sum: those of equal unit at one
-    leg and direction, one plate, or one pattern of legs. Base parameters are not summed, because
-    their tolerances separate them.
-    """
-    effect_of = catalogue.effect_of
+def sum_and_sigma(estimate: Estimate, places: list[int]) -> tuple[float, float]:
+    """Return the sum of some unknowns, given by their indices, and its standard deviation."""
+    variance = estimate.covariance[np.ix_(places, places)].sum()
+    return float(estimate.x[places].sum()), float(np.sqrt(variance))
 
-    def place(name: Parameter) -> tuple[object, ...]:
-        return name.leg, name.direction, name.setup, name.member, effect_of(name).unit
 
-    equal_place = tuple(name for name in members if place(name) == place(members[0]))
-    return members[:1] if effect_of(members[0]).name in catalogue.base else equal_place
+def sigma_of_difference(covariance: Array) -> float:
+    """Return the standard deviation of the difference of two values, by their covariance."""
+    return math.sqrt(covariance[0, 0] + covariance[1, 1] - 2 * covariance[0, 1])

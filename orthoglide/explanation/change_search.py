@@ -8,9 +8,9 @@ set stays the same.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from orthoglide.fit.excitation import excited_effects
 from orthoglide.fit.least_squares import linearise, normal_equations, nuisances
 from orthoglide.fit.unknowns import Unknown, share_plate_shapes, weight_matrix
 from orthoglide.geometry import Array
+from orthoglide.machine import Machine
 from orthoglide.parameters import Parameter, split_campaign
 
 _ROUNDS = 5
@@ -58,50 +59,36 @@ class ChangeCandidate:
     parameter: Parameter  # with the campaign from which it has another value, or none
     since: int  # first row after the change
     weights: Mapping[Parameter, float]  # one tolerance of it, by unknown of the problem, SI
-    tolerance: float  # SI
 
 
-def changeable_parameters(
-    problem: Problem, names: Sequence[Parameter]
-) -> dict[Parameter, dict[Parameter, float]]:
-    """Return the parameters that may have changed, each with one tolerance by unknown, SI.
+def change_candidates(
+    problem: Problem, names: Sequence[Parameter], starts: Sequence[tuple[str, int]]
+) -> list[ChangeCandidate]:
+    """Return the parameters that may have changed, each at every start.
 
     Args:
         problem: the problem with these unknowns.
         names: single parameters; without dials, patterns of equal legs and of a plate that several
             setups touched are added.
+        starts: the campaign that begins after a change, or none, and its first row.
     """
     machine = problem.machine
-    changeable = {name: {name: machine.tolerance(name)} for name in names}
-    if problem.campaigns:
-        return changeable
-    setups = tuple(dict.fromkeys(name.setup for name in names if name.setup))
-    for effect in dict.fromkeys(name.effect for name in names):
-        for member, parts in machine.catalogue.structured_members(effect, setups).items():
-            if len(parts) > 1 and set(parts) <= set(names):
-                changeable[member] = {n: w * machine.tolerance(n) for n, w in parts.items()}
-    return changeable
-
-
-@dataclass(frozen=True)
-class ChangeEstimate:
-    """One change with its alternatives."""
-
-    sizes: Mapping[Parameter, float]  # size of each alternative, SI, the change itself first
-    sigma: float  # standard deviation of its size, SI
-    sigma_between_sets: float  # part of `sigma` from other sets of changes, SI
-    evidence: float  # log Bayes factor in its favour, given the other changes
-    log_odds_against: float  # log prior odds against it
-
-    @property
-    def parameter(self) -> Parameter:
-        """The parameter that changed."""
-        return next(iter(self.sizes))
+    weights_of = {name: {name: machine.tolerance(name)} for name in names}
+    if not problem.campaigns:
+        setups = tuple(dict.fromkeys(name.setup for name in names if name.setup))
+        for effect in dict.fromkeys(name.effect for name in names):
+            for member, parts in machine.catalogue.structured_members(effect, setups).items():
+                if len(parts) > 1 and set(parts) <= set(names):
+                    weights_of[member] = {n: w * machine.tolerance(n) for n, w in parts.items()}
+    return [
+        ChangeCandidate(name.at(campaign), start, weights)
+        for (name, weights), (campaign, start) in product(weights_of.items(), starts)
+    ]
 
 
 def most_probable_changes(
     problem: Problem, x: Array, candidates: Sequence[ChangeCandidate], floor: float = 1.0
-) -> tuple[ChangeEstimate, ...]:
+) -> tuple[Change, ...]:
     """Return the most probable set of changes, the most decisive first; empty if there is none.
 
     Args:
@@ -113,103 +100,91 @@ def most_probable_changes(
     Raises:
         NumericsError: if the machine with these changes cannot be closed.
     """
-    active, sizes = frozenset[int](), np.zeros(len(candidates))
+    active, sizes, count = frozenset[int](), np.zeros(len(candidates)), len(x)
     for _ in range(_ROUNDS):
-        model = _ChangeModel.at_point(problem, x, candidates, sizes)
-        mixture = Mixture(model.linear(floor))
+        linear, prior_mean, prior_root = _linear_model(problem, x, candidates, sizes, floor)
+        mixture = Mixture(linear)
         previous, active = active, frozenset(group for group, _ in mixture.best)
         if not active or active == previous:
             break
         mean = mixture.likeliest_mean(mixture.best)
-        sizes = np.where(np.isin(np.arange(len(candidates)), list(active)), mean[len(x) :], 0.0)
-        x = model.unknowns(mean)
+        sizes = np.where(np.isin(np.arange(len(candidates)), list(active)), mean[count:], 0.0)
+        x = prior_mean + prior_root @ mean[:count]
     return tuple(
-        _change_estimate(mixture, member, candidates) for member in mixture.groups_by_importance
+        _change(mixture, member, candidates, problem.machine)
+        for member in mixture.groups_by_importance
     )
 
 
-def _change_estimate(
-    mixture: Mixture, member: int, candidates: Sequence[ChangeCandidate]
-) -> ChangeEstimate:
-    """Return one change of the best state, averaged over the states that contain it."""
+def _change(
+    mixture: Mixture, member: int, candidates: Sequence[ChangeCandidate], machine: Machine
+) -> Change:
+    """Return one change of the best state, averaged over the states that contain it.
+
+    Its alternatives are parameters that changed at the same time.
+    """
     size, sigma, between_sets = mixture.size_and_spread(member)
     sizes = {member: size} | mixture.alternatives_to(member, INDISTINGUISHABLE_CHI2)
-    unit = candidates[member].tolerance
-    return ChangeEstimate(
-        {candidates[k].parameter: v * candidates[k].tolerance for k, v in sizes.items()},
-        float(np.hypot(sigma, between_sets)) * unit,
-        between_sets * unit,
-        mixture.log_weight(mixture.best) - mixture.log_weight(mixture.without(member)),
-        float(mixture.prior_log_odds_against[member]),
+    names = {k: candidates[k].parameter for k in sizes}
+    since, unit = names[member].campaign, machine.tolerance(names[member])
+    sigma = float(np.hypot(sigma, between_sets)) * unit
+    return Change(
+        {
+            name.plain: sizes[k] * machine.tolerance(name)
+            for k, name in names.items()
+            if name.campaign == since
+        },
+        machine.catalogue,
+        since,
+        sigma=sigma,
+        evidence=mixture.log_weight(mixture.best) - mixture.log_weight(mixture.without(member)),
+        log_odds_against=float(mixture.prior_log_odds_against[member]),
+        size_sigma=sigma,
+        sigma_between_sets=between_sets * unit,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _ChangeModel:
-    """The linearised readings, whitened and with datums and placements projected out."""
+def _linear_model(
+    problem: Problem, x: Array, candidates: Sequence[ChangeCandidate], sizes: Array, floor: float
+) -> tuple[LinearModel, Array, Array]:
+    """Return the model of a search in which every candidate is a group, linearised at unknowns
+    ``(P,)`` of a machine that changed by some sizes ``(c,)``, in tolerances.
 
-    problem: Problem  # the machine before and whatever stays
-    candidates: Sequence[ChangeCandidate]  # (c,)
-    columns: Array  # readings by a tolerance of each (m, c)
-    residual: Array  # readings less their prediction by the prior mean, unchanged (m,)
-    prior_columns: Array  # readings by the unknowns, in standard deviations of their prior (m, P)
-    prior_root: Array  # of the prior covariance, in tolerances (P, P)
-    prior_mean: Array  # prior mean, in tolerances (P,)
-    nuisance_count: int  # number of datums and placements
-
-    @classmethod
-    def at_point(
-        cls, problem: Problem, x: Array, candidates: Sequence[ChangeCandidate], sizes: Array
-    ) -> _ChangeModel:
-        """Linearise at unknowns ``(P,)`` of a machine that changed by some sizes ``(c,)``."""
-        linearised = linearise(_with_changes(problem, candidates, sizes), x)
-        nuisance = nuisances(problem, linearised.reading_poses)
-        equations, scale = normal_equations(problem, linearised, nuisance), problem.tolerance
-        root = np.asarray(np.linalg.inv(equations.prior * scale))
-        prior_mean = np.asarray(root @ equations.target)
-        jacobian = equations.jacobian * scale
-        weights = weight_matrix(problem.names, [c.weights for c in candidates])
-        since = np.array([c.since for c in candidates], dtype=np.intp)
-        after = np.arange(len(linearised.jacobian))[:, None] >= since
-        columns = nuisance.project(linearised.jacobian @ weights * after)
-        residual = equations.residual + jacobian @ (x / scale - prior_mean) + columns @ sizes
-        return cls(
-            problem, candidates, columns, residual, jacobian @ root, root, prior_mean,
-            nuisance.unconstrained_count,
-        )  # fmt: skip
-
-    def linear(self, floor: float) -> LinearModel:
-        """Return the linear model of a search in which every candidate is a group.
-
-        The prior is a background of one standard deviation in every state, so that no group
-        explains what is uncertain of the earlier machine.
-        """
-        directions, singular, _ = np.linalg.svd(self.prior_columns, full_matrices=False)
-        share, projected = singular**2 / (1 + singular**2), directions.T @ self.residual
-        dof = len(self.problem.measured) - self.nuisance_count - float(share.sum())
-        chi2 = float(self.residual @ self.residual - projected @ (share * projected))
-        count, c = self.prior_columns.shape[1], len(self.candidates)
-        effect_of, groups = self.problem.machine.catalogue.effect_of, []
-        for k, candidate in enumerate(self.candidates):
-            # A zero is easily entered, so it changes more often than anything else.
-            chance = 1.0 if effect_of(candidate.parameter).controller == "zero" else 1 / c
-            group = identity_group(f"change.{k}", [count + k], free_form=False)
-            groups.append(replace(group, expected=_EXPECTED_CHANGES * chance))
-        no_columns = np.zeros(count + c, dtype=bool)
-        return drop_unseen_directions(
-            LinearModel(
-                np.hstack([self.prior_columns, self.columns]), self.residual,
-                np.where(np.arange(count + c) < count, np.nan, 0.0), no_columns, no_columns,
-                tuple(groups), np.zeros((len(self.residual), 0)), (1.0,), SLAB_WIDTHS,
-                slab_log_odds=SLAB_ODDS, max_active=_MOST_CHANGES,
-                unknown_noise=UnknownNoise(chi2, max(dof, 1.0), floor),
-            )
-        )  # fmt: skip
-
-    def unknowns(self, mean: Array) -> Array:
-        """Return the unknowns ``(P,)``, SI, by the mean of all coefficients ``(P + c,)``."""
-        x = self.prior_mean + self.prior_root @ mean[: len(self.prior_root)]
-        return np.asarray(x * self.problem.tolerance)
+    The prior is a background of one standard deviation in every state, so that no group explains
+    what is uncertain of the earlier machine. Its mean ``(P,)`` and a root of its covariance
+    ``(P, P)``, SI, come second and third.
+    """
+    linearised = linearise(_with_changes(problem, candidates, sizes), x)
+    nuisance = nuisances(problem, linearised.reading_poses)
+    equations, count, c = normal_equations(problem, linearised, nuisance), len(x), len(candidates)
+    scale = problem.tolerance
+    prior_root = np.asarray(scale[:, None] * np.linalg.inv(equations.prior * scale))
+    prior_mean = np.asarray(prior_root @ equations.target)
+    weights = weight_matrix(problem.names, [one.weights for one in candidates])
+    since = np.array([one.since for one in candidates], dtype=np.intp)
+    after = np.arange(len(linearised.jacobian))[:, None] >= since
+    columns = nuisance.project(linearised.jacobian @ weights * after)
+    residual = equations.residual + equations.jacobian @ (x - prior_mean) + columns @ sizes
+    prior_columns = equations.jacobian @ prior_root
+    directions, singular, _ = np.linalg.svd(prior_columns, full_matrices=False)
+    share, projected = singular**2 / (1 + singular**2), directions.T @ residual
+    dof = len(problem.measured) - nuisance.unconstrained_count - float(share.sum())
+    chi2 = float(residual @ residual - projected @ (share * projected))
+    effect_of, groups = problem.machine.catalogue.effect_of, []
+    for k, candidate in enumerate(candidates):
+        # A zero is easily entered, so it changes more often than anything else.
+        chance = 1.0 if effect_of(candidate.parameter).controller == "zero" else 1 / c
+        group = identity_group(f"change.{k}", [count + k], free_form=False)
+        groups.append(replace(group, expected=_EXPECTED_CHANGES * chance))
+    no_columns = np.zeros(count + c, dtype=bool)
+    linear = LinearModel(
+        np.hstack([prior_columns, columns]), residual,
+        np.where(np.arange(count + c) < count, np.nan, 0.0), no_columns, no_columns,
+        tuple(groups), np.zeros((len(residual), 0)), (1.0,), SLAB_WIDTHS,
+        slab_log_odds=SLAB_ODDS, max_active=_MOST_CHANGES,
+        unknown_noise=UnknownNoise(chi2, max(dof, 1.0), floor),
+    )  # fmt: skip
+    return drop_unseen_directions(linear), prior_mean, prior_root
 
 
 def _with_changes(problem: Problem, candidates: Sequence[ChangeCandidate], sizes: Array) -> Problem:
@@ -263,34 +238,19 @@ def likeliest_changes(estimate: Estimate) -> tuple[list[Change], float]:
     if len(visit_starts) < 2:
         return [], 0.0
     full_problem = _with_all_effects(problem)
-    candidates = list(_candidates(full_problem, visit_starts))
     floor = 1.0
     if problem.noise.source == "repeats":  # reliable down to the rounding
         floor = min(1.0, (problem.noise.resolution / problem.noise.typical) ** 2 / 12)
     try:
         start = full_problem.zero_padded(estimate.x)
-        estimates = most_probable_changes(full_problem, start, candidates, floor)
+        candidates = _candidates(full_problem, visit_starts)
+        changes = most_probable_changes(full_problem, start, candidates, floor)
     except NumericsError:
         return [], 0.0
-    cost = sum(change.log_odds_against for change in estimates)
-    return list(_as_changes(problem, visit_starts, estimates)), cost
-
-
-def _as_changes(
-    problem: Problem,
-    visit_starts: Sequence[tuple[str, str, int]],
-    estimates: Sequence[ChangeEstimate],
-) -> Iterator[Change]:
-    names, files, _ = zip(*visit_starts, strict=True)
-    for one in estimates:
-        since = one.parameter.campaign
-        sizes = {name.plain: size for name, size in one.sizes.items() if name.campaign == since}
-        first = names.index(since)
-        yield Change(
-            one.parameter.plain, tuple(sizes), since, (files[first - 1], files[first]),
-            one.evidence, problem.machine.catalogue, sigma=one.sigma, sizes=tuple(sizes.values()),
-            size_sigma=one.sigma, sigma_between_sets=one.sigma_between_sets,
-        )  # fmt: skip
+    pairs = pairwise(visit_starts)
+    between = {name: (before, after) for (_, before, _), (name, after, _) in pairs}
+    found = [replace(change, between=between[change.since]) for change in changes]
+    return found, sum(change.log_odds_against for change in found)
 
 
 def _with_all_effects(problem: Problem) -> Problem:
@@ -313,24 +273,21 @@ def _with_all_effects(problem: Problem) -> Problem:
 
 def _candidates(
     full_problem: Problem, visit_starts: Sequence[tuple[str, str, int]]
-) -> Iterator[ChangeCandidate]:
-    """Yield every parameter of the machine from every campaign but the first on; without dials also
-    patterns of equal legs and of plates.
-    """
-    machine = full_problem.machine
+) -> list[ChangeCandidate]:
+    """Return every parameter of the machine from every campaign but the first on."""
+    catalogue = full_problem.machine.catalogue
     per_campaign = {u.name.plain for u in full_problem.unknowns if u.name.campaign}
 
     def may_change(name: Parameter) -> bool:
-        effect = machine.catalogue.effect_of(name)
+        effect = catalogue.effect_of(name)
         # Setups that share a plate have one shape at all visits.
         of_machine = not effect.of_dial or bool(effect.of_body and not name.member)
         return of_machine and name not in per_campaign
 
     eligible = [name for name in full_problem.names if may_change(name.plain)]
-    changeable = changeable_parameters(full_problem, eligible).items()
-    for (name, weights), (campaign, _, start) in product(changeable, visit_starts[1:]):
-        if may_change(name):
-            yield ChangeCandidate(name.at(campaign), start, weights, machine.tolerance(name))
+    starts = [(campaign, row) for campaign, _, row in visit_starts[1:]]
+    candidates = change_candidates(full_problem, eligible, starts)
+    return [one for one in candidates if may_change(one.parameter.plain)]
 
 
 def with_changes_separate(problem: Problem, changes: Sequence[Change]) -> Problem:

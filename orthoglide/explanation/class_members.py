@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.wording import cause_short
 from orthoglide.explanation.alternatives import Alternatives
-from orthoglide.explanation.causes import Located
 from orthoglide.explanation.free_form import free_form_columns_of_factor
 from orthoglide.explanation.full_posterior import FullPosterior
 from orthoglide.fit.problem import Factor
 from orthoglide.geometry import Array
 from orthoglide.ordering import descending
 from orthoglide.prediction import ReadingPoses
+from orthoglide.result import Located
 
 
 @dataclass(frozen=True, eq=False)

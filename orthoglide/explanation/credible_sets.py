@@ -16,24 +16,22 @@ import numpy as np
 
 from orthoglide.accuracy import tcp_slopes
 from orthoglide.effects.free_form import FreeForm
-from orthoglide.effects.kernels import Bump
+from orthoglide.effects.wording import cause_short
 from orthoglide.errors import InputError
 from orthoglide.explanation.alternatives import Alternatives
 from orthoglide.explanation.base_causes import far_base_causes
-from orthoglide.explanation.causes import CandidateScore, Cause, CredibleSets, Curve, Located
+from orthoglide.explanation.causes import CredibleSets, curve_of
 from orthoglide.explanation.faults import fault_message, lines_of
 from orthoglide.explanation.full_posterior import FullPosterior
 from orthoglide.explanation.linear_model import Group
 from orthoglide.geometry import Array
 from orthoglide.ordering import LOG_ODDS_MARGIN, RELATIVE_MARGIN, descending, largest, ranked
-from orthoglide.result import DataRival, Explanation
+from orthoglide.result import CandidateScore, Cause, Curve, DataRival, Explanation, Located
 
 _LEAST_BACKGROUND = 0.1  # tolerances: scale of a background that is worth reporting
 
 _MOST_POSSIBLE, _LEAST_POSSIBLE = 6, 0.02  # causes reported where none is active; least probability
 _MOST_SCORES = 24  # causes and free-form errors listed with their scores
-
-_BUMP_WIDTHS = 3.0  # widths of a bump beyond which it has vanished
 
 CREDIBLE = 0.95
 """Probability that a credible set contains the true cause."""
@@ -81,6 +79,10 @@ class _CredibleSetReader:
     def _cause_groups(self) -> list[int]:
         """Indices of the groups that are causes of the catalogue."""
         return [k for k, g in enumerate(self.groups) if not g.free_form and not g.of_data]
+
+    @cached_property
+    def _error_by_name(self) -> dict[str, FreeForm]:
+        return {error.name: error for error in self.posterior.linearised.free_form_errors}
 
     @cached_property
     def alternatives(self) -> Alternatives:
@@ -286,17 +288,27 @@ class _CredibleSetReader:
     def _located(
         self, member: int, odds: Sequence[tuple[int, float]], probability: float
     ) -> Located:
-        members = self._curves(member, odds)
+        members, catalogue = self._curves(member, odds), self.posterior.machine.catalogue
         resembling = tuple(self.groups[k].name for k, _ in odds if not self.groups[k].free_form)
         moving_causes = self._causes_moving(members[0].place)
-        ruled_out = tuple(name for name in moving_causes if name not in resembling)
-        return Located(members, resembling, probability, member, ruled_out)
+        # Those of dials, lost motion and improbable ones are not in the calibrated machine.
+        effects = [curve.place.effect for curve in members]
+        in_machine = [effect for effect in effects if effect.name in catalogue]
+        return Located(
+            members, probability, resembling,
+            resembling_words=tuple(cause_short(catalogue, name) for name in resembling),
+            ruled_out=tuple(
+                cause_short(catalogue, name) for name in moving_causes if name not in resembling
+            ),
+            in_budget=(in_machine or effects)[0].name,
+            parameters=tuple(str(part) for effect in in_machine for part in effect.motions),
+            group=member,
+        )  # fmt: skip
 
     def _curves(self, member: int, odds: Sequence[tuple[int, float]]) -> tuple[Curve, ...]:
         """Return the curves of the free-form errors in a credible set."""
-        error_by_name = {p.name: p for p in self.posterior.linearised.free_form_errors}
         return tuple(
-            self._curve(member, k, p, error_by_name[self.groups[k].name])
+            self._curve(member, k, p, self._error_by_name[self.groups[k].name])
             for k, p in odds
             if self.groups[k].free_form
         )
@@ -321,23 +333,10 @@ class _CredibleSetReader:
                 yield cause.name
 
     def _curve(self, member: int, group_index: int, probability: float, error: FreeForm) -> Curve:
-        group = self.groups[group_index]
-        mean, covariance = self.alternatives.moments(member, group_index, group.coefficients)
-        u = np.linspace(-1, 1, 2 * error.kernel.count + 1 if error.short_waves else 41)
-        if isinstance(bump := error.kernel, Bump):
-            u = bump.centre + bump.width * np.linspace(-_BUMP_WIDTHS, _BUMP_WIDTHS, 41)
-        functions = np.stack(error.kernel.functions(u), axis=1) * error.prior_sd
-        # The mean of a curve cannot be separated from the zeros.
-        if not error.depends_on_approach and not error.is_local:
-            functions -= functions.mean(axis=0)
-        low, high = error.interval(self.posterior.before.problem.machine.geometry.stroke)
-        return Curve(
-            error,
-            probability,
-            low + (u + 1) / 2 * (high - low),
-            functions @ mean[group.coefficients],
-            np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", functions, covariance, functions), 0.0)),
-        )
+        coefficients = self.groups[group_index].coefficients
+        mean, covariance = self.alternatives.moments(member, group_index, coefficients)
+        stroke = self.posterior.before.problem.machine.geometry.stroke
+        return curve_of(error, probability, stroke, mean[coefficients], covariance)
 
     def candidate_scores(self) -> tuple[CandidateScore, ...]:
         """Return the scores of the groups nearest to being active, most probable first."""
@@ -354,13 +353,14 @@ class _CredibleSetReader:
         scores = {k: score for k, score in scores.items() if not self.groups[k].of_data}
         by_name = sorted(scores, key=lambda k: self.groups[k].name)
         order = ranked(by_name, lambda k: scores[k], LOG_ODDS_MARGIN)[:_MOST_SCORES]
-        cause_count = len(self.posterior.linearised.candidates)
-        return tuple(
-            CandidateScore(
-                self.groups[k].name,
-                self.posterior.linearised.candidates[k].parameters if k < cause_count else (),
-                float(mixture.inclusion[k]),
-                scores[k],
-            )
-            for k in order
-        )
+        return tuple(self._candidate_score(k, scores[k]) for k in order)
+
+    def _candidate_score(self, k: int, score: float) -> CandidateScore:
+        name, parameters = self.groups[k].name, tuple[str, ...]()
+        if self.groups[k].free_form:
+            words = self._error_by_name[name].words
+        else:
+            words = cause_short(self.posterior.machine.catalogue, name)
+            parameters = self.posterior.linearised.candidates[k].parameters
+        inclusion = float(self.posterior.mixture.inclusion[k])
+        return CandidateScore(name, parameters, inclusion, score, words)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from orthoglide.numerals import plain
 from orthoglide.observations import Readings
 from orthoglide.observations.approach import Ints
 from orthoglide.ordering import descending, ranked
-from orthoglide.result import SetupResidual
+from orthoglide.result import LackOfFit, SetupResidual
 
 SIGNIFICANT = 0.003
 """Largest p-value of a significant lack of fit: one false alarm in 300."""
@@ -36,26 +36,11 @@ BACKGROUND = 0.02
 """Size of every effect on a sound machine, in tolerances."""
 
 
-@dataclass(frozen=True)
-class LackOfFitTest:
-    """Test of the residual against the noise."""
-
-    p_value: float  # probability of a residual this large by noise alone; nan if not tested
-    # probability that the whole machine is beyond its tolerances, or that the noise is larger than
-    # the repeats show
-    rare: float = 0.0
-    shaped: float = 0.0  # `p_value` with plate shapes that no effect names
-    with_unreported: float = 0.0  # `p_value` with causes too improbable to be reported
-    base_p_value: float = 1.0  # `p_value` of the base model alone
-    # whether errors within all tolerances explain the readings, and predict stations left out
-    explained_within_tolerances: bool = False
-
-
-def estimate_lack_of_fit(estimate: Estimate) -> LackOfFitTest:
-    """Return the lack-of-fit test of a fit: :attr:`Scores.lack_of_fit_p`."""
+def estimate_lack_of_fit(estimate: Estimate) -> LackOfFit:
+    """Return the lack of fit of a fit: :attr:`Scores.lack_of_fit_p`."""
     p = estimate.scores.lack_of_fit_p
     p = p if np.isfinite(p) else 1.0
-    return LackOfFitTest(p, base_p_value=p)
+    return LackOfFit(p, base_p_value=p)
 
 
 def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int) -> Array:
@@ -125,10 +110,11 @@ _RELIABLE_NOISE_DOF = 30.0
 """Least degrees of freedom of a reliable noise estimate. With fewer, the noise may be off by a
 quarter, so that noise larger than the repeats show is not rare; ``p_value`` allows for that."""
 
+_STOPPED = "nothing else stands out of the noise and of the background of small errors"
 _SUFFICIENT_P_VALUE = 0.05  # from which an explanation fits, and no other one is tried
 
 
-def posterior_lack_of_fit(posterior: FullPosterior, sets: CredibleSets) -> LackOfFitTest:
+def posterior_lack_of_fit(posterior: FullPosterior, sets: CredibleSets) -> LackOfFit:
     """Test the residual of the reported explanations against the noise.
 
     The likeliest explanation is tested first. If it does not fit, others that are nearly as likely
@@ -144,8 +130,9 @@ def posterior_lack_of_fit(posterior: FullPosterior, sets: CredibleSets) -> LackO
     """
     mixture = posterior.mixture
     base_p = estimate_lack_of_fit(posterior.before).p_value
+    untested = LackOfFit(base_p, posterior.background_scale, stopped=_STOPPED, base_p_value=base_p)
     if not posterior.converged:
-        return LackOfFitTest(np.nan, mixture.probability_rare, base_p_value=base_p)
+        return replace(untested, p_value=np.nan, rare=mixture.probability_rare)
     reported = mixture.restricted_to(sets.names)
     p = unreported = _largest_p_value(posterior, reported)
     if p < _SUFFICIENT_P_VALUE:
@@ -162,7 +149,10 @@ def posterior_lack_of_fit(posterior: FullPosterior, sets: CredibleSets) -> LackO
     few_repeats = any(dof < _RELIABLE_NOISE_DOF for _, dof in counts_and_dof)
     rare = mixture.probability_beyond_tolerance if few_repeats else mixture.probability_rare
     diffuse = base_p < SIGNIFICANT and _is_diffuse(posterior)
-    return LackOfFitTest(p, rare, shaped, unreported, base_p, diffuse)
+    return replace(
+        untested, p_value=p, rare=rare, shaped=shaped, with_unreported=unreported,
+        explained_within_tolerances=diffuse,
+    )  # fmt: skip
 
 
 def _is_diffuse(posterior: FullPosterior) -> bool:

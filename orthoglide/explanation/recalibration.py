@@ -8,18 +8,16 @@ changed (`change_search`).
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from orthoglide.explanation.change import Change, summed_members
+from orthoglide.explanation.change import Change, sum_and_sigma
 from orthoglide.explanation.change_search import (
     SLAB_WIDTHS,
-    ChangeCandidate,
-    ChangeEstimate,
-    changeable_parameters,
+    change_candidates,
     most_probable_changes,
 )
 from orthoglide.fit.assembling import with_free
@@ -58,18 +56,19 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
     earlier = problem.earlier_posterior
     if earlier is None or not problem.has_earlier_calibration:
         return estimate
-    estimates = _find_changes(estimate, earlier)
-    if not estimates:
+    changes = _find_changes(estimate, earlier)
+    if not changes:
         return estimate
-    changed = [change.parameter for change in estimates]
+    changed = [change.parameter for change in changes]
     method = "nested" if method == "auto" else method
     remaining = earlier.without(changed)
     released = _with_parameters_released(problem, remaining, changed)
     fit = solve(released, method=method, start=released.zero_padded(estimate.x))
-    return replace(fit, changes=tuple(_reported_changes(earlier, remaining, fit, estimates)))
+    with_values = (_with_both_values(change, earlier, remaining, fit) for change in changes)
+    return replace(fit, changes=tuple(with_values))
 
 
-def _find_changes(estimate: Estimate, earlier: Posterior) -> tuple[ChangeEstimate, ...]:
+def _find_changes(estimate: Estimate, earlier: Posterior) -> tuple[Change, ...]:
     """Return the changes found beside slightly bent plates if these are as many, because a plate
     need not be an ideal bowl to be a cause; otherwise those beside unchanged plates.
     """
@@ -83,18 +82,15 @@ def _find_changes(estimate: Estimate, earlier: Posterior) -> tuple[ChangeEstimat
     return with_bent_plates if len(with_bent_plates) == len(changes) else changes
 
 
-def _search_changes(
-    estimate: Estimate, earlier: Posterior, problem: Problem
-) -> tuple[ChangeEstimate, ...]:
+def _search_changes(estimate: Estimate, earlier: Posterior, problem: Problem) -> tuple[Change, ...]:
     """Return the changes of calibrated parameters; without dials also of plates and patterns."""
     calibrated = estimate.problem
     names = [name for name in calibrated.names if name in earlier.names]
     if not names:
         return ()
-    changeable = changeable_parameters(problem, [*names, *problem.names[len(calibrated.names) :]])
-    candidates = [
-        ChangeCandidate(n, 0, s, problem.machine.tolerance(n)) for n, s in changeable.items()
-    ]
+    candidates = change_candidates(
+        problem, [*names, *problem.names[len(calibrated.names) :]], [("", 0)]
+    )
     return most_probable_changes(problem, problem.zero_padded(estimate.x), candidates)
 
 
@@ -129,50 +125,38 @@ def _with_parameters_released(
     return replace(extended, unknowns=tuple(unknowns), earlier_posterior=remaining)
 
 
-def _reported_changes(
-    earlier: Posterior, remaining: Posterior, fit: Estimate, estimates: Sequence[ChangeEstimate]
-) -> Iterator[Change]:
-    """Yield the changes found, with the values of both visits."""
-    last, catalogue = (
-        fit.problem.factors[fit.problem.last_factor_index],
-        fit.problem.machine.catalogue,
-    )
-    spec = fit.problem.machine.spec
-    earlier_name, unclear = (
-        Path(spec.file).name or "earlier calibration",
-        bool(ambiguity_clause(spec)),
-    )
-    for estimate in estimates:
-        average = unclear and catalogue.effect_of(estimate.parameter).controller != "zero"
-        if estimate.parameter in earlier.names:
-            summed = summed_members(tuple(estimate.sizes), catalogue)
-            places = [fit.names.index(name) for name in summed]
-            before, apart = _value_before(earlier, remaining, fit, summed)
-            unseen = 0.0
-            variances = earlier.conditional_variance  # each parameter alone off by its tolerance
-            if variances is not None:
-                unseen = float(np.sqrt(max(variances[earlier.names.index(n)] for n in summed)))
-            apart = math.hypot(apart, unseen, estimate.sigma_between_sets)
-            sigma = float(np.sqrt(fit.covariance[np.ix_(places, places)].sum()))
-            after = float(fit.x[places].sum())
-            if average:  # the search estimates the change without the earlier average
-                before, apart = after - next(iter(estimate.sizes.values())), estimate.sigma
-        else:
-            before = 0.0  # a plate was assumed flat; a pattern is the projection of its legs
-            if not catalogue.effect_of(estimate.parameter).of_body:
-                weights = catalogue.elementary_weights(estimate.parameter)
-                shares = (w * earlier.mean[earlier.names.index(n)] for n, w in weights.items())
-                before = float(sum(shares) / sum(w * w for w in weights.values()))
-            place = [n.plain for n in fit.problem.names].index(estimate.parameter)
-            after = before + float(fit.x[place])
-            sigma = float(np.sqrt(fit.covariance[place, place]))
-            apart, unseen = math.hypot(sigma, estimate.sigma_between_sets), 0.0
-        yield Change(
-            estimate.parameter, tuple(estimate.sizes), "", (earlier_name, last.name),
-            estimate.evidence, catalogue,
-            before, after, apart, sigma, tuple(estimate.sizes.values()), unseen_before=unseen,
-            vague=average,
-        )  # fmt: skip
+def _with_both_values(
+    change: Change, earlier: Posterior, remaining: Posterior, fit: Estimate
+) -> Change:
+    """Return a change with its values at the earlier calibration and by the fit."""
+    problem, parameter, catalogue = fit.problem, change.parameter, change.catalogue
+    spec, last = problem.machine.spec, problem.factors[problem.last_factor_index]
+    vague = bool(ambiguity_clause(spec)) and catalogue.effect_of(parameter).controller != "zero"
+    unseen = 0.0
+    if parameter in earlier.names:
+        summed = change.summed_members
+        after, sigma_after = sum_and_sigma(fit, [fit.names.index(name) for name in summed])
+        before, sigma = _value_before(earlier, remaining, fit, summed)
+        variances = earlier.conditional_variance  # each parameter alone off by its tolerance
+        if variances is not None:
+            unseen = float(np.sqrt(max(variances[earlier.names.index(n)] for n in summed)))
+        sigma = math.hypot(sigma, unseen, change.sigma_between_sets)
+        if vague:  # the search estimates the change without the earlier average
+            before, sigma = after - change.sizes[parameter], change.sigma
+    else:
+        before = 0.0  # a plate was assumed flat; a pattern is the projection of its legs
+        if not catalogue.effect_of(parameter).of_body:
+            weights = catalogue.elementary_weights(parameter)
+            shares = (w * earlier.mean[earlier.names.index(n)] for n, w in weights.items())
+            before = float(sum(shares) / sum(w * w for w in weights.values()))
+        place = [n.plain for n in problem.names].index(parameter)
+        size, sigma_after = sum_and_sigma(fit, [place])
+        after, sigma = before + size, math.hypot(sigma_after, change.sigma_between_sets)
+    between = Path(spec.file).name or "earlier calibration", last.name
+    return replace(
+        change, between=between, before=before, after=after, sigma=sigma, sigma_after=sigma_after,
+        unseen_before=unseen, vague=vague,
+    )  # fmt: skip
 
 
 def _value_before(

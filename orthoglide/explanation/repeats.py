@@ -162,9 +162,8 @@ def with_refuted_noise_enlarged(problem: Problem) -> Problem:
             of_kind = factor.readings.of_kind(kind) & factor.noise.weighted
             scale = np.where(of_kind, _noise_scales(factor, np.flatnonzero(of_kind)), scale)
         noise, enlarged = factor.noise, scale > 1
-        total, common = noise.total * scale, noise.common.copy()
-        for row in np.flatnonzero(enlarged).tolist():
-            common[row] = common_rounding(float(total[row]), float(noise.step[row]))
+        total = noise.total * scale
+        common = np.where(enlarged, common_rounding(total, noise.step), noise.common)
         sigma = np.sqrt(np.maximum(total**2 - common**2, 0.0))
         larger_noise = replace(noise, sigma=np.where(enlarged, sigma, noise.sigma), common=common)
         factors.append(replace(factor, noise=larger_noise))
@@ -241,7 +240,7 @@ def with_noise_reestimated(problem: Problem, excluded: NDArray[np.bool_] | None 
     Rows ``excluded`` ``(n,)`` do not contribute, but get the median of that noise.
     """
     noise = problem.noise
-    kinds = {kind for kind, level in noise.levels.items() if level.source == "repeats"}
+    kinds = set[str]()
     for factor in problem.factors:  # a plate's roughness needs no repeats
         kinds |= set(np.array(factor.readings.kind)[factor.noise.from_repeats].tolist())
     if not kinds:
@@ -261,11 +260,10 @@ def with_noise_reestimated(problem: Problem, excluded: NDArray[np.bool_] | None 
             row_of_new[used] = np.arange(used.sum())
             factor = factor.with_noise(np.flatnonzero(of_kinds), new.subset(row_of_new[of_kinds]))
         factors.append(factor if factor.on_legs else factor.with_roughness(problem.machine))
-    levels = {k: noise_again.levels.get(k, v) if k in kinds else v for k, v in noise.levels.items()}
     on_legs = bool(problem.leg_factors)
     if not on_legs:
         total = [f.noise.total[used] for f, (_, used) in zip(factors, pairs, strict=True)]
         noise_again = replace(noise, typical=rms_noise(tables, total))
     basis = noise_again if not on_legs or noise.source == "repeats" else noise
-    kept_noise = replace(basis, levels=levels, refuted=noise.refuted)
-    return replace(problem, factors=tuple(factors), noise=kept_noise)
+    noise = replace(basis, refuted=noise.refuted)
+    return replace(problem, factors=tuple(factors), noise=noise)

@@ -243,8 +243,8 @@ class Factor(MeasurementModel):
             capped = np.minimum(plate_noise, MAX_NOISE_RATIO * noise.expected[rows])
             sigma[rows] = np.maximum(sigma[rows], capped)
         sigma = np.where(np.isfinite(self.readings.sigma), self.sigma, sigma)
-        from_repeats = noise.from_repeats | (sigma > self.sigma)
-        return replace(self, noise=replace(noise, sigma=sigma, from_repeats=from_repeats))
+        source = np.where(sigma > self.sigma, "repeats", noise.source)
+        return replace(self, noise=replace(noise, sigma=sigma, source=source))
 
     def without_outlying_touches(self, machine: Machine) -> Factor:
         """Return the factor without outlying touches, with a sentence on each; on plates whose

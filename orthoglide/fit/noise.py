@@ -5,8 +5,8 @@ The same rules hold for all kinds of readings. The rounding of an instrument's d
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any, Literal
 
@@ -32,8 +32,9 @@ from orthoglide.observations import Readings
 from orthoglide.observations.arrays import group_ids
 from orthoglide.units import NOISE_LIMITS
 
-NoiseSource = Literal["declared", "machine", "repeats"]
-"""Source of a standard deviation; ``machine``: the machine file, or the usual figure."""
+NoiseSource = Literal["declared", "machine", "repeats", "usual"]
+"""Source of a standard deviation; ``machine``: the machine file, and in summaries also the usual
+figure of a kind."""
 
 NO_WEIGHT = 1e6
 """Factor on the standard deviation of a reading without weight."""
@@ -57,7 +58,7 @@ class RowNoise:
     common: Array
     step: Array  # of every reading's instrument, as far as it is counted (n,)
     expected: Array  # by declaration, machine file or default of the kind (n,)
-    from_repeats: NDArray[np.bool_]  # whether it is from repeats or a plate's roughness (n,)
+    source: NDArray[np.str_]  # a `NoiseSource`; a plate's roughness counts as repeats (n,)
     weighted: NDArray[np.bool_]  # whether the readings have any weight (n,)
 
     @property
@@ -65,12 +66,16 @@ class RowNoise:
         """Standard deviation of one reading, all counted ``(n,)``."""
         return np.hypot(self.sigma, self.common)
 
+    @property
+    def from_repeats(self) -> NDArray[np.bool_]:
+        """Whether it is from repeats or a plate's roughness ``(n,)``."""
+        return np.asarray(self.source == "repeats")
+
     @classmethod
     def zeros(cls, n: int) -> RowNoise:
         """Return zeros for the noise of ``n`` readings."""
         sigma, common, step, expected = np.zeros((4, n))
-        all_false = np.zeros(n, dtype=bool)
-        return cls(sigma, common, step, expected, all_false, ~all_false)
+        return cls(sigma, common, step, expected, np.full(n, "declared"), np.ones(n, dtype=bool))
 
     def with_rows(self, rows: NDArray[Any], noise: RowNoise) -> RowNoise:
         """Return the noise with that of some rows, by indices or booleans, in its place."""
@@ -114,18 +119,12 @@ class Noise:
     """
 
     typical: float  # standard deviation of a single reading, metres or radians, all counted
-    # where it comes from; of readings of the tool `declared` or `machine`, see `levels` for kinds
-    source: NoiseSource
+    source: NoiseSource  # where it comes from; of readings of the tool `declared` or `machine`
     resolution: float  # the commonest step of the first kind, which `typical` counts
     dof: float = float("inf")  # degrees of freedom behind the level of the first kind
     declared: float = float("nan")  # declared standard deviation before rounding; nan if none
-    levels: Mapping[str, NoiseLevel] = field(default_factory=dict)  # by kind of reading
     # kinds of reading whose assumed noise is replaced by the larger one that their repeats show
     refuted: frozenset[str] = frozenset()
-
-    def source_of(self, kind: str) -> NoiseSource:
-        """Return the source of the noise of a kind of readings, before repeats refuted it."""
-        return self.levels[kind].source if kind in self.levels else "machine"
 
 
 def instrument_of(spec: MachineFile, observation: Observation) -> Instrument:
@@ -184,8 +183,7 @@ def noise_of(
         typical = rms_noise(given, [noise.total for noise in row_noises])
         source: NoiseSource = "declared" if all_declared else "machine"
         summary = replace(summary, source=source, typical=typical)
-    levels = {kind: level for noise in noises for kind, level in noise.levels.items()}
-    return replace(summary, levels=levels), tuple(row_noises)
+    return summary, tuple(row_noises)
 
 
 def rms_noise(given: Sequence[Readings], sigma: Sequence[Array]) -> float:
@@ -241,17 +239,17 @@ def _noise_of_kind(
             total = np.where(common > 0, widened, total)
         usual = instrument.repeatability or observation.repeatability
         expected = np.hypot(usual, step / np.sqrt(12))
-        from_repeats = ~has_sigma & (level.source == "repeats")
-        assumed = np.where(from_repeats, expected, total)
+        source = np.where(has_sigma, "declared", level.source)
+        assumed = np.where(source == "repeats", expected, total)
         everywhere = np.ones(len(table), dtype=bool)
-        rows.append(RowNoise(total, common, rounding, assumed, from_repeats, everywhere))
+        rows.append(RowNoise(total, common, rounding, assumed, source, everywhere))
     sizes, counts = np.unique(np.concatenate(steps), return_counts=True)
     commonest = float(sizes[np.argmax(counts)])
     rounding_counted = not is_declared or any(step.any() for step in counted_steps)
     typical = float(level.for_step(np.array([commonest * rounding_counted]))[0])
     declared_level = level.total if is_declared else float("nan")
-    levels = {observation.kind: level}
-    return Noise(typical, level.source, commonest, level.dof, declared_level, levels), rows
+    of_kind: NoiseSource = "machine" if level.source == "usual" else level.source
+    return Noise(typical, of_kind, commonest, level.dof, declared_level), rows
 
 
 def _any_off_grid(readings: Array, step: Array) -> bool:
@@ -332,11 +330,12 @@ def _noise_level(
     declared_sigmas = np.concatenate([table.sigma for table in given])
     if np.isfinite(declared_sigmas).all():
         return NoiseLevel(float(np.sqrt(np.mean(declared_sigmas**2))), 0.0, "declared")
+    source: NoiseSource = "machine"
     known = instrument.repeatability
     if known is None:
         variance, dof = repeat_variance(given)
         if dof >= MIN_REPEAT_DOF and (variance > 0 or (step > 0 and observation.on_leg)):
             total = float(np.sqrt(total_variance(variance, step)))
             return NoiseLevel(max(total, observation.least_noise), step, "repeats", dof)
-        known = observation.repeatability
-    return NoiseLevel(float(np.sqrt(known**2 + step**2 / 12)), step, "machine")
+        known, source = observation.repeatability, "usual"
+    return NoiseLevel(float(np.sqrt(known**2 + step**2 / 12)), step, source)

@@ -11,12 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.noise import NoiseSource, RowNoise, instrument_of
+from orthoglide.fit.noise import RowNoise
 from orthoglide.fit.problem import Problem
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
@@ -59,6 +58,11 @@ class NoiseScale:
         return float(np.sqrt(np.mean(self.noise.total**2)))
 
     @property
+    def origin(self) -> str:
+        """Source of the assumed noise."""
+        return min({*self.noise.source.tolist()} - {"declared"}, default="declared")
+
+    @property
     def scale(self) -> float:
         """Ratio of the noise that the residuals show to the noise assumed; nan without degrees of
         freedom.
@@ -95,19 +99,6 @@ def noise_scales(estimate: Estimate, *, dials_together: bool = False) -> tuple[N
     return tuple(scales)
 
 
-def _origin(problem: Problem, scale: NoiseScale) -> NoiseSource | Literal["usual"]:
-    """Return the source of the assumed noise of a setup; ``usual`` where the machine file declares
-    none.
-    """
-    kind, table = scale.setup.kind, scale.readings
-    if np.isfinite(table.sigma[table.of_kind(kind)]).all():
-        return "declared"
-    if (origin := problem.noise.source_of(kind)) != "machine":
-        return origin
-    known = instrument_of(problem.machine.spec, scale.setup.observation).repeatability
-    return "usual" if known is None else "machine"
-
-
 def _section(problem: Problem, setup: Setup) -> str:
     """Return the section of the machine file that declares the noise of a kind of readings."""
     has_section = setup.kind in problem.machine.spec.instruments
@@ -125,26 +116,21 @@ def noisy_repeats(estimate: Estimate) -> Iterator[Note]:
         setups = [scale for scale in noise_scales(estimate) if scale.setup.kind == kind]
         enlarged = [(s.noise.sigma > s.noise.expected) & ~s.noise.from_repeats for s in setups]
         noisy = [scale for scale, rows in zip(setups, enlarged, strict=True) if rows.any()]
-        origin = _origin(problem, noisy[0]) if noisy else "usual"
+        origin = noisy[0].origin if noisy else "usual"
         if origin not in ("declared", "machine"):
             continue
         observation, unit = noisy[0].setup.observation, noisy[0].setup.observation.unit
+        assumed = _without_rounding(noisy, "expected")
         if origin == "declared":
-            level, sigma = problem.noise.levels[kind], noisy[0].readings.sigma
-            declared = level.total if level.source == "declared" else float(np.nanmedian(sigma))
-            figure, remedy = (
-                f"{compact(1e3 * declared, 2)} was declared",
-                "correct what was declared",
-            )
+            figure, remedy = f"{assumed} was declared", "correct what was declared"
         else:
-            known = instrument_of(problem.machine.spec, observation).repeatability or 0.0
-            figure = f"the machine file says {compact(1e3 * known, 2)}"
+            figure = f"the machine file says {assumed}"
             remedy = f"correct repeatability under {_section(problem, noisy[0].setup)}"
         if 2 * len(noisy) >= len(setups) or len(noisy) > _MAX_NAMED_SETUPS:
             what = "the dials" if observation.on_leg else f"the {kind} readings"
             yield Note(
-                f"repeats of {what} scatter by {_scatter(noisy)} {unit}, where {figure}: {remedy}, "
-                f"or look for what is loose",
+                f"repeats of {what} scatter by {_without_rounding(noisy)} {unit}, where {figure}: "
+                f"{remedy}, or look for what is loose",
                 "scatter",
             )
             continue
@@ -154,15 +140,17 @@ def noisy_repeats(estimate: Estimate) -> Iterator[Note]:
         for scale in noisy:
             yield Note(
                 f"{source(scale.readings)}, setup {scale.setup.name!r}: repeats scatter by "
-                f"{_scatter([scale])} {unit}, where {figure}, which those of other setups "
+                f"{_without_rounding([scale])} {unit}, where {figure}, which those of other setups "
                 f"agree with: look for what is loose on this {parts}, and read the setup again",
                 "scatter",
             )
 
 
-def _scatter(scales: Sequence[NoiseScale]) -> str:
-    """Return the median noise of a reading without its rounding, as text in thousandths of SI."""
-    variance = [scale.noise.total**2 - scale.noise.step**2 / 12 for scale in scales]
+def _without_rounding(scales: Sequence[NoiseScale], kind: str = "total") -> str:
+    """Return the median noise of a reading without its rounding, as text in thousandths of SI;
+    ``kind``: ``"total"`` or ``"expected"``.
+    """
+    variance = [getattr(one.noise, kind) ** 2 - one.noise.step**2 / 12 for one in scales]
     return compact(1e3 * float(np.sqrt(max(np.median(np.concatenate(variance)), 0.0))), 2)
 
 
@@ -177,8 +165,7 @@ def small_residuals(estimate: Estimate) -> tuple[Note, ...]:
         np.isfinite(f.readings.sigma).all() for f in problem.tool_factors if problem.leg_factors
     )
     for noise in noise_scales(estimate, dials_together=True):
-        origin = _origin(problem, noise)
-        limit = _SMALL_RATIO if origin == "usual" else _SMALL_RATIO_DECLARED
+        limit = _SMALL_RATIO if noise.origin == "usual" else _SMALL_RATIO_DECLARED
         # Dials with declared noise are tested with all other readings.
         tested = not (noise.setup.leg >= 0 and problem.noise.source == "declared")
         testable = noise.sigma >= _COMPUTED_NOISE and noise.dof >= _MIN_DOF
@@ -200,7 +187,7 @@ def small_residuals(estimate: Estimate) -> tuple[Note, ...]:
 
 def _small_sentence(problem: Problem, noise: NoiseScale) -> str:
     """Return the sentence on readings with small residuals, and what to do about them."""
-    table, setup, origin = noise.readings, noise.setup, _origin(problem, noise)
+    table, setup, origin = noise.readings, noise.setup, noise.origin
     unit, unit_suspected = ("mrad", "degrees") if setup.observation.angular else ("mm", "inches")
     ratio = 1 / max(noise.scale, 1 / _MAX_REPORTED_RATIO)
     too_large = ratio >= _MAX_REPORTED_RATIO

@@ -12,16 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.fit.factors import Factor, NuisanceBlock
-from orthoglide.fit.noise import Noise, NoiseSource
+from orthoglide.fit.noise import Noise
 from orthoglide.fit.repeats import MIN_REPEAT_DOF, repeat_variance
 from orthoglide.fit.unknowns import Unknown, posterior_rows, weight_matrix
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
+from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.numerals import ByUnit
 from orthoglide.observations import Readings, Setup
 from orthoglide.parameters import Parameter
+from orthoglide.result.fits import InstrumentNoise
 
 MAX_TOLERANCES = 3.0
 """Tolerances beyond which a parameter is implausible: of a machine as expected, one in 370 is."""
@@ -146,29 +148,24 @@ class Problem:
         return declared if np.isfinite(declared) else self.single_reading_sd.length
 
     @cached_property
-    def noise_by_instrument(self) -> dict[str, tuple[float, NoiseSource]]:
-        """For each kind of reading, in the order given: standard deviation of its readings, metres
-        or radians, and the source of the noise; a plate's roughness counts as repeats.
+    def noise_by_instrument(self) -> dict[str, InstrumentNoise]:
+        """For each kind of reading, in the order given: the noise of its readings; a plate's
+        roughness counts as repeats.
         """
-        by_kind: dict[str, tuple[float, NoiseSource]] = {}
+        by_kind = dict[str, InstrumentNoise]()
         for kind in dict.fromkeys(k for f in self.factors for k in f.readings.kind):
-            factors = [f.subset(f.readings.of_kind(kind) & f.noise.weighted) for f in self.factors]
-            total = np.concatenate([f.noise.total for f in factors])
-            from_repeats = any(f.noise.from_repeats.any() for f in factors)
-            source = self.noise.source_of(kind)
-            if from_repeats or kind in self.noise.refuted:
+            noises = [
+                f.noise.subset(f.readings.of_kind(kind) & f.noise.weighted) for f in self.factors
+            ]
+            total = np.concatenate([noise.total for noise in noises])
+            sources = {source for noise in noises for source in noise.source.tolist()}
+            source = "declared" if sources <= {"declared"} else "machine"
+            if "repeats" in sources or kind in self.noise.refuted:
                 source = "repeats"
-            elif all(np.isfinite(f.readings.sigma).all() for f in factors):
-                source = "declared"
             of_first_dial = bool(self.leg_factors) and not by_kind
             size = self.noise.typical if of_first_dial else float(np.sqrt(np.mean(total**2)))
-            by_kind[kind] = size, source
+            by_kind[kind] = InstrumentNoise(size, OBSERVATIONS[kind].unit, source)
         return by_kind
-
-    @property
-    def noise_source(self) -> NoiseSource:
-        """Source of the noise of the first instrument: of the dials, where there are any."""
-        return next(iter(self.noise_by_instrument.values()))[1]
 
     @cached_property
     def repeat_counts_and_dof(self) -> tuple[tuple[int, int], ...]:

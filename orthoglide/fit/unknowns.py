@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ the background of other effects that a sound machine is allowed."""
 _BOUND_SD = 50.0
 NOTHING_FREE = "nothing is free: name at least one parameter or family to identify"
 _MIN_BOUND = {"mm": 0.05, "rad": 0.1}  # SI, by the unit in files: 50 mm and 0.1 rad
+
+K = TypeVar("K", bound=Hashable)
 
 
 @dataclass(frozen=True)
@@ -153,20 +155,29 @@ def _parameter_weights(
     return catalogue.elementary_weights(name, setups)
 
 
+def join_unknowns(unknowns: Sequence[Unknown], key_of: Callable[[Unknown], K]) -> dict[K, Unknown]:
+    """Return the unknowns by key, those of equal key joined to one with the values of the first."""
+    joined: dict[K, Unknown] = {}
+    for unknown in unknowns:
+        first = joined.setdefault(key := key_of(unknown), unknown)
+        parts = tuple(a or b for a, b in zip(first.weights, unknown.weights, strict=True))
+        joined[key] = replace(first, weights=parts)
+    return joined
+
+
 def share_plate_shapes(
     unknowns: Sequence[Unknown], catalogue: Catalogue, separate: Collection[str] = ()
 ) -> tuple[Unknown, ...]:
     """Return the unknowns with one shape per plate, which all campaigns share; plates named in
     ``separate`` keep one for each campaign.
     """
-    by_name: dict[Parameter, Unknown] = {}
-    for unknown in unknowns:
+
+    def shared_name(unknown: Unknown) -> Parameter:
         plate = catalogue.effect_of(unknown.name).of_body and unknown.name.plain not in separate
-        name = unknown.name.plain if plate else unknown.name
-        shared = by_name.setdefault(name, replace(unknown, name=name))
-        parts = tuple(a or b for a, b in zip(shared.weights, unknown.weights, strict=True))
-        by_name[name] = replace(shared, weights=parts)
-    return tuple(by_name.values())
+        return unknown.name.plain if plate else unknown.name
+
+    joined = join_unknowns(unknowns, shared_name).items()
+    return tuple(replace(unknown, name=name) for name, unknown in joined)
 
 
 def with_bounds(unknowns: Sequence[Unknown], bounds: Mapping[str, float]) -> tuple[Unknown, ...]:

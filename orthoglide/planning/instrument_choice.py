@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from orthoglide.effects.wording import cause_short
-from orthoglide.explanation import Cause, Explanation, FullPosterior
+from orthoglide.explanation import FullPosterior
 from orthoglide.explanation.class_members import ClassMembers
 from orthoglide.fit import Problem
 from orthoglide.fit.factors import Factor, NuisanceBlock
@@ -26,6 +26,7 @@ from orthoglide.parameters import split_campaign
 from orthoglide.planning.choosing import RivalSeparation
 from orthoglide.planning.sheets import tool_sheet
 from orthoglide.planning.suggestions import Suggestion
+from orthoglide.result import Cause, Explanation
 from orthoglide.text import MACHINE_OPTION, listed
 
 _SEPARATED_SIGMAS = 3.0  # sigmas: odds of 90, more than between members of a credible set

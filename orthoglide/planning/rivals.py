@@ -12,7 +12,7 @@ import numpy as np
 from orthoglide.accuracy import workspace_grid
 from orthoglide.effects.wording import cause_short, parameter_words
 from orthoglide.errors import InputError
-from orthoglide.explanation import FullPosterior, Located
+from orthoglide.explanation import FullPosterior
 from orthoglide.explanation.class_members import ClassMembers
 from orthoglide.fit import Estimate, linearise, normal_equations
 from orthoglide.fit.factors import Factor
@@ -26,7 +26,7 @@ from orthoglide.planning.linear import LinearReadings
 from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.suggestions import DECISIVE_SIGMAS, Suggestion
 from orthoglide.prediction import Conditions, ReadingPoses
-from orthoglide.result.fits import WeakDirection
+from orthoglide.result import Located, WeakDirection
 from orthoglide.text import listed
 
 Values = Mapping[str, float]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -109,6 +109,11 @@ class Explanation:
         return any(abs(value) > self.sigmas[n] for n, value in self.values.items())
 
     @property
+    def loses(self) -> bool:
+        """Whether it is lost motion, which the expected errors of the tool exclude."""
+        return any("approach" in self.catalogue.effect_of(n).needs for n in self.parameters)
+
+    @property
     def look_at(self) -> str:
         """The part of the machine to look at."""
         return self.effect.look_at
@@ -164,9 +169,16 @@ class Curve:
     sigma: Annotated[Array, Key("sigma_si", digits=SHORT_DIGITS)]
     of_dial: bool  # whether it belongs to a dial
     of_machine: bool  # whether the calibrated machine includes it
+    # the `FreeForm` that the search located; none in a loaded result
+    place: Annotated[Any, Key(in_file=False)] = None
 
     def __repr__(self) -> str:
         return f"<{self.name}, probability {self.probability:.2f}: {self.size_words}>"
+
+    @property
+    def loses(self) -> bool:
+        """Whether it is lost motion of the machine."""
+        return self.against in ("approach", "reversal") and not self.of_dial
 
     @property
     def words(self) -> str:
@@ -225,16 +237,16 @@ class DataRival:
         return f"{what} in {self.file}, line {min(self.rows)}"
 
 
-C = TypeVar("C")
+@dataclass(frozen=True, eq=False, repr=False)
+class Cause:
+    """One cause that was found, with its credible set."""
 
-
-class CredibleSet(Generic[C]):
-    """A cause with its alternatives, of which the classes of search and result have the fields."""
-
-    chosen: Explanation
-    rivals: tuple[Explanation, ...]
-    same: tuple[Explanation, ...]
-    places: tuple[C, ...]
+    chosen: Annotated[Explanation, Key(inline=True)]  # the most probable explanation
+    rivals: tuple[Explanation, ...] = ()  # alternatives that move the tool differently
+    same: tuple[Explanation, ...] = ()  # alternatives that move the tool identically
+    places: tuple[Curve, ...] = ()  # free-form errors in the set, which are less probable
+    # faults of the data in the same credible set
+    data: Annotated[tuple[DataRival, ...], Key("rivals_in_data")] = ()
 
     def __repr__(self) -> str:
         others = ", ".join(self.indistinguishable_from)
@@ -266,7 +278,7 @@ class CredibleSet(Generic[C]):
         return (self.chosen, *self.same, *self.rivals)
 
     @property
-    def others(self) -> tuple[Explanation | C, ...]:
+    def others(self) -> tuple[Explanation | Curve, ...]:
         """The alternatives, named and free-form."""
         return (*self.rivals, *self.places)
 
@@ -275,22 +287,20 @@ class CredibleSet(Generic[C]):
         """Names of the other explanations in the credible set."""
         return tuple(one.name for one in (*self.same, *self.rivals))
 
+    @property
+    def all_parameters(self) -> tuple[str, ...]:
+        """Parameters of the whole credible set."""
+        return tuple(name for one in self.explanations for name in one.parameters)
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Cause(CredibleSet[Curve]):
-    """One cause that was found, with its credible set."""
-
-    chosen: Annotated[Explanation, Key(inline=True)]  # the most probable explanation
-    rivals: tuple[Explanation, ...]  # alternatives that move the tool differently
-    same: tuple[Explanation, ...]  # alternatives that move the tool identically
-    places: tuple[Curve, ...]  # free-form errors in the set, which are less probable
-    loses: bool  # whether it may be lost motion, which the expected errors of the tool exclude
-    # faults of the data in the same credible set
-    data: Annotated[tuple[DataRival, ...], Key("rivals_in_data")] = ()
+    @property
+    def loses(self) -> bool:
+        """Whether it may be lost motion, which the expected errors of the tool exclude."""
+        return self.chosen.loses
 
     def derived(self) -> dict[str, Any]:
         """Return keys of ``result.json`` that follow from the fields."""
-        return {"indistinguishable_from": list(self.indistinguishable_from)}
+        others = list(self.indistinguishable_from)
+        return {"indistinguishable_from": others, "loses": self.loses}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -305,9 +315,12 @@ class Located:
     # causes that move the part of the first member and are not in the set, clauses without a size
     ruled_out: tuple[str, ...]
     in_budget: str  # its name in the error budget
-    loses: bool  # whether it may be lost motion, which the expected errors of the tool exclude
     # faults of the data in the same credible set
     data: Annotated[tuple[DataRival, ...], Key("rivals_in_data")] = ()
+    # parameters of the calibrated machine with these errors; empty in a loaded result
+    parameters: Annotated[tuple[str, ...], Key(in_file=False)] = ()
+    # active group of the search to which the members are alternatives; -1 in a loaded result
+    group: Annotated[int, Key(in_file=False)] = -1
 
     def __repr__(self) -> str:
         return f"<Located {', '.join(map(repr, self.members))}>"
@@ -322,6 +335,11 @@ class Located:
         """The most probable member with its size, a clause."""
         return self.members[0].words_with_measure
 
+    @property
+    def loses(self) -> bool:
+        """Whether it may be lost motion, which the expected errors of the tool exclude."""
+        return any(member.loses for member in self.members)
+
     def derived(self) -> dict[str, Any]:
         """Return keys of ``result.json`` that follow from the fields."""
         first = self.members[0]
@@ -333,6 +351,7 @@ class Located:
             "curve": encoded(points, Key(digits=SHORT_DIGITS)),
             "at_unit": "s" if timed else "mm",
             "words": self.words,
+            "loses": self.loses,
         }
 
 

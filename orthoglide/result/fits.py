@@ -272,15 +272,19 @@ class LackOfFit:
     p_value: Annotated[float, Key("lack_of_fit_p", digits=SHORT_DIGITS)]
     # typical size of the effects that are not reported, as a share of their tolerances; nan after
     # `identify`
-    background: Share
+    background: Share = math.nan
     # probability that the machine exceeds all tolerances, or that the noise is larger than the
     # repeats show
-    rare: Annotated[float, Key("rare_probability", digits=SHORT_DIGITS)]
-    shaped: Share  # `p_value` if probed plates may have shapes that no effect describes
-    with_unreported: Share  # `p_value` if causes count that are not probable enough to be reported
-    stopped: str  # why the search ended, a clause
+    rare: Annotated[float, Key("rare_probability", digits=SHORT_DIGITS)] = 0.0
+    shaped: Share = 0.0  # `p_value` if probed plates may have shapes that no effect describes
+    # `p_value` if causes count that are not probable enough to be reported
+    with_unreported: Share = 0.0
+    stopped: str = "no cause was to be added"  # why the search ended, a clause
     # of every mounting of a dial, largest share first, then of every instrument at the tool
-    mountings: tuple[SetupResidual, ...]
+    mountings: tuple[SetupResidual, ...] = ()
+    base_p_value: Annotated[float, Key(in_file=False)] = 1.0  # `p_value` of the base model alone
+    # whether errors within all tolerances explain the readings, and predict stations left out
+    explained_within_tolerances: Annotated[bool, Key(in_file=False)] = False
 
     @property
     def by_dial(self) -> tuple[SetupResidual, ...]:

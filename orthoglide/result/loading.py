@@ -169,14 +169,13 @@ def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] =
             raise ValueError("inputs has no campaign")
         return Request(
             command,
-            tuple(r for r in readings["campaign"] if not r.of_tool),
+            (*readings["campaign"], *readings["fit_tcp"]),
             machine,
             own=arguments.own,
             noise=None if arguments.noise_mm is None else arguments.noise_mm * 1e-3,
             seed=seed,
             holdout=tuple(readings["holdout"]),
             tcp=next(iter(readings["tcp"]), None),
-            points=(*(r for r in readings["campaign"] if r.of_tool), *readings["fit_tcp"]),
             frame=arguments.frame,
             effects_file=arguments.effects_file,
             free=arguments.free,

@@ -30,7 +30,7 @@ class Request:
     """All that influences the numbers of a run."""
 
     command: Command  # of the command line
-    campaigns: tuple[Readings, ...]  # readings of legs
+    given: tuple[Readings, ...]  # all readings that are fitted: of legs, then of the tool
     machine: Machine  # machine before calibration
     own: tuple[str, ...] = ()  # effects or parameters that are specific to each campaign
     # standard deviation of one reading, metres; `None`: from files or repeats
@@ -41,12 +41,11 @@ class Request:
     free: tuple[str, ...] = CATALOGUE.base  # effects or parameters that `identify` frees
     priors: bool = True  # whether tolerances act as priors in `identify`
     reduced: bool = False  # whether the analytic reduction identifies
-    # readings of the tool: TCP points to be fitted, and files of other kinds
-    points: tuple[Readings, ...] = ()
     frame: Frame = "rigid"  # motion allowed between the instrument of `points` and the machine
     effects_file: str = ""  # name of the file with the user's own effects, if there is one
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "given", (*self.campaigns, *self.points))
         if self.searches:  # otherwise nothing is drawn
             object.__setattr__(self, "seed", check_integer("seed", self.seed, 0))
 
@@ -93,9 +92,14 @@ class Request:
         return (*self.campaigns, *(p for p in self.points if not p.by_point))
 
     @property
-    def given(self) -> tuple[Readings, ...]:
-        """All readings that are fitted: of legs, then of the tool."""
-        return (*self.campaigns, *self.points)
+    def campaigns(self) -> tuple[Readings, ...]:
+        """Readings of legs."""
+        return tuple(readings for readings in self.given if not readings.of_tool)
+
+    @property
+    def points(self) -> tuple[Readings, ...]:
+        """Readings of the tool: TCP points to be fitted, and files of other kinds."""
+        return tuple(readings for readings in self.given if readings.of_tool)
 
     @property
     def setups(self) -> tuple[Setup, ...]:
