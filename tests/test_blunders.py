@@ -196,14 +196,14 @@ def test_stuck_dial(machine):
 def test_a_wrong_command_is_told_as_the_controller_has_it(machine):
     judge = Machine(replace(machine.spec, controller=Controller((0.01, 0.0, 0.0), (-1, 1, 1))))
     rows = rows_of("standard", seed=2)
-    spoilt, touched = rc.wrong_command(rows, posture_of(rows, "y", "max"), 0, 1.0)
+    spoilt, touched = rc.wrong_command(rows, posture_of(rows, "y", "max"), 0, 5.0)
     (blunder,) = found_in(spoilt, judge)
     assert (blunder.kind, [row for _, row in blunder.rows]) == ("command", touched)
     assert blunder.fault.drive == 0
-    assert blunder.fault.size == pytest.approx(-1e-3, abs=1e-4)
+    assert blunder.fault.size == pytest.approx(-5e-3, abs=1e-4)
     counted = re.search(r"\(the controller's ([\d.]+) where ([\d.]+)\) is written", blunder.message)
     assert counted, blunder.message
-    assert float(counted[1]) - float(counted[2]) == pytest.approx(1.0, abs=0.1)
+    assert float(counted[1]) - float(counted[2]) == pytest.approx(5.0, abs=0.1)
     assert "off at this place" not in blunder.message
 
 

@@ -284,7 +284,7 @@ def test_machine_files_keep_free_legs() -> None:
 
 def test_places_of_legs_called_as_their_directions_have_names_of_their_own() -> None:
     for names, about in (("abc", "aaa"), ("uvw", "uvw")):
-        found = [place.name for place in free_forms((), freely(DELTA, names).layout.names)]
+        found = [place.name for place in free_forms(None, freely(DELTA, names).layout.names)]
         assert len(set(found)) == len(found)
         turns = {f"carriage.{leg}.{axis}/travel" for leg, axis in zip(names, about, strict=True)}
         assert turns < set(found)

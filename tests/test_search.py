@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations, product
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from orthoglide.explanation.alternatives import Alternatives
+from orthoglide.explanation.credible_sets import merge_families
 from orthoglide.explanation.full_likelihood import FullLikelihood
 from orthoglide.explanation.linear_model import Group, LinearModel, identity_group
 from orthoglide.explanation.mixture import Mixture
@@ -292,3 +294,34 @@ def test_other_readings_against_their_covariance_written_out(causes: int) -> Non
     labelled = log_likelihood(np.concatenate([rest, residual[10:]]), other)
     relabelled = wide.relabelled(own, 2 * columns, 2 * placed, 2 * rest)
     assert relabelled.log_likelihood(np.zeros((n, 1))) == pytest.approx([labelled])
+
+
+@dataclass(frozen=True)
+class Part:
+    """What `merge_families` reads of an explanation."""
+
+    values: dict[str, float]
+    sigmas: dict[str, float]
+    probability: float
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        return tuple(self.values)
+
+
+@pytest.mark.parametrize(
+    ("other", "expected"),
+    [(0.3, [("x", 0.9), ("w", 0.1)]), (3.0, [("x", 0.5), ("x y", 0.4), ("w", 0.1)])],
+)
+def test_a_family_of_which_one_part_is_not_zero_is_that_part(
+    other: float, expected: list[tuple[str, float]]
+) -> None:
+    sigmas = {"x": 1.0, "y": 1.0, "w": 1.0}
+    parts = [
+        Part({"x": 9.0}, sigmas, 0.5),
+        Part({"x": 9.0, "y": other}, sigmas, 0.4),
+        Part({"w": 5.0}, sigmas, 0.1),
+    ]
+    for given in (parts, parts[::-1]):
+        merged = merge_families(cast(Any, given))
+        assert [(" ".join(e.parameters), e.probability) for e in merged] == expected

@@ -18,7 +18,7 @@ from tests.rig import Rig
 RIG = Rig(errors={"joint_offset.x": 1.2e-3, "joint_offset.y": -7e-4, "joint_offset.z": 4e-4})
 ROWS = rc.protocol_rows("sweep", RIG)
 MIDDLE = float(np.quantile([row["time_s"] for row in ROWS], 0.4))
-OF_Y = float(np.median([row["time_s"] for row in ROWS if row["leg"] == "y"]))
+OF_Y, OF_Z = (float(np.median([r["time_s"] for r in ROWS if r["leg"] == leg])) for leg in "yz")
 
 KINDS = {
     "jump of a drive": (
@@ -57,6 +57,16 @@ def test_what_no_catalogue_lists_is_located(kind: str) -> None:
     if size is not None:
         assert first.size == pytest.approx(size, rel=0.25)
         assert f"by {first.size_words}" in " ".join(str(verdict).split())
+
+
+def test_a_bar_that_snaps_while_another_leg_is_read_is_in_the_set() -> None:
+    """A drive was named alone: the time of a bar ended with the readings of its own leg."""
+    rig = replace(RIG, extra_length=(rc.snapping_bar(1, 0, 2e-4, OF_Z),))
+    rows = rc.simulate(rig, ROWS, np.random.default_rng(5))
+    (found,) = og.close_loop([campaign_of(rows)]).located
+    (bar,) = (m for m in found.members if m.name.startswith("bar.y.1/time@"))
+    assert bar.probability > 0.2
+    assert bar.size == pytest.approx(2e-4, rel=0.25)
 
 
 def test_readings_that_follow_within_a_fraction_of_a_second_may_jump() -> None:

@@ -99,13 +99,14 @@ def _bump_travel(effects: Iterable[str]) -> set[float]:
 
 def _jumps(effects: Iterable[str], names: LegNames) -> tuple[FreeForm, ...]:
     """Return the jumps at the moments among names of effects; see `FreeForm.name`."""
-    jumps: list[FreeForm] = []
-    for name in effects:
-        if match := re.fullmatch(r".*_time_(?:(\d+)s|order(\d+))", name):
-            timed, moment = match[1] is not None, float(match[1] or match[2])
-            forms = free_forms(Session(0.0, 1.0, timed), names)
-            jumps += [with_jump(form, moment) for form in forms if may_jump(form)]
-    return tuple(jumps)
+    matches = (re.fullmatch(r".*_time_(?:(\d+)s|order(\d+))", name) for name in effects)
+    moments = {(m[1] is not None, float(m[1] or m[2])) for m in matches if m}
+    return tuple(
+        with_jump(form, moment)
+        for timed, moment in sorted(moments)
+        for form in free_forms(Session(0.0, 1.0, timed), names)
+        if may_jump(form)
+    )
 
 
 def with_free_forms(catalogue: Catalogue, names: Iterable[str], geometry: Geometry) -> Catalogue:

@@ -45,6 +45,8 @@ LARGEST_CREDIBLE_SET = 20
 LEAST_CLAIMED_PROBABILITY = 0.9
 """Least probability of a claim: that a cause is active, and that it is of the stated kind."""
 
+_NONZERO_SIGMAS = 2.0  # sigmas from which a part of a family counts as different from zero
+
 
 def credible_sets(posterior: FullPosterior, given: Sequence[str] = ()) -> CredibleSets:
     """Return the credible sets of all active causes, those declared in ``given`` included."""
@@ -63,6 +65,24 @@ def credible_sets(posterior: FullPosterior, given: Sequence[str] = ()) -> Credib
 def smallest_count(odds: Array, probability: float) -> int:
     """Return the smallest count of ``odds`` (sorted, largest first) that sum to ``probability``."""
     return int(np.searchsorted(np.cumsum(odds), probability * (1 - RELATIVE_MARGIN))) + 1
+
+
+def merge_families(explanations: Sequence[Explanation]) -> list[Explanation]:
+    """Merge each family of parameters into the part of it that alone differs from zero by more than
+    its uncertainty; most probable first.
+    """
+    merged = list(explanations)
+    for family in explanations:
+        for k, part in enumerate(merged):
+            others = set(family.parameters) - set(part.parameters)
+            if set(part.parameters) < set(family.parameters) and not any(
+                abs(family.values[n]) > _NONZERO_SIGMAS * family.sigmas[n] for n in others
+            ):
+                both = part.probability + family.probability
+                merged[k] = replace(part, probability=both)
+                merged = [one for one in merged if one is not family]
+                break
+    return ranked(merged, lambda explanation: explanation.probability)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,14 +180,15 @@ class _CredibleSetReader:
 
     def _cause(self, member: int, odds: Sequence[tuple[int, float]]) -> Cause:
         """Return the credible set of a cause with a name, from its groups and probabilities."""
-        explanations, possible = list[Explanation](), list[Explanation]()
+        explanations, unit_of = list[Explanation](), dict[str, float]()
         for k, p in self._merge_by_cause([o for o in odds if not self.groups[o[0]].free_form]):
             moments = self.alternatives.moments(member, k, self.groups[k].coefficients)
             explanations.append(self._explain(k, p, *moments))
-            # Beyond the widest slab the linearisation fails, and no machine is that far off.
-            if self._is_possible(explanations[-1], self.groups[k].unit):
-                possible.append(explanations[-1])
-        first, *others = [twin for e in possible or explanations for twin in self._twins(e)]
+            unit_of[explanations[-1].name] = self.groups[k].unit
+        merged = merge_families(explanations)
+        # Beyond the widest slab the linearisation fails, and no machine is that far off.
+        possible = [e for e in merged if self._is_possible(e, unit_of[e.name])]
+        first, *others = [twin for e in possible or merged for twin in self._twins(e)]
         same, rivals = list[Explanation](), list[Explanation]()
         for other in others:
             if other.exceeds_uncertainty:

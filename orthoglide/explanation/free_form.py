@@ -88,8 +88,10 @@ def visible_free_form_errors(problem: Problem) -> tuple[FreeForm, ...]:
 
 
 def _session(problem: Problem) -> Session | None:
-    """Return the session of a campaign; ``None`` of several, or of several kinds of readings."""
-    if len(problem.factors) != 1:
+    """Return the session of a campaign; ``None`` of several, and of distances between two places,
+    which were reached at two moments.
+    """
+    if len(problem.factors) != 1 or problem.factors[0].readings.paired.any():
         return None
     moments, timed = _moments(problem.factors[0].readings)
     return Session(float(moments.min()), float(moments.max()), timed) if np.ptp(moments) else None
@@ -199,7 +201,8 @@ def free_form_columns_of_factor(
     """
     response = factor.joint_response(model, values)
     conditions = factor.conditions()
-    conditions = conditions.with_time(_moments(factor.readings)[0])
+    if any(error.against == "time" for error in errors):
+        conditions = conditions.with_time(_moments(factor.readings)[0])
     legs = model.leg_conditions(values, conditions)
     if factor.on_legs and any(p.against == "reversal" for p in errors):
         half = np.ptp(model.geometry.stroke) / 2

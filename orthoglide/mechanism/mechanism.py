@@ -273,7 +273,11 @@ class Mechanism:
 
     def sensitivities(self, posture: Posture, by: np.ndarray[Any, np.dtype[np.intp]]) -> Array:
         """Return the tool's velocity ``(6, k)`` in the base frame, linear and angular, for unit
-        rates of joints ``by`` ``(k,)``, indices in the velocity vector; the loops stay closed.
+        rates of joints while the loops stay closed.
+
+        Args:
+            posture: closed.
+            by: indices of drives or virtual joints in the velocity vector ``(k,)``.
         """
         with self.lock:
             rates = self.joint_rates(posture, by)
@@ -283,7 +287,12 @@ class Mechanism:
             return np.asarray(tool_rows @ rates)
 
     def joint_rates(self, posture: Posture, by: np.ndarray[Any, np.dtype[np.intp]]) -> Array:
-        """Return the rates of all joints ``(nv, k)`` for unit rates as in `sensitivities`."""
+        """Return the rates of all joints ``(nv, k)`` while the loops stay closed.
+
+        Args:
+            posture: closed.
+            by: indices in the velocity vector ``(k,)`` of joints that move at unit rate.
+        """
         rows, free = self.constraints.jacobian(posture.q), self.tree.free
         rates = np.zeros((self.tree.model.nv, len(by)))
         rates[by, np.arange(len(by))] = 1.0

@@ -21,7 +21,7 @@ FAULT_NAMES = {
     "outlier": "a slip of the reading",
     "knocked_stand": "a stand that was knocked",
     "zeroed": "a dial set to zero anew at each repeat",
-    "command": "a posture that is not where its command says",
+    "command": "another command than the one written",
     "sign": "a dial that counted the other way",
     "label": "a setup of another leg or direction",
     "exchanged_labels": "two setups exchanged",
