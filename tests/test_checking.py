@@ -16,7 +16,7 @@ import orthoglide as og
 from benchmarks.delta_readings import measured
 from benchmarks.delta_truth import machine as delta
 from orthoglide.checking import Check, check
-from orthoglide.checking.pages import changes_text
+from orthoglide.checking.pages import changes_page, changes_text
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
 from orthoglide.explanation.change import Change
@@ -42,6 +42,15 @@ def rows(seed: int, protocol: str = "standard", **errors: float) -> list[rc.Row]
 
 def compared(machine: og.Machine, old: list[rc.Row], new: list[rc.Row]) -> Check:
     return check([campaign_of(old, machine)], [campaign_of(new, machine)], machine)
+
+
+def test_faults_of_the_data_are_told_with_their_lines(machine: og.Machine) -> None:
+    knocked, _ = rc.knocked_stand(rows(2), "yz-0.5", -0.5)
+    found = compared(machine, rows(1), knocked)
+    (fault,) = found.told.blunders
+    assert f"- data: {fault.message}" in changes_text(found)
+    assert "line" in fault.message
+    assert fault.message in unescape(changes_page(found))
 
 
 @pytest.mark.thorough

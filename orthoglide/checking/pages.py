@@ -21,6 +21,7 @@ def changes_text(comparison: Check) -> str:
     """Return the text for the terminal: changes, remaining errors, and proofs of new zeros."""
     data = _page_data(comparison)
     parts = [f"- {text}" for text in data["said"]]
+    parts += [f"- data: {fault.message}" for fault in comparison.told.blunders]
     parts += ["", "What is left now:", data["left"], data["tool"]]
     parts += [f"Caution: {text}" for text in comparison.told.cautions]
     parts += ["", "What to do:", *action_lines(comparison.told)]
@@ -53,12 +54,16 @@ def changes_page(comparison: Check) -> str:
         "columns": COLUMNS,
         "rows": [(sentence(d.words)[:-1], d) for d in comparison.differences],
     }
+    told = comparison.told
+    sections = [Section("changes", "", _page_data(comparison) | drawn)]
+    if told.blunders:
+        sections.append(Section("faults", "Faults of the data"))
     return render_template(
         "page.html.j2",
-        result=comparison.told,
+        result=told,
         title="What changed on this machine",
         subtitle=f"from {', '.join(comparison.old)} to {', '.join(comparison.new)}",
-        sections=[Section("changes", "", _page_data(comparison) | drawn)],
+        sections=sections,
         version=__version__,
         command="check",
     )
