@@ -6,15 +6,15 @@ SI in and out; arrays carry batch axes first: commands rho ``(..., 3)``, points 
 from __future__ import annotations
 
 import ast
+import pkgutil
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 __version__ = "0.1.0"
 
 # Pinocchio and CasADi take a third of a second to load: names are fetched when they are used. Type
 # checkers and this file read them in `__init__.pyi`.
-_STUB = ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+_STUB = ast.parse(pkgutil.get_data(__name__, "__init__.pyi") or b"")
 _MODULE = {
     name.name: node.module
     for node in _STUB.body if isinstance(node, ast.ImportFrom) and node.module

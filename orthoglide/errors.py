@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
+from inspect import get_annotations
 from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
@@ -31,8 +32,8 @@ class OrthoglideError(Exception):
     def __init__(self, message: str, **evidence: Any) -> None:
         super().__init__(message)
         for name, value in evidence.items():
-            if not hasattr(type(self), name):
-                raise TypeError(f"a {type(self).__name__} has no {name!r}")
+            if not any(name in get_annotations(base) for base in type(self).__mro__):
+                raise TypeError(f"{type(self).__name__} declares no {name!r}")
             setattr(self, name, value)
 
 

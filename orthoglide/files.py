@@ -171,12 +171,19 @@ def temporary_path(target: Path) -> Path:
 
 def _move_into_place(name: Path, target: Path, overwrite: bool) -> None:
     """Rename a finished file; another process may have created the target meanwhile."""
-    if not overwrite:
-        try:  # take the name, whatever the file system, then fill it
+    if overwrite:
+        os.replace(name, target)
+        return
+    try:
+        os.link(name, target)  # never replaces another file or a dangling link
+    except FileExistsError:
+        raise _exists_error(target) from None
+    except OSError:  # a file system without hard links: take the name, then fill it
+        try:
             os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
         except FileExistsError:
             raise _exists_error(target) from None
-    os.replace(name, target)
+        os.replace(name, target)
 
 
 def _exists_error(path: str | os.PathLike[str]) -> FileError:

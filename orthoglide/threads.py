@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from functools import wraps
+from typing import ParamSpec, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 
-def on_one_thread(function: _Function) -> _Function:
+def on_one_thread(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Return the function with linear algebra on one thread while it runs.
 
     Its matrices are small: on several cores synchronisation takes up to ten times as long as the
     work itself. The number of threads of the calling program does not change.
     """
-    wrapped: _Function = threadpool_limits.wrap(limits=1, user_api="blas")(function)
-    return wrapped
+
+    @wraps(function)
+    def wrapper(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        with threadpool_limits(1, user_api="blas"):  # of the libraries that are loaded by now
+            return function(*args, **kwargs)
+
+    return wrapper

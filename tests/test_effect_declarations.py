@@ -130,6 +130,9 @@ def test_words_are_texts_with_blanks_or_functions() -> None:
     assert value_words(functions, parameter, -2e-3) == "leg x sags -2 mm"
     with pytest.raises(InputError, match=r"the blank \{height\}: use size, mm"):
         Words("{height} too high")
+    for text in ("100 % { x", "{mm:a} long", "{leg.foo}", "{} long"):
+        with pytest.raises(InputError, match="are no text with blanks"):
+            Words(text)
 
 
 @pytest.mark.parametrize(

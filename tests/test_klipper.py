@@ -332,7 +332,8 @@ def test_a_key_that_may_be_missing_is_left_out(section: str, tmp_path: Path) -> 
     lines = re.sub(rf"(?m)^{key}.*\n", "", V400.read_text())
     found = imported(tmp_path, f"[{section}]\n{key}: {value}\n{lines}")
     assert len(found.campaigns) == 3
-    assert any(f"line 2: [{section}] {key} is" in note for note in found.notes)
+    (note,) = (n for n in found.notes if f"line 2: [{section}] {key} is" in n)
+    assert note.endswith("; 0 is taken")
 
 
 def _apart(text: str) -> tuple[str, str]:

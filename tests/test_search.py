@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import combinations, permutations, product
 from typing import Any, cast
 
 import numpy as np
@@ -301,8 +301,13 @@ class Part:
     """What `merge_families` reads of an explanation."""
 
     values: dict[str, float]
-    sigmas: dict[str, float]
     probability: float
+    families: tuple[str, ...] = ()
+    sigmas = dict.fromkeys("wxyz", 1.0)
+
+    @property
+    def name(self) -> str:
+        return " ".join(self.values)
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -310,18 +315,23 @@ class Part:
 
 
 @pytest.mark.parametrize(
-    ("other", "expected"),
-    [(0.3, [("x", 0.9), ("w", 0.1)]), (3.0, [("x", 0.5), ("x y", 0.4), ("w", 0.1)])],
+    ("values", "expected"),
+    [
+        ({"x": 9.0, "y": 0.3, "z": 0.1}, {"x": 0.875, "w": 0.125}),
+        ({"x": 9.0, "y": 3.0, "z": 0.1}, {"x": 0.25, "x y": 0.625, "w": 0.125}),
+        ({"x": 9.0, "y": 3.0, "z": 4.0}, {"x": 0.25, "x y": 0.125, "x y z": 0.5, "w": 0.125}),
+        ({"x": 0.5, "y": 0.3, "z": 0.1}, {"x": 0.25, "x y": 0.125, "x y z": 0.5, "w": 0.125}),
+    ],
 )
 def test_a_family_of_which_one_part_is_not_zero_is_that_part(
-    other: float, expected: list[tuple[str, float]]
+    values: dict[str, float], expected: dict[str, float]
 ) -> None:
-    sigmas = {"x": 1.0, "y": 1.0, "w": 1.0}
-    parts = [
-        Part({"x": 9.0}, sigmas, 0.5),
-        Part({"x": 9.0, "y": other}, sigmas, 0.4),
-        Part({"w": 5.0}, sigmas, 0.1),
-    ]
-    for given in (parts, parts[::-1]):
+    """Whole effect, two legs and one leg: merged in whichever order they come."""
+    nested = [({"w": 5.0}, 0.125), *((dict([*values.items()][:k]), p)
+              for k, p in ((1, 0.25), (2, 0.125), (3, 0.5)))]  # fmt: skip
+    parts = [Part(v, p) for v, p in nested]
+    for given in permutations(parts):
         merged = merge_families(cast(Any, given))
-        assert [(" ".join(e.parameters), e.probability) for e in merged] == expected
+        assert {e.name: e.probability for e in merged} == expected
+        names = {name for e in merged for name in (e.name, *e.families)}
+        assert names == {part.name for part in parts}

@@ -145,8 +145,18 @@ Clause = str | Callable[..., str]
 def filled(text: str, parameter: Parameter, value: float, size: str = "") -> str:
     """Return a text with its blanks filled from a parameter, its value, SI, and the text of its
     size; see `Words`.
+
+    Raises:
+        InputError: for an unknown blank, or braces that are none.
     """
-    return text.format_map(_Blanks(parameter, value, size))
+    try:
+        return text.format_map(_Blanks(parameter, value, size))
+    except InputError:
+        raise
+    except (AttributeError, IndexError, ValueError) as error:
+        raise InputError(
+            f"the words of an effect, {text!r}, are no text with blanks: {error}"
+        ) from None
 
 
 @dataclass(frozen=True)
@@ -154,10 +164,12 @@ class Words:
     """The texts that describe an effect. Those that are absent are made of ``Effect.sentence``.
 
     Each is a text with blanks, or a function of what is named below. Blanks are ``{leg}`` and
-    ``{setup}`` of the parameter; ``{size}`` of its value; ``{mm}``, ``{mrad}``, ``{µm}`` and
+    ``{setup}`` of the parameter, ``{of_setup}`` and ``{in_setup}``, which are empty without one;
+    ``{size}`` of its value; ``{mm}``, ``{mrad}``, ``{µm}`` and
     ``{%}``, the value in another unit, ``{mm:0.1}`` a tenth of it; ``{more|less}``, one of two
     words by its sign; and by its direction ``{toward}`` and ``{away}``, ``{across}`` without sign,
-    and ``{axis}`` with ``{sense}`` of a rotation.
+    ``{along}`` to set a square, ``{axis}`` with ``{sense}`` of a rotation, and ``{lobe}`` of a
+    plate, degrees.
 
     Attributes:
         one: clause for one parameter and its value, SI, with sign, size and unit.

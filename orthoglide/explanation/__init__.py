@@ -33,7 +33,7 @@ Data faults and changes
     data_faults           the loop that finds, corrects and reports faults and changes
 
 Results
-    causes                causes and located errors with their credible sets, as data
+    causes                what is read from the posterior, and curves of free-form errors
     base_causes           base parameters far beyond their tolerances
     credible_sets         credible sets from the posterior
     class_members         members of a class that the readings cannot tell apart

@@ -30,7 +30,8 @@ class CredibleSets:
     @property
     def names(self) -> frozenset[str]:
         """Names of all causes and free-form errors in the credible sets."""
-        causes = {one.name for cause in self.causes for one in cause.explanations}
+        explanations = [one for cause in self.causes for one in cause.explanations]
+        causes = {name for one in explanations for name in (one.name, *one.families)}
         places = {one.name for located in self.located for one in located.members}
         return frozenset(causes | places | {n for one in self.located for n in one.resembling})
 

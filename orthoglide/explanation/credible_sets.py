@@ -68,21 +68,25 @@ def smallest_count(odds: Array, probability: float) -> int:
 
 
 def merge_families(explanations: Sequence[Explanation]) -> list[Explanation]:
-    """Merge each family of parameters into the part of it that alone differs from zero by more than
-    its uncertainty; most probable first.
+    """Merge each family of parameters of which only a part is certainly not zero into the most
+    probable explanation by that part alone; most probable first.
     """
-    merged = list(explanations)
-    for family in explanations:
-        for k, part in enumerate(merged):
-            others = set(family.parameters) - set(part.parameters)
-            if set(part.parameters) < set(family.parameters) and not any(
-                abs(family.values[n]) > _NONZERO_SIGMAS * family.sigmas[n] for n in others
-            ):
-                both = part.probability + family.probability
-                merged[k] = replace(part, probability=both)
-                merged = [one for one in merged if one is not family]
-                break
-    return ranked(merged, lambda explanation: explanation.probability)
+    merged = dict[str, Explanation]()
+    for family in sorted(explanations, key=lambda e: len(e.parameters)):
+        nonzero = {
+            n for n, v in family.values.items() if abs(v) > _NONZERO_SIGMAS * family.sigmas[n]
+        }
+        parts = [e for e in merged.values() if nonzero <= {*e.parameters} < {*family.parameters}]
+        if nonzero and parts:
+            part = max(parts, key=lambda e: e.probability)
+            merged[part.name] = replace(
+                part,
+                probability=part.probability + family.probability,
+                families=(*part.families, family.name),
+            )
+        else:
+            merged[family.name] = family
+    return ranked(merged.values(), lambda explanation: explanation.probability)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +169,7 @@ class _CredibleSetReader:
             tau = mixture.linear.slab_scales[largest(table[group], LOG_ODDS_MARGIN)]
             moments = mixture.moments_if_sound(((group, tau),), self.groups[group].coefficients)
             explanations.append(self._explain(group, float(probabilities[k]), *moments))
-        return tuple(twin for explanation in explanations for twin in self._twins(explanation))
+        return tuple(twin for e in merge_families(explanations) for twin in self._twins(e))
 
     def possible_causes(self) -> tuple[Explanation, ...]:
         """Return the most probable causes where none is active, each estimated as the only one."""

@@ -7,11 +7,12 @@ are corrected and the search is repeated, at most six times.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orthoglide.errors import InputError
+from orthoglide.errors import InputError, NumericsError
 from orthoglide.explanation.alternative_readings import (
     list_alternative_readings,
     setups_to_reinterpret,
@@ -242,7 +243,8 @@ def _report_faults(estimate: Estimate, faults: Sequence[Fault]) -> tuple[Reporte
     for k, fault in enumerate(faults, 1):
         cost_with, rms_with = fit.scores.chi2 + fit.scores.prior_chi2, rms
         kept[fault.rows] &= not fault.excluded
-        fit = fit_nested(without_weight(with_faults_corrected(problem, faults[:k]), ~kept))
+        with suppress(NumericsError):  # a machine that closes once all faults are corrected
+            fit = fit_nested(without_weight(with_faults_corrected(problem, faults[:k]), ~kept))
         residual = np.where(kept, fit.residuals, np.nan)
         rms = rms_by_unit(residual, problem.angular).length if kept.any() else 0.0
         reported.append(

@@ -68,7 +68,7 @@ class FaultColumns:
     def name(self) -> str:
         """Identifier; the leading ``!`` keeps it apart from names of parameters."""
         kind, rows, drive = self.fault.kind, self.fault.rows, self.fault.drive
-        span = f"{rows[0]}-{rows[-1]}" if len(rows) > 1 else str(rows[0])
+        span = f"{rows[0]}-{rows[-1]}:{len(rows)}" if len(rows) > 1 else str(rows[0])
         return f"!{kind}.{span}{'' if drive is None else LEGS[drive]}"
 
     def key(self, problem: Problem) -> FaultKey:

@@ -12,7 +12,7 @@ import numpy as np
 from orthoglide.errors import InputError
 from orthoglide.explanation.alternative_readings import AlternativeReadings, sharing_prior
 from orthoglide.explanation.faults import Fault, weighted_rows
-from orthoglide.explanation.full_posterior import FullPosterior
+from orthoglide.explanation.full_posterior import FullPosterior, posterior_at_base_fit
 from orthoglide.explanation.ranked_readings import likeliest_misreading
 from orthoglide.fit import Problem
 from orthoglide.observations import source
@@ -24,8 +24,8 @@ _BACKGROUND_SCALES = ((5.0, 0.003),)
 
 
 def check_levels(posterior: FullPosterior) -> None:
-    """Refuse readings of levels that are far likelier with another interpretation than with the
-    posterior of the readings as they stand.
+    """Refuse readings of levels that are far likelier with another interpretation than as they
+    stand, both at their base fits. More readings than `ranked_readings` compares are not checked.
 
     Raises:
         InputError: names file and setups, the interpretation, and what to do.
@@ -38,7 +38,7 @@ def check_levels(posterior: FullPosterior) -> None:
     alternatives = sharing_prior(AlternativeReadings(fault) for fault in interpretations.values())
     rows_by_setup = {s: weighted_rows(problem, s) for s in setups}
     found = likeliest_misreading(
-        posterior.before, posterior, alternatives, rows_by_setup,
+        posterior.before, posterior_at_base_fit(posterior.before), alternatives, rows_by_setup,
         background_scales=_BACKGROUND_SCALES,
     )  # fmt: skip
     if found is not None:

@@ -75,7 +75,8 @@ def screen_data_faults(
             # That other coefficients can imitate a fault is neglected, as for few columns among
             # many readings.
             weight = 1 / np.hypot(problem.sigma, problem.shared_rounding_sd)
-            scored = [(s.columns * weight[s.fault.rows, None], (past * weight)[s.fault.rows])
+            past = past * weight
+            scored = [(s.columns * weight[s.fault.rows, None], past[s.fault.rows])
                       for s in suspects]  # fmt: skip
         gains = _log_bayes_factors(scored)
         for kind in dict.fromkeys(kinds.tolist()):

@@ -86,6 +86,10 @@ class Stiffness:
     bar: float | None = None
 
     def __post_init__(self) -> None:
+        if self.torsion is not None and not 0 <= self.torsion < np.inf:
+            raise InputError(
+                f"torsional stiffness must not be negative, in N m/rad, not {self.torsion}"
+            )
         if self.bar is not None and not 0 < self.bar < np.inf:
             raise InputError(f"a bar's stiffness must be positive, in N/m, not {self.bar}")
 
@@ -153,10 +157,21 @@ class Measured:
     Attributes:
         rods: mean length of the bars between their pivots, metres.
         travel: mean travel of the carriages at a command of `MEASURED_TRAVEL`, metres.
+
+    Raises:
+        InputError: where a length or a standard deviation is not above 0.
     """
 
     rods: Pair | None = None
     travel: Pair | None = None
+
+    def __post_init__(self) -> None:
+        for name, pair in (("rods", self.rods), ("travel", self.travel)):
+            if pair is not None and not min(pair) > 0:
+                raise InputError(
+                    f"measured {name} are a length and its standard deviation, both above 0, in "
+                    f"metres, not {pair}"
+                )
 
     def parameter_priors(
         self, catalogue: Catalogue, geometry: Geometry, tolerance: Mapping[str, float]

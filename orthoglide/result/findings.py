@@ -50,6 +50,8 @@ class Explanation:
     catalogue: Catalogue  # effects of the machine, its own among them
     # all parameters of the machine with this cause, SI; empty in a result
     machine: Annotated[Mapping[str, float], Key(in_file=False)] = field(default_factory=dict)
+    # names of candidates with more parameters, of which only these are not zero
+    families: Annotated[tuple[str, ...], Key(in_file=False)] = ()
 
     def __repr__(self) -> str:
         return f"<{self.name}, probability {self.probability:.2f}: {self.words}>"

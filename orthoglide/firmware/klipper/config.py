@@ -151,16 +151,24 @@ class Config:
         self.notes.append(Note(text, kind))
 
     @contextmanager
-    def leaving_out(self, what: str = "", kind: str = "readings") -> Iterator[None]:
-        """Leave out what is read within the block, with a note, if the file has it wrong."""
+    def leaving_out(
+        self, what: str = "", kind: str = "readings", instead: str = ""
+    ) -> Iterator[None]:
+        """Leave out what is read within the block, with a note, if the file has it wrong.
+
+        Args:
+            what: is left out, if it is more than the value.
+            kind: of the note.
+            instead: what is taken, if anything.
+        """
         try:
             yield
         except FileError as error:
-            self.note(kind, f"left out: {what}{error}")
+            self.note(kind, f"left out: {what}{error}{instead and f'; {instead} is taken'}")
 
     def number_or_zero(self, name: str, key: str, low: float, high: float) -> float:
         """Return a number of a section; 0 if it is missing, and 0 with a note if it is unusable."""
-        with self.leaving_out():
+        with self.leaving_out(instead="0"):
             return self.section_or_empty(name).number(key, 0.0, low, high)
         del self.sections[name].entries[key]  # so that it is said once
         return 0.0

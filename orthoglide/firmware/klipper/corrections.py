@@ -81,7 +81,7 @@ def corrections_of(old: Numbers, record: Mapping[str, Any]) -> Corrections:
     version wrote it.
 
     Raises:
-        KeyError, TypeError, ValueError: if there is no record, or it was edited.
+        AttributeError, KeyError, TypeError, ValueError: if there is no record, or it was edited.
     """
     offered, new = (Numbers.from_table(record.get(k, record["new"])) for k in ("new", "tried"))
     before, after = (float(value) * 1e-3 for value in record["height_rms_mm"])

@@ -71,23 +71,24 @@ def stored_readings(config: Config, numbers: Numbers) -> tuple[list[Row], bool]:
     What cannot be used is left out with a note.
     """
     section, moved, rows = config.section_or_empty("delta_calibrate"), False, list[Row]()
-    if not section.entries:
-        return [], False
+    step: Array | None = None
     with config.leaving_out("heights and distances: "):
-        step = np.array([_microstep(config, name) for name in TOWERS])
-        for kind in _STORED_KINDS:
-            keys, value, steps = _read_kind(config, section, kind)
-            if not keys:
-                continue
-            travel, p = _stored_positions(config, numbers, kind, value, steps * step)
-            kept = _plausible_rows(config, numbers, kind, keys, value, p)
-            keys, value, travel = list(compress(keys, kept)), value[kept], travel[kept]
-            if steps.shape[1] > 1:  # distances between two places
-                rows += _distance_rows(keys, value, travel)
-            elif keys:
-                shift = _endstop_shift(config, kind, p[kept, 0], value)
-                rows += _height_rows(config, kind, value, travel[:, 0], shift)
-                moved |= shift != 0
+        step = np.array([_microstep(config, name) for name in TOWERS]) if section.entries else None
+    if step is None:
+        return [], False
+    for kind in _STORED_KINDS:
+        keys, value, steps = _read_kind(config, section, kind)
+        if not keys:
+            continue
+        travel, p = _stored_positions(config, numbers, kind, value, steps * step)
+        kept = _plausible_rows(config, numbers, kind, keys, value, p)
+        keys, value, travel = list(compress(keys, kept)), value[kept], travel[kept]
+        if steps.shape[1] > 1:  # distances between two places
+            rows += _distance_rows(keys, value, travel)
+        elif keys:
+            shift = _endstop_shift(config, kind, p[kept, 0], value)
+            rows += _height_rows(config, kind, value, travel[:, 0], shift)
+            moved |= shift != 0
     return [replace(row, temperature=section.temperature) for row in rows], moved
 
 
