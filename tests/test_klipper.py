@@ -296,6 +296,9 @@ SAID = {
     "one distance above the plate": (
         lambda t: t.replace("33994.155,33460.943,33523.056", "32994.155,32460.943,32523.056"),
         "distance3 is at z = 0 mm, where", 1, 18),
+    "a height out of reach": (
+        lambda t: re.sub(r"(#\*# height3_pos = )\d+", r"\g<1>99999", t),
+        "mm, where the arms do not reach its stored position", 1, 18),
     "steps of older firmware": (
         lambda t: t.replace("rotation_distance: 40", "step_distance: 0.0125"), "steps", 0, 19),
 }  # fmt: skip

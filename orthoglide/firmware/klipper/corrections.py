@@ -88,10 +88,13 @@ def corrections_of(old: Numbers, record: Mapping[str, Any]) -> Corrections:
     keep, rods_measured = str(record["keep_old_because"]), record.get("rods_measured") is True
     rod_change, rods = float(np.mean(new.arm) - np.mean(old.arm)), ""
     if abs(rod_change) > MAX_ROD_SPREAD:  # the size is told with the causes
-        rods = f"; they have {'longer' if rod_change > 0 else 'shorter'} rods, as " + (
-            "measured" if rods_measured else
-            "distances say, and a print that shrank makes these shorter: measure a rod first"
-        )  # fmt: skip
+        longer = "longer" if rod_change > 0 else "shorter"
+        rods = f"; they make the rods {longer}, as was measured"
+        if not rods_measured:
+            rods = (
+                f"; they make the rods {longer}, as the distances say (a part that shrank makes "
+                f"distances shorter): measure a rod first"
+            )
     if (spread := float(np.ptp(new.arm))) > MAX_ROD_SPREAD and not rods_measured:
         rods += (
             f"; their arms differ by {spread * 1e3:.2f} mm, more than rods of one set do: measure "

@@ -184,14 +184,17 @@ def _plausible_rows(
     for k in np.flatnonzero(~plausible).tolist():
         entry = config.section("delta_calibrate").entries[keys[k]]
         stored, computed = value[k], value[k] + excess[k, 0]
-        if (worst := int(np.argmax(np.abs(excess[k]) / most[k]))) > 0:  # an end of a distance
+        worst = int(np.argmax(np.abs(excess[k]) / most[k])) if reached[k] else 0
+        if worst > 0:  # an end of a distance
             stored, computed = 0.0, excess[k, worst]
+        given = "the arms do not reach"
+        if reached[k]:
+            given = f"the stored numbers give {plain(computed * 1e3, 1)} mm at"
         config.note(
             "readings",
             f"left out: {entry.file}, line {entry.line}: [delta_calibrate] {keys[k]} is "
-            f"{'at z = ' * (worst > 0)}{compact(stored * 1e3, 6)} mm, where the stored numbers "
-            f"give {plain(computed * 1e3, 1)} mm at its stored position: they are of different "
-            f"times, or it is mistyped{elsewhere}",
+            f"{'at z = ' * (worst > 0)}{compact(stored * 1e3, 6)} mm, where {given} its stored "
+            f"position: they are of different times, or it is mistyped{elsewhere}",
         )
     return plausible
 
