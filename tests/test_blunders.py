@@ -207,6 +207,18 @@ def test_a_wrong_command_is_told_as_the_controller_has_it(machine):
     assert "off at this place" not in blunder.message
 
 
+def test_a_command_that_is_wrong_by_little_leads_the_set(machine):
+    """By 1 mm on a sheet of three postures: an error by travel holds one per cent beside it."""
+    rows = rows_of("standard", seed=2)
+    spoilt, touched = rc.wrong_command(rows, posture_of(rows, "y", "max"), 0, 1.0)
+    verdict = close_loop(campaign_of(spoilt, machine), machine)
+    (found,) = verdict.located
+    command = max(found.data, key=lambda rival: rival.probability)
+    assert (command.data, len(command.rows)) == ("command", len(touched))
+    assert command.probability > 0.8
+    assert "fit with rho_x = 304.37 mm where 305.39294 is written" in command.words
+
+
 @pytest.mark.thorough
 def test_who_sets_most_dials_to_zero_anew_does_so_with_all(nominal):
     """Steps of one or two graduations, of which single ones are drift or noise: those of three

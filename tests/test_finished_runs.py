@@ -85,6 +85,22 @@ def test_a_file_that_another_process_wrote_meanwhile_stands(
     assert sorted(os.listdir(here)) == ["b.csv", "c.csv"]
 
 
+def test_so_it_does_where_there_are_no_hard_links(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", none)
+    write_files({here / "a.csv": "ours"})
+    assert (here / "a.csv").read_text() == "ours"
+    monkeypatch.setattr("orthoglide.files.check_new", lambda _: None)
+    with pytest.raises(FileError, match="exists and is not overwritten"):
+        write_files({here / "a.csv": "again"})
+    assert (here / "a.csv").read_text() == "ours"
+    assert sorted(os.listdir(here)) == ["a.csv", "c.csv"]
+
+
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_a_folder_that_another_process_wrote_meanwhile_stands(
     overwrite: bool, here: Path, monkeypatch: pytest.MonkeyPatch

@@ -77,7 +77,7 @@ def compute_outcome(request: Request, progress: Progress = no_progress) -> RunOu
         posterior, sets, fit_test, verdict = _search(base_fit, data_faults, changes, progress)
     before = posterior.before
     if verdict not in ("adequate", "diffuse"):
-        check_levels(posterior)
+        check_levels(before)
     if verdict == "unexplained":
         before = refit_with_residual_noise(before)
     outcome = RunOutcome(

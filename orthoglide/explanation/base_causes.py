@@ -16,14 +16,15 @@ _CERTAIN_SIGMAS = 2.0  # standard deviations by which a parameter must exceed it
 
 
 def far_base_causes(posterior: FullPosterior) -> Iterator[Cause]:
-    """Yield base parameters certainly far beyond tolerance, zeros of drives excepted.
+    """Yield base parameters certainly far beyond tolerance, except zeros of drives and what an
+    earlier calibration found.
 
     If a common error of the parts on all legs (rods cut to one wrong length) needs fewer causes
     than single parts, it is reported in their place.
     """
     problem = posterior.before.problem
     catalogue = problem.machine.catalogue
-    news = {k: problem.names[k] for k in np.flatnonzero(~problem.calibrated_before).tolist()}
+    news = {k: problem.names[k] for k in np.flatnonzero(~problem.is_from_calibration).tolist()}
     for effect in dict.fromkeys(name.effect for name in news.values()):
         if catalogue[effect].controller == "zero":
             continue

@@ -68,8 +68,8 @@ def smallest_count(odds: Array, probability: float) -> int:
 
 
 def merge_families(explanations: Sequence[Explanation]) -> list[Explanation]:
-    """Merge each family of parameters of which only a part is certainly not zero into the most
-    probable explanation by that part alone; most probable first.
+    """Merge each explanation into the most probable one that has only some of its parameters, if
+    the others do not differ from zero; most probable first.
     """
     merged = dict[str, Explanation]()
     for family in sorted(explanations, key=lambda e: len(e.parameters)):

@@ -12,9 +12,9 @@ import numpy as np
 from orthoglide.errors import InputError
 from orthoglide.explanation.alternative_readings import AlternativeReadings, sharing_prior
 from orthoglide.explanation.faults import Fault, weighted_rows
-from orthoglide.explanation.full_posterior import FullPosterior, posterior_at_base_fit
+from orthoglide.explanation.full_posterior import posterior_at_base_fit
 from orthoglide.explanation.ranked_readings import likeliest_misreading
-from orthoglide.fit import Problem
+from orthoglide.fit import Estimate, Problem
 from orthoglide.observations import source
 
 _DEGREE = np.pi / 180 / 1e-3  # a reading in degrees that was taken for milliradians
@@ -23,14 +23,14 @@ _BACKGROUND_SCALES = ((5.0, 0.003),)
 """What turns the platform is often off by many tolerances, and must not count against it."""
 
 
-def check_levels(posterior: FullPosterior) -> None:
+def check_levels(estimate: Estimate) -> None:
     """Refuse readings of levels that are far likelier with another interpretation than as they
     stand, both at their base fits. More readings than `ranked_readings` compares are not checked.
 
     Raises:
         InputError: names file and setups, the interpretation, and what to do.
     """
-    problem = posterior.before.problem
+    problem = estimate.problem
     setups = np.unique(problem.setup_of_row[problem.angular]).tolist()
     if not setups:
         return
@@ -38,7 +38,7 @@ def check_levels(posterior: FullPosterior) -> None:
     alternatives = sharing_prior(AlternativeReadings(fault) for fault in interpretations.values())
     rows_by_setup = {s: weighted_rows(problem, s) for s in setups}
     found = likeliest_misreading(
-        posterior.before, posterior_at_base_fit(posterior.before), alternatives, rows_by_setup,
+        estimate, posterior_at_base_fit(estimate), alternatives, rows_by_setup,
         background_scales=_BACKGROUND_SCALES,
     )  # fmt: skip
     if found is not None:

@@ -215,9 +215,9 @@ class Problem:
         return np.asarray(self.tolerance * np.array([u.prior_width for u in self.unknowns]))
 
     @cached_property
-    def calibrated_before(self) -> NDArray[np.bool_]:
-        """Which unknowns an earlier calibration found and nothing has changed ``(P,)``: their
-        values are no news, however far beyond their tolerances.
+    def is_from_calibration(self) -> NDArray[np.bool_]:
+        """Which unknowns come from an earlier calibration and have not changed since ``(P,)``;
+        their values are no news, however far beyond their tolerances.
         """
         earlier = self.earlier_posterior
         known = () if earlier is None or self.machine.spec.is_measured else earlier.names
@@ -226,7 +226,7 @@ class Problem:
     def is_implausible(self, x: Array) -> NDArray[np.bool_]:
         """Return which unknowns ``x`` ``(P,)`` are implausible by their tolerances."""
         beyond = np.abs(self.without_common_error(x)) > MAX_TOLERANCES * self.tolerance
-        return np.asarray(beyond & ~self.calibrated_before)
+        return np.asarray(beyond & ~self.is_from_calibration)
 
     def without_common_error(self, x: Array) -> Array:
         """Subtract the common mean from parameters ``x`` ``(P,)`` whose size the owner entered.

@@ -99,8 +99,8 @@ def rejection_reason(changes: Sequence[ResidualChange]) -> str:
     touches = sum(c.count for c in changes if c.kind == "heights")
     if touches <= _COUNT_WITHOUT_ARMS:
         return (
-            f"{touches} touches of the plate would be fitted by {_COUNT_WITHOUT_ARMS} numbers "
-            f"whatever they are: touch it at more places"
+            f"{_COUNT_WITHOUT_ARMS} numbers fit any {touches} touches of the plate, right or "
+            f"wrong: touch it at more places"
         )
     if worse := [c for c in changes if c.new > c.old and _is_more_than_chance(c)]:
         return _residual_clause(worse[0], "rises")
