@@ -254,6 +254,19 @@ def test_distances_of_other_microsteps_are_taken_so() -> None:
     assert int(readings.touching.sum()) == 7
 
 
+def test_a_part_that_was_scaled_is_the_part() -> None:
+    """All parts of the machine off by three tolerances were, and the verdict was *adequate*."""
+    found = og.import_printer(FIELD / "distances-in-other-microsteps" / "printer.cfg")
+    (readings,) = found.campaigns
+    scaled = np.where(readings.paired, 1.15, 1.0) * readings.reading
+    verdict = og.close_loop(readings.with_readings(scaled), og.Machine(found.machine))
+    assert verdict.word in ("explained", "ambiguous")
+    (cause,) = verdict.effects
+    assert cause.name.startswith("part_size")
+    assert cause.chosen.value == pytest.approx(0.15, abs=0.01)
+    assert re.search("distances 15 % longer", " ".join(str(verdict).split()))
+
+
 OTHER = FIELD / "other-firmware-words"
 
 

@@ -10,6 +10,7 @@ import pytest
 
 import orthoglide as og
 from orthoglide.errors import SolverError
+from orthoglide.fit.notes import tolerance_notes
 from orthoglide.fit.repeats import repeat_variance, total_variance
 from orthoglide.fit.weighing import Weighing
 from orthoglide.machine_file import Dial
@@ -109,6 +110,19 @@ def test_what_the_model_lacks_does_not_widen_tolerances() -> None:
     found = og.identify(_bowed(), og.Machine.nominal())
     assert found.sigma_scale > 1
     assert {u.prior_width for u in found.problem.unknowns} == {1.0}
+
+
+def test_only_what_is_certain_is_called_far_beyond_its_tolerance() -> None:
+    """Means over several explanations were, beside the verdict that nothing is wrong."""
+    machine = og.Machine.nominal()
+    truth = machine.with_parameters({"joint_offset.x": 20e-3})
+    found = og.identify(simulate(truth, "sweep", noise=5e-6, seed=1), machine)
+    (note,) = tolerance_notes(found)
+    assert note.startswith("joint offset of leg x is +20 mm, 10.0 times")
+    limit = 3 * machine.tolerance("joint_offset.x")
+    for sigma, notes in ((0.49 * (20e-3 - limit), 1), (0.51 * (20e-3 - limit), 0)):
+        uncertain = replace(found, covariance=np.eye(len(found.names)) * sigma**2)
+        assert len([*tolerance_notes(uncertain)]) == notes
 
 
 def _bowed() -> og.Campaign:

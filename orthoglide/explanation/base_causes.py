@@ -8,11 +8,9 @@ import numpy as np
 from scipy.special import ndtr
 
 from orthoglide.explanation.full_posterior import FullPosterior
-from orthoglide.fit.problem import MAX_TOLERANCES
+from orthoglide.fit.problem import CERTAIN_SIGMAS, MAX_TOLERANCES
 from orthoglide.geometry import Array
 from orthoglide.result import Cause, Explanation
-
-_CERTAIN_SIGMAS = 2.0  # standard deviations by which a parameter must exceed its limit
 
 
 def far_base_causes(posterior: FullPosterior) -> Iterator[Cause]:
@@ -62,7 +60,7 @@ def _beyond_tolerance(
     limit, causes = MAX_TOLERANCES * machine.tolerance(problem.names[index[0]]), list[Cause]()
     for name, weights in combined:
         value, sigma = float(weights @ mean), float(np.sqrt(weights @ covariance @ weights))
-        if abs(value) - _CERTAIN_SIGMAS * sigma < limit:
+        if abs(value) - CERTAIN_SIGMAS * sigma < limit:
             continue
         signature = linearised.rows[:, index] @ ((weights > 0) * value / units)
         explanation = Explanation(

@@ -194,7 +194,8 @@ def build_groups(
         np.add.at(rows, target_index, matrix * factor[:, None])
         moved = np.flatnonzero(rows.any(axis=1))
         causes.append(cause)
-        unit = _DIAL_SCALE if catalogue[cause.effect].of_dial else 1.0
+        effect = catalogue[cause.effect]
+        unit = _DIAL_SCALE if effect.of_dial and not effect.of_body else 1.0
         groups.append(Group(cause.name, moved, rows[moved], False, cause.relative_prior, unit))
     form_counts = Counter(error.location_key for error in free_form_errors if not error.is_local)
     spans = coefficient_spans(free_form_errors, len(names))

@@ -22,6 +22,7 @@ from orthoglide.explanation.mixture import LEAST_PROBABILITY, AveragedMoments, M
 from orthoglide.fit import Estimate
 from orthoglide.fit.factors import NuisanceBlock
 from orthoglide.fit.least_squares import linearise, nuisances, update_instrument_poses
+from orthoglide.fit.notes import tolerance_notes
 from orthoglide.fit.solving import make_estimate, solve, widen_priors
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -228,12 +229,10 @@ class FullPosterior:
             Note(f"these readings fit as well if {clause}: measure it", "instead")
             for clause in ([] if self.alternative is None else _exceeded_limits(self.alternative))
         ]
-        return replace(
-            estimate,
-            covariance=self.covariance[:count, :count] * units[:count] * units[:count, None],
-            weak=self.before.weak,
-            warnings=(*estimate.warnings, *notes),
-        )
+        covariance = self.covariance[:count, :count] * units[:count] * units[:count, None]
+        estimate = replace(estimate, covariance=covariance, weak=self.before.weak)
+        warnings = (*estimate.warnings, *tolerance_notes(estimate), *notes)
+        return replace(estimate, warnings=warnings)
 
     def _curve_nuisances(self, prior: Array) -> NuisanceBlock | None:
         """Return columns of probable free-form errors, data faults and plate shapes, as nuisances.
@@ -389,8 +388,7 @@ def _closure_explained(before: Estimate) -> Iterator[None]:
 
 def _exceeded_limits(estimate: Estimate) -> list[str]:
     """Return a clause for each base parameter that is far beyond its tolerance."""
-    notes = (note for note in estimate.warnings if note.kind == "tolerance")
-    return [note.partition(":")[0] for note in notes]
+    return [note.partition(":")[0] for note in tolerance_notes(estimate, sigmas=0.0)]
 
 
 def _inverse_root(covariance: Array) -> Array:

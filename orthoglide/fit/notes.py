@@ -10,7 +10,7 @@ from orthoglide.effects.wording import parameter_words, signed_size
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.factors import Factor
 from orthoglide.fit.noise_notes import noisy_repeats, small_residuals
-from orthoglide.fit.problem import Problem
+from orthoglide.fit.problem import CERTAIN_SIGMAS, Problem
 from orthoglide.fit.repeats import GRID_TOLERANCE, MAX_NOISE_RATIO, off_grid
 from orthoglide.instruments import PRINTED, SHRINKAGE_BY_MATERIAL
 from orthoglide.notes import Note
@@ -69,7 +69,8 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         collected.append(Note(text, "bound"))
-    collected += tolerance_notes(estimate)
+    if estimate.method != "posterior":  # whose covariance is that of all explanations
+        collected += tolerance_notes(estimate)
     check = estimate.check
     if check is not None and not check.second_order:
         text = (
@@ -101,10 +102,11 @@ def copy_notes(problem: Problem) -> Iterator[Note]:
             yield Note(text, "copies")
 
 
-def tolerance_notes(estimate: Estimate) -> Iterator[Note]:
-    """Yield notes on parameters that their tolerances make implausible."""
+def tolerance_notes(estimate: Estimate, sigmas: float = CERTAIN_SIGMAS) -> Iterator[Note]:
+    """Yield notes on parameters that exceed their limits by so many standard deviations."""
     problem, catalogue = estimate.problem, estimate.problem.machine.catalogue
-    for k in np.flatnonzero(problem.is_implausible(estimate.x)):
+    margin = sigmas * np.sqrt(np.diag(estimate.covariance))
+    for k in np.flatnonzero(problem.is_implausible(estimate.x, margin)):
         unknown = problem.unknowns[k]
         unit, value = estimate.unit(unknown.name), float(estimate.x[k])
         text = (

@@ -28,6 +28,10 @@ from orthoglide.result.fits import InstrumentNoise
 MAX_TOLERANCES = 3.0
 """Tolerances beyond which a parameter is implausible: of a machine as expected, one in 370 is."""
 
+CERTAIN_SIGMAS = 2.0
+"""Standard deviations by which a parameter must exceed that limit to be reported: one in forty
+that do not exceed it does so by chance."""
+
 
 @dataclass(frozen=True, repr=False)
 class Problem:
@@ -223,9 +227,11 @@ class Problem:
         known = () if earlier is None or self.machine.spec.is_measured else earlier.names
         return np.array([name in known for name in self.names], dtype=bool)
 
-    def is_implausible(self, x: Array) -> NDArray[np.bool_]:
-        """Return which unknowns ``x`` ``(P,)`` are implausible by their tolerances."""
-        beyond = np.abs(self.without_common_error(x)) > MAX_TOLERANCES * self.tolerance
+    def is_implausible(self, x: Array, margin: Array | float = 0.0) -> NDArray[np.bool_]:
+        """Return which unknowns ``x`` ``(P,)`` are implausible by their tolerances, by more than a
+        margin ``(P,)``, SI.
+        """
+        beyond = np.abs(self.without_common_error(x)) > MAX_TOLERANCES * self.tolerance + margin
         return np.asarray(beyond & ~self.is_from_calibration)
 
     def without_common_error(self, x: Array) -> Array:
