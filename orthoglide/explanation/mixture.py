@@ -13,9 +13,9 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from orthoglide.explanation.linear_model import SOUND_BACKGROUND, Scale
+from orthoglide.explanation.marginal_covariance import marginal_covariances
 from orthoglide.explanation.search import Search, State, shrink_along
 from orthoglide.geometry import Array
 from orthoglide.machine_file import symmetric_root
@@ -303,34 +303,9 @@ class Mixture(Search):
         return np.asarray(noise_variance * (prior - explained[:, index].T @ explained[:, index]))
 
     def _covariances(self, index: NDArray[np.intp]) -> Callable[[State, Scale], Array]:
-        """Return a function of state and scale: the covariance of some coefficients ``(k, k)``.
-
-        Prior less gain cancels to rounding errors where the readings determine a direction a
-        million times better than the prior. Here the other coefficients are marginalised as
-        noise, and precisions are added.
-        """
-        linear, marginalised = self.linear, np.ones(len(self.linear.fixed_sd), dtype=bool)
-        marginalised[index] = False
-        fixed = np.isfinite(linear.fixed_sd)
-        kinds = (fixed, linear.free_form & ~fixed, ~linear.free_form & ~fixed)
-        scaled = linear.columns * np.where(fixed, linear.fixed_sd, 1.0)
-        blocks = (scaled[:, marginalised & kind] for kind in kinds)
-        fixed_part, free, background = (block @ block.T for block in blocks)
-
-        def covariance(state: State, scale: Scale) -> Array:
-            slab_root = self._slab_root(state)
-            noise = fixed_part + scale.free_form_scale**2 * free
-            noise += scale.background_scale**2 * background
-            noise += scale.noise**2 * linear.prior_covariances[3] + np.eye(len(noise))
-            sd = np.sqrt(scale.spike[index])
-            columns = np.hstack([linear.columns[:, index] * sd, linear.columns @ slab_root])
-            columns = solve_triangular(np.linalg.cholesky(noise), columns, lower=True)
-            precision = np.eye(columns.shape[1]) + columns.T @ columns
-            units = np.hstack([np.diag(sd), slab_root[index]])
-            scaled_root = solve_triangular(np.linalg.cholesky(precision), units.T, lower=True)
-            return np.asarray(scaled_root.T @ scaled_root)
-
-        return covariance
+        """Return a function of state and scale: the covariance of some coefficients ``(k, k)``."""
+        covariance = marginal_covariances(self.linear, index)
+        return lambda state, scale: covariance(scale, self._slab_root(state))
 
     @cached_property
     def _terms(self) -> tuple[tuple[float, State, Scale], ...]:
