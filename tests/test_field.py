@@ -255,12 +255,15 @@ def test_distances_of_other_microsteps_are_taken_so() -> None:
 
 
 def test_a_part_that_was_scaled_is_the_part() -> None:
-    """All parts of the machine off by three tolerances were, and the verdict was *adequate*."""
+    """All parts of the machine off by three tolerances were, and the verdict was *adequate*: the
+    size, forty standard deviations from its prior, was no lack of fit.
+    """
     found = og.import_printer(FIELD / "distances-in-other-microsteps" / "printer.cfg")
     (readings,) = found.campaigns
     scaled = np.where(readings.paired, 1.15, 1.0) * readings.reading
     verdict = og.close_loop(readings.with_readings(scaled), og.Machine(found.machine))
     assert verdict.word in ("explained", "ambiguous")
+    assert verdict.before.scores.lack_of_fit_p < 1e-6
     (cause,) = verdict.effects
     assert cause.name.startswith("part_size")
     assert cause.chosen.value == pytest.approx(0.15, abs=0.01)

@@ -36,7 +36,8 @@ class FittedRows:
     predicted: Array  # nuisances included (n,), metres or radians
     leverage: Array  # share of each reading in its own prediction (n,)
     residual_left_out: Array  # with the station left out (n,); nan where nothing predicts it
-    station_hat_eigenvalues: Array  # eigenvalues of the hat matrix of the station means (r,)
+    # eigenvalues of the hat matrix of the station means and the nuisances' priors (r,)
+    station_hat_eigenvalues: Array
 
     @classmethod
     def from_fit(cls, problem: Problem, nuisance: Nuisances, linear: Linearised) -> FittedRows:
@@ -47,10 +48,11 @@ class FittedRows:
         whitened = _residuals_at_optimum(problem, nuisance, linear, basis)
         # Fitted columns may vary within a station: only their effect on its mean counts.
         means = nuisance.weighing.station_components(fitted)
+        priors = basis[len(basis) - nuisance.count :]
         return cls(
             problem, nuisance, predicted, np.einsum("nr,nr->n", fitted, fitted),
             _left_out_residuals(problem, nuisance, fitted, whitened),
-            np.asarray(np.linalg.eigvalsh(means.T @ means), dtype=np.float64),
+            np.asarray(np.linalg.eigvalsh(means.T @ means + priors.T @ priors), dtype=np.float64),
         )  # fmt: skip
 
     @cached_property
@@ -64,14 +66,17 @@ class FittedRows:
         All readings are tested, and the station means, which show better what recurs at every
         visit; the smaller p-value is corrected for two tests (Sidak). Only the means are tested if
         each station was read once, if the noise was estimated from repeats (an F test), or if
-        visits share a rounding error, as single readings are then not normal.
+        visits share a rounding error, as single readings are then not normal. Both tests include
+        the nuisances: a printed part that must be 15 % too large is a lack of fit.
         """
         problem, weighing = self.problem, self.nuisance.weighing
-        means = weighing.station_components(weighing.whiten(self.residual))
-        p_of_means = chi2_p_value(
-            float(means @ means), len(means), self.station_hat_eigenvalues, problem.noise_dof
-        )
         count = len(problem.measured)
+        means = weighing.station_components(weighing.whiten(self.residual))
+        of_nuisances = equations.residual[count:][self.nuisance.precision > 0]
+        tested = np.concatenate([means, of_nuisances])
+        p_of_means = chi2_p_value(
+            float(tested @ tested), len(tested), self.station_hat_eigenvalues, problem.noise_dof
+        )
         if (
             count == len(means)
             or np.isfinite(problem.noise_dof)
@@ -122,7 +127,8 @@ def cross_validation_improvement(before: FittedRows, after: FittedRows) -> tuple
     _, station = np.unique(problem.place_number[predicted], return_inverse=True)
     mean = np.bincount(station, improvement[predicted]) / np.bincount(station)
     # With one degree of freedom the residuals of all stations are multiples of one number.
-    dof = stations - float(np.sum(before.station_hat_eigenvalues))
+    tested = stations + int(np.sum(before.nuisance.precision > 0))
+    dof = tested - float(np.sum(before.station_hat_eigenvalues))
     error = float(np.std(mean, ddof=1)) if dof >= _MIN_DOF else float("inf")
     return float(mean.mean()), error / np.sqrt(len(mean))
 
