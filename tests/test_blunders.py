@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -300,6 +301,46 @@ def test_the_message_names_the_place_and_scores_tell_what_it_cost(tmp_path, nomi
     assert again.problem.noise.typical < 0.3 * estimate.problem.noise.typical
 
 
+MISREAD: dict[str, tuple[Callable[[list[rc.Row]], rc.Fault], dict[str, Any]]] = {
+    "sign": (lambda rows: rc.swapped_sign(rows, "yz-0.5"), {"size": -1.0}),
+    "unit": (lambda rows: rc.wrong_unit(rows, "yz-0.5", 1e-3), {"size": 1e3}),
+    "label": (lambda rows: rc.wrong_label(rows, "yz-0.5", "direction"), {"label": (1, 2)}),
+    "exchanged_labels": (lambda rows: rc.swapped_labels(rows, "yx-0.5", "yz-0.5"), {"size": 1.0}),
+    "shifted": (lambda rows: rc.shifted_rows(rows, "yz-0.5", 1), {"size": 1.0}),
+}
+
+
+@pytest.mark.parametrize("kind", MISREAD)
+def test_misread_rows_are_fitted_as_corrected(kind, machine):
+    """They were excluded, and with them what no other dial saw of the machine."""
+    spoil, size = MISREAD[kind]
+    rows = rows_of("standard")
+    spoilt, touched = spoil(rows)
+    problem = estimate_of(spoilt, machine).problem
+    lost = touched[-1:] if kind == "shifted" else []
+    fault = Fault(kind, np.array(touched), **size)
+    assert not fault.excluded
+    (factor,) = without_faults(problem, [fault]).factors
+    kept = [k for k in range(len(rows)) if k not in lost]
+    assert factor.readings.line.tolist() == [k + 2 for k in kept]
+    legs = ["xyz"[factor.readings.setups[k].leg] for k in factor.setup]
+    directions = ["xyz"[axis] for axis in factor.readings.axis]
+    assert legs == [rows[k]["leg"] for k in kept]
+    assert directions == [rows[k]["direction"] for k in kept]
+    np.testing.assert_allclose(factor.measured * 1e3, [rows[k]["reading_mm"] for k in kept])
+
+
+@pytest.mark.thorough
+def test_an_error_that_a_misread_dial_alone_sees_is_located(machine):
+    """The verdict was *adequate*: all readings of that error had been excluded with the dial."""
+    rig = Rig(extra=(rc.s_curve(1, 0, 1e-4),))
+    rows = rc.swapped_sign(rows_of("sweep", seed=4, rig=rig), "yx-0.5").rows
+    verdict = close_loop([campaign_of(rows, machine)], machine)
+    assert [fault.kind for fault in verdict.blunders] == ["sign"]
+    assert [found.name for found in verdict.located] == ["rail.y.x/travel"]
+    assert len(verdict.readings.measured) == len(rows)
+
+
 def test_a_knocked_setup_becomes_two(machine):
     rows, touched = rc.knocked_stand(rows_of("standard", seed=2), "yz-0.5", 0.5)
     estimate = estimate_of(rows, machine)
@@ -343,7 +384,7 @@ def test_a_change_since_a_calibration_is_as_free_without_the_faulty_rows(machine
 def test_a_campaign_of_faults_alone_is_refused_for_its_own(machine):
     every = [campaign_of(rows_of("standard", seed=k), machine, f"visit-{k}") for k in (1, 2)]
     problem = identify(every, machine, method="nested").problem
-    first, whole = Fault("outlier", np.array([3])), Fault("unit", np.arange(54, 108), 10.0)
+    first, whole = Fault("outlier", np.array([3])), Fault("scatter", np.arange(54, 108), 1e-3)
     with pytest.raises(
         InputError, match=r"all 54 rows of visit-2 are faulty.* \(visit-2, 54 lines"
     ):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,11 @@ from orthoglide.effects.free_form import FreeForm, Range
 from orthoglide.effects.kernels import Bump
 from orthoglide.geometry import Array
 from orthoglide.numerals import compact
+from orthoglide.ordering import RELATIVE_MARGIN, descending
 from orthoglide.result import CandidateScore, Cause, Curve, Explanation, Located
+
+CREDIBLE = 0.95
+"""Probability that a credible set contains the true cause."""
 
 _BUMP_WIDTHS = 3.0  # widths of a bump beyond which it has vanished
 
@@ -34,6 +39,36 @@ class CredibleSets:
         causes = {name for one in explanations for name in (one.name, *one.families)}
         places = {one.name for located in self.located for one in located.members}
         return frozenset(causes | places | {n for one in self.located for n in one.resembling})
+
+
+def smallest_count(odds: Array, probability: float) -> int:
+    """Return the smallest count of ``odds`` (sorted, largest first) that sum to ``probability``."""
+    return int(np.searchsorted(np.cumsum(odds), probability * (1 - RELATIVE_MARGIN))) + 1
+
+
+def pool_jumps(odds: Array, errors: Mapping[int, FreeForm]) -> tuple[Array, dict[int, str]]:
+    """Pool the jumps of each part, which differ in their moments alone, in the most probable one.
+
+    Args:
+        odds: probabilities of groups in one credible set ``(groups,)``.
+        errors: free-form errors by group.
+
+    Returns:
+        The pooled probabilities, and for each pooled jump a clause: its moments of 95 %.
+    """
+    jumps = dict[str, list[int]]()
+    for k in descending(odds):
+        if odds[k] > 0 and k in errors and errors[k].jump is not None:
+            jumps.setdefault(errors[k].location_key, []).append(k)
+    pooled, moments = odds.copy(), dict[int, str]()
+    for of_part in jumps.values():
+        first, *others = of_part
+        pooled[first], pooled[others] = odds[of_part].sum(), 0.0
+        credible = of_part[: smallest_count(odds[of_part], CREDIBLE * pooled[first])]
+        between = sorted((errors[k] for k in credible), key=lambda error: error.jump or 0.0)
+        if len(between) > 1:
+            moments[first] = f" (from {between[0].moment} to {between[-1].moment})"
+    return pooled, moments
 
 
 def curve_of(

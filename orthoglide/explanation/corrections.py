@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.explanation.faults import MISREADING_KINDS, Fault, Rows, split_by_datum
+from orthoglide.explanation.faults import DATUM_KINDS, MISREADING_KINDS, Fault, Rows, split_by_datum
 from orthoglide.fit import Problem
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
@@ -25,12 +25,26 @@ def with_faults_corrected(problem: Problem, faults: Sequence[Fault]) -> Problem:
     return problem
 
 
+def with_faults_accounted_for(problem: Problem, faults: Sequence[Fault]) -> Problem:
+    """Return the problem with data faults corrected, and with zero weight of the readings that no
+    correction restores.
+
+    Wrong commands are corrected nevertheless, because the approach of the next rows depends on
+    them.
+    """
+    problem = with_faults_corrected(problem, faults)
+    for fault in faults:
+        if fault.excluded:
+            problem = without_weight(problem, fault.rows)
+    return problem
+
+
 def _with_fault_corrected(problem: Problem, fault: Fault) -> Problem:
     rows, measured = fault.rows, problem.measured.copy()
     match fault.kind:
         case "command":
             return _with_tables_changed(problem, fault, _with_command_corrected)
-        case _ if not fault.excluded:
+        case _ if fault.kind in DATUM_KINDS:
             return _with_tables_changed(problem, fault, _with_datums_split)
         case _ if fault.relabels:
             return _with_tables_changed(problem, fault, _with_labels_corrected)

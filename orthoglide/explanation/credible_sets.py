@@ -20,21 +20,24 @@ from orthoglide.effects.wording import cause_short
 from orthoglide.errors import InputError
 from orthoglide.explanation.alternatives import Alternatives
 from orthoglide.explanation.base_causes import far_base_causes
-from orthoglide.explanation.causes import CredibleSets, curve_of
+from orthoglide.explanation.causes import (
+    CREDIBLE,
+    CredibleSets,
+    curve_of,
+    pool_jumps,
+    smallest_count,
+)
 from orthoglide.explanation.faults import fault_message, lines_of
 from orthoglide.explanation.full_posterior import FullPosterior
 from orthoglide.explanation.linear_model import Group
 from orthoglide.geometry import Array
-from orthoglide.ordering import LOG_ODDS_MARGIN, RELATIVE_MARGIN, descending, largest, ranked
+from orthoglide.ordering import LOG_ODDS_MARGIN, descending, largest, ranked
 from orthoglide.result import CandidateScore, Cause, Curve, DataRival, Explanation, Located
 
 _LEAST_BACKGROUND = 0.1  # tolerances: scale of a background that is worth reporting
 
 _MOST_POSSIBLE, _LEAST_POSSIBLE = 6, 0.02  # causes reported where none is active; least probability
 _MOST_SCORES = 24  # causes and free-form errors listed with their scores
-
-CREDIBLE = 0.95
-"""Probability that a credible set contains the true cause."""
 
 CREDIBLE_WITH_DATA_FAULT = 0.99
 """Probability of a credible set with a data fault in it, for which readings are discarded."""
@@ -60,11 +63,6 @@ def credible_sets(posterior: FullPosterior, given: Sequence[str] = ()) -> Credib
         () if sets else reader.single_causes(),
         () if sets else reader.possible_causes(),
     )
-
-
-def smallest_count(odds: Array, probability: float) -> int:
-    """Return the smallest count of ``odds`` (sorted, largest first) that sum to ``probability``."""
-    return int(np.searchsorted(np.cumsum(odds), probability * (1 - RELATIVE_MARGIN))) + 1
 
 
 def merge_families(explanations: Sequence[Explanation]) -> list[Explanation]:
@@ -105,20 +103,27 @@ class _CredibleSetReader:
         return [k for k, g in enumerate(self.groups) if not g.free_form and not g.of_data]
 
     @cached_property
-    def _error_by_name(self) -> dict[str, FreeForm]:
-        return {error.name: error for error in self.posterior.linearised.free_form_errors}
+    def _errors(self) -> dict[int, FreeForm]:
+        """The free-form errors by the index of their group."""
+        by_name = {error.name: error for error in self.posterior.linearised.free_form_errors}
+        return {k: by_name[g.name] for k, g in enumerate(self.groups) if g.free_form}
 
     @cached_property
     def alternatives(self) -> Alternatives:
         return Alternatives(self.posterior.mixture)
 
+    def _odds_and_moments(self, member: int) -> tuple[Array, dict[int, str]]:
+        """Return the probability of each group in the place of an active one, those of the jumps of
+        one part pooled, and the moments of each jump; see `pool_jumps`.
+        """
+        return pool_jumps(self.alternatives.probabilities(member)[:-1], self._errors)
+
     def credible_set(self, member: int, given: Sequence[str]) -> Cause | Located | None:
         """Return the credible set for one active group; ``None`` if nothing is claimed."""
         declared = self.groups[member].name in given
-        odds = self.alternatives.probabilities(member)
+        odds, _ = self._odds_and_moments(member)
         if declared:
             odds = np.eye(len(odds))[member]
-        odds = odds[:-1]
         if odds.sum() < LEAST_CLAIMED_PROBABILITY:
             return None
         order = descending(odds)
@@ -332,11 +337,7 @@ class _CredibleSetReader:
 
     def _curves(self, member: int, odds: Sequence[tuple[int, float]]) -> tuple[Curve, ...]:
         """Return the curves of the free-form errors in a credible set."""
-        return tuple(
-            self._curve(member, k, p, self._error_by_name[self.groups[k].name])
-            for k, p in odds
-            if self.groups[k].free_form
-        )
+        return tuple(self._curve(member, k, p) for k, p in odds if k in self._errors)
 
     def _causes_moving(self, error: FreeForm) -> Iterator[str]:
         """Yield the candidate causes that move the same joints, or change the same dial, as an
@@ -357,11 +358,13 @@ class _CredibleSetReader:
             if moves_it:
                 yield cause.name
 
-    def _curve(self, member: int, group_index: int, probability: float, error: FreeForm) -> Curve:
-        coefficients = self.groups[group_index].coefficients
+    def _curve(self, member: int, group_index: int, probability: float) -> Curve:
+        coefficients, error = self.groups[group_index].coefficients, self._errors[group_index]
+        _, moments = self._odds_and_moments(member)
         mean, covariance = self.alternatives.moments(member, group_index, coefficients)
         stroke = self.posterior.before.problem.machine.geometry.stroke
-        return curve_of(error, probability, stroke, mean[coefficients], covariance)
+        curve = curve_of(error, probability, stroke, mean[coefficients], covariance)
+        return replace(curve, description=curve.description + moments.get(group_index, ""))
 
     def candidate_scores(self) -> tuple[CandidateScore, ...]:
         """Return the scores of the groups nearest to being active, most probable first."""
@@ -383,7 +386,7 @@ class _CredibleSetReader:
     def _candidate_score(self, k: int, score: float) -> CandidateScore:
         name, parameters = self.groups[k].name, tuple[str, ...]()
         if self.groups[k].free_form:
-            words = self._error_by_name[name].words
+            words = self._errors[k].words
         else:
             words = cause_short(self.posterior.machine.catalogue, name)
             parameters = self.posterior.linearised.candidates[k].parameters

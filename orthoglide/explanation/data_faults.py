@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.explanation.alternative_readings import (
@@ -19,7 +20,7 @@ from orthoglide.explanation.alternative_readings import (
 )
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.change_search import likeliest_changes, with_changes_separate
-from orthoglide.explanation.corrections import with_faults_corrected, without_weight
+from orthoglide.explanation.corrections import with_faults_accounted_for
 from orthoglide.explanation.credible_faults import CredibleFaults, credible_faults
 from orthoglide.explanation.fault_columns import FaultKey
 from orthoglide.explanation.faults import (
@@ -76,7 +77,7 @@ class ReportedFault:
 
     @property
     def excluded(self) -> bool:
-        """True if the rows are not fitted; otherwise they are fitted with a separate datum."""
+        """True if the rows are not fitted; otherwise they are corrected."""
         return self.fault.excluded
 
     def lines(self, tables: Sequence[Readings]) -> dict[str, tuple[int, ...]]:
@@ -223,15 +224,10 @@ def _merge_faults(problem: Problem, faults: Sequence[Fault], new: Sequence[Fault
 def _correct_faults(problem: Problem, faults: Sequence[Fault]) -> Problem:
     """Return the problem with data faults corrected; the problem itself if there is nothing to do.
 
-    Rows of faults other than misreadings get zero weight. So do those of wrong commands, which are
-    corrected nevertheless, because the approach of the next rows depends on them. Prior widths are
-    reset to the tolerances unless there is an earlier calibration, so that faulty readings cannot
-    pull parameters far off. Repeats that differ most do not count for the noise.
+    Prior widths are reset to the tolerances unless there is an earlier calibration, so that faulty
+    readings cannot pull parameters far off. Repeats that differ most do not count for the noise.
     """
-    problem = with_faults_corrected(_with_tolerance_priors(problem), faults)
-    for fault in faults:
-        if fault.excluded and fault.kind not in MISREADING_KINDS:
-            problem = without_weight(problem, fault.rows)
+    problem = with_faults_accounted_for(_with_tolerance_priors(problem), faults)
     outlying = outlying_repeats(problem)
     return with_noise_reestimated(problem, outlying) if faults or outlying.any() else problem
 
@@ -239,12 +235,13 @@ def _correct_faults(problem: Problem, faults: Sequence[Fault]) -> Problem:
 def _report_faults(estimate: Estimate, faults: Sequence[Fault]) -> tuple[ReportedFault, ...]:
     """Return the faults with the decrease of the cost as each is corrected in turn."""
     problem, reported = estimate.problem, list[ReportedFault]()
-    kept, fit, rms = np.ones(len(problem.measured), dtype=bool), estimate, estimate.scores.rms
+    fit, rms = estimate, estimate.scores.rms
     for k, fault in enumerate(faults, 1):
         cost_with, rms_with = fit.scores.chi2 + fit.scores.prior_chi2, rms
-        kept[fault.rows] &= not fault.excluded
+        corrected = with_faults_accounted_for(problem, faults[:k])
         with suppress(NumericsError):  # a machine that closes once all faults are corrected
-            fit = fit_nested(without_weight(with_faults_corrected(problem, faults[:k]), ~kept))
+            fit = fit_nested(corrected)
+        kept = _rows_kept(problem, corrected)
         residual = np.where(kept, fit.residuals, np.nan)
         rms = rms_by_unit(residual, problem.angular).length if kept.any() else 0.0
         reported.append(
@@ -258,9 +255,17 @@ def _report_faults(estimate: Estimate, faults: Sequence[Fault]) -> tuple[Reporte
     return tuple(reported)
 
 
+def _rows_kept(problem: Problem, corrected: Problem) -> NDArray[np.bool_]:
+    """Return the rows ``(n,)`` whose weight the correction of faults leaves."""
+    weighted, left = (
+        np.concatenate([f.noise.weighted for f in one.factors]) for one in (problem, corrected)
+    )
+    return np.asarray(left | ~weighted)
+
+
 def without_faults(problem: Problem, faults: Sequence[Fault]) -> Problem:
-    """Return the problem with faulty rows removed, wrong commands corrected, and knocked, re-zeroed
-    or moved setups split by datum.
+    """Return the problem with data faults corrected, and without the rows that no correction
+    restores.
 
     Prior widths are reset to the tolerances unless there is an earlier calibration. Noise that came
     from repeats is estimated again from the remaining ones.
@@ -268,13 +273,8 @@ def without_faults(problem: Problem, faults: Sequence[Fault]) -> Problem:
     Raises:
         InputError: if no row of a campaign remains.
     """
-    kept = np.ones(len(problem.measured), dtype=bool)
-    for fault in faults:
-        kept[fault.rows] &= not fault.excluded
-    corrected = with_faults_corrected(
-        problem, [f for f in faults if f.kind not in MISREADING_KINDS]
-    )
-    factors = []
+    corrected = with_faults_accounted_for(problem, faults)
+    kept, factors = _rows_kept(problem, corrected), []
     for factor, part in zip(corrected.factors, problem.factor_rows, strict=True):
         if not kept[part].any():
             rows = np.arange(part.start, part.stop)

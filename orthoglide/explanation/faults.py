@@ -25,12 +25,17 @@ Kind = Literal[
 Rows = NDArray[np.int64]
 
 DATUM_KINDS: tuple[Kind, ...] = ("knocked_stand", "zeroed", "moved")
-"""Faults whose rows keep their weight but get a separate datum."""
+"""Faults whose rows get a separate datum."""
 
 MISREADING_KINDS: tuple[Kind, ...] = (
     "sign", "label", "exchanged_labels", "shifted", "unit", "turns", "stuck",
 )  # fmt: skip
 """Faults of which the readings stand for others, with which the search continues."""
+
+EXCLUDED_KINDS: tuple[Kind, ...] = ("outlier", "command", "stuck", "scatter")
+"""Faults of which the true readings are unknown, or the command is known from these readings alone:
+their rows get zero weight. The rows of all others are corrected and keep their weight, because no
+other reading may show what they show."""
 
 _LOCAL_RANGE = 2e-3  # metres: range and size of an error of a drive at one command alone
 _MOST_LINES_LISTED = 12  # lines that a message lists one by one
@@ -58,8 +63,8 @@ class Fault:
 
     @property
     def excluded(self) -> bool:
-        """True if its rows get zero weight; otherwise they get a separate datum."""
-        return self.kind not in DATUM_KINDS
+        """True if its rows get zero weight; otherwise they are corrected."""
+        return self.kind in EXCLUDED_KINDS
 
     @property
     def relabels(self) -> bool:

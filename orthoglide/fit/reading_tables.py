@@ -49,13 +49,19 @@ def fitted_readings(
 
 def row_indices(part: Readings, whole: Readings) -> Numbers:
     """Return the row of each reading of ``part`` within ``whole`` ``(n,)``, matched by line and
-    axis; both are in the order of the file.
+    order, and by axis where a line has several; both are in the order of the file.
+
+    The axis of a dial does not identify its reading, because a wrong label may have been corrected.
     """
-    places: dict[tuple[int, int], deque[int]] = defaultdict(deque)
-    for k, key in enumerate(zip(whole.line.tolist(), whole.axis.tolist(), strict=True)):
+
+    def keys(table: Readings) -> Iterator[tuple[int, int, int]]:
+        axis = table.axis if whole.by_point else np.zeros_like(table.line)
+        return zip(table.line.tolist(), table.order.tolist(), axis.tolist(), strict=True)
+
+    places: dict[tuple[int, int, int], deque[int]] = defaultdict(deque)
+    for k, key in enumerate(keys(whole)):
         places[key].append(k)
-    keys = zip(part.line.tolist(), part.axis.tolist(), strict=True)
-    return np.array([places[key].popleft() for key in keys], dtype=np.int64)
+    return np.array([places[key].popleft() for key in keys(part)], dtype=np.int64)
 
 
 def _mountings(problem: Problem) -> Iterator[Mounting]:
