@@ -22,6 +22,8 @@ def claimed(odds: list[float], free: list[bool]) -> Any:
     groups = tuple(Group(f"g{k}", NONE, np.zeros((0, 1)), f) for k, f in enumerate(free))
     mixture = SimpleNamespace(linear=SimpleNamespace(groups=groups))
 
+    linearised = SimpleNamespace(free_form_errors=())
+
     class Reader(_CredibleSetReader):
         alternatives = SimpleNamespace(probabilities=lambda _: np.array(odds))
 
@@ -31,7 +33,7 @@ def claimed(odds: list[float], free: list[bool]) -> Any:
         def _located(self, member, odds, probability):
             return "located", [k for k, _ in odds], probability
 
-    return Reader(SimpleNamespace(mixture=mixture)).credible_set(0, ())
+    return Reader(SimpleNamespace(mixture=mixture, linearised=linearised)).credible_set(0, ())
 
 
 @pytest.mark.parametrize(

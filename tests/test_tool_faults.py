@@ -56,6 +56,35 @@ def test_an_instrument_that_was_moved_is_told() -> None:
     assert verdict.values["joint_offset.x"] == pytest.approx(0.7e-3, abs=5e-5)
 
 
+@pytest.mark.parametrize("kind", ["ballbar", "plate", "incline"])
+def test_an_instrument_that_drifts_is_one_fault(kind: str) -> None:
+    """It was moved half way, and again before and after; the rest was noise, or a bar."""
+    size, found = 3e-4, read(kind, passes=2)
+    progress = np.arange(len(found)) / (len(found) - 1)
+    verdict = og.close_loop([replace(found, reading=found.reading + size * progress)], MACHINE)
+    (fault,) = verdict.blunders
+    assert (fault.kind, fault.excluded, len(fault.rows_in_request)) == (
+        "drifted",
+        False,
+        len(found),
+    )
+    told = float(fault.message.split("evenly by about ")[1].split()[0]) * 1e-3
+    assert told == pytest.approx(size * np.sqrt(2 if kind == "incline" else 1), rel=0.1)
+    assert verdict.word == "adequate"
+    sound, scores = og.close_loop([found], MACHINE).after.scores, verdict.after.scores
+    rms = scores.rms if kind != "incline" else scores.turn_rms
+    assert rms == pytest.approx(sound.rms if kind != "incline" else sound.turn_rms, rel=0.2)
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_plate_that_was_moved_did_not_drift(seed: int) -> None:
+    """Until the noise is known a drift fits as well: it was reported beside the move."""
+    found = read("plate", seed=seed, passes=2)
+    late = np.arange(len(found)) >= 0.6 * len(found)
+    verdict = og.close_loop([replace(found, reading=found.reading + 2e-4 * late)], MACHINE)
+    assert [fault.kind for fault in verdict.blunders] == ["moved"]
+
+
 def test_what_moved_and_is_given_as_another_setup_is_nothing_wrong() -> None:
     """As the sentence says."""
     campaign, first = moved(3e-4)

@@ -8,7 +8,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.explanation.faults import DATUM_KINDS, MISREADING_KINDS, Fault, Rows, split_by_datum
+from orthoglide.explanation.faults import (
+    DATUM_KINDS,
+    MISREADING_KINDS,
+    Fault,
+    Rows,
+    factors_and_rows,
+    setups_of,
+    split_by_datum,
+)
 from orthoglide.fit import Problem
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
@@ -57,11 +65,21 @@ def _with_fault_corrected(problem: Problem, fault: Fault) -> Problem:
             measured[rows] = measured[np.roll(rows, -1 if late else 1)]
             lost = rows[[-1 if late else 0]]
             return without_weight(_with_readings(problem, measured), lost)
-        case "turns":
+        case "turns" | "drifted":
             measured[rows] -= np.array(fault.sizes)
         case "sign" | "unit":
             measured[rows] *= fault.size
-    return _with_readings(problem, measured)
+    problem = _with_readings(problem, measured)
+    return _with_rate_free(problem, fault) if fault.kind == "drifted" else problem
+
+
+def _with_rate_free(problem: Problem, fault: Fault) -> Problem:
+    """Return the problem with a free rate of an instrument that drifts: it was estimated."""
+    factors, (k, _) = list(problem.factors), factors_and_rows(problem, fault.rows)[0]
+    (setup,) = setups_of(problem, fault)
+    name = problem.setups[setup].name
+    factors[k] = replace(factors[k], drifting=(*factors[k].drifting, name))
+    return replace(problem, factors=tuple(factors))
 
 
 def _with_readings(problem: Problem, measured: Array) -> Problem:

@@ -106,7 +106,7 @@ class _CredibleSetReader:
     def _errors(self) -> dict[int, FreeForm]:
         """The free-form errors by the index of their group."""
         by_name = {error.name: error for error in self.posterior.linearised.free_form_errors}
-        return {k: by_name[g.name] for k, g in enumerate(self.groups) if g.free_form}
+        return {k: by_name[g.name] for k, g in enumerate(self.groups) if g.name in by_name}
 
     @cached_property
     def alternatives(self) -> Alternatives:

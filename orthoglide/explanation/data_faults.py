@@ -203,14 +203,19 @@ def _find_misreading(
 
 
 def _merge_faults(problem: Problem, faults: Sequence[Fault], new: Sequence[Fault]) -> list[Fault]:
-    """Return all faults but those in setups that a new misreading covers, to search them again.
+    """Return all faults but those that a new fault may replace, to search them again: those in
+    setups that a misreading covers, and drifts of an instrument that was moved.
 
     A wrong sign or label is extended to all rows of its setups in the original problem.
     """
     setup, merged = problem.setup_of_row, list[Fault]()
     misread_setups = [set(setups_of(problem, f)) for f in new if f.kind in MISREADING_KINDS]
+    # Until its noise is known, a drift fits an instrument that was moved.
+    moved_setups = [setups_of(problem, f) for f in new if f.kind == "moved"]
     for fault in faults:
         setups = set(setups_of(problem, fault))
+        if fault.kind == "drifted" and list(setups) in moved_setups:
+            continue
         if fault.kind == "command" or not any(setups <= misread for misread in misread_setups):
             merged.append(fault)
     for fault in new:

@@ -1,5 +1,5 @@
 """Faults of the data as columns: a slip, a stand that was knocked, a dial set to zero anew, an
-instrument that was moved, a wrong command.
+instrument that was moved or drifts, a wrong command.
 
 Each adds columns to the linear model as a cause of the machine does, and one search selects both.
 """
@@ -85,6 +85,9 @@ class FaultColumns:
         sizes = mean * self.unit
         if self.fault.kind == "zeroed":
             return replace(self.fault, sizes=tuple(sizes.tolist()))
+        if self.fault.kind == "drifted":
+            excess = tuple((self.columns @ mean).tolist())
+            return replace(self.fault, size=float(np.linalg.norm(sizes)), sizes=excess)
         return replace(
             self.fault, size=float(sizes[0] if len(sizes) == 1 else np.linalg.norm(sizes))
         )
@@ -111,6 +114,7 @@ def fault_columns(
         *_slips(problem),
         *_slips_at_every_visit(problem),
         *_shifts(problem, linearised.reading_poses),
+        *_drifts(problem, linearised.reading_poses),
         *_zeroings(problem),
         *_wrong_commands(problem, by_command, corrected),
     ]
@@ -167,6 +171,21 @@ def _shifts(problem: Problem, reading_poses: tuple[ReadingPoses, ...]) -> Iterat
         ]  # fmt: skip
         for cut in cuts[:: max(len(cuts) // _MOST_SHIFTS, 1)]:
             yield Fault(kind, rows[cut:]), columns[cut:], 1.0
+
+
+def _drifts(problem: Problem, reading_poses: tuple[ReadingPoses, ...]) -> Iterator[Candidate]:
+    """Yield a drift of each instrument at the tool: its nuisances change evenly over its readings.
+
+    Dials have an effect of the catalogue for it.
+    """
+    progress = np.concatenate([f.progress for f in problem.factors])
+    first = len(problem.leg_setups)
+    for number, (_, factor, _, setup) in enumerate(problem.iter_tool_setups(), first):
+        rows = weighted_rows(problem, number)
+        if len(rows) and setup.name not in factor.drifting:
+            columns = _instrument_columns(problem, rows, reading_poses)
+            if len(rows) > 2 * columns.shape[1]:  # which determine both, the nuisances and rates
+                yield Fault("drifted", rows), columns * progress[rows, None], 1.0
 
 
 def _instrument_columns(

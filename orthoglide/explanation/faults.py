@@ -20,7 +20,7 @@ from orthoglide.units import UNIT_MISTAKES
 
 Kind = Literal[
     "outlier", "knocked_stand", "zeroed", "command", "sign", "label", "exchanged_labels", "shifted",
-    "unit", "turns", "stuck", "scatter", "moved",
+    "unit", "turns", "stuck", "scatter", "moved", "drifted",
 ]  # fmt: skip
 Rows = NDArray[np.int64]
 
@@ -56,7 +56,8 @@ class Fault:
     size: float = 0.0
     label: tuple[int, int] = (0, 0)  # wrong label: the leg and axis that fit
     drive: int | None = None  # whose command is wrong: by size, the commanded less the written
-    # zeroed: each datum less that of the first repeat, metres; turns: excess of each row, metres
+    # zeroed: each datum less that of the first repeat, metres; turns, drifted: excess of each row,
+    # metres or radians
     sizes: tuple[float, ...] = ()
     # what the readings do not rule out either: other drives, and a fault of another kind
     alternatives: tuple[Fault, ...] = ()
@@ -213,6 +214,15 @@ def _clause(problem: Problem, fault: Fault) -> str:
                 f"from here on the same places read about {size} otherwise than before, as if the "
                 f"instrument, or what it stands on, had been moved, or drifted: give the rows from "
                 f"there on a setup name of their own, as is done here, or measure the setup again"
+                f"{_lost_motion_clause(problem, fault)}"
+            )
+        case "drifted":
+            *_, setup = _readings_and_setup(problem, fault)
+            size = f"{compact(fault.size * 1e3, 2)} {setup.observation.unit}"
+            return (
+                f"from the first of these readings to the last, what the same places read changes "
+                f"evenly by about {size}, as if the instrument, or what it stands on, crept or "
+                f"warmed: its rate is fitted here; let it settle and measure the setup again"
                 f"{_lost_motion_clause(problem, fault)}"
             )
         case "stuck":

@@ -42,6 +42,7 @@ class Factor(MeasurementModel):
     noise: RowNoise
     instrument_priors: InstrumentPriors  # of placements
     exclusion_sentences: tuple[str, ...] = ()  # one for each outlying touch that was excluded
+    drifting: tuple[str, ...] = ()  # mountings whose nuisances change evenly over their readings
 
     @classmethod
     def from_readings(
@@ -92,6 +93,19 @@ class Factor(MeasurementModel):
     def setup_names(self) -> tuple[str, ...]:
         """Names of the mountings."""
         return tuple(s.name for s in self.readings.setups)
+
+    @cached_property
+    def progress(self) -> Array:
+        """Progress of each row within its mounting ``(n,)``, from -0.5 at the first reading to 0.5
+        at the last: of the time if all rows have one, else of the order.
+        """
+        timed = np.isfinite(self.readings.time).all()
+        moments = np.asarray(self.readings.time if timed else self.readings.order, dtype=float)
+        progress = np.zeros(len(moments))
+        for rows in (self.setup == k for k in np.unique(self.setup)):
+            elapsed = moments[rows] - moments[rows].min()
+            progress[rows] = elapsed / max(float(elapsed.max()), 1e-9) - 0.5
+        return progress
 
     @property
     def sigma(self) -> Array:
@@ -219,8 +233,9 @@ class Factor(MeasurementModel):
                     if index < len(columns):
                         columns[index] = columns[index] + column
                         continue
-                columns.append(column)
-                sd.append(float(setup_sd[j]))
+                drifts = setup.name in self.drifting
+                columns += [column, column * self.progress] if drifts else [column]
+                sd += [float(setup_sd[j])] * (1 + drifts)
         return NuisanceBlock(np.array(columns).reshape(-1, n).T, np.array(sd))
 
     # Its noise -----------------------------------------------------------------------------

@@ -31,6 +31,7 @@ FAULT_NAMES = {
     "stuck": "a dial that stuck",
     "scatter": "visits that do not repeat",
     "moved": "an instrument that was moved",
+    "drifted": "an instrument that drifted",
 }
 """Kinds of data faults as noun phrases."""
 
