@@ -112,6 +112,14 @@ class Printer(Protocol):
         from mechanical zero of the machine file.
         """
 
+    @property
+    def meshes_relative(self) -> bool:
+        """Whether the firmware subtracts the height at one place from every list of touches."""
+
+    @property
+    def changed_since(self) -> tuple[str, ...]:
+        """What was moved or changed since the firmware's own calibration, in sentences."""
+
     def objection(self, geometry: Any) -> tuple[str, ...]:
         """Return why dimensions contradict the numbers, and the path of the key of the machine file
         to blame; empty if they agree.
@@ -122,9 +130,6 @@ class Printer(Protocol):
 
     def imported(self, names: Collection[str]) -> Iterator[Note]:
         """Yield remarks of the import on readings of these names."""
-
-    def cautions(self, readings: Sequence[Any]) -> Iterator[Note]:
-        """Yield reasons not to use these readings of the tool together."""
 
     def assumptions(self, machine: Any, causes: Sequence[Any]) -> Iterator[Note]:
         """Yield assumptions of the import on which the causes depend."""

@@ -165,6 +165,40 @@ def test_a_log_gives_its_touches_alone(tmp_path: Path) -> None:
     assert len(second) == 4
 
 
+@pytest.mark.parametrize(
+    ("radius", "tilt", "told"),
+    [(0.0, 0.0, ""), (5.0, 0.0, "are not of one plate"), (0.0, 8e-3, "its rim rises by 0.4")],
+)
+def test_lists_that_contradict_each_other_are_told(
+    radius: float, tilt: float, told: str, tmp_path: Path
+) -> None:
+    """Of another firmware's lists nothing was said; their heights have no common zero."""
+    spec = MACHINE.kinematics
+    assert spec is not None
+    other = replace(spec, sphere_centres_at_zero=spec.sphere_centres_at_zero * (1 + radius / 105))
+    side = np.linspace(-0.05, 0.05, 5)
+    x, y = (axis.ravel() for axis in np.meshgrid(side, side))
+    noise = np.random.default_rng(0).normal(0, 2e-5, (2, 25))
+    travel = spec.travel(np.column_stack([x, y, 0 * x]))
+    bent = other.places(travel)[:, 2]
+    lists = ("", "G29\n")
+    heights = (noise[0], 0.02 + bent + tilt * x + noise[1])
+    lines = "".join(
+        head + "".join(
+            f"Bed X: {a * 1e3:.3f} Y: {b * 1e3:.3f} Z: {c * 1e3:.4f}\n"
+            for a, b, c in zip(x, y, z, strict=True)
+        ) for head, z in zip(lists, heights, strict=True)
+    )  # fmt: skip
+    found = listed(tmp_path, lines)
+    assert len(found.campaigns) == 2
+    assert bool(found.together) == (not told)
+    verdict = og.close_loop(list(found.campaigns), og.Machine(MACHINE))
+    for texts in (found.apart, verdict.cautions):
+        assert [told in text for text in texts] == [True] * bool(told)
+    assert str(verdict).startswith("points-2.csv and points-1.csv are not of" if told else "")
+    assert ("Nothing is wrong" in str(verdict)) == (not told)
+
+
 def test_height_maps_of_older_versions_and_with_gaps(tmp_path: Path) -> None:
     head = "RepRapFirmware height map file v1 generated at 2017-04-09 17:01, mean error 0.1\n"
     sizes = (

@@ -60,6 +60,24 @@ def test_what_import_says_is_said_of_results(tmp_path: Path) -> None:
     assert far in verdict.machine.spec.provenance["klipper"]["warnings"]
 
 
+@pytest.mark.parametrize("names", [["calibration", "mesh-default"], ["calibration"]])
+def test_endstops_that_moved_since_the_calibration_are_the_finding(
+    names: list[str], tmp_path: Path
+) -> None:
+    """It was a note beside "Nothing is wrong", and numbers were advised."""
+    found = imported(tmp_path, higher(T1.read_text(), 0.5))
+    assert found.together == ("calibration", "mesh-default")  # of one shape
+    (note,) = found.apart
+    assert re.search(r"the plate of mesh-default.csv lies 0\.\d+ mm higher than", note)
+    read = [c for c in found.campaigns if c.name in names]
+    verdict = close_loop(read, Machine(found.machine))
+    assert str(verdict).split()[:2] == note.split()[:2]
+    assert " ".join(str(verdict).split()).count(note[:-30]) == 1 + (len(names) == 1)
+    assert "Nothing is wrong" not in str(verdict)
+    assert verdict.actions[0].words.startswith("Run DELTA_CALIBRATE")
+    assert not any(action.kind == "zeros" for action in verdict.actions)
+
+
 # Lines above the header of SAVE_CONFIG ------------------------------------------------------------
 
 

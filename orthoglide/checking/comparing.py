@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.checking.plates import PlateMove, plate_moves
+from orthoglide.checking.plates import plate_moves
 from orthoglide.checking.states import State, joint_request, read_states, with_distinct_names
 from orthoglide.closing import RunOutcome, build_result, compute_outcome
 from orthoglide.explanation.change import COLUMNS, Change, sigma_of_difference
@@ -19,6 +19,7 @@ from orthoglide.fit import Problem, assemble, solve
 from orthoglide.fit.unknowns import Unknown, join_unknowns
 from orthoglide.frames import Framed
 from orthoglide.machine import Machine, MachineSource
+from orthoglide.observations.touched_plates import PlateMove
 from orthoglide.ordering import ranked
 from orthoglide.parameters import Parameter
 from orthoglide.progress import Progress, Step, no_progress

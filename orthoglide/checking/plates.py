@@ -8,44 +8,15 @@ of the machine: these readings cannot tell which.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from orthoglide.fit import Problem
 from orthoglide.geometry import Array, plane_columns
-from orthoglide.numerals import plain
+from orthoglide.observations.touched_plates import LEAST_MOVE, PlateMove
 
 _SIGNIFICANT_SIGMAS = 3.0
-_LEAST_MOVE = 1e-4
-"""Smallest move that is reported on a machine of usual size, metres: the thickness of paper."""
-
 _FEWEST_TOUCHES = 4  # touches: one more than a plane has unknowns
-
-
-@dataclass(frozen=True)
-class PlateMove:
-    """A plate that lies elsewhere than at the visit before, at equal commands."""
-
-    setup: str  # name of the setup that touched it
-    higher: float  # rise of its middle, metres; 0 if insignificant
-    rise: float  # largest rise of its rim beyond that, metres; 0 if insignificant
-    toward: float  # direction of that, degrees from x toward y
-
-    @property
-    def words(self) -> str:
-        """Clause with direction and size of the move, without a cause."""
-        clauses = []
-        if self.higher:
-            size = plain(abs(self.higher) * 1e3, 2)
-            clauses.append(f"lies {size} mm {'higher' if self.higher > 0 else 'lower'} than before")
-        if self.rise:
-            size, where = plain(self.rise * 1e3, 2), f"{self.toward:.0f} degrees"
-            clauses.append(
-                f"is tilted against before: its rim rises by {size} mm toward {where} (x is 0, "
-                f"y is 90)"
-            )
-        return f"at equal commands the plate of {self.setup} {' and '.join(clauses)}"
 
 
 def plate_moves(
@@ -65,7 +36,7 @@ def plate_moves(
     values = problem.values(first, x)
     # The last campaign of a visit shows the state that it leaves.
     old, new = (dict(_touches(problem, values, names)) for names in (before, after))
-    least = _LEAST_MOVE * problem.machine.geometry.scale
+    least = LEAST_MOVE * problem.machine.geometry.scale
     moves = (_move(name, old[name], new[name], least) for name in old if name in new)
     return tuple(move for move in moves if move.higher or move.rise)
 

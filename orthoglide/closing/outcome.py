@@ -20,6 +20,7 @@ from orthoglide.fit import Estimate
 from orthoglide.machine import Machine
 from orthoglide.numerals import distinct_figures
 from orthoglide.observations import Readings
+from orthoglide.observations.touched_plates import disagreements
 from orthoglide.result import (
     BudgetItem,
     CandidateScore,
@@ -35,6 +36,7 @@ from orthoglide.result import (
     TcpErrors,
     Word,
 )
+from orthoglide.text import sentence
 
 if TYPE_CHECKING:
     from orthoglide.planning import Suggestion
@@ -212,22 +214,35 @@ class RunOutcome(Judged):
     @property
     def cautions(self) -> tuple[str, ...]:
         """Reasons not to act on the result, a sentence each."""
-        printer = self.request.machine.spec.printer
-        notes = printer.cautions(self.request.points) if printer else ()
-        reasons = [f"{note}." for note in notes]
+        reasons = list(self._disagreements)
         if self.word == "partial":
             reasons.append(
                 "What was found explains only part of what is wrong, and may stand in for "
                 "something that is not in the catalogue: do not act on it, nor put its numbers in "
                 "a controller, before it is confirmed."
             )
-        if self.contradicted:
-            reasons.append(self.contradicted)
-        return tuple(reasons)
+        return (*reasons, *filter(None, [self.contradicted] * (self.contradicted not in reasons)))
+
+    @cached_property
+    def _disagreements(self) -> tuple[str, ...]:
+        """How lists of touches contradict each other, one by one; without what the firmware's
+        add-on states on import.
+        """
+        spec = self.request.machine.spec
+        if spec.kinematics is None:
+            return ()
+        relative = spec.printer is None or spec.printer.meshes_relative
+        found = disagreements(spec.kinematics, self.request.points, relative=relative)
+        known = () if spec.printer is None else spec.printer.changed_since
+        return tuple(text for *_, note in found if (text := sentence(note)) not in known)
 
     @property
     def contradicted(self) -> str:
-        """How readings or points held out contradict the result, a sentence; else empty."""
+        """How readings contradict each other, or how readings or points held out contradict the
+        result; else empty.
+        """
+        if self._disagreements:
+            return self._disagreements[0]
         hold_out, tcp = self.hold_out, None if self.tcp is None else self.tcp["translation"]
         threshold = self.before.problem.noise.typical / 2  # a smaller difference is not measurable
         if tcp is not None and tcp.after_mean > tcp.before_mean + threshold:

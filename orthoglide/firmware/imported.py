@@ -46,7 +46,7 @@ class Imported:
     @property
     def apart(self) -> tuple[Note, ...]:
         """Notes on campaigns that are not of one plate and one set of numbers."""
-        return tuple(note for note in self.notes if note.kind == "apart")
+        return tuple(note for note in self.notes if note.kind in ("apart", "moved"))
 
 
 @dataclass(frozen=True, eq=False)

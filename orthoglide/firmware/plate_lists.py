@@ -31,6 +31,7 @@ from orthoglide.instruments import PlateTouch
 from orthoglide.machine_file import AnyMachine, DeltaKinematics, MachineFile, machine_file_of
 from orthoglide.notes import Note
 from orthoglide.observations.schema import APPROACH, PLACE, TEMPERATURE
+from orthoglide.observations.touched_plates import disagreements
 from orthoglide.text import printable_path
 
 _MAX_FROM_MEDIAN = 20.0  # millimetres: no plate has heights further from the median of all
@@ -81,8 +82,9 @@ def import_plates(path: str | os.PathLike[str], machine_file: AnyMachine) -> Imp
                             [touch.line for touch in touches], printable_path(path))
         for name, touches in zip(names, lists, strict=True)
     )  # fmt: skip
-    notes = tuple(_notes(lists, touch_lists, printable_path(path)))
-    return Imported(machine, campaigns, notes, tuple(names))
+    differing = list(disagreements(kinematics, campaigns, relative=True))
+    notes = (*_notes(lists, touch_lists, printable_path(path)), *(note for *_, note in differing))
+    return Imported(machine, campaigns, notes, () if differing else tuple(names))
 
 
 def _distinct(touch_lists: TouchLists) -> Iterator[list[Touch]]:

@@ -100,7 +100,9 @@ def finding_text(result: Result) -> str:
         )
     if result.nominal.rms < _NO_RESIDUAL:
         return NOTHING_SHOWN
-    nothing = "Nothing else is" if result.changed or first else "Nothing is"
+    again = "" if result.firmware is None else result.firmware.again
+    is_first = not (result.changed or first or result.contradicted or again)
+    nothing = "Nothing is" if is_first else "Nothing else is"
     base = base_effects(result)
     return f"{first}{nothing} wrong that these readings could show beyond the {base}."
 

@@ -24,7 +24,7 @@ from orthoglide.geometry import Geometry
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import DeltaKinematics
 from orthoglide.notes import Note
-from orthoglide.observations import Readings
+from orthoglide.text import sentence
 
 _CALIBRATE_FIRST = (
     "Run DELTA_CALIBRATE and SAVE_CONFIG, probe the mesh again and import the new file, before any "
@@ -36,7 +36,7 @@ _TOUCH_ADVICE = (
 _FIRMWARE_NUMBERS = "three endstops, one radius, three angles and three arms"
 _EQUAL_ARMS = 1.5e-4  # metres from the stored arms: less than half of the spread
 _ROUNDING = 2e-6  # metres by which lengths of the file may be rounded
-_DISAGREEING_FILES = re.compile(r"(\S+)\.csv and (\S+)\.csv are not of one plate")
+_FILE = re.compile(r"(\S+)\.csv\b")
 _ASSUMED_SIZES = {
     "r": "the effector's radius",
     "d": "the distance of an arm's two rods",
@@ -63,6 +63,12 @@ class Printer:
     def calibrate_again(self) -> bool:
         """Whether the firmware's own calibration is to be run again before anything is entered."""
         return bool(self.table.get(provenance.CALIBRATE_AGAIN_KEY))
+
+    @property
+    def changed_since(self) -> tuple[str, ...]:
+        """What was moved or changed since the calibration, in sentences."""
+        texts = self.table.get(provenance.CHANGED_KEY)
+        return tuple(sentence(t) for t in texts) if isinstance(texts, list) else ()
 
     @property
     def kinematics(self) -> DeltaKinematics:
@@ -119,23 +125,15 @@ class Printer:
         """Yield the remarks of the import for a result of readings of these names.
 
         A remark that two campaigns disagree is kept only if one of them was read without the other:
-        where both are read, `cautions` finds it again.
+        where both are read, it is found again.
         """
         warnings = self.table.get(provenance.WARNINGS_KEY)
         for text in warnings if isinstance(warnings, list) else ():
+            files = _FILE.findall(text) if isinstance(text, str) else []
             if isinstance(text, str) and (
-                (pair := _DISAGREEING_FILES.match(text)) is None
-                or (pair[1] in names) != (pair[2] in names)
+                len(files) < 2 or (files[0] in names) != (files[1] in names)
             ):
                 yield Note(text, "imported")
-
-    def cautions(self, readings: Sequence[Any]) -> Iterator[Note]:
-        """Yield a note on each list of readings that is of another plate or other numbers."""
-        campaigns = [c for c in readings if isinstance(c, Readings)]
-        pairs = provenance.disagreements(
-            self.numbers, campaigns, meshes_relative=self.meshes_relative
-        )
-        yield from (note for _, _, note in pairs)
 
     def assumptions(self, machine: Any, causes: Sequence[Any]) -> Iterator[Note]:
         """Yield a note on sizes that were assumed on import and not changed, if a cause depends on
@@ -179,7 +177,8 @@ class Printer:
     ) -> Section:
         """Return the report's section on a calibrated machine."""
         again = _CALIBRATE_FIRST if self.calibrate_again else ""
-        first = " ".join(filter(None, (again, self.doubts(calibrated))))
+        reasons = self.changed_since or (again,)
+        first = " ".join(filter(None, (*reasons, self.doubts(calibrated))))
         catalogue, numbers = given.catalogue, dict[str, Any]()
         beyond = tuple(
             f"{c.words}: {c.confirm or f'look at {c.look_at}'}" for c in causes

@@ -29,6 +29,9 @@ pillars is subtracted, and pillars differ by a tenth of a millimetre."""
 CALIBRATE_NOTE = "calibrate"
 """Kind of a note that the firmware's own calibration has to be run again."""
 
+CHANGED_NOTE = "changed"
+"""Kind of a note on what was changed in the file since that calibration."""
+
 PROBE_SECTIONS = (
     "probe", "bltouch", "smart_effector", "load_cell_probe", "probe_eddy_current", "beacon",
     "cartographer", "scanner", "dockable_probe",

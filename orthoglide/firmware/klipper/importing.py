@@ -20,6 +20,7 @@ from orthoglide.firmware.klipper.config import BROKEN_HEADER, Config, read_confi
 from orthoglide.firmware.klipper.heights import (
     CALIBRATE_NOTE,
     CALIPER_REPEATABILITY,
+    CHANGED_NOTE,
     probe_section,
     stored_readings,
 )
@@ -30,6 +31,7 @@ from orthoglide.instruments import Distance, PlateTouch
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import Instrument, MachineFile, ParameterValue
 from orthoglide.observations import Readings
+from orthoglide.observations.touched_plates import disagreements
 from orthoglide.text import printable_path
 
 PLATFORM_RADIUS, ROD_DISTANCE, NOZZLE_DROP = 0.032, 0.050, 0.040
@@ -83,13 +85,23 @@ def _imported(config: Config, turned: Mapping[str, float]) -> Imported:
     if not campaigns:
         raise _no_readings_error(config)
     relative = any(key in config.section_or_empty("bed_mesh") for key in _ZERO_REFERENCE_KEYS)
-    disagreeing = list(provenance.disagreements(numbers, campaigns, meshes_relative=relative))
+    kinematics = numbers.kinematics(numbers.zero)
+    differing = list(disagreements(kinematics, campaigns, relative=relative))
+    # The heights of the calibration are valid for any numbers: a mesh that lies elsewhere, with the
+    # same shape, tells as much of all but the endstops.
+    since = [
+        n for _, other, n in differing if other == provenance.CALIBRATION and n.kind == "moved"
+    ]
+    apart = [(name, other) for name, other, note in differing if note not in since]
+    is_known = all(other == provenance.CALIBRATION for _, other in apart)
+    excluded = {name for name, _ in apart}
     _add_notes(config, numbers, campaigns, relative)
-    notes = [*config.notes, *(note for _, _, note in disagreeing)]
+    notes = [*config.notes, *(note for _, _, note in differing)]
     ordered = sorted(dict.fromkeys(notes), key=lambda note: note.kind not in ("twice", "rods"))
     unrepeated = (*_UNREPEATED_NOTES, BROKEN_HEADER)
     warnings = [printable_path(note) for note in ordered if note.kind not in unrepeated]
-    calibrate_again = any(note.kind == CALIBRATE_NOTE for note in ordered)
+    since += [note for note in ordered if note.kind == CHANGED_NOTE]
+    calibrate_again = bool(since) or any(note.kind == CALIBRATE_NOTE for note in ordered)
     table: dict[str, Any] = {
         "file": Path(config.file).name,
         "sha256": config.sha256,
@@ -98,13 +110,12 @@ def _imported(config: Config, turned: Mapping[str, float]) -> Imported:
         provenance.MESHES_RELATIVE_KEY: relative,
         **({provenance.WARNINGS_KEY: warnings} if warnings else {}),
         **({provenance.CALIBRATE_AGAIN_KEY: True} if calibrate_again else {}),
+        **({provenance.CHANGED_KEY: [printable_path(n) for n in since]} if since else {}),
         provenance.ASSUMED_KEY: {
             "r": PLATFORM_RADIUS * 1e3, "d": ROD_DISTANCE * 1e3, "tool_below": NOZZLE_DROP * 1e3,
         },
     }  # fmt: skip
     machine = replace(machine, provenance={provenance.FIRMWARE_NAME: table})
-    is_known = all(other == provenance.CALIBRATION for _, other, _ in disagreeing)
-    excluded = {name for name, *_ in disagreeing}
     together = tuple(c.name for c in campaigns if is_known and c.name not in excluded)
     return Imported(machine, tuple(campaigns), tuple(ordered), together)
 

@@ -1,0 +1,152 @@
+"""Lists of touches: whether they are of one plate that lies where it lay.
+
+The place and the height of a touch are those of a delta's controller: lists are compared at places
+that both touched, whatever the machine's errors are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orthoglide.geometry import Array, fit_plane, plane_columns
+from orthoglide.machine_file import DeltaKinematics
+from orthoglide.notes import Note
+from orthoglide.numerals import plain
+from orthoglide.observations.readings import Readings
+
+LEAST_MOVE = 1e-4
+"""Smallest move that is reported on a machine of usual size, metres: the thickness of paper."""
+
+_MAX_DIFFERENCE, _MAX_SLOPE, _MAX_SHAPE = 2e-4, 1e-4, 5e-5
+"""Metres by which two lists may differ at three quarters of the places that both touched: in
+height, and with many places by a slope and by a smooth shape. Of 17 pairs on owners' printers,
+probed warm and cold, none does by more than 0.11, 0.036 and 0.015 mm. A quarter may differ by more,
+because one wrong touch of seven is told only if it stays beside a list that contradicts it."""
+_MIN_COMMON_PLACES = 4  # places that establish a difference
+_MIN_SMOOTHED = 12  # places for a surface of second order, of six unknowns, without their noise
+
+
+@dataclass(frozen=True)
+class PlateMove:
+    """A plate that lies elsewhere than in other readings, at equal commands."""
+
+    setup: str  # name of the readings that touched it
+    higher: float  # rise of its middle, metres; 0 if insignificant
+    rise: float  # largest rise of its rim beyond that, metres; 0 if insignificant
+    toward: float  # direction of that, degrees from x toward y
+    reference: str = "before"  # what it is compared with, a phrase
+
+    @property
+    def words(self) -> str:
+        """Clause with direction and size of the move, without a cause."""
+        clauses = []
+        if self.higher:
+            size, side = plain(abs(self.higher) * 1e3, 2), "higher" if self.higher > 0 else "lower"
+            clauses.append(f"lies {size} mm {side} than {self.reference}")
+        if self.rise:
+            size, where = plain(self.rise * 1e3, 2), f"{self.toward:.0f} degrees"
+            clauses.append(
+                f"is tilted against {self.reference}: its rim rises by {size} mm toward {where} (x "
+                f"is 0, y is 90)"
+            )
+        return f"at equal commands the plate of {self.setup} {' and '.join(clauses)}"
+
+
+def disagreements(
+    kinematics: DeltaKinematics, campaigns: Sequence[Readings], *, relative: bool
+) -> Iterator[tuple[str, str, Note]]:
+    """Yield the names of two lists of touches whose heights differ at common places, and a note.
+
+    Its kind is ``moved`` if the difference is a plane: both show one plate, which lies elsewhere.
+    Else it is ``apart``: the plate or the firmware's numbers are others.
+
+    Args:
+        kinematics: of the controller.
+        campaigns: readings; each list is compared with those before it.
+        relative: whether the heights of a list have no common zero with those of another.
+    """
+    agreed = list[Readings]()
+    for campaign in campaigns:
+        for other in agreed:
+            places, difference = _differences(kinematics, campaign, other, relative)
+            if note := _note(campaign.name, other.name, places, difference):
+                yield campaign.name, other.name, note
+                break
+        else:
+            agreed.append(campaign)
+
+
+def _note(name: str, other: str, places: Array, difference: Array) -> Note | None:
+    """Return a note on two lists whose heights differ; ``None`` if they agree."""
+    if not len(difference):
+        return None
+    centred = places - places.mean(axis=0)
+    (height, *slope), shape = fit_plane(centred, difference)
+    differs = _quantile(difference) > _MAX_DIFFERENCE
+    if len(difference) >= _MIN_SMOOTHED:
+        x, y = centred.T
+        columns = np.column_stack([plane_columns(centred), x**2, x * y, y**2])
+        shape = columns @ np.linalg.lstsq(columns, shape, rcond=None)[0]
+        differs |= _quantile(centred @ slope) > _MAX_SLOPE or _quantile(shape) > _MAX_SHAPE
+    if not differs:
+        return None
+    told = (
+        f"{name}.csv and {other}.csv are not of one plate and one set of numbers: at a quarter of "
+        f"the places that both touched, their heights differ by {_quantile(difference) * 1e3:.2f} "
+        f"mm or more"
+    )
+    if _quantile(shape) > _MAX_SHAPE:
+        return Note(
+            f"{told}. Leave the older of the two out, or probe it again; of a plate that was "
+            f"turned say by how much (turned_deg, or --turned NAME=DEGREES on import)",
+            "apart",
+        )
+    rise = float(np.hypot(*slope) * np.ptp(places, axis=0).max() / 2)
+    toward = float(np.degrees(np.arctan2(slope[1], slope[0]))) % 360
+    higher, rise = (v if abs(v) > LEAST_MOVE else 0.0 for v in (float(height), rise))
+    move = PlateMove(f"{name}.csv", higher, rise, toward, "that of the other")
+    return Note(
+        f"{told}; {move.words}. An endstop, a screw of the plate or the probe was moved between "
+        f"them, or a number was changed: set the endstops anew, by the calibration of the "
+        f"firmware itself, and touch the plate again",
+        "moved",
+    )
+
+
+def _differences(
+    kinematics: DeltaKinematics, campaign: Readings, other: Readings, relative: bool
+) -> tuple[Array, Array]:
+    """Return common places ``(n, 2)`` of two lists and by how much the plate of the first is
+    higher there ``(n,)``, metres; empty if they are too few, or the plate was turned between them.
+    """
+    from scipy.interpolate import LinearNDInterpolator  # which is slow to load
+
+    few, many = sorted((campaign, other), key=lambda c: int(c.touching.sum()))
+    turns = [c.turned_by[c.touching].max(initial=0.0) for c in (campaign, other)]
+    if turns[0] != turns[1] or not few.touching.any():
+        return np.empty((0, 2)), np.empty(0)
+    (p, low), (q, high) = (_touched_heights(kinematics, c) for c in (few, many))
+    if np.linalg.matrix_rank(plane_columns(q), tol=1e-3) < 3:
+        return np.empty((0, 2)), np.empty(0)
+    q, first = np.unique(np.round(q, 5), axis=0, return_index=True)
+    difference = (low - LinearNDInterpolator(q, high[first])(p)) * (1 if few is campaign else -1)
+    common = np.isfinite(difference)
+    if common.sum() < _MIN_COMMON_PLACES:
+        return np.empty((0, 2)), np.empty(0)
+    p, difference = p[common], difference[common]
+    return p, difference - np.median(difference) * relative
+
+
+def _quantile(difference: Array) -> float:
+    """Return the size that a quarter of the differences of heights exceed, metres."""
+    return float(np.quantile(np.abs(difference), 0.75)) if len(difference) else 0.0
+
+
+def _touched_heights(kinematics: DeltaKinematics, campaign: Readings) -> tuple[Array, Array]:
+    """Return places ``(n, 2)`` of touches and heights of the plate there ``(n,)``, metres."""
+    rows = campaign.touching
+    p = kinematics.places(campaign.command[rows])
+    return p[:, :2], p[:, 2] - campaign.reading[rows]
