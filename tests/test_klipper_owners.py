@@ -78,6 +78,28 @@ def test_endstops_that_moved_since_the_calibration_are_the_finding(
     assert not any(action.kind == "zeros" for action in verdict.actions)
 
 
+@pytest.mark.parametrize(
+    ("file", "share", "told"),
+    [(T1, 0.98, "heights of"), (V400, 0.995, "heights and distances of"), (V400, 1.25, "heights")],
+)
+def test_a_rotation_distance_that_was_changed_since_is_told(
+    file: Path, share: float, told: str, tmp_path: Path
+) -> None:
+    """It was told as endstops that moved, and the distances made other rods of it."""
+    turn = re.compile(r"(rotation_distance *[:=] *)([\d.]+)")
+    text = turn.sub(lambda m: f"{m[1]}{float(m[2]) * share:.6f}", file.read_text())
+    sound, found = imported(tmp_path, file.read_text()), imported(tmp_path, text)
+    (note,) = (n for n in found.notes if n.kind == "changed")
+    assert note.startswith(f"the {told}")
+    size, was = re.search(r"are (\S+) % .* of (\S+) mm:", note).groups()
+    assert float(size) == pytest.approx(abs(1 / share - 1) * 100, abs=0.011)
+    assert float(was) == pytest.approx(float(turn.search(file.read_text())[2]), rel=2e-4)
+    assert not any("Z_OFFSET_APPLY_ENDSTOP" in n for n in found.notes)
+    command = found.campaigns[0].command
+    assert command == pytest.approx(sound.campaigns[0].command, abs=5e-5)
+    assert found.machine.provenance["klipper"]["calibrate_again"] is True
+
+
 # Lines above the header of SAVE_CONFIG ------------------------------------------------------------
 
 

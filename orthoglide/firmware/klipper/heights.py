@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import compress
@@ -21,6 +21,9 @@ from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
 from orthoglide.geometry import Array, fit_plane
 from orthoglide.instruments import PRINTED, Distance, PlateTouch
 from orthoglide.numerals import compact, plain, signed
+
+PROBE_REPEATABILITY = 1.8e-5
+"""Repeatability of a touch, metres."""
 
 CALIPER_REPEATABILITY, RIM_REPEATABILITY = 5e-5, 1e-4
 """Repeatability of a caliper's distance, metres. Around the rim the width of only one of two
@@ -48,6 +51,11 @@ _MIN_PROBE_OFFSET = 1e-3  # metres: a smaller offset of a probe corrects the noz
 _EQUAL_OFFSETS = 2e-5  # metres: heights stored with another offset of the probe differ by more
 _STEP_RATIOS = (1.0, *(2.0**k for k in (1, -1, 2, -2, 3, -3, 4, -4)))
 """Candidate ratios of the stored length of a step to the present one."""
+_NOISE = {"height": PROBE_REPEATABILITY, "manual_height": PROBE_REPEATABILITY, "distance": 1e-4}
+_NEWTON_STEPS = 6  # of a factor of travel, to which heights are nearly proportional
+_CHANCE_GAIN = 14.0
+"""Fall of chi2 beyond which steps, not endstops, were changed: they are changed a thousand times as
+rarely (2 ln 1000)."""
 _MIN_PLANE_HEIGHTS = 3  # heights that determine a mean and a slope
 _MIN_ENDSTOP_SHIFT = 3e-5  # metres: a larger mean residual of heights means moved endstops
 _MAX_SLOPE = 2e-5, 0.1  # largest slope beside that mean: metres at the rim, or share of the mean
@@ -79,14 +87,20 @@ def stored_readings(config: Config, numbers: Numbers) -> tuple[list[Row], bool]:
         step = np.array([_microstep(config, name) for name in TOWERS]) if section.entries else None
     if step is None:
         return [], False
-    for kind in _STORED_KINDS:
-        keys, value, steps = _read_kind(config, section, kind)
-        if not keys:
-            continue
-        travel, p = _stored_positions(config, numbers, kind, value, steps * step)
+    lists = {kind: _read_kind(config, section, kind) for kind in _STORED_KINDS}
+    lists = {kind: found for kind, found in lists.items() if found[0]}
+    values = {kind: value for kind, (_, value, _) in lists.items()}
+    ways = {
+        kind: steps * step * _microstep_ratio(config, numbers, kind, value, steps * step)
+        for kind, (_, value, steps) in lists.items()
+    }  # fmt: skip
+    factors = _step_factors(config, numbers, values, ways)
+    for kind, (keys, value, _) in lists.items():
+        way = ways[kind] * factors.get(kind, 1.0)
+        p, travel = _positions(numbers, way), numbers.at_endstop - way - numbers.zero
         kept = _plausible_rows(config, numbers, kind, keys, value, p)
         keys, value, travel = list(compress(keys, kept)), value[kept], travel[kept]
-        if steps.shape[1] > 1:  # distances between two places
+        if p.shape[1] > 1:  # distances between two places
             rows += _distance_rows(keys, value, travel)
         elif keys:
             shift = _endstop_shift(config, kind, p[kept, 0], value)
@@ -124,27 +138,27 @@ def _excess(value: Array, p: Array) -> tuple[Array, Array]:
     return np.column_stack([distance - value, p[:, :, 2]]), most
 
 
-def _stored_positions(
+def _positions(numbers: Numbers, way: Array) -> Array:
+    """Return places of the nozzle by the firmware's equations ``(n, k, 3)``, metres, for ways from
+    the endstops; nan where the arms do not reach.
+    """
+    p = np.full(way.shape, np.nan)
+    for index in np.ndindex(way.shape[:-1]):
+        with suppress(InputError):
+            p[index] = numbers.points((numbers.at_endstop - way[index])[None])[0]
+    return p
+
+
+def _microstep_ratio(
     config: Config, numbers: Numbers, kind: str, value: Array, way: Array
-) -> tuple[Array, Array]:
-    """Return the travel of readings from mechanical zero, and the places of the nozzle by the
-    firmware's equations, ``(n, k, 3)`` each, metres; nan where the arms do not reach.
+) -> float:  # fmt: skip
+    """Return the ratio of the stored length of a microstep to the present one.
 
     Microsteps may have been changed since the readings were stored: the first ratio at which most
     readings are plausible is taken, else 1. ``way`` is that from the endstops at the present ratio.
     """
-
-    def positions_at(ratio: float) -> tuple[Array, Array]:
-        heights = numbers.at_endstop - way * ratio
-        p = np.full(heights.shape, np.nan)
-        for index in np.ndindex(heights.shape[:-1]):
-            with suppress(InputError):
-                p[index] = numbers.points(heights[index][None])[0]
-        return heights - numbers.zero, p
-
     for ratio in _STEP_RATIOS:
-        travel, p = positions_at(ratio)
-        excess, most = _excess(value, p)
+        excess, most = _excess(value, _positions(numbers, way * ratio))
         if np.mean((np.abs(excess) <= most).all(axis=1)) > 0.5:
             if ratio != 1.0:
                 config.note(
@@ -152,8 +166,53 @@ def _stored_positions(
                     f"the positions of {kind}s in [delta_calibrate] were stored with "
                     f"{1 / ratio:g} times the microsteps of now, and are taken so",
                 )
-            return travel, p
-    return positions_at(1.0)
+            return ratio
+    return 1.0
+
+
+def _step_factors(
+    config: Config, numbers: Numbers, values: Mapping[str, Array], ways: Mapping[str, Array]
+) -> dict[str, float]:
+    """Return the factor of the travel of a step since the touches, by kind; empty if it is 1.
+
+    A belt's travel in a turn that was changed since shifts all heights as moved endstops do, but it
+    also bends the plate and scales distances, which the firmware had fitted.
+    """
+    heights = next((k for k in values if ways[k].shape[1] == 1), "")
+    if len(values.get(heights, ())) < _MIN_PLANE_HEIGHTS:
+        return {}
+    factor = 1.0
+    for _ in range(_NEWTON_STEPS):
+        way = ways[heights] * factor
+        excess = _excess(values[heights], _positions(numbers, way))[0]
+        factor *= 1 + float(excess.mean() / way.mean())
+
+    def gain(kind: str) -> float:
+        """Return the fall of chi2 of a kind by the factor, by which heights have no mean."""
+        excess, scaled = (
+            _excess(values[kind], _positions(numbers, ways[kind] * f))[0][:, 0]
+            for f in (1.0, factor)
+        )
+        before = float(np.var(excess) if kind == heights else np.mean(excess**2))
+        after = float(np.mean(scaled**2))
+        return len(excess) * (before - after) / max(_NOISE[kind] ** 2, after)
+
+    gains = {kind: gain(kind) for kind in values}
+    scaled = [kind for kind, fall in gains.items() if fall > 0]
+    if not (gains[heights] > 0 and sum(gains[kind] for kind in scaled) > _CHANCE_GAIN):
+        return {}
+    section = config.section(f"stepper_{TOWERS[0]}")
+    turn = section.number("rotation_distance", 0.0)
+    example = f", as with a rotation_distance of {compact(turn * factor, 4)} mm" if turn else ""
+    config.note(
+        CHANGED_NOTE,
+        f"the {' and '.join(f'{kind}s' for kind in scaled)} of [delta_calibrate] fit the stored "
+        f"numbers with steps that are {abs(factor - 1) * 1e2:.2f} % "
+        f"{'longer' if factor > 1 else 'shorter'} than now{example}: rotation_distance, or the "
+        f"microsteps, were changed since. Put that back, or keep it and run DELTA_CALIBRATE and "
+        f"SAVE_CONFIG, as the stored numbers do not go with it, and probe the mesh again",
+    )
+    return dict.fromkeys(scaled, factor)
 
 
 def _plausible_rows(

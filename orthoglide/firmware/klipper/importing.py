@@ -21,6 +21,7 @@ from orthoglide.firmware.klipper.heights import (
     CALIBRATE_NOTE,
     CALIPER_REPEATABILITY,
     CHANGED_NOTE,
+    PROBE_REPEATABILITY,
     probe_section,
     stored_readings,
 )
@@ -37,9 +38,6 @@ from orthoglide.text import printable_path
 PLATFORM_RADIUS, ROD_DISTANCE, NOZZLE_DROP = 0.032, 0.050, 0.040
 """Typical sizes that the firmware does not store, metres: radius of the platform, distance of an
 arm's two rods, nozzle below the platform's joints. Effects that turn the platform need them."""
-
-PROBE_REPEATABILITY = 1.8e-5
-"""Repeatability of a touch, metres."""
 
 _ZERO_REFERENCE_KEYS = ("zero_reference_position", "relative_reference_index")
 _UNFITTED_RADIUS_SD = 3e-3  # metres: standard deviation of a radius that no calibration has fitted

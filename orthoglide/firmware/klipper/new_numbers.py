@@ -14,8 +14,7 @@ import numpy as np
 
 from orthoglide.add_ons import Corrections
 from orthoglide.firmware.klipper.corrections import ResidualChange, corrections_of, make_record
-from orthoglide.firmware.klipper.heights import CALIPER_REPEATABILITY
-from orthoglide.firmware.klipper.importing import PROBE_REPEATABILITY
+from orthoglide.firmware.klipper.heights import CALIPER_REPEATABILITY, PROBE_REPEATABILITY
 from orthoglide.firmware.klipper.numbers import Numbers
 from orthoglide.firmware.klipper.provenance import CALIBRATION
 from orthoglide.geometry import Array, fit_plane, plane_columns
