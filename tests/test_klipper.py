@@ -433,10 +433,24 @@ def test_what_the_probe_did_not_touch_is_left_out(tmp_path: Path) -> None:
     region = "faulty_region_1_min: -20, -20\nfaulty_region_1_max: 20, 20\n"
     text = V400.read_text().replace("[bed_mesh]\n", f"[bed_mesh]\n{region}")
     (tmp_path / "printer.cfg").write_text(text)
-    mesh = import_printer(tmp_path / "printer.cfg").campaigns[2]
+    found = import_printer(tmp_path / "printer.cfg")
+    assert any("9 of the 625 values of the mesh 'default_25Probe'" in note for note in found.notes)
+    mesh = found.campaigns[2]
     at = np.array([[float(v) for v in label.split()] for label in mesh.posture])
     assert len(mesh) == 441 - 9
     assert np.abs(at).max(axis=1).min() > 20
+
+
+def test_a_mesh_radius_that_was_changed_since_leaves_out_no_touch(tmp_path: Path) -> None:
+    """Touches were dropped without a word; a profile has its own radius."""
+    for name, touches, told in (("v400-april", [49, 441], 0), ("t1-stock", [29], 1)):
+        text = (DATA / f"{name}.cfg").read_text()
+        for radius in (60, 1000):
+            found = imported(
+                tmp_path, re.sub(r"(?m)^mesh_radius:.*", f"mesh_radius: {radius}", text)
+            )
+            assert [len(c) for c in found.campaigns[1:]] == touches
+            assert sum("20 of the 49 values" in note for note in found.notes) == told
 
 
 def test_a_fine_scan_is_thinned_and_a_scanty_mesh_told(tmp_path: Path) -> None:

@@ -112,8 +112,9 @@ def _touches(
             section.fail(f"max_{axis}", f"is not above min_{axis}: correct it")
         spans.append(np.linspace(low, high, number) * 1e-3)
     height, beside = probe_offset(config)
+    profile = section.name.partition(" ")[2]
     places, z = np.stack(np.meshgrid(*spans), axis=-1).reshape(-1, 2), np.array(table)
-    rows_kept = np.flatnonzero(_touched_points(config, z, places, beside))
+    rows_kept = np.flatnonzero(_touched_points(config, profile, z, places, beside))
     p = np.column_stack([places - beside, height + z.ravel() * 1e-3])[rows_kept]
     travel = numbers.heights(p) - numbers.zero
     if np.isnan(travel).any():
@@ -129,7 +130,9 @@ def _touches(
                   temperature=section.temperature)  # fmt: skip
 
 
-def _touched_points(config: Config, table: Array, place: Array, offset: Array) -> NDArray[np.bool_]:
+def _touched_points(
+    config: Config, profile: str, table: Array, place: Array, offset: Array
+) -> NDArray[np.bool_]:
     """Return which values of a mesh ``(rows, columns)`` at places ``(rows * columns, 2)`` were
     touched ``(rows * columns,)``: not padding, and not in faulty regions.
     """
@@ -144,15 +147,18 @@ def _touched_points(config: Config, table: Array, place: Array, offset: Array) -
             f"a mesh of {lines} by {columns} is finer than any cause needs: of its rows and "
             f"columns one in {stride} is taken",
         )
-    radius = config.number_or_zero("bed_mesh", "mesh_radius", 0, 5000) * 1e-3
-    if radius:  # about the profile's own middle: mesh_origin may have been another one then
-        middle = (place.min(axis=0) + place.max(axis=0)) / 2
-        touched &= np.hypot(*(place - middle).T) <= radius * (1 + 1e-9) + 1e-5
-    if min(table.shape) > 2 and (table[[0, 0, -1, -1], [0, -1, 0, -1]]
-                                 == table[[0, 0, -1, -1], [1, -2, 1, -2]]).all():  # fmt: skip
-        # A round bed, whatever [bed_mesh] says: beyond the circle the firmware repeats values.
-        scaled = (place - place.mean(axis=0)) / (np.ptp(place, axis=0) / 2)
-        touched &= np.hypot(*scaled.T) <= 1 + 1e-6
+    # Of a round bed the firmware touches the circle in the profile's own square; beyond, it repeats
+    # values, or some firmware continues them. mesh_radius may have been another one then.
+    repeats = min(table.shape) > 2 and bool((
+        table[[0, 0, -1, -1], [0, -1, 0, -1]] == table[[0, 0, -1, -1], [1, -2, 1, -2]]
+    ).all())  # fmt: skip
+    if config.number_or_zero("bed_mesh", "mesh_radius", 0, 5000) or repeats:
+        scaled = (place - (place.min(axis=0) + place.max(axis=0)) / 2) / np.ptp(place, axis=0)
+        beyond = touched & (np.hypot(*scaled.T) > (1 + 1e-6) / 2)
+        touched &= ~beyond
+        if not repeats:
+            _note_left_out(config, profile, beyond, "beyond its circle", "mesh_radius is given")
+    inside = np.zeros_like(touched)
     for k in range(1, 100):  # in faulty regions the firmware interpolates neighbouring values
         low, high = f"faulty_region_{k}_min", f"faulty_region_{k}_max"
         if low not in general:
@@ -160,5 +166,19 @@ def _touched_points(config: Config, table: Array, place: Array, offset: Array) -
         with config.leaving_out(kind="mesh"):
             corners = np.array([general.numbers(low, 2), general.numbers(high, 2)]) * 1e-3
             for positions in (place, place - offset):
-                touched &= ~((positions >= corners[0]) & (positions <= corners[1])).all(axis=1)
-    return touched
+                inside |= ((positions >= corners[0]) & (positions <= corners[1])).all(axis=1)
+    _note_left_out(config, profile, touched & inside, "in a faulty_region", "regions are given")
+    return touched & ~inside
+
+
+def _note_left_out(
+    config: Config, profile: str, left_out: NDArray[np.bool_], where: str, given: str
+) -> None:
+    """Add a note on values of a mesh that are no touches because of an option, if there are any."""
+    if left_out.any():
+        config.note(
+            "mesh",
+            f"{int(left_out.sum())} of the {len(left_out)} values of the mesh {profile!r} are left "
+            f"out, as they lie {where}, where the firmware touches nothing while {given} in "
+            f"[bed_mesh]: if that was changed since, put it back, or probe the mesh again",
+        )
