@@ -270,6 +270,31 @@ def test_a_part_that_was_scaled_is_the_part() -> None:
     assert re.search("distances 15 % longer", " ".join(str(verdict).split()))
 
 
+def test_many_slips_are_none() -> None:
+    """Tower b's angle was changed by hand after the readings: seven of eighteen were set aside as
+    slips, and the rest fitted.
+    """
+    found = og.import_printer(FIELD / "angle-mistyped-by-ten-degrees" / "printer.cfg")
+    verdict = og.close_loop(found.campaigns, og.Machine(found.machine))
+    assert not any(fault.excluded for fault in verdict.blunders)
+    assert verdict.word in ("unexplained", "partial")
+    (note,) = (note for note in verdict.after.warnings if "too many for slips" in note)
+    wrong, of = map(int, re.findall(r"(\d+) of (\d+) readings would have to be wrong", note)[0])
+    assert of in (7, 12)
+    assert wrong > of / 4
+
+
+def test_distances_in_centimetres_are_no_other_microsteps(tmp_path: Path) -> None:
+    text = (FIELD / "distances-in-other-microsteps" / "printer.cfg").read_text()
+    scaled = re.sub(r"(distance\d+ = )([0-9.]+)", lambda m: f"{m[1]}{float(m[2]) / 10:.4f}", text)
+    assert scaled != text
+    (tmp_path / "printer.cfg").write_text(scaled)
+    found = og.import_printer(tmp_path / "printer.cfg")
+    assert any("left out: all 12 distances" in str(note) for note in found.notes)
+    assert not any("positions of distances" in str(note) for note in found.notes)
+    assert not any(readings.paired.any() for readings in found.campaigns)
+
+
 OTHER = FIELD / "other-firmware-words"
 
 

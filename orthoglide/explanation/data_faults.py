@@ -48,10 +48,14 @@ from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.noise_notes import noise_scales
 from orthoglide.fit.scores import rms_by_unit
 from orthoglide.notes import Note
-from orthoglide.observations import Readings
+from orthoglide.observations import Readings, source
 
 _ROUNDS = 6
 """Largest number of rounds of search and correction."""
+
+_MOST_SLIPS = 0.25
+"""Share of the readings of one kind that may be slips. People misread one reading in fifty: if more
+than a quarter disagrees with the others, the model is wrong or the commands are."""
 
 _OVERSTATED_NOISE = 0.25
 """Chi2 per degree of freedom below which the declared noise is at least twice too large."""
@@ -111,7 +115,7 @@ def find_data_faults(estimate: Estimate) -> DataFindings:
         NumericsError: if the machine that is found cannot be closed.
     """
     problem = estimate.problem
-    faults_found = find_scattered_setups(problem)
+    faults_found, contradictions = find_scattered_setups(problem), list[Note]()
     for _ in range(_ROUNDS):
         corrected = _correct_faults(problem, faults_found)
         fit = estimate if corrected is problem else fit_nested(corrected)
@@ -133,9 +137,13 @@ def find_data_faults(estimate: Estimate) -> DataFindings:
             misreading = _find_misreading(base, posterior, faults_found)
         found = credible_faults(posterior)
         faults = _certain_faults(base, found) if misreading is None else [misreading]
+        if contradictions:
+            faults = _without_slips(faults)
         if not faults:
             break
         faults_found = _merge_faults(problem, faults_found, faults)
+        if contradictions := contradictions or [*_contradictions(problem, faults_found)]:
+            faults_found = _without_slips(faults_found)
     check_scatter(posterior.before.problem)
     noise_unchanged = np.array_equal(posterior.before.problem.sigma, problem.sigma)
     altered = faults_found or changes or found.ambiguous or posterior.linearised.suspects
@@ -144,7 +152,7 @@ def find_data_faults(estimate: Estimate) -> DataFindings:
         tuple(change.with_separate_fit(posterior.before) for change in changes),
         posterior if noise_unchanged and not altered else None,
         found.ambiguous,
-        tuple(_probable_fault_notes(posterior.before.problem, found)),
+        (*contradictions, *_probable_fault_notes(posterior.before.problem, found)),
     )
 
 
@@ -157,6 +165,28 @@ def _certain_faults(base: Estimate, found: CredibleFaults) -> list[Fault]:
     if found.certain or not found.ambiguous:
         return found.certain
     return credible_faults(full_posterior(base, fault_keys=found.ambiguous)).certain
+
+
+def _without_slips(faults: Sequence[Fault]) -> list[Fault]:
+    return [fault for fault in faults if fault.kind != "outlier"]
+
+
+def _contradictions(problem: Problem, faults: Sequence[Fault]) -> Iterator[Note]:
+    """Yield a note on each kind of reading of which too many would have to be slips."""
+    slip = np.zeros(len(problem.measured), dtype=bool)
+    for fault in faults:
+        slip[fault.rows] |= fault.kind == "outlier"
+    for factor, rows in zip(problem.factors, problem.factor_rows, strict=True):
+        for kind in dict.fromkeys(factor.readings.kind):
+            of_kind = slip[rows][factor.readings.of_kind(kind) & factor.noise.weighted]
+            if of_kind.sum() > _MOST_SLIPS * len(of_kind):
+                yield Note(
+                    f"{source(factor.readings)}: {of_kind.sum()} of {len(of_kind)} readings would "
+                    f"have to be wrong, too many for slips, so none is discarded: compare the "
+                    f"dimensions in the machine file, and the commands, with those that the "
+                    f"readings were taken with",
+                    "slip",
+                )
 
 
 def _probable_fault_notes(problem: Problem, found: CredibleFaults) -> Iterator[Note]:

@@ -32,7 +32,12 @@ _SLIP_UNIT = 5e-4
 """Unit of the coefficient of a slip, metres or radians. With the scales of the slab it covers a
 tenth of a millimetre to some millimetres, the range in which fingers and stands slip."""
 
+_DRIFT_UNIT = 5e-5
+"""Unit of the change of a drifting instrument over its readings, metres or radians: 0.3 m of steel
+grow by 0.03 mm as they warm by ten kelvin, and stands creep by a tenth of a millimetre."""
+
 _COMMAND_UNIT = 1e-3  # metres: mistyped commands are seldom off by less than a millimetre
+_UNITS = {"command": _COMMAND_UNIT, "drifted": _DRIFT_UNIT}
 _DIFFERENCE_STEP = 1e-5  # metres, of a difference quotient
 
 _EXPECTED_FAULTS = 0.5
@@ -125,7 +130,7 @@ def fault_columns(
     per_kind = _EXPECTED_FAULTS / max(len(totals) + bool(problem.campaigns), 1)
     faults = list[FaultColumns]()
     for fault, columns, frequency in candidates:
-        unit = _SLIP_UNIT if fault.drive is None else _COMMAND_UNIT
+        unit = _UNITS.get(fault.kind, _SLIP_UNIT)
         expected_count = per_kind * frequency / totals[fault.kind]
         faults.append(FaultColumns(fault, columns * unit, unit, expected_count))
     return faults

@@ -134,7 +134,7 @@ def _excess(value: Array, p: Array) -> tuple[Array, Array]:
         return p[:, :, 2] - value[:, None], np.full((len(value), 1), _MAX_VALUE_ERROR)
     distance = np.linalg.norm(p[:, 1] - p[:, 0], axis=1)
     most = np.full((len(value), 3), _MAX_VALUE_ERROR)
-    most[:, 0] = np.maximum(_MAX_VALUE_ERROR, _MAX_DISTANCE_SHARE * value)
+    most[:, 0] = _MAX_DISTANCE_SHARE * value
     return np.column_stack([distance - value, p[:, :, 2]]), most
 
 
