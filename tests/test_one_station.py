@@ -11,6 +11,9 @@ import pytest
 import orthoglide as og
 from orthoglide.effects.bumps_and_jumps import travel_bumps, with_free_forms
 from orthoglide.effects.free_form import FreeForm
+from tests import rig_campaigns as rc
+from tests.factors import campaign_of
+from tests.rig import Rig
 
 RIG2 = Path(__file__).parent / "data" / "rig2"
 
@@ -69,21 +72,37 @@ def test_a_calibrated_machine_keeps_its_bump(bumpy: og.Verdict, tmp_path: Path) 
     assert moved[1] < 1e-6 * moved[0]
 
 
+@pytest.mark.parametrize("width", range(3))
 @pytest.mark.parametrize("at", [-0.0871, -0.05, 0.0, 0.0123])
-def test_a_bump_is_found_again_by_its_name(at: float) -> None:
+def test_a_bump_is_found_again_by_its_name(at: float, width: int) -> None:
     machine = og.Machine.nominal()
     geometry = machine.geometry
-    place = _bump(at)
+    place = _bump(at, width)
+    assert place.name.endswith(("", "w16", "w32")[width])
     found = with_free_forms(machine.catalogue, [f"{place.effect.name}.x.1"], geometry)
     motions = found[place.effect.name].motions
     assert [str(name) for name in motions] == [str(name) for name in place.effect.motions]
 
 
-def _bump(at: float) -> FreeForm:
-    """Of the x rail toward z."""
-    machine = og.Machine.nominal()
+def test_a_wide_bump_of_a_rail_is_no_curve_of_the_dial() -> None:
+    """Too wide for a bump and too narrow for a smooth path: a curve of the dial was likelier."""
+    errors = {"joint_offset.x": 1.2e-3, "joint_offset.y": -7e-4, "joint_offset.z": 4e-4}
+    rig = Rig(errors=errors, extra=(rc.bump(2, 1, -1.2e-4, -0.05, 0.032),))
+    rows = rc.simulate(rig, "sweep", np.random.default_rng(1), background=0.015)
+    verdict = og.close_loop([campaign_of(rows)])
+    (found,) = verdict.located
+    on_rail = [m for m in found.members if (m.leg, m.part, m.direction) == ("z", "rail", "y")]
+    assert sum(m.probability for m in on_rail) > 0.9
+    assert found.members[0].size == pytest.approx(1.2e-4, rel=0.15)
+    assert "within 64 mm of travel −50 mm and nowhere else" in " ".join(str(verdict).split())
+
+
+def _bump(at: float, width: int = 0) -> FreeForm:
+    """Of the x rail toward z, of the given number among the widths."""
+    machine, travel = og.Machine.nominal(), [[at], [], []]
     geometry = machine.geometry
-    return travel_bumps([[at], [], []], machine.catalogue.legs, geometry.stroke, geometry.scale)[2]
+    bumps = travel_bumps(travel, machine.catalogue.legs, geometry.stroke, geometry.scale)
+    return [bump for bump in bumps if bump.location_key == "rail.x.z/travel"][width]
 
 
 def test_one_dial_off_at_one_place_at_every_visit_is_no_exchange() -> None:

@@ -12,7 +12,7 @@ import pytest
 import orthoglide as og
 from orthoglide.effects.bumps_and_jumps import with_jump
 from orthoglide.effects.free_form import Session, free_forms
-from orthoglide.explanation.causes import pool_jumps
+from orthoglide.explanation.causes import pool_local
 from orthoglide.explanation.free_form import free_form_columns
 from tests import rig_campaigns as rc
 from tests.factors import campaign_of
@@ -78,7 +78,7 @@ def test_the_moments_of_one_jump_are_one_finding() -> None:
     other = next(e for e in free_forms(Session(0.0, 4000.0)) if e.name == "bar.y.1/time")
     jumps = [with_jump(slow, at) for at in (3010.0, 3030.0, 3050.0, 3500.0)]
     errors = dict(enumerate([slow, *jumps, with_jump(other, 3030.0)]))
-    odds, moments = pool_jumps(np.array([0.1, 0.2, 0.4, 0.15, 0.02, 0.03, 0.1]), errors)
+    odds, moments = pool_local(np.array([0.1, 0.2, 0.4, 0.15, 0.02, 0.03, 0.1]), errors)
     np.testing.assert_allclose(odds, [0.1, 0.0, 0.77, 0.0, 0.0, 0.03, 0.1])
     assert moments == {2: " (from 3010 s to 3050 s)"}
 

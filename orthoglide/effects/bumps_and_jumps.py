@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
+from itertools import product
 
 from orthoglide.effects.catalogue import Catalogue
 from orthoglide.effects.free_form import (
@@ -38,10 +39,12 @@ def with_jump(form: FreeForm, moment: float) -> FreeForm:
     return replace(form, kernel=jump, jump=moment)
 
 
-_BUMP_WIDTH = 0.008
-"""Standard deviation of a bump along the travel, metres: typical of dirt, a dent or a joint between
-two rails. Its height is expected to be a few hundredths of a millimetre, because a bump of one
-millimetre would have been noticed."""
+_BUMP_WIDTHS: dict[Part, tuple[float, ...]] = {"drive": (0.008,), "rail": (0.008, 0.016, 0.032)}
+"""Standard deviations of a bump along the travel, metres: the first is typical of dirt, a dent or a
+joint between two rails. Each is twice the one before: a bell of another width between them has a
+correlation of at least 0.97 with the nearest. The last is as wide as smooth paths of a rail are
+correlated; the smooth error of a drive is finer and contains wide bumps. The height is expected to
+be a few hundredths of a millimetre, because a bump of one millimetre would have been noticed."""
 
 
 def travel_bumps(
@@ -54,11 +57,13 @@ def travel_bumps(
     candidates: tuple[tuple[Part, str], ...] = (("drive", ""), ("rail", "b"), ("rail", "c"))
     forms: list[FreeForm] = []
     for leg, positions in enumerate(travel):
-        for position in positions:
-            bump = Bump((position - middle) / half, _BUMP_WIDTH * scale / half)
-            for part, axis in candidates:
-                form = FreeForm(part, leg, axis, "travel", bump, 30 * _UM,
-                                bump=position, names=names, chance=1 / len(positions))  # fmt: skip
+        for position, (part, axis) in product(positions, candidates):
+            widths = _BUMP_WIDTHS[part]
+            for width in (scale * width for width in widths):
+                form = FreeForm(part, leg, axis, "travel",
+                                Bump((position - middle) / half, width / half), 30 * _UM,
+                                bump=position, wide=0.0 if width == scale * widths[0] else width,
+                                names=names, chance=1 / len(positions) / len(widths))  # fmt: skip
                 forms.append(scaled_to_machine(form, scale))
     return tuple(forms)
 
@@ -91,7 +96,7 @@ def _bump_travel(effects: Iterable[str]) -> set[float]:
     """Return the travel of the bumps among names of effects, metres; see `FreeForm.name`."""
     positions = set()
     for name in effects:
-        if match := re.fullmatch(r".*_travel_(_?)(\d+)(?:_(\d))?", name):
+        if match := re.fullmatch(r".*_travel_(_?)(\d+)(?:_(\d))?(?:w\d+)?", name):
             distance = float(f"{match[2]}.{match[3] or 0}") * 1e-3
             positions.add(-distance if match[1] else distance)
     return positions

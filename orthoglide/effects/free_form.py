@@ -47,6 +47,7 @@ class FreeForm:
     # whether it varies within a few centimetres, however long the stroke
     short_waves: bool = False
     bump: float | None = None  # travel, or a dial's reading, of a bump, metres; `None`: it is none
+    wide: float = 0.0  # standard deviation of a wide bump, metres; 0 of a narrow one
     jump: float | None = None  # moment at which it jumps; `None`: it does not
     timed: bool = True  # whether moments are seconds; else they count the readings
     chance: float = 1.0  # prior weight relative to other free-form errors
@@ -77,11 +78,13 @@ class FreeForm:
     def name(self) -> str:
         """Unique, such as ``rail.x.y/travel``."""
         if self.bump is not None:
-            return f"{self.location_key}@{round(self.bump * 1e3, 2 if self.of_dial else 1):g}"
+            width = f"w{self.wide * 1e3:.0f}" if self.wide else ""
+            return (
+                f"{self.location_key}@{round(self.bump * 1e3, 2 if self.of_dial else 1):g}{width}"
+            )
         if self.jump is not None:
             return f"{self.location_key}@{self.moment.replace(' ', '')}"
-        key = self.location_key
-        return key.replace("/travel", "/waves") if self.short_waves else key
+        return self.location_key.replace("/travel", "/waves" if self.short_waves else "/travel")
 
     @property
     def location_key(self) -> str:
@@ -210,7 +213,8 @@ class FreeForm:
     @property
     def _travel_words(self) -> str:
         if self.bump is not None:
-            return f"at travel {compact(self.bump * 1e3, 3)} mm and nowhere else"
+            reach = f"within {2e3 * self.wide:.0f} mm of" if self.wide else "at"
+            return f"{reach} travel {compact(self.bump * 1e3, 3)} mm and nowhere else"
         return "in short waves along its travel" if self.short_waves else "by its travel"
 
     @property

@@ -46,29 +46,39 @@ def smallest_count(odds: Array, probability: float) -> int:
     return int(np.searchsorted(np.cumsum(odds), probability * (1 - RELATIVE_MARGIN))) + 1
 
 
-def pool_jumps(odds: Array, errors: Mapping[int, FreeForm]) -> tuple[Array, dict[int, str]]:
-    """Pool the jumps of each part, which differ in their moments alone, in the most probable one.
+def pool_local(odds: Array, errors: Mapping[int, FreeForm]) -> tuple[Array, dict[int, str]]:
+    """Pool the jumps, and the bumps, of each part in the most probable one, as they differ in their
+    moments or places alone.
 
     Args:
         odds: probabilities of groups in one credible set ``(groups,)``.
         errors: free-form errors by group.
 
     Returns:
-        The pooled probabilities, and for each pooled jump a clause: its moments of 95 %.
+        The pooled probabilities, and for each pooled error a clause: its moments or places of 95 %.
     """
-    jumps = dict[str, list[int]]()
+    local = dict[tuple[str, bool], list[int]]()
     for k in descending(odds):
-        if odds[k] > 0 and k in errors and errors[k].jump is not None:
-            jumps.setdefault(errors[k].location_key, []).append(k)
-    pooled, moments = odds.copy(), dict[int, str]()
-    for of_part in jumps.values():
+        if odds[k] > 0 and k in errors and errors[k].is_local:
+            error = errors[k]
+            local.setdefault((error.location_key, error.jump is None), []).append(k)
+    pooled, ranges = odds.copy(), dict[int, str]()
+    for of_part in local.values():
         first, *others = of_part
         pooled[first], pooled[others] = odds[of_part].sum(), 0.0
         credible = of_part[: smallest_count(odds[of_part], CREDIBLE * pooled[first])]
-        between = sorted((errors[k] for k in credible), key=lambda error: error.jump or 0.0)
-        if len(between) > 1:
-            moments[first] = f" (from {between[0].moment} to {between[-1].moment})"
-    return pooled, moments
+        spots = dict(sorted(map(_spot, (errors[k] for k in credible))))
+        if len(spots) > 1:
+            start, *_, end = spots.values()
+            ranges[first] = f" (from {start} to {end})"
+    return pooled, ranges
+
+
+def _spot(error: FreeForm) -> tuple[float, str]:
+    """Return the moment or the place of a local error, as a number and in words."""
+    if error.bump is not None:
+        return error.bump, f"{compact(error.bump * 1e3, 3)} mm"
+    return error.jump or 0.0, error.moment
 
 
 def curve_of(

@@ -24,7 +24,7 @@ from orthoglide.explanation.causes import (
     CREDIBLE,
     CredibleSets,
     curve_of,
-    pool_jumps,
+    pool_local,
     smallest_count,
 )
 from orthoglide.explanation.faults import fault_message, lines_of
@@ -112,16 +112,16 @@ class _CredibleSetReader:
     def alternatives(self) -> Alternatives:
         return Alternatives(self.posterior.mixture)
 
-    def _odds_and_moments(self, member: int) -> tuple[Array, dict[int, str]]:
-        """Return the probability of each group in the place of an active one, those of the jumps of
-        one part pooled, and the moments of each jump; see `pool_jumps`.
+    def _odds_and_ranges(self, member: int) -> tuple[Array, dict[int, str]]:
+        """Return the probability of each group in the place of an active one, those of local
+        errors of one part pooled, and the range of each; see `pool_local`.
         """
-        return pool_jumps(self.alternatives.probabilities(member)[:-1], self._errors)
+        return pool_local(self.alternatives.probabilities(member)[:-1], self._errors)
 
     def credible_set(self, member: int, given: Sequence[str]) -> Cause | Located | None:
         """Return the credible set for one active group; ``None`` if nothing is claimed."""
         declared = self.groups[member].name in given
-        odds, _ = self._odds_and_moments(member)
+        odds, _ = self._odds_and_ranges(member)
         if declared:
             odds = np.eye(len(odds))[member]
         if odds.sum() < LEAST_CLAIMED_PROBABILITY:
@@ -360,11 +360,11 @@ class _CredibleSetReader:
 
     def _curve(self, member: int, group_index: int, probability: float) -> Curve:
         coefficients, error = self.groups[group_index].coefficients, self._errors[group_index]
-        _, moments = self._odds_and_moments(member)
+        _, ranges = self._odds_and_ranges(member)
         mean, covariance = self.alternatives.moments(member, group_index, coefficients)
         stroke = self.posterior.before.problem.machine.geometry.stroke
         curve = curve_of(error, probability, stroke, mean[coefficients], covariance)
-        return replace(curve, description=curve.description + moments.get(group_index, ""))
+        return replace(curve, description=curve.description + ranges.get(group_index, ""))
 
     def candidate_scores(self) -> tuple[CandidateScore, ...]:
         """Return the scores of the groups nearest to being active, most probable first."""
