@@ -5,6 +5,7 @@ import json
 import re
 import tarfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
@@ -98,6 +99,25 @@ def test_a_rotation_distance_that_was_changed_since_is_told(
     command = found.campaigns[0].command
     assert command == pytest.approx(sound.campaigns[0].command, abs=5e-5)
     assert found.machine.provenance["klipper"]["calibrate_again"] is True
+
+
+@pytest.mark.parametrize(
+    ("cause", "arms", "told"),
+    [
+        ("leg_length.common", r"\g<0>", True),
+        ("leg_length.common", "arm_length = 303.0", False),  # rods as entered are equal
+        ("axis_tilt.radial.common", r"\g<0>", False),
+    ],
+)
+def test_arms_that_the_firmware_fitted_are_numbers_not_rods(
+    cause: str, arms: str, told: bool, tmp_path: Path
+) -> None:
+    """What a slip of a distance did to them was told as rods that are longer than nominal."""
+    found = imported(tmp_path, re.sub(r"arm_length = [0-9.]+", arms, V400.read_text()))
+    machine, rods = Machine(found.machine), SimpleNamespace(name=cause, parameters=(cause,))
+    rods.words, rods.confirm, rods.look_at = cause, "", "rods"
+    first = found.machine.printer.section(machine, machine, None, [rods]).first
+    assert ("probably as long as a calliper finds them" in first) == told
 
 
 # Lines above the header of SAVE_CONFIG ------------------------------------------------------------
