@@ -199,6 +199,36 @@ def test_lists_that_contradict_each_other_are_told(
     assert ("Nothing is wrong" in str(verdict)) == (not told)
 
 
+@pytest.mark.parametrize(("off", "seeds"), [(-2.0, 1), (0.0, 3)])
+def test_a_wrong_radius_of_another_firmware_is_corrected_by_its_value(
+    off: float, seeds: int, tmp_path: Path
+) -> None:
+    """Nothing was wrong, and nothing advised but compensated commands."""
+    nominal = MACHINE.kinematics
+    assert nominal is not None
+    scale = np.array([1 + off / 105, 1 + off / 105, 1.0])
+    true = replace(nominal, sphere_centres_at_zero=nominal.sphere_centres_at_zero * scale)
+    side = np.linspace(-0.09, 0.09, 9)
+    x, y = (axis.ravel() for axis in np.meshgrid(side, side))
+    x, y = np.array([x, y])[:, np.hypot(x, y) < 0.0901]
+    believed = nominal.places(true.travel(np.column_stack([x, y, 0 * x])))
+    for seed in range(seeds):
+        noise = np.random.default_rng(seed).normal(0, 1.8e-5, len(x))
+        rows = (believed + np.outer(noise, [0, 0, 1])) * 1e3
+        found = listed(
+            tmp_path, "x,y,z\n" + "".join("{:.4f},{:.4f},{:.4f}\n".format(*r) for r in rows)
+        )
+        verdict = og.close_loop(list(found.campaigns), og.Machine(MACHINE))
+        told = re.findall(
+            r"\(radius (\S+) mm, to (\S+) mm", "".join(a.words for a in verdict.actions)
+        )
+        assert len(told) == bool(off)
+        for change, radius in told:
+            assert float(change.replace("−", "-")) == pytest.approx(off, abs=0.15)
+            assert float(radius) == pytest.approx(105 + off, abs=0.15)
+            assert "computes with wrong sizes" in str(verdict)
+
+
 def test_height_maps_of_older_versions_and_with_gaps(tmp_path: Path) -> None:
     head = "RepRapFirmware height map file v1 generated at 2017-04-09 17:01, mean error 0.1\n"
     sizes = (

@@ -8,11 +8,15 @@ from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
+
+from orthoglide.accuracy import best_zeros, expected_gain
 from orthoglide.control import withholding_reason
 from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.explanation.change import Change
-from orthoglide.numerals import plain, with_sigma
+from orthoglide.layout import LinearDelta
+from orthoglide.numerals import plain, signed, with_sigma
 from orthoglide.ordering import ranked
 from orthoglide.result import Action, Cause, Curve, Located, Suspect, Withheld
 from orthoglide.text import MACHINE_OPTION
@@ -38,6 +42,7 @@ _CHECK_SCATTER = (
 )
 _MOST_RIVALS = 6  # causes between which readings are proposed
 _GAIN_ROUNDING = 1e-9  # metres: smaller differences of gain are rounding
+_MIN_TOWER_SHIFT = 1e-4  # metres by which a tower's turn moves it: the thickness of a layer
 _MIN_SIGMAS = 2.0  # standard deviations by which a gain must exceed zero
 _MIN_RELATIVE_GAIN = 0.02  # smallest gain worth a line, relative to the tool's error now
 
@@ -56,8 +61,9 @@ def actions(outcome: RunOutcome) -> tuple[Action, ...]:
         noisy_repeats = outcome.word == "unexplained" and bool(outcome.scattering)
         scatter_checks = [Action("confirm", _CHECK_SCATTER)] * noisy_repeats
         return (*scatter_checks, *_finding_actions(outcome, "confirm"), *measurements)
-    steps = list(_zero_actions(outcome))
-    steps += _finding_actions(outcome, "mend", zeros=bool(steps))
+    steps = [*_zero_actions(outcome), *_size_actions(outcome)]
+    zeros = any(action.kind == "zeros" for action in steps)
+    steps += _finding_actions(outcome, "mend", zeros=zeros)
     compensation = _compensation(outcome)
     steps += [compensation] if isinstance(compensation, Action) else []
     steps = ranked(steps, lambda a: a.gain if math.isfinite(a.gain) else 0.0, _GAIN_ROUNDING)
@@ -102,6 +108,43 @@ def _zero_actions(outcome: RunOutcome) -> Iterator[Action]:
         drive_zeros = zip(numbers.drives, numbers.zeros_only, strict=True)
         values = ", ".join(f"{d.leg} {plain(zero * 1e3, 3)}" for d, zero in drive_zeros)
         yield Action("zeros", f"Enter new zeros in the controller: {values} mm", gain)
+
+
+def _size_actions(outcome: RunOutcome) -> Iterator[Action]:
+    """Yield the action to correct the radius and the angles of a delta whose controller computes
+    with wrong ones, beyond what new zeros gain.
+    """
+    machine, layout = outcome.machine, outcome.machine.geometry.layout
+    if outcome.firmware is not None or not isinstance(layout, LinearDelta):
+        return
+    (place,) = outcome.catalogue.correctable_by("place")
+    corrected = best_zeros(machine, ["place", "bar_length"])
+    gain, sigma = expected_gain(machine, best_zeros(machine), corrected)
+    least = _MIN_RELATIVE_GAIN * outcome.numbers.expected["now"].shape
+    if gain < max(least, _MIN_SIGMAS * sigma):
+        return
+    legs, values = machine.geometry.leg_names, machine.values
+    # Complex numbers are vectors along the plate; a shift of all towers is no error.
+    outward = np.exp(1j * np.deg2rad(layout.angles_deg))
+    moved = outward * [
+        values.get(f"{place}.{leg}.radial", 0.0) + 1j * values.get(f"{place}.{leg}.tangential", 0.0)
+        for leg in legs
+    ]  # fmt: skip
+    moved = (moved - moved.mean()) / outward
+    change, radius = float(moved.real.mean()), float(np.mean(layout.radius) - machine.geometry.r)
+    turns = np.rad2deg((moved.imag - moved.imag.mean()) / radius)
+    sizes = [f"radius {signed(change * 1e3, 2)} mm, to {(radius + change) * 1e3:.2f} mm"]
+    sizes += [
+        f"tower {leg} {signed(turn, 2)}°"
+        for leg, turn in zip(legs, turns, strict=True)
+        if abs(np.deg2rad(turn)) * radius > _MIN_TOWER_SHIFT
+    ]  # fmt: skip
+    words = (
+        f"Correct the sizes by which the controller computes ({', '.join(sizes)}), in the machine "
+        f"file too; then set the endstops by the controller's own calibration, and touch the plate "
+        f"again"
+    )
+    yield Action("mend", words, gain, sigma)
 
 
 def _finding_actions(

@@ -109,12 +109,14 @@ def finding_text(result: Result) -> str:
 
 def _zeros_sentence(result: Result) -> str:
     """Return the sentence that zeros or firmware numbers are off, if that is the finding."""
-    of_base = [a for a in result.actions if a.kind == "zeros"]
+    sizes = [a for a in result.actions if a.kind == "mend" and not a.options]
+    of_base = [a for a in result.actions if a.kind == "zeros"] or sizes
     if result.nominal.rms < _ZEROS_FIRST_RATIO * result.before.scores.rms or not of_base:
         return ""
     if result.firmware is not None and result.firmware.corrections is not None:
         return f"The firmware's numbers are off, {result.firmware.corrections.words}. "
-    return f"The zeros of the drives are off. {of_base[0].words}. "
+    what = "controller computes with wrong sizes" if sizes else "zeros of the drives are off"
+    return f"The {what}. {of_base[0].words}. "
 
 
 def evidence(result: Result) -> str:
