@@ -73,7 +73,7 @@ def test_a_mesh_of_other_numbers_or_another_plate_is_told(tmp_path: Path) -> Non
     assert found.together == ()
     assert notes[0].startswith("mesh-2023.csv and mesh-default.csv are not of")
     size = re.search(r"their heights differ by (0\.\d+) mm", notes[0])
-    assert size is not None
+    assert size is not None, told[0]
     # What the radius does to heights is up to 0.3 mm, and this at a quarter of the places.
     assert float(size[1]) == pytest.approx(0.25, abs=0.05)
 
@@ -165,8 +165,8 @@ def test_a_touch_that_is_none_of_the_plate(off: float, tmp_path: Path) -> None:
     told = [w for w in spoilt_one.after.warnings if w.kind == "stray"]
     assert not [w for w in sound.after.warnings if w.kind == "stray"]
     assert len(told) == 1
-    size = re.search(r"x -60, y 30 mm is (\S+) mm (above|below) the surface", told[0])
-    assert size is not None
+    size = re.search(r"x −60, y 30 mm is (\S+) mm (above|below) the surface", told[0])
+    assert size is not None, told[0]
     assert float(size[1]) * {"above": 1, "below": -1}[size[2]] == pytest.approx(off, abs=0.04)
     for name, value in sound.values.items():
         sigma = sound.after.sigmas[name]
