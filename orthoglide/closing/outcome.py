@@ -221,7 +221,9 @@ class RunOutcome(Judged):
                 "something that is not in the catalogue: do not act on it, nor put its numbers in "
                 "a controller, before it is confirmed."
             )
-        return (*reasons, *filter(None, [self.contradicted] * (self.contradicted not in reasons)))
+        if self.contradicted and self.contradicted not in reasons:
+            reasons.append(self.contradicted)
+        return tuple(reasons)
 
     @cached_property
     def _disagreements(self) -> tuple[str, ...]:
