@@ -43,15 +43,22 @@ _BUMP_WIDTHS: dict[Part, tuple[float, ...]] = {"drive": (0.008,), "rail": (0.008
 """Standard deviations of a bump along the travel, metres: the first is typical of dirt, a dent or a
 joint between two rails. Each is twice the one before: a bell of another width between them has a
 correlation of at least 0.97 with the nearest. The last is as wide as smooth paths of a rail are
-correlated; the smooth error of a drive is finer and contains wide bumps. The height is expected to
-be a few hundredths of a millimetre, because a bump of one millimetre would have been noticed."""
+correlated; the smooth error of a drive is finer and contains wide bumps."""
+
+_TRAVEL_BUMP_HEIGHT = 30 * _UM
+"""Metres: prior standard deviation of the height; one millimetre would have been noticed."""
 
 
 def travel_bumps(
     travel: Sequence[Collection[float]], names: LegNames, stroke: Range, scale: float = 1.0
 ) -> tuple[FreeForm, ...]:
-    """Return the errors of drives and rails at one travel alone, as `free_forms` does others;
-    ``travel``: where each leg may have a bump, metres from mechanical zero.
+    """Return the bumps of drives and rails at given travels.
+
+    Args:
+        travel: of the bumps of each leg, metres from mechanical zero.
+        names: of the legs.
+        stroke: first and last travel, metres.
+        scale: size of the machine relative to a workshop's.
     """
     middle, half = (stroke[0] + stroke[1]) / 2, (stroke[1] - stroke[0]) / 2
     candidates: tuple[tuple[Part, str], ...] = (("drive", ""), ("rail", "b"), ("rail", "c"))
@@ -61,7 +68,7 @@ def travel_bumps(
             widths = _BUMP_WIDTHS[part]
             for width in (scale * width for width in widths):
                 form = FreeForm(part, leg, axis, "travel",
-                                Bump((position - middle) / half, width / half), 30 * _UM,
+                                Bump((position - middle) / half, width / half), _TRAVEL_BUMP_HEIGHT,
                                 bump=position, wide=0.0 if width == scale * widths[0] else width,
                                 names=names, chance=1 / len(positions) / len(widths))  # fmt: skip
                 forms.append(scaled_to_machine(form, scale))
@@ -73,8 +80,8 @@ DIAL_BUMP_WIDTHS = (0.03e-3, 0.1e-3)
 hundredth (a tooth of its rack or dirt on it), and the shortest bend of its smooth curve."""
 
 _DIAL_BUMP_HEIGHT = 10 * _UM
-"""Metres: height of such a bump. A dial's standard (DIN 878) allows 17 um over all of its range; a
-tenth of a millimetre, which ten times this allows, stops the hand and is seen."""
+"""Metres: prior standard deviation of the height of such a bump. A dial's standard (DIN 878) allows
+17 um over all of its range; a tenth of a millimetre would stop the hand and be noticed."""
 
 
 def with_dial_bump(form: FreeForm, reading: float, width: float, count: int) -> FreeForm:
@@ -109,7 +116,7 @@ def _jumps(effects: Iterable[str], names: LegNames) -> tuple[FreeForm, ...]:
     return tuple(
         with_jump(form, moment)
         for timed, moment in sorted(moments)
-        for form in free_forms(Session(0.0, 1.0, timed), names)
+        for form in free_forms(Session(0.0, 1.0, timed), names)  # a jump is the same in any session
         if may_jump(form)
     )
 

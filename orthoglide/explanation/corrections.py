@@ -25,9 +25,10 @@ from orthoglide.observations import Readings
 def with_faults_corrected(problem: Problem, faults: Sequence[Fault]) -> Problem:
     """Return the problem with data faults corrected and an unchanged number of rows.
 
-    Readings that a misreading lost get zero weight. Rows of other faults keep their weight.
+    Of misread rows, those whose true reading is lost (of a stuck dial, or at the end of a list that
+    is shifted by a line) get zero weight. All other rows keep their weight.
     """
-    # A shifted datum splits a setup, so misreadings of whole setups are corrected first.
+    # A moved datum splits a setup, so misreadings of whole setups are corrected first.
     for fault in sorted(faults, key=lambda f: f.kind not in MISREADING_KINDS):
         problem = _with_fault_corrected(problem, fault)
     return problem
@@ -56,11 +57,11 @@ def _with_fault_corrected(problem: Problem, fault: Fault) -> Problem:
             return _with_tables_changed(problem, fault, _with_datums_split)
         case _ if fault.relabels:
             return _with_tables_changed(problem, fault, _with_labels_corrected)
-        case "exchanged_labels":
+        case "exchanged_labels":  # of equally many rows: the readings are exchanged instead
             measured[rows] = measured[np.roll(rows, len(rows) // 2)]
         case "stuck":
             return without_weight(problem, rows)
-        case "shifted":
+        case "shifted":  # entered one line too late or too early
             late = fault.size > 0
             measured[rows] = measured[np.roll(rows, -1 if late else 1)]
             lost = rows[[-1 if late else 0]]
@@ -74,7 +75,7 @@ def _with_fault_corrected(problem: Problem, fault: Fault) -> Problem:
 
 
 def _with_rate_free(problem: Problem, fault: Fault) -> Problem:
-    """Return the problem with a free rate of an instrument that drifts: it was estimated."""
+    """Return the problem with the rate of a drift free, as the subtracted one is an estimate."""
     factors, (k, _) = list(problem.factors), factors_and_rows(problem, fault.rows)[0]
     (setup,) = setups_of(problem, fault)
     name = problem.setups[setup].name
@@ -128,7 +129,7 @@ def _with_datums_split(table: Readings, fault: Fault, rows: Rows) -> Readings:
         while name in names:
             name += "-again"
         setup = table.setup.copy()
-        # A later knock may have split off some of the rows before.
+        # A datum that moved later in the table may have split off some of these rows already.
         setup[part[setup[part] == number]] = len(table.setups)
         added = replace(table.setups[number], name=name)
         table = replace(table, setups=(*table.setups, added), setup=setup)

@@ -1,7 +1,7 @@
 """The search for data faults, and the readings without them.
 
 Data faults and causes of the machine compete in one search (`fault_columns`). Faults that are found
-are corrected and the search is repeated, at most six times.
+are corrected and the search is repeated, for at most six rounds.
 """
 
 from __future__ import annotations
@@ -99,7 +99,8 @@ class DataFindings:
 
     data_faults: tuple[ReportedFault, ...]  # in the order they were found
     changes: tuple[Change, ...]  # changed parameters with their values
-    # posterior of the readings as they stand; absent if faults are possible or anything was changed
+    # posterior of the readings as given; absent if a fault was found or is possible, if the machine
+    # changed, or if the noise was estimated again
     posterior: FullPosterior | None
     # faults that a cause of the machine may explain equally well
     ambiguous: frozenset[FaultKey] = frozenset()
@@ -112,7 +113,7 @@ def find_data_faults(estimate: Estimate) -> DataFindings:
 
     Raises:
         InputError: if repeats scatter more than those of any such instrument.
-        NumericsError: if the machine that is found cannot be closed.
+        NumericsError: if the loops do not close with the estimated parameters.
     """
     problem = estimate.problem
     faults_found, contradictions = find_scattered_setups(problem), list[Note]()
@@ -130,7 +131,7 @@ def find_data_faults(estimate: Estimate) -> DataFindings:
             evidence = posterior.evidence - cost
             misreading = _find_misreading(fit, posterior_without_changes, faults_found, evidence)
         if misreading is None:
-            if posterior.chi2_per_dof < _OVERSTATED_NOISE:  # a wrong unit could pass for the noise
+            if posterior.chi2_per_dof < _OVERSTATED_NOISE:  # would hide a wrong unit
                 ratios = _noise_square_ratios(posterior)
                 base = fit_nested(with_smaller_noise(base.problem, ratios))
                 posterior = posterior_with_corrected_commands(base)
@@ -226,25 +227,28 @@ def _find_misreading(
     faults: Sequence[Fault],
     other_evidence: float = -np.inf,
 ) -> Fault | None:
-    """Return the misreading of setups without one that explains the readings clearly better."""
+    """Return the misreading, among setups without a known one, that explains the readings clearly
+    better than they stand; ``None`` if there is none.
+    """
     rows_by_setup = setups_to_reinterpret(base.problem, faults)
     alternatives = list_alternative_readings(base.problem, rows_by_setup)
     return likeliest_misreading(base, posterior, alternatives, rows_by_setup, other_evidence)
 
 
 def _merge_faults(problem: Problem, faults: Sequence[Fault], new: Sequence[Fault]) -> list[Fault]:
-    """Return all faults but those that a new fault may replace, to search them again: those in
-    setups that a misreading covers, and drifts of an instrument that was moved.
+    """Return the earlier and the new faults, without earlier ones that a new one may explain.
 
-    A wrong sign or label is extended to all rows of its setups in the original problem.
+    These are faults in setups that a new misreading covers, except wrong commands, and drifts of an
+    instrument that was moved: they are searched for again. A wrong sign or label is extended to all
+    rows of its setups in the original problem.
     """
     setup, merged = problem.setup_of_row, list[Fault]()
     misread_setups = [set(setups_of(problem, f)) for f in new if f.kind in MISREADING_KINDS]
     # Until its noise is known, a drift fits an instrument that was moved.
-    moved_setups = [setups_of(problem, f) for f in new if f.kind == "moved"]
+    moved_setups = [set(setups_of(problem, f)) for f in new if f.kind == "moved"]
     for fault in faults:
         setups = set(setups_of(problem, fault))
-        if fault.kind == "drifted" and list(setups) in moved_setups:
+        if fault.kind == "drifted" and setups in moved_setups:
             continue
         if fault.kind == "command" or not any(setups <= misread for misread in misread_setups):
             merged.append(fault)
@@ -257,7 +261,8 @@ def _merge_faults(problem: Problem, faults: Sequence[Fault], new: Sequence[Fault
 
 
 def _correct_faults(problem: Problem, faults: Sequence[Fault]) -> Problem:
-    """Return the problem with data faults corrected; the problem itself if there is nothing to do.
+    """Return the problem with data faults corrected; the same object if no fault, outlying repeat
+    or prior width is to be changed, on which the caller relies.
 
     Prior widths are reset to the tolerances unless there is an earlier calibration, so that faulty
     readings cannot pull parameters far off. Repeats that differ most do not count for the noise.
@@ -274,7 +279,7 @@ def _report_faults(estimate: Estimate, faults: Sequence[Fault]) -> tuple[Reporte
     for k, fault in enumerate(faults, 1):
         cost_with, rms_with = fit.scores.chi2 + fit.scores.prior_chi2, rms
         corrected = with_faults_accounted_for(problem, faults[:k])
-        with suppress(NumericsError):  # a machine that closes once all faults are corrected
+        with suppress(NumericsError):  # it may not close until the other faults are corrected
             fit = fit_nested(corrected)
         kept = _rows_kept(problem, corrected)
         residual = np.where(kept, fit.residuals, np.nan)
@@ -291,7 +296,7 @@ def _report_faults(estimate: Estimate, faults: Sequence[Fault]) -> tuple[Reporte
 
 
 def _rows_kept(problem: Problem, corrected: Problem) -> NDArray[np.bool_]:
-    """Return the rows ``(n,)`` whose weight the correction of faults leaves."""
+    """Return which rows the correction of faults gave no zero weight ``(n,)``."""
     weighted, left = (
         np.concatenate([f.noise.weighted for f in one.factors]) for one in (problem, corrected)
     )

@@ -16,12 +16,12 @@ from orthoglide.geometry import Array
 def marginal_covariances(
     linear: LinearModel, index: NDArray[np.intp]
 ) -> Callable[[Scale, Array], Array]:
-    """Return a function of a scale and the root of a state's slab covariance ``(C, q)``: the
-    covariance of some coefficients ``(k, k)``.
+    """Return a function that computes the posterior covariance ``(k, k)`` of some coefficients.
 
-    Prior less gain cancels to rounding errors where the readings determine a direction a million
-    times better than the prior. Here the other coefficients are marginalised as noise, and
-    precisions are added.
+    Its arguments are the scale of the background, and a root ``(C, q)`` of the additional prior
+    covariance (the slab) of the groups that are active. The usual form, prior minus gain, loses all
+    digits where the readings determine a direction a million times better than the prior. Here the
+    other coefficients are marginalised as noise, and the precisions of prior and data are added.
 
     Args:
         linear: the readings.
@@ -34,13 +34,14 @@ def marginal_covariances(
     scaled = linear.columns * np.where(fixed, linear.fixed_sd, 1.0)
     blocks = (scaled[:, marginalised & kind] for kind in kinds)
     fixed_part, free, background = (block @ block.T for block in blocks)
+    *_, stations = linear.prior_covariances
 
     @cache  # many states share a scale
     def whitened(scale: Scale) -> tuple[Array, Array, Array]:
-        noise = fixed_part + scale.free_form_scale**2 * free
-        noise += scale.background_scale**2 * background
-        noise += scale.noise**2 * linear.prior_covariances[3] + np.eye(len(noise))
-        root = np.asarray(np.linalg.cholesky(noise), dtype=np.float64)
+        covariance = fixed_part + scale.free_form_scale**2 * free
+        covariance += scale.background_scale**2 * background
+        covariance += scale.noise**2 * stations + np.eye(len(covariance))
+        root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
         columns = linear.columns[:, index] * np.sqrt(scale.spike[index])
         columns = np.asarray(solve_triangular(root, columns, lower=True))
         return root, columns, columns.T @ columns

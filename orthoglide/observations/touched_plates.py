@@ -1,4 +1,4 @@
-"""Lists of touches: whether they are of one plate that lies where it lay.
+"""Consistency of lists of touches: whether a plate was moved or replaced between two of them.
 
 The place and the height of a touch are those of a delta's controller: lists are compared at places
 that both touched, whatever the machine's errors are.
@@ -20,11 +20,11 @@ from orthoglide.observations.readings import Readings
 LEAST_MOVE = 1e-4
 """Smallest move that is reported on a machine of usual size, metres: the thickness of paper."""
 
-_MAX_DIFFERENCE, _MAX_SLOPE, _MAX_SHAPE = 2e-4, 1e-4, 5e-5
+_MAX_DIFFERENCE, _MAX_TILT, _MAX_SHAPE = 2e-4, 1e-4, 5e-5
 """Metres by which two lists may differ at three quarters of the places that both touched: in
-height, and with many places by a slope and by a smooth shape. Of 17 pairs on owners' printers,
-probed warm and cold, none does by more than 0.11, 0.036 and 0.015 mm. A quarter may differ by more,
-because one wrong touch of seven is told only if it stays beside a list that contradicts it."""
+height, and with many places by a tilt and by a smooth shape. Of 17 pairs on owners' printers,
+probed warm and cold, none does by more than 0.11, 0.036 and 0.015 mm. A quarter may differ by more:
+a list with one wrong touch of seven has to stay, as the other list is what shows that touch."""
 _MIN_COMMON_PLACES = 4  # places that establish a difference
 _MIN_SMOOTHED = 12  # places for a surface of second order, of six unknowns, without their noise
 
@@ -61,7 +61,7 @@ def disagreements(
     """Yield the names of two lists of touches whose heights differ at common places, and a note.
 
     Its kind is ``moved`` if the difference is a plane: both show one plate, which lies elsewhere.
-    Else it is ``apart``: the plate or the firmware's numbers are others.
+    Otherwise it is ``apart``: the plate or the controller's numbers differ.
 
     Args:
         kinematics: of the controller.
@@ -90,7 +90,7 @@ def _note(name: str, other: str, places: Array, difference: Array) -> Note | Non
         x, y = centred.T
         columns = np.column_stack([plane_columns(centred), x**2, x * y, y**2])
         shape = columns @ np.linalg.lstsq(columns, shape, rcond=None)[0]
-        differs |= _quantile(centred @ slope) > _MAX_SLOPE or _quantile(shape) > _MAX_SHAPE
+        differs |= _quantile(centred @ slope) > _MAX_TILT or _quantile(shape) > _MAX_SHAPE
     if not differs:
         return None
     told = (
@@ -98,15 +98,15 @@ def _note(name: str, other: str, places: Array, difference: Array) -> Note | Non
         f"the places that both touched, their heights differ by {_quantile(difference) * 1e3:.2f} "
         f"mm or more"
     )
-    if _quantile(shape) > _MAX_SHAPE:
+    rise = float(np.hypot(*slope) * np.ptp(places, axis=0).max() / 2)
+    toward = float(np.degrees(np.arctan2(slope[1], slope[0]))) % 360
+    higher, rise = (v if abs(v) > LEAST_MOVE else 0.0 for v in (float(height), rise))
+    if _quantile(shape) > _MAX_SHAPE or not (higher or rise):
         return Note(
             f"{told}. Leave the older of the two out, or probe it again; of a plate that was "
             f"turned say by how much (turned_deg, or --turned NAME=DEGREES on import)",
             "apart",
         )
-    rise = float(np.hypot(*slope) * np.ptp(places, axis=0).max() / 2)
-    toward = float(np.degrees(np.arctan2(slope[1], slope[0]))) % 360
-    higher, rise = (v if abs(v) > LEAST_MOVE else 0.0 for v in (float(height), rise))
     move = PlateMove(f"{name}.csv", higher, rise, toward, "that of the other")
     return Note(
         f"{told}; {move.words}. An endstop, a screw of the plate or the probe was moved between "

@@ -53,9 +53,9 @@ _STEP_RATIOS = (1.0, *(2.0**k for k in (1, -1, 2, -2, 3, -3, 4, -4)))
 """Candidate ratios of the stored length of a step to the present one."""
 _NOISE = {"height": PROBE_REPEATABILITY, "manual_height": PROBE_REPEATABILITY, "distance": 1e-4}
 _NEWTON_STEPS = 6  # of a factor of travel, to which heights are nearly proportional
-_CHANCE_GAIN = 14.0
-"""Fall of chi2 beyond which steps, not endstops, were changed: they are changed a thousand times as
-rarely (2 ln 1000)."""
+_MIN_STEP_GAIN = 14.0
+"""Decrease of chi2 that a changed length of a step must reach against moved endstops, which are a
+thousand times as frequent (2 ln 1000)."""
 _MIN_PLANE_HEIGHTS = 3  # heights that determine a mean and a slope
 _MIN_ENDSTOP_SHIFT = 3e-5  # metres: a larger mean residual of heights means moved endstops
 _MAX_SLOPE = 2e-5, 0.1  # largest slope beside that mean: metres at the rim, or share of the mean
@@ -68,7 +68,9 @@ def probe_section(config: Config) -> ConfigSection | None:
 
 
 def probe_offset(config: Config) -> tuple[float, Array]:
-    """Return the offset of the probe above the nozzle, and along the plate ``(2,)``, metres."""
+    """Return the height of the nozzle above the plate where the probe triggers (z_offset), and the
+    place of the probe beside the nozzle ``(2,)``, metres.
+    """
     if (section := probe_section(config)) is None:
         return 0.0, np.zeros(2)
     beside = [config.number_or_zero(section.name, f"{axis}_offset", -200, 200) for axis in "xy"]
@@ -126,9 +128,10 @@ def _read_kind(config: Config, section: ConfigSection, kind: str) -> tuple[list[
 
 
 def _excess(value: Array, p: Array) -> tuple[Array, Array]:
-    """Return computed minus stored values for places ``(n, k, 3)``, and the largest plausible size
-    of that, metres: of a height ``(n, 1)``; of a distance and of z at its ends, which are on the
-    plate, ``(n, 3)``.
+    """Return computed minus stored values for places ``(n, k, 3)``, and their limits, metres.
+
+    Heights have one column ``(n, 1)``. Distances have three ``(n, 3)``: the distance, and z at both
+    ends, which is 0 on the plate.
     """
     if p.shape[1] == 1:
         return p[:, :, 2] - value[:, None], np.full((len(value), 1), _MAX_VALUE_ERROR)
@@ -164,7 +167,7 @@ def _microstep_ratio(
                 config.note(
                     "readings",
                     f"the positions of {kind}s in [delta_calibrate] were stored with "
-                    f"{1 / ratio:g} times the microsteps of now, and are taken so",
+                    f"{1 / ratio:g} times the microsteps of now, and are converted",
                 )
             return ratio
     return 1.0
@@ -173,10 +176,11 @@ def _microstep_ratio(
 def _step_factors(
     config: Config, numbers: Numbers, values: Mapping[str, Array], ways: Mapping[str, Array]
 ) -> dict[str, float]:
-    """Return the factor of the travel of a step since the touches, by kind; empty if it is 1.
+    """Return the ratio of a step's length at the touches to the present one, by kind of reading;
+    empty if no change is significant.
 
-    A belt's travel in a turn that was changed since shifts all heights as moved endstops do, but it
-    also bends the plate and scales distances, which the firmware had fitted.
+    A changed rotation_distance shifts all heights, as moved endstops do. It also bends the plate
+    and scales distances, which the firmware had fitted.
     """
     heights = next((k for k in values if ways[k].shape[1] == 1), "")
     if len(values.get(heights, ())) < _MIN_PLANE_HEIGHTS:
@@ -188,7 +192,7 @@ def _step_factors(
         factor *= 1 + float(excess.mean() / way.mean())
 
     def gain(kind: str) -> float:
-        """Return the fall of chi2 of a kind by the factor, by which heights have no mean."""
+        """Return the decrease of chi2 of a kind by the factor."""
         excess, scaled = (
             _excess(values[kind], _positions(numbers, ways[kind] * f))[0][:, 0]
             for f in (1.0, factor)
@@ -199,7 +203,7 @@ def _step_factors(
 
     gains = {kind: gain(kind) for kind in values}
     scaled = [kind for kind, fall in gains.items() if fall > 0]
-    if not (gains[heights] > 0 and sum(gains[kind] for kind in scaled) > _CHANCE_GAIN):
+    if not (gains[heights] > 0 and sum(gains[kind] for kind in scaled) > _MIN_STEP_GAIN):
         return {}
     section = config.section(f"stepper_{TOWERS[0]}")
     turn = section.number("rotation_distance", 0.0)
@@ -208,9 +212,9 @@ def _step_factors(
         CHANGED_NOTE,
         f"the {' and '.join(f'{kind}s' for kind in scaled)} of [delta_calibrate] fit the stored "
         f"numbers with steps that are {abs(factor - 1) * 1e2:.2f} % "
-        f"{'longer' if factor > 1 else 'shorter'} than now{example}: rotation_distance, or the "
-        f"microsteps, were changed since. Put that back, or keep it and run DELTA_CALIBRATE and "
-        f"SAVE_CONFIG, as the stored numbers do not go with it, and probe the mesh again",
+        f"{'longer' if factor > 1 else 'shorter'} than now{example}: rotation_distance or the "
+        f"microsteps were changed after the calibration. Restore the old value, or run "
+        f"DELTA_CALIBRATE and SAVE_CONFIG and probe the mesh again",
     )
     return dict.fromkeys(scaled, factor)
 
@@ -220,13 +224,15 @@ def _plausible_rows(
 ) -> NDArray[np.bool_]:
     """Return which readings agree with the stored numbers ``(n,)``; none if most of them do not.
 
-    A common shift of heights is left to `_endstop_shift`.
+    Heights outside the radius of the towers do not. A common shift of heights is left to
+    `_endstop_shift`.
     """
     excess, most = _excess(value, p)
     reached = np.asarray(np.isfinite(excess).all(axis=1))
     common, plausible = 0.0, reached.copy()
     if p.shape[1] == 1:
-        common = float(np.median(excess[reached])) if reached.any() else 0.0
+        if reached.sum() >= _MIN_PLANE_HEIGHTS:
+            common = float(np.median(excess[reached]))
         plausible = reached & (np.hypot(*p[:, 0, :2].T) <= numbers.delta_radius)
     plausible &= (np.abs(excess - common) <= most).all(axis=1)
     plausible &= np.mean(plausible) > 0.5
@@ -262,11 +268,13 @@ def _plausible_rows(
 
 
 def _endstop_shift(config: Config, kind: str, p: Array, height: Array) -> float:
-    """Return by how much all endstops were moved together after the touches, metres.
+    """Return computed less stored heights if all endstops were moved after the touches, metres;
+    else 0.
 
     The residuals of the firmware's own fit have neither a mean nor a slope. A mean without a slope
     is a later change of the endstops (Z_OFFSET_APPLY_ENDSTOP). Then z = 0 stays where the owner put
-    it, and the heights determine everything else as before.
+    it, and the heights determine everything else as before. A residual beyond 3 mm is such a change
+    with any slope, but the note asks for a new calibration.
     """
     if len(height) < _MIN_PLANE_HEIGHTS:
         return 0.0
@@ -287,7 +295,7 @@ def _endstop_shift(config: Config, kind: str, p: Array, height: Array) -> float:
         CALIBRATE_NOTE if is_far else "heights",
         f"the {kind}s of [delta_calibrate] are {'all ' * is_level}{signed(shift * 1e3, 2)} mm away "
         f"from the endstops that are stored now, which were moved after the touches "
-        f"(Z_OFFSET_APPLY_ENDSTOP); z = 0 is left where they put it{doubt * is_far}",
+        f"(Z_OFFSET_APPLY_ENDSTOP); the present z = 0 is kept{doubt * is_far}",
     )
     return shift
 
@@ -295,7 +303,9 @@ def _endstop_shift(config: Config, kind: str, p: Array, height: Array) -> float:
 def _height_rows(
     config: Config, kind: str, value: Array, travel: Array, shift: float
 ) -> Iterator[Row]:
-    """Yield touches of the plate, by the probe or (``manual_height``) by the nozzle itself."""
+    """Yield touches of the plate: by the nozzle for ``manual_height``, or if all values of
+    ``height`` are 0 although the probe has an offset; else by the probe.
+    """
     offset, beside = probe_offset(config)
     stored_offset, touch_offset = float(np.median(value)), None
     if kind == "height" and abs(offset) >= _MIN_PROBE_OFFSET and not value.any():
