@@ -1,5 +1,7 @@
 """Faults of the data are found and named, and physics is not taken for one."""
 
+import csv
+import io
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -21,6 +23,8 @@ from orthoglide.fit import Estimate, solve
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
 from orthoglide.observations import read_campaign
+from orthoglide.report.tables import residual_table
+from orthoglide.result import DataRival
 from orthoglide.verdict import close_loop
 from tests import rig_campaigns as rc
 from tests.factors import campaign_of
@@ -328,6 +332,22 @@ def test_misread_rows_are_fitted_as_corrected(kind, machine):
     assert legs == [rows[k]["leg"] for k in kept]
     assert directions == [rows[k]["direction"] for k in kept]
     np.testing.assert_allclose(factor.measured * 1e3, [rows[k]["reading_mm"] for k in kept])
+
+
+def test_residuals_say_which_readings_were_corrected(machine):
+    """Their signs were those of no row of the file, and nothing said so."""
+    rows, _ = rc.swapped_sign(rows_of("standard"), "yz-0.5")
+    verdict = close_loop([campaign_of(rows, machine)], machine)
+    table = list(csv.DictReader(io.StringIO(residual_table(verdict))))
+    assert {row["setup"] for row in table if row["corrected"] == "sign"} == {"yz-0.5"}
+    assert {row["corrected"] for row in table if row["setup"] != "yz-0.5"} == {""}
+    assert not any(row["set_aside"] for row in table)
+
+
+def test_a_fault_of_many_lines_is_told_with_all():
+    drift = DataRival("drifted", tuple(range(116, 156)), 0.9, "a.csv, 40 lines from 116: ...")
+    assert drift.brief.endswith("in a.csv, lines 116 to 155")
+    assert replace(drift, rows=(116,)).brief.endswith("in a.csv, line 116")
 
 
 @pytest.mark.thorough

@@ -69,8 +69,8 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         collected.append(Note(text, "bound"))
-    if estimate.method != "posterior":  # whose covariance is that of all explanations
-        collected += tolerance_notes(estimate)
+    if estimate.method != "posterior":  # whose means are over several explanations
+        collected += tolerance_notes(estimate, sigmas=0.0)
     check = estimate.check
     if check is not None and not check.second_order:
         text = (

@@ -155,9 +155,11 @@ def suggest_deciding_visits(posterior: FullPosterior, fault: DataRival) -> Sugge
     table = next(t for t in tables if fault.rows[0] in t.line)
     faulty_rows = np.flatnonzero(np.isin(table.line, fault.rows) & table.on_legs)
     if not len(faulty_rows):
+        several = len(set(fault.rows)) > 1
+        settled = ", in the same order and after the instrument has settled" if several else ""
         return _trace_suggestion(
-            f"line {fault.rows[0]} of {fault.file} once more: a defect of the machine appears "
-            f"again, a slip does not"
+            f"{fault.lines} of {fault.file} once more{settled}: a defect of the machine appears "
+            f"again, {'a move or a drift of the instrument' if several else 'a slip'} does not"
         )
     rows = np.flatnonzero(np.isin(table.setup, table.setup[faulty_rows]))
     distances = np.linalg.norm(table.command[rows] - table.command[faulty_rows[0]], axis=1).round(6)

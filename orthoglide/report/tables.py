@@ -47,7 +47,8 @@ def calibrated_machine(result: Result) -> MachineFile:
 def residual_table(result: Result) -> str:
     """Return the text of ``residuals.csv``; excluded readings are the last rows.
 
-    Inclinations have columns of their own, if any were read.
+    Readings that are fitted corrected have the kind of their fault in the last column. Inclinations
+    have columns of their own, if any were read.
     """
     tables, shown = result.request.given, result.readings
     predicted = (shown.nominal, shown.before, shown.after)
@@ -55,13 +56,19 @@ def residual_table(result: Result) -> str:
     empty, any_turned = [""] * len(_VALUE_COLUMNS), bool(shown.turned.any())
     two_dials = any(setup.observation.dials > 1 for t in tables for setup in t.setups)
     directions = [readings.direction for readings in tables]
+    corrected = {
+        place: fault.kind
+        for fault in result.blunders
+        for place in (() if fault.excluded else fault.rows_in_request)
+    }
 
     def cells(file: int, row: int, values: list[str], fault: str = "") -> list[Any]:
         readings = tables[file]
         setup = readings.setups[readings.setup[row]]
         mm, mrad = (empty, values) if setup.observation.angular else (values, empty)
         place = _reading_cells(readings, row, directions[file][row], two_dials)
-        return [*place, *mm, fault, setup.kind, *(mrad if any_turned else ())]
+        correction = "" if fault else corrected.get((file, row), "")
+        return [*place, *mm, fault, setup.kind, *(mrad if any_turned else ()), correction]
 
     fitted = zip(shown.file.tolist(), shown.row.tolist(), np.column_stack(columns), strict=True)
     rows = [cells(file, row, [*map(_mm, values)]) for file, row, values in fitted]
@@ -74,7 +81,7 @@ def residual_table(result: Result) -> str:
         *native_command_names(result.machine.geometry.layout.names),
         "gauge_mm", *(("gauge2_mm",) if two_dials else ()), "repeat", "order",
     )  # fmt: skip
-    last = ("set_aside", "kind", *(_IN_MRAD if any_turned else ()))
+    last = ("set_aside", "kind", *(_IN_MRAD if any_turned else ()), "corrected")
     return csv_text((*titles, *_IN_MM, *last), rows)
 
 

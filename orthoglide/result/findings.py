@@ -233,11 +233,17 @@ class DataRival:
 
     @property
     def brief(self) -> str:
-        """The fault with its file and its first line, a clause."""
+        """The fault with its file and its lines, a clause."""
         what = FAULT_NAMES.get(self.data, "a fault of the data")
         if self.data == "outlier" and len(set(self.rows)) > 1:
             what = "one dial that reads wrong at one place"
-        return f"{what} in {self.file}, line {min(self.rows)}"
+        return f"{what} in {self.file}, {self.lines}"
+
+    @property
+    def lines(self) -> str:
+        """The line, or the first and the last of several, as words."""
+        first, last = min(self.rows), max(self.rows)
+        return f"line {first}" if first == last else f"lines {first} to {last}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
