@@ -177,7 +177,7 @@ class Catalogue(Mapping[str, Effect]):
             return name
         effect, setups = self.effect_of(name), tuple(setups)
         for names in (effect.parameters, partial(self.structured_members, effect.name)):
-            for candidate in names(setups):
+            for candidate in names(setups or ("one", "other") * effect.of_dial):
                 if name == candidate or name.startswith(f"{candidate}@"):
                     return candidate.at(name[len(candidate) + 1 :])
         if not effect.of_dial:

@@ -189,7 +189,8 @@ def _drifts(problem: Problem, reading_poses: tuple[ReadingPoses, ...]) -> Iterat
         rows = weighted_rows(problem, number)
         if len(rows) and setup.name not in factor.drifting:
             columns = _instrument_columns(problem, rows, reading_poses)
-            if len(rows) > 2 * columns.shape[1]:  # which determine both, the nuisances and rates
+            # So many readings determine both, the nuisances and their rates, if there are any.
+            if len(rows) > 2 * columns.shape[1] > 0:
                 yield Fault("drifted", rows), columns * progress[rows, None], 1.0
 
 

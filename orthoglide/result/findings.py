@@ -72,7 +72,7 @@ class Explanation:
         """Its size in `unit`, of the last campaign if it is specific to each; nan if it has several
         parameters.
         """
-        plain_names = {self.catalogue.parameter(name).plain for name in self.parameters}
+        plain_names = {split_campaign(name)[0] for name in self.parameters}
         size = self.values[self.parameters[-1]] if len(plain_names) == 1 else math.nan
         return size / self.effect.unit.si
 
