@@ -90,7 +90,7 @@ def test_what_is_not_told_explains_nothing() -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("seed", [28, 54])
+@pytest.mark.parametrize("seed", [59, 170, 213])
 def test_zeros_far_off_beside_noise_of_one_chance_in_a_hundred(seed: int) -> None:
     """What was left by chance kept the tolerances, ten of which no explanation could be weighed
     at: *unexplained*.

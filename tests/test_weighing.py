@@ -141,8 +141,8 @@ def test_large_offsets_are_a_finding_and_no_lack_of_fit(kind: str, size: float) 
     assert verdict.word == "adequate"
     assert verdict.after.sigma_scale == 1.0
     far = [w for w in verdict.after.warnings if w.kind == "tolerance"]
-    names = [re.findall(r"\((\S+)\) is ", w) for w in far]
-    assert names == [["joint_offset.x"], ["joint_offset.y"]]
+    names = [re.findall(r"^joint offset of leg (\S) is ", w) for w in far]
+    assert names == [["x"], ["y"]]
     assert verdict.after.scores.prior_chi2 < 10
     assert verdict.after.values["joint_offset.x"] == pytest.approx(size, rel=2e-3)
 
