@@ -241,9 +241,10 @@ class DataRival:
 
     @property
     def lines(self) -> str:
-        """The line, or the first and the last of several, as words."""
+        """The first and the last line if they follow each other, else the first, as words."""
         first, last = min(self.rows), max(self.rows)
-        return f"line {first}" if first == last else f"lines {first} to {last}"
+        in_a_row = last - first + 1 == len(set(self.rows)) > 1
+        return f"lines {first} to {last}" if in_a_row else f"line {first}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
