@@ -351,10 +351,11 @@ def test_a_fault_of_many_lines_is_told_with_all():
 
 
 @pytest.mark.thorough
-def test_an_error_that_a_misread_dial_alone_sees_is_located(machine):
-    """The verdict was *adequate*: all readings of that error had been excluded with the dial."""
+@pytest.mark.parametrize("seed", [4, 5])
+def test_an_error_under_a_misread_dial_is_located(seed, machine):
+    """All readings of that error along one of its places had been excluded with the dial."""
     rig = Rig(extra=(rc.s_curve(1, 0, 1e-4),))
-    rows = rc.swapped_sign(rows_of("sweep", seed=4, rig=rig), "yx-0.5").rows
+    rows = rc.swapped_sign(rows_of("two-gauges", seed=seed, rig=rig), "yx-0.65").rows
     verdict = close_loop([campaign_of(rows, machine)], machine)
     assert [fault.kind for fault in verdict.blunders] == ["sign"]
     assert [found.name for found in verdict.located] == ["rail.y.x/travel"]

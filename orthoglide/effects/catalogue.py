@@ -176,8 +176,10 @@ class Catalogue(Mapping[str, Effect]):
         if isinstance(name, Parameter):
             return name
         effect, setups = self.effect_of(name), tuple(setups)
+        # Two setups have all members that dials share, whatever the setups are called.
+        listed = setups or (("one", "other") if effect.of_dial else ())
         for names in (effect.parameters, partial(self.structured_members, effect.name)):
-            for candidate in names(setups or ("one", "other") * effect.of_dial):
+            for candidate in names(listed):
                 if name == candidate or name.startswith(f"{candidate}@"):
                     return candidate.at(name[len(candidate) + 1 :])
         if not effect.of_dial:
@@ -185,8 +187,7 @@ class Catalogue(Mapping[str, Effect]):
                 f"there is no parameter {name!r}: {effect.name} has {', '.join(effect.motions)}"
             )
         setup, shape, campaign = setup_parts(name[len(effect.name) + 1 :], effect.shapes)
-        members = {*self.structured_members(effect.name, ("any",)), f"{effect.name}.common"}
-        if setup and not setups and name.partition("@")[0] not in members:
+        if setup and not setups:
             return Parameter(effect.name, setup=setup, direction=shape, campaign=campaign)
         choices = f", one of {', '.join(setups)}" if setups else ""
         raise InputError(f"{name}: {effect.name} takes the name of a setup behind the dot{choices}")
