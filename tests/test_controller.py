@@ -676,3 +676,5 @@ def test_a_file_without_a_calibration_promises_nothing() -> None:
     text = controller_numbers(Machine.nominal()).text()
     assert "The machine file holds no calibration" in " ".join(text.split())
     assert "Nothing else was identified" not in text
+    assert "Enter each" not in text  # no zero changes, and so no sign is to be checked
+    assert "signs" not in text

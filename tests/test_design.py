@@ -321,6 +321,20 @@ def test_power_is_that_of_the_noncentral_distribution():
     assert np.mean(worse > 4) == pytest.approx(0.95, abs=0.005)
 
 
+def test_a_precise_level_hides_nothing_that_distances_show():
+    """It shows the small errors of a sound machine, which raised the threshold of all effects."""
+    instruments = {"distance": og.Instrument(0.0, 2e-5), "incline": og.Instrument(0.0, 5e-5)}
+    layout = og.LinearDelta((0.14,) * 3, tool=(0.0, 0.0, -0.04))
+    geometry = og.Geometry(0.272, 0.05, 0.032, (-0.02, 0.26), layout)
+    delta = og.Machine(replace(og.Machine.of(geometry).spec, instruments=instruments))
+
+    def found_from(*kinds: str) -> float:
+        told = smallest_effects(delta, og.tool_sheets(delta, kinds))
+        return next(s.detectable for s in told.smallest if s.name == "rail_tilt.a.radial")
+
+    assert found_from("distance", "incline") < 1.15 * found_from("distance")
+
+
 def test_effects_with_one_signature_are_never_named(machine):
     told = {s.name: s for s in smallest_effects(machine, protocol("sweep")).smallest}
     same = told["axis_tilt.y.z"]

@@ -200,7 +200,7 @@ MALFORMED: dict[str, tuple[Fault, str, int]] = {
     "missing column": (without("reading_mm"), "has no column reading_mm", 1),
     "misspelt column": (renamed(reading_mm="readings_mm"), "did you mean 'reading_mm'", 1),
     "another table altogether": (
-        lambda rows: [["a", "b"], ["1", "2"]], "the first line must name setup, leg", 1),
+        lambda rows: [["a", "b"], ["1", "2"]], "names no known column: give setup, leg", 1),
     "capitals": (
         lambda rows: [[name.upper() for name in rows[0]], *rows[1:]], "in small letters", 1),
     "column named twice": (added("leg", "x"), "names column 'leg' twice", 1),
@@ -208,7 +208,8 @@ MALFORMED: dict[str, tuple[Fault, str, int]] = {
     "a field too few": (
         lambda rows: [*rows[:4], rows[4][:-1], *rows[5:]], "has 11 fields where", 5),
     "a field too many": (
-        lambda rows: [*rows[:4], [*rows[4], "1"], *rows[5:]], "part the columns by semicolons", 5),
+        lambda rows: [*rows[:4], [*rows[4], "1"], *rows[5:]], "give every line as many fields", 5),
+    "a title above the names": (lambda rows: [["April"], *rows], "begin with the names", 2),
 }  # fmt: skip
 
 BROKEN: dict[str, tuple[bytes, str, int | None]] = {

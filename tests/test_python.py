@@ -245,7 +245,9 @@ def test_points_in_millimetres_are_said_to_be_far() -> None:
     told = "give metres in Python, millimetres on the command line"
     with pytest.raises(og.UnreachableError, match=f"for a point 36 m away: {told}"):
         og.Machine.nominal().inverse([-12, 24, 24])
-    with pytest.raises(og.UnreachableError, match=f"^row 1 .* too short; {told}"):
+    with pytest.raises(
+        og.UnreachableError, match=f"^row 1 .* too short for a point 36 m away: {told}"
+    ):
         og.compensate(og.Machine.nominal(), [[-12, 24, 24]])
 
 

@@ -72,6 +72,7 @@ def fit(given: Any = DIALS, **options: Any) -> og.Estimate:
     ),
     ("a condition back", lambda: WORN.inverse([0, 0, 0], aproach=1), "no condition 'aproach'"),
     ("an interval", lambda: fit().interval("joint_ofset.x"), "no identified parameter 'joint_ofse"),
+    ("no effect", lambda: og.close_loop(DIALS, effects=3), "each an og.Effect"),  # type: ignore[arg-type]
     ("an effect's name", lambda: og.close_loop(DIALS, effects=["axis_tilt"]), "each an og.Effect"),
     ("effects' names", lambda: og.close_loop(DIALS, effects="axis_tilt"), "each an og.Effect"),
     ("a level", lambda: og.smallest_effects(WORN, DIALS, level=2), "level is a probability"),

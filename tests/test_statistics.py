@@ -96,6 +96,7 @@ def test_what_is_to_be_detected_stands_above_noise_as_often_as_stated(level: flo
     told = smallest_effects(made, sheet, level=level)
     seen = signatures(fitted(repeatability=NOISE))
     drawn = lack_of_fit.noise_residuals(seen, np.random.default_rng(7), 2000)
+    seen = replace(seen, columns=seen.weighted_by_background(seen.columns))
     best = Scoring.prepare(seen, seen.candidates).evidences(drawn).max(axis=0)
     assert np.mean(best > told.threshold) == pytest.approx(level, abs=0.018)
 

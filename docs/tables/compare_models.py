@@ -22,7 +22,8 @@ COLUMNS = (
 LEGEND = (
     "Columns: the TCP's error and the readings' (rms, max) once the six parameters are fitted to "
     "each; the TCP's error of an identification from the readings, with priors and after the best "
-    "translation; the size *up to* which the reduction will do. Lengths in µm, turns in µrad."
+    "translation; the size *up to* which the simplified model will do. Lengths in µm, turns in "
+    "µrad."
 )
 
 

@@ -74,13 +74,13 @@ def _page_data(comparison: Check) -> dict[str, Any]:
     numbers = comparison.told.numbers
     now, zeros = (f"{numbers.expected[k].shape * 1e3:.3f} mm" for k in ("now", "zeros"))
     zero = ", ".join(f"{d.leg} {plain(d.new_zero * 1e3, 3)}" for d in numbers.drives)
-    held_back = any(one.kind == "zeros" for one in verdict.withheld)
+    enters_zeros = any(action.kind == "zeros" for action in verdict.actions)
     return {
         "said": [sentence(text) for text in comparison.sentences],
         "left": headline(verdict),
         "tool": f"The tool is {now} off on average over the workspace, a shift of the whole left "
-        f"out{'' if held_back else f'; {zeros} once the zeros are right'}.",
+        f"out{f'; {zeros} once the zeros are right' * enters_zeros}.",
         "zeros": f"Once new zeros are entered ({zero} mm), these readings prove their "
         f"signs, each from the new zeros with the dial set to 0 there",
-        "checks": [] if held_back else [sentence(str(check)) for check in numbers.checks],
+        "checks": [sentence(str(check)) for check in numbers.checks] if enters_zeros else [],
     }

@@ -16,7 +16,7 @@ from orthoglide.cli.app import Group, cli, deliver, progress, warn
 from orthoglide.errors import FileError, InputError, UnreachableError
 from orthoglide.numerals import plain
 from orthoglide.progress import Step
-from orthoglide.text import csv_text
+from orthoglide.text import csv_text, wrapped
 
 if TYPE_CHECKING:
     from orthoglide.firmware.imported import Imported
@@ -123,7 +123,7 @@ def compare(
       orthoglide compare --machine april/calibrated.toml --out comparison
     """
     from orthoglide.comparison import compare_effects, compare_machine, worst_by_effect
-    from orthoglide.comparison.tables import comparison_files, short_table
+    from orthoglide.comparison.tables import LIMITS, comparison_files, short_table
     from orthoglide.report.terminal import console_text, table
 
     robot = machine.load()
@@ -140,7 +140,7 @@ def compare(
     good_count = sum(row.good_enough for row in worst)
     written = "" if out is None else f"\n\nwritten: {click.format_filename(out)}"
     line = f"The simplified model is good enough for {good_count} of {len(worst)}."
-    deliver(line if quiet else f"{table_text}\n\n{line}{written}", files, out)
+    deliver(line if quiet else f"{table_text}\n\n{wrapped(LIMITS)}\n{line}{written}", files, out)
 
 
 class _Coordinate(click.ParamType):

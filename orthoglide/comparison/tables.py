@@ -17,16 +17,16 @@ from orthoglide.progress import Progress, Step, no_progress
 _UM = 1e6
 
 LIMITS = (
-    f"The reduction will do where, after its six parameters are fitted, the TCP is nowhere more "
-    f"than {TCP_LIMIT * _UM:g} µm and the readings no more than {READING_LIMIT * _UM:g} µm rms "
-    f"from the mechanism."
+    f"The simplified model will do where, after its six parameters are fitted, the TCP is nowhere "
+    f"more than {TCP_LIMIT * _UM:g} µm and the readings no more than {READING_LIMIT * _UM:g} µm "
+    f"rms from the mechanism."
 )
-"""What "the reduction will do" means."""
+"""When the simplified model will do."""
 
 _LEGEND = (
     "Lengths in µm, turns of the platform in µrad, places as TCP in mm, all over the workspace; "
     "calibrated TCP: identified from the readings with the tolerances as priors, after the best "
-    "translation; up to: the size at which the reduction stops being enough, by proportion."
+    "translation; up to: the largest size at which the simplified model will do, by proportion."
 )
 _NOT_READ = " Readings are not compared: dials are set against the legs of an Orthoglide alone."
 
@@ -67,16 +67,16 @@ _COLUMNS: dict[str, Callable[[Row], str]] = {
     "readings: change": lambda row: micrometres(row.reading_change),
     "six fitted: rms, max": lambda row: micrometres(row.reading_rms, row.reading_max),
     "calibrated TCP: max": lambda row: micrometres(row.identified.max),
-    "reduction will do": lambda row: "yes" if row.good_enough else "no",
+    "will do": lambda row: "yes" if row.good_enough else "no",
     "up to": lambda row: _size_text(row, row.value and row.good_up_to, "–"),
     # of the short table
-    "TCP, max, µm": lambda row: micrometres(row.fitted.max),
-    "readings, rms, µm": lambda row: micrometres(row.reading_rms),
+    "TCP differs, max, µm": lambda row: micrometres(row.fitted.max),
+    "readings differ, rms, µm": lambda row: micrometres(row.reading_rms),
 }
-_SHORT = ("effect", "TCP, max, µm", "readings, rms, µm", "reduction will do")
+_SHORT = ("effect", "TCP differs, max, µm", "readings differ, rms, µm", "will do")
 _LONG = tuple(_COLUMNS)[:-2]
 _OF_READINGS = {
-    "readings: change", "six fitted: rms, max", "calibrated TCP: max", "readings, rms, µm",
+    "readings: change", "six fitted: rms, max", "calibrated TCP: max", "readings differ, rms, µm",
 }  # fmt: skip
 
 

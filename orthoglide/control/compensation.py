@@ -19,7 +19,6 @@ from orthoglide.geometry import LEGS, Array
 from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.layout.leg import triple
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.mechanism.perfect_legs import UNITS_REMEDY
 from orthoglide.notes import Note
 from orthoglide.numerals import compact, plain
 from orthoglide.observations.approach import derive_approach
@@ -174,7 +173,7 @@ class Compensation(Framed):
 
 
 _GENERAL_NOTES = (
-    "the commands count as the controller does now: enter no new zero besides",
+    "the commands are in the controller's present count: leave its zeros as they are",
     "not covered: " + "; ".join(NOT_COVERED),
 )
 
@@ -281,15 +280,10 @@ def _inverse(
                 row = first_row + (rows.start or 0)
                 commands.append(_inverse(machine, wanted[rows], at, row))
             return np.concatenate(commands)
-        leg, excess = getattr(error, "leg", ""), float(getattr(error, "excess", 0.0))
-        cause = (
-            f"leg {leg} is {excess * 1e3:.3f} mm too short" if leg else "the legs do not reach it"
-        )
-        remedy = UNITS_REMEDY if UNITS_REMEDY in str(error) else "move the point towards the middle"
         raise UnreachableError(
-            f"row {first_row + 1} of the path is out of reach: {cause}; {remedy}",
-            leg=leg,
-            excess=excess,
+            f"row {first_row + 1} of the path is out of reach: {error}",
+            leg=getattr(error, "leg", ""),
+            excess=float(getattr(error, "excess", 0.0)),
             index=(first_row,),
         ) from error
 

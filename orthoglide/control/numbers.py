@@ -254,13 +254,13 @@ class ControllerNumbers(Framed):
             paragraphs = (t if "\n" in t else _fill(t) for t in self.firmware.paragraphs)
             return "\n\n".join((self.title, *paragraphs)) + "\n"
         instruction, readings = self.check
+        proofs = [f"- {reading}" for reading in readings]
         parts = [
             f"{self.title}\nLengths in mm, as the controller counts.",
             self.zeros.text(),
-            _fill(RULE),
-            *([_fill(f"Worked. {self.worked}")] if self.worked else ()),
+            *((_fill(RULE), _fill(f"Worked. {self.worked}")) if self.worked else ()),
             *(f"{_fill(meaning)}\n\n{table.text()}" for table, meaning in self.settings),
-            "\n".join(map(_fill, (instruction, *(f"- {reading}" for reading in readings)))),
+            *(["\n".join(map(_fill, (instruction, *proofs)))] if self.worked else ()),
             *map(_fill, filter(None, (self.gains, self.rest))),
         ]
         return "\n\n".join(parts) + "\n"

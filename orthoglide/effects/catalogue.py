@@ -88,7 +88,7 @@ class Catalogue(Mapping[str, Effect]):
         Raises:
             InputError: where two effects share a name, or a basis does not work on symbols.
         """
-        more = (more,) if isinstance(more, str | Effect) else tuple(more)
+        more = tuple(more) if isinstance(more, Iterable) else (more,)
         if not all(isinstance(e, Effect) for e in more):
             raise InputError(
                 "effects are a list of your own, each an og.Effect: those of the catalogue are "

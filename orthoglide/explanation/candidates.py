@@ -52,10 +52,10 @@ def candidates(
     """Return all candidates made of elementary unknowns: single, structured, and whole effects."""
     by_weights: dict[str, Candidate] = {}
     for effect in effects:
-        own_names = [n for n in names if n.effect == effect.name]
+        effect_names = [n for n in names if n.effect == effect.name]
         list_parts = _plate_candidates if effect.of_body else _part_candidates
-        parts = list_parts(effect, own_names, catalogue)
-        for candidate in (*parts, *_family_candidates(effect, own_names)):
+        parts = list_parts(effect, effect_names, catalogue)
+        for candidate in (*parts, *_family_candidates(effect, effect_names)):
             # Equal weights under two names would be one cause twice.
             weights_key = (sorted((str(n), w) for n, w in c.items()) for c in candidate.weights)
             by_weights.setdefault(repr(sorted(weights_key)), candidate)
@@ -126,7 +126,7 @@ a dial that reads ten per cent too much, or is ten degrees askew, is noticed at 
 
 def coefficient_spans(errors: Sequence[FreeForm], first: int = 0) -> dict[str, NDArray[np.intp]]:
     """Return the coefficient indices of each free-form error by name, counted from ``first``."""
-    ends = np.cumsum([first, *(p.kernel.count for p in errors)])
+    ends = np.cumsum([first, *(error.kernel.count for error in errors)])
     spans = zip(errors, pairwise(ends), strict=True)
     return {error.name: np.arange(start, end) for error, (start, end) in spans}
 
@@ -146,10 +146,10 @@ def _entered_common_causes(
     earlier = full_problem.earlier_posterior
     prior_names = () if earlier is None else earlier.names
     for effect, sd in machine.spec.entered.items():
-        own_names = [n for n in names if n.effect == effect]
-        if any(n in prior_names for n in own_names):
+        effect_names = [n for n in names if n.effect == effect]
+        if any(n in prior_names for n in effect_names):
             continue
-        for cause in candidates(own_names, [machine.catalogue[effect]], machine.catalogue):
+        for cause in candidates(effect_names, [machine.catalogue[effect]], machine.catalogue):
             if cause.name.endswith("common"):
                 yield cause, sd / machine.tolerance(effect)
 

@@ -11,7 +11,7 @@ from orthoglide.explanation.causes import CredibleSets
 from orthoglide.explanation.full_posterior import FullPosterior
 from orthoglide.explanation.linear_model import Scale
 from orthoglide.explanation.search import State
-from orthoglide.explanation.signatures import Signatures
+from orthoglide.explanation.signatures import BACKGROUND, Signatures
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.least_squares import project_out
 from orthoglide.fit.repeats import on_grid, readings_of_finest_step, repeat_variance, total_variance
@@ -32,9 +32,6 @@ DRAWS = 1999
 
 _GRID_TOLERANCE = 1e-6  # rounding error of readings as binary fractions, in steps
 
-BACKGROUND = 0.02
-"""Size of every effect on a sound machine, in tolerances."""
-
 
 def estimate_lack_of_fit(estimate: Estimate) -> LackOfFit:
     """Return the lack of fit of a fit: :attr:`Scores.lack_of_fit_p`."""
@@ -47,7 +44,7 @@ def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int
     """Return whitened, projected residuals ``(m, draws)`` of a sound machine.
 
     They contain the noise with its rounding, placements and estimate, and ``BACKGROUND``
-    tolerances of every effect: precise readings show such small errors, which are no causes.
+    tolerances of every effect, by which `Signatures.weighted_by_background` weights them.
     """
     problem = signatures.estimate.problem
     readings = _draw_noise(problem, signatures, rng, draws)
@@ -64,7 +61,7 @@ def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int
     rows += project_out(signatures.fitted_basis, prior_rows)
     background = rng.standard_normal((len(signatures.names), draws))
     background *= BACKGROUND * signatures.tolerance[:, None]
-    return np.asarray(rows + signatures.columns @ background)
+    return signatures.weighted_by_background(rows + signatures.columns @ background)
 
 
 def _single_reading_variance(problem: Problem, drawn: Sequence[Sequence[Readings]]) -> Array:

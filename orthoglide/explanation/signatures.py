@@ -22,6 +22,9 @@ from orthoglide.fit.unknowns import weight_matrix
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 
+BACKGROUND = 0.02
+"""Size of every effect on a sound machine, in tolerances."""
+
 _LEAST_SIGNAL = 0.3  # least signature of one tolerance that is visible, in sigmas over all readings
 
 
@@ -50,6 +53,14 @@ class Signatures:
     def whiten(self, readings: Array) -> Array:
         """Return readings ``(n, ...)``, metres, as whitened and projected vectors ``(m, ...)``."""
         return whiten_and_project(self.estimate.nuisance.weighing, self.fitted_basis, readings)
+
+    def weighted_by_background(self, vectors: Array) -> Array:
+        """Return vectors ``(m, k)`` whitened by the noise and ``BACKGROUND`` tolerances of every
+        effect together, whose covariance is ``1 + U diag(s^2) U^T``.
+        """
+        background = self.columns * (BACKGROUND * self.tolerance)
+        u, s, _ = np.linalg.svd(background, full_matrices=False)
+        return np.asarray(vectors + u @ ((1 / np.sqrt(1 + s**2) - 1)[:, None] * (u.T @ vectors)))
 
     def signature(self, candidate: Candidate) -> Array:
         """Return the signature of a candidate at its tolerance ``(m, size)``."""

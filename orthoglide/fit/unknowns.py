@@ -98,8 +98,8 @@ def build_unknowns(
     stems = [factor.name for factor in factors]
     if len(set(stems)) != len(stems):
         raise InputError(
-            f"two campaigns have the same name ({', '.join(stems)}): rename one file, or give one "
-            f"a name of its own, dataclasses.replace(campaign, name='second')"
+            f"two campaigns have the same name ({', '.join(stems)}): leave one out if both are one "
+            f"file, else rename one (in Python dataclasses.replace(campaign, name='second'))"
         )
     catalogue, unknowns = machine.catalogue, list[Unknown]()
     for name in expand_names(catalogue, free, factors):

@@ -19,6 +19,7 @@ SIDE_ROUNDING = 1e-15
 thousandth of a bar's length from the plane it is of the order of 1e-6 or more."""
 
 _FAR = 10.0  # bar lengths: points so far away were perhaps given in other units
+_NEARER_REMEDY = "move the point towards the middle of the workspace"
 UNITS_REMEDY = "give metres in Python, millimetres on the command line and in files"
 """Remedy for a point so far away."""
 
@@ -94,7 +95,7 @@ def commands(spheres: Spheres, p: Array) -> Array:
         size = float(excess[worst, leg])
         excess_text = f"{size * 1e3:.3f}" if size < 1e3 else f"{size * 1e3:g}"
         distance = float(np.hypot.reduce(p[worst]))
-        name, hint = spheres.names[leg], ""
+        name, hint = spheres.names[leg], f": {_NEARER_REMEDY}"
         if distance > _FAR * spheres.lengths[leg]:
             hint = f" for a point {distance:g} m away: {UNITS_REMEDY}"
         message = f"{_point_prefix(worst, p)}leg {name} is {excess_text} mm too short{hint}"
@@ -107,7 +108,7 @@ def commands(spheres: Spheres, p: Array) -> Array:
         raise UnreachableError(
             f"{_point_prefix(worst, p)}the machine does not come to the far side of its "
             f"carriages: the tool would stand {beyond[worst] * 1e3:.3f} mm beyond their plane, in "
-            f"the other assembly mode",
+            f"the other assembly mode; {_NEARER_REMEDY}",
             excess=float(beyond[worst]),
             index=(worst,),
         )

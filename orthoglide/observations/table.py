@@ -84,9 +84,7 @@ class Table:
         allowed = tuple(allowed)
         if not set(allowed) & set(self.names):
             case_hint = " in small letters" * any(name != name.lower() for name in self.names)
-            self.fail(
-                f"is no such sheet: the first line must name {', '.join(required)}{case_hint}"
-            )
+            self.fail(f"names no known column: give {', '.join(required)}{case_hint}")
         unknown = [name for name in self.names if name not in allowed]
         for name in unknown:
             close = get_close_matches(name, allowed, n=1, cutoff=0.75)
@@ -194,8 +192,9 @@ def _parse_cells(
     for row, line in zip(rows, lines, strict=True):
         if len(row) != len(rows[0]):
             raise FileError(
-                f"has {len(row)} fields where the first line names {len(rows[0])}: fill the row "
-                "up, and with decimal commas part the columns by semicolons",
+                f"has {len(row)} fields where the first line has {len(rows[0])}: begin with the "
+                "names of the columns, give every line as many fields, and with decimal commas "
+                "separate the columns by semicolons",
                 file=file,
                 line=line,
             )

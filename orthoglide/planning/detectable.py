@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any
 
@@ -154,8 +154,9 @@ def smallest_effects(
 ) -> Detectability:
     """Return the sizes of effect that a protocol detects and names with 95 % probability.
 
-    An effect of v tolerances with signature S has the evidence ``(w X - log(1 + |S|^2)) / 2``, X
-    noncentral chi-squared with one degree of freedom and noncentrality ``v^2 |S|^2``,
+    An effect of v tolerances has the evidence ``(w X - log(1 + |S|^2)) / 2``. S is its signature,
+    whitened by the noise and by the small errors of a sound machine, which precise instruments
+    show; X is noncentral chi-squared with one degree of freedom and noncentrality ``v^2 |S|^2``,
     ``w = |S|^2 / (1 + |S|^2)``. It is detected above the evidence that the best of the catalogue
     reaches on noise with probability ``level``. It is named where the best fit of every other
     effect is worse by a chi2 of 4.
@@ -163,24 +164,23 @@ def smallest_effects(
     Args:
         machine: as it is believed to be, or the path of its file.
         campaign: stations and setups, of several instruments too; readings do not count.
-        names: effects or parameters to report; all where empty. The catalogue competes whole in
-            any case.
+        names: effects or parameters to report, all if empty; all compete in any case.
         level: family-wise probability of a false alarm.
         noise: standard deviation of one reading, metres.
         seed: of the bootstrap on noise.
 
     Raises:
-        InputError: for names that are neither effects nor parameters, a level that is no
-            probability, and a negative seed.
+        InputError: for unknown names, a level that is no probability, and a negative seed.
     """
     machine = Machine.of(machine)
     check_list("names", () if names is None else names)
     machine.catalogue.expand(names)
     model = signatures(solve(predicted_problem(machine, campaign, noise), method="nested"))
-    scoring = Scoring.prepare(model, model.candidates)
+    weighted = replace(model, columns=model.weighted_by_background(model.columns))
+    scoring = Scoring.prepare(weighted, weighted.candidates)
     threshold = _evidence_threshold(model, scoring, level, seed)
     single = [c for c in scoring.candidates if c.size == 1]
-    length, cosine = _signature_cosines(model, single)
+    length, cosine = _signature_cosines(weighted, single)
     catalogue, smallest = machine.catalogue, []
     for k, candidate in enumerate(single):
         if names and not {candidate.effect, candidate.name} & set(names):
@@ -200,8 +200,7 @@ def smallest_effects(
                 candidate.name in model.names,
             )
         )
-    asked, effect_of = set(names), catalogue.effect_of
-    invisible = tuple(n for n in model.invisible if not asked or {n, effect_of(n).name} & asked)
+    invisible = tuple(n for n in model.invisible if not names or {n, n.effect} & set(names))
     return Detectability(tuple(smallest), invisible, threshold, catalogue.legs)
 
 
@@ -238,10 +237,11 @@ def noncentrality(square: float, threshold: float) -> float:
     """Return the noncentrality at which an effect's evidence exceeds a threshold with the
     probability `POWER`; ``square`` is that of its signature at tolerance.
     """
-    from scipy.special import chndtrinc
+    from scipy.special import ndtri
 
+    # X is the square of a normal number; its other tail is below 1e-9 at every threshold above 1.
     limit = (2 * threshold + np.log1p(square)) * (1 + square) / square
-    return float(chndtrinc(limit, 1, 1 - POWER)) if limit > 0 else 0.0
+    return float((np.sqrt(max(limit, 0.0)) + ndtri(POWER)) ** 2)
 
 
 def required_separation() -> float:

@@ -44,9 +44,11 @@ def _deviation_change(result: Result) -> str:
     parts, last = [], ""
     before, after = result.nominal.reported.shown, result.after.scores.reported.shown
     for unit, now in after.items():
+        figures = distinct_figures(before[unit], now)
         verb = "hardly change" if now > _HARDLY_CHANGED_RATIO * before[unit] else "reduce"
+        verb = "do not reduce" if figures[0] == figures[1] else verb
         lead = f"{verb} {'them' if last else 'the deviations'} " if verb != last else ""
-        parts.append(f"{lead}from {' to '.join(distinct_figures(before[unit], now))} {unit}")
+        parts.append(f"{lead}from {' to '.join(dict.fromkeys(figures))} {unit}")
         last = verb
     return ", and ".join(parts)
 

@@ -35,6 +35,7 @@ from orthoglide.report.sentences import (
     further_warnings,
     gain_words,
     meaning,
+    no_action_text,
 )
 from orthoglide.result import Result
 from orthoglide.result.findings import FAULT_NAMES
@@ -203,8 +204,9 @@ def _tile(stage: str, error: ExpectedError) -> Tile:
 
 _FILTERS = (
     sentence, listed, lower_first, gain_words, compact, plain, signed, probability, with_sigma,
-    meaning, claims, tiles, further_warnings, inline_svg, inline_panels, drawn_explanations,
-    base_effects, parameter_rows, score_rows, possible_rows, probable_candidates,
+    meaning, no_action_text, claims, tiles, further_warnings, inline_svg, inline_panels,
+    drawn_explanations, base_effects, parameter_rows, score_rows, possible_rows,
+    probable_candidates,
     sections.largest_residual, sections.reason_not_to_enter,
 )  # fmt: skip
 

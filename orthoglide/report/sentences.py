@@ -44,6 +44,10 @@ MEANINGS: Mapping[str, str] = {
 }
 """Meaning of each verdict, a clause."""
 
+_NO_ACTION = (
+    "No correction is advised: none gains more at the tool than its own uncertainty and 2 % of the "
+    "tool's error."
+)
 MEAN_OVER_CAUSES = "on average, whichever of these it is"
 MEAN_WITH_PLATE = "on average, nothing if it is the plate"
 """Words after the expected gain of correcting one of several causes."""
@@ -369,6 +373,12 @@ def data_faults_text(result: Result) -> str:
     )
 
 
+def no_action_text(result: Result) -> str:
+    """Return that nothing is advised; empty if anything is, or if corrections are withheld."""
+    withheld = any(one.kind == "zeros" for one in result.withheld)
+    return "" if result.actions or withheld else _NO_ACTION
+
+
 def too_few_to_test(result: Result) -> bool:
     """Whether the fitted parameters leave too few degrees of freedom for a test."""
     return result.before.scores.dof < _MIN_DOF or result.after.scores.dof < 1.0
@@ -378,4 +388,6 @@ def meaning(result: Result) -> str:
     """Return the meaning of the verdict, a clause, or that too few readings remain for one."""
     if result.word == "adequate" and too_few_to_test(result):
         return "no single cause was added, and too few readings are left over to judge what is left"
+    if result.word == "unexplained" and not result.searches:
+        return "the model does not fit, and no cause was searched for"
     return MEANINGS[result.word]

@@ -22,6 +22,7 @@ from orthoglide.report.sentences import (
     gain_words,
     headline,
     meaning,
+    no_action_text,
     undetected_text,
     unvaried_words,
 )
@@ -96,18 +97,17 @@ def _new_zeros(result: Result) -> Iterator[Text | Table]:
 
 def action_lines(result: Result) -> Iterator[str]:
     """Yield the actions, a line each, with the parts to look at below."""
+    yield from filter(None, [no_action_text(result)])
     for k, action in enumerate(result.actions, start=1):
         gain = ""
         if action.gain > 0:
             gain = f" ({''.join(gain_words(action, result.firmware is not None))})"
         yield f"{k}. {sentence(action.words)[:-1]}{gain}."
-        count = len(action.options)
-        count = count if count <= _MAX_SUSPECTS + 1 else _MAX_SUSPECTS
-        for suspect in action.options[:count]:
+        for suspect in action.options[:_MAX_SUSPECTS]:
             texts = (f"{suspect.words}: look at {suspect.look_at}", suspect.confirm)
             yield f"   - {' '.join(sentence(text) for text in texts if text)}"
-        if others := action.options[count:]:
-            yield f"   - Test the {len(others)} other causes above in the same way."
+        if action.options[_MAX_SUSPECTS:]:
+            yield "   - Test each of the other causes above in the same way."
 
 
 def console_text(parts: Iterable[RenderableType]) -> str:
