@@ -63,6 +63,9 @@ def fit(given: Any = DIALS, **options: Any) -> og.Estimate:
     ("effects", lambda: og.smallest_effects(WORN, DIALS, names=["foo"]), "no effect 'foo': the"),
     ("an effect", lambda: og.smallest_effects(WORN, DIALS, names="axis_tilt"), "names is a list"),
     ("designed", lambda: og.design(WORN, free="leg_length"), "free is a list of names"),
+    ("a word for a count", lambda: og.design(WORN, count="12"), "ask for 2 .*, not 12"),  # type: ignore[arg-type]
+    ("an instrument", lambda: og.tool_sheets(WORN, "plate"), "kinds is a list of names: give"),
+    ("compared", lambda: og.compare_effects(WORN, "rail_bow"), "names is a list of names: give"),
     ("a count", lambda: og.design(WORN, count=12.5), "ask for 2 .*, not 12.5"),  # type: ignore[arg-type]
     ("a method for dials", lambda: fit([DIALS, POINTS], method="reduction"), "predicts dials only"),
     (

@@ -361,7 +361,7 @@ def test_weak_directions_in_words() -> None:
     ("errors", "said"),
     [
         ({"joint_offset.x": 5e-4}, "Joint offsets x +0.49, y"),
-        ({}, "Joint offsets nominal to 0.01 mm do not reduce the deviations from 0."),
+        ({}, "Joint offsets nominal to 0.01 mm hardly change the deviations"),
     ],
 )
 def test_the_sentence_of_a_machine_with_nothing_else_wrong(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from orthoglide import reduction
-from orthoglide.errors import InputError, NumericsError, check_integer
+from orthoglide.errors import InputError, NumericsError, check_integer, check_list
 from orthoglide.geometry import LEGS, Array, Geometry, axial_vectors
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.perfect_legs import Spheres, commands
@@ -276,6 +276,7 @@ def compare_effects(
     Raises:
         InputError: for a name that is no effect, or one of dials where none stand on legs.
     """
+    check_list("names", () if names is None else names)
     comparison = Comparison(machine, points)
     plain, dialled = comparison.machine, comparison.geometry.dialled
     setups = [setup.name for setup in comparison.campaign.setups] if dialled else []

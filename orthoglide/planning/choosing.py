@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from numbers import Real
 from typing import Self, TypeVar
 
 import numpy as np
@@ -190,7 +191,7 @@ def choose(
         InputError: for a number of readings that is not whole, below two, or more than anybody
             reads.
     """
-    if count != int(count) or not 2 <= count <= _MAX_READINGS:
+    if not isinstance(count, Real) or not 2 <= count <= _MAX_READINGS or count % 1:
         raise InputError(
             f"ask for 2 readings, as the datum of a setup is free, to {_MAX_READINGS}, not {count}"
         )

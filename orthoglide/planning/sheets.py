@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from orthoglide.errors import InputError, UnreachableError, check_choice
+from orthoglide.errors import InputError, UnreachableError, check_choice, check_list
 from orthoglide.fit import excited_effects, linearise, solve, with_effects_freed
 from orthoglide.geometry import Array
 from orthoglide.instruments import OBSERVATIONS, Observation
@@ -51,6 +51,7 @@ def sheets_by_kind(
         InputError: for a kind that there is not, or that this machine does not take; for a count
             that cannot be chosen.
     """
+    check_list("kinds", kinds)
     for kind in kinds:
         check_choice("instrument", kind, KINDS)
     sheets = {kind: instrument_sheet(machine, kind) for kind in dict.fromkeys(kinds)}
