@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 import orthoglide as og
 from orthoglide.fit import Factor, Problem, build_problem, noise_of
+from orthoglide.observations.arrays import READING_ARRAYS
 
 
 def campaign_of(
@@ -32,3 +35,17 @@ def problem_of(
     noise, each = noise_of(tables, machine.spec)
     factors = [Factor.from_readings(t, machine, rows) for t, rows in zip(tables, each, strict=True)]
     return build_problem(machine, factors, free, noise, **options)
+
+
+def same_readings(one: og.Readings, other: og.Readings) -> bool:
+    """Return whether names, setups, labels, moves and all arrays but the lines are equal."""
+    return (
+        (one.name, one.setups, one.posture) == (other.name, other.setups, other.posture)
+        and np.array_equal(one.moves.command, other.moves.command)
+        and np.array_equal(one.moves.order, other.moves.order)
+        and all(
+            np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True)
+            for name in READING_ARRAYS
+            if name != "line"
+        )
+    )

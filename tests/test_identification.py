@@ -372,9 +372,6 @@ def test_deviations_are_system_11_to_second_order(family: str, number: int) -> N
     second = size * (size + float(np.max(np.abs(linear.residuals)))) / 0.31025
     assert np.max(np.abs(found.x - linear.values)) < 2 * second
     assert np.max(np.abs(found.x - linear.values)) > 1e-4 * second
-    assert found.check is not None
-    # Without second order nothing but the anchor's ten-thousandth is left.
-    assert np.allclose(found.check.linear_values, linear.values, rtol=0, atol=1e-4 * 1.7e-3)
     assert found.scores.deviation_rms == pytest.approx(linear.rms, rel=0.01)
 
 

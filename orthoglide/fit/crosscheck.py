@@ -118,7 +118,7 @@ def cross_check(problem: Problem, nuisance: Nuisances, fit: Linearised) -> Cross
         np.abs(nonlinearity).max(initial=0.0),
         _second_order_bound(problem, nuisance, fit),
     )
-    return CrossCheck(difference, float(largest), bound, float(norm), linear.values[:-1])
+    return CrossCheck(difference, float(largest), bound, float(norm))
 
 
 def _second_order_bound(problem: Problem, nuisance: Nuisances, fit: Linearised) -> float:

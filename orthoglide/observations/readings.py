@@ -376,16 +376,3 @@ class Readings:
             self, order=order + 1, approach=approach, moves=replace(moves, order=moves.order + 1),
             line=order + 2,
         )  # fmt: skip
-
-    def same_as(self, other: Readings) -> bool:
-        """Return whether names, setups, labels, moves and all arrays but the lines are equal."""
-        return (
-            (self.name, self.setups, self.posture) == (other.name, other.setups, other.posture)
-            and np.array_equal(self.moves.command, other.moves.command)
-            and np.array_equal(self.moves.order, other.moves.order)
-            and all(
-                np.array_equal(getattr(self, name), getattr(other, name), equal_nan=True)
-                for name in READING_ARRAYS
-                if name != "line"
-            )
-        )

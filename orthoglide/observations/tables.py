@@ -69,12 +69,11 @@ def from_points(
 Readings.from_points = staticmethod(from_points)
 
 
-def concatenated(several: Sequence[Readings], name: str = "") -> Readings:
-    """Return one table of several, whose sequences follow each other.
+def concatenated(several: Sequence[Readings]) -> Readings:
+    """Return one table of several, whose sequences follow each other, named as the first.
 
     Args:
         several: tables whose setups have different names.
-        name: of the result; that of the first table where absent.
 
     Raises:
         InputError: if two setups have one name, or the readings are of different machines.
@@ -94,7 +93,6 @@ def concatenated(several: Sequence[Readings], name: str = "") -> Readings:
     return replace(
         tables[0],
         **arrays,
-        name=name or tables[0].name,
         setups=tuple(s for part in tables for s in part.setups),
         posture=tuple(label for part in tables for label in part.posture),
         warnings=tuple(dict.fromkeys(w for part in tables for w in part.warnings)),

@@ -9,7 +9,6 @@ The derivation is independent of the general mechanism.
 from orthoglide.reduction.deviations import predict_readings as predict_readings
 from orthoglide.reduction.fit import ReadingFit as ReadingFit, fit_readings as fit_readings
 from orthoglide.reduction.kinematics import (
-    CONFIGURATIONS as CONFIGURATIONS,
     NOMINAL as NOMINAL,
     forward as forward,
     inverse as inverse,

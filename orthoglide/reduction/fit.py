@@ -36,7 +36,6 @@ class ReadingFit:
     """Result of ``fit_readings``."""
 
     values: Array  # parameters (P,), metres; fixed ones keep their start value
-    offsets_and_lengths: Array  # offsets and lengths of each campaign (G, 6), metres
     nuisance: Array  # z (k,)
     readings: Array  # fitted readings s f + U z (N,), metres
     residuals: Array  # readings minus fitted (N,), metres
@@ -169,9 +168,8 @@ class _Problem:
         residual = signs * (residual - self.columns @ z)
         covariance = np.zeros((len(start), len(start)))
         covariance[np.ix_(self.free, self.free)] = unwhiten @ unwhiten.T
-        six = np.array([six_from_x @ state.x for _, six_from_x in self.campaign_maps])
         return ReadingFit(
-            state.x, six, z, signs * self.target - residual, residual, state.cost, covariance,
+            state.x, z, signs * self.target - residual, residual, state.cost, covariance,
             unwhiten.shape[1], converged, iterations,
         )  # fmt: skip
 

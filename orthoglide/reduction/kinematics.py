@@ -23,11 +23,6 @@ from orthoglide.reduction.spheres import (
 NOMINAL = Geometry()
 """The prototype's dimensions, the default of every function here."""
 
-CONFIGURATIONS: tuple[tuple[int, int, int], ...] = tuple(
-    (sx, sy, sz) for sx in (1, -1) for sy in (1, -1) for sz in (1, -1)
-)
-"""The eight signs of eq. (3), the machine's own first."""
-
 _BLOCK = 4096  # poses a pass, so that some twenty rows of doubles fit in the cache
 
 
@@ -62,8 +57,7 @@ def inverse(
         p: TCP ``(..., 3)``, metres.
         offsets: joint offsets ``(..., 3)``, metres.
         lengths: leg lengths minus L ``(..., 3)``, metres.
-        signs: configuration, +1 or -1 a leg, ``(..., 3)``; the machine's own is (1, 1, 1), and
-            ``CONFIGURATIONS`` as ``(8, 3)`` against p ``(..., 1, 3)`` gives all eight.
+        signs: configuration, +1 or -1 a leg, ``(..., 3)``; the machine's is (1, 1, 1).
         geometry: nominal dimensions.
 
     Returns:

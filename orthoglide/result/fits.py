@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Any
-
-import numpy as np
 
 from orthoglide.geometry import LEGS, Array
 from orthoglide.instruments import OBSERVATIONS
@@ -168,10 +166,6 @@ class CrossCheck:
     linear_bound: Annotated[float, Key("linear_system_rms_bound", "_mm", _MM, _FEW_DIGITS)]
     # differences of fitted readings in the same norm
     linear_size: Annotated[float, Key("linear_system_rms_difference", "_mm", _MM, _FEW_DIGITS)]
-    # parameters that the linear system gives (P,); not in the file
-    linear_values: Annotated[Array, Key(in_file=False)] = field(
-        default_factory=lambda: np.zeros(0), repr=False, compare=False
-    )
 
     @property
     def second_order(self) -> bool:
