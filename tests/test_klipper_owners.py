@@ -80,18 +80,30 @@ def test_endstops_that_moved_since_the_calibration_are_the_finding(
 
 
 @pytest.mark.parametrize(
-    ("file", "share", "told"),
-    [(T1, 0.98, "heights of"), (V400, 0.995, "heights and distances of"), (V400, 1.25, "heights")],
+    ("file", "share", "told", "tower"),
+    [
+        (T1, 0.98, "heights of", ""),
+        (V400, 0.995, "heights and distances of", ""),
+        (V400, 1.25, "heights", ""),
+        (T1, 0.99, "heights of", "c"),
+        (V400, 1.01, "heights and distances of", "b"),
+        (V400, 0.8, "heights and distances of", "a"),
+    ],
 )
 def test_a_rotation_distance_that_was_changed_since_is_told(
-    file: Path, share: float, told: str, tmp_path: Path
+    file: Path, share: float, told: str, tower: str, tmp_path: Path
 ) -> None:
-    """It was told as endstops that moved, and the distances made other rods of it."""
-    turn = re.compile(r"(rotation_distance *[:=] *)([\d.]+)")
-    text = turn.sub(lambda m: f"{m[1]}{float(m[2]) * share:.6f}", file.read_text())
+    """It was told as endstops that moved, and the distances made other rods of it; of one tower
+    alone the heights were left out, and numbers of the mesh were advised.
+    """
+    turn = re.compile(rf"((?s:\[stepper_{tower}.*?)rotation_distance *[:=] *)([\d.]+)")
+    text = turn.sub(
+        lambda m: f"{m[1]}{float(m[2]) * share:.6f}", file.read_text(), count=len(tower)
+    )
     sound, found = imported(tmp_path, file.read_text()), imported(tmp_path, text)
     (note,) = (n for n in found.notes if n.kind == "changed")
     assert note.startswith(f"the {told}")
+    assert (f"with steps of tower {tower} that" in note) == bool(tower)
     size, was = re.search(r"are (\S+) % .* of (\S+) mm:", note).groups()
     assert float(size) == pytest.approx(abs(1 / share - 1) * 100, abs=0.011)
     assert float(was) == pytest.approx(float(turn.search(file.read_text())[2]), rel=2e-4)

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import compress
+from itertools import compress, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,8 +51,10 @@ _MIN_PROBE_OFFSET = 1e-3  # metres: a smaller offset of a probe corrects the noz
 _EQUAL_OFFSETS = 2e-5  # metres: heights stored with another offset of the probe differ by more
 _STEP_RATIOS = (1.0, *(2.0**k for k in (1, -1, 2, -2, 3, -3, 4, -4)))
 """Candidate ratios of the stored length of a step to the present one."""
+_TOWER_SETS = (np.ones(3), *np.eye(3))  # whose steps are changed together
 _NOISE = {"height": PROBE_REPEATABILITY, "manual_height": PROBE_REPEATABILITY, "distance": 1e-4}
 _NEWTON_STEPS = 6  # of a factor of travel, to which heights are nearly proportional
+_CHANGE = 1e-6  # metres, or relative: for derivatives of heights
 _MIN_STEP_GAIN = 14.0
 """Decrease of chi2 that a changed length of a step must reach against moved endstops, which are a
 thousand times as frequent (2 ln 1000)."""
@@ -93,7 +95,7 @@ def stored_readings(config: Config, numbers: Numbers) -> tuple[list[Row], bool]:
     lists = {kind: found for kind, found in lists.items() if found[0]}
     values = {kind: value for kind, (_, value, _) in lists.items()}
     ways = {
-        kind: steps * step * _microstep_ratio(config, numbers, kind, value, steps * step)
+        kind: steps * step * _microstep_ratios(config, numbers, kind, value, steps * step)
         for kind, (_, value, steps) in lists.items()
     }  # fmt: skip
     factors = _step_factors(config, numbers, values, ways)
@@ -145,6 +147,8 @@ def _positions(numbers: Numbers, way: Array) -> Array:
     """Return places of the nozzle by the firmware's equations ``(n, k, 3)``, metres, for ways from
     the endstops; nan where the arms do not reach.
     """
+    with suppress(InputError):
+        return numbers.points((numbers.at_endstop - way).reshape(-1, 3)).reshape(way.shape)
     p = np.full(way.shape, np.nan)
     for index in np.ndindex(way.shape[:-1]):
         with suppress(InputError):
@@ -152,69 +156,97 @@ def _positions(numbers: Numbers, way: Array) -> Array:
     return p
 
 
-def _microstep_ratio(
+def _microstep_ratios(
     config: Config, numbers: Numbers, kind: str, value: Array, way: Array
-) -> float:  # fmt: skip
-    """Return the ratio of the stored length of a microstep to the present one.
+) -> Array:  # fmt: skip
+    """Return the ratios of the stored length of a microstep to the present one ``(3,)``.
 
-    Microsteps may have been changed since the readings were stored: the first ratio at which most
-    readings are plausible is taken, else 1. ``way`` is that from the endstops at the present ratio.
+    Microsteps, of all towers or of one, may have been changed since the readings were stored: the
+    first ratio at which most readings are plausible is taken, else 1. ``way`` is that from the
+    endstops at the present ratio.
     """
-    for ratio in _STEP_RATIOS:
-        excess, most = _excess(value, _positions(numbers, way * ratio))
+    for ratio, towers in product(_STEP_RATIOS, _TOWER_SETS):
+        ratios = np.where(towers, ratio, 1.0)
+        excess, most = _excess(value, _positions(numbers, way * ratios))
         if np.mean((np.abs(excess) <= most).all(axis=1)) > 0.5:
             if ratio != 1.0:
-                config.note(
-                    "readings",
+                stored = (
                     f"the positions of {kind}s in [delta_calibrate] were stored with "
-                    f"{1 / ratio:g} times the microsteps of now, and are converted",
+                    f"{1 / ratio:g} times the microsteps of now"
                 )
-            return ratio
-    return 1.0
+                if alone := _single_tower(ratios):
+                    config.note(CHANGED_NOTE, f"{stored}, on {alone} alone: correct its "
+                        f"microsteps, full_steps_per_rotation or rotation_distance, or run "
+                        f"DELTA_CALIBRATE and SAVE_CONFIG and probe the mesh again")  # fmt: skip
+                else:
+                    config.note("readings", f"{stored}, and are converted")
+            return ratios
+    return np.ones(3)
+
+
+def _single_tower(ratios: Array) -> str:
+    """Return the tower whose steps alone changed, in words; empty if those of all did."""
+    changed = np.flatnonzero(ratios != 1)
+    return f"tower {TOWERS[changed[0]]}" if len(changed) == 1 else ""
 
 
 def _step_factors(
     config: Config, numbers: Numbers, values: Mapping[str, Array], ways: Mapping[str, Array]
-) -> dict[str, float]:
-    """Return the ratio of a step's length at the touches to the present one, by kind of reading;
-    empty if no change is significant.
+) -> dict[str, Array]:
+    """Return the ratios of the steps' lengths at the touches to the present ones ``(3,)``, by kind
+    of reading; empty if no change of all towers or of one is significant.
 
-    A changed rotation_distance shifts all heights, as moved endstops do. It also bends the plate
-    and scales distances, which the firmware had fitted.
+    A changed rotation_distance shifts heights, as moved endstops do. It also bends the plate and
+    scales distances, which the firmware had fitted.
     """
     heights = next((k for k in values if ways[k].shape[1] == 1), "")
     if len(values.get(heights, ())) < _MIN_PLANE_HEIGHTS:
         return {}
-    factor = 1.0
-    for _ in range(_NEWTON_STEPS):
-        way = ways[heights] * factor
-        excess = _excess(values[heights], _positions(numbers, way))[0]
-        factor *= 1 + float(excess.mean() / way.mean())
 
-    def gain(kind: str) -> float:
-        """Return the decrease of chi2 of a kind by the factor."""
-        excess, scaled = (
-            _excess(values[kind], _positions(numbers, ways[kind] * f))[0][:, 0]
-            for f in (1.0, factor)
-        )
-        before = float(np.var(excess) if kind == heights else np.mean(excess**2))
-        after = float(np.mean(scaled**2))
-        return len(excess) * (before - after) / max(_NOISE[kind] ** 2, after)
+    def excess(kind: str, way: Array) -> Array:
+        return _excess(values[kind], _positions(numbers, way))[0][:, 0]
 
-    gains = {kind: gain(kind) for kind in values}
+    def gain(kind: str, shift: Array, factor: Array) -> float:
+        """Return the decrease of chi2 of a kind by factors; of heights, against a shift."""
+        way = ways[kind]
+        before = float(np.mean(excess(kind, way + shift * (kind == heights)) ** 2))
+        after = float(np.mean(excess(kind, way * factor) ** 2))
+        return len(way) * (before - after) / max(_NOISE[kind] ** 2, after)
+
+    def fitted(towers: Array, change: Callable[[Array, Array], Array], neutral: float) -> Array:
+        """Return the change of the heights' ways of some towers that fits them best ``(3,)``."""
+        size = neutral
+        for _ in range(_NEWTON_STEPS):
+            low, high = (
+                excess(heights, change(ways[heights], neutral + (x - neutral) * towers))
+                for x in (size, size + _CHANGE)
+            )
+            slope = (high - low) / _CHANGE
+            size -= float(slope @ low / (slope @ slope))
+        return np.asarray(neutral + (size - neutral) * towers)
+
+    best, factor, gains = math.inf, np.ones(3), dict[str, float]()
+    for towers in _TOWER_SETS:
+        shift, factors = fitted(towers, np.add, 0.0), fitted(towers, np.multiply, 1.0)
+        residual = float(np.mean(excess(heights, ways[heights] * factors) ** 2))
+        if residual < best:
+            best, factor = residual, factors
+            gains = {kind: gain(kind, shift, factors) for kind in values}
     scaled = [kind for kind, fall in gains.items() if fall > 0]
-    if not (gains[heights] > 0 and sum(gains[kind] for kind in scaled) > _MIN_STEP_GAIN):
+    if heights not in scaled or sum(gains[kind] for kind in scaled) <= _MIN_STEP_GAIN:
         return {}
-    section = config.section(f"stepper_{TOWERS[0]}")
-    turn = section.number("rotation_distance", 0.0)
-    example = f", as with a rotation_distance of {compact(turn * factor, 4)} mm" if turn else ""
+    first = int(np.flatnonzero(factor != 1)[0])
+    ratio = float(factor[first])
+    turn = config.section(f"stepper_{TOWERS[first]}").number("rotation_distance", 0.0)
+    alone = _single_tower(factor)
+    example = f", as with a rotation_distance of {compact(turn * ratio, 4)} mm" if turn else ""
     config.note(
         CHANGED_NOTE,
         f"the {' and '.join(f'{kind}s' for kind in scaled)} of [delta_calibrate] fit the stored "
-        f"numbers with steps that are {abs(factor - 1) * 1e2:.2f} % "
-        f"{'longer' if factor > 1 else 'shorter'} than now{example}: rotation_distance or the "
-        f"microsteps were changed after the calibration. Restore the old value, or run "
-        f"DELTA_CALIBRATE and SAVE_CONFIG and probe the mesh again",
+        f"numbers with steps{alone and f' of {alone}'} that are "
+        f"{abs(ratio - 1) * 1e2:.2f} % {'longer' if ratio > 1 else 'shorter'} than now{example}: "
+        f"rotation_distance or the microsteps were changed after the calibration. Restore the old "
+        f"value, or run DELTA_CALIBRATE and SAVE_CONFIG and probe the mesh again",
     )
     return dict.fromkeys(scaled, factor)
 
@@ -242,7 +274,7 @@ def _plausible_rows(
             largest = plain(np.abs(excess[reached]).max() * 1e3, 1)
             misses = f", which the stored numbers miss by up to {largest} mm"
         config.note(
-            "readings",
+            CALIBRATE_NOTE if p.shape[1] == 1 else "readings",
             f"left out: all {len(plausible)} {kind}s of [delta_calibrate]{misses}: they are of "
             f"different times, or a number of one tower is wrong: look at its angle, arm_length, "
             f"microsteps, full_steps_per_rotation and rotation_distance, and run DELTA_CALIBRATE",

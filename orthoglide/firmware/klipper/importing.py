@@ -120,7 +120,8 @@ def _imported(config: Config, turned: Mapping[str, float]) -> Imported:
 
 def _no_readings_error(config: Config) -> FileError:
     """Return the error of a file without usable readings, with what was left out."""
-    left_out = [str(note) for note in config.notes if note.kind in _UNREPEATED_NOTES]
+    kinds = (*_UNREPEATED_NOTES, CALIBRATE_NOTE)
+    left_out = [str(note) for note in config.notes if note.kind in kinds]
     reasons = (
         f" ({'; '.join(left_out[:2])}{', and more' * (len(left_out) > 2)})" if left_out else ""
     )
