@@ -128,6 +128,25 @@ def test_a_touch_off_its_surface_is_told_on_its_side(off: float, said: str) -> N
     assert said in told
 
 
+@pytest.mark.parametrize(("off", "said"), [(-4e-4, "above"), (4e-4, "below")])
+def test_neighbouring_touches_that_stand_up_alike_are_told_as_one(off: float, said: str) -> None:
+    """Each hid the other in the plate's roughness, and numbers were fitted to both."""
+    found = og.import_printer(FIELD.parent / "delta" / "flight505.cfg")
+    _, readings = found.campaigns
+    far = np.linalg.norm(readings.command - readings.command[[12, 13]].mean(axis=0), axis=1)
+    rows = np.isin(np.arange(len(readings)), np.argsort(far)[:2])
+    spoilt = readings.with_readings(readings.reading + off * rows)
+    warnings = og.identify([spoilt], og.Machine(found.machine)).warnings
+    (told,) = (w for w in warnings if "neighbouring touches" in w)
+    first, second = readings.line[rows].tolist()
+    assert f"lines {first} and {second}, setup" in told
+    size = re.search(rf"2 neighbouring touches at .* mm are (\S+) mm {said} the surface of", told)
+    assert size is not None, told
+    assert float(size[1]) == pytest.approx(abs(off) * 1e3, abs=0.06)
+    sound = og.identify([readings], og.Machine(found.machine)).warnings
+    assert not any("neighbouring" in w for w in sound)
+
+
 def test_a_quiet_mesh_makes_no_slips_of_sound_distances() -> None:
     verdict = closed("quiet-mesh", "printer.cfg")
     assert verdict.word == "adequate"

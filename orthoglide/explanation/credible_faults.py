@@ -14,11 +14,11 @@ from orthoglide.explanation.fault_columns import FaultKey
 from orthoglide.explanation.faults import Fault, factors_and_rows, setups_of
 from orthoglide.explanation.full_posterior import FullPosterior
 from orthoglide.fit import Problem
+from orthoglide.fit.repeats import NEIGHBOUR_DISTANCE
 from orthoglide.ordering import descending, largest
 
 EVEN_PROBABILITY = 0.5  # probability above which something is more probable than not
 
-_NEIGHBOUR_DISTANCE = 1.6  # in distances of the nearest touch: includes a square's diagonal
 
 _LEAST_SHARE = float(np.exp(-3.0))
 """Smallest probability, relative to the likeliest drive, at which another drive is also reported as
@@ -95,5 +95,5 @@ def _has_faulty_neighbour(problem: Problem, fault: Fault, others: Sequence[Fault
                 and setups_of(problem, f) == setups]  # fmt: skip
     distances = np.linalg.norm(position - position[row], axis=1)
     in_setup = distances[(factor.setup == factor.setup[row]) & (distances > 0)]
-    limit = _NEIGHBOUR_DISTANCE * in_setup.min(initial=np.inf)
+    limit = NEIGHBOUR_DISTANCE * in_setup.min(initial=np.inf)
     return bool(np.isfinite(limit) and (distances[outliers] < limit).any())

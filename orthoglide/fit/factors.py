@@ -25,6 +25,7 @@ from orthoglide.observations import Readings, source
 from orthoglide.observations.approach import Ints
 from orthoglide.observations.arrays import group_ids
 from orthoglide.prediction import MeasurementModel, ReadingPoses
+from orthoglide.text import listed
 
 
 @dataclass(frozen=True)
@@ -265,27 +266,38 @@ class Factor(MeasurementModel):
         """Return the factor without outlying touches, with a sentence on each; on plates whose
         places were touched more than once repeats show them.
         """
-        r, p, kept, sentences = self.readings, self.nominal_places(machine), self.setup >= 0, []
+        p, kept, sentences = self.nominal_places(machine), self.setup >= 0, list[str]()
         for rows, _, heights in self._surfaces(machine):
             if np.bincount(self.station[rows]).max(initial=0) > 1:
                 continue
             outlying = heights != 0
             kept[rows[outlying]] = False
-            for k, height in zip(rows[outlying], heights[outlying] * 1e3, strict=True):
-                side, cause, remedy = (
-                    ("above", "a speck on the plate", "clean")
-                    if height > 0
-                    else ("below", "a dent in the plate", "look at")
-                )
-                sentences.append(
-                    f"{source(r)}, line {r.line[k]}, setup {r.setups[r.setup[k]].name!r}: the "
-                    f"touch at x {plain(p[k, 0] * 1e3, 0)}, y {plain(p[k, 1] * 1e3, 0)} mm is "
-                    f"{abs(height):.2f} mm {side} the surface of all others, as {cause} or a bad "
-                    f"touch is, and does not count: {remedy} the plate and probe again"
-                )
+            for height in dict.fromkeys(heights[outlying].tolist()):  # one of each patch
+                sentences.append(self._outlying_sentence(rows[heights == height], height, p))
         if not sentences:
             return self
         return replace(self.subset(kept), exclusion_sentences=tuple(sentences))
+
+    def _outlying_sentence(self, rows: NDArray[np.intp], height: float, p: Array) -> str:
+        """Return that touches at places ``p[rows]`` lie so much above their surface, metres."""
+        r, side = self.readings, "above" if height > 0 else "below"
+        places = "; ".join(f"x {plain(x, 0)}, y {plain(y, 0)}" for x, y in p[rows, :2] * 1e3)
+        lines = f"line{'s' * (len(rows) > 1)} {listed(map(str, r.line[rows].tolist()))}"
+        start = f"{source(r)}, {lines}, setup {r.setups[r.setup[rows[0]]].name!r}: the"
+        size = f"{abs(height) * 1e3:.2f} mm {side} the surface of all others"
+        if len(rows) > 1:
+            cause = "on a clip or dirt" if height > 0 else "in a hollow or off the plate's edge"
+            return (
+                f"{start} {len(rows)} neighbouring touches at {places} mm are {size}, as {cause}, "
+                f"and do not count: look at the plate there and probe again beside it"
+            )
+        cause, remedy = (
+            ("a speck on the plate", "clean") if height > 0 else ("a dent in the plate", "look at")
+        )
+        return (
+            f"{start} touch at {places} mm is {size}, as {cause} or a bad touch is, and does not "
+            f"count: {remedy} the plate and probe again"
+        )
 
     def noise_and_expected(self, number: int) -> tuple[float, float]:
         """Return the root mean squares of a setup's noise, and of its expected noise."""

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
 from orthoglide.observations.repetition import repeat_steps
-from orthoglide.ordering import largest
+from orthoglide.ordering import descending, largest
 
 GRID_TOLERANCE = 0.06
 """Distance from a multiple of a dial's step, in steps, that six printed decimals may make."""
@@ -184,7 +184,12 @@ SURFACE_DEGREE = 4
 _APPROACH_DEGREE = 1  # degree of the term that depends on the approach
 _MIN_SURFACE_DOF = 12  # degrees of freedom below which a surface shows no roughness
 _OUTLIER_RATIO = 6.0  # height of an outlier over the scatter of all others
-_MAX_OUTLIER_SHARE = 0.05  # share of a mesh: more are no single touches
+_MAX_OUTLIER_SHARE = 0.05
+"""Share of a mesh: more are no single touches and no clip. At twice that, lobes of three of forty
+sound plates were taken for one."""
+_PATCH_STARTS = 10  # heights, the furthest from the surface, from which a patch may grow
+NEIGHBOUR_DISTANCE = 1.6
+"""Distance of neighbours, in distances of the nearest touch: includes a square's diagonal."""
 _MIN_ROUGHNESS = 1e-6  # metres: no plate is smoother
 
 
@@ -201,7 +206,8 @@ def roughness(xy: Array, height: Array, approach: Array) -> tuple[float, Array]:
 
     A bed is rough besides being bent: deviations from a polynomial of the fourth degree count as
     noise of touches, as no rigid cause is less smooth. With lost motion the surface depends on the
-    approach, by a smoother term. An outlier is a speck, or a bad touch.
+    approach, by a smoother term. An outlier is a speck or a bad touch, or a patch of neighbours
+    that are off alike, as on a clip.
 
     Args:
         xy: on the plate over its radius ``(n, 2)``.
@@ -213,20 +219,52 @@ def roughness(xy: Array, height: Array, approach: Array) -> tuple[float, Array]:
     columns = np.hstack([_polynomials(xy, SURFACE_DEGREE), *by_side])
     rows_kept, outlier_height, sigma = np.ones(len(height), dtype=bool), np.zeros(len(height)), 0.0
     max_outliers = _MAX_OUTLIER_SHARE * len(height)
+    distance = np.linalg.norm(xy[:, None] - xy, axis=2)
+    spacing = np.min(distance, where=distance > 0, initial=np.inf)
+    near = (distance > 0) & (distance < NEIGHBOUR_DISTANCE * spacing)
     while (fit := _fit_surface(columns[rows_kept], height[rows_kept])) is not None:
-        basis, residual, dof = fit
-        sigma = float(np.sqrt(residual @ residual / dof))
-        # Height above the surface through all others, and their scatter about it.
-        free = np.maximum(1 - np.sum(basis**2, axis=1), 1e-9)
-        other_sigma = np.sqrt(np.maximum(residual @ residual - residual**2 / free, 0.0) / (dof - 1))
-        height_error = residual / free
-        ratio = np.abs(height_error) * np.sqrt(free) / np.maximum(other_sigma, _MIN_ROUGHNESS)
-        worst = largest(ratio)
-        if ratio[worst] < _OUTLIER_RATIO or np.sum(~rows_kept) >= max_outliers:
+        sigma = float(np.sqrt(fit[1] @ fit[1] / fit[2]))
+        count, kept = int(np.ceil(max_outliers - np.sum(~rows_kept))), np.flatnonzero(rows_kept)
+        if count < 1:
             break
-        row = np.flatnonzero(rows_kept)[worst]
-        rows_kept[row], outlier_height[row] = False, height_error[worst]
+        ratio, error, patch = _outlying_patch(fit, near[np.ix_(kept, kept)], count)
+        if ratio < _OUTLIER_RATIO:
+            break
+        rows_kept[kept[patch]], outlier_height[kept[patch]] = False, error
     return sigma, outlier_height
+
+
+def _outlying_patch(
+    fit: tuple[Array, Array, int], near: NDArray[np.bool_], count: int
+) -> tuple[float, float, list[int]]:
+    """Return the neighbouring heights, ``count`` of them at most, that are most unlikely to be off
+    by one common error: its ratio to the scatter of all others, the error, and their rows.
+
+    A patch grows from one height by the neighbour that makes it most unlikely, while there is one.
+    """
+    basis, residual, dof = fit
+
+    def ratio_and_error(patch: list[int]) -> tuple[float, float]:
+        """Return ratio and error of a patch above the surface through all others."""
+        free = max(len(patch) - float(np.sum(basis[patch].sum(axis=0) ** 2)), 1e-9)
+        gain = float(residual[patch].sum()) ** 2 / free
+        others = np.sqrt(max(float(residual @ residual) - gain, 0.0) / (dof - 1))
+        return float(np.sqrt(gain)) / max(others, _MIN_ROUGHNESS), residual[patch].sum() / free
+
+    best = (0.0, 0.0, list[int]())
+    single = np.abs(residual) / np.sqrt(np.maximum(1 - np.sum(basis**2, axis=1), 1e-9))
+    for start in descending(single)[:_PATCH_STARTS]:
+        patch, value = [start], ratio_and_error([start])
+        while len(patch) < count:
+            around = np.setdiff1d(np.flatnonzero(near[patch].any(axis=0)), patch).tolist()
+            values = [ratio_and_error([*patch, row]) for row in around]
+            grown = largest([v[0] for v in values]) if values else 0
+            if not values or values[grown][0] <= value[0]:
+                break
+            patch, value = [*patch, around[grown]], values[grown]
+        if value[0] > best[0]:
+            best = (*value, patch)
+    return best
 
 
 def _fit_surface(columns: Array, height: Array) -> tuple[Array, Array, int] | None:
