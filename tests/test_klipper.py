@@ -241,6 +241,7 @@ def test_a_stored_header_that_is_lost_is_named(name: str, tmp_path: Path) -> Non
     except FileError as error:
         said = str(error)
     assert "so the header above it was lost: write" in said, said
+    assert "or remove the line if you added it" in said
 
 
 LEFT_OUT = {
@@ -403,7 +404,7 @@ def test_what_the_firmware_would_not_read_below_its_header_is_refused(tmp_path: 
     for more, told in (
         ("[printer]\ndelta_radius: 160\n", "the whole block out: put #.# before it"),
         ("# a remark\n", "else move it above the header"),
-        (header, "a second header stands below"),
+        (header, "a second header stands below .* keep the newer of the two blocks"),
     ):
         file.write_text(text.rstrip("\n") + "\n" + more)
         with pytest.raises(FileError, match=told) as caught:

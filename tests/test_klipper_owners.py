@@ -113,6 +113,18 @@ def test_a_rotation_distance_that_was_changed_since_is_told(
     assert found.machine.provenance["klipper"]["calibrate_again"] is True
 
 
+def test_heights_of_another_printer_are_no_changed_steps(tmp_path: Path) -> None:
+    """They were told as steps 35 % shorter, at which the heights still missed by millimetres."""
+    heights = re.compile(r"^#\*# height\d.*\n", re.M)
+    other = "".join(heights.findall(T1.read_text()))
+    text = heights.sub("", (DATA / "flight505.cfg").read_text())
+    head = "#*# [delta_calibrate]\n"
+    found = imported(tmp_path, text.replace(head, head + other))
+    assert not [n for n in found.notes if n.kind == "changed"]
+    assert [n for n in found.notes if n.startswith("left out: all 7 heights")]
+    assert found.machine.provenance["klipper"]["calibrate_again"] is True
+
+
 @pytest.mark.parametrize(
     ("cause", "arms", "told"),
     [

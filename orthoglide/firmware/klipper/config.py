@@ -243,16 +243,18 @@ def _saved_lines(lines: Lines, file: str) -> Lines:
     """
     headers = [k for k, line in lines if _HEADER.match(line.lstrip())]
     first = headers[0] if headers else 1
-    intruders = dict.fromkeys(headers[1:], "a second header")
+    keep_one = "keep the newer of the two blocks, and remove the other with its header"
+    intruders = dict.fromkeys(headers[1:], ("a second header", keep_one))
+    move = f"put {_SAVED_MARK} before it if it belongs to the block, else move it above the header"
     intruders |= {
-        k: f"a line without {_SAVED_MARK}" for k, line in _written_lines(lines)
+        k: (f"a line without {_SAVED_MARK}", f"{move} or remove it")
+        for k, line in _written_lines(lines)
         if headers and k > first and line.strip()
-    }  # fmt: skip
-    for k, finding in intruders.items():
+    }
+    for k, (finding, remedy) in intruders.items():
         raise FileError(
             f"{finding} stands below the header of SAVE_CONFIG (line {first}), and the firmware "
-            f"then leaves the whole block out: put {_SAVED_MARK} before it if it belongs to the "
-            f"block, else move it above the header or remove it",
+            f"then leaves the whole block out: {remedy}",
             file=file,
             line=k,
         )
@@ -278,7 +280,8 @@ def _lost_headers(saved: Config) -> Iterator[Note]:
     for line, finding, header in sorted(misplaced)[:1]:
         yield Note(
             f"{saved.file}, line {line}: {finding}, so the header above it was lost: write "
-            f"{header} there, else what stands below it is left out",
+            f"{header} there, else what stands below it is left out, or remove the line if "
+            f"you added it",
             BROKEN_HEADER,
         )
 

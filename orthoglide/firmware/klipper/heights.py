@@ -228,8 +228,9 @@ def _step_factors(
     best, factor, gains = math.inf, np.ones(3), dict[str, float]()
     for towers in _TOWER_SETS:
         shift, factors = fitted(towers, np.add, 0.0), fitted(towers, np.multiply, 1.0)
-        residual = float(np.mean(excess(heights, ways[heights] * factors) ** 2))
-        if residual < best:
+        misfit = excess(heights, ways[heights] * factors)
+        residual = float(np.mean(misfit**2))
+        if residual < best and np.abs(misfit).max() < _MAX_VALUE_ERROR:
             best, factor = residual, factors
             gains = {kind: gain(kind, shift, factors) for kind in values}
     scaled = [kind for kind, fall in gains.items() if fall > 0]
