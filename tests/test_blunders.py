@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from orthoglide.errors import InputError
+from orthoglide.explanation import data_faults, ranked_readings
 from orthoglide.explanation.alternative_readings import (
     list_alternative_readings,
     setups_to_reinterpret,
@@ -283,6 +284,24 @@ def test_several_faults(machine):
     assert set(found) == {"outlier", "knocked_stand", "sign"}
     assert found["outlier"].rows == ((0, 30),)
     assert found["sign"].setups == ("yz-0.5",)
+
+
+def test_only_misreadings_that_may_still_win_are_searched(machine, monkeypatch):
+    searched, search = [], ranked_readings.posterior_at_base_fit
+    monkeypatch.setattr(
+        ranked_readings, "posterior_at_base_fit", lambda fit: searched.append(fit) or search(fit)
+    )
+    (found,) = found_in(rc.wrong_unit(rows_of("standard", seed=2), "yz-0.5").rows, machine)
+    assert found.kind == "unit"
+    assert len(searched) == 1  # five were, of which four came far behind by one factorisation
+
+
+def test_a_search_that_ends_before_it_has_settled_says_so(machine, monkeypatch):
+    fit = estimate_of(rc.swapped_sign(rows_of("standard", seed=2), "yz-0.5").rows, machine)
+    assert find_data_faults(fit).notes == ()
+    monkeypatch.setattr(data_faults, "_ROUNDS", 1)
+    (note,) = find_data_faults(fit).notes
+    assert note.startswith("the search for data faults stopped after round 1 before it had settled")
 
 
 # -- what is told, and what is left ----------------------------------------------------------------

@@ -49,7 +49,6 @@ def with_faults_accounted_for(problem: Problem, faults: Sequence[Fault]) -> Prob
 
 
 def _with_fault_corrected(problem: Problem, fault: Fault) -> Problem:
-    rows, measured = fault.rows, problem.measured.copy()
     match fault.kind:
         case "command":
             return _with_tables_changed(problem, fault, _with_command_corrected)
@@ -57,21 +56,32 @@ def _with_fault_corrected(problem: Problem, fault: Fault) -> Problem:
             return _with_tables_changed(problem, fault, _with_datums_split)
         case _ if fault.relabels:
             return _with_tables_changed(problem, fault, _with_labels_corrected)
-        case "exchanged_labels":  # of equally many rows: the readings are exchanged instead
+    measured, lost = corrected_readings(problem, fault)
+    problem = _with_readings(problem, measured)
+    if len(lost):
+        problem = without_weight(problem, lost)
+    return _with_rate_free(problem, fault) if fault.kind == "drifted" else problem
+
+
+def corrected_readings(problem: Problem, fault: Fault) -> tuple[Array, Rows]:
+    """Return the readings with a fault of their values corrected ``(n,)``, and the rows of which
+    the true reading is lost.
+    """
+    rows, measured, lost = fault.rows, problem.measured.copy(), fault.rows[:0]
+    match fault.kind:
+        case "exchanged_labels" if not fault.relabels:  # of equally many rows: exchange readings
             measured[rows] = measured[np.roll(rows, len(rows) // 2)]
         case "stuck":
-            return without_weight(problem, rows)
+            lost = rows
         case "shifted":  # entered one line too late or too early
             late = fault.size > 0
             measured[rows] = measured[np.roll(rows, -1 if late else 1)]
             lost = rows[[-1 if late else 0]]
-            return without_weight(_with_readings(problem, measured), lost)
         case "turns" | "drifted":
             measured[rows] -= np.array(fault.sizes)
         case "sign" | "unit":
             measured[rows] *= fault.size
-    problem = _with_readings(problem, measured)
-    return _with_rate_free(problem, fault) if fault.kind == "drifted" else problem
+    return measured, lost
 
 
 def _with_rate_free(problem: Problem, fault: Fault) -> Problem:

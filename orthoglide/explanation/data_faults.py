@@ -116,7 +116,8 @@ def find_data_faults(estimate: Estimate) -> DataFindings:
         NumericsError: if the loops do not close with the estimated parameters.
     """
     problem = estimate.problem
-    faults_found, contradictions = find_scattered_setups(problem), list[Note]()
+    faults_found = find_scattered_setups(problem)
+    contradictions, unsettled = list[Note](), list[Note]()
     for _ in range(_ROUNDS):
         corrected = _correct_faults(problem, faults_found)
         fit = estimate if corrected is problem else fit_nested(corrected)
@@ -145,6 +146,8 @@ def find_data_faults(estimate: Estimate) -> DataFindings:
         faults_found = _merge_faults(problem, faults_found, faults)
         if contradictions := contradictions or [*_contradictions(problem, faults_found)]:
             faults_found = _without_slips(faults_found)
+    else:
+        unsettled.append(_unsettled_note())
     check_scatter(posterior.before.problem)
     noise_unchanged = np.array_equal(posterior.before.problem.sigma, problem.sigma)
     altered = faults_found or changes or found.ambiguous or posterior.linearised.suspects
@@ -153,7 +156,7 @@ def find_data_faults(estimate: Estimate) -> DataFindings:
         tuple(change.with_separate_fit(posterior.before) for change in changes),
         posterior if noise_unchanged and not altered else None,
         found.ambiguous,
-        (*contradictions, *_probable_fault_notes(posterior.before.problem, found)),
+        (*contradictions, *unsettled, *_probable_fault_notes(posterior.before.problem, found)),
     )
 
 
@@ -188,6 +191,16 @@ def _contradictions(problem: Problem, faults: Sequence[Fault]) -> Iterator[Note]
                     f"readings were taken with",
                     "slip",
                 )
+
+
+def _unsettled_note() -> Note:
+    """Return a note that the last round still found data faults."""
+    return Note(
+        f"the search for data faults stopped after round {_ROUNDS} before it had settled, so "
+        f"faults and causes named here may be wrong; correct in the file what is named, then "
+        f"close the loop again",
+        "slip",
+    )
 
 
 def _probable_fault_notes(problem: Problem, found: CredibleFaults) -> Iterator[Note]:

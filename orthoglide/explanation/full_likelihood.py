@@ -25,10 +25,10 @@ Scales = tuple[float, float]
 WIDEST_DATUM = 1e-2
 """Largest standard deviation of a nuisance of an instrument, such as a datum, metres or radians."""
 
-# Added to the diagonal of 1 + A^T A, relative to its largest entry, so that rounding of the largest
-# sums keeps it positive definite.
+# Added to the diagonal of 1 + A^T A or of S, relative to its largest entry, so that rounding of the
+# largest sums keeps it positive definite.
 _SUM_ROUNDING = 1e-15
-_ROUNDING = 1e-12  # added to A A^T, relative to its largest entry: far below the noise
+_ROUNDING = 1e-12  # added to the diagonal of blocks of S^-1, which is 1 or less
 
 
 class Deletion(NamedTuple):
@@ -59,6 +59,7 @@ class FullLikelihood:
     columns: Array  # of the machine and then of its instruments, in standard deviations (n, q)
     residual: Array  # (n,)
     scales: Scales
+    covariance: Array | None = None  # S, if it is known and has fewer rows than A columns
 
     @classmethod
     def from_linear_model(cls, model: LinearisedModel, scales: Scales) -> FullLikelihood:
@@ -75,44 +76,57 @@ class FullLikelihood:
         )
 
     @cached_property
-    def _factor(self) -> tuple[Array, Array]:
-        """``A`` with no more columns than rows ``(n, q)``, and the Cholesky factor of ``1 + A^T A``
-        ``(q, q)``, whose size is the number of columns and not that of the readings.
+    def _is_wide(self) -> bool:
+        """True if columns outnumber readings. Then ``S`` is factorised, and else ``1 + A^T A``, the
+        smaller of the two, with ``S^-1 = 1 - A (1 + A^T A)^-1 A^T``.
         """
-        columns = self.columns
-        if columns.shape[1] > len(columns):
-            square = columns @ columns.T
-            square[np.diag_indices_from(square)] += _ROUNDING * square.diagonal().max()
-            columns = np.asarray(np.linalg.cholesky(square), dtype=np.float64)
-        inner = columns.T @ columns
-        inner[np.diag_indices_from(inner)] += 1 + _SUM_ROUNDING * inner.diagonal().max(initial=0.0)
-        return columns, np.asarray(np.linalg.cholesky(inner), dtype=np.float64)
+        return self.columns.shape[1] > len(self.columns)
 
     @cached_property
-    def _downdate(self) -> Array:
-        """``V`` of ``S^-1 = 1 - V V^T`` ``(n, q)``."""
-        columns, cholesky = self._factor
-        return np.asarray(solve_triangular(cholesky, columns.T, lower=True).T)
+    def _square(self) -> Array:
+        """``S`` ``(n, n)`` or ``1 + A^T A`` ``(q, q)``."""
+        columns = self.columns if self._is_wide else self.columns.T
+        square = columns @ columns.T if self.covariance is None else self.covariance
+        if self.covariance is None:
+            square[np.diag_indices_from(square)] += 1.0
+        return np.asarray(square)
+
+    @cached_property
+    def _cholesky(self) -> Array:
+        """Cholesky factor of ``_square``."""
+        square = self._square.copy()
+        square[np.diag_indices_from(square)] += _SUM_ROUNDING * square.diagonal().max(initial=0.0)
+        return np.asarray(np.linalg.cholesky(square), dtype=np.float64)
+
+    @cached_property
+    def _root(self) -> Array:
+        """``V`` of ``S^-1 = V V^T`` ``(n, n)``, or of ``S^-1 = 1 - V V^T`` ``(n, q)``."""
+        right = np.eye(len(self.columns)) if self._is_wide else self.columns.T
+        return np.asarray(solve_triangular(self._cholesky, right, lower=True).T)
 
     def _weighted_residual(self, change: Array) -> Array:
         """Return ``S^-1`` times the residual of changed readings ``(n,)``."""
         residual = self.residual + self.weighing.whiten(change)
-        return np.asarray(residual - self._downdate @ (self._downdate.T @ residual))
+        product = self._root @ (self._root.T @ residual)
+        return np.asarray(product if self._is_wide else residual - product)
 
     def log_likelihood(self, change: Array) -> Array:
         """Return the log likelihood ``(h,)`` of readings with changes ``(n, h)``, metres."""
         residuals = self.residual[:, None] + self.weighing.whiten(change)
-        columns, cholesky = self._factor
-        projected = solve_triangular(cholesky, columns.T @ residuals, lower=True)
-        square = np.sum(residuals**2, axis=0) - np.sum(projected**2, axis=0)
-        return np.asarray(-(square + _log_determinant(cholesky)) / 2)
+        right = residuals if self._is_wide else self.columns.T @ residuals
+        projected = solve_triangular(self._cholesky, right, lower=True)
+        square = np.sum(projected**2, axis=0)
+        if not self._is_wide:
+            square = np.sum(residuals**2, axis=0) - square
+        return np.asarray(-(square + _log_determinant(self._cholesky)) / 2)
 
     def deletion(self, rows: Rows, change: Array) -> Deletion:
         """Return some readings, with a change of all readings ``(n,)``, metres, against their
         prediction by all others.
         """
-        block = self._downdate[rows]
-        inverse_block = (1 + _ROUNDING) * np.eye(len(rows)) - block @ block.T
+        block = self._root[rows] @ self._root[rows].T
+        inverse_block = block if self._is_wide else np.eye(len(rows)) - block
+        inverse_block[np.diag_indices_from(block)] += _ROUNDING
         cholesky = np.asarray(np.linalg.cholesky(inverse_block), dtype=np.float64)
         whitened = solve_triangular(cholesky, self._weighted_residual(change)[rows], lower=True)
         scaled = solve_triangular(cholesky, whitened, lower=True, trans="T")
@@ -132,7 +146,13 @@ class FullLikelihood:
         changed[rows, self.columns.shape[1] :] = whiten(instruments)
         residuals = self.residual.copy()
         residuals[rows] = whiten(residual)
-        return replace(self, columns=changed, residual=residuals)
+        covariance = None
+        if self._is_wide:  # the other readings have the covariance that they had
+            covariance = self._square.copy()
+            covariance[rows] = changed[rows] @ changed.T
+            covariance[:, rows] = covariance[rows].T
+            covariance[rows, rows] += 1.0
+        return replace(self, columns=changed, residual=residuals, covariance=covariance)
 
     def expected_noise(self, change: Array) -> Array:
         """Return the expected noise of changed readings ``(n,)``, metres."""

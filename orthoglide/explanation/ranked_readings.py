@@ -20,7 +20,7 @@ from orthoglide.explanation.alternative_readings import (
     RowsBySetup,
 )
 from orthoglide.explanation.columns import LinearisedModel
-from orthoglide.explanation.corrections import with_faults_corrected
+from orthoglide.explanation.corrections import corrected_readings, with_faults_corrected
 from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
 from orthoglide.explanation.faults import Fault, Rows, setups_of
 from orthoglide.explanation.full_likelihood import (
@@ -36,7 +36,7 @@ from orthoglide.geometry import Array
 from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, descending
 
 _MOST_READINGS = 10_000  # readings: for more, four matrices by unknowns take over 0.4 GB
-_MOST_RANKED = 5  # alternatives that are searched in full
+_MOST_RANKED = 3  # alternatives that are searched in full
 
 _MISREADING_MARGIN = 3.0
 """Log odds by which a misreading must be likelier: its prior probability is a guess."""
@@ -68,20 +68,22 @@ def likeliest_misreading(
         other_evidence: log evidence of another explanation of the readings.
         background_scales: under which alternatives are ranked.
     """
-    candidates = list[tuple[float, Fault]]()
-    for alternative in _rank(posterior, alternatives, rows_by_setup, background_scales):
+    best: tuple[float, Fault | None]
+    best = max(posterior.evidence, other_evidence) + _MISREADING_MARGIN, None
+    for log_odds, alternative in _rank(posterior, alternatives, rows_by_setup, background_scales):
+        # A search finds more to explain in the readings as they stand, where a misreading is left,
+        # than in those with it corrected: the ranked odds are hardly ever exceeded by the final.
+        if posterior.evidence + log_odds + _MISREADING_MARGIN < best[0]:
+            break
         try:
             corrected = with_faults_corrected(base.problem, [alternative.fault])
             other = posterior_at_base_fit(fit_nested(corrected))
         except NumericsError:
             continue
         if other.mixture.probability_rare < EVEN_PROBABILITY:  # more noise explains anything
-            candidates.append((other.evidence + alternative.log_odds, alternative.fault))
-    if not candidates:
-        return None
-    evidence, fault = best_of(candidates, lambda one: one[0], LOG_ODDS_MARGIN)
-    threshold = max(posterior.evidence, other_evidence) + _MISREADING_MARGIN
-    return fault if evidence > threshold else None
+            candidate = other.evidence + alternative.log_odds, alternative.fault
+            best = best_of((best, candidate), lambda one: one[0], LOG_ODDS_MARGIN)
+    return best[1]
 
 
 def _rank(
@@ -89,9 +91,9 @@ def _rank(
     alternatives: Sequence[AlternativeReadings],
     rows_by_setup: RowsBySetup,
     background_scales: Sequence[Scales],
-) -> list[AlternativeReadings]:
+) -> list[tuple[float, AlternativeReadings]]:
     """Return the alternative readings that fit better than the readings as they stand, the
-    likeliest first.
+    likeliest first, each after its log odds.
     """
     model, problem = posterior.linearised, posterior.linearised.problem
     if not alternatives or len(problem.measured) > _MOST_READINGS:
@@ -100,8 +102,10 @@ def _rank(
     no_change = np.zeros(len(problem.measured))
     dials = {s: rows for s, rows in rows_by_setup.items() if s in problem.leg_setups}
     alternatives = [*alternatives, *turn_alternatives(problem, likelihoods, dials)]
-    changes, lost = zip(*(_change(problem, a.fault) for a in alternatives), strict=True)
-    all_changes = np.column_stack([no_change, *changes])
+    corrected, lost = zip(
+        *(corrected_readings(problem, a.fault) for a in alternatives), strict=True
+    )
+    all_changes = np.column_stack([problem.measured, *corrected]) - problem.measured[:, None]
     by_scale = np.stack([w.log_likelihood(all_changes) for w in likelihoods])
     as_read, *scores = np.logaddexp.reduce(by_scale, axis=0)
     pairs = list(zip(by_scale[:, 0], likelihoods, strict=True))
@@ -122,22 +126,12 @@ def _rank(
             else:
                 scores[k] = -np.inf
         elif len(lost[k]):
-            deleted = [p + w.deletion(lost[k], changes[k]).gain
+            deleted = [p + w.deletion(lost[k], all_changes[:, k + 1]).gain
                        for p, w in zip(by_scale[:, k + 1], likelihoods, strict=True)]  # fmt: skip
             scores[k] = np.logaddexp.reduce(deleted)
     gains = np.array([s + a.log_odds - as_read for s, a in zip(scores, alternatives, strict=True)])
     order = descending(gains, LOG_ODDS_MARGIN)[:_MOST_RANKED]
-    return [alternatives[k] for k in order if gains[k] > 0]
-
-
-def _change(problem: Problem, fault: Fault) -> tuple[Array, Rows]:
-    """Return the corrected less the given readings ``(n,)``, and the rows that are lost."""
-    corrected = with_faults_corrected(problem, [fault])
-    lost = [
-        f.noise.weighted & ~c.noise.weighted
-        for f, c in zip(problem.factors, corrected.factors, strict=True)
-    ]
-    return corrected.measured - problem.measured, np.flatnonzero(np.concatenate(lost))
+    return [(float(gains[k]), alternatives[k]) for k in order if gains[k] > 0]
 
 
 def _likelihoods(

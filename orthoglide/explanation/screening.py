@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from orthoglide.explanation.fault_columns import FaultColumns
 from orthoglide.explanation.linear_model import SLAB_SCALES
@@ -65,8 +66,9 @@ def screen_data_faults(
         if dense:
             scaled = columns * sd
             root = np.linalg.cholesky(scaled @ scaled.T + np.eye(len(scaled)))
-            past = np.linalg.solve(root, whitened_residual)
-            blocks = np.split(np.linalg.solve(root, fault_columns), ends[:-1], axis=1)
+            past = solve_triangular(root, whitened_residual, lower=True)
+            past_columns = solve_triangular(root, fault_columns, lower=True)
+            blocks = np.split(past_columns, ends[:-1], axis=1)
             scored = [(block, past) for block in blocks]
         else:
             precision = sd[:, None] * gram * sd + np.eye(len(sd))
