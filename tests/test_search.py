@@ -296,6 +296,18 @@ def test_other_readings_against_their_covariance_written_out(causes: int) -> Non
     assert relabelled.log_likelihood(np.zeros((n, 1))) == pytest.approx([labelled])
 
 
+def test_readings_far_finer_than_their_datums_are_still_weighed() -> None:
+    """A nanometre of noise beside ten millimetres of datum: rounding exceeds the noise."""
+    rng, n = np.random.default_rng(1), 504
+    datums = np.repeat(1e7 * np.eye(n // 9), 9, axis=0)
+    columns = np.hstack(
+        [1e7 * rng.standard_normal((n, 5)) @ rng.standard_normal((5, 2 * n)), datums]
+    )
+    weighing = Weighing(np.ones(n), np.zeros(n), np.arange(n))
+    wide = FullLikelihood(weighing, columns, rng.standard_normal(n), (1.0, 1.0))
+    assert np.isfinite(wide.log_likelihood(np.zeros((n, 1)))).all()
+
+
 @dataclass(frozen=True)
 class Part:
     """What `merge_families` reads of an explanation."""

@@ -25,8 +25,8 @@ Scales = tuple[float, float]
 WIDEST_DATUM = 1e-2
 """Largest standard deviation of a nuisance of an instrument, such as a datum, metres or radians."""
 
-# Added to the diagonal of 1 + A^T A or of S, relative to its largest entry, so that rounding of the
-# largest sums keeps it positive definite.
+# Added to the diagonal of 1 + A^T A, relative to its largest entry, so that rounding of the largest
+# sums keeps it positive definite. S, by far less regular, gets the bound of that rounding.
 _SUM_ROUNDING = 1e-15
 _ROUNDING = 1e-12  # added to the diagonal of blocks of S^-1, which is 1 or less
 
@@ -95,7 +95,8 @@ class FullLikelihood:
     def _cholesky(self) -> Array:
         """Cholesky factor of ``_square``."""
         square = self._square.copy()
-        square[np.diag_indices_from(square)] += _SUM_ROUNDING * square.diagonal().max(initial=0.0)
+        rounding = len(square) * np.finfo(float).eps if self._is_wide else _SUM_ROUNDING
+        square[np.diag_indices_from(square)] += rounding * square.diagonal().max(initial=0.0)
         return np.asarray(np.linalg.cholesky(square), dtype=np.float64)
 
     @cached_property
