@@ -291,9 +291,12 @@ def test_the_sign_rule_is_worked_out_in_words() -> None:
     assert result == zero - sign * offset == 501.2
     assert "too far out" in said
     assert "toward the origin" in said
-    table = [line.split() for line in text.splitlines() if re.match(r" +[xyz] ", line)][:3]
-    zeros = [["500.000", "501.200"], ["-20.000", "-19.400"], ["100.000", "unchanged"]]
-    assert [row[1:] for row in table] == zeros
+    table = [line.split() for line in text.splitlines() if re.match(r" +[xyz] ", line)][:2]
+    assert table == [["x", "500.000", "501.200"], ["y", "-20.000", "-19.400"]]
+    assert "Axis z: the zero stays as it is." in said
+    nominal = controller_numbers(Machine.nominal()).text()
+    assert "Axis x, y and z: the zero stays as it is." in nominal
+    assert "old zero" not in nominal
     assert "hold all of it" in text
     more = controller_numbers(machine({**DRIVES, "axis_tilt.y.z": 1e-3}))
     assert more.left_over == ("axis_tilt.y.z",)

@@ -182,12 +182,20 @@ class ControllerNumbers(Framed):
 
     @property
     def zeros(self) -> Table:
-        """The zeros of each axis, old and new."""
-        rows = []
-        for d in self.drives:
-            old, new = _millimetres_text(d.zero), _millimetres_text(d.new_zero)
-            rows.append((d.leg, old, "unchanged" if new == old else new))
-        return Table((self.names.axis, "old zero", "new zero"), tuple(rows))
+        """The zeros to enter, old and new."""
+        printed = [
+            (d.leg, _millimetres_text(d.zero), _millimetres_text(d.new_zero)) for d in self.drives
+        ]
+        rows = tuple(row for row in printed if row[1] != row[2])
+        return Table((self.names.axis, "old zero", "new zero"), rows)
+
+    @property
+    def rule(self) -> str:
+        """What to do with the new zeros, and which zeros stay."""
+        moved = {leg for leg, *_ in self.zeros.rows}
+        stay = [d.leg for d in self.drives if d.leg not in moved]
+        axes = f"{self.names.axis.capitalize()} {listed(stay)}: the zero stays as it is."
+        return " ".join([RULE] * bool(moved) + [axes] * bool(stay))
 
     @property
     def worked(self) -> str:
@@ -257,8 +265,9 @@ class ControllerNumbers(Framed):
         proofs = [f"- {reading}" for reading in readings]
         parts = [
             f"{self.title}\nLengths in mm, as the controller counts.",
-            self.zeros.text(),
-            *((_fill(RULE), _fill(f"Worked. {self.worked}")) if self.worked else ()),
+            *([self.zeros.text()] if self.zeros.rows else ()),
+            _fill(self.rule),
+            *([_fill(f"Worked. {self.worked}")] if self.worked else ()),
             *(f"{_fill(meaning)}\n\n{table.text()}" for table, meaning in self.settings),
             *(["\n".join(map(_fill, (instruction, *proofs)))] if self.worked else ()),
             *map(_fill, filter(None, (self.gains, self.rest))),

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from orthoglide.control import RULE, withholding_reason
+from orthoglide.control import withholding_reason
 from orthoglide.effects.words import toward
 from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile
@@ -73,7 +73,6 @@ def controller(result: Result) -> Data:
     return {
         "drives": numbers.drives if zeros else (),
         "withheld": " ".join(result.cautions) or (sentence(reason) if reason else ""),
-        "rule": RULE,
         "counts": numbers.names.slide_end_words[1][1],
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
         "beyond": listed(c.description for c in curves if not c.of_machine),
