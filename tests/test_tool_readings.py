@@ -425,11 +425,19 @@ def test_a_trackers_frame_is_turned_to_the_machine_found(
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize("read_again", [False, True])
 def test_intervals_of_readings_ten_times_as_noisy_as_declared_hold_the_truth(
-    tracked: tuple[Machine, Readings],
+    tracked: tuple[Machine, Readings], read_again: bool
 ) -> None:
-    """As wide as the noise seen, about values that believed the noise declared: 49 were outside."""
+    """As wide as the noise seen, about values that believed the noise declared: 49 were outside.
+
+    Eighteen readings that were taken again tell that noise within a quarter of it. What was left
+    was held against it as if it were known: 8 of 24 had a lack of fit.
+    """
     machine, sheet = tracked
+    if not read_again:
+        first = np.unique(sheet.stations, axis=0, return_index=True)[1]
+        sheet = sheet.subset(np.sort(first))
     rng, outside, names = np.random.default_rng(5), 0, base_of(machine)
     for seed in range(24):
         true = {p: float(rng.normal(0, machine.tolerance(p))) for p in names}
@@ -438,7 +446,11 @@ def test_intervals_of_readings_ten_times_as_noisy_as_declared_hold_the_truth(
         found = refit_with_residual_noise(
             og.identify([declared], machine, list(machine.catalogue.base))
         )
-        assert 8 < found.sigma_scale < 12
+        if read_again:
+            assert found.sigma_scale == 1.0
+            assert "scatter" in {note.kind for note in found.warnings}
+        else:
+            assert 8 < found.sigma_scale < 12
         held = [low <= true[p] <= high for p in names for low, high in [found.interval(p)]]
         outside += held.count(False)
     assert 4 <= outside <= 27  # of 288, 14.4 expected

@@ -155,12 +155,16 @@ def with_refuted_noise_enlarged(problem: Problem) -> Problem:
     There is one scale for each kind of instrument, and a larger one for a setup that scatters more
     than the others of its kind.
     """
-    factors, scales, refuted = [], list[float](), set[str]()
+    factors, scales, refuted = [], list[float](), dict[str, tuple[int, float]]()
     for factor in problem.factors:
         scale = np.ones(len(factor.readings))
         for kind in dict.fromkeys(factor.readings.kind):
             of_kind = factor.readings.of_kind(kind) & factor.noise.weighted
-            scale = np.where(of_kind, _noise_scales(factor, np.flatnonzero(of_kind)), scale)
+            scale_of_kind, dof = _noise_scales(factor, np.flatnonzero(of_kind))
+            scale = np.where(of_kind, scale_of_kind, scale)
+            if dof:
+                count, dof_before = refuted.get(kind, (0, 0.0))
+                refuted[kind] = count + int(np.sum(scale[of_kind] > 1)), dof_before + dof
         noise, enlarged = factor.noise, scale > 1
         total = noise.total * scale
         common = np.where(enlarged, common_rounding(total, noise.step), noise.common)
@@ -168,17 +172,16 @@ def with_refuted_noise_enlarged(problem: Problem) -> Problem:
         larger_noise = replace(noise, sigma=np.where(enlarged, sigma, noise.sigma), common=common)
         factors.append(replace(factor, noise=larger_noise))
         scales += scale[noise.weighted].tolist()
-        refuted |= set(np.array(factor.readings.kind)[enlarged].tolist())
     if not scales or max(scales) <= 1:
         return problem
     typical = problem.noise.typical * float(np.median(scales))
-    larger = replace(problem.noise, typical=typical, refuted=frozenset(refuted))
+    larger = replace(problem.noise, typical=typical, refuted=refuted)
     return replace(problem, factors=tuple(factors), noise=larger)
 
 
-def _noise_scales(factor: Factor, rows: Rows) -> Array:
-    """Return the ratio of the noise of repeats to that assumed, by reading ``(n,)``; 1 where it is
-    not refuted.
+def _noise_scales(factor: Factor, rows: Rows) -> tuple[Array, float]:
+    """Return the ratio of the noise of repeats to that assumed, by reading ``(n,)``, 1 where it is
+    not refuted, and the degrees of freedom of the noise that refutes it.
 
     Args:
         factor: the readings.
@@ -195,13 +198,14 @@ def _noise_scales(factor: Factor, rows: Rows) -> Array:
         sigma = float(np.sqrt(np.mean(factor.noise.total[setup_rows] ** 2)))
         differences[number] = _successive_differences(factor.readings.subset(setup_rows)) / sigma
     if not differences:
-        return scales
+        return scales, 0.0
     pooled = np.concatenate(list(differences.values()))
     common_scale = _refuted_scale(pooled, 1.0, _REFUTING_CHANCE)
     chance = _REFUTING_CHANCE / len(differences)
     for number, of_setup in differences.items():
         scales[setup == number] = max(common_scale, _refuted_scale(of_setup, common_scale, chance))
-    return scales
+    enlarged = [d for number, d in differences.items() if scales[setup == number].max() > 1]
+    return scales, sum(map(_dof_of_differences, enlarged))
 
 
 def _refuted_scale(differences: Array, scale: float, chance: float) -> float:
@@ -209,10 +213,15 @@ def _refuted_scale(differences: Array, scale: float, chance: float) -> float:
     and otherwise ``scale``.
     """
     size = _robust_scatter(differences, 0.0, _MEDIAN_QUANTILE)
-    dof = len(differences) / 2  # differences of differences share readings
+    dof = _dof_of_differences(differences)
     ratio = size / scale
     larger = 2 * dof >= _FEWEST_DIFFERENCES and ratio > _REFUTING_RATIO
     return size if larger and chdtrc(dof, dof * ratio**2) < chance else scale
+
+
+def _dof_of_differences(differences: Array) -> float:
+    """Return the degrees of freedom of successive differences of steps, which share readings."""
+    return len(differences) / 2
 
 
 def with_smaller_noise(problem: Problem, squares: Mapping[str, float]) -> Problem:

@@ -5,8 +5,8 @@ The same rules hold for all kinds of readings. The rounding of an instrument's d
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from numbers import Real
 from typing import Any, Literal
 
@@ -123,8 +123,9 @@ class Noise:
     resolution: float  # the commonest step of the first kind, which `typical` counts
     dof: float = float("inf")  # degrees of freedom behind the level of the first kind
     declared: float = float("nan")  # declared standard deviation before rounding; nan if none
-    # kinds of reading whose assumed noise is replaced by the larger one that their repeats show
-    refuted: frozenset[str] = frozenset()
+    # by kind of reading whose assumed noise is replaced by the larger one that its repeats show:
+    # number of those readings, and degrees of freedom of that noise
+    refuted: Mapping[str, tuple[int, float]] = field(default_factory=dict)
 
 
 def instrument_of(spec: MachineFile, observation: Observation) -> Instrument:

@@ -172,18 +172,19 @@ class Problem:
         return by_kind
 
     @cached_property
-    def repeat_counts_and_dof(self) -> tuple[tuple[int, int], ...]:
-        """For each kind of tool reading with noise from repeats: number of readings, and degrees of
-        freedom of the noise.
+    def repeat_counts_and_dof(self) -> tuple[tuple[int, float], ...]:
+        """For each kind of reading whose repeats refute its assumed noise, and each kind of tool
+        reading with noise from repeats: number of readings, and degrees of freedom of the noise.
         """
-        counts = list[tuple[int, int]]()
+        counts = list[tuple[int, float]]()
         for factor in self.tool_factors:
             for kind in dict.fromkeys(factor.readings.kind):
                 rows = factor.readings.of_kind(kind)
                 if (rows & factor.noise.weighted & factor.noise.from_repeats).any():
                     dof = repeat_variance([factor.readings.subset(rows)])[1]
                     counts.append((int(np.sum(rows & factor.noise.weighted)), dof))
-        return tuple((n, dof) for n, dof in counts if dof >= MIN_REPEAT_DOF)
+        counts = [(n, dof) for n, dof in counts if dof >= MIN_REPEAT_DOF]
+        return (*counts, *self.noise.refuted.values())
 
     @cached_property
     def repeat_count(self) -> int:
