@@ -17,7 +17,7 @@ from orthoglide.frames import Framed
 from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.numerals import MINUS, plain, signed
-from orthoglide.ordering import best_of, ranked
+from orthoglide.ordering import RELATIVE_MARGIN, best_of, ranked
 from orthoglide.text import listed, sentence
 
 _fill = TextWrapper(100, break_on_hyphens=False, break_long_words=False).fill
@@ -319,7 +319,9 @@ def controller_numbers(
     identified = _values_by_kind(machine, machine.values)["zero"]
     held = ("zero",) if zeros_only else DRIVE_ENTRIES
     others = [n for n, v in machine.values.items() if v and effect_of(n).controller not in held]
-    left_over = ranked(others, lambda n: abs(machine.values[n]) / machine.tolerance(n))
+    left_over = ranked(
+        others, lambda n: abs(machine.values[n]) / machine.tolerance(n), RELATIVE_MARGIN
+    )
     # On a hanging layout the zeros leave the tool at its height.
     compromise = left_over or machine.geometry.layout.hanging
     best = _ZEROS_ALONE if zeros_only else "these numbers" if compromise else ""

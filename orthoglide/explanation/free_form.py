@@ -184,7 +184,8 @@ def _jump_candidates(
         explained = np.cumsum(step[:, None] * fitted, axis=0)[allowed]
         remaining = squares[allowed] - np.sum(explained**2, axis=1)
         gain = products[allowed] ** 2 / np.maximum(remaining, _LEAST_SIGNAL**2)
-        between = (moments[allowed] + moments[allowed + 1])[descending(gain)] / 2
+        order_of_gain = descending(gain, LOG_ODDS_MARGIN)
+        between = (moments[allowed] + moments[allowed + 1])[order_of_gain] / 2
         # One for each full second, or reading, which names a jump.
         names = np.rint(between) if error.timed else np.floor(between)
         _, first = np.unique(names, return_index=True)
