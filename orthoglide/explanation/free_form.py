@@ -45,7 +45,7 @@ _LEAST_READINGS_BESIDE_JUMP = 6  # readings on either side of a jump: fewer are 
 _LEAST_SIGNAL = 0.1  # sigmas: least effect on a reading that counts as visible
 _LEAST_DIAL_MOVE = 1e-6  # metres: a smaller move does not move a dial
 _CLEAR_DIAL_MOVE = 5e-6  # metres: a larger move has a certain direction
-_DIRECTION_SEPARATION = 3.0  # least difference of both directions' mean residuals, in scatters
+_DIRECTION_SEPARATION = 3.0  # least mean difference of both directions' residuals, in scatters
 
 
 def only_surface_readings(problem: Problem) -> bool:
@@ -321,6 +321,12 @@ def _dial_bumps(error: FreeForm, predicted: Array, residual: Array) -> Iterator[
         yield with_dial_bump(error, float(centres[centre]), width, len(centres))
 
 
+def _means_at(predicted: Array, residual: Array) -> tuple[Array, Array]:
+    """Return distinct predicted readings ``(q,)``, to a micrometre, and their mean residuals."""
+    at, group = np.unique(np.round(predicted, 6), return_inverse=True)
+    return at, np.bincount(group, residual) / np.bincount(group)
+
+
 def _plunger_direction(
     campaign: Readings, rows: NDArray[np.int64], predicted: Array, residual: Array
 ) -> Array:
@@ -328,8 +334,9 @@ def _plunger_direction(
 
     It is 1 if the reading grew and -1 if it fell; without a move the previous direction is kept; 0
     is unknown. If the direction is unknown or the last move was under 5 um, the reading is given
-    the direction whose mean residual is nearer to its own. This is done only if the mean residuals
-    of the two directions differ by more than three times their scatter.
+    the direction whose residual, interpolated to its predicted reading, is nearer to its own: what
+    else is wrong with the machine is the same from both. This is done only if both directions
+    differ by more than three times their scatter.
 
     Args:
         campaign: of the readings.
@@ -340,18 +347,26 @@ def _plunger_direction(
     order = np.argsort(campaign.order[rows], kind="stable")
     moves = np.diff(predicted[order], prepend=predicted[order][:1])
     move_sign = np.where(np.abs(moves) > _LEAST_DIAL_MOVE, np.sign(moves), 0.0)
-    last = np.maximum.accumulate(np.where(move_sign != 0, np.arange(len(move_sign)), 0))
-    direction, size = np.empty(len(move_sign)), np.empty(len(move_sign))
-    direction[order], size[order] = move_sign[last], np.abs(moves)[last]
+    index = np.arange(len(moves))
+    last = np.maximum.accumulate(np.where(move_sign != 0, index, 0))
+    visits = np.hstack([campaign.command, campaign.approach])[rows[order]]
+    stayed = np.append(False, (np.diff(visits, axis=0) == 0).all(axis=1))
+    last_visit = np.maximum.accumulate(np.where(stayed, 0, index))
+    direction, size = np.empty(len(moves)), np.empty(len(moves))
+    direction[order], size[order] = move_sign[last], np.abs(moves)[last_visit]
     # Moves that were not recorded came between.
     direction *= (campaign.approach == campaign.derived_approach).all(axis=1)[rows]
     clear = (direction != 0) & (size > _CLEAR_DIAL_MOVE)
-    groups = [residual[clear & (direction == move_sign)] for move_sign in (1, -1)]
-    if min(map(len, groups)) < 2:
+    groups = [clear & (direction == move_sign) for move_sign in (1, -1)]
+    if min(map(np.sum, groups)) < 2:
         return direction
-    grown, fallen = map(np.mean, groups)
-    scatter = np.sqrt(np.mean(np.concatenate([g - g.mean() for g in groups]) ** 2))
-    if abs(grown - fallen) <= _DIRECTION_SEPARATION * scatter:
+    grown, fallen = (
+        np.interp(predicted, *_means_at(predicted[group], residual[group])) for group in groups
+    )
+    difference = (grown - fallen)[clear]
+    from_own = (residual - np.where(direction > 0, grown, fallen))[clear]
+    scatter = np.hypot(difference.std(), np.sqrt(np.mean(from_own**2)))
+    if abs(difference.mean()) <= _DIRECTION_SEPARATION * scatter:
         return direction
     nearest = np.where(np.abs(residual - grown) < np.abs(residual - fallen), 1.0, -1.0)
     return np.where(clear, direction, nearest)
