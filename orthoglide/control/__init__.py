@@ -7,6 +7,7 @@ from orthoglide.control.compensation import (
     read_path as read_path,
 )
 from orthoglide.control.numbers import (
+    RULE as RULE,
     ControllerNumbers as ControllerNumbers,
     controller_numbers as controller_numbers,
 )
