@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.effects.free_form import common_dial_form, dial_free_forms
+from orthoglide.effects.dials import common_dial_form, dial_free_forms
 from orthoglide.explanation.free_form import dial_curve_columns
 from orthoglide.explanation.identifying import identify
 from orthoglide.fit import Estimate

@@ -17,7 +17,7 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.effects import CATALOGUE, Effect, Motion, Words, cos, once, sin
 from orthoglide.effects.custom import load_effects
-from orthoglide.effects.free_form import dial_free_forms
+from orthoglide.effects.dials import dial_free_forms
 from orthoglide.effects.motions import Constant, sideways
 from orthoglide.effects.wording import (
     cause_short,

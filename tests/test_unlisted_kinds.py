@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from benchmarks import public
 from orthoglide.effects.bumps_and_jumps import with_jump
 from orthoglide.effects.free_form import Session, free_forms
-from orthoglide.explanation.causes import pool_local
+from orthoglide.explanation.causes import pool_variants
 from orthoglide.explanation.free_form import free_form_columns
 from tests import rig_campaigns as rc
 from tests.factors import campaign_of
@@ -62,6 +63,26 @@ def test_what_no_catalogue_lists_is_located(kind: str) -> None:
         assert f"by {first.size_words}" in " ".join(str(verdict).split())
 
 
+def test_a_proportional_coupling_of_two_drives_is_in_the_set() -> None:
+    """A dial that shows 9 % too much was named alone, with probability 0.99: the free function
+    paid for all the shapes that a straight line does not have.
+    """
+    rng = np.random.default_rng([901, 146])
+    errors = {
+        f"{family}.{leg}": float(rng.normal(0, sd))
+        for family, sd in (("joint_offset", 1e-3), ("leg_length", 5e-5))
+        for leg in "xyz"
+    }
+    coupled = Rig(errors=errors, extra=(rc.cross_coupling(0, 1, 1e-3),)).with_background(rng, 0.015)
+    verdict = og.close_loop([public.campaign(rc.simulate(coupled, ROWS, rng))], public.machine())
+    members = [one for cause in verdict.effects for one in cause.places]
+    members += [one for located in verdict.located for one in located.members]
+    (found,) = (one for one in members if one.name.startswith("drive.x/command.y"))
+    assert found.probability > 0.2
+    assert found.description.endswith("in proportion to the command of drive y")
+    assert np.polyfit(found.at, found.value, 1)[0] == pytest.approx(1e-3, rel=0.2)
+
+
 def test_a_bar_that_snaps_while_another_leg_is_read_is_in_the_set() -> None:
     """A drive was named alone: the time of a bar ended with the readings of its own leg."""
     rig = replace(RIG, extra_length=(rc.snapping_bar(1, 0, 2e-4, OF_Z),))
@@ -78,7 +99,7 @@ def test_the_moments_of_one_jump_are_one_finding() -> None:
     other = next(e for e in free_forms(Session(0.0, 4000.0)) if e.name == "bar.y.1/time")
     jumps = [with_jump(slow, at) for at in (3010.0, 3030.0, 3050.0, 3500.0)]
     errors = dict(enumerate([slow, *jumps, with_jump(other, 3030.0)]))
-    odds, moments = pool_local(np.array([0.1, 0.2, 0.4, 0.15, 0.02, 0.03, 0.1]), errors)
+    odds, moments = pool_variants(np.array([0.1, 0.2, 0.4, 0.15, 0.02, 0.03, 0.1]), errors)
     np.testing.assert_allclose(odds, [0.1, 0.0, 0.77, 0.0, 0.0, 0.03, 0.1])
     assert moments == {2: " (from 3010 s to 3050 s)"}
 

@@ -7,6 +7,8 @@ catalogue: the stem turns, the dial magnifies its displacement, the stand creeps
 from __future__ import annotations
 
 from orthoglide.effects.effect import Effect
+from orthoglide.effects.free_form import Dependence, FreeForm, FreeFunctions, Range
+from orthoglide.effects.kernels import Kernel, Level
 from orthoglide.effects.motions import cos, sin
 from orthoglide.effects.words import Words
 from orthoglide.units import ONE, RAD, Unit
@@ -67,3 +69,39 @@ GAUGE_DRIFT = Effect(
 )
 
 EFFECTS = (GAUGE_DIRECTION, GAUGE_SCALE, GAUGE_DRIFT)
+
+_UM = 1e-6
+_CREEP, _DIAL = Kernel(0.5, 8, rough=1.0), Kernel(0.5, 6)
+
+
+def dial_free_forms(
+    setup: str, leg: int, time: Range | None, reading: Range, turns: bool, scale: float = 1.0
+) -> tuple[FreeForm, ...]:
+    """Return the free-form errors of one setup of a dial: creep, curve and reversal error.
+
+    Args:
+        setup: name of the setup.
+        leg: the leg that the dial touches.
+        time: first and last second; ``None`` where it was not recorded.
+        reading: smallest and largest predicted reading, metres. A curve over the measured readings
+            would fit their noise.
+        turns: whether the plunger moved in both directions.
+        scale: of the machine's size, for which dials are chosen.
+    """
+    candidates: tuple[tuple[Dependence, FreeFunctions, float, Range | None], ...] = (
+        ("time", _CREEP, 20 * _UM, time),
+        ("reading", _DIAL, 20 * _UM, reading),
+        ("approach", Level(), 10 * _UM, reading if turns else None),
+    )
+    return tuple(
+        FreeForm("dial", leg, "", against, kernel, prior_sd * scale, span=span, setup=setup)
+        for against, kernel, prior_sd, span in candidates
+        if span is not None
+    )
+
+
+def common_dial_form(reading: Range, scale: float = 1.0) -> FreeForm:
+    """Return the reversal error that all dials of one make share; ``reading``: range of the
+    readings, metres.
+    """
+    return FreeForm("dial", -1, "", "approach", Level(), 10 * _UM * scale, span=reading)

@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import product
 from typing import Any, Literal
 
 from orthoglide.effects.effect import Effect
@@ -84,11 +85,13 @@ class FreeForm:
             )
         if self.jump is not None:
             return f"{self.location_key}@{self.moment.replace(' ', '')}"
+        if self.is_line:
+            return f"{self.location_key}-line"
         return self.location_key.replace("/travel", "/waves" if self.short_waves else "/travel")
 
     @property
     def location_key(self) -> str:
-        """Key that short and long variants share, as only one of them can be the cause."""
+        """Key that the variants of one error share, as only one of them can be the cause."""
         if self.of_dial:
             return f"dial{self.setup and '.'}{self.setup}/{self.against}"
         direction = f".{self.direction}" if self.direction else ""
@@ -100,6 +103,16 @@ class FreeForm:
     def is_local(self) -> bool:
         """Whether it is wrong at one place or moment alone."""
         return self.bump is not None or self.jump is not None
+
+    @property
+    def is_line(self) -> bool:
+        """Whether it is proportional to its variable, as one shape of a wider free function."""
+        return isinstance(self.kernel, Kernel) and self.kernel.waves == 0
+
+    @property
+    def only_if_active(self) -> bool:
+        """Whether it is no part of the background, whose smooth functions contain such shapes."""
+        return self.jump is not None or self.wide > 0 or self.is_line
 
     @property
     def is_rotation(self) -> bool:
@@ -184,11 +197,12 @@ class FreeForm:
             return f"the dial of {self.setup} {fault}"
         leg = self.names.legs[self.leg]
         preposition = "at" if self.timed else "after"
+        by = "in proportion to" if self.is_line else "by"
         dependence = {
             "travel": self._travel_words,
             "approach": "by the side it is approached from",
             "reversal": "by the way gone since it turned round",
-            "command": f"by the command of drive {self.names.legs[self.command_drive]}",
+            "command": f"{by} the command of drive {self.names.legs[self.command_drive]}",
             "time": "with time" if self.jump is None else f"{preposition} {self.moment}, at once",
         }[self.against]
         fault = {
@@ -279,6 +293,8 @@ _DRIVE, _LOST = Kernel(0.030 / _LENGTH, 96, rough=0.1), Kernel(0.030 / _LENGTH, 
 # Harmonics of a screw, a worn ball: unknown between stations that are farther apart.
 _SCREW = Kernel(0.003 / _LENGTH, 96)
 _ACROSS = Kernel(0.050 / _LENGTH, 8, line=True)
+# Most couplings are proportional: a free function pays for shapes that they do not have.
+_LINE = Kernel(1.0, 0, line=True)
 _OU = Kernel(1 / 3, 24, rough=1.0)  # a sixth of the session
 _DRIFT = Kernel(0.5, 12, rough=0.1)  # warmth comes and goes slowly, and begins at once
 # Rollers, and a profile that was pressed or printed: waves of some centimetres, however long the
@@ -286,7 +302,6 @@ _DRIFT = Kernel(0.5, 12, rough=0.1)  # warmth comes and goes slowly, and begins 
 _SHORT, _SHORT_FROM = 0.015, 1.5 * _LENGTH
 _PER_LENGTH, _MOST = 5, 96  # functions of half a stroke as long as a correlation length; in all
 BUILD_UP = BuildUp((0.05, 0.1, 0.2, 0.4, 0.8))
-_CREEP, _DIAL = Kernel(0.5, 8, rough=1.0), Kernel(0.5, 6)
 
 
 @dataclass(frozen=True)
@@ -336,9 +351,9 @@ def _leg_forms(leg: int) -> Iterator[FreeForm]:
     yield FreeForm("drive", leg, "", "travel", _DRIVE, 100 * _UM)
     yield FreeForm("drive", leg, "", "approach", _LOST)
     yield FreeForm("drive", leg, "", "reversal", BUILD_UP)
-    for other in range(len(LEGS)):
+    for other, kernel in product(range(len(LEGS)), (_ACROSS, _LINE)):
         if other != leg:
-            yield FreeForm("drive", leg, "", "command", _ACROSS, command_drive=other)
+            yield FreeForm("drive", leg, "", "command", kernel, command_drive=other)
     # A straight line of the rail is a tilt of its axis, which has a name.
     parts: tuple[tuple[Part, Kernel], ...] = (("rail", _FINE), ("platform", _FINE_AND_LINE))
     for axis in "bc":
@@ -365,36 +380,3 @@ def _time_dependent_forms(session: Session) -> Iterator[FreeForm]:
 def scaled_to_machine(form: FreeForm, scale: float) -> FreeForm:
     """Return a free-form error with its prior scaled to a machine's size; angles do not scale."""
     return form if form.is_rotation else replace(form, prior_sd=form.prior_sd * scale)
-
-
-def dial_free_forms(
-    setup: str, leg: int, time: Range | None, reading: Range, turns: bool, scale: float = 1.0
-) -> tuple[FreeForm, ...]:
-    """Return the free-form errors of one setup of a dial: creep, curve and reversal error.
-
-    Args:
-        setup: name of the setup.
-        leg: the leg that the dial touches.
-        time: first and last second; ``None`` where it was not recorded.
-        reading: smallest and largest predicted reading, metres. A curve over the measured readings
-            would fit their noise.
-        turns: whether the plunger moved in both directions.
-        scale: of the machine's size, for which dials are chosen.
-    """
-    candidates: tuple[tuple[Dependence, FreeFunctions, float, Range | None], ...] = (
-        ("time", _CREEP, 20 * _UM, time),
-        ("reading", _DIAL, 20 * _UM, reading),
-        ("approach", Level(), 10 * _UM, reading if turns else None),
-    )
-    return tuple(
-        FreeForm("dial", leg, "", against, kernel, prior_sd * scale, span=span, setup=setup)
-        for against, kernel, prior_sd, span in candidates
-        if span is not None
-    )
-
-
-def common_dial_form(reading: Range, scale: float = 1.0) -> FreeForm:
-    """Return the reversal error that all dials of one make share; ``reading``: range of the
-    readings, metres.
-    """
-    return FreeForm("dial", -1, "", "approach", Level(), 10 * _UM * scale, span=reading)

@@ -46,9 +46,9 @@ def smallest_count(odds: Array, probability: float) -> int:
     return int(np.searchsorted(np.cumsum(odds), probability * (1 - RELATIVE_MARGIN))) + 1
 
 
-def pool_local(odds: Array, errors: Mapping[int, FreeForm]) -> tuple[Array, dict[int, str]]:
-    """Pool the jumps, and the bumps, of each part in the most probable one, as they differ in their
-    moments or places alone.
+def pool_variants(odds: Array, errors: Mapping[int, FreeForm]) -> tuple[Array, dict[int, str]]:
+    """Pool the jumps, the bumps, and a curve and its line, of each part in the most probable one,
+    as they differ in their moments, places or shapes alone.
 
     Args:
         odds: probabilities of groups in one credible set ``(groups,)``.
@@ -57,15 +57,17 @@ def pool_local(odds: Array, errors: Mapping[int, FreeForm]) -> tuple[Array, dict
     Returns:
         The pooled probabilities, and for each pooled error a clause: its moments or places of 95 %.
     """
-    local = dict[tuple[str, bool], list[int]]()
+    variants = dict[tuple[str, bool, bool, bool], list[int]]()
     for k in descending(odds):
-        if odds[k] > 0 and k in errors and errors[k].is_local:
-            error = errors[k]
-            local.setdefault((error.location_key, error.jump is None), []).append(k)
+        if odds[k] > 0 and (error := errors.get(k)):
+            kind = error.jump is not None, error.bump is not None, error.short_waves
+            variants.setdefault((error.location_key, *kind), []).append(k)
     pooled, ranges = odds.copy(), dict[int, str]()
-    for of_part in local.values():
+    for of_part in variants.values():
         first, *others = of_part
         pooled[first], pooled[others] = odds[of_part].sum(), 0.0
+        if not errors[first].is_local:
+            continue
         credible = of_part[: smallest_count(odds[of_part], CREDIBLE * pooled[first])]
         spots = dict(sorted(map(_spot, (errors[k] for k in credible))))
         if len(spots) > 1:

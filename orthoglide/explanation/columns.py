@@ -386,12 +386,11 @@ def _fixed_priors(
     """Return prior sd ``(C,)`` of coefficients without background scale, else nan, and prior rows.
 
     The prior sd of a base parameter is its prior width, in tolerances. Parameters of an earlier
-    calibration have rows instead, matrix and target. A jump or a wide bump is none if inactive.
+    calibration have rows instead, matrix and target.
     """
     fixed_sd, spans = np.full(count, np.nan), coefficient_spans(errors, first)
     for error in errors:
-        jumps_or_is_wide = error.jump is not None or error.wide
-        fixed_sd[spans[error.name]] = _ZERO_SD if jumps_or_is_wide else np.nan
+        fixed_sd[spans[error.name]] = _ZERO_SD if error.only_if_active else np.nan
     fixed_sd[: len(problem.names)] = [u.prior_width for u in problem.unknowns]
     if problem.earlier_posterior is None:
         return fixed_sd, (np.zeros((0, len(problem.names))), np.zeros(0))

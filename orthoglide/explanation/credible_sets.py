@@ -24,7 +24,7 @@ from orthoglide.explanation.causes import (
     CREDIBLE,
     CredibleSets,
     curve_of,
-    pool_local,
+    pool_variants,
     smallest_count,
 )
 from orthoglide.explanation.faults import fault_message, lines_of
@@ -114,9 +114,9 @@ class _CredibleSetReader:
 
     def _odds_and_ranges(self, member: int) -> tuple[Array, dict[int, str]]:
         """Return the probability of each group in the place of an active one, those of local
-        errors of one part pooled, and the range of each; see `pool_local`.
+        errors of one part pooled, and the range of each; see `pool_variants`.
         """
-        return pool_local(self.alternatives.probabilities(member)[:-1], self._errors)
+        return pool_variants(self.alternatives.probabilities(member)[:-1], self._errors)
 
     def credible_set(self, member: int, given: Sequence[str]) -> Cause | Located | None:
         """Return the credible set for one active group; ``None`` if nothing is claimed."""

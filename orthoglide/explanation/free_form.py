@@ -15,14 +15,8 @@ from orthoglide.effects.bumps_and_jumps import (
     with_dial_bump,
     with_jump,
 )
-from orthoglide.effects.free_form import (
-    BUILD_UP,
-    FreeForm,
-    Session,
-    common_dial_form,
-    dial_free_forms,
-    free_forms,
-)
+from orthoglide.effects.dials import common_dial_form, dial_free_forms
+from orthoglide.effects.free_form import BUILD_UP, FreeForm, Session, free_forms
 from orthoglide.effects.kernels import Level
 from orthoglide.effects.plates import residual_plate_shapes
 from orthoglide.fit import Problem

@@ -64,7 +64,7 @@ class Scope:
         setups = [s.name for sheet in sheets for s in sheet.setups]
         parameters = tuple(bare.catalogue.parameter(n, setups) for n in names)
         errors = visible_free_form_errors(full_model)
-        errors = tuple(e for e in errors if e.in_model and not e.is_local)
+        errors = tuple(e for e in errors if e.in_model and not (e.is_local or e.is_line))
         return cls(bare, sheets, parameters, errors)
 
 
