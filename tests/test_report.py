@@ -230,7 +230,7 @@ def test_the_sign_rule_brings_the_carriage_to_its_place(
     shown = controller.from_rho(geometry.zero, geometry)
     line = f"at the old zero {shown[0] * 1e3:.3f} carriage x stands on average 0.700 mm too far out"
     assert line in worked
-    assert not re.search("joint.offset", data["rule"] + worked)
+    assert not re.search("joint.offset", result.numbers.rule + worked)
     # A controller to whose commands `add` was added means what it shows.
     wanted = np.array([0.3, 0.31, 0.32])
     display = controller.from_rho(wanted, geometry)

@@ -375,8 +375,9 @@ def data_faults_text(result: Result) -> str:
 
 def no_action_text(result: Result) -> str:
     """Return that nothing is advised; empty if anything is, or if corrections are withheld."""
-    withheld = any(one.kind == "zeros" for one in result.withheld)
-    return "" if result.actions or withheld else _NO_ACTION
+    if result.actions or any(one.kind == "zeros" for one in result.withheld):
+        return ""
+    return _NO_ACTION
 
 
 def too_few_to_test(result: Result) -> bool:
