@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -193,6 +194,21 @@ def test_what_no_instrument_does_is_refused(said: str) -> None:
     frame |= {f"travel_{n}_mm": [0.0, 1.0] for n in "abc"}
     with pytest.raises(InputError, match=said):
         Readings.from_frame(frame, machine_file=SPEC)
+
+
+def test_noise_makes_no_patches_of_a_dense_mesh() -> None:
+    """Of 377 touches with noise alone, the best nineteen neighbours were left out in 13 of 20."""
+    xy = np.array([p for p in product(np.linspace(-1, 1, 23), repeat=2) if np.hypot(*p) <= 1])
+    assert len(xy) == 377
+    for seed in range(20):
+        height = 2e-5 * np.random.default_rng(seed).standard_normal(len(xy))
+        assert not roughness(xy, height, np.zeros((len(xy), 3)))[1].any()
+        # Three that are off alike are still found.
+        clip = np.argsort(np.hypot(*(xy - xy[40]).T))[:3]
+        height[clip] += 2e-4
+        found = roughness(xy, height, np.zeros((len(xy), 3)))[1]
+        assert np.flatnonzero(found).tolist() == sorted(clip.tolist())
+        assert found[clip] == pytest.approx(2e-4, abs=6e-5)
 
 
 def test_noise_comes_from_instrument_rows_and_roughness(tmp_path: Path) -> None:
