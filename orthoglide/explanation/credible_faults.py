@@ -19,7 +19,6 @@ from orthoglide.ordering import descending, largest
 
 EVEN_PROBABILITY = 0.5  # probability above which something is more probable than not
 
-
 _LEAST_SHARE = float(np.exp(-3.0))
 """Smallest probability, relative to the likeliest drive, at which another drive is also reported as
 the one whose command is wrong: one in twenty, below which it would not be in a 95 % set."""

@@ -113,8 +113,8 @@ class _CredibleSetReader:
         return Alternatives(self.posterior.mixture)
 
     def _odds_and_ranges(self, member: int) -> tuple[Array, dict[int, str]]:
-        """Return the probability of each group in the place of an active one, those of local
-        errors of one part pooled, and the range of each; see `pool_variants`.
+        """Return the probability of each group in the place of an active one, the
+        variants of one error pooled, and the range of each; see `pool_variants`.
         """
         return pool_variants(self.alternatives.probabilities(member)[:-1], self._errors)
 

@@ -117,7 +117,7 @@ def find_data_faults(estimate: Estimate) -> DataFindings:
     """
     problem = estimate.problem
     faults_found = find_scattered_setups(problem)
-    contradictions, unsettled = list[Note](), list[Note]()
+    contradictions, unsettled = list[Note](), tuple[Note, ...]()
     for _ in range(_ROUNDS):
         corrected = _correct_faults(problem, faults_found)
         fit = estimate if corrected is problem else fit_nested(corrected)
@@ -147,7 +147,7 @@ def find_data_faults(estimate: Estimate) -> DataFindings:
         if contradictions := contradictions or [*_contradictions(problem, faults_found)]:
             faults_found = _without_slips(faults_found)
     else:
-        unsettled.append(_unsettled_note())
+        unsettled = (_unsettled_note(),)
     check_scatter(posterior.before.problem)
     noise_unchanged = np.array_equal(posterior.before.problem.sigma, problem.sigma)
     altered = faults_found or changes or found.ambiguous or posterior.linearised.suspects

@@ -226,7 +226,8 @@ def roughness(xy: Array, height: Array, approach: Array) -> tuple[float, Array]:
     spacing = np.min(distance, where=distance > 0, initial=np.inf)
     near = (distance > 0) & (distance < NEIGHBOUR_DISTANCE * spacing)
     while (fit := _fit_surface(columns[rows_kept], height[rows_kept])) is not None:
-        sigma = float(np.sqrt(fit[1] @ fit[1] / fit[2]))
+        _, residual, dof = fit
+        sigma = float(np.sqrt(residual @ residual / dof))
         count, kept = int(np.ceil(max_outliers - np.sum(~rows_kept))), np.flatnonzero(rows_kept)
         if count < 1:
             break

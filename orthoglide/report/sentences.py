@@ -44,10 +44,8 @@ MEANINGS: Mapping[str, str] = {
 }
 """Meaning of each verdict, a clause."""
 
-_NO_ACTION = (
-    "No correction is advised: none gains more at the tool than its own uncertainty and 2 % of the "
-    "tool's error."
-)
+_NO_ACTION = "No correction is advised: none would clearly improve the tool."
+
 MEAN_OVER_CAUSES = "on average, whichever of these it is"
 MEAN_WITH_PLATE = "on average, nothing if it is the plate"
 """Words after the expected gain of correcting one of several causes."""
