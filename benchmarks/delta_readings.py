@@ -21,8 +21,6 @@ INSTRUMENTS: dict[str, tuple[str, ...]] = {
 }
 SEEN = {
     "seven heights": ("seven",),
-    "seven heights, distances": ("seven", "distance"),
-    "distances": ("distance",),
     "mesh": ("plate",),
     "mesh, distances": ("plate", "distance"),
     "mesh, level": ("plate", "incline"),

@@ -8,6 +8,7 @@ from orthoglide.effects.catalogue import CATALOGUE, catalogue_of
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.wording import confirm_words
 from orthoglide.layout import LinearDelta
+from orthoglide.text import sentence
 
 GROUPS = {
     "drive": "Drives",
@@ -34,8 +35,8 @@ _SETTINGS = {
 
 _HEAD = """# The catalogue of effects
 
-Look up an effect by its name in a report: what it is called in files, how large it is expected to
-be, and how to see it without a program. Printed by `python -m orthoglide.effects.page`;
+Look up an effect by its name in a report: its parameters in files, its expected size, and how to
+see it without a program. Printed by `python -m orthoglide.effects.page`;
 [Contributing](../CONTRIBUTING.md#add-an-effect-in-four-steps) says how to add one.
 
 - **Tolerance**: the standard deviation expected of a carefully built machine, and the prior; your
@@ -51,7 +52,7 @@ be, and how to see it without a program. Printed by `python -m orthoglide.effect
 
 def effects_page() -> str:
     """Return the page as Markdown."""
-    parts = [_HEAD + _corrections(), _overview()]
+    parts = [_HEAD + _corrections()]
     for group, heading in GROUPS.items():
         effects = [effect for effect in EFFECTS if effect.group == group]
         if effects:
@@ -77,26 +78,16 @@ def _corrections() -> str:
     return f"{fill(corrections, 100, subsequent_indent='  ')}\n- {base} are identified always.\n"
 
 
-def _overview() -> str:
-    rows = ["| effect | unit | tolerance | in a sentence |", "|---|---|---|---|"]
-    rows += [
-        f"| [`{effect.name}`](#{effect.name}) | {effect.unit.name} | {effect.tolerance:g} | "
-        f"{effect.sentence}{'' if effect.name in CATALOGUE else ' (not on an Orthoglide)'} |"
-        for group in GROUPS
-        for effect in EFFECTS
-        if effect.group == group
-    ]
-    return "\n".join(rows) + "\n"
-
-
 def _section(effect: Effect) -> str:
     names = [f"`{n}`" for n in effect.parameters(("SETUP",))]
     first = next(iter(effect.parameters(("SETUP",))))
     lines = [
         f"### {effect.name}",
         "",
+        sentence(effect.sentence),
+        "",
         f"- Parameters: {', '.join(names)}.",
-        f"- Tolerance: {effect.because}.",
+        f"- Tolerance {effect.tolerance:g}{effect.unit.behind}: {effect.because}.",
         f"- Test: {confirm_words(effect, first, effect.tolerance_si)}.",
     ]
     if effect.name not in CATALOGUE:
