@@ -41,28 +41,23 @@ from orthoglide.urdf import closures, to_mjcf, to_urdf
 
 Array = NDArray[np.float64]
 ROUNDS = 7
-YARDSTICK = "MuJoCo with a Newton loop, six bars"
 GEOMETRY = og.Geometry()
 
 PAGE = """# Speed
 
-To judge whether the closure is fast enough for your use, compare rows of one run on your own computer:
-`python benchmarks/closure.py --markdown` prints this page on one core, rows in turns. Microseconds a posture;
-the last column is the time as a share of MuJoCo's constraint Jacobian with a Newton loop in Python on the
-same six bars.
+To judge whether the closure is fast enough for your use, run `python benchmarks/closure.py --markdown`, which prints this page, on
+your own computer, and compare rows of one run. Microseconds a posture on one core:
 
 {table}
 
 {notes}
 
-## What the rows are
-
 - *Machine.forward*: commands and parameters in, TCP out; *twenty effects* at their tolerances.
 - *Closure object*: its function evaluated in place, without checks.
-- *Pinocchio*: `Mechanism.close`, Newton's method on Pinocchio's constraint Jacobian.
+- *Pinocchio*, *MuJoCo*: Newton's method in Python on the constraint Jacobian of each.
 - *All sensitivities*: derivatives by three drives and thirty virtual joints.
-- *Compiled*: by the computer's C compiler, once, after 50 000 postures, and kept in a cache
-  (`ORTHOGLIDE_CACHE`). Interpreted rows return the same numbers to the last bit.
+- *Compiled*: by the computer's C compiler, once, after 50 000 postures, and kept in a cache (`ORTHOGLIDE_CACHE`). The numbers are
+  the same to the last bit.
 
 `python3 dev.py bench identify` times identifications of growing campaigns.
 """
@@ -159,7 +154,7 @@ def add_pinocchio(add: Callable[..., None], few: Array) -> None:
     mechanism = Mechanism(GEOMETRY)
     moves = 1e-3 * np.random.default_rng(1).standard_normal((len(few), 3, 10))
     judge = PinocchioEngine(mechanism)
-    add("Pinocchio, Mechanism.close, one posture", len(few),
+    add("Pinocchio, Mechanism.close", len(few),
         lambda: [mechanism.close(rho, m) for rho, m in zip(few, moves, strict=True)])  # fmt: skip
     add("Pinocchio, closure and all sensitivities", len(few),
         lambda: judge.tangent(few - GEOMETRY.L, moves.reshape(-1, 30)))  # fmt: skip
@@ -173,7 +168,7 @@ def add_mujoco(add: Callable[..., None], few: Array) -> None:
         return
     size = Dimensions(GEOMETRY.L, GEOMETRY.d, GEOMETRY.r)
     legs = to_mjcf(to_urdf(GEOMETRY), closures(GEOMETRY), relief=False)
-    named = {"MuJoCo with a Newton loop, PRPaR legs": legs, YARDSTICK: six_bar_mjcf(size)}
+    named = {"MuJoCo, PRPaR legs": legs, "MuJoCo, six bars": six_bar_mjcf(size)}
     for name, mjcf in named.items():
         machine = MujocoMachine(mjcf, GEOMETRY.L)
         worst = max(np.abs(machine.pose(r)[0] - reduction.forward(r)).max() for r in few)
@@ -212,20 +207,20 @@ def notes(compiling: float) -> str:
     first = "import orthoglide as og; og.Machine.nominal().forward([0.30, 0.31, 0.32])"
     return (
         f"Processor time of a fresh process, the least of five: `import orthoglide` "
-        f"{imported - bare:.3f} s beyond the interpreter's {bare:.3f} s, up to the end of the first "
-        f"`Machine.forward` {process_seconds(first):.2f} s, most of it the imports of numpy, scipy, "
-        f"Pinocchio and CasADi. Compiling closure and sensitivities, once: {compiling:.1f} s. "
+        f"{imported - bare:.3f} s beyond the interpreter's, up to the end of the first "
+        f"`Machine.forward` {process_seconds(first):.2f} s. Compiling, once: {compiling:.1f} s. "
         f"Python {platform.python_version()}, {platform.machine()}."
     )
 
 
 def table(found: list[Row]) -> str:
-    """The rows in Markdown, beside MuJoCo's."""
-    yardstick = next((row.microseconds for row in found if row.name == YARDSTICK), None)
-    lines = ["| what | us a posture | share of MuJoCo's |", "|---|---|---|"]
-    for row in found:
-        share = f"{row.microseconds / yardstick:.3g}" if yardstick else "-"
-        lines.append(f"| {row.name} | {row.microseconds:.3g} | {share} |")
+    """The rows in Markdown, compiled and interpreted ones beside each other."""
+    lines = ["| what | compiled | not compiled |", "|---|---:|---:|"]
+    times = {row.name: f"{row.microseconds:.3g}" for row in found}
+    plain = (name.removesuffix(", compiled").removesuffix(", interpreted") for name in times)
+    for name in dict.fromkeys(plain):
+        slow = times.get(f"{name}, interpreted", times.get(name, "-"))
+        lines.append(f"| {name} | {times.get(f'{name}, compiled', '-')} | {slow} |")
     return "\n".join(lines)
 
 

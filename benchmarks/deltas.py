@@ -19,31 +19,29 @@ DATA = Path(__file__).parents[1] / "tests" / "data" / "delta"
 STEPS_A_MM = 106.667
 """Of the 41 points, as their source says."""
 
-COLUMNS = ("readings", "n", "base", "found", "verdict", "likeliest causes", "their sets")
+COLUMNS = ("readings", "n", "base", "found", "verdict", "likeliest causes")
 HEAD = """# Real printers
 
-Read this page to see what the tool says of machines that nobody simulated. It is printed by
-`python -m benchmarks.deltas` from numbers that owners stored for their own printers
-(`tests/data/delta`, with their sources). For your own see [linear deltas](linear-deltas.md).
+Read this page to see what the tool says of machines that nobody simulated: printers whose owners
+published what their firmware stored (`tests/data/delta`, with sources). Printed by
+`python -m benchmarks.deltas`.
 
 ## What was found
 
 *Base* and *found* are residuals in mm rms: with endstops, radius, angles and arms fitted, and with
-what the closed loop found. Each cause stands with its likeliest explanation and its probability,
-and with the size of its credible set and the probability that it is the plate's own shape.
+what the closed loop found. Of each cause stand the likeliest explanation with its probability, the
+size of the credible set, and the probability that it is the plate's own shape.
 """
 UNUSED = """
 ## Held against readings that were not used
 
 One set of readings of a machine is used, and the machine found predicts each of the others. Columns
 are ratios of root mean squares: closed loop to base, and to the numbers that the firmware stored,
-which were fitted to some of these readings. The files below v400-april were looked for after the
-methods were made; only how rare a background wider than 0.1 tolerance is was settled with them in
-sight. t1-mnemonic3d is the printer of t1-stock at another time.
-
-*First* is the first cause with the number of its alternatives, or the verdict; *new numbers* is how
-often they were offered. `python -m benchmarks.held_out` prints every prediction, and takes folders
-of your own files.
+which were fitted to some of these readings. *First* is the first cause with the number of its
+alternatives, or the verdict. The files below v400-april were looked for after the methods were
+made; only how rare a background wider than 0.1 tolerance is was settled with them in sight.
+t1-mnemonic3d is the printer of t1-stock at another time. `python -m benchmarks.held_out` prints
+every prediction, and takes folders of your own files.
 """
 
 
@@ -85,22 +83,24 @@ def cases() -> Iterator[tuple[str, Sequence[og.Readings], og.Machine]]:
 def told(name: str, campaigns: Sequence[og.Readings], verdict: og.Verdict) -> str:
     """A row of the table on one machine."""
     before, after = verdict.before.scores, verdict.after.scores
-    causes, sets = list[str](), list[str]()
+    causes = list[str]()
     for cause in verdict.effects:
         likeliest = cause.explanations[0]
         plate = sum(e.probability for e in cause.explanations if e.name.startswith("plate_"))
-        causes.append(f"{likeliest.words} ({likeliest.probability:.2f})")
-        sets.append(f"{len(cause.explanations)} (plate {plate:.2f})")
+        causes.append(
+            f"{likeliest.words} ({likeliest.probability:.2f}; of {len(cause.explanations)}, plate "
+            f"{plate:.2f})"
+        )
     cells = (
         name, str(sum(map(len, campaigns))), f"{before.rms * 1e3:.3f}", f"{after.rms * 1e3:.3f}",
-        verdict.word, "; ".join(causes), "; ".join(sets),
+        verdict.word, "; ".join(causes),
     )  # fmt: skip
     return f"| {' | '.join(cells)} |"
 
 
 def page() -> str:
     """The page."""
-    lines = [HEAD, f"| {' | '.join(COLUMNS)} |", "|---|---:|---:|---:|---|---|---|"]
+    lines = [HEAD, f"| {' | '.join(COLUMNS)} |", "|---|---:|---:|---:|---|---|"]
     for name, campaigns, machine in cases():
         lines.append(told(name, campaigns, og.close_loop(list(campaigns), machine)))
     lines += [UNUSED, *held_out.summary(held_out.every())]

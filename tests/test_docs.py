@@ -120,6 +120,17 @@ def test_the_gallery_has_every_verdict_with_its_drawing(word: str) -> None:
     assert "<desc>" in read(f"docs/images/gallery-{word}.svg")
 
 
+@pytest.mark.thorough
+def test_the_gallery_is_what_its_script_prints(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = runpy.run_path(str(ROOT / "docs" / "images" / "gallery.py"))["page"]
+    monkeypatch.setitem(page.__globals__, "HERE", tmp_path)
+    written, printed = (re.sub(r"\d+", "#", text) for text in (read("docs/gallery.md"), page()))
+    assert written == printed, "stale: python docs/images/gallery.py"
+    assert len(list(tmp_path.glob("*.svg"))) == 7
+
+
 def test_the_glossary_is_short() -> None:
     assert 0 < read("docs/glossary.md").count("\n| **") <= 15
 

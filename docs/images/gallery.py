@@ -18,8 +18,8 @@ sys.path.insert(0, str(HERE.parents[1]))
 
 import orthoglide as og  # noqa: E402
 from orthoglide.effects.wording import cause_words  # noqa: E402
-from orthoglide.report.sentences import MEANINGS, claim_text  # noqa: E402
-from orthoglide.text import sentence  # noqa: E402
+from orthoglide.report.sentences import claim_text  # noqa: E402
+from orthoglide.scene import drawing  # noqa: E402
 from orthoglide.units import MM  # noqa: E402
 
 NOISE = 5e-6
@@ -27,12 +27,10 @@ ZEROS = {"joint_offset.x": 5e-4, "joint_offset.y": -3e-4, "joint_offset.z": 8e-4
 NOMINAL = og.Machine.nominal()
 HEAD = """# Gallery of verdicts
 
-Compare your report with an example of its verdict: what was hidden in a simulated machine, what its
-readings showed, and what to do. Made by `python docs/images/gallery.py`. In the drawings blue is
-where each dial stood. *Tool* is its mean error over the workspace after the best translation: now,
-with new zeros, and with compensated commands.
-[Closing the loop](closing-the-loop.md#verdicts) defines the verdicts, and the
-[truth table](truth-table.md#verdicts) counts how often they are right.
+Compare your report with an example of its [verdict](closing-the-loop.md#verdicts): what to do, what
+was hidden in a simulated machine, and what its readings showed. Made by `python
+docs/images/gallery.py`. Blue is where each dial stood. *Tool* is its mean error over the workspace
+after the best translation: now, with new zeros, and with compensated commands.
 """
 ADVICE = {
     "explained": """Confirm the cause by its test, then repair it or compensate for it. Measure
@@ -43,13 +41,12 @@ first in the report.""",
 curve, so commands can be compensated for it. If it is common on your machines,
 [declare it as an effect](../CONTRIBUTING.md#add-an-effect-in-four-steps).""",
     "partial": """The cause named may be only the nearest one known: confirm it before you change
-anything, and measure where the residual is largest. Numbers for the controller are withheld.""",
+anything, and measure where the residual is largest.""",
     "unexplained": """Change nothing by these readings. Take the readings proposed, and look for a
-loose part, a dial that was touched, or dirt. Numbers for the controller are withheld.""",
+loose part, a dial that was touched, or dirt.""",
     "diffuse": """Enter the zeros. No single part is worth a repair; compensation corrects what
 small errors of many parts do to the tool.""",
-    "adequate": """Enter the zeros. What these readings cannot show is listed in the report as
-invisible.""",
+    "adequate": """Enter the zeros. The report lists what these readings cannot show.""",
 }
 """What to do about each verdict, whatever was found."""
 
@@ -137,14 +134,18 @@ def section(case: Case) -> str:
     verdict = og.close_loop([case.campaign], NOMINAL)
     if verdict.word != case.name:
         raise SystemExit(f"{case.name} came out as {verdict.word}")
-    drawn = HERE / f"gallery-{case.name}.svg"
-    drawn.write_text(verdict.picture.svg(alone=True) + "\n", encoding="utf-8")
+    drawn, shown = HERE / f"gallery-{case.name}.svg", verdict.picture
+    svg = drawing(
+        shown.posed, shown.options, shown.dials, title="The machine, what was found marked on it",
+        first_shown=shown.first, standalone=True,
+    )  # fmt: skip
+    drawn.write_text(svg + "\n", encoding="utf-8")
     return "\n\n".join(
         [
             f"## {case.name.capitalize()}",
-            f"{sentence(MEANINGS[verdict.word])} {ADVICE[case.name]}",
+            ADVICE[case.name],
             f"Hidden: {case.hidden}.",
-            f"![What was found, on the machine](images/{drawn.name})",
+            f"![What was found](images/{drawn.name})",
             f"**{claim_text(verdict)}**",
             errors(verdict),
         ]
@@ -159,8 +160,12 @@ def errors(verdict: og.Verdict) -> str:
     return f"Tool: {sizes}."
 
 
+def page() -> str:
+    """Return the page, and write the drawings."""
+    return "\n".join([HEAD, *(section(case) + "\n" for case in cases())])
+
+
 if __name__ == "__main__":
     path = HERE.parent / "gallery.md"
-    sections = [section(case) + "\n" for case in cases()]
-    path.write_text("\n".join([HEAD, *sections]), encoding="utf-8")
+    path.write_text(page(), encoding="utf-8")
     print(f"written: {path}")

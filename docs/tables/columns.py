@@ -1,6 +1,6 @@
 """The columns of files of readings and the kinds of readings, from their schema.
 
-``python docs/tables/columns.py`` prints the tables of ``docs/files.md``.
+``python docs/tables/columns.py`` prints the lists of ``docs/files.md``.
 """
 
 from __future__ import annotations
@@ -9,8 +9,6 @@ from orthoglide.instruments import OBSERVATIONS, Observation
 from orthoglide.observations import schema
 from orthoglide.observations.schema import COLUMNS, COMMANDS, ORDER, Column
 
-COLUMN_HEAD = "| column | kinds | if empty | meaning |\n|---|---|---|---|"
-KIND_HEAD = "| kind | taken by | reading | fitted with every setup |\n|---|---|---|---|"
 WAYS = (schema.TRAVEL, schema.PLACE)  # to state commands instead of joint coordinates
 
 
@@ -29,12 +27,12 @@ def has(column: Column, observation: Observation) -> bool:
 
 
 def kinds(column: Column) -> str:
-    """Return the kinds of readings that have a column."""
+    """Return the kinds of readings that have a column; nothing if all have."""
     found = [kind for kind, one in OBSERVATIONS.items() if has(column, one)]
     tool = [kind for kind, one in OBSERVATIONS.items() if not one.on_leg]
     without = [kind for kind in OBSERVATIONS if kind not in found]
     if len(without) <= 1:
-        return " but ".join(["all", *(f"`{kind}`" for kind in without)])
+        return "".join(f"all but `{kind}`" for kind in without)
     return "all of the tool" if found == tool else ", ".join(f"`{kind}`" for kind in found)
 
 
@@ -44,7 +42,7 @@ def empty(column: Column) -> str:
         return "" if column is ORDER or column in WAYS else "required"
     written = column.kind.write(column.empty_value)
     shown = f"{column.empty_value:g}" if isinstance(column.empty_value, float) else written
-    return f"`{shown}`" if written else ""
+    return f"default `{shown}`" if written else ""
 
 
 def sentences(column: Column) -> str:
@@ -53,28 +51,29 @@ def sentences(column: Column) -> str:
     return f"{column.meaning} One of {words}." if words else column.meaning
 
 
-def column_table() -> str:
-    """Return the table of the columns, without those of a second command."""
-    lines = [
-        f"| {names(c)} | {kinds(c)} | {empty(c)} | {sentences(c)} |"
-        for c in COLUMNS
-        if c not in COMMANDS.values()
-    ]
-    return "\n".join([COLUMN_HEAD, *lines]).replace("|  |", "| |").replace("|  |", "| |")
+def column_list() -> str:
+    """Return the list of the columns, without those of a second command."""
+    shown = [column for column in COLUMNS if column not in COMMANDS.values()]
+    remarks = ["; ".join(filter(None, (empty(c), kinds(c)))) for c in shown]
+    return "\n".join(
+        f"- {names(column)}{f' ({remark})' if remark else ''}: {sentences(column)}"
+        for column, remark in zip(shown, remarks, strict=True)
+    )
 
 
-def kind_table() -> str:
-    """Return the table of the kinds of readings."""
-    lines = [
-        f"| `{kind}` | {one.instrument_phrase} | {one.sheet_instruction} | {one.nuisance_summary} |"
+def kind_list() -> str:
+    """Return the list of the kinds of readings, with what is fitted with every setup."""
+    return "\n".join(
+        f"- `{kind}`, {one.instrument_phrase}: {one.sheet_instruction}. Fitted: "
+        f"{one.nuisance_summary}."
         for kind, one in OBSERVATIONS.items()
-    ]
-    return "\n".join([KIND_HEAD, *lines]).replace("|  |", "| |")
+    )
 
 
 def markdown() -> str:
-    """Return the tables of the page."""
-    return f"{column_table()}\n\n{kind_table()}\n"
+    """Return the lists of the page."""
+    kinds_head = "Kinds of readings, with what is fitted with every setup:"
+    return f"{column_list()}\n\n{kinds_head}\n\n{kind_list()}\n"
 
 
 def main() -> None:

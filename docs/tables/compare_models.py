@@ -16,14 +16,16 @@ from orthoglide.comparison.comparing import EQUAL_WITHIN
 from orthoglide.comparison.tables import LIMITS, markdown_table
 
 COLUMNS = (
-    "effect", "size", "six fitted: mean, max", "platform turns", "six fitted: rms, max",
-    "calibrated TCP: max", "up to",
-)  # fmt: skip
+    "effect",
+    "size",
+    "TCP differs, max, µm",
+    "platform turns",
+    "readings differ, rms, µm",
+    "up to",
+)
 LEGEND = (
-    "Columns: the TCP's error and the readings' (rms, max) once the six parameters are fitted to "
-    "each; the TCP's error of an identification from the readings, with priors and after the best "
-    "translation; the size *up to* which the simplified model will do. Lengths in µm, turns in "
-    "µrad."
+    "Differences once the six parameters are fitted, turns in µrad; the size *up to* which the "
+    "simplified model will do."
 )
 
 

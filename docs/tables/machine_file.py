@@ -1,6 +1,6 @@
 """The keys of the machine file, from its schema.
 
-``python docs/tables/machine_file.py`` prints the table of ``docs/files.md``.
+``python docs/tables/machine_file.py`` prints the list of ``docs/files.md``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from orthoglide.machine_file import schema
 from orthoglide.machine_file.document import Key, Section
 from orthoglide.units import Unit
 
-HEAD = ("key", "default", "meaning")
 NO_DEFAULTS = (schema.TOP, schema.GEOMETRY)  # a nominal machine has values that no file may omit
 FAMILY_UNIT = Unit("the effect's", 1.0)
 
@@ -28,7 +27,7 @@ def default(section: Section, key: Key) -> str:
     )
     if section in NO_DEFAULTS or found is MISSING or found in (None, ""):
         return ""
-    return f"`{written(key.kind.write(found))}`"
+    return f"default `{written(key.kind.write(found))}`"
 
 
 def written(value: Any) -> str:
@@ -38,34 +37,31 @@ def written(value: Any) -> str:
     return f"{float(value):g}" if isinstance(value, Decimal) else str(value)
 
 
-def row(*cells: str) -> str:
-    """Return a line of the table."""
-    return f"| {' | '.join(cells)} |".replace("|  |", "| |").replace("|  |", "| |")
+def items(section: Section, keys: tuple[Key, ...] = ()) -> list[str]:
+    """Return an item for each key of a section, or for those given."""
+    remarks = {key: default(section, key) for key in keys or section.keys}
+    return [
+        f"- `{key.name}`{f' ({remark})' if remark else ''}: {key.meaning}"
+        for key, remark in remarks.items()
+    ]
 
 
-def rows(section: Section, keys: tuple[Key, ...] = ()) -> list[str]:
-    """Return a line for each key of a section, or for those given."""
-    return [row(f"`{k.name}`", default(section, k), k.meaning) for k in keys or section.keys]
-
-
-def layout_rows() -> list[str]:
-    """Return the lines of ``[layout]``: keys of every kind, of one kind, and of a free leg."""
+def layout_items() -> list[str]:
+    """Return the items of ``[layout]``: keys of every kind, of one kind, and of a free leg."""
     delta, free = (schema.LAYOUTS[kind] for kind in ("linear-delta", "legs"))
     only = tuple(key for key in delta.keys if key not in free.keys)
     return [
-        *rows(free),
-        row('of `kind = "linear-delta"`', "", "Legs on three towers; these keys besides."),
-        *rows(delta, only),
-        row(
-            f"**`[{schema.LEG.name}]`**", "", 'Three tables of `kind = "legs"`; vectors are lists.'
-        ),
-        *rows(schema.LEG),
+        *items(free),
+        '\nMore of `kind = "linear-delta"`:\n',
+        *items(delta, only),
+        f'\n**`[{schema.LEG.name}]`**: three tables of `kind = "legs"`; vectors are lists.\n',
+        *items(schema.LEG),
     ]
 
 
 def markdown() -> str:
-    """Return the table of the page."""
-    lines = [row(*HEAD), "|---|---|---|", *rows(schema.TOP)]
+    """Return the list of the page."""
+    lines = items(schema.TOP)
     known = (
         schema.GEOMETRY,
         schema.INSTRUMENT,
@@ -73,13 +69,13 @@ def markdown() -> str:
         schema.CLASS,
         *schema.SECTIONS_BY_ATTRIBUTE.values(),
     )
-    keys = {section.name: rows(section) for section in known}
-    keys["layout"] = layout_rows()
-    keys["tolerance"] = rows(schema.tolerances(CATALOGUE), (schema.SURFACE_SLOPE,))
-    keys["parameters"] = rows(schema.parameter(FAMILY_UNIT))
+    keys = {section.name: items(section) for section in known}
+    keys["layout"] = layout_items()
+    keys["tolerance"] = items(schema.tolerances(CATALOGUE), (schema.SURFACE_SLOPE,))
+    keys["parameters"] = items(schema.parameter(FAMILY_UNIT))
     for table, meaning in schema.TABLES.items():
-        lines += [row(f"**`[{table}]`**", "", meaning), *keys.get(table, ())]
-    return "\n".join(lines) + "\n"
+        lines += [f"\n**`[{table}]`**: {meaning}\n", *keys.get(table, ())]
+    return "\n".join(lines).replace("\n\n\n", "\n\n") + "\n"
 
 
 def main() -> None:

@@ -11,7 +11,6 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from importlib.resources import files
 from typing import Any
 
@@ -104,8 +103,8 @@ def equation_1() -> Misprint:
         "2008 (1a-c)",
         "p = rho + cos cos L + r",
         "p = rho - cos cos L, as in (2) and (3)",
-        "p = 0 with the legs along the axes (theta = beta = 0): (1) gives "
-        f"rho = {printed * 1e3:.2f} mm, (3) gives {right * 1e3:+.2f} mm, the mechanical zero",
+        f"legs along the axes: (1) gives rho = {printed * 1e3:.2f} mm, (3) {right * 1e3:+.2f} mm, "
+        "the mechanical zero",
     )
 
 
@@ -117,8 +116,8 @@ def tool_shift() -> Misprint:
         "2008, 2.3",
         "a shift by (r, r, r) removes r",
         "r is absorbed leg by leg: rho_i becomes rho_i + r",
-        f"at Zero the shift makes bar x {(bar - L) * 1e3:.2f} mm too long; leg by leg the error "
-        f"is {bar_error(np.zeros(3), MACHINE.zero):.2f} mm",
+        f"at Zero bar x is {(bar - L) * 1e3:.2f} mm too long; leg by leg "
+        f"{bar_error(np.zeros(3), MACHINE.zero):.2f} mm",
     )
 
 
@@ -129,9 +128,8 @@ def root() -> Misprint:
         "2008, root of the quadratic",
         "t = (-B + sqrt) / 2A",
         "t = (-B - sqrt) / 2A",
-        f"at Zero the plus root puts every coordinate at {plus * 1e3:.2f} mm, the minus root at "
-        f"{minus * 1e3:.2f} mm; the plus root too has s = ({', '.join(f'{s:+.0f}' for s in signs)})"
-        ", so s does not choose",
+        f"at Zero every coordinate is {plus * 1e3:.2f} mm by the plus root, {minus * 1e3:.2f} mm "
+        f"by the minus root; the plus root too has s = ({', '.join(f'{s:+.0f}' for s in signs)})",
     )
 
 
@@ -154,8 +152,8 @@ def sums() -> Misprint:
         "2008, A, B, C",
         "sums over i != j",
         "sums over unordered pairs",
-        f"at rho = {_mm(COMMAND)} mm the printed sums, every pair twice, leave a bar "
-        f"{printed:.1f} mm wrong; once each, {right:.1f} mm",
+        f"at rho = {_mm(COMMAND)} mm a bar is {printed:.1f} mm wrong as printed, "
+        f"{right:.1f} mm mended",
     )
 
 
@@ -175,8 +173,8 @@ def coefficients_2006() -> Misprint:
         "2006, a, b, c",
         "a = product of R_i R_j; c = sum R^2 / 4 - L^2",
         "a = sum of R_i^2 R_j^2 over pairs; c = prod R^2 (sum R^2 / 4 - L^2); minus root",
-        f"at rho = {_mm(COMMAND)} mm the printed ones leave a bar {errors[0]:.0f} mm wrong, the "
-        f"right ones {errors[1]:.0f} mm; the units of the printed a and c do not fit either",
+        f"a bar is {errors[0]:.0f} mm wrong as printed, {errors[1]:.0f} mm mended; the units do "
+        "not fit either",
     )
 
 
@@ -193,8 +191,8 @@ def jacobian_2006() -> Misprint:
         "2006 (5)",
         "the inverse Jacobian",
         "the Jacobian itself",
-        f"dp_y/drho_x at XMax by differences is {measured:+.4f}; (5) has T = "
-        f"{np.tan(reduction.stroke_angles()[0]):+.4f} there, the inverse {inverse[1, 0]:+.4f}",
+        f"dp_y/drho_x at XMax is {measured:+.4f} by differences, "
+        f"{np.tan(reduction.stroke_angles()[0]):+.4f} by (5), {inverse[1, 0]:+.4f} by the inverse",
     )
 
 
@@ -251,8 +249,7 @@ def limits() -> Misprint:
         "2008, limits of rho",
         "-100 < rho < 60 mm",
         "-100 < rho - L < 60 mm",
-        f"Zero itself is rho = {L * 1e3:.2f} mm; the stroke runs from {low * 1e3:.2f} to "
-        f"{high * 1e3:.2f} mm",
+        f"Zero is rho = {L * 1e3:.2f} mm, the stroke {low * 1e3:.2f} to {high * 1e3:.2f} mm",
     )
 
 
@@ -288,8 +285,8 @@ def workspace() -> Misprint:
     return Misprint(
         "2008, 2.1, workspace",
         "about 200 x 200 x 200 mm with transmission factors from 1/2 to 2",
-        f"right for the mechanism; within the printed stroke a cube of {side * 1e3:.0f} mm, with "
-        f"factors from {factors.min():.2f} to {factors.max():.2f}",
+        f"right for the mechanism; within the printed stroke {side * 1e3:.0f} mm, factors "
+        f"from {factors.min():.2f} to {factors.max():.2f}",
         f"a cube of {wide * 1e3:.1f} mm has factors from {widest.min():.2f} to "
         f"{widest.max():.2f}, and needs travel from {travel.min() * 1e3:.1f} to "
         f"{travel.max() * 1e3:.1f} mm",
@@ -356,9 +353,8 @@ def noise_13() -> Misprint:
         "2008 (13), last entry",
         "z_x+",
         "z_x-",
-        f"as printed two rows are one and the covariance is singular (smallest eigenvalue "
-        f"{abs(smallest[0]):.0f}); with z_x- it is {smallest[1]:.0f} and (14) follows, difference "
-        f"{misfit:.0f}",
+        f"smallest eigenvalue of the covariance as printed {abs(smallest[0]):.0f}; with z_x- it is "
+        f"{smallest[1]:.0f} and (14) follows, difference {misfit:.0f}",
     )
 
 
@@ -374,24 +370,29 @@ def expected_improvement() -> Misprint:
     return Misprint(
         'Table 2, "expected improvement"',
         "residuals",
-        "fitted deviations J x; the residual is data minus column (in Table 1 the same words do "
-        "mean residuals)",
-        f"Experiment 2 {{offsets}}: the column is J x within {as_fit:.3f} mm and the residual only "
-        f"within {as_residual:.2f} mm; data minus column has rms "
-        f"{rms(data[row] - column[row] for row in data):.2f} mm, the printed average",
+        "fitted deviations J x (in Table 1 the same words do mean residuals)",
+        f"Exp. 2 {{offsets}} is J x within {as_fit:.3f} mm, the residual within "
+        f"{as_residual:.2f} mm; the rms of data minus column is "
+        f"{rms(data[row] - column[row] for row in data):.2f} mm, as printed",
     )
 
 
-def _sign_slip(experiment: str, which: str, row: str) -> Misprint:
-    data = table2(experiment)
-    if experiment == "3":
-        data["x_z-"] = -0.13  # its own misprint, see below
-    printed, ours = columns(experiment, which)[row], fitted(data, which)[row]
+def sign_slips() -> Misprint:
+    places, printed, signs, ours = [], [], [], []
+    for experiment, which, row in SLIPS:
+        data = table2(experiment)
+        if experiment == "3":
+            data["x_z-"] = -0.13  # its own misprint, see below
+        value = columns(experiment, which)[row]
+        places.append(f"Exp. {experiment} {{{which}}} {row}")
+        printed.append(f"{value:+.2f}")
+        signs.append(f"{-value:+.2f}")
+        ours.append(f"{fitted(data, which)[row]:+.3f}")
     return Misprint(
-        f"Table 2, Exp. {experiment} {{{which}}} {row}",
-        f"{printed:+.2f}",
-        f"{-printed:+.2f}",
-        f"J x is {ours:+.3f} mm",
+        f"Table 2, {', '.join(places)}",
+        ", ".join(printed),
+        ", ".join(signs),
+        f"J x is {', '.join(ours)} mm",
     )
 
 
@@ -417,8 +418,8 @@ def entry_experiment3() -> Misprint:
         "Table 2, Exp. 3 data, x_z-",
         f"{printed:+.2f}",
         f"{data['x_z-']:+.2f}",
-        f"largest difference of the 36 fitted entries: {before:.3f} mm as printed, "
-        f"{_worst(data):.3f} mm mended",
+        f"the 36 fitted entries differ by up to {before:.3f} mm as printed, {_worst(data):.3f} mm "
+        "mended",
     )
 
 
@@ -436,9 +437,9 @@ def entry_experiment1() -> Misprint:
         "Table 1, Exp. 1, x_z",
         f"{printed:+.2f}",
         f"{1.48:+.2f}",
-        f"largest difference from the printed residuals: {differences[0]:.3f} mm as printed, "
-        f"{differences[1]:.3f} mm mended; rms {averages[0]:.2f} and {averages[1]:.2f} mm (1.19 is "
-        "printed)",
+        f"the printed residuals differ by up to {differences[0]:.3f} mm as printed, "
+        f"{differences[1]:.3f} mm mended; rms {averages[0]:.2f}, mended {averages[1]:.2f} mm, as "
+        "printed",
     )
 
 
@@ -452,9 +453,8 @@ def tables_1_and_2() -> Misprint:
     return Misprint(
         "Table 1 against Table 2",
         "the same experiments",
-        "not the same numbers: Experiment 2 agrees but for x_y, Experiment 3 does not",
-        "Table 1 / Max minus Min of Table 2, mm, where apart by more than rounding: "
-        + "; ".join(parts),
+        "Exp. 2 agrees but for x_y, Exp. 3 does not",
+        "Table 1 / Max minus Min of Table 2, mm, beyond rounding: " + "; ".join(parts),
     )
 
 
@@ -465,8 +465,8 @@ def largest_deviation() -> Misprint:
         "Experiment 2, text on Table 1",
         "deviations less than 0.62 mm (2008), less than 0.70 mm (2006)",
         f"up to {largest:.2f} mm in Table 1",
-        f"{against_zero:.2f} mm is the largest against Zero, in Table 2; "
-        f"{rms(table1('2').values()):.2f} mm is also the rms of Table 1",
+        f"{against_zero:.2f} mm is the largest in Table 2; the rms of Table 1 is "
+        f"{rms(table1('2').values()):.2f} mm",
     )
 
 
@@ -486,7 +486,7 @@ MISPRINTS: tuple[Callable[[], Misprint], ...] = (
     accuracy,
     noise_13,
     expected_improvement,
-    *(partial(_sign_slip, *slip) for slip in SLIPS),
+    sign_slips,
     entry_experiment3,
     entry_experiment1,
     tables_1_and_2,
@@ -495,8 +495,8 @@ MISPRINTS: tuple[Callable[[], Misprint], ...] = (
 
 PAGE = """## Misprints of the papers
 
-Found by computing everything the papers print. "2008" is the book chapter, "2006" the conference
-paper; Tables 1 and 2 are those of 2008. The package follows the column "right".
+Found by computing everything the papers print. "2008" is the book chapter, with Tables 1 and 2,
+"2006" the conference paper. The package follows the column "right".
 
 | where | as printed | right | how one sees it |
 |---|---|---|---|

@@ -6,7 +6,7 @@ from textwrap import fill
 
 from orthoglide.effects.catalogue import CATALOGUE, catalogue_of
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.wording import confirm_words
+from orthoglide.effects.wording import value_words
 from orthoglide.layout import LinearDelta
 from orthoglide.text import sentence
 
@@ -35,18 +35,18 @@ _SETTINGS = {
 
 _HEAD = """# The catalogue of effects
 
-Look up an effect by its name in a report: its parameters in files, its expected size, and how to
-see it without a program. Printed by `python -m orthoglide.effects.page`;
-[Contributing](../CONTRIBUTING.md#add-an-effect-in-four-steps) says how to add one.
+Look up an effect by its name in a report or a file. Each is worded at one tolerance of its first
+parameter, which shows the sign. The report has the test that confirms a cause, and
+[Contributing](../CONTRIBUTING.md#add-an-effect-in-four-steps) says how to add an effect. Printed by
+`python -m orthoglide.effects.page`.
 
 - **Tolerance**: the standard deviation expected of a carefully built machine, and the prior; your
-  own goes into `[tolerance]` of the [machine file](files.md).
+  own goes into the [machine file](files.md).
 - **Parameters** carry a leg and, where a second letter follows, the direction of the error
   ([conventions](conventions.md#signs-of-errors)); those of dials and plates the name of the setup.
 - **Patterns** are candidates too, with one parameter each: `.common` is the same value everywhere.
   Where a second letter follows, `.cyclic` is + for x.y, y.z, z.x and − for y.x, z.y, x.z, and
   `.xy.symmetric` or `.xy.antisymmetric` are x.y and y.x with equal or opposite signs.
-- **Test**: what confirms one tolerance of the first parameter, and its sign.
 """
 
 
@@ -84,11 +84,10 @@ def _section(effect: Effect) -> str:
     lines = [
         f"### {effect.name}",
         "",
-        sentence(effect.sentence),
+        sentence(value_words(effect, first, effect.tolerance_si)),
         "",
         f"- Parameters: {', '.join(names)}.",
         f"- Tolerance {effect.tolerance:g}{effect.unit.behind}: {effect.because}.",
-        f"- Test: {confirm_words(effect, first, effect.tolerance_si)}.",
     ]
     if effect.name not in CATALOGUE:
         lines.append("- On linear deltas and machines of kind `legs`, not on an Orthoglide.")

@@ -30,13 +30,13 @@ TABLES = {
     "geometry_mm": "Nominal dimensions.",
     "layout": "Where the legs stand. Its keys depend on its kind.",
     "dial_mm": "The dial on the legs.",
-    "instrument": "Other instruments, with a table `[instrument.KIND]` for each kind of reading, "
-    f"which is one of {', '.join(f'`{kind}`' for kind in INSTRUMENT_KINDS)}.",
+    "instrument": "Other instruments, with a table `[instrument.KIND]` for each kind of reading: "
+    f"{', '.join(f'`{kind}`' for kind in INSTRUMENT_KINDS)}.",
     "drive": "The drives.",
     "controller": "How the controller counts.",
     "class": "How the machine is built, which sets the tolerances that are not given.",
     "measured": "What was measured on the machine itself, each a list of a length and its standard "
-    "deviation. It is not searched for changes, as an earlier calibration is.",
+    "deviation.",
     "tolerance": "Standard deviations to expect, one number an effect. Names, units and defaults "
     "are those of the [catalogue](effects.md).",
     "stiffness": "Elastic constants.",
@@ -65,7 +65,7 @@ GEOMETRY = Section("geometry_mm", Geometry, (
     Key("L", quantity(MM, 5), "Length of the long bars.", required=True),
     Key("d", quantity(MM, 1), "Length of the short links.", required=True),
     Key("r", _PLATFORM_RADIUS, "Distance from the TCP, or the platform's middle, to the legs' last "
-        "revolutes. It is required here or as `r_mm` of `[layout]`."),
+        "revolutes. Required here or as `r_mm` of `[layout]`."),
     Key("stroke", list_of(_LENGTH, 2, check=_check_stroke),
         "Lower and upper limit of travel, from mechanical zero.", required=True),
 ))
@@ -77,8 +77,7 @@ DIAL = Section("dial_mm", model.Dial, (
 ))
 INSTRUMENT = Section("instrument", model.Instrument, (
     Key("resolution", quantity(MM, 0, 10), "Step of the display: mm, or mrad for `incline`."),
-    Key("repeatability", quantity(MM, 0, 10), "Standard deviation of one reading, in "
-        "the unit of `resolution`. If absent, it is estimated from the repeats."),
+    Key("repeatability", quantity(MM, 0, 10), "As of a dial, in the unit of `resolution`."),
 ))
 DRIVE = Section("drive", model.MachineFile, (
     Key("screw_pitch_mm", quantity(MM, 0.1, 1000), "Lead of the drives' screws. If absent, "
@@ -87,11 +86,11 @@ DRIVE = Section("drive", model.MachineFile, (
 CONTROLLER = Section("controller", model.Controller, (
     Key("zero_mm", _POINT, "What the controller shows at mechanical zero, by leg."),
     Key("sign", list_of(one_of((1, -1)), 3), "1 where the controller counts away from the origin, "
-        "-1 where it counts toward the origin, by leg."),
+        "else -1, by leg."),
 ))
 CLASS = Section("class", model.MachineFile, (
     Key("kind", one_of(MACHINE_CLASSES), "`laboratory`, of ground steel, or `belts` on extrusions. "
-        "If absent, a linear delta has belts, and other machines are of a laboratory.",
+        "If absent, `belts` of a linear delta, else `laboratory`.",
         attribute="build"),
 ))
 MEASURED = Section("measured", model.Measured, (
@@ -102,8 +101,8 @@ MEASURED = Section("measured", model.Measured, (
 ))
 STIFFNESS = Section("stiffness", model.Stiffness, (
     Key("torsion_Nmm_per_rad", quantity(Unit("N mm/rad", 1e-3), 0, _MAX_STIFFNESS, closed=True),
-        "Torsional stiffness of a leg. It is no longer modelled: a warning says from which value "
-        "it matters.", attribute="torsion"),
+        "Torsional stiffness of a leg, no longer modelled: a warning says from which value it "
+        "matters.", attribute="torsion"),
     Key("bar_N_per_mm", quantity(Unit("N/mm", 1e3), 0, _MAX_STIFFNESS),
         "Axial stiffness of a bar. If absent, bars are rigid.", attribute="bar"),
 ))

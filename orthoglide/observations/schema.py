@@ -202,34 +202,32 @@ def _in_file_unit(unit: Unit, *values: float) -> list[float]:
 
 # fmt: off
 KIND = Column("kind", word_kind({kind: kind for kind in (LegDial.kind, MOVE, *OBSERVATIONS)}),
-    f"Kind of the reading. A row of kind `{MOVE}` is a command that the machine goes through "
-    "without being read.", "kind", LegDial.kind, per_setup=True, always_written=True, is_text=True)
+    f"Kind of the reading. In a row of kind `{MOVE}` the machine goes there and nothing is read.",
+    "kind", LegDial.kind, per_setup=True, always_written=True, is_text=True)
 SETUP = Column("setup", LABEL,
-    "Name of the mounting, whose rows share one unknown datum. It stands in double quotes in the "
-    'names of parameters if it is `common` or contains `@` or `"`.',
+    "Name of the mounting, whose rows share one unknown datum. Names of parameters quote it if it "
+    'is `common` or contains `@` or `"`.',
     "name", per_setup=True, is_text=True)
 LEG = replace(_setup_column("leg", word_kind({name: leg for leg, name in enumerate(LEGS)}),
     "The leg that is touched.", "leg"), is_text=True)
 DIRECTION = Column("direction",
     word_kind({mark + name: mark.strip("+") + name for mark in ("", "-", "+") for name in LEGS}),
-    "The base axis along or about which is read, not the leg's own; with a minus if the instrument "
-    "counts against it.", "direction", applies_to=lambda observation: bool(observation.axes),
+    "The base axis along or about which is read, not the leg's own; minus if the instrument counts "
+    "against it.", "direction", applies_to=lambda observation: bool(observation.axes),
     is_text=True)
 POSTURE = Column("posture", LABEL, "A label for people, which no computation uses.",
     "posture", "", always_written=True, is_text=True)
 RHO = Column("rho_{axis}_mm", number_kind(MM),
     "Commanded joint coordinates of an Orthoglide, `r` removed.", "command")
 TRAVEL = Column("travel_{leg}_mm", number_kind(MM),
-    "Or the commands as the controller shows them. Layouts other than the Orthoglide have these "
-    "only, by the names of their legs.", "command")
+    "Or the commands as the controller shows them; other layouts have these only.", "command")
 PLACE = Column("{axis}_mm", number_kind(MM),
     "Or where the controller of a linear delta sends the tool. `z_mm` is empty if a plate is to be "
     "touched there.", "command")
 GAUGE = _setup_column("gauge_mm", number_kind(MM),
     "Where the dial stands along the leg's own axis, `r` removed.", "gauge")
 GAUGE2 = _setup_column("gauge2_mm", number_kind(MM),
-    "Where the second dial stands. The reading is what the dial at `gauge2_mm` shows less what the "
-    "dial at `gauge_mm` shows.", "gauge2")
+    "Where the second dial stands.", "gauge2")
 BAR = _setup_column("bar",
     word_kind({"1": 1, "2": 2, "1.0": 1, "2.0": 2}, "not 1, 2 or empty: correct it", 0),
     "The bar that is touched. If empty, the leg's median line is.", "bar", 0)
@@ -241,8 +239,8 @@ ORDER = Column("order", integer_kind(0),
 APPROACH = Column("approach_{leg}",
     word_kind({"1": 1, "-1": -1, "+1": 1, "1.0": 1, "-1.0": -1, "+1.0": 1, "0": 0, "0.0": 0},
           "not +1 or -1: give the direction of the axis' last move, or leave the field empty", 0),
-    "Direction of each axis' last move; empty: unknown. If the columns are absent, it is derived "
-    "from the order.", "approach", 0, always_written=True)
+    "Direction of each axis' last move; empty: unknown. Without the columns the order gives it.",
+    "approach", 0, always_written=True)
 TIME = Column("time_s", number_kind(Unit("s", 1.0)), "Time since the start.", "time", NAN)
 TEMPERATURE = Column("temperature_C", number_kind(Unit("degrees Celsius", 1.0), -40, 100),
     "Recorded temperature, degrees Celsius.", "temperature", NAN)
@@ -259,21 +257,21 @@ SIGMAS = {
     for unit, max_sigma in ((MM, NOISE_LIMITS[1]), (_MRAD, MAX_ROTATION_SD))
 }
 BESIDE = replace(_setup_column(BESIDE_NAMES[0], number_kind(MM),
-    "Where the setup is read, from the tool (`tool_mm`) along x, y and z of the platform: a probe "
-    "beside the nozzle, or a longer tool.", "beside", 0.0, all_tool_kinds=True),
+    "Where the setup is read, from the tool along x, y and z of the platform: a probe beside the "
+    "nozzle, or a longer tool.", "beside", 0.0, all_tool_kinds=True),
     name="beside_{axis}_mm")
 TURN = _setup_column(PLATE_TURN_COLUMN, number_kind(_DEG, -360, 360),
     "How far the setup's plate was turned on its seat, counter-clockwise from above.",
     "turned", 0.0, all_tool_kinds=True)
 PART = replace(_setup_column(MATERIAL_COLUMN,
     word_kind({name: name for name in SHRINKAGE_BY_MATERIAL if name}, empty_meaning=""),
-    "What the part is made of on which distances are read: `printed` parts are 0.3 ± 0.3 % "
-    "smaller than they were commanded and all of a file are one part; `metal`, such as a rule, a "
-    "jig or a milled part, is true to 0.02 %. If empty, anything within 1 % is as likely.",
+    "Material of the part on which distances are read: `printed` parts are 0.3 ± 0.3 % smaller "
+    "than commanded, and all of a file are one; `metal` (a rule, a jig) is true to 0.02 %. If "
+    "empty, anything within 1 % is as likely.",
     "material", ""), is_text=True)
 FIRMWARE = Column("firmware", LABEL,
-    "Mark of the firmware's numbers with which an imported file's travel was computed. A file with "
-    "another mark than the machine file's is refused.", "", "", at_tool, is_text=True)
+    "Mark of the firmware's numbers by which an import computed the travel. If the machine file's "
+    "differs, the file is refused.", "", "", at_tool, is_text=True)
 POINT = Column("p_{axis}_mm", number_kind(MM),
     "Measured position of the tool. A coordinate that was not measured is empty.", "p", NAN)
 # fmt: on
