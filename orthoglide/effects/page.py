@@ -74,8 +74,7 @@ def _corrections() -> str:
         f"bars and links; a calibrated URDF contains {urdf}; a controller may have settings for "
         f"{settings}."
     )
-    base = " and ".join(f"`{name}`" for name in CATALOGUE.base)
-    return f"{fill(corrections, 100, subsequent_indent='  ')}\n- {base} are identified always.\n"
+    return f"{fill(corrections, 100, subsequent_indent='  ')}\n"
 
 
 def _section(effect: Effect) -> str:
