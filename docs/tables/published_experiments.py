@@ -113,8 +113,8 @@ def together() -> Iterator[str]:
     if verdict.possible:
         yield ""
         yield (
-            "No effect is certain: 24 averages without repeats do not show their noise. With each of "
-            "the two most probable effects:"
+            "No effect is certain: 24 averages without repeats do not show their noise. With each "
+            "of the two most probable effects:"
         )
         yield ""
         yield "| effect | probability | size | deviations | stations left out |"
