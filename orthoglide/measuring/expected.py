@@ -43,8 +43,10 @@ class ExpectedReadings:
         """Return the readings of a machine within some tolerances of what its file states."""
         linear = LinearReadings.of(machine, sheet, observable_names(machine, sheet, ()))
         prior = _PRIOR_TOLERANCES**2 * linear.columns @ linear.columns.T
-        noise = machine.spec.dial.resolution**2 * np.eye(len(sheet))
-        covariance = np.asarray(prior + linear.visit_covariance() + noise)
+        rows = np.arange(len(sheet))
+        in_mounting = np.equal.outer(sheet.setup, sheet.setup) * linear.covariance(rows, rows)
+        noise = np.diag(linear.sigma**2 + machine.spec.dial.resolution**2)
+        covariance = np.asarray(prior + in_mounting + noise)
         return cls(sheet, linear.station, machine.readings(sheet), covariance)
 
     def objection(self, row: int, reading: float, taken: Mapping[int, float]) -> tuple[str, bool]:

@@ -218,28 +218,32 @@ class Session:
             self.tell(f"Readings go to {file_name}, each as soon as it is given. Answers:\n{HELP}")
         last_time = max((float(row["time_s"] or 0) for row in self.record.rows), default=0.0)
         self._start_time = self.clock() - last_time - self.record.idle
-        self._begin_sheet(first)
+        sheet: Readings | None = first
+        try:
+            while sheet is not None:
+                self._begin_sheet(sheet)
+                rows = self._read_sheets()
+                self.tell("\nComputing the verdict.")
+                outcome = compute_outcome(build_request(self.record.campaign(rows), self.machine))
+                readings_left = self.max_readings - sum(bool(row["reading_mm"]) for row in rows)
+                sheet, reason, settled = next_step(outcome, len(self._parts), readings_left)
+                if sheet is not None:
+                    self.tell(f"\nNot settled yet, {reason}: {len(sheet)} readings more.")
+        except EOFError:
+            return None
+        verdict = build_result(outcome, Verdict)
+        return SessionEnd(verdict, settled, reason, self.record.readings)
+
+    def _read_sheets(self) -> list[Row]:
+        """Return the rows of the file up to the end of the last sheet, once all of it is read."""
         while True:
             done = self._sheet_rows
             while len(done) < self._parts[-1].first_row:  # a reading was taken back
                 self._parts.pop()
             part = self._parts[-1]
-            if len(done) < part.end:
-                try:
-                    self._read_next(part, len(done) - part.first_row)
-                except EOFError:
-                    return None
-                continue
-            rows = self.record.rows[: int(done[part.end - 1]["order"]) + 1]
-            self.tell("\nComputing the verdict.")
-            outcome = compute_outcome(build_request(self.record.campaign(rows), self.machine))
-            readings_left = self.max_readings - sum(bool(row["reading_mm"]) for row in rows)
-            sheet, reason, settled = next_step(outcome, len(self._parts), readings_left)
-            if sheet is None:
-                verdict = build_result(outcome, Verdict)
-                return SessionEnd(verdict, settled, reason, self.record.readings)
-            self.tell(f"\nNot settled yet, {reason}: {len(sheet)} readings more.")
-            self._begin_sheet(sheet)
+            if len(done) >= part.end:
+                return self.record.rows[: int(done[part.end - 1]["order"]) + 1]
+            self._read_next(part, len(done) - part.first_row)
 
     @property
     def _sheet_rows(self) -> list[Row]:

@@ -225,5 +225,5 @@ def _add_greedily(
         if not gains[k] > _MIN_GAIN:
             break
         criterion = criterion.with_step(steps, k)
-        taken += steps.rows_of_step(k)
+        taken += [row for row in steps.rows[k].tolist() if row >= 0]
     return taken, criterion

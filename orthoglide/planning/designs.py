@@ -77,10 +77,10 @@ class Observability:
         """The five indices by name; 0 if a combination of the unknowns is not determined."""
         s = np.array(self.singular)
         if self.rank < self.unknowns:
-            return dict.fromkeys(("O1", "O2", "O3", "O4", "O5"), 0.0)
+            return dict.fromkeys(_INDEX_WORDS, 0.0)
         o1 = np.exp(np.mean(np.log(s))) / np.sqrt(self.readings)
         values = (o1, s[-1] / s[0], s[-1], s[-1] ** 2 / s[0], 1 / np.sum(1 / s))
-        return {f"O{k}": float(value) for k, value in enumerate(values, start=1)}
+        return dict(zip(_INDEX_WORDS, map(float, values), strict=True))
 
 
 def observability(
@@ -200,16 +200,14 @@ def observable_names(machine: Machine, pool: Readings, free: Sequence[str]) -> t
         free = [n for n, e in catalogue.items() if not e.of_dial and e.needs <= conditions]
     for name in free:
         effect = catalogue.effect_of(name)
-        if effect.of_dial:
-            raise InputError(
-                f"{name} belongs to one mounting of a dial: a design is for parameters of the "
-                "machine, leave it out"
+        if effect.of_dial or not effect.needs <= conditions:
+            reason = (
+                "belongs to one mounting of a dial"
+                if effect.of_dial
+                else "shows in no reading that a design can choose (no load, warmth, drift or "
+                "screw pitch is known)"
             )
-        if not effect.needs <= conditions:
-            raise InputError(
-                f"{name} shows in no reading that a design can choose (no load, warmth, drift or "
-                "screw pitch is known): leave it out"
-            )
+            raise InputError(f"{name} {reason}: leave it out")
     return catalogue.expand(free)
 
 
@@ -282,10 +280,10 @@ def repeats_needed(
         spread = slope @ np.linalg.inv(information + np.eye(len(names)))
         return float(np.sqrt(np.mean(np.sum(spread * slope, axis=1))))
 
-    if sigma(_MAX_REPEATS) > wanted:
-        return Repeats(what, wanted, None, sigma(1), sigma(np.inf), unit)
-    visits = 1 + bisect_left(range(1, _MAX_REPEATS), True, key=lambda n: sigma(n) <= wanted)
-    return Repeats(what, wanted, visits, sigma(visits), sigma(np.inf), unit)
+    visits, counts = None, range(1, _MAX_REPEATS + 1)
+    if sigma(_MAX_REPEATS) <= wanted:
+        visits = counts[bisect_left(counts, True, key=lambda n: sigma(n) <= wanted)]
+    return Repeats(what, wanted, visits, sigma(visits or 1), sigma(np.inf), unit)
 
 
 def _target_slopes(machine: Machine, names: Sequence[str], what: str) -> Array:

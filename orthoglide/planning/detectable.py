@@ -32,6 +32,9 @@ POWER = 0.95
 """Probability with which an effect of the size stated is found, or named."""
 
 _MIN_SINE = 1e-3  # sine between signatures below which no size of an effect separates them
+_COLUMNS = (
+    "effect", "unit", "tolerance", "found from", "named from", "hardest", "nearest", "parameters",
+)  # fmt: skip
 _ROW_FACTOR = 2.0  # parameters of one effect found from sizes within this factor share a row
 
 
@@ -66,9 +69,8 @@ class Detectability(Framed):
     def by_effect(self) -> dict[str, list[SmallestEffect]]:
         """Single parameters by their effect."""
         groups: dict[str, list[SmallestEffect]] = {}
-        for smallest in self.smallest:
-            if smallest.elementary:
-                groups.setdefault(smallest.effect, []).append(smallest)
+        for smallest in filter(lambda s: s.elementary, self.smallest):
+            groups.setdefault(smallest.effect, []).append(smallest)
         return groups
 
     @property
@@ -80,7 +82,7 @@ class Detectability(Framed):
         for members in self.by_effect.values():
             limit = 0.0
             for s in ranked(members, lambda s: -float(np.log(s.detectable)), LOG_ODDS_MARGIN):
-                if not limit or s.detectable > limit:
+                if s.detectable > limit:
                     limit = _ROW_FACTOR * s.detectable
                     groups.append([])
                 groups[-1].append(s)
@@ -88,28 +90,22 @@ class Detectability(Framed):
 
     @property
     def columns(self) -> dict[str, list[Any]]:
-        """A row for each group of :attr:`alike`, in the units of files."""
-        groups = self.alike
-        hardest = [best_of(members, lambda s: s.nameable) for members in groups]
-        sizes = [max(s.detectable for s in members) for members in groups]
-        return {
-            "effect": [s.effect for s in hardest],
-            "unit": [s.unit.name for s in hardest],
-            "tolerance": [s.tolerance / s.unit.si for s in hardest],
-            "found from": [v / s.unit.si for s, v in zip(hardest, sizes, strict=True)],
-            "named from": [s.nameable / s.unit.si for s in hardest],
-            "hardest": [s.name for s in hardest],
-            "nearest": [s.nearest for s in hardest],
-            "parameters": [self._parameters(members) for members in groups],
-        }
-
-    def _parameters(self, members: Sequence[SmallestEffect]) -> str:
-        """Return the parameters of a row without their effect's name; empty for all of them."""
-        effect = members[0].effect
-        hidden = sum(name.effect == effect for name in self.invisible)
-        if len(members) == len(self.by_effect[effect]) + hidden:
-            return ""
-        return ", ".join(s.name.behind for s in self.by_effect[effect] if s in members)
+        """A row for each group of :attr:`alike`, in the units of files: the sizes from which all of
+        it are found and named, and the parameter that is named last. Parameters are listed where
+        they are not all of their effect.
+        """
+        rows = []
+        for members in self.alike:
+            hardest = best_of(members, lambda s: s.nameable)
+            effect, unit = hardest.effect, hardest.unit
+            size = max(s.detectable for s in members)
+            siblings = self.by_effect[effect]
+            hidden = sum(name.effect == effect for name in self.invisible)
+            names = [s.name.behind for s in siblings if s in members]
+            listed = ", ".join(names) if len(names) < len(siblings) + hidden else ""
+            figures = (v / unit.si for v in (hardest.tolerance, size, hardest.nameable))
+            rows.append((effect, unit.name, *figures, hardest.name, hardest.nearest, listed))
+        return {title: [row[k] for row in rows] for k, title in enumerate(_COLUMNS)}
 
 
 def detectable_rows(sheet: Detectability, beyond: float = 0.0) -> list[str]:

@@ -53,9 +53,11 @@ class Steps:
         """True for steps that mount a dial ``(k,)``."""
         return np.asarray(self.rows[:, 0] >= 0)
 
-    def rows_of_step(self, k: int) -> list[int]:
-        """Return the rows of the campaign that step ``k`` reads."""
-        return [int(r) for r in self.rows[k] if r >= 0]
+    @classmethod
+    def joined(cls, steps: Sequence[Steps]) -> Steps:
+        """Return several sets of steps as one."""
+        parts = zip(*((s.rows, s.columns, s.variance) for s in steps), strict=True)
+        return cls(*map(np.concatenate, parts))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,18 +126,13 @@ class LinearReadings:
         return group_ids(self.campaign.stations)
 
     def covariance(self, rows: ArrayLike, other_rows: ArrayLike) -> Array:
-        """Return the covariance ``(a, b)`` of visits in a mounting, parameters and datum given."""
+        """Return the covariance ``(a, b)`` of readings of one mounting with others, noise left out
+        and parameters given.
+        """
         i, j = np.asarray(rows, dtype=np.int64), np.asarray(other_rows, dtype=np.int64)
         slopes = np.multiply.outer(self.slope[i], self.slope[j])
         shared = np.equal.outer(self.station[i], self.station[j]) * self.common**2
-        return np.asarray(self.placement**2 * slopes + shared)
-
-    def visit_covariance(self) -> Array:
-        """Return the covariance of one visit to each row ``(n, n)``, with prior of the datums."""
-        rows = np.arange(len(self.campaign))
-        together = np.equal.outer(self.campaign.setup, self.campaign.setup)
-        shared = np.where(together, self.covariance(rows, rows) + _DATUM_SIGMA**2, 0.0)
-        return np.asarray(shared + np.diag(self.sigma**2))
+        return np.asarray(_DATUM_SIGMA**2 + self.placement**2 * slopes + shared)
 
     @cached_property
     def rows_by_setup(self) -> tuple[NDArray[np.intp], ...]:
@@ -147,11 +144,10 @@ class LinearReadings:
     def opening_steps(self) -> Steps:
         """Pairs of readings to begin a mounting with: one at zero or an end, one anywhere else."""
         pairs = []
-        for rows in self.rows_by_setup:
+        for setup, rows in enumerate(self.rows_by_setup):
             if len(rows) < 2:
                 continue
-            leg = self.campaign.setups[self.campaign.setup[rows[0]]].leg
-            travel = self.campaign.command[rows, leg]
+            travel = self.campaign.command[rows, self.campaign.setups[setup].leg]
             middle = largest(-np.abs(travel - np.median(travel)))
             anchors = dict.fromkeys([largest(-travel), middle, largest(travel)])
             pairs += [(rows[a], r) for a in anchors for r in rows if r != rows[a]]
@@ -161,35 +157,31 @@ class LinearReadings:
         variance = self.sigma[first] ** 2 + self.sigma[second] ** 2 + 2 * self.common**2
         return Steps(table, columns, variance + (self.placement * slope) ** 2)
 
-    def continuing_steps(self, setup: int, chosen: Sequence[int]) -> Steps:
+    def continuing_steps(self, setup: int, chosen: ArrayLike) -> Steps:
         """Return the steps of one more reading, at any station, in a mounting that stands."""
         rows, taken = self.rows_by_setup[setup], np.asarray(chosen)
-        sigma2, datum2 = self.sigma**2, _DATUM_SIGMA**2
-        among = self.covariance(taken, taken) + datum2 + np.diag(sigma2[taken])
-        across = self.covariance(rows, taken) + datum2
+        among = self.covariance(taken, taken) + np.diag(self.sigma[taken] ** 2)
+        across = self.covariance(rows, taken)
         weights = np.linalg.solve(among, across.T).T
-        variance = self.covariance(rows, rows).diagonal() + datum2 + sigma2[rows]
+        alone = self.sigma[rows] ** 2 + (self.placement * self.slope[rows]) ** 2
+        alone += _DATUM_SIGMA**2 + self.common**2
         return Steps(
-            np.column_stack([np.full(len(rows), -1), rows]).astype(np.int64),
+            np.column_stack([np.full(len(rows), -1), rows]),
             self.columns[rows] - weights @ self.columns[taken],
-            variance - np.sum(weights * across, axis=1),
+            alone - np.sum(weights * across, axis=1),
         )
 
     def next_steps(self, chosen: Sequence[int], readings_left: int) -> Steps:
         """Return all steps that ``readings_left`` further readings allow, after those chosen."""
-        rows_by_setup: dict[int, list[int]] = {}
-        for k in chosen:
-            rows_by_setup.setdefault(int(self.campaign.setup[k]), []).append(k)
-        steps = [self.continuing_steps(setup, rows) for setup, rows in rows_by_setup.items()]
+        taken = np.asarray(chosen, dtype=np.int64)
+        setup_taken = self.campaign.setup[taken]
+        mounted = [*dict.fromkeys(setup_taken.tolist())]
+        steps = [self.continuing_steps(k, taken[setup_taken == k]) for k in mounted]
         if readings_left >= 2:
             opening = self.opening_steps
-            new = ~np.isin(self.campaign.setup[opening.rows[:, 0]], list(rows_by_setup))
+            new = ~np.isin(self.campaign.setup[opening.rows[:, 0]], mounted)
             steps.insert(0, Steps(opening.rows[new], opening.columns[new], opening.variance[new]))
-        return Steps(
-            np.concatenate([s.rows for s in steps]),
-            np.concatenate([s.columns for s in steps]),
-            np.concatenate([s.variance for s in steps]),
-        )
+        return Steps.joined(steps)
 
     def whitened(self, chosen: Sequence[int] | None = None) -> Array:
         """Return rows ``(m, P)`` by the unknowns with unit variance, datums projected out."""

@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from orthoglide.accuracy import workspace_grid
+from orthoglide.accuracy import without_translation, workspace_grid
 from orthoglide.effects.wording import cause_short, parameter_words
 from orthoglide.errors import InputError
 from orthoglide.explanation import FullPosterior
@@ -62,20 +62,22 @@ class _Fitted:
     """A fit of the readings at hand, as new readings take it."""
 
     values: Values  # parameters of the machine, SI
-    parts: tuple[str, ...]  # elementary parameters of the machine that its unknowns set
-    weights: Array  # of the elementary parameters for each unknown (E, U)
+    weights: Array  # of the parameters of new readings for each unknown (P, U)
     covariance: Array  # of the unknowns (U, U), SI, tolerances as priors
 
     @classmethod
-    def of(cls, source: Estimate | Values, reference: Estimate) -> _Fitted:
-        """Return a fit; if only parameter values of the machine are given, SI, unknowns, readings
-        and covariance structure come from ``reference``. Its lack of fit widens the covariance.
+    def of(cls, source: Estimate | Values, reference: Estimate, names: Sequence[str]) -> _Fitted:
+        """Return a fit by the parameters of new readings ``(P,)``. If only parameter values of the
+        machine are given, SI, unknowns, readings and covariance structure come from ``reference``,
+        whose lack of fit widens the covariance.
         """
         fit = source if isinstance(source, Estimate) else reference
         problem, model, last = fit.problem, fit.at, fit.problem.last_factor_index
+        parts, part_weights = problem.machine_parameters(last)
         if not isinstance(source, Estimate):
-            parts = [dict(u.weights[last]) for u in problem.unknowns]
-            model = linearise(problem, np.array([_fitted_unknown(p, source) for p in parts]))
+            given = np.array([source.get(part, 0.0) for part in parts])
+            norm = np.maximum(np.sum(part_weights**2, axis=0), np.finfo(float).tiny)
+            model = linearise(problem, given @ part_weights / norm)
         equations = normal_equations(
             replace(problem, use_tolerance_priors=True), model, fit.nuisance
         )
@@ -83,20 +85,9 @@ class _Fitted:
         scale = max(reference.sigma_scale, 1.0)
         covariance = np.linalg.inv(equations.information * unit / scale**2) * unit
         values = problem.machine.catalogue.machine_values(problem.values(last, model.x))
-        return cls(values, *problem.machine_parameters(last), covariance)
-
-    def weights_of(self, names: Sequence[str]) -> Array:
-        """Return the weights of elementary parameters ``(n, U)``; 0 for other parameters."""
-        matrix = np.zeros((len(names), self.weights.shape[1]))
-        matrix[[names.index(part) for part in self.parts]] = self.weights
-        return matrix
-
-
-def _fitted_unknown(parts: Values, values: Values) -> float:
-    """Return the value of an unknown that fits the values of its parts in least squares."""
-    weight = np.array(list(parts.values()))
-    given = np.array([values.get(p, 0.0) for p in parts])
-    return float(weight @ given / (weight @ weight)) if len(weight) else 0.0
+        weights = np.zeros((len(names), len(problem.unknowns)))
+        weights[[names.index(part) for part in parts]] = part_weights
+        return cls(values, weights, covariance)
 
 
 def next_measurements(
@@ -128,28 +119,30 @@ def next_measurements(
     if not isinstance(fit, Estimate):
         raise InputError(f"a {type(fit).__name__} is no estimate: give what og.identify returns")
     machine = fit.problem.machine
-    weak_directions = fit.weak[:_MOST_DIRECTIONS] if directions is None else directions
-    current, *sources = (_Fitted.of(source, fit) for _, source in (("", fit), *rivals))
-    names = tuple(dict.fromkeys(p for fitted in (current, *sources) for p in fitted.parts))
+    given = (fit, *(source for _, source in rivals))
+    problems = [s.problem if isinstance(s, Estimate) else fit.problem for s in given]
+    parts = (p.machine_parameters(p.last_factor_index)[0] for p in problems)
+    names = tuple(dict.fromkeys(name for each in parts for name in each))
+    current, *sources = (_Fitted.of(source, fit, names) for source in given)
     pool = _loaded_pool(fit)
     linearised = machine.model.linearised(current.values, pool, names)
     readings = _linear_readings(fit, pool, linearised.jacobian, linearised.reading_poses)
-    suggestions: list[Suggestion] = []
+    suggestions = list[Suggestion]()
     pairs = [*combinations(range(len(sources)), 2)] if pairs is None else pairs
     if pairs:
         candidates = []
         for (name, _), fitted in zip(rivals, sources, strict=True):
             with suppress(InputError):  # else it is a name for people
                 name = f'"{cause_short(machine.catalogue, name)}"'
-            weights = fitted.weights_of(names)
-            candidates.append(Rival(name, fitted.values, weights @ fitted.covariance @ weights.T))
+            covariance = fitted.weights @ fitted.covariance @ fitted.weights.T
+            candidates.append(Rival(name, fitted.values, covariance))
         predicted = [machine.model.readings(rival.values, pool) for rival in candidates]
         extended = replace(readings, columns=np.column_stack([linearised.jacobian, *predicted]))
-        suggestions += _suggest_separating(machine, extended, candidates, pairs, count)
-    by_unknowns = replace(readings, columns=readings.columns @ current.weights_of(names))
-    for direction in weak_directions:
-        suggestions.append(_suggest_narrowing(by_unknowns, current, fit, direction, count))
-    return tuple(suggestions)
+        suggestions = _suggest_separating(machine, extended, candidates, pairs, count)
+    by_unknowns = replace(readings, columns=readings.columns @ current.weights)
+    weak = fit.weak[:_MOST_DIRECTIONS] if directions is None else directions
+    narrowing = (_suggest_narrowing(by_unknowns, current, fit, one, count) for one in weak)
+    return (*suggestions, *narrowing)
 
 
 def _loaded_pool(fit: Estimate) -> Readings:
@@ -184,29 +177,38 @@ def _suggest_separating(
     """
     covariances = np.stack([rival.covariance for rival in rivals])
     before = RivalSeparation.between(covariances, np.array(pairs))
-    separations = replace(before, information=readings.information()).sigmas
-    inseparable = {pair: s for pair, s in separations.items() if s < _INSEPARABLE_SIGMAS}
-    inseparable_by_pool = set(inseparable)
-    rows, criterion = tuple[int, ...](), None
-    while remaining := [pair for pair in separations if pair not in inseparable]:
+    by_pool = replace(before, information=readings.information()).sigmas
+    remaining = [pair for pair, s in by_pool.items() if s >= _INSEPARABLE_SIGMAS]
+    by_pool = {pair: s for pair, s in by_pool.items() if pair not in remaining}
+    by_choice: dict[Pair, float] = {}
+    suggestions, pool = list[Suggestion](), readings.campaign
+    while remaining:
         start = RivalSeparation.between(covariances, np.array(remaining), ENOUGH_SIGMAS**2)
         rows, criterion = choose(readings, start, count, mounting_cost=_MOUNTING_COST)
-        if not (close := {pair: s for pair, s in criterion.sigmas.items() if s < _MIN_SIGMAS}):
-            break
-        inseparable, rows, criterion = inseparable | close, (), None
-    suggestions, pool = [], readings.campaign
-    if criterion is not None:
+        if close := {pair: s for pair, s in criterion.sigmas.items() if s < _MIN_SIGMAS}:
+            by_choice |= close
+            remaining = [pair for pair in remaining if pair not in close]
+            continue
         # Every station is visited again where there is room: a single visit may be misread.
         repeated = tuple(k for k in rows if rows.count(k) == 1)
         if repeated and len(rows) + len(repeated) <= count:
             rows = (*rows, *repeated)
             criterion = start.with_rows(readings, rows)
         suggestions.append(_separating_suggestion(pool, rows, rivals, criterion.sigmas))
-    for group, sigmas in _inseparable_groups(inseparable):
-        by_pool = inseparable_by_pool.issuperset(_pairs(set(group)))
-        members, limit = [rivals[k] for k in group], None if by_pool else count
-        reason = _inseparable_reason(machine, members, sigmas, readings, limit)
-        suggestions.append(Suggestion(reason, "none", sigmas, pool))
+        break
+    size = len(pool)
+    for chosen, inseparable in (
+        (f"the best {count} of {size} possible readings", by_choice),
+        (f"all {size} possible readings together", by_pool),
+    ):
+        for group, sigmas in _inseparable_groups(inseparable):
+            members = [rivals[k] for k in group]
+            reason = (
+                f"{listed(r.words for r in members)} cannot be separated by dials on the legs: "
+                f"{chosen} separate them by at most {sigmas:.1f} sigma. "
+                f"{_tcp_consequence(machine, members, float(readings.sigma.max()))}"
+            )
+            suggestions.append(Suggestion(reason, "none", sigmas, pool))
     return suggestions
 
 
@@ -230,57 +232,36 @@ def _separating_suggestion(
 
 def _inseparable_groups(separations: Mapping[Pair, float]) -> list[tuple[list[int], float]]:
     """Return groups of rivals that no reading separates, and the most sigmas between any two."""
+
+    def pairs(group: set[int]) -> list[Pair]:
+        return [*combinations(sorted(group), 2)]
+
     groups: list[set[int]] = []
     for pair in sorted(separations):
         unions = (g | set(pair) for g in groups)
-        merged = next((j for j in unions if all(p in separations for p in _pairs(j))), set(pair))
+        merged = next((j for j in unions if all(p in separations for p in pairs(j))), set(pair))
         groups = [g for g in groups if not g <= merged] + [merged]
-    return [(sorted(g), max(separations[p] for p in _pairs(g))) for g in groups]
+    return [(sorted(g), max(separations[p] for p in pairs(g))) for g in groups]
 
 
-def _pairs(group: set[int]) -> list[Pair]:
-    return [*combinations(sorted(group), 2)]
-
-
-def _inseparable_reason(
-    machine: Machine,
-    rivals: Sequence[Rival],
-    sigmas: float,
-    readings: LinearReadings,
-    count: int | None,
-) -> str:
-    """Return why no reading is proposed for inseparable rivals, and what it means for the TCP.
-
-    Args:
-        machine: defines the workspace in which the TCPs are compared.
-        rivals: the inseparable ones.
-        sigmas: largest separation of two of them.
-        readings: the pool.
-        count: number of readings that could be chosen; ``None`` if the whole pool is not enough.
+def _tcp_consequence(machine: Machine, rivals: Sequence[Rival], noise: float) -> str:
+    """Return what inseparable rivals mean for the TCP over the workspace, a sentence; differences
+    below the noise of a reading, metres, do not count.
     """
     conditions = Conditions.from_commands(
         workspace_grid(machine.geometry, _COMMANDS_PER_AXIS, machine.spec.screw_pitch)
     )
     points = [machine.model.outputs(rival.values, conditions).p for rival in rivals]
-    differences = [p - q for p in points for q in points]
+    differences = [p - q for p, q in combinations(points, 2)]
     shift = max(float(np.linalg.norm(d.mean(axis=0))) for d in differences)
-    shape = max(float(np.linalg.norm(d - d.mean(axis=0), axis=1).max()) for d in differences)
-    noise = float(readings.sigma.max())  # a smaller difference of the TCPs does not count
+    shape = max(float(np.linalg.norm(without_translation(d), axis=1).max()) for d in differences)
     if max(shift, shape) < noise:
-        consequence = "Their TCPs are the same, too"
-    elif shape < max(_MIN_SHAPE_RATIO * shift, noise):
-        consequence = f"Their TCPs are the same but for a shift of {shift * 1e3:.2g} mm"
-    else:
-        consequence = (
-            f"Their TCPs differ by up to {shape * 1e3:.2g} mm after the best shift: measure the "
-            "TCP, or look at the parts themselves"
-        )
-    size = len(readings.campaign)
-    all_readings = f"all {size} possible readings together"
-    chosen = f"the best {count} of {size} possible readings" if count else all_readings
+        return "Their TCPs are the same, too"
+    if shape < max(_MIN_SHAPE_RATIO * shift, noise):
+        return f"Their TCPs are the same but for a shift of {shift * 1e3:.2g} mm"
     return (
-        f"{listed(r.words for r in rivals)} cannot be separated by dials on the legs: {chosen} "
-        f"separate them by at most {sigmas:.1f} sigma. {consequence}"
+        f"Their TCPs differ by up to {shape * 1e3:.2g} mm after the best shift: measure the TCP, "
+        "or look at the parts themselves"
     )
 
 
