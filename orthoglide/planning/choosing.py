@@ -95,48 +95,50 @@ class CombinationPrecision(Criterion):
 
 @dataclass(frozen=True)
 class RivalSeparation(Criterion):
-    """How far rival explanations are separated once each has been fitted again.
+    """How far rival explanations are separated once the unknowns have been fitted again.
 
-    The last columns of the readings are the predictions of each rival. For an ordered pair
-    (a, b), a true and b fitted, a step raises the expected chi2 of b by
-    ``(d (x_a - x_b) expected)^2 / (s2 + d C_b d')``.
+    The last columns of the readings are the predictions of each rival. With the covariance C of the
+    refitted unknowns, a step raises the expected chi2 between rivals a and b by
+    ``(d (x_a - x_b) expected)^2 / (s2 + d C d')``.
     """
 
-    prior_covariances: Array  # of the unknowns under each rival before any step (K, P, P)
-    pairs: Array  # of rivals (q, 2); both orders count
+    prior_covariance: Array  # of the unknowns before any step, the mean of all rivals' (P, P)
+    pairs: Array  # of rivals (q, 2)
     required_chi2: float = np.inf  # chi2 beyond which no more is wanted
 
     @classmethod
-    def between(cls, prior_covariances: Array, pairs: Array, required_chi2: float = np.inf) -> Self:
-        """Return the criterion before any step."""
-        information = np.zeros((sum(prior_covariances.shape[:2]),) * 2)
-        return cls(information, prior_covariances, np.asarray(pairs), required_chi2)
+    def before(
+        cls,
+        covariances: Sequence[Array],
+        pairs: Sequence[tuple[int, int]],
+        required_chi2: float = np.inf,
+    ) -> Self:
+        """Return the criterion before any step, by each rival's covariance of the unknowns."""
+        prior = np.mean(covariances, axis=0)
+        information = np.zeros((len(prior) + len(covariances),) * 2)
+        return cls(information, prior, np.array(pairs), required_chi2)
 
     @cached_property
-    def _ordered_pairs(self) -> Array:
-        return np.concatenate([self.pairs, self.pairs[:, ::-1]])
-
-    @cached_property
-    def _refitted_covariances(self) -> Array:
-        """Covariance of the unknowns under each rival once fitted again ``(K, P, P)``."""
-        size = self.prior_covariances.shape[1]
-        update = np.eye(size) + self.information[:size, :size] @ self.prior_covariances
+    def covariance(self) -> Array:
+        """Covariance of the unknowns once fitted again ``(P, P)``."""
+        size = len(self.prior_covariance)
+        update = np.eye(size) + self.information[:size, :size] @ self.prior_covariance
         # (C^-1 + W)^-1 = C (1 + W C)^-1, whatever C's rank.
-        return np.asarray(self.prior_covariances @ np.linalg.inv(update))
+        return np.asarray(self.prior_covariance @ np.linalg.inv(update))
 
     @cached_property
     def chi2(self) -> Array:
-        """Expected chi2 of the second rival where the first is true, then exchanged ``(2 q,)``."""
-        size, W = self.prior_covariances.shape[1], self.information
-        R = W[size:, size:] - W[size:, :size] @ self._refitted_covariances @ W[:size, size:]
-        a, b = self._ordered_pairs.T
-        return np.maximum(R[b, a, a] + R[b, b, b] - R[b, a, b] - R[b, b, a], 0.0)
+        """Expected chi2 of one rival where the other is true ``(q,)``."""
+        size, W = len(self.prior_covariance), self.information
+        R = W[size:, size:] - W[size:, :size] @ self.covariance @ W[:size, size:]
+        a, b = self.pairs.T
+        return np.maximum(R[a, a] + R[b, b] - 2 * R[a, b], 0.0)
 
     @property
     def sigmas(self) -> dict[tuple[int, int], float]:
-        """Separation of each pair, the root of the smaller of its two chi2."""
-        separations = np.sqrt(self.chi2.reshape(2, -1).min(axis=0))
-        return dict(zip(map(tuple, self.pairs.tolist()), separations.tolist(), strict=True))
+        """Separation of each pair, the root of its chi2."""
+        pairs = map(tuple, self.pairs.tolist())
+        return dict(zip(pairs, np.sqrt(self.chi2).tolist(), strict=True))
 
     @property
     def value(self) -> float:
@@ -150,18 +152,13 @@ class RivalSeparation(Criterion):
 
     def gains(self, steps: Steps) -> Array:
         """Return the rise of ``value``."""
-        size = self.prior_covariances.shape[1]
+        size, (a, b) = len(self.prior_covariance), self.pairs.T
         unknowns, predicted = steps.columns[:, :size], steps.columns[:, size:]
-        increases = np.empty((len(unknowns), len(self._ordered_pairs)))
-        for rival, covariance in enumerate(self._refitted_covariances):
-            pairs_fitted = self._ordered_pairs[:, 1] == rival
-            fitted = unknowns @ covariance
-            expected = predicted - fitted @ self.information[:size, size:]
-            differences = expected[:, self._ordered_pairs[pairs_fitted, 0]] - expected[:, [rival]]
-            variance = np.sum(fitted * unknowns, axis=1) + steps.variance
-            increases[:, pairs_fitted] = differences**2 / variance[:, None]
-        log_likelihood = logsumexp(-(self.chi2 + increases) / 2, axis=1)
-        return np.asarray(np.log(len(self.chi2)) - log_likelihood - self.value)
+        fitted = unknowns @ self.covariance
+        expected = predicted - fitted @ self.information[:size, size:]
+        variance = np.sum(fitted * unknowns, axis=1) + steps.variance
+        chi2 = self.chi2 + (expected[:, a] - expected[:, b]) ** 2 / variance[:, None]
+        return np.asarray(np.log(len(self.chi2)) - logsumexp(-chi2 / 2, axis=1) - self.value)
 
 
 C = TypeVar("C", bound=Criterion)

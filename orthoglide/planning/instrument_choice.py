@@ -19,7 +19,7 @@ from orthoglide.fit import Problem
 from orthoglide.fit.factors import Factor, NuisanceBlock
 from orthoglide.fit.least_squares import linearise, nuisances
 from orthoglide.geometry import Array
-from orthoglide.instruments import TOOL_OBSERVATIONS, Observation
+from orthoglide.instruments import TOOL_OBSERVATIONS
 from orthoglide.numerals import compact
 from orthoglide.ordering import RELATIVE_MARGIN, ranked
 from orthoglide.parameters import split_campaign
@@ -60,11 +60,6 @@ class ReadingProposal:
     common_equipment: bool = True  # whether a workshop has what they take
     separations: Mapping[Pair, float] = field(default_factory=dict)  # sigmas, likelier rival first
 
-    def pairs(self, rivals: Sequence[QuotedExplanation], *, separated: bool) -> list[Pair]:
-        """Return the pairs of rivals that are separated, or those that are not, likeliest first."""
-        pairs = [p for p in self.separations if p[0] in rivals and self.separates(p) == separated]
-        return ranked(pairs, _pair_probability)
-
     def separates(self, pair: Pair) -> bool:
         """Return whether the readings decide between two rivals."""
         return self.separations[pair] >= _SEPARATED_SIGMAS
@@ -90,12 +85,12 @@ def suggest_instruments_for_causes(
         ]
         for cause in causes
     ]
-
-    def separations(new: Problem, pairs: Sequence[Pair]) -> list[float]:
-        return _cause_separations(posterior, new, pairs)
-
-    proposals = _proposals(posterior.after.problem)
-    return _suggest_instruments("causes", credible_sets, proposals, separations)
+    return _suggest_instruments(
+        "causes",
+        credible_sets,
+        _proposals(posterior.after.problem),
+        lambda new, pairs: _cause_separations(posterior, new, pairs),
+    )
 
 
 def suggest_instruments_for_located_errors(members: ClassMembers) -> tuple[Suggestion, ...]:
@@ -137,8 +132,7 @@ def _suggest_instruments(
         remaining.remove(ordered[-1])
     for common in (True, False):  # a tracker or a ball bar only where nothing else decides
         candidates = [p for p in ordered if p.common_equipment is common]
-        deciding = [p for p in candidates if p.probability > 0]
-        if deciding:
+        if deciding := [p for p in candidates if p.probability > 0]:
             return tuple(_instrument_suggestion(rivals, p, sets, candidates) for p in deciding)
     a, b = pairs[0]
     reason = f"no instrument at the tool separates {a.words} from {b.words}"
@@ -164,24 +158,22 @@ def _proposals(problem: Problem) -> Iterator[ReadingProposal]:
             _turned_plate_problem(problem, *max(plates)[1:]),
         )
 
-    def proposal(i: Observation, length: float, brief: str, how: str, hint: str) -> ReadingProposal:
+    instruments = [i for i in TOOL_OBSERVATIONS.values() if not i.touches]
+    longer = [i for i in instruments if i.suggestion_suffix and i.paired]
+    for i, length in (*((i, 0.0) for i in instruments), *((i, _EXTRA_LENGTH) for i in longer)):
         factor = Factor.from_planned(tool_sheet(problem.machine, i, length), problem.machine)
+        brief, how = i.instrument_phrase, i.suggestion_suffix
+        hint = _SHEET_HINT.format(i.kind, MACHINE_OPTION)
+        if length:
+            mm = f"{length * 1e3:.0f}"
+            brief, hint = f"{i.quantity_phrase} by a tool {mm} mm longer", ""
+            how = (
+                f", a pen or a rod, around the rim and across it, commanded {mm} mm higher, as a "
+                f"setup of their own with -{mm} under beside_z_mm"
+            )
         how += f", to {compact(float(factor.sigma[0]) * 1e3, 2)} {i.unit} each"
         new_problem = _one_factor_problem(problem, problem.last_factor_index, factor)
-        return ReadingProposal(brief, how, hint, new_problem, bool(i.suggestion_suffix))
-
-    instruments = TOOL_OBSERVATIONS.values()
-    for i in (i for i in instruments if not i.touches):
-        hint = _SHEET_HINT.format(i.kind, MACHINE_OPTION)
-        yield proposal(i, 0.0, i.instrument_phrase, i.suggestion_suffix, hint)
-    mm = f"{_EXTRA_LENGTH * 1e3:.0f}"
-    how = (
-        f", a pen or a rod, around the rim and across it, commanded {mm} mm higher, as a setup of "
-        f"their own with -{mm} under beside_z_mm"
-    )
-    for i in (i for i in instruments if i.suggestion_suffix and i.paired):
-        brief = f"{i.quantity_phrase} by a tool {mm} mm longer"
-        yield proposal(i, _EXTRA_LENGTH, brief, how, "")
+        yield ReadingProposal(brief, how, hint, new_problem, bool(i.suggestion_suffix))
 
 
 def _turned_plate_problem(problem: Problem, k: int, setup: int, factor: Factor) -> Problem:
@@ -218,9 +210,8 @@ def _place_separations(members: ClassMembers, new: Problem) -> list[float]:
     rows, reading_poses = members.rows(new.factors[0])
     means = np.stack([member.mean for member in members.members], axis=1)
     whitened = nuisances(new, (reading_poses,)).project(np.hstack([rows, rows @ means]))
-    covariances = np.stack([member.covariance for member in members.members])
-    pairs = np.array([*combinations(range(len(members.members)), 2)])
-    before = RivalSeparation.between(covariances, pairs)
+    pairs = [*combinations(range(len(members.members)), 2)]
+    before = RivalSeparation.before([member.covariance for member in members.members], pairs)
     return list(replace(before, information=whitened.T @ whitened).sigmas.values())
 
 
@@ -292,7 +283,8 @@ def _sentences(
     proposals: Sequence[ReadingProposal],
 ) -> Iterator[str]:
     """Yield sentences on the separated pairs of a set and on the likeliest unseparated pair."""
-    if separated := proposal.pairs(members, separated=True):
+    pairs = ranked(combinations(members, 2), _pair_probability)
+    if separated := [pair for pair in pairs if proposal.separates(pair)]:
         first = separated[0][0]
         sigmas = {b: proposal.separations[a, b] for a, b in separated if a is first}
         names = [rival.words for rival in sigmas]
@@ -300,10 +292,8 @@ def _sentences(
             names[_MAX_NAMED:] = [f"{len(names) - _MAX_NAMED} more"]
         least = f"{min(sigmas.values()):.0f} sigma or more"
         yield f"it tells {first.words} from {listed(names)}, by {least}"
-    if unseparated := proposal.pairs(members, separated=False):
+    if unseparated := [pair for pair in pairs if not proposal.separates(pair)]:
         a, b = unseparated[0]
         others = [p.brief for p in proposals if p.separates((a, b))]
-        yield (
-            f"it does not tell {a.words} from {b.words}, "
-            f"{f'for that take {others[0]}' if others else 'as none of these does'}"
-        )
+        other = f"for that take {others[0]}" if others else "as none of these does"
+        yield f"it does not tell {a.words} from {b.words}, {other}"

@@ -8,6 +8,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide import reduction
 from orthoglide.geometry import LEGS, Array, Geometry
@@ -30,16 +31,27 @@ _CLEARANCE = 5e-3  # metres that a dial keeps from either end of the leg
 _COMMAND_DECIMALS = 9  # decimals of a metre that fit on a sheet
 
 
-class Station(NamedTuple):
-    """A command and the side it is reached from, as one leg's dials see it."""
+class Stations(NamedTuple):
+    """Commands and the sides that they are reached from, as one leg's dials see them."""
 
-    label: str  # for people
-    command: Array  # rho (3,), metres
-    p: Array  # nominal TCP (3,), metres
-    approach: int  # +1 or -1, the last move of all three axes
+    posture: list[str]  # labels for people, n of them
+    command: Array  # rho (n, 3), metres
+    p: Array  # nominal TCP (n, 3), metres
+    approach: Array  # +1 or -1, the last move of all three axes (n,)
+
+    def visible(self, setup: Setup, geometry: Geometry) -> NDArray[np.intp]:
+        """Return the stations at which a dial stays on its leg and within its travel, nominally."""
+        scale = dial_scale(geometry)
+        carriage, platform = self.command[:, setup.leg], self.p[:, setup.leg]
+        clearance = _CLEARANCE * scale
+        on_leg = (platform + clearance <= setup.gauge) & (setup.gauge <= carriage - clearance)
+        # The touched point takes part in the platform's motion by its place along the leg.
+        share = (carriage - setup.gauge) / (carriage - platform)
+        sideways = np.abs(np.delete(self.p, setup.leg, axis=1)).max(axis=1) * share
+        return np.flatnonzero(on_leg & (sideways <= DIAL_TRAVEL * scale))
 
 
-def stations(leg: int, geometry: Geometry) -> list[Station]:
+def stations(leg: int, geometry: Geometry) -> Stations:
     """Return stations for a leg's dials, all within the stroke, approaches included.
 
     On the leg's own axis: steps of the stroke, reached with all axes moving in + and in -. Off it:
@@ -48,39 +60,27 @@ def stations(leg: int, geometry: Geometry) -> list[Station]:
     low, high = geometry.stroke
     down = low * np.arange(_STEPS_DOWN, 0, -1) / _STEPS_DOWN
     travels = [*down, *(high * np.arange(_STEPS_UP + 1) / _STEPS_UP)]
-    # Label, TCP, and the directions from which each is reached.
-    planned: list[tuple[str, dict[int, float], tuple[int, ...]]] = [
-        (f"{travel * 1e3:+.6g}", {leg: travel}, (1, -1)) for travel in travels
+    # Label, places along the axes, and the direction from which it is reached.
+    planned: list[tuple[str, dict[int, float], int]] = [
+        (f"{travel * 1e3:+.6g}", {leg: travel}, side) for travel in travels for side in (1, -1)
     ]
     offset, others = _OFF_AXIS * dial_scale(geometry), [axis for axis in range(3) if axis != leg]
     for travel, axis, side in product((low / 2, 0.0, high / 2), others, (1, -1)):
         label = f"{travel * 1e3:+.6g} {LEGS[axis]}{side * offset * 1e3:+.6g}"
-        planned.append((label, {leg: travel, axis: side * offset}, (1,)))
-    overshoot, reachable = stroke_overshoot(geometry.stroke), []
-    for label, coordinates, sides in planned:
-        p = np.array([coordinates.get(axis, 0.0) for axis in range(3)])
-        rho = np.round(reduction.inverse(p, geometry=geometry), _COMMAND_DECIMALS)
-        for side in sides:
-            if geometry.in_stroke(np.stack([rho, rho - side * overshoot])).all():
-                reachable.append(Station(label, rho, p, side))
-    return reachable
+        planned.append((label, {leg: travel, axis: side * offset}, 1))
+    p = np.array([[place.get(axis, 0.0) for axis in range(3)] for _, place, _ in planned])
+    approach = np.array([float(side) for *_, side in planned])
+    rho = np.round(reduction.inverse(p, geometry=geometry), _COMMAND_DECIMALS)
+    before = rho - approach[:, None] * stroke_overshoot(geometry.stroke)
+    in_stroke = geometry.in_stroke(np.stack([rho, before], axis=1)).all(axis=(1, 2))
+    reachable = np.flatnonzero(in_stroke)
+    labels = [planned[k][0] for k in reachable]
+    return Stations(labels, rho[reachable], p[reachable], approach[reachable])
 
 
 def dial_scale(geometry: Geometry) -> float:
     """Return the relative size of a dial with its stand, at most that in a workshop."""
     return min(geometry.scale, 1.0)
-
-
-def visible(station: Station, setup: Setup, geometry: Geometry) -> bool:
-    """Return whether a dial stays on its leg and within its travel at a station, nominally."""
-    carriage, p, scale = station.command[setup.leg], station.p, dial_scale(geometry)
-    clearance = _CLEARANCE * scale
-    if not p[setup.leg] + clearance <= setup.gauge <= carriage - clearance:
-        return False
-    # The touched point takes part in the platform's motion by its place along the leg.
-    share = (carriage - setup.gauge) / (carriage - p[setup.leg])
-    sideways = np.delete(p, setup.leg) * share
-    return bool(np.abs(sideways).max() <= DIAL_TRAVEL * scale)
 
 
 def reading_pool(geometry: Geometry, *, load: float = 0.0) -> Readings:
@@ -89,24 +89,22 @@ def reading_pool(geometry: Geometry, *, load: float = 0.0) -> Readings:
     """
     require_dial_layout(geometry)
     setups: list[Setup] = []
-    rows: list[tuple[int, Station]] = []
+    rows: list[tuple[int, str, Array, float]] = []
     for leg in range(3):
-        leg_stations = stations(leg, geometry)
+        on_leg = stations(leg, geometry)
         axes = map(LEGS.index, geometry.layout.names.across[leg])
         for axis, gauge, bar in product(axes, GAUGES, BARS):
             setup = dial_setup(geometry, leg, axis, gauge, bar)
-            rows += [(len(setups), s) for s in leg_stations if visible(s, setup, geometry)]
+            rows += [
+                (len(setups), on_leg.posture[k], on_leg.command[k], on_leg.approach[k])
+                for k in on_leg.visible(setup, geometry)
+            ]
             setups.append(replace(setup, name=f"next-{setup.name}"))
+    setup_rows, posture, command, approach = zip(*rows, strict=True)
     return unread_campaign(
-        geometry,
-        "next",
-        setups,
-        [k for k, _ in rows],
-        np.array([s.command for _, s in rows]),
-        np.repeat([[float(s.approach)] for _, s in rows], 3, axis=1),
-        posture=[s.label for _, s in rows],
-        load=load,
-    )
+        geometry, "next", setups, setup_rows, np.array(command),
+        np.repeat(np.array(approach)[:, None], 3, axis=1), posture=posture, load=load,
+    )  # fmt: skip
 
 
 def sheet_from_pool(pool: Readings, chosen: Sequence[int], name: str = "next") -> Readings:

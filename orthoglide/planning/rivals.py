@@ -14,7 +14,7 @@ from orthoglide.effects.wording import cause_short, parameter_words
 from orthoglide.errors import InputError
 from orthoglide.explanation import FullPosterior
 from orthoglide.explanation.class_members import ClassMembers
-from orthoglide.fit import Estimate, linearise, normal_equations
+from orthoglide.fit import Estimate, normal_equations
 from orthoglide.fit.factors import Factor
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -57,37 +57,24 @@ class Rival:
     covariance: Array  # of the unknowns of new readings (P, P), SI, tolerances as priors
 
 
-@dataclass(frozen=True)
-class _Fitted:
-    """A fit of the readings at hand, as new readings take it."""
+def _covariance(fit: Estimate, names: Sequence[str], lack_of_fit: float) -> tuple[Array, Array]:
+    """Return the weights ``(P, U)`` of a fit's unknowns on parameters, and the covariance of the
+    unknowns ``(U, U)``, SI, with tolerances as priors and widened by the lack of fit.
+    """
+    problem = replace(fit.problem, use_tolerance_priors=True)
+    parts, part_weights = problem.machine_parameters(problem.last_factor_index)
+    weights = np.zeros((len(names), len(problem.unknowns)))
+    weights[[names.index(part) for part in parts]] = part_weights
+    unit = problem.tolerance * problem.tolerance[:, None]
+    information = normal_equations(problem, fit.at, fit.nuisance).information
+    return weights, np.linalg.inv(information * unit / lack_of_fit**2) * unit
 
-    values: Values  # parameters of the machine, SI
-    weights: Array  # of the parameters of new readings for each unknown (P, U)
-    covariance: Array  # of the unknowns (U, U), SI, tolerances as priors
 
-    @classmethod
-    def of(cls, source: Estimate | Values, reference: Estimate, names: Sequence[str]) -> _Fitted:
-        """Return a fit by the parameters of new readings ``(P,)``. If only parameter values of the
-        machine are given, SI, unknowns, readings and covariance structure come from ``reference``,
-        whose lack of fit widens the covariance.
-        """
-        fit = source if isinstance(source, Estimate) else reference
-        problem, model, last = fit.problem, fit.at, fit.problem.last_factor_index
-        parts, part_weights = problem.machine_parameters(last)
-        if not isinstance(source, Estimate):
-            given = np.array([source.get(part, 0.0) for part in parts])
-            norm = np.maximum(np.sum(part_weights**2, axis=0), np.finfo(float).tiny)
-            model = linearise(problem, given @ part_weights / norm)
-        equations = normal_equations(
-            replace(problem, use_tolerance_priors=True), model, fit.nuisance
-        )
-        unit = problem.tolerance * problem.tolerance[:, None]
-        scale = max(reference.sigma_scale, 1.0)
-        covariance = np.linalg.inv(equations.information * unit / scale**2) * unit
-        values = problem.machine.catalogue.machine_values(problem.values(last, model.x))
-        weights = np.zeros((len(names), len(problem.unknowns)))
-        weights[[names.index(part) for part in parts]] = part_weights
-        return cls(values, weights, covariance)
+def _machine_values(fit: Estimate) -> Values:
+    """Return all parameters of the machine of the last campaign, SI."""
+    problem = fit.problem
+    values = problem.values(problem.last_factor_index, fit.x)
+    return problem.machine.catalogue.machine_values(values)
 
 
 def next_measurements(
@@ -106,8 +93,8 @@ def next_measurements(
 
     Args:
         fit: of the readings at hand.
-        rivals: pairs of a name and either a fit or the machine's current parameters (SI). Values
-            are projected on the unknowns of ``fit``.
+        rivals: pairs of a name and either a fit or the machine's current parameters (SI), whose
+            uncertainty is then that of ``fit``.
         pairs: of rivals to separate, by their indices; by default all.
         count: largest number of readings proposed for each purpose.
         directions: weak directions to determine better; by default the fit's weakest two. An empty
@@ -118,30 +105,32 @@ def next_measurements(
     """
     if not isinstance(fit, Estimate):
         raise InputError(f"a {type(fit).__name__} is no estimate: give what og.identify returns")
-    machine = fit.problem.machine
-    given = (fit, *(source for _, source in rivals))
-    problems = [s.problem if isinstance(s, Estimate) else fit.problem for s in given]
-    parts = (p.machine_parameters(p.last_factor_index)[0] for p in problems)
+    machine, lack_of_fit = fit.problem.machine, max(fit.sigma_scale, 1.0)
+    fits = (fit, *(source for _, source in rivals if isinstance(source, Estimate)))
+    parts = (one.problem.machine_parameters(one.problem.last_factor_index)[0] for one in fits)
     names = tuple(dict.fromkeys(name for each in parts for name in each))
-    current, *sources = (_Fitted.of(source, fit, names) for source in given)
+    weights, covariance = _covariance(fit, names, lack_of_fit)
     pool = _loaded_pool(fit)
-    linearised = machine.model.linearised(current.values, pool, names)
+    linearised = machine.model.linearised(_machine_values(fit), pool, names)
     readings = _linear_readings(fit, pool, linearised.jacobian, linearised.reading_poses)
     suggestions = list[Suggestion]()
-    pairs = [*combinations(range(len(sources)), 2)] if pairs is None else pairs
+    pairs = [*combinations(range(len(rivals)), 2)] if pairs is None else pairs
     if pairs:
         candidates = []
-        for (name, _), fitted in zip(rivals, sources, strict=True):
+        for name, source in rivals:
+            by_name, own = weights, covariance
+            if isinstance(source, Estimate):
+                by_name, own = _covariance(source, names, lack_of_fit)
+            values = _machine_values(source) if isinstance(source, Estimate) else source
             with suppress(InputError):  # else it is a name for people
                 name = f'"{cause_short(machine.catalogue, name)}"'
-            covariance = fitted.weights @ fitted.covariance @ fitted.weights.T
-            candidates.append(Rival(name, fitted.values, covariance))
+            candidates.append(Rival(name, values, by_name @ own @ by_name.T))
         predicted = [machine.model.readings(rival.values, pool) for rival in candidates]
         extended = replace(readings, columns=np.column_stack([linearised.jacobian, *predicted]))
         suggestions = _suggest_separating(machine, extended, candidates, pairs, count)
-    by_unknowns = replace(readings, columns=readings.columns @ current.weights)
+    by_unknowns = replace(readings, columns=readings.columns @ weights)
     weak = fit.weak[:_MOST_DIRECTIONS] if directions is None else directions
-    narrowing = (_suggest_narrowing(by_unknowns, current, fit, one, count) for one in weak)
+    narrowing = (_suggest_narrowing(by_unknowns, covariance, fit, one, count) for one in weak)
     return (*suggestions, *narrowing)
 
 
@@ -175,15 +164,15 @@ def _suggest_separating(
 
     The columns of the readings belong to the unknowns, then to the predictions of each rival.
     """
-    covariances = np.stack([rival.covariance for rival in rivals])
-    before = RivalSeparation.between(covariances, np.array(pairs))
+    covariances = [rival.covariance for rival in rivals]
+    before = RivalSeparation.before(covariances, pairs)
     by_pool = replace(before, information=readings.information()).sigmas
     remaining = [pair for pair, s in by_pool.items() if s >= _INSEPARABLE_SIGMAS]
     by_pool = {pair: s for pair, s in by_pool.items() if pair not in remaining}
     by_choice: dict[Pair, float] = {}
     suggestions, pool = list[Suggestion](), readings.campaign
     while remaining:
-        start = RivalSeparation.between(covariances, np.array(remaining), ENOUGH_SIGMAS**2)
+        start = RivalSeparation.before(covariances, remaining, ENOUGH_SIGMAS**2)
         rows, criterion = choose(readings, start, count, mounting_cost=_MOUNTING_COST)
         if close := {pair: s for pair, s in criterion.sigmas.items() if s < _MIN_SIGMAS}:
             by_choice |= close
@@ -308,19 +297,19 @@ def suggest_separating_located_errors(
 
 def _suggest_narrowing(
     readings: LinearReadings,
-    fitted: _Fitted,
+    covariance: Array,
     estimate: Estimate,
     direction: WeakDirection,
     count: int,
 ) -> Suggestion:
     """Return the readings that reduce the standard deviation of one weak direction of the fit.
 
-    The columns of the readings belong to the unknowns of the fit.
+    The columns of the readings and the covariance belong to the unknowns of the fit.
     """
     shares, catalogue = direction.parameters, estimate.problem.machine.catalogue
     tolerance = estimate.problem.tolerance
     combination = np.array([shares.get(n, 0.0) for n in estimate.problem.names]) * tolerance
-    information = np.linalg.inv(fitted.covariance / tolerance / tolerance[:, None])
+    information = np.linalg.inv(covariance / tolerance / tolerance[:, None])
     start = CombinationPrecision(np.asarray(information), combination[:, None])
     scaled, pool = replace(readings, columns=readings.columns * tolerance), readings.campaign
     rows, end = choose(scaled, start, count, mounting_cost=_MOUNTING_COST)

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 _ACTIVE_SHARES = 2.0  # shares from which an effect counts as active: one in twenty reaches that
 _MAX_LISTED = 12  # failures that the text lists
+_TOOL_ERRORS = ("nominal_mm", "before_mm", "after_mm", "stated_mm", "inside")
 
 
 @dataclass(frozen=True)
@@ -87,9 +88,8 @@ class Outcome:
         Raises:
             TypeError: where something else was kept.
         """
-        values: dict[str, Any] = dict(fields)
-        for name in ("named", "located", "false"):
-            values[name] = tuple(values[name])
+        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v
+                                  for k, v in fields.items()}  # fmt: skip
         return cls(**values)
 
 
@@ -118,16 +118,14 @@ def _measure_and_calibrate(
     measured = [simulate(drawn.machine, sheet, seed=rng) for sheet in scope.sheets]
     points = simulate_tcp(drawn.machine, seed=rng)
     run = compute_outcome(build_request(measured, scope.machine, tcp=points))
-    named, located, false = judge_claims(run, drawn)
+    named, located, false = map(tuple, judge_claims(run, drawn))
     errors = dict(run.tcp or {})["translation"]
     stated = expected_error(run.machine, run.machine.values).shape
     means = (errors.nominal_mean, errors.before_mean, errors.after_mean, stated)
-    names = ("nominal_mm", "before_mm", "after_mm", "stated_mm")
-    return {
-        "word": run.word, "named": tuple(named), "located": tuple(located),
-        "false": tuple(false), "inside": round(errors.inside, 4),
-        **{n: round(1e3 * v, 5) for n, v in zip(names, means, strict=True)},
-    }  # fmt: skip
+    sizes = {n: round(1e3 * v, 5) for n, v in zip(_TOOL_ERRORS, means, strict=False)}
+    inside = round(errors.inside, 4)
+    return {"word": run.word, "named": named, "located": located, "false": false,
+            "inside": inside} | sizes  # fmt: skip
 
 
 def judge_claims(
@@ -172,8 +170,6 @@ def _true_size(name: str, drawn: DrawnMachine) -> float:
 
 # -- the table -------------------------------------------------------------------------------------
 
-_TOOL_ERRORS = ("nominal_mm", "before_mm", "after_mm", "stated_mm", "inside")
-
 
 def _counts(outcomes: Sequence[Outcome]) -> dict[str, int]:
     """Return the number of campaigns, and of those with each kind of outcome."""
@@ -215,11 +211,12 @@ class Rehearsal(Framed):
         """
         rows = []
         for kind in KINDS:
-            outcomes = self.of(kind)
-            errors = [[getattr(o, n) for n in _TOOL_ERRORS] for o in outcomes if not o.failed]
-            means = np.mean(errors or [[np.nan] * len(_TOOL_ERRORS)], axis=0).tolist()
-            means_by_name = dict(zip(_TOOL_ERRORS, means, strict=True))
-            rows.append({"wrong": kind.name, **_counts(outcomes), **means_by_name})
+            finished = [o for o in self.of(kind) if not o.failed]
+            means = {
+                name: float(np.mean([getattr(o, name) for o in finished] or [np.nan]))
+                for name in _TOOL_ERRORS
+            }
+            rows.append({"wrong": kind.name, **_counts(self.of(kind)), **means})
         return {name: [row[name] for row in rows] for name in rows[0]}
 
     def to_frame(self) -> pd.DataFrame:
@@ -240,29 +237,29 @@ class Rehearsal(Framed):
         return f"<Rehearsal {self.machine!r}: {len(self.campaigns)} campaigns, seed {self.seed}>"
 
     def __str__(self) -> str:
-        columns = self.columns
-        kinds, errors = columns.pop("wrong"), [columns.pop(name) for name in _TOOL_ERRORS]
-        count_rows = zip(kinds, *(map(str, counts) for counts in columns.values()), strict=True)
-        error_rows = [
-            [kind, *(f"{value:.4f}" for value in values)]
-            for kind, *values in zip(kinds, *errors, strict=True) if np.isfinite(values[0])
+        rows = [list(row) for row in zip(*self.columns.values(), strict=True)]
+        heads, first = list(self.columns), len(self.columns) - len(_TOOL_ERRORS)
+        counts = [[str(cell) for cell in row[:first]] for row in rows]
+        errors = [
+            [row[0], *(f"{value:.4f}" for value in row[first:])]
+            for row in rows if np.isfinite(row[first])
         ]  # fmt: skip
-        error_titles = (name.removesuffix("_mm") for name in _TOOL_ERRORS)
+        error_heads = (name.removesuffix("_mm") for name in _TOOL_ERRORS)
         parts = [
             f"{len(self.campaigns)} campaigns of {self.readings} readings on machines like "
             f"{self.machine!r}, seed {self.seed}",
-            console_text(table(["what is wrong", "tried", *list(columns)[1:]], [*count_rows])),
+            console_text(table(["what is wrong", "tried", *heads[2:first]], counts)),
             "Mean TCP error after the best translation, mm; share of coordinates inside their "
             "95 % interval:",
-            console_text(table(["what is wrong", *error_titles], error_rows)),
+            console_text(table(["what is wrong", *error_heads], errors)),
         ]
-        failures = [f"campaign {o.number}, {o.kind}: {o.problem}"
-                    for o in self.campaigns if o.problem]  # fmt: skip
-        if failures:
-            if len(failures) > _MAX_LISTED:
-                failures[_MAX_LISTED:] = [f"and {len(failures) - _MAX_LISTED} more"]
-            parts += ["\nWhat went wrong:", *(f"  {line}" for line in failures)]
+        problems = [o for o in self.campaigns if o.problem]
+        if problems:
+            lines = [
+                f"  campaign {o.number}, {o.kind}: {o.problem}" for o in problems[:_MAX_LISTED]
+            ]
+            lines += [f"  and {len(problems) - _MAX_LISTED} more"] * (len(problems) > _MAX_LISTED)
+            parts += ["\nWhat went wrong:", *lines]
         if self.weak:
-            title = "\nWeak spots of the sheet, where nothing else is wrong:"
-            parts += [title, *self.weak]
+            parts += ["\nWeak spots of the sheet, where nothing else is wrong:", *self.weak]
         return wrapped("\n".join(parts))
