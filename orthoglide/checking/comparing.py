@@ -104,18 +104,17 @@ class Check(Framed):
         changed = ranked(self.changes, lambda d: abs(d.difference) / d.sigma)
         unchanged = [d for d in self.differences if not d.changed]
         what = "nothing else" if changed or self.moves or self.places else "nothing"
-        clauses = {
-            f"{what} changed beyond its uncertainty": False,
-            "of these the two states differ, each by itself, but all readings together need no "
-            "change of them": True,
-        }
-        by_clause = (
-            (words, [d.unchanged_clause for d in unchanged if d.is_significant == significant])
-            for words, significant in clauses.items()
-        )
-        last = (f"{words}: {', '.join(listed)}" for words, listed in by_clause if listed)
-        sentences = (change.comparison for change in changed)
-        return (*self.places, *sentences, *self.lying, *last)
+        within = [d.unchanged_clause for d in unchanged if not d.is_significant]
+        beyond = [d.unchanged_clause for d in unchanged if d.is_significant]
+        sentences = [*self.places, *(change.comparison for change in changed), *self.lying]
+        if within:
+            sentences.append(f"{what} changed beyond its uncertainty: {', '.join(within)}")
+        if beyond:
+            sentences.append(
+                f"of these the two states differ, each by itself, but all readings together need "
+                f"no change of them: {', '.join(beyond)}"
+            )
+        return tuple(sentences)
 
     @property
     def line(self) -> str:
@@ -173,7 +172,9 @@ def check(
     old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
     jointly = not past and len(visits(together.before.problem)) > 1
     closed_before, gone, come = None, tuple[Located, ...](), tuple[Located, ...]()
-    if not jointly or together.changed or any(map(_has_unnamed, (together, closed))):
+    # No parameter describes the change of an error that has no name.
+    unnamed = any(one.located or one.word == "unexplained" for one in (together, closed))
+    if not jointly or together.changed or unnamed:
         closed_before = compute_outcome(replace(request, given=tuple(before)), progress)
         gone = _located_only_in_first(closed_before, closed)
         come = _located_only_in_first(closed, closed_before)
@@ -186,13 +187,6 @@ def check(
         differences = tuple(_separate_differences(closed_before, closed, between))
     moves = plate_moves(together.after.problem, together.after.x, old_names, new_names)
     return Check(old_names, new_names, closed, differences, moves, gone, come)
-
-
-def _has_unnamed(closed: RunOutcome) -> bool:
-    """Return whether an error has no name. Then no parameter describes the change, and each state
-    must be closed by itself.
-    """
-    return bool(closed.located) or closed.word == "unexplained"
 
 
 def _located_only_in_first(first: RunOutcome, second: RunOutcome) -> tuple[Located, ...]:
@@ -313,8 +307,7 @@ def _compared_parameters(closed: RunOutcome) -> list[str]:
     base = catalogue.expand(catalogue.base)
     causes = [n for c in closed.effects for n in c.chosen.parameters]
     parameters = (*map(closed.catalogue.parameter, causes), *(c.parameter for c in closed.changed))
-    in_catalogue = (
-        n.plain for n in parameters if n.effect in catalogue
-    )  # the others are free-form
-    named = (n for n in in_catalogue if not catalogue.effect_of(n).of_dial)
+    # The parameters of free-form errors are not in the catalogue.
+    named = (n.plain for n in parameters
+             if n.effect in catalogue and not catalogue[n.effect].of_dial)  # fmt: skip
     return list(dict.fromkeys(map(str, (*base, *named))))

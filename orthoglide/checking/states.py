@@ -140,24 +140,15 @@ def with_distinct_names(
         setups = zip(one.setups, names, strict=True)
         return replace(one, setups=tuple(replace(s, name=name) for s, name in setups))
 
-    old = [renamed(one) for one in old]
+    before = [renamed(one) for one in old]
     # A visit begins with a setup that occurs again, so files with common setups come first.
-    old_setups = {name for one in old for name in _tool_setup_names(one)}
-    new = sorted(new, key=lambda one: old_setups.isdisjoint(_tool_setup_names(one)))
-    names = [c.name for c in (*old, *new)]
-    if len(set(names)) == len(names):
-        return list(old), list(new)
-    sides = ((old, "old"), (new, "new"))
-    before, after = (
-        [replace(c, name=f"{side}-{k}-{c.name}") for k, c in enumerate(tables, start=1)]
-        for tables, side in sides
-    )
+    common = {s.name for one in before if one.of_tool for s in one.setups}
+    after = sorted(new, key=lambda c: not (c.of_tool and any(s.name in common for s in c.setups)))
+    names = [c.name for c in (*before, *after)]
+    if len(set(names)) < len(names):
+        before = [replace(c, name=f"old-{k}-{c.name}") for k, c in enumerate(before, start=1)]
+        after = [replace(c, name=f"new-{k}-{c.name}") for k, c in enumerate(after, start=1)]
     return before, after
-
-
-def _tool_setup_names(one: Readings) -> list[str]:
-    """Return the names of setups at the tool; empty for dials on legs."""
-    return [s.name for s in one.setups] if one.of_tool else []
 
 
 def _unique_setups_by_kind(side: Sequence[Readings]) -> dict[str, str]:

@@ -43,7 +43,6 @@ class SmallestEffect:
     """Smallest sizes of one candidate that a protocol detects and names."""
 
     name: Parameter  # of the candidate
-    effect: str  # name of its effect
     tolerance: float  # of its parameter, SI
     unit: Unit  # of its parameter in files
     detectable: float  # size that is found with 95 % probability, SI
@@ -70,7 +69,7 @@ class Detectability(Framed):
         """Single parameters by their effect."""
         groups: dict[str, list[SmallestEffect]] = {}
         for smallest in filter(lambda s: s.elementary, self.smallest):
-            groups.setdefault(smallest.effect, []).append(smallest)
+            groups.setdefault(smallest.name.effect, []).append(smallest)
         return groups
 
     @property
@@ -97,7 +96,7 @@ class Detectability(Framed):
         rows = []
         for members in self.alike:
             hardest = best_of(members, lambda s: s.nameable)
-            effect, unit = hardest.effect, hardest.unit
+            effect, unit = hardest.name.effect, hardest.unit
             size = max(s.detectable for s in members)
             siblings = self.by_effect[effect]
             hidden = sum(name.effect == effect for name in self.invisible)
@@ -183,15 +182,16 @@ def smallest_effects(
             continue
         tolerance = float(np.abs(model.weights_at_tolerance(candidate)).max())
         closest = largest(cosine[k])
-        detectable, nameable = _smallest_sizes(length[k], float(cosine[k, closest]), threshold)
+        detectable = float(np.sqrt(noncentrality(length[k] ** 2, threshold)) / length[k])
+        sine = float(np.sqrt(max(1 - cosine[k, closest] ** 2, 0.0)))
+        apart = np.inf if sine < _MIN_SINE else required_separation() / (length[k] * sine)
         smallest.append(
             SmallestEffect(
                 catalogue.parameter(candidate.name),
-                candidate.effect,
                 tolerance,
                 catalogue[candidate.effect].unit,
                 detectable * tolerance,
-                nameable * tolerance,
+                max(detectable, float(apart)) * tolerance,
                 catalogue.parameter(single[closest].name) if cosine[k, closest] > 0 else "",
                 candidate.name in model.names,
             )
@@ -219,14 +219,6 @@ def _signature_cosines(model: Signatures, single: Sequence[Candidate]) -> tuple[
     effects = np.array([c.effect for c in single])
     cosine[np.equal.outer(effects, effects)] = 0.0  # members of one effect are no rivals here
     return length, cosine
-
-
-def _smallest_sizes(length: float, cosine: float, threshold: float) -> tuple[float, float]:
-    """Return the sizes that are detected and named, in tolerances."""
-    detectable = np.sqrt(noncentrality(length**2, threshold)) / length
-    sine = np.sqrt(max(1 - cosine**2, 0.0))
-    nameable = np.inf if sine < _MIN_SINE else required_separation() / (length * sine)
-    return float(detectable), float(max(detectable, nameable))
 
 
 def noncentrality(square: float, threshold: float) -> float:
