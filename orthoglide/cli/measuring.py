@@ -248,19 +248,17 @@ def design(
                 for name, sheet in compared.items()]  # fmt: skip
         lines = [planning.index_table([*rows, ("design", chosen.indices)])]
         compared["design"] = chosen.campaign
+        found_from = list[str]()
         for name, sheet in compared.items():
+            step(Step("computing", f"what {name} sees"))
             lines += [f"{name}: {warning}" for warning in planning.aliasing(robot, sheet)]
-        for name, sheet in compared.items():
-            for quantity, sigma in target_sigmas.items():
-                step(Step("computing", f"how often to repeat {name}"))
-                count_text = planning.repeats_needed(
-                    robot, sheet, chosen.names, quantity, sigma, noise
-                )
-                lines.append(f"{name}, {count_text}")
-        for name, sheet in compared.items() if detect else ():
-            step(Step("computing", f"smallest effects: {name}"))
-            smallest = planning.smallest_effects(robot, sheet, noise=noise, seed=seed)
-            lines += ["", f"{name}:", *planning.detectable_rows(smallest)]
+            for what, sigma in target_sigmas.items():
+                repeats = planning.repeats_needed(robot, sheet, chosen.names, what, sigma, noise)
+                lines.append(f"{name}, {repeats}")
+            if detect:
+                smallest = planning.smallest_effects(robot, sheet, noise=noise, seed=seed)
+                found_from += ["", f"{name}:", *planning.detectable_rows(smallest)]
+        lines += found_from
         files, sheet_lines = ({}, ()) if out is None else _sheet_files(out, chosen.campaign, robot)
     line = (
         f"{len(chosen.campaign)} readings show {chosen.indices.rank} of "

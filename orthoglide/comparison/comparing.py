@@ -235,21 +235,14 @@ class Comparison:
         change = change - datums @ np.linalg.lstsq(datums, change, rcond=None)[0]
         setups = [campaign.setups[k] for k in campaign.setup]
         tolerances = [self.machine.tolerance(name) for name in self.machine.catalogue.base]
+        axes, gauges, signs = zip(*((s.axis, s.gauge, s.sign) for s in setups), strict=True)
         best, with_priors = (
             reduction.fit_readings(
-                campaign.command,
-                campaign.leg,
-                [setup.axis for setup in setups],
-                [setup.gauge for setup in setups],
-                readings,
-                READING_LIMIT,
-                signs=[setup.sign for setup in setups],
-                prior_sd=prior,
-                nuisance=datums,
-                geometry=self.geometry,
+                campaign.command, campaign.leg, axes, gauges, readings, READING_LIMIT,
+                signs=signs, prior_sd=prior, nuisance=datums, geometry=self.geometry,
             )
             for prior in (np.inf, np.repeat(tolerances, len(LEGS)))
-        )
+        )  # fmt: skip
         identified = tcp - self.reduction_tcp(with_priors.values)
         return {
             "identified": self.difference(identified - identified.mean(axis=0)),
@@ -304,8 +297,7 @@ def compare_machine(machine: MachineSource, points: int = POINTS) -> tuple[Row, 
         Row ``"machine"`` first, then one for every parameter that is not zero.
     """
     machine = Machine.of(machine)
-    comparison = Comparison(machine, points)
-    effect_of = machine.catalogue.effect_of
+    comparison, effect_of = Comparison(machine, points), machine.catalogue.effect_of
     values = {n: value for n, value in machine.values.items() if value and not effect_of(n).of_body}
     single_rows = (comparison.row(name, value, {name: value}) for name, value in values.items())
     return (comparison.row("machine", float("nan"), values), *single_rows)

@@ -75,9 +75,7 @@ _COLUMNS: dict[str, Callable[[Row], str]] = {
 }
 _SHORT = ("effect", "TCP differs, max, µm", "readings differ, rms, µm", "will do")
 _LONG = tuple(_COLUMNS)[:-2]
-_OF_READINGS = {
-    "readings: change", "six fitted: rms, max", "calibrated TCP: max", "readings differ, rms, µm",
-}  # fmt: skip
+_OF_READINGS = {"readings: change", "six fitted: rms, max", "calibrated TCP: max", _SHORT[2]}
 
 
 def short_table(
@@ -137,18 +135,14 @@ def comparison_files(
         drawn: rows of which a figure is drawn, if the reduction cannot follow them.
         progress: called before each figure.
     """
-    sections = {
-        f"{machine.spec.title}: all it has, and each alone": whole,
-        "Every effect at its tolerance": rows,
-    }
-    tables = "".join(
-        f"\n## {name}\n\n{markdown_table(part)}" for name, part in sections.items() if part
-    )
-    all_rows = [*whole, *rows]
-    legend = f"{LIMITS} {_LEGEND}{'' if any(row.read for row in all_rows) else _NOT_READ}"
-    files = {
-        "table.md": f"# When the simplified model is good enough\n\n{legend}\n{tables}",
-    }
+    legend = f"{LIMITS} {_LEGEND}{'' if any(row.read for row in (*whole, *rows)) else _NOT_READ}"
+    text = f"# When the simplified model is good enough\n\n{legend}\n"
+    if whole:
+        title = f"{machine.spec.title}: all it has, and each alone"
+        text += f"\n## {title}\n\n{markdown_table(whole)}"
+    if rows:
+        text += f"\n## Every effect at its tolerance\n\n{markdown_table(rows)}"
+    files = {"table.md": text}
     for row in drawn:
         progress(Step("computing", f"drawing {row.name}"))
         if not row.effect:

@@ -297,23 +297,24 @@ class Session:
             if answer == "help":
                 self.tell(f"{HELP}\n{SETTLED_CRITERION}")
             elif answer == "skip":
-                self._append(_as_move(planned, SKIPPED_POSTURE))
-                return
+                return self._append(_as_move(planned, SKIPPED_POSTURE))
             elif answer == "undo":
                 if self.record.take_back():
                     self._machine_in_place, self._announced_position = False, ""
-                    return
+                    return None
                 self.tell("  there is no reading to take back")
             else:
-                metres = float(answer) * 1e-3
-                objection, possible = part.expected.objection(reading, metres, taken)
+                objection, possible = part.expected.objection(reading, float(answer) * 1e-3, taken)
                 if not objection or (possible and answer == doubted):
                     seconds = f"{max(self.clock() - self._start_time, 0.0):.0f}"
-                    self._append(planned | {"reading_mm": f"{answer:f}", "time_s": seconds})
-                    return
-                doubted, judgement = answer, "is implausible" if possible else "cannot be"
-                remedy = "Type the same again to keep it, or the right number."
-                remedy = remedy if possible else "Type the number again."
+                    row = planned | {"reading_mm": f"{answer:f}", "time_s": seconds}
+                    return self._append(row)
+                doubted = answer
+                judgement, remedy = (
+                    ("is implausible", "Type the same again to keep it, or the right number.")
+                    if possible
+                    else ("cannot be", "Type the number again.")
+                )
                 self.tell(f"  {answer:f} mm {judgement}: {objection}. {remedy}")
 
     def _append(self, row: Row) -> None:
