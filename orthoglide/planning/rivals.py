@@ -41,7 +41,6 @@ _MIN_SIGMAS = 1.0  # least separation of a pair for which readings are proposed
 _MAX_SIGMA_RATIO = 0.9  # largest sd after / before for which readings are proposed
 _MOST_DIRECTIONS = 2  # weak directions of a fit: further ones are determined well enough
 _MOUNTING_COST = 4.0  # readings that mounting a dial, with its first two, is worth
-_MAX_NAMED_PAIRS = 3  # pairs of rivals in a sentence: the least separated ones
 _MIN_SHAPE_RATIO = 0.02  # of the shift between two machines: less is no difference in shape
 _COMMANDS_PER_AXIS = 3  # commands along each axis: enough to compare two machines
 _MAX_LOCATED_ERRORS = 6  # located errors to separate: the likeliest
@@ -206,12 +205,15 @@ def _separating_suggestion(
 ) -> Suggestion:
     """Return the suggestion of readings that separate pairs of rivals by so many sigmas."""
     closest = ranked(sigmas.items(), lambda item: -float(np.log(item[1])), LOG_ODDS_MARGIN)
+    named: dict[Pair, float] = {}
+    for pair, separation in closest:  # each rival with the one that is closest to it
+        if not {*pair} <= {rival for other in named for rival in other}:
+            named[pair] = separation
     text = "; ".join(
-        f"{rivals[a].words} from {rivals[b].words} by {s:.1f} sigma"
-        for (a, b), s in closest[:_MAX_NAMED_PAIRS]
+        f"{rivals[a].words} from {rivals[b].words} by {s:.1f} sigma" for (a, b), s in named.items()
     )
-    further = len(closest) - _MAX_NAMED_PAIRS
-    text += f" (and {further} further pairs by more)" if further > 0 else ""
+    further = len(closest) - len(named)
+    text += f" (and {further} further pairs)" if further else ""
     gain = closest[0][1]
     if gain < DECISIVE_SIGMAS:
         text += ": too little to decide, but the most that so few readings can do"
