@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from orthoglide.effects import Effect
 from orthoglide.errors import as_path, check_list
@@ -14,7 +14,7 @@ from orthoglide.instruments import Frame
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings, ReadingsOrPath
 from orthoglide.progress import Progress, no_progress
-from orthoglide.result import Request, Result
+from orthoglide.result import Command, Request, Result
 from orthoglide.threads import on_one_thread
 
 if TYPE_CHECKING:
@@ -126,26 +126,29 @@ def build_request(
     machine: MachineSource | None = None,
     *,
     own: Sequence[str] = (),
-    noise: float | None = None,
     holdout: ReadingsOrPath | Sequence[ReadingsOrPath] | None = None,
     tcp: Readings | str | os.PathLike[str] | None = None,
     effects: Sequence[Effect] = (),
-    seed: int = 0,
-    frame: Frame = "rigid",
+    command: Command = "close-loop",
+    **options: Any,
 ) -> Request:
-    """Return the request that :func:`close_loop` runs for equal arguments.
+    """Return the request that :func:`close_loop` runs for equal arguments; ``options`` are further
+    fields of `Request`.
 
     Raises:
         InputError: if the campaigns cannot be used.
     """
     machine = Machine.of(machine, effects)
     check_list("own", own)
-    tables = tuple(read_tables(campaigns, machine))
-    tcp_points = None if tcp is None else points_of(tcp, machine)
-    held = () if holdout is None else readings_of(holdout, machine)
     return Request(
-        "close-loop", tables, machine, tuple(own), noise, seed, held, tcp_points, frame=frame,
-    )  # fmt: skip
+        command,
+        tuple(read_tables(campaigns, machine)),
+        machine,
+        tuple(own),
+        tcp=None if tcp is None else points_of(tcp, machine),
+        holdout=() if holdout is None else readings_of(holdout, machine),
+        **options,
+    )
 
 
 def run(request: Request, progress: Progress | None = None) -> Verdict:

@@ -283,7 +283,7 @@ BROKEN: dict[str, tuple[str, str]] = {
     "another file": ('{"a": 1}', "has no 'schema'"),
     "arguments of none": ('{"schema": 1, "arguments": 5}', "has no 'version'"),
     "a number without end": (f'{{"schema": {"1" * 5000}}}', "is no result"),
-    "points": ('{"schema": 1, "arguments": {"fit_tcp": "a.csv"}}', "kept no rows"),
+    "points": ('{"schema": 1, "arguments": {"fit_tcp": "a.csv"}}', "has no 'version'"),
 }
 
 
@@ -320,7 +320,7 @@ def test_rerun_of_a_spoilt_result(identified: Path) -> None:
         ("file", "..", "is no name of a file"),
         ("file", "a/b.csv", "is no name of a file"),
         ("file", "a" * 300, "is no name of a file"),
-        ("rows", [5, *one["rows"][1:]], "has a row that is none"),
+        ("rows", [5, *one["rows"][1:]], "is no object"),
         ("rows", [], "has no rows"),
         ("lines", [2, 3], "lines that are not those of its rows"),
         ("lines", [10**9 + k for k in range(len(one["rows"]))], "lines that are not those"),

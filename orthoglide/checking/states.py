@@ -14,8 +14,7 @@ from orthoglide.files import result_file
 from orthoglide.fit import readings_of
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings, ReadingsOrPath
-from orthoglide.result.loading import read_result, request_of
-from orthoglide.result.request import Request
+from orthoglide.result.request import Request, read_result, request_of
 
 State = ReadingsOrPath | Sequence[ReadingsOrPath] | Request
 """Readings, a request, or the path of a ``result.json`` or of its folder."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -120,7 +119,7 @@ def _demo_requests(seed: int, files: dict[str, str | bytes]) -> dict[str, tuple[
         files[DEMO_MACHINE] = (data / DEMO_MACHINE).read_text("utf-8")
         published = build_request(
             (data / DEMO_CAMPAIGN, data / DEMO_SECOND), own=worn.catalogue.correctable_by("zero"),
-            seed=seed,
+            seed=seed, command="demo",
         )  # fmt: skip
     (fault,) = (name for name in worn.values if worn.catalogue.effect_of(name).name not in
                 worn.catalogue.base)  # fmt: skip
@@ -135,7 +134,7 @@ def _demo_requests(seed: int, files: dict[str, str | bytes]) -> dict[str, tuple[
         "published": (
             "1. The machine of the papers, from the 24 averages that its authors published: "
             "Experiments 2 and 3, between which new offsets were set.",
-            replace(published, command="demo"),
+            published,
         ),
         "simulated": (
             f"2. A machine made up, so that its fault is known: {hidden}. {len(campaign)} readings "
@@ -185,14 +184,13 @@ def identify(free: tuple[str, ...], no_priors: bool, reduced: bool, **options: A
       orthoglide identify april.csv --out april
       orthoglide identify april.csv --fit-tcp tracker.tcp.csv --noise 0.004 --out spring
     """
-    settings: dict[str, Any] = {"priors": not no_priors, "reduced": reduced}
-    _run("identify", **options, settings=settings | ({"free": free} if free else {}))
+    options |= {"free": free} if free else {}
+    _run("identify", **options, priors=not no_priors, reduced=reduced)
 
 
 def _run(
     command: Command, *, campaigns: tuple[Path, ...], machine: opt.MachineOption, out: Path | None,
-    fit_tcp: tuple[Path, ...], quiet: bool, as_json: bool,
-    settings: Mapping[str, Any] | None = None, **options: Any,
+    fit_tcp: tuple[Path, ...], quiet: bool, as_json: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Run a request, write its folder if there is one, and print the result."""
     if not campaigns and not fit_tcp:
@@ -205,9 +203,9 @@ def _run(
 
         robot = machine.load()
         tcp_points = (read_tcp(path, robot.spec) for path in fit_tcp)
-        request = build_request((*campaigns, *tcp_points), robot, **options)
         name = printable_path(machine.effects_file.name) if machine.effects_file else ""
-        result = run(replace(request, command=command, effects_file=name, **settings or {}), step)
+        options |= {"command": command, "effects_file": name}
+        result = run(build_request((*campaigns, *tcp_points), robot, **options), step)
         files = {} if out is None else report_files(result, step)
         answer = _answer(result, machine, out, quiet)
         if as_json:
@@ -267,11 +265,7 @@ def check(
         changes = compare(pair.old, pair.new, pair.machine, noise=noise, seed=seed, progress=step)
         files = {} if out is None else check_files(changes, step)
         answer = changes.line if quiet else wrapped(changes_text(changes))
-    if states[0].resolve() == states[1].resolve():
-        name = click.format_filename(states[0])
-        warn((f"OLD and NEW are the same file, {name}: nothing can have changed",))
-    else:
-        warn(copied_files((*pair.old, *pair.new)))
+    warn(copied_files((*pair.old, *pair.new)))
     if out is not None and not quiet:
         answer += f"\n\n{_report_line(out, 'check.html')}"
     deliver(answer, files, out)
@@ -297,7 +291,7 @@ def rerun(result: Path, effects_file: Path | None, out: Path | None, quiet: bool
         from orthoglide.files import result_file
         from orthoglide.report import report_files, result_text
         from orthoglide.result import read_result, request_of
-        from orthoglide.result.loading import EDITED_FILE_ERRORS, edited_file_error, version_text
+        from orthoglide.result.request import EDITED_FILE_ERRORS, edited_file_error, version_text
         from orthoglide.verdict import run
 
         file = result_file(result, "result.json")

@@ -114,8 +114,8 @@ def score_rows(result: Result) -> list[ScoreRow]:
     tcp_errors = result.tcp or {}
     for alignment, words in _ALIGNMENTS.items() if tcp_errors else ():
         errors = tcp_errors[alignment]
-        pairs = zip(errors.nominal, errors.before, errors.after, strict=True)
-        means, largest = map(millimetres, pairs)
+        means = millimetres([errors.nominal_mean, errors.before_mean, errors.after_mean])
+        largest = millimetres([errors.nominal_max, errors.before_max, errors.after_max])
         cells = [f"{mean} / {top}" for mean, top in zip(means, largest, strict=True)]
         rows.append(ScoreRow(f"TCP, mean / largest, {words}, mm", *cells))
     rows += [

@@ -37,7 +37,6 @@ from orthoglide.result.fits import (
     Fit as Fit,
     HoldOut as HoldOut,
     Identified as Identified,
-    InstrumentNoise as InstrumentNoise,
     LackOfFit as LackOfFit,
     Noise as Noise,
     Scores as Scores,
@@ -46,8 +45,12 @@ from orthoglide.result.fits import (
     TcpErrors as TcpErrors,
     WeakDirection as WeakDirection,
 )
-from orthoglide.result.loading import read_result as read_result, request_of as request_of
-from orthoglide.result.request import Command as Command, Request as Request
+from orthoglide.result.request import (
+    Command as Command,
+    Request as Request,
+    read_result as read_result,
+    request_of as request_of,
+)
 from orthoglide.result.result import (
     Judged as Judged,
     Result as Result,

@@ -23,7 +23,6 @@ from orthoglide.layout import LegNames
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.numerals import ByUnit
-from orthoglide.result.request import Request
 from orthoglide.text import abbreviated
 
 DIGITS = 10
@@ -32,7 +31,7 @@ DIGITS = 10
 SHORT_DIGITS = 6
 """Significant digits of probabilities and of estimates from random draws."""
 
-CONTEXT_TYPES = (Catalogue, Geometry, LegNames, Machine, Request)
+CONTEXT_TYPES = (Catalogue, Geometry, LegNames, Machine)
 """Types with one instance for the whole result: `encoded` leaves out fields of these types, and
 `decoded` fills them from the instances that it is given."""
 
@@ -159,7 +158,8 @@ def decoded(hint: Any, data: Any, shared: Mapping[type, Any], key: Key = Key()) 
     Args:
         hint: the type.
         data: as `encoded` returned it.
-        shared: the instance of each type in ``CONTEXT_TYPES``.
+        shared: the instance of each type in ``CONTEXT_TYPES``, and of others that the file leaves
+            out.
         key: how numbers are written in the file.
 
     Raises:
@@ -195,7 +195,8 @@ def decoded(hint: Any, data: Any, shared: Mapping[type, Any], key: Key = Key()) 
         _checked(data, isinstance(data, dict), "object")
         return {name: decoded(inner[1], item, shared, key) for name, item in data.items()}
     if is_dataclass(hint):
-        return _decoded_fields(hint, data, shared)
+        cls: Any = hint
+        return cls(**decoded_fields(hint, data, shared))
     raise TypeError(f"no {hint} from JSON")
 
 
@@ -205,13 +206,16 @@ def _checked(data: Any, is_valid: bool, expected: str) -> Any:
     return data
 
 
-def _decoded_fields(cls: Any, data: Any, shared: Mapping[type, Any]) -> Any:
+def decoded_fields(cls: Any, data: Any, shared: Mapping[type, Any]) -> dict[str, Any]:
+    """Return the fields of a dataclass by name, without those that have their default; arguments
+    and errors as for `decoded`.
+    """
     values: dict[str, Any] = {}
     for field in fields(cls):
         hint, key = _field_keys(cls)[field.name]
         name_in_file = key.key(field.name)
         if not key.in_file:
-            values |= {field.name: shared[hint]} if hint in CONTEXT_TYPES else {}
+            values |= {field.name: shared[hint]} if hint in shared else {}
         elif hint is ByUnit:
             parts = (data.get(f"{name_in_file}_{unit}") for unit in ("mm", "mrad"))
             values[field.name] = ByUnit(*(math.nan if v is None else v * _MM for v in parts))
@@ -221,4 +225,4 @@ def _decoded_fields(cls: Any, data: Any, shared: Mapping[type, Any]) -> Any:
             values[field.name] = math.nan
         elif name_in_file in data or field.default is field.default_factory is MISSING:
             values[field.name] = decoded(hint, data[name_in_file], shared, key)
-    return cls(**values)
+    return values

@@ -1,43 +1,65 @@
-"""``Request``: a command with its campaigns, machine and options, as typed values."""
+"""``Request``: a command with its campaigns, machine and options, and its keys in ``result.json``.
+
+What is read is checked, as the file may have been edited.
+"""
 
 from __future__ import annotations
 
+import itertools
+import json
 import shlex
-from base64 import b64encode
-from dataclasses import dataclass
+from base64 import b64decode, b64encode
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
-from typing import Any, Literal, get_args
+from pathlib import Path, PurePath
+from typing import Annotated, Any, Literal, get_args
 
-from orthoglide.effects import CATALOGUE
-from orthoglide.errors import check_integer
-from orthoglide.files import sha256
+from orthoglide.effects import CATALOGUE, Effect
+from orthoglide.errors import FileError, check_integer
+from orthoglide.files import decode, read_bytes, sha256
 from orthoglide.instruments import Frame
 from orthoglide.machine import Machine
-from orthoglide.machine_file import MachineFile, machine_text
-from orthoglide.machine_file.posterior import posterior_bytes
-from orthoglide.observations import Readings, Setup, campaign_rows, csv_text
-from orthoglide.text import MACHINE_OPTION
+from orthoglide.machine_file import MachineFile, machine_text, parse_machine_file
+from orthoglide.machine_file.posterior import parse_posterior, posterior_bytes
+from orthoglide.observations import Readings, Setup, campaign_rows, csv_text, readings_from_rows
+from orthoglide.result.codec import Key, decoded, decoded_fields, encoded
+from orthoglide.text import MACHINE_OPTION, abbreviated, unprintable_problem
 from orthoglide.urdf import urdf_digests
 
 Command = Literal["identify", "close-loop", "diagnose", "demo"]
 COMMANDS: tuple[Command, ...] = get_args(Command)
 """Whose results can be run again."""
 
+SCHEMAS = (1, 2)
+"""Schemas of results that can be run again."""
+
+EDITED_FILE_ERRORS = (FileError, KeyError, TypeError, ValueError, AttributeError, OverflowError)
+"""Errors that the values of an edited ``result.json`` raise."""
+
+_LAST_LINE = 1_000_000
+_LONGEST_NAME = 255  # bytes
+_NOT_AN_ARGUMENT = Key(in_file=False)
+
 
 @dataclass(frozen=True)
 class Request:
-    """All that influences the numbers of a run."""
+    """All that influences the numbers of a run; its options are ``arguments`` in the file."""
 
-    command: Command  # of the command line
-    given: tuple[Readings, ...]  # all readings that are fitted: of legs, then of the tool
+    command: Annotated[Command, _NOT_AN_ARGUMENT]  # of the command line
+    # all readings that are fitted: of legs, then of the tool
+    given: Annotated[tuple[Readings, ...], _NOT_AN_ARGUMENT]
     machine: Machine  # machine before calibration
     own: tuple[str, ...] = ()  # effects or parameters that are specific to each campaign
     # standard deviation of one reading, metres; `None`: from files or repeats
-    noise: float | None = None
-    seed: int = 0  # seed of every random draw
-    holdout: tuple[Readings, ...] = ()  # readings that judge the finished result
-    tcp: Readings | None = None  # points that judge the finished result
+    noise: Annotated[float | None, Key(suffix="_mm", si=1e-3, places=12)] = None
+    seed: Annotated[int, _NOT_AN_ARGUMENT] = 0  # seed of every random draw
+    # readings that judge the finished result
+    holdout: Annotated[tuple[Readings, ...], _NOT_AN_ARGUMENT] = ()
+    tcp: Annotated[Readings | None, _NOT_AN_ARGUMENT] = (
+        None  # points that judge the finished result
+    )
     free: tuple[str, ...] = CATALOGUE.base  # effects or parameters that `identify` frees
     priors: bool = True  # whether tolerances act as priors in `identify`
     reduced: bool = False  # whether the analytic reduction identifies
@@ -76,14 +98,8 @@ class Request:
             "fit_tcp": [name_of(p) for p in self.points if p.by_point],
             "holdout": next((name_of(readings) for readings in self.holdout), None),
             "tcp": None if self.tcp is None else name_of(self.tcp),
-            "own": list(self.own),
             "machine": Path(self.machine.spec.file).name or None,
-            "noise_mm": None if self.noise is None else round(self.noise * 1e3, 12),
-            "effects_file": self.effects_file,
-            "frame": self.frame,
-            "free": list(self.free),
-            "priors": self.priors,
-            "reduced": self.reduced,
+            **encoded(self),
         }
 
     @property
@@ -112,7 +128,7 @@ class Request:
         roles = [(r, "fit_tcp" if r.by_point else "campaign") for r in self.given]
         roles += [(r, "holdout") for r in self.holdout]
         roles += [] if self.tcp is None else [(self.tcp, "tcp")]
-        return [_input(readings, role, self.machine.spec) for readings, role in roles]
+        return [_Input.of(readings, role, self.machine.spec).as_dict() for readings, role in roles]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the keys of ``result.json`` from which it can be run again."""
@@ -149,21 +165,166 @@ def name_of(readings: Readings) -> str:
     return f"{plain or 'readings'}.csv"
 
 
-def _input(readings: Readings, role: str, machine: MachineFile) -> dict[str, Any]:
-    """Return a file of readings for ``result.json``."""
-    rows = campaign_rows(readings, machine if readings.of_tool else None)
-    entry: dict[str, Any] = {
-        "file": name_of(readings),
-        "sha256": readings.sha256 or sha256(csv_text(rows).encode()),
-    }
-    if role != "campaign":
-        entry["role"] = role
-    if readings.name != Path(entry["file"]).stem and not readings.by_point:  # a part of its file
-        entry["name"] = readings.name
-    if readings.by_point:
-        lines = readings.points().line.tolist()
+@dataclass(frozen=True)
+class _Input:
+    """A file of readings."""
+
+    file: str  # its name
+    sha256: str
+    rows: tuple[Mapping[str, str], ...]  # cells by column
+    role: Literal["campaign", "fit_tcp", "holdout", "tcp"] = "campaign"
+    name: str | None = None  # of the readings, if it is not that of the file
+    lines: tuple[int, ...] = ()  # lines of the rows in the file, if they are not consecutive
+
+    def __post_init__(self) -> None:
+        _check_name(self.file)
+        ordered = all(a < b for a, b in itertools.pairwise((1, *self.lines, _LAST_LINE)))
+        complete = self.rows and all(self.rows) and len(self.lines) in (0, len(self.rows))
+        if not (complete and ordered):
+            raise ValueError(f"{self.file} has no rows, or lines that are not those of its rows")
+
+    @classmethod
+    def of(cls, readings: Readings, role: Any, machine: MachineFile) -> _Input:
+        """Return the file of readings."""
+        rows = tuple(campaign_rows(readings, machine if readings.of_tool else None))
+        file = name_of(readings)
+        is_part = readings.name != Path(file).stem and not readings.by_point
+        if readings.by_point:
+            lines = readings.points().line.tolist()
+        else:
+            lines = sorted([*readings.line.tolist(), *readings.moves.line.tolist()])
+        digest = readings.sha256 or sha256(csv_text(rows).encode())
+        consecutive = lines == list(range(2, len(rows) + 2))
+        return cls(
+            file, digest, rows, role, readings.name if is_part else None,
+            () if consecutive else tuple(lines),
+        )  # fmt: skip
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry in ``result.json``, without what has its usual value."""
+        usual: dict[str, Any] = {"role": "campaign", "name": None, "lines": []}
+        return {k: v for k, v in encoded(self).items() if k not in usual or v != usual[k]}
+
+    def readings(self, machine: Machine) -> tuple[Readings, ...]:
+        """Return the readings, of one or several kinds."""
+        origin: dict[str, Any] = {"file": self.file, "lines": self.lines, "sha256": self.sha256}
+        name = Path(self.file).stem if self.name is None else self.name
+        return readings_from_rows(self.rows, machine.spec, name=name, **origin)
+
+
+# -- reading --------------------------------------------------------------------------------------
+
+
+def edited_file_error(error: Exception, file: str) -> FileError:
+    """Return the error for an edited file, from one of ``EDITED_FILE_ERRORS``."""
+    if isinstance(error, FileError) and error.file == file:
+        return error
+    reason = f"it has no key {error}" if isinstance(error, KeyError) else str(error)
+    return FileError(f"is not as it was written ({reason}): take the original", file=file)
+
+
+def read_result(path: Path) -> dict[str, Any]:
+    """Return the keys of a ``result.json`` that can be run again.
+
+    Raises:
+        FileError: if the file is not such a result.
+    """
+    text, line = decode(read_bytes(path), path), None
+    try:
+        keys = json.loads(text)
+    except json.JSONDecodeError as error:
+        problem, line = f"is not JSON ({error.msg}): give the result.json of a run", error.lineno
+    except (ValueError, RecursionError):  # a number with thousands of digits, or as many brackets
+        problem = "is no result: give the result.json of a run"
     else:
-        lines = sorted([*readings.line.tolist(), *readings.moves.line.tolist()])
-    if lines != list(range(2, len(rows) + 2)):
-        entry["lines"] = lines
-    return entry | {"rows": rows}
+        problem = unprintable_problem(keys) or _result_problem(keys)
+    if problem:
+        raise FileError(problem, file=path, line=line)
+    return dict(keys)
+
+
+def _result_problem(keys: Any) -> str:
+    """Return why keys are not those of a result that can be run again; empty if they are."""
+    needed = ("schema", "version", "command", "arguments", "seed", "inputs", "machine")
+    missing = [n for n in needed if not isinstance(keys, dict) or n not in keys]
+    if missing:
+        return f"has no {missing[0]!r}: give the result.json of a run as it was written"
+    if keys["schema"] in SCHEMAS and keys["command"] in COMMANDS:
+        return ""
+    schema, command = (abbreviated(str(keys[name])) for name in ("schema", "command"))
+    return (
+        f"is of schema {schema}, command {command!r}: this version runs schema "
+        f"{' and '.join(map(str, SCHEMAS))} of {', '.join(COMMANDS)} again"
+    )
+
+
+def version_text(keys: Mapping[str, Any]) -> str:
+    """Return the version of the program that wrote a ``result.json`` with these keys."""
+    version, schema = (abbreviated(str(keys[name])) for name in ("version", "schema"))
+    return f"version {version} (schema {schema})"
+
+
+def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] = ()) -> Request:
+    """Return the request of a run from its ``result.json``.
+
+    Args:
+        result: keys of the file.
+        file: its name, for messages.
+        effects: the user's own effects, if the run had any.
+
+    Raises:
+        FileError: if a part of it was edited.
+    """
+    try:
+        arguments, seed, machine = result["arguments"], result["seed"], result["machine"]
+        inputs = decoded(tuple[_Input, ...], result["inputs"], {})
+        decoded(str | None, arguments["machine"], {})
+        options = decoded_fields(Request, arguments, {})
+        if (noise := options.get("noise")) is not None and not noise > 0:
+            raise ValueError(f"noise_mm is {noise * 1e3:g}")
+        # `identify` draws nothing, and accepts any seed.
+        if type(seed) is not int or (seed < 0 and result["command"] != "identify"):
+            raise ValueError("seed is no number that counts")
+        if source := options.get("effects_file") if not effects else "":
+            message = f"had effects from {source}: give them too (--effects-file, effects=)"
+            raise FileError(message, file=file)
+        machine = machine_of(machine, effects)
+        readings = defaultdict[str, list[Readings]](list)
+        for entry in inputs:
+            readings[entry.role] += entry.readings(machine)
+        if not readings["campaign"] and not readings["fit_tcp"]:
+            raise ValueError("inputs has no campaign")
+        return Request(
+            command=result["command"],
+            given=(*readings["campaign"], *readings["fit_tcp"]),
+            machine=machine,
+            seed=seed,
+            holdout=tuple(readings["holdout"]),
+            tcp=next(iter(readings["tcp"]), None),
+            **options,
+        )
+    except EDITED_FILE_ERRORS as error:
+        raise edited_file_error(error, file) from None
+
+
+def machine_of(keys: Mapping[str, Any], effects: Sequence[Effect] = ()) -> Machine:
+    """Return a machine from its keys in ``result.json``.
+
+    Raises:
+        FileError, KeyError, TypeError, ValueError: if they were edited.
+    """
+    name, digest, toml, npz = (
+        decoded(str | None, keys.get(key), {}) or "" for key in ("file", "sha256", "toml", "npz")
+    )
+    if name:
+        _check_name(name)
+    spec, posterior = parse_machine_file(toml, name, CATALOGUE.with_effects(effects)), None
+    if npz:
+        posterior = parse_posterior(b64decode(npz, validate=True), digest, name)
+    return Machine(replace(spec, file=name, sha256=digest, posterior=posterior))
+
+
+def _check_name(name: str) -> None:
+    plain = name not in ("", "..") and name == PurePath(name).name and "\0" not in name
+    if not plain or len(name.encode("utf-8", "replace")) > _LONGEST_NAME:
+        raise ValueError(f"{name[:40]!r} is no name of a file")

@@ -42,15 +42,16 @@ from orthoglide.result.fits import (
     Verification,
     WeakDirection,
 )
-from orthoglide.result.loading import (
+from orthoglide.result.request import (
     EDITED_FILE_ERRORS,
+    Request,
     edited_file_error,
     machine_of,
     read_result,
     request_of,
+    stored_machine,
     version_text,
 )
-from orthoglide.result.request import Request, stored_machine
 
 SCHEMA = 2
 
@@ -161,7 +162,7 @@ class Result(Judged, Framed):
             those more probable than not.
     """
 
-    request: Request
+    request: Annotated[Request, Key(in_file=False)]
     machine: Machine
     word: Annotated[Word, Key("verdict")]
     noise: Annotated[Noise, Key(inline=True)]
