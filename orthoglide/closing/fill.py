@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import fields, replace
 from typing import Any, Literal, TypeVar
 
@@ -16,7 +16,6 @@ from orthoglide.effects.wording import cause_short
 from orthoglide.errors import NumericsError
 from orthoglide.explanation import FullPosterior
 from orthoglide.explanation.change import Change
-from orthoglide.explanation.data_faults import ReportedFault
 from orthoglide.explanation.free_form import only_surface_readings
 from orthoglide.fit import CrossCheck, Estimate, solve
 from orthoglide.fit.assembling import with_free
@@ -25,7 +24,7 @@ from orthoglide.fit.noise_notes import noise_scales
 from orthoglide.fit.reading_tables import fitted_readings, row_indices
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
-from orthoglide.observations import Readings, campaign_rows, source
+from orthoglide.observations import campaign_rows, source
 from orthoglide.parameters import Parameter
 from orthoglide.planning import INSTRUMENT_WORDS, Suggestion
 from orthoglide.progress import Progress, Step, no_progress
@@ -84,7 +83,7 @@ def _result_values(outcome: RunOutcome) -> Result:
         rms_of_all=outcome.first_fit.scores.rms,
         effects=tuple(map(_with_drawn_signatures, outcome.effects)),
         alone=tuple(replace(one, shown=np.zeros(0)) for one in outcome.alone),
-        blunders=_data_faults(outcome),
+        blunders=tuple(_data_faults(outcome)),
         changed=tuple(_change_value(c, id(c) not in uncovered) for c in outcome.changed),
         weak=after.weak,
         check=base.check and _above_rounding(base.check),
@@ -107,13 +106,20 @@ def _result_values(outcome: RunOutcome) -> Result:
     )
 
 
-def _data_faults(outcome: RunOutcome) -> tuple[DataFault, ...]:
-    """Return the data faults, with their rows within the readings of the request."""
+def _data_faults(outcome: RunOutcome) -> Iterator[DataFault]:
+    """Yield the data faults, with their rows within the readings of the request."""
     tables = [factor.readings for factor in outcome.first_fit.problem.factors]
     pairs = zip(tables, outcome.request.given, strict=True)
-    rows = [row_indices(part, whole) for part, whole in pairs]
-    faults = outcome.blunders
-    return tuple(_data_fault_value(f, tables, lambda k, r: int(rows[k][r])) for f in faults)
+    request_rows = [row_indices(part, whole) for part, whole in pairs]
+    for fault in outcome.blunders:
+        lines = fault.lines(tables)
+        yield _value_of(
+            DataFault,
+            fault,
+            rows=tuple(line for rows in lines.values() for line in rows),
+            files={name.rpartition("/")[2]: rows for name, rows in lines.items()},
+            rows_in_request=tuple((k, int(request_rows[k][r])) for k, r in fault.rows),
+        )
 
 
 def _above_rounding(check: CrossCheck) -> CrossCheck:
@@ -180,17 +186,17 @@ def _proposal(suggestion: Suggestion) -> Proposal:
 
 def _unseen(outcome: RunOutcome) -> tuple[Unseen, tuple[str, ...]]:
     """Return what the readings cannot detect, and the names of all parameters concerned."""
-    hidden = () if outcome.posterior is None else outcome.posterior.invisible
-    excited = {e.name for e in excited_effects(outcome.after.problem)} | {*outcome.catalogue.base}
+    problem, posterior = outcome.after.problem, outcome.posterior
+    excited = {e.name for e in excited_effects(problem)} | {*outcome.catalogue.base}
     unexcited = tuple(name for name in outcome.request.machine.catalogue if name not in excited)
-    unvaried = _unvaried_conditions(outcome, unexcited)
-    unseen = Unseen(
-        effects=_undetected_effects(outcome, hidden),
-        unvaried=unvaried,
-        one_sided=_one_sided_reason(outcome, unvaried),
-        unexcited=unexcited,
-    )
-    return unseen, tuple(map(str, (*hidden, *outcome.catalogue.expand(list(unvaried)))))
+    hidden, unvaried = tuple[Parameter, ...](), dict[str, tuple[str, ...]]()
+    if posterior is not None:
+        hidden, effects = posterior.invisible, problem.machine.catalogue.effects
+        considered = (e for e in effects if not (e.of_dial or e.instead_of))
+        unvaried = {e.name: unmet_conditions(problem, e) for e in considered if e.name in unexcited}
+    undetected, reason = _undetected_effects(outcome, hidden), _one_sided_reason(outcome, unvaried)
+    names = tuple(map(str, (*hidden, *outcome.catalogue.expand(list(unvaried)))))
+    return Unseen(undetected, unvaried, reason, unexcited), names
 
 
 def _undetected_effects(
@@ -210,18 +216,6 @@ def _undetected_effects(
 
     catalogue = outcome.catalogue
     return tuple((cause_short(catalogue, e), parameters_concerned(e)) for e in hidden_counts)
-
-
-def _unvaried_conditions(
-    outcome: RunOutcome, unexcited: tuple[str, ...]
-) -> dict[str, tuple[str, ...]]:
-    """Return the machine's effects for which the readings vary no condition, as
-    `Unseen.unvaried`.
-    """
-    problem = outcome.after.problem
-    effects = () if outcome.posterior is None else problem.machine.catalogue.effects
-    considered = (e for e in effects if not (e.of_dial or e.instead_of) and e.name in unexcited)
-    return {effect.name: unmet_conditions(problem, effect) for effect in considered}
 
 
 def _one_sided_reason(
@@ -261,27 +255,6 @@ def _with_drawn_signatures(cause: Cause) -> Cause:
         for members in (cause.rivals, cause.same)
     )
     return replace(cause, rivals=rivals, same=same)
-
-
-def _data_fault_value(
-    fault: ReportedFault, readings: Sequence[Readings], request_row: Callable[[int, int], int]
-) -> fits.DataFault:
-    """Return the value of a data fault.
-
-    Args:
-        fault: the data fault.
-        readings: readings in which it was found.
-        request_row: returns the row within the readings of the request, from the number of the
-            readings and the row within ``readings``.
-    """
-    lines = fault.lines(readings)
-    return _value_of(
-        fits.DataFault,
-        fault,
-        rows=tuple(line for rows in lines.values() for line in rows),
-        files={name.rpartition("/")[2]: rows for name, rows in lines.items()},
-        rows_in_request=tuple((k, request_row(k, r)) for k, r in fault.rows),
-    )
 
 
 def _change_value(change: Change, covered: bool) -> fits.Change:
