@@ -34,60 +34,42 @@ MARK_KEY = "numbers"
 
 @dataclass(frozen=True)
 class Corrections:
-    """New numbers of a firmware beside the old ones.
+    """New numbers of a firmware beside the old ones."""
 
-    Attributes:
-        rows: key, old and new value of every number, as the file has them.
-        left: residuals of the readings by the firmware's equations: name, old, new, millimetres.
-        height: residuals of heights over the plate with the old and new numbers, metres, rms.
-        keep: why the old numbers are to be kept, a clause; empty if the new ones are better.
-        words: what the new numbers change, a clause.
-        where: how to enter the numbers in the file, and what to do after that.
-        file: name of the firmware's file.
-        paste: lines of the firmware's file with the new numbers.
-        undo: lines of the firmware's file with the old numbers.
-        kept: record of the new numbers in the file of a calibrated machine; a result has it in
-            `Section.facts`.
-        old: old numbers as an object of the add-on; ``None`` in a result that was loaded.
-        new: new numbers as an object of the add-on; ``None`` in a result that was loaded.
-    """
-
+    # key, old and new value of every number, as the file has them
     rows: Sequence[tuple[str, str, str]]
+    # residuals of the readings by the firmware's equations: name, old, new, millimetres
     left: Sequence[tuple[str, str, str]]
+    # residuals of heights over the plate with the old and new numbers, metres, rms
     height: tuple[float, float]
-    keep: str
-    words: str
-    where: str
-    file: str
-    paste: tuple[str, ...]
-    undo: tuple[str, ...]
+    keep: str  # why the old numbers are to be kept, a clause; empty if the new ones are better
+    words: str  # what the new numbers change, a clause
+    where: str  # how to enter the numbers in the file, and what to do after that
+    file: str  # name of the firmware's file
+    paste: tuple[str, ...]  # lines of the firmware's file with the new numbers
+    undo: tuple[str, ...]  # lines of the firmware's file with the old numbers
+    # record of the new numbers in the file of a calibrated machine; a result has it in
+    # `Section.facts`
     kept: Mapping[str, Any] = field(default_factory=dict, metadata={"in_file": False})
+    # old numbers as an object of the add-on; ``None`` in a result that was loaded
     old: Any = field(default=None, metadata={"in_file": False})
+    # new numbers as an object of the add-on; ``None`` in a result that was loaded
     new: Any = field(default=None, metadata={"in_file": False})
 
 
 @dataclass(frozen=True)
 class Section:
-    """Remarks of a firmware's add-on on a result.
+    """Remarks of a firmware's add-on on a result."""
 
-    Attributes:
-        first: warnings to read first; empty without any.
-        again: sentence that the firmware's own calibration has to be run before any number is
-            entered; empty if it has not.
-        corrections: old and new numbers; ``None`` if the readings give none.
-        touch: what to measure for new numbers, a sentence without its full stop.
-        holds: numbers that the firmware has, a phrase.
-        beyond: causes that no number can describe, each with what to do about it.
-        facts: the same facts for JSON.
-    """
-
-    first: str
+    first: str  # warnings to read first; empty without any
+    # sentence that the firmware's own calibration has to be run before any number is entered; empty
+    # if it has not
     again: str
-    corrections: Corrections | None
-    touch: str
-    holds: str
-    beyond: tuple[str, ...]
-    facts: Mapping[str, Any] = field(metadata={"digits": EXACT_DIGITS})
+    corrections: Corrections | None  # old and new numbers; ``None`` if the readings give none
+    touch: str  # what to measure for new numbers, a sentence without its full stop
+    holds: str  # numbers that the firmware has, a phrase
+    beyond: tuple[str, ...]  # causes that no number can describe, each with what to do about it
+    facts: Mapping[str, Any] = field(metadata={"digits": EXACT_DIGITS})  # the same facts for JSON
 
     def derived(self) -> dict[str, Any]:
         """Return keys of ``result.json`` that are derived from the fields."""

@@ -218,15 +218,12 @@ class Geometry:
         Raises:
             InputError: for an unknown name.
         """
+        ends = [f"{leg}{end}" for leg in LEGS for end in ("min", "max")] if self.dialled else []
+        check_choice("posture", posture, ("zero", *ends))
         if posture == "zero":
             return self.zero
-        if not self.dialled:
-            raise InputError(f"a {self.layout.kind} has no posture {posture!r}, only zero")
-        if posture[1:] not in ("max", "min"):
-            raise InputError(f"there is no posture {posture!r}: zero, or xmax, xmin, ymax ...")
-        axis = posture[0]
-        check_choice("leg or axis", axis, LEGS)
-        return self.command_on_axis(LEGS.index(axis), self.stroke[posture[1:] == "max"])
+        leg, end = divmod(ends.index(posture), 2)
+        return self.command_on_axis(leg, self.stroke[end])
 
     def in_stroke(self, rho: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Return which commands ``rho (..., 3)`` are in the stroke, with ``slack`` metres."""

@@ -69,19 +69,13 @@ UNIT_MISTAKES = {
 
 @dataclass(frozen=True)
 class Kind:
-    """Kind of a value in a file.
+    """Kind of a value in a file."""
 
-    Attributes:
-        read: converts a value of the file to SI, or raises ValueError with the remedy.
-        write: converts a value in SI to that of the file.
-        unit: in the file; empty for none.
-        choices: the allowed words of a column of words.
-    """
-
+    # converts a value of the file to SI, or raises ValueError with the remedy
     read: Callable[[Any], Any]
-    write: Callable[[Any], Any] = lambda value: value
-    unit: str = ""
-    choices: tuple[str, ...] = ()
+    write: Callable[[Any], Any] = lambda value: value  # converts a value in SI to that of the file
+    unit: str = ""  # in the file; empty for none
+    choices: tuple[str, ...] = ()  # the allowed words of a column of words
 
 
 def to_si(number: str | int | float | Decimal, factor: float = 1.0) -> float:

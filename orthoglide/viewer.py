@@ -39,19 +39,13 @@ _CONTENT_SECURITY_POLICY = (
 
 @dataclass(frozen=True, eq=False)
 class MagnifiedMachine:
-    """A machine with its errors magnified.
+    """A machine with its errors magnified."""
 
-    Attributes:
-        model: model of the machine.
-        values: its parameters, SI.
-        conditions: conditions besides the command, as for :meth:`orthoglide.Machine.pose`.
-        factor: factor of the displacements of virtual joints.
-    """
-
-    model: Model
-    values: Mapping[str, float]
+    model: Model  # model of the machine
+    values: Mapping[str, float]  # its parameters, SI
+    # conditions besides the command, as for :meth:`orthoglide.Machine.pose`
     conditions: Mapping[str, ArrayLike]
-    factor: float
+    factor: float  # factor of the displacements of virtual joints
 
     def displacements(self, rho: Array) -> Array:
         """Return displacements of the virtual joints ``(3, 10)`` at a command ``(3,)``."""

@@ -356,14 +356,12 @@ def _deliver_import(
         files[f"{campaign.name}.csv"] = campaign_text(campaign, imported.machine)
         setups_text = ", ".join(f"{setup.name} ({setup.kind})" for setup in campaign.setups)
         lines.append(f"{campaign.name}.csv: {len(campaign)} readings: {setups_text}")
-    excluded = [f"{c.name}.csv" for c in imported.campaigns if c.name not in imported.together]
+    excluded = [c.name for c in imported.campaigns if c.name not in imported.together]
     if not excluded:
         lines.append(f"\nNext: {command('*')}")
-    elif imported.together:
-        lines.append(f"\nNext, without {', '.join(excluded)}: probe again, or for now")
-        lines.append(command(*imported.together))
     else:
-        lines.append("\nThese files must not go together. Next, probe again, or take one alone:")
-        lines += [command(campaign.name) for campaign in imported.campaigns]
+        runs = [imported.together] if imported.together else [(name,) for name in excluded]
+        lines.append("\nNext, probe again, as these files must not all go together; or for now")
+        lines += [command(*names) for names in runs]
     deliver("\n".join(lines), files, out)
     warn(imported.notes)

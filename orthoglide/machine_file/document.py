@@ -127,21 +127,13 @@ def _split_dotted_key(dotted: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Key:
-    """One key of a section.
+    """One key of a section."""
 
-    Attributes:
-        name: in the file, with its unit unless the section's name contains it.
-        kind: type, unit and range of its value.
-        meaning: sentences for the documentation.
-        required: whether a file must have it.
-        attribute: name of the attribute in Python; if empty, the key without ``_mm``; None if there
-            is none.
-    """
-
-    name: str
-    kind: Kind
-    meaning: str
-    required: bool = False
+    name: str  # in the file, with its unit unless the section's name contains it
+    kind: Kind  # type, unit and range of its value
+    meaning: str  # sentences for the documentation
+    required: bool = False  # whether a file must have it
+    # name of the attribute in Python; if empty, the key without ``_mm``; None if there is none
     attribute: str | None = ""
 
     @property
@@ -152,19 +144,12 @@ class Key:
 
 @dataclass(frozen=True)
 class Section:
-    """A table of a file.
+    """A table of a file."""
 
-    Attributes:
-        name: in the file; empty for the keys outside any table.
-        record_class: the class whose attributes hold its values.
-        keys: in the order of writing.
-        tables: names of the tables within it.
-    """
-
-    name: str
-    record_class: type
-    keys: tuple[Key, ...]
-    tables: tuple[str, ...] = ()
+    name: str  # in the file; empty for the keys outside any table
+    record_class: type  # the class whose attributes hold its values
+    keys: tuple[Key, ...]  # in the order of writing
+    tables: tuple[str, ...] = ()  # names of the tables within it
 
     def read(self, document: Document, *path: str) -> dict[str, Any]:
         """Return the values of a table in SI by attribute; the path is the section's name if empty.

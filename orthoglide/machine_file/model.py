@@ -75,15 +75,11 @@ mismatch of the bars is visible (elastic equilibrium of bars of EA/L = 5e7 N/m).
 
 @dataclass(frozen=True)
 class Stiffness:
-    """Elastic constants, if known.
+    """Elastic constants, if known."""
 
-    Attributes:
-        torsion: torsional stiffness of a leg, N m/rad; kept with the file, but not modelled.
-        bar: axial stiffness of a bar, N/m; rigid bars where absent.
-    """
-
+    # torsional stiffness of a leg, N m/rad; kept with the file, but not modelled
     torsion: float | None = None
-    bar: float | None = None
+    bar: float | None = None  # axial stiffness of a bar, N/m; rigid bars where absent
 
     def __post_init__(self) -> None:
         if self.torsion is not None and not 0 <= self.torsion < np.inf:
@@ -154,15 +150,12 @@ Pair = tuple[float, float]
 class Measured:
     """Measured lengths with their standard deviations.
 
-    Attributes:
-        rods: mean length of the bars between their pivots, metres.
-        travel: mean travel of the carriages at a command of `MEASURED_TRAVEL`, metres.
-
     Raises:
         InputError: where a length or a standard deviation is not above 0.
     """
 
-    rods: Pair | None = None
+    rods: Pair | None = None  # mean length of the bars between their pivots, metres
+    # mean travel of the carriages at a command of `MEASURED_TRAVEL`, metres
     travel: Pair | None = None
 
     def __post_init__(self) -> None:
