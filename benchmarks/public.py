@@ -291,13 +291,13 @@ def predicted_rms_mm(
     """Return by how much readings that were not used are off, root mean squares in millimetres: by
     the machine given, by the base model and by the verdict's machine.
     """
-    from orthoglide.closing.judging import hold_out
+    from orthoglide.closing.judging import held_out_rms
 
-    stored = hold_out({}, verdict.values, machine, [other])
-    known = {**machine.values, **verdict.before.values}
-    base = hold_out(known, verdict.values, machine, [other])
-    found = (stored.before.length, base.before.length, base.after.length)
-    return found[0] * 1e3, found[1] * 1e3, found[2] * 1e3
+    base = {**machine.values, **verdict.before.values}
+    stored, before, after = (
+        held_out_rms(values, machine, [other]).length * 1e3 for values in ({}, base, verdict.values)
+    )
+    return stored, before, after
 
 
 def predicted_sd_mm(verdict: og.Verdict, other: og.Readings) -> float:

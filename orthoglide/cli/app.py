@@ -55,15 +55,7 @@ class Command(click.Command):
         words = [*machines, *words]  # in front of a "--", behind which no option is read
         if sum(word.partition("=")[0] == "--machine" for word in words) > 1:
             raise InputError(f"give one machine file to {ctx.info_name}, not several")
-        try:
-            return super().parse_args(ctx, list(words))
-        except click.MissingParameter:
-            if extra := self.make_parser(ctx).parse_args(list(words))[1]:
-                raise InputError(
-                    f"{extra[0]!r} is no machine file, whose name ends in .toml: give one by "
-                    f"itself or with --machine"
-                ) from None
-            raise
+        return super().parse_args(ctx, words)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; an error becomes an exit code and one sentence."""
@@ -100,11 +92,10 @@ def _refusals(ctx: click.Context) -> Iterator[None]:
     """
     try:
         yield
-    except InputError as error:
-        machine_options = getattr(ctx.params.get("machine"), "words", "") or MACHINE_OPTION
-        raise Refusal(str(error).replace(MACHINE_OPTION, machine_options), BAD_INPUT) from error
     except OrthoglideError as error:
-        raise Refusal(str(error), NUMERICS_FAILED) from error
+        machine_options = getattr(ctx.params.get("machine"), "words", "") or MACHINE_OPTION
+        code = BAD_INPUT if isinstance(error, InputError) else NUMERICS_FAILED
+        raise Refusal(str(error).replace(MACHINE_OPTION, machine_options), code) from error
     except (click.ClickException, click.exceptions.Exit, click.Abort):
         raise
     except KeyboardInterrupt:

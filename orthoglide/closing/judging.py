@@ -16,41 +16,28 @@ from orthoglide.numerals import SIGMAS_95, ByUnit, compact, distinct_figures
 from orthoglide.observations import Readings
 from orthoglide.observations.readings import Points
 from orthoglide.prediction import Conditions
-from orthoglide.result import HoldOut, TcpErrors
+from orthoglide.result import TcpErrors
 
 _MAX_ERROR_RATIO = 3.0  # ratio of errors to expected errors from which points fit no machine
 
 
-def hold_out(
-    before: Mapping[str, float],
-    after: Mapping[str, float],
+def held_out_rms(
+    values: Mapping[str, float],
     machine: Machine,
     held: Sequence[Readings],
     per_campaign: Sequence[str] = (),
-) -> HoldOut:
-    """Return the scores of two machines on readings that neither was fitted to.
+) -> ByUnit:
+    """Return the root mean square residual of readings that a machine was not fitted to.
 
     Parameters specific to a campaign, its datums and its placements (of the tool's instruments all
     parameters of a setup) are fitted to the campaign itself, each time without the reading scored.
 
     Args:
-        before: parameters of the base model, SI.
-        after: parameters of the extended model, SI.
+        values: parameters of the machine, SI.
         machine: tolerances and dimensions.
         held: readings held out, of any kinds.
         per_campaign: effects or parameters that are specific to a campaign.
     """
-    return HoldOut(
-        *(_held_out_rms(values, machine, held, per_campaign) for values in (before, after))
-    )
-
-
-def _held_out_rms(
-    values: Mapping[str, float],
-    machine: Machine,
-    held: Sequence[Readings],
-    per_campaign: Sequence[str],
-) -> ByUnit:
     machine_values = machine.catalogue.machine_values(values)
     free = per_campaign or machine.catalogue.base
     problem = assemble(held, machine.with_only(machine_values), free)

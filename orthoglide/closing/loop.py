@@ -7,7 +7,7 @@ from dataclasses import replace
 from itertools import product
 
 from orthoglide.accuracy import tcp_map
-from orthoglide.closing.judging import hold_out, points_contradiction, tcp_errors
+from orthoglide.closing.judging import held_out_rms, points_contradiction, tcp_errors
 from orthoglide.closing.outcome import RunOutcome
 from orthoglide.explanation import (
     CredibleSets,
@@ -34,7 +34,7 @@ from orthoglide.notes import Note
 from orthoglide.observations import Readings
 from orthoglide.observations.repetition import shared_fraction
 from orthoglide.progress import Progress, Step, no_progress
-from orthoglide.result import LackOfFit, Request, Word
+from orthoglide.result import HoldOut, LackOfFit, Request, Word
 from orthoglide.threads import on_one_thread
 
 _MAX_RESIDUAL_SHARE = 0.1  # share of the base model's lack of fit that located errors may leave
@@ -191,23 +191,23 @@ def judge(outcome: RunOutcome) -> RunOutcome:
     """Return an outcome with the scores of the readings and points held out."""
     request, machine = outcome.request, outcome.machine
     before, after = outcome.values_before, outcome.values
-    scores = errors = None
-    if request.holdout:
-        scores = hold_out(before, after, machine, request.holdout, request.own)
+    scores, errors, notes = None, None, list[str]()
+    if held := request.holdout:
+        scores = HoldOut(*(held_out_rms(v, machine, held, request.own) for v in (before, after)))
     if request.tcp is not None:
         stated_sigma = tcp_map(outcome.machine, request.tcp.points().command).sigma
         errors = tcp_errors(machine, request.tcp, before, after, stated_sigma)
-        if text := points_contradiction(errors["translation"], stated_sigma, request.tcp.points()):
-            outcome = _with_warnings(outcome, Note(text, "holdout"))
+        points = request.tcp.points()
+        notes.append(points_contradiction(errors["translation"], stated_sigma, points))
     pairs = product(_validation_readings(request), request.given)
-    share = max((shared_fraction(held, fitted) for held, fitted in pairs), default=0.0)
+    share = max((shared_fraction(*pair) for pair in pairs), default=0.0)
     if share > 0.5:
-        text = (
+        notes.append(
             f"{100 * share:.0f} % of the readings held out were also fitted, so they do not test "
             f"the result; hold out other readings"
         )
-        outcome = _with_warnings(outcome, Note(text, "holdout"))
-    return replace(outcome, hold_out=scores, tcp=errors)
+    judged = replace(outcome, hold_out=scores, tcp=errors)
+    return _with_warnings(judged, *(Note(text, "holdout") for text in notes if text))
 
 
 def _with_warnings(outcome: RunOutcome, *notes: Note) -> RunOutcome:

@@ -11,7 +11,6 @@ from orthoglide.add_ons import Corrections, Section
 from orthoglide.closing.actions import next_measurements
 from orthoglide.closing.picture import picture
 from orthoglide.control import ControllerNumbers, controller_numbers
-from orthoglide.effects import Catalogue
 from orthoglide.explanation import FullPosterior, budget
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.data_faults import ReportedFault
@@ -66,22 +65,11 @@ class RunOutcome(Judged):
     possible: tuple[Explanation, ...] = ()
 
     @property
-    def catalogue(self) -> Catalogue:
-        """Effects of the calibrated machine, located errors included."""
-        machine = self.request.machine if self.posterior is None else self.posterior.machine
-        return machine.catalogue
-
-    @property
     def first_fit(self) -> Estimate:
         """The base fit to all readings, faulty ones included."""
         return self.fit_with_faults or self.before
 
     # --- The calibrated machine -------------------------------------------------------------
-
-    @cached_property
-    def values(self) -> dict[str, float]:
-        """Parameters of the calibrated machine, SI."""
-        return self.machine.values
 
     @cached_property
     def values_before(self) -> dict[str, float]:

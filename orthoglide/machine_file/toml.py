@@ -194,7 +194,7 @@ def write_machine_file(
 ) -> None:
     """Write a machine file that reads back exactly, with its covariance beside it.
 
-    Each file is written completely or not at all; a missing one is reported on reading.
+    The files are written completely, or, where nothing is replaced, none is.
 
     Args:
         machine: what to write.
@@ -212,13 +212,13 @@ def write_machine_file(
     contents = machine_file_contents(machine, str(path))
     covariance_file = posterior_path(target)
     if not overwrite:
-        files.check_new(target)
         files.check_new(covariance_file)  # it would be read as this machine's
     elif machine.posterior is None:
         with files.as_file_errors(covariance_file):
             covariance_file.unlink(missing_ok=True)
-    for name, content in reversed(contents.items()):
-        files.write_file(target.with_name(name), content, overwrite=overwrite)
+    files.write_files(
+        {target.with_name(n): content for n, content in contents.items()}, overwrite=overwrite
+    )
 
 
 def machine_file_contents(machine: MachineFile, path: str) -> dict[str, str | bytes]:

@@ -84,6 +84,18 @@ class Judged:
     effects: tuple[Any, ...]
     located: tuple[Any, ...]
     after: Any
+    machine: Any  # the calibrated `Machine`
+
+    @property
+    def catalogue(self) -> Catalogue:
+        """Effects of the calibrated machine, free-form errors that were found included."""
+        catalogue: Catalogue = self.machine.catalogue
+        return catalogue
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters of the calibrated machine by name, SI."""
+        return dict(self.machine.values)
 
     @property
     def found(self) -> bool:
@@ -281,11 +293,6 @@ class Result(Judged, Framed):
         return f"<{type(self).__name__} {self.word}: {causes}; {self.request.command}>"
 
     @property
-    def catalogue(self) -> Catalogue:
-        """Effects of the calibrated machine, free-form errors that were found included."""
-        return self.machine.catalogue
-
-    @property
     def searches(self) -> bool:
         """Whether the run searched for causes; ``identify`` does not."""
         return self.request.searches
@@ -321,11 +328,6 @@ class Result(Judged, Framed):
         """Whether anything found may be lost motion, which the expected TCP errors exclude."""
         findings = (self.effects, self.located, self.moved)
         return any(finding.loses for group in findings for finding in group)
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Parameters of the calibrated machine by name, SI."""
-        return self.machine.values
 
     @property
     def corrections(self) -> Corrections | None:
