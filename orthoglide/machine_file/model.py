@@ -256,12 +256,12 @@ class MachineFile:
         uncertain = {n: e for n, e in self.parameters.items() if e.sigma > 0}
         mean = np.array([entry.value for entry in uncertain.values()])
         covariance = np.diag(np.square([entry.sigma for entry in uncertain.values()]))
-        place = {name: k for k, name in enumerate(uncertain)}
-        for names, _, measured_covariance in self._measured_priors:
-            places = [place[name] for name in names if name in place]
-            if len(places) == len(names):
+        names = tuple(uncertain)
+        for together, _, measured_covariance in self._measured_priors:
+            if uncertain.keys() >= set(together):
+                places = [names.index(name) for name in together]
                 covariance[np.ix_(places, places)] = measured_covariance
-        return Posterior(tuple(uncertain), mean, covariance)
+        return Posterior(names, mean, covariance)
 
     @property
     def _measured_priors(self) -> list[tuple[tuple[Parameter, ...], float, Array]]:
@@ -276,14 +276,13 @@ class MachineFile:
 
     def with_measured(self) -> MachineFile:
         """Return the machine with the measured dimensions among its parameters."""
-        measured = {
-            str(name): ParameterValue(value, float(np.sqrt(covariance[k, k])), effect.unit.name)
-            for names, value, covariance in self._measured_priors
-            for k, name in enumerate(names)
-            if (effect := self.catalogue.effect_of(name))
-            and (name not in self.parameters or not self.parameters[name].sigma)
-        }
-        return replace(self, parameters={**self.parameters, **measured}) if measured else self
+        parameters = dict(self.parameters)
+        for names, value, covariance in self._measured_priors:
+            for name, sd in zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True):
+                if name not in parameters or not parameters[name].sigma:
+                    unit = self.catalogue.effect_of(name).unit.name
+                    parameters[str(name)] = ParameterValue(value, sd, unit)
+        return replace(self, parameters=parameters)
 
     @property
     def firmware(self) -> str:
