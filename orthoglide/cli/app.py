@@ -55,7 +55,15 @@ class Command(click.Command):
         words = [*machines, *words]  # in front of a "--", behind which no option is read
         if sum(word.partition("=")[0] == "--machine" for word in words) > 1:
             raise InputError(f"give one machine file to {ctx.info_name}, not several")
-        return super().parse_args(ctx, words)
+        try:
+            return super().parse_args(ctx, list(words))
+        except click.MissingParameter:
+            if extra := self.make_parser(ctx).parse_args(list(words))[1]:
+                raise InputError(
+                    f"{extra[0]!r} is no machine file, whose name ends in .toml: give one by "
+                    f"itself or with --machine"
+                ) from None
+            raise
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; an error becomes an exit code and one sentence."""
