@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tests.rig import LEGS, Array, Extra, Rig
 
@@ -206,97 +206,78 @@ def read_csv(path: str | Path) -> list[Row]:
 # -- effects outside the catalogue ---------------------------------------------------------------
 
 
-def _along(leg: int, axis: int, size: Array) -> Array:
-    """Displacement ``(N, 3, 3)`` of one leg along one base axis."""
-    out = np.zeros((len(size), 3, 3))
-    out[:, leg, axis] = size
-    return out
+def _moved(
+    leg: int, axis: int, size: Callable[[Array, Array, Array], ArrayLike], by: int = -1, of: int = 3
+) -> Extra:
+    """Displace one leg along one base axis.
+
+    ``size(travel, approach, time)`` takes the leg's travel and approach ``(N,)``, or those of the
+    drive ``by``. With ``of`` = 2 the axis is a bar, for ``extra_length``.
+    """
+    drive = leg if by < 0 else by
+
+    def effect(travel: Array, approach: Array, time: Array) -> Array:
+        out = np.zeros((len(travel), 3, of))
+        out[:, leg, axis] = size(travel[:, drive], approach[:, drive], time)
+        return out
+
+    return effect
 
 
 def s_curve(leg: int, axis: int, value: float, stroke: tuple[float, float] = (-0.1, 0.06)) -> Extra:
     """A rail bent like an S: value x (u^3 - u), scaled so that value is the largest deviation."""
     middle, half = (stroke[0] + stroke[1]) / 2, (stroke[1] - stroke[0]) / 2
 
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        u = (travel[:, leg] - middle) / half
-        return _along(leg, axis, value * 1.5 * np.sqrt(3) * (u**3 - u))
+    def bend(s: Array, near: Array, time: Array) -> Array:
+        u = (s - middle) / half
+        return np.asarray(value * 1.5 * np.sqrt(3) * (u**3 - u))
 
-    return effect
+    return _moved(leg, axis, bend)
 
 
 def wavy_rail(leg: int, axis: int, value: float, period: float = 0.05) -> Extra:
     """A rail with waves: value x sin(2 pi travel / period), across the path."""
-
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        return _along(leg, axis, value * np.sin(2 * np.pi * travel[:, leg] / period))
-
-    return effect
+    return _moved(leg, axis, lambda s, near, time: value * np.sin(2 * np.pi * s / period))
 
 
 def kinked_rail(leg: int, axis: int, value: float, at: float = -0.02) -> Extra:
     """A rail of two straight pieces that meet at a travel, value the deviation 50 mm from there."""
-
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        return _along(leg, axis, value * np.abs(travel[:, leg] - at) / 0.05)
-
-    return effect
+    return _moved(leg, axis, lambda s, near, time: value * np.abs(s - at) / 0.05)
 
 
 def bump(leg: int, axis: int, value: float, at: float, width: float = 0.008) -> Extra:
     """A bump of a rail or a drive: value x exp(-(travel - at)^2 / (2 width^2)) along an axis."""
-
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        return _along(leg, axis, value * np.exp(-(((travel[:, leg] - at) / width) ** 2) / 2))
-
-    return effect
+    return _moved(leg, axis, lambda s, near, time: value * np.exp(-(((s - at) / width) ** 2) / 2))
 
 
 def drive_wave(leg: int, value: float, period: float, phase: float = 0.0) -> Extra:
     """A drive with waves: value x sin(2 pi travel / period + phase), along its axis."""
-
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        return _along(leg, leg, value * np.sin(2 * np.pi * travel[:, leg] / period + phase))
-
-    return effect
+    return _moved(leg, leg, lambda s, near, time: value * np.sin(2 * np.pi * s / period + phase))
 
 
 def drive_step(leg: int, value: float, at: float = 0.0) -> Extra:
     """A drive that jumps by value along its axis where its travel passes a place."""
-
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        return _along(leg, leg, value * (travel[:, leg] > at))
-
-    return effect
+    return _moved(leg, leg, lambda s, near, time: value * (s > at))
 
 
 def growing_lash(leg: int, value: float, stroke: tuple[float, float] = (-0.1, 0.06)) -> Extra:
     """Lost motion that grows along the travel, from nothing to value."""
-
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        share = (travel[:, leg] - stroke[0]) / (stroke[1] - stroke[0])
-        return _along(leg, leg, -value / 2 * approach[:, leg] * share)
-
-    return effect
+    low, high = stroke
+    return _moved(leg, leg, lambda s, near, time: -value / 2 * near * ((s - low) / (high - low)))
 
 
 def turning_carriage(leg: int, axis: int, value: float, period: float = 0.12) -> Extra:
     """For ``extra_turn``: the carriage turns by value / 0.04 m x sin(2 pi travel / period)."""
-
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        return _along(leg, axis, value / 0.04 * np.sin(2 * np.pi * travel[:, leg] / period))
-
-    return effect
+    return wavy_rail(leg, axis, value / 0.04, period)
 
 
 def loosening_bar(leg: int, bar: int, value: float, begin: float, end: float) -> Extra:
     """For ``extra_length``: a bar grows by value between two times, faster and faster."""
 
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        out = np.zeros((len(travel), 3, 2))
-        out[:, leg, bar] = value * np.clip((time - begin) / (end - begin), 0, 1) ** 2
-        return out
+    def longer(s: Array, near: Array, time: Array) -> Array:
+        return np.asarray(value * np.clip((time - begin) / (end - begin), 0, 1) ** 2)
 
-    return effect
+    return _moved(leg, bar, longer, of=2)
 
 
 def dial_curve(value: float, period: float = 1.0e-3) -> Callable[[Array], Array]:
@@ -328,16 +309,14 @@ def stick_slip(leg: int, value: float, step: float = 0.013) -> Extra:
     Where no approach is known: the mean of both sides.
     """
 
-    def lag(travel: Array, side: float) -> Array:
-        way = side * travel / step
+    def lag(s: Array, side: float) -> Array:
+        way = side * s / step
         return np.asarray(-value * side * (way - np.floor(way)))
 
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        s, near = travel[:, leg], approach[:, leg]
-        up, down = lag(s, 1.0), lag(s, -1.0)
-        return _along(leg, leg, ((1 + near) * up + (1 - near) * down) / 2)
+    def both(s: Array, near: Array, time: Array) -> Array:
+        return ((1 + near) * lag(s, 1.0) + (1 - near) * lag(s, -1.0)) / 2
 
-    return effect
+    return _moved(leg, leg, both)
 
 
 def hysteresis(leg: int, value: float, length: float = 0.03) -> Extra:
@@ -346,91 +325,56 @@ def hysteresis(leg: int, value: float, length: float = 0.03) -> Extra:
     Rows are taken in the order given. Where no approach is known: the middle of the band.
     """
 
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        s, near = travel[:, leg], approach[:, leg]
-        lag = np.zeros(len(s))
-        lag[:1] = -value / 2 * near[:1]
+    def lag(s: Array, near: Array, time: Array) -> Array:
+        goal = -value / 2 * near
+        behind = goal.copy()
         for k in range(1, len(s)):
-            goal = -value / 2 * near[k]
-            lag[k] = goal + (lag[k - 1] - goal) * np.exp(-abs(s[k] - s[k - 1]) / length)
-        return _along(leg, leg, lag)
+            decay = np.exp(-abs(s[k] - s[k - 1]) / length)
+            behind[k] = goal[k] + (behind[k - 1] - goal[k]) * decay
+        return behind
 
-    return effect
+    return _moved(leg, leg, lag)
 
 
 def cross_coupling(leg: int, by: int, value: float) -> Extra:
     """Drive ``leg`` moves along by value x travel of drive ``by``."""
-
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        return _along(leg, leg, value * travel[:, by])
-
-    return effect
+    return _moved(leg, leg, lambda s, near, time: value * s, by)
 
 
 def warming_drive(leg: int, value: float, time_constant: float = 1200.0) -> Extra:
     """One carriage drifts along its axis: value x (1 - exp(-t / time constant))."""
-
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        return _along(leg, leg, value * (1 - np.exp(-time / time_constant)))
-
-    return effect
+    return _moved(leg, leg, lambda s, near, time: value * (1 - np.exp(-time / time_constant)))
 
 
 def warming_drives(value: float, time_constant: float = 1200.0) -> Extra:
     """All carriages drift along their axes alike: value x (1 - exp(-t / time constant))."""
-
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        drift = value * (1 - np.exp(-time / time_constant))
-        return np.sum([_along(leg, leg, drift) for leg in range(3)], axis=0)
-
-    return effect
+    each = [warming_drive(leg, value, time_constant) for leg in range(3)]
+    return lambda *conditions: np.sum([drive(*conditions) for drive in each], axis=0)
 
 
 def jumping_drive(leg: int, value: float, at: float) -> Extra:
     """One carriage stands elsewhere by value from some second on: steps were lost once."""
-
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        return _along(leg, leg, value * (time > at))
-
-    return effect
+    return _moved(leg, leg, lambda s, near, time: value * (time > at))
 
 
 def snapping_bar(leg: int, bar: int, value: float, at: float) -> Extra:
     """For ``extra_length``: a bar is longer by value from some second on."""
-
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        out = np.zeros((len(travel), 3, 2))
-        out[:, leg, bar] = value * (time > at)
-        return out
-
-    return effect
+    return _moved(leg, bar, lambda s, near, time: value * (time > at), of=2)
 
 
 def platform_travel(leg: int, axis: int, value: float, period: float = 0.12) -> Extra:
     """For ``extra_platform``: value x sin(2 pi travel / period)."""
-
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        return _along(leg, axis, value * np.sin(2 * np.pi * travel[:, leg] / period))
-
-    return effect
+    return wavy_rail(leg, axis, value, period)
 
 
 def twisting_carriage(leg: int, axis: int, value: float) -> Extra:
     """For ``extra_turn``: the carriage turns by value / 0.01 m x travel / 0.08 m."""
-
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        return _along(leg, axis, value / 0.01 * travel[:, leg] / 0.08)
-
-    return effect
+    return _moved(leg, axis, lambda s, near, time: value / 0.01 * s / 0.08)
 
 
 def platform_play(leg: int, axis: int, value: float) -> Extra:
     """For ``extra_platform``: the leg's attachment lags half of value behind its axis' moves."""
-
-    def effect(travel: Array, approach: Array, time: Array) -> Array:
-        return _along(leg, axis, -value / 2 * approach[:, leg])
-
-    return effect
+    return _moved(leg, axis, lambda s, near, time: -value / 2 * near)
 
 
 # -- faults of the data --------------------------------------------------------------------------

@@ -30,6 +30,7 @@ from orthoglide.verdict import close_loop
 from tests import rig_campaigns as rc
 from tests.factors import campaign_of
 from tests.rig import Rig
+from tests.studied import studied
 
 PUBLISHED = Path(__file__).parents[1] / "orthoglide" / "data"
 BASE = {"joint_offset.x": 1.2e-3, "joint_offset.y": -0.8e-3, "joint_offset.z": 0.6e-3}
@@ -217,7 +218,7 @@ def test_a_command_that_is_wrong_by_little_leads_the_set(machine):
     """By 1 mm on a sheet of three postures: an error by travel holds one per cent beside it."""
     rows = rows_of("standard", seed=2)
     spoilt, touched = rc.wrong_command(rows, posture_of(rows, "y", "max"), 0, 1.0)
-    verdict = close_loop(campaign_of(spoilt, machine), machine)
+    verdict = studied(campaign_of(spoilt, machine), machine)
     (found,) = verdict.located
     command = max(found.data, key=lambda rival: rival.probability)
     assert (command.data, len(command.rows)) == ("command", len(touched))
@@ -239,7 +240,7 @@ def test_who_sets_most_dials_to_zero_anew_does_so_with_all(nominal):
     }  # fmt: skip
     for row in rows:
         row["reading_mm"] += datum.get((row["setup"], row["repeat"]), 0.0)
-    verdict = close_loop(campaign_of(rows, nominal), nominal)
+    verdict = studied(campaign_of(rows, nominal), nominal)
     (blunder,) = verdict.blunders
     assert (blunder.kind, blunder.setups) == ("zeroed", tuple(names))
     told = re.findall(r"([+−][0-9.]+) mm at repeat", blunder.message)
@@ -255,7 +256,7 @@ def test_who_sets_most_dials_to_zero_anew_does_so_with_all(nominal):
 def test_readings_a_row_off(by, errors, machine):
     """They were told of the side that places are come to from, as a place in the machine."""
     rows = rc.shifted_rows(rows_of("sweep", seed=4, **errors), "yz-0.5", by).rows
-    verdict = close_loop([campaign_of(rows, machine)], machine)
+    verdict = studied([campaign_of(rows, machine)], machine)
     (blunder,) = verdict.blunders
     assert (blunder.kind, blunder.setups) == ("shifted", ("yz-0.5",))
     assert f"move them {'up' if by > 0 else 'down'} by one" in blunder.message

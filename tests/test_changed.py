@@ -139,7 +139,7 @@ TRUE = {
 def test_four_changes_since_a_calibration(visits: tuple[og.Campaign, og.Campaign]) -> None:
     """A bar was told to be 0.7 mm longer where a zero had been entered."""
     monday, tuesday = visits
-    again = studied(tuesday, og.close_loop(monday, SHEET).machine)
+    again = studied(tuesday, studied(monday, SHEET).machine)
     assert again.word == "adequate"
     told = {str(c.parameter).replace("rail_tilt", "axis_tilt"): c for c in again.changed}
     assert set(told) == set(TRUE)
@@ -162,7 +162,7 @@ def test_nothing_changed(errors: dict[str, float]) -> None:
 @pytest.mark.thorough
 def test_an_effect_that_each_campaign_has_for_itself() -> None:
     both = [measured({TILT: tilt}, k, f"c{k}") for k, tilt in enumerate((1.5e-3, 0.3e-3))]
-    verdict = og.close_loop(both, SHEET, own=["axis_tilt"])
+    verdict = studied(both, SHEET, own=["axis_tilt"])
     assert [e.name for e in verdict.effects] == ["axis_tilt.y.z"]
     values = verdict.effects[0].chosen.values
     assert values["axis_tilt.y.z@c0"] == pytest.approx(1.5e-3, abs=0.15e-3)
@@ -183,7 +183,7 @@ def test_own_takes_known_effects_and_campaigns() -> None:
 def test_what_changed_is_said_first(tmp_path: Path) -> None:
     from orthoglide.report.sentences import claim_text
 
-    first = og.close_loop(measured(ERRORS, 3, "first"), SHEET)
+    first = studied(measured(ERRORS, 3, "first"), SHEET)
     first.machine.save(tmp_path / "calibrated.toml")
     known = og.Machine.load(tmp_path / "calibrated.toml")
     text = claim_text(og.close_loop(measured({**ERRORS, "backlash.x": 6e-5}, 4, "second"), known))
@@ -218,6 +218,6 @@ def test_a_located_curve_that_was_mended_is_what_changed(curve: Any) -> None:
     assert [one.name for one in back.come] == [gone.name]
     assert back.sentences[0].startswith("located now, and not before: ")
     # By what the calibration alone keeps it is told less well, and that is said.
-    again = og.close_loop([states[1]], og.close_loop([states[0]], SHEET).machine)
+    again = og.close_loop([states[1]], studied([states[0]], SHEET).machine)
     assert any("run orthoglide check on" in str(note) for note in again.warnings)
     assert not any("from" in change.what.partition("changed")[2] for change in again.changed)

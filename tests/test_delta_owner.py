@@ -20,6 +20,7 @@ from orthoglide.planning.sheets import choose_from_sheets, instrument_sheet, whi
 from orthoglide.verdict import Verdict, close_loop
 from tests.klipper_files import DATA
 from tests.rig_delta import DeltaRig
+from tests.studied import studied
 
 
 def run(*args: object, code: int = 0) -> str:
@@ -282,12 +283,12 @@ def test_a_cause_beside_a_place_is_reported_whole(tmp_path: Path) -> None:
     later = measured(
         rig, np.random.default_rng(4), machine=nominal(), instrument="tool coordinates"
     )
-    again = close_loop(later, kept)
+    again = studied(later, kept)
     assert (again.word, again.changed) == ("adequate", ())
     upright = replace(rig, errors={})
     rows = measured(upright, np.random.default_rng(5), machine=nominal(),
                     instrument="tool coordinates")  # fmt: skip
-    (change,) = close_loop(rows, kept).changed
+    (change,) = studied(rows, kept).changed
     assert change.parameter in ("axis_tilt.a.tangential", "rail_tilt.a.tangential")
     assert change.after - change.before == pytest.approx(-2e-3, abs=3e-4)
 
@@ -319,7 +320,7 @@ def test_a_level_that_means_something_else(mistake: str, said: str) -> None:
             reading[level] = np.round(np.rad2deg(reading[level]), 3) * 1e-3
     spoilt = [replace(tool, name="tool"), replace(read, reading=reading, axis=axis)]
     if not said:
-        verdict = close_loop(spoilt, nominal())
+        verdict = studied(spoilt, nominal())
         assert verdict.word in ("explained", "ambiguous")
         assert "mount_tilt.b.b" in {n for c in verdict.effects for e in c.explanations
                                     for n in e.parameters}  # fmt: skip

@@ -12,6 +12,7 @@ from benchmarks.delta_readings import measured
 from orthoglide.fit import assemble, solve
 from orthoglide.observations import Readings
 from tests.rig_delta import DeltaRig
+from tests.studied import studied
 from tests.test_checking import delta
 
 UNTOLD = og.Machine(replace(delta().spec, instruments={}))
@@ -39,7 +40,7 @@ def test_a_sound_machine_is_sound_by_noise_that_nine_differences_tell() -> None:
     read = tracked(1, 0.55, **{"joint_offset.a": 4e-4})
     problem = assemble([read], UNTOLD, UNTOLD.catalogue.base)
     assert problem.noise_dof == 6.0
-    verdict = og.close_loop(read, UNTOLD)
+    verdict = studied(read, UNTOLD)
     assert verdict.before.scores.chi2 > 1.8 * verdict.before.scores.dof
     assert 0.003 < verdict.before.scores.lack_of_fit_p < 0.5
     assert verdict.word == "adequate"

@@ -15,6 +15,7 @@ from orthoglide.machine_file import Controller, machine_text, parse_machine_file
 from orthoglide.report.claims import claims
 from orthoglide.report.sentences import headline
 from tests.klipper_files import imported
+from tests.studied import studied
 
 FIELD = Path(__file__).parent / "data" / "field"
 
@@ -79,7 +80,7 @@ def test_a_mistyped_distance_is_a_slip_without_a_mesh(
 def test_two_mistyped_distances_do_not_accuse_a_sound_one() -> None:
     """Two opposite errors of a millimetre were taken for an error of a distance between them."""
     found = og.import_printer(FIELD / "two-distances-mistyped" / "printer.cfg")
-    first, second = og.close_loop(found.campaigns, og.Machine(found.machine)).blunders
+    first, second = studied(found.campaigns, og.Machine(found.machine)).blunders
     assert re.search(r"distance 0: the reading 63.77 mm is −1\.0\d mm off", first.message)
     assert re.search(r"distance 8: the reading 65.83 mm is \+1\.0\d mm off", second.message)
 
@@ -160,7 +161,7 @@ def test_a_quiet_mesh_makes_no_slips_of_sound_distances() -> None:
 def test_drives_of_three_per_cent_are_told_of_the_drives() -> None:
     folder = FIELD / "drives-3-percent-called-dome"
     machine = og.Machine.load(folder / "machine.toml")
-    verdict = og.close_loop(og.read_readings(folder / "plate.csv", machine.spec), machine)
+    verdict = studied(og.read_readings(folder / "plate.csv", machine.spec), machine)
     (cause, *_) = verdict.effects
     assert cause.name == "encoder_scale.common"
     assert cause.chosen.value == pytest.approx(0.033, abs=0.002)
@@ -190,7 +191,7 @@ def test_travel_that_is_counted_down_is_told() -> None:
         og.close_loop(readings, machine)
     right = og.Machine(replace(machine.spec, controller=Controller(sign=(-1, -1, -1))))
     again = og.read_readings(folder / "plate.csv", right.spec)
-    assert og.close_loop(again, right).word == "adequate"
+    assert studied(again, right).word == "adequate"
 
 
 @pytest.mark.parametrize(
@@ -229,7 +230,7 @@ def test_rods_that_were_measured_are_no_cause_any_more() -> None:
     found = og.import_printer(FIELD / "rods-entered-4mm-short" / "printer.cfg")
     file = machine_text(found.machine) + "\n[measured]\nrods_mm = [272.0, 0.1]\n"
     machine = og.Machine(parse_machine_file(file))
-    verdict = og.close_loop(found.campaigns, machine)
+    verdict = studied(found.campaigns, machine)
     assert verdict.word == "adequate"
     lengths = [verdict.machine.values[f"leg_length.{leg}"] for leg in "abc"]
     assert np.mean(lengths) == pytest.approx(4e-3, abs=2e-4)
@@ -259,7 +260,7 @@ def test_a_part_of_metal_says_how_long_the_rods_are() -> None:
         readings, setups=tuple(replace(s, material="metal" if s.observation.paired else "")
                                for s in readings.setups),
     )  # fmt: skip
-    verdict = og.close_loop(metal, og.Machine(found.machine))
+    verdict = studied(metal, og.Machine(found.machine))
     names = {n for e in verdict.effects for n in (e.name, *e.indistinguishable_from)}
     assert "leg_length.common" in names
     assert "part_size.common" not in names
@@ -294,7 +295,7 @@ def test_many_slips_are_none() -> None:
     slips, and the rest fitted.
     """
     found = og.import_printer(FIELD / "angle-mistyped-by-ten-degrees" / "printer.cfg")
-    verdict = og.close_loop(found.campaigns, og.Machine(found.machine))
+    verdict = studied(found.campaigns, og.Machine(found.machine))
     assert not any(fault.excluded for fault in verdict.blunders)
     assert verdict.word in ("unexplained", "partial")
     (note,) = (note for note in verdict.after.warnings if "too many for slips" in note)

@@ -131,7 +131,7 @@ def test_a_mesh_of_the_turned_plate_decides(tmp_path: Path) -> None:
         assert done.exit_code == 0
         assert "must not all go together" not in done.output
         files = sorted(map(str, out.glob("*.csv")))
-        verdict = close_loop(files, out / "machine.toml")
+        verdict = studied(files, out / "machine.toml")
         every = {name for c in verdict.effects for one in c.explanations for name in one.parameters}
         assert ("plate_trefoil" in str(every)) == (what == "plate")
         assert ("rail_tilt.tangential.common" in every) == (what == "rails")
@@ -159,7 +159,7 @@ def test_a_touch_that_is_none_of_the_plate(off: float, tmp_path: Path) -> None:
         row[2] += spoilt  # x -60, y 30
         text = [*lines[: first + 6], "#*# \t" + ", ".join(map(str, row)), *lines[first + 7 :]]
         found = imported(tmp_path, "\n".join(text))
-        verdicts.append(close_loop(list(found.campaigns), found.machine))
+        verdicts.append(studied(list(found.campaigns), found.machine))
     sound, spoilt_one = verdicts
     assert (sound.word, spoilt_one.word) == ("adequate", "adequate")
     told = [w for w in spoilt_one.after.warnings if w.kind == "stray"]
@@ -528,8 +528,8 @@ def test_meshes_that_are_relative_are_not_told_apart_by_their_height(tmp_path: P
         )
         found = import_printer(file)
         assert bool(found.apart) == apart
-        verdict = close_loop(list(found.campaigns), Machine(found.machine))
-        assert any("one plate" in text for text in verdict.cautions) == apart
+        closed = studied(list(found.campaigns), Machine(found.machine))
+        assert any("one plate" in text for text in closed.cautions) == apart
 
 
 def test_the_middle_of_a_plate_alone_gives_no_numbers(tmp_path: Path) -> None:

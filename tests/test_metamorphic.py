@@ -13,9 +13,10 @@ from pathlib import Path
 import pytest
 
 import orthoglide as og
+from orthoglide.closing import RunOutcome
 from orthoglide.effects.wording import cause_words
-from orthoglide.verdict import Verdict
 from tests.relabelling import relabelled
+from tests.studied import studied
 
 RIG = Path(__file__).parent / "data" / "rig"
 CASES = ("rig-2", "rig-4")  # one explained, one ambiguous
@@ -54,10 +55,10 @@ def written(folder: Path, *files: Rows) -> list[Path]:
 
 
 @cache
-def plain(case: str) -> Verdict:
-    """The verdict on the recorded rows as they are."""
+def plain(case: str) -> RunOutcome:
+    """The outcome of the recorded rows as they are."""
     with tempfile.TemporaryDirectory() as folder:
-        return og.close_loop(written(Path(folder), recorded(case)), machine())
+        return studied(written(Path(folder), recorded(case)), machine())
 
 
 def shuffled(rows: Rows) -> list[Rows]:
@@ -114,7 +115,7 @@ CHANGES: tuple[Callable[[Rows], list[Rows]], ...] = (all_at_once, in_two_files)
 
 
 def the_same(
-    one: Verdict, other: Verdict, name: Callable[[str], str] = str, share: float = 0.0
+    one: RunOutcome, other: RunOutcome, name: Callable[[str], str] = str, share: float = 0.0
 ) -> None:
     """Same words, and same numbers but for a share of their sigmas."""
     sigmas = one.machine.posterior.sigmas if one.machine.posterior is not None else {}
@@ -147,7 +148,7 @@ def test_what_says_nothing_of_the_machine_changes_nothing(
     # What drifts or jumps with the recorded time begins with each file, and so does the way a drive
     # came: all have some weight in what is averaged.
     share = 0.05 if len(files) > 1 else 0.0
-    the_same(plain(case), og.close_loop(written(tmp_path, *files), machine()), share=share)
+    the_same(plain(case), studied(written(tmp_path, *files), machine()), share=share)
 
 
 @pytest.mark.thorough
@@ -160,7 +161,7 @@ def test_legs_with_other_names_are_found_under_them(case: str, tmp_path: Path) -
             new[f"rho_{other}_mm"] = row[f"rho_{leg}_mm"]
             new[f"approach_{other}"] = row[f"approach_{leg}"]
         rows.append(new | {"leg": TURN[row["leg"]], "direction": TURN[row["direction"]]})
-    turned = og.close_loop(written(tmp_path, rows), machine())
+    turned = studied(written(tmp_path, rows), machine())
     catalogue = machine().catalogue
 
     def name(old: str) -> str:
@@ -179,4 +180,4 @@ def test_legs_with_other_names_are_found_under_them(case: str, tmp_path: Path) -
 def test_the_seed_draws_and_does_not_decide(case: str) -> None:
     campaign = og.read_campaign(RIG / f"{case}.csv", machine().spec)
     for seed in (1, 2):
-        the_same(plain(case), og.close_loop(campaign, machine(), seed=seed))
+        the_same(plain(case), studied(campaign, machine(), seed=seed))

@@ -18,6 +18,7 @@ from orthoglide.machine_file import Dial, Instrument
 from orthoglide.observations import Readings, protocol
 from orthoglide.planning.sheets import tool_sheet
 from orthoglide.result import Fit
+from tests.studied import studied
 
 SPREAD = 3e-5
 EXACT = Dial(resolution=0.0)
@@ -187,11 +188,11 @@ def test_the_noise_of_a_coarse_dial_has_its_rounding() -> None:
 
 def test_a_sound_machine_read_on_a_coarse_step_is_sound() -> None:
     """5 to 8 innocent readings were set aside, and up to five places found."""
-    verdict = og.close_loop([on_grid(STEP)], og.Machine.nominal())
+    verdict = studied([on_grid(STEP)], og.Machine.nominal())
     assert verdict.word == "adequate"
     assert not verdict.blunders
     assert not verdict.located
-    (note,) = (n for n in verdict.warnings if n.kind == "step")
+    (note,) = (n for n in verdict.after.warnings if n.kind == "step")
     assert "multiples of 0.05 mm" in note
     assert "declare it as resolution under [dial_mm]" in note
 

@@ -222,37 +222,60 @@ BROKEN: dict[str, tuple[bytes, str, int | None]] = {
     "unclosed quotes": (b'setup,leg\n"xy,x\n', "close the quotes", 2),
 }
 
+MOVES: dict[str, tuple[Fault, str, int]] = {
+    "no kind": (cell("kind", "jump", 2), "none of leg, move, tcp, plate, distance", 2),
+    "moves alone": (cell("kind", "move"), "has moves only", 2),
+    "a move too far": (cell("rho_x_mm", "400", 21), "outside its stroke", 21),
+    "a move of another's order": (
+        cell("order", "20", 21), "order 20 stands for another command on line 21", 22),
+}  # fmt: skip
+
+TCP = "rho_x_mm,rho_y_mm,rho_z_mm,p_x_mm,p_y_mm,p_z_mm\n"
+POINTS = ["310.25,310.25,310.25,0.1,0.2,0.3", "350.25,307.66,307.66,40.1,,0.3"]
+POINTS_REFUSED: dict[str, tuple[str, str, int]] = {
+    "a point of nothing": (TCP + "310.25,310.25,310.25,,,", "are empty: remove the row", 2),
+    "travel of a point": (TCP + f"{POINTS[0]}\n0,0,0,1,1,1", "name the columns travel_x_mm", 3),
+    "points in metres": (
+        TCP + "310.25,310.25,310.25,0,0,0\n350.25,307.66,307.66,0.04,0,0",
+        "give millimetres, not metres", 2),
+    "points without z": (
+        TCP.replace(",p_z_mm", "") + "310.25,310.25,310.25,0,0", "no column p_z_mm", 1),
+    "a point of a word": (TCP + "310.25,310.25,310.25,0,0,far", "not a number", 2),
+    "no points": (TCP, "no rows", 1),
+}  # fmt: skip
+
 
 def write(path: Path, content: str | bytes) -> Path:
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     return path
 
 
-def assert_refused(error: FileError, file: Path, phrase: str, line: int | None) -> None:
-    assert phrase in error.reason
-    assert (error.file, error.line) == (str(file), line)
-    assert str(error).startswith(str(file))
-    assert "\n" not in str(error)
-    assert ":" in error.reason  # what is wrong: what would be right
-    assert not error.reason.endswith(".")
+def with_moves(tmp_path: Path, *faults: Fault) -> Path:
+    rows = chained(*faults)(list(csv.reader(io.StringIO(campaign_text(measured(moves=True))))))
+    return write(tmp_path / "standard.csv", as_text(rows))
 
 
-@pytest.mark.parametrize("kind", MALFORMED)
-def test_malformed_rows_are_refused(kind: str, tmp_path: Path) -> None:
-    fault, phrase, line = MALFORMED[kind]
-    file = write(tmp_path / "bad.csv", as_text(fault(good_rows())))
+@pytest.mark.parametrize("kind", [*MALFORMED, *BROKEN, *MOVES, *POINTS_REFUSED])
+def test_what_no_file_of_readings_holds_is_refused(kind: str, tmp_path: Path) -> None:
+    file, read = tmp_path / "bad.csv", read_campaign
+    if kind in MALFORMED:
+        fault, phrase, line = MALFORMED[kind]
+        write(file, as_text(fault(good_rows())))
+    elif kind in MOVES:
+        fault, phrase, line = MOVES[kind]
+        file = with_moves(tmp_path, fault)
+    else:
+        content, phrase, line = (BROKEN | POINTS_REFUSED)[kind]
+        write(file, content)
+        read = read_tcp if kind in POINTS_REFUSED else read_campaign
     with pytest.raises(FileError) as caught:
-        read_campaign(file)
-    assert_refused(caught.value, file, phrase, line)
-
-
-@pytest.mark.parametrize("kind", BROKEN)
-def test_broken_files_are_refused(kind: str, tmp_path: Path) -> None:
-    content, phrase, line = BROKEN[kind]
-    file = write(tmp_path / "bad.csv", content)
-    with pytest.raises(FileError) as caught:
-        read_campaign(file)
-    assert_refused(caught.value, file, phrase, line)
+        read(file)
+    assert phrase in caught.value.reason
+    assert (caught.value.file, caught.value.line) == (str(file), line)
+    assert str(caught.value).startswith(str(file))
+    assert "\n" not in str(caught.value)
+    assert ":" in caught.value.reason  # what is wrong: what would be right
+    assert not caught.value.reason.endswith(".")
 
 
 @settings(deadline=None, max_examples=50)
@@ -402,11 +425,6 @@ def test_what_builds_up_after_a_reversal_is_that_of_the_independent_machine(leng
     np.testing.assert_allclose(-2e-5 * found[1, :, 1], lag[mixed], rtol=0, atol=1e-17)
 
 
-def with_moves(tmp_path: Path, *faults: Fault) -> Path:
-    rows = chained(*faults)(list(csv.reader(io.StringIO(campaign_text(measured(moves=True))))))
-    return write(tmp_path / "standard.csv", as_text(rows))
-
-
 def test_moves_are_rows_that_are_not_read(tmp_path: Path) -> None:
     campaign = read_campaign(with_moves(tmp_path))
     assert same_readings(campaign, measured(moves=True))
@@ -465,22 +483,6 @@ def test_a_reading_of_a_move_is_ignored_and_said(tmp_path: Path) -> None:
     (note,) = read_campaign(with_moves(tmp_path, cell("reading_mm", "3.21", 21))).warnings
     assert isinstance(note, Note)
     assert (note.kind, note.lines) == ("reading", (21,))
-
-
-@pytest.mark.parametrize(
-    ("fault", "phrase", "line"),
-    [
-        (cell("kind", "jump", 2), "none of leg, move, tcp, plate, distance", 2),
-        (cell("kind", "move"), "has moves only", 2),
-        (cell("rho_x_mm", "400", 21), "outside its stroke", 21),
-        (cell("order", "20", 21), "order 20 stands for another command on line 21", 22),
-    ],
-)
-def test_malformed_moves_are_refused(fault: Fault, phrase: str, line: int, tmp_path: Path) -> None:
-    file = with_moves(tmp_path, fault)
-    with pytest.raises(FileError) as caught:
-        read_campaign(file)
-    assert_refused(caught.value, file, phrase, line)
 
 
 def test_an_approach_that_the_order_cannot_produce_is_a_warning(tmp_path: Path) -> None:
@@ -688,9 +690,6 @@ def test_no_dial_is_set_where_its_leg_moves_past_it() -> None:
 
 # --- TCP points -----------------------------------------------------------------------------
 
-TCP = "rho_x_mm,rho_y_mm,rho_z_mm,p_x_mm,p_y_mm,p_z_mm\n"
-POINTS = ["310.25,310.25,310.25,0.1,0.2,0.3", "350.25,307.66,307.66,40.1,,0.3"]
-
 
 def test_tcp_points(tmp_path: Path) -> None:
     read = read_tcp(write(tmp_path / "c.tcp.csv", TCP + "\n".join(POINTS)))
@@ -703,28 +702,6 @@ def test_tcp_points(tmp_path: Path) -> None:
     assert points.line.tolist() == [2, 3]
     assert (len(read), read.line.tolist(), len(read.sha256)) == (5, [2, 2, 2, 3, 3], 64)
     assert read.kind == ("tcp",) * 5
-
-
-@pytest.mark.parametrize(
-    ("text", "phrase", "line"),
-    [
-        (TCP + "310.25,310.25,310.25,,,", "are empty: remove the row", 2),
-        (TCP + f"{POINTS[0]}\n0,0,0,1,1,1", "name the columns travel_x_mm", 3),
-        (
-            TCP + "310.25,310.25,310.25,0,0,0\n350.25,307.66,307.66,0.04,0,0",
-            "give millimetres, not metres",
-            2,
-        ),
-        (TCP.replace(",p_z_mm", "") + "310.25,310.25,310.25,0,0", "no column p_z_mm", 1),
-        (TCP + "310.25,310.25,310.25,0,0,far", "not a number", 2),
-        (TCP, "no rows", 1),
-    ],
-)
-def test_malformed_tcp_points(text: str, phrase: str, line: int, tmp_path: Path) -> None:
-    file = write(tmp_path / "c.tcp.csv", text)
-    with pytest.raises(FileError) as caught:
-        read_tcp(file)
-    assert_refused(caught.value, file, phrase, line)
 
 
 def test_a_minus_as_this_package_prints_it_is_one(tmp_path: Path) -> None:

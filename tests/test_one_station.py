@@ -14,6 +14,7 @@ from orthoglide.effects.free_form import FreeForm
 from tests import rig_campaigns as rc
 from tests.factors import campaign_of
 from tests.rig import Rig
+from tests.studied import studied
 
 RIG2 = Path(__file__).parent / "data" / "rig2"
 
@@ -113,7 +114,7 @@ def test_one_dial_off_at_one_place_at_every_visit_is_no_exchange() -> None:
     given = og.simulate(og.Machine.nominal().with_parameters(offsets), sheet, noise=5e-6, seed=4)
     same = (given.setup == setup) & (given.command == given.command[station]).all(axis=1)
     spoilt = given.with_readings(given.reading + 3e-4 * same)
-    verdict = og.close_loop([spoilt], noise=5e-6)
+    verdict = studied([spoilt], noise=5e-6)
     rivals = [rival for located in verdict.located for rival in located.data]
     kinds = {fault.kind for fault in verdict.blunders} | {rival.data for rival in rivals}
     assert kinds <= {"command", "outlier"}
@@ -129,6 +130,6 @@ def test_a_command_mistyped_at_one_of_three_visits_is_no_drift() -> None:
     command = sheet.command.copy()
     command[last, 0] -= 3e-3
     driven = og.simulate(worn, replace(sheet, command=command), noise=5e-6, seed=2)
-    verdict = og.close_loop([replace(driven, command=sheet.command)], noise=5e-6)
+    verdict = studied([replace(driven, command=sheet.command)], noise=5e-6)
     (fault,) = verdict.blunders
     assert (verdict.word, fault.kind, len(fault.rows)) == ("adequate", "command", last.sum())

@@ -54,7 +54,7 @@ def test_the_readings_proposed_for_a_class_of_places_leave_the_true_one(
     og.write_campaign(one.campaign, tmp_path / "next.csv")
     new = driven(machine, BENT, tmp_path / "next.csv", 1000 + seed)
     assert len(new) <= 12
-    after = og.close_loop([campaign, new], machine)
+    after = studied([campaign, new], machine)
     (left,) = after.located
     assert (left.name, left.members[0].probability > 0.9) == (TRUE, True)
     assert after.effects == ()

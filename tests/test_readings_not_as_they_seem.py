@@ -17,6 +17,7 @@ from orthoglide.machine_file.model import Measured
 from orthoglide.simulation import simulate, simulate_tcp
 from tests import rig_campaigns as rc
 from tests.rig import Rig
+from tests.studied import studied
 
 RIG = Path(__file__).parent / "data" / "rig"
 MACHINE = og.Machine.load(RIG / "machine.toml")
@@ -56,7 +57,7 @@ def test_commands_in_each_others_columns_are_refused(
         og.close_loop(campaign_of(rc.swapped_commands(rows, *drives).rows), MACHINE)
     # A machine that is far off is none of it.
     far = Rig(errors={**base_errors(rng), "axis_tilt.y.z": 2e-2, "axis_offset.x.y": 3e-3})
-    og.close_loop(campaign_of(rc.simulate(far, rc.protocol_rows(protocol), rng)), MACHINE)
+    studied(campaign_of(rc.simulate(far, rc.protocol_rows(protocol), rng)), MACHINE)
 
 
 def test_one_dial_does_not_tell_whose_columns_were_exchanged() -> None:
@@ -82,7 +83,7 @@ def test_millimetres_of_a_fine_dial_are_no_inches() -> None:
 def test_a_bar_wrong_by_five_millimetres_is_told() -> None:
     length = 5e-3
     wrong = MACHINE.with_parameters({"leg_length.y": length})
-    verdict = og.close_loop(simulate(wrong, "standard", noise=5e-6, seed=1), MACHINE)
+    verdict = studied(simulate(wrong, "standard", noise=5e-6, seed=1), MACHINE)
     assert verdict.word == "explained"
     assert [cause.name for cause in verdict.effects] == ["leg_length.y"]
     assert verdict.effects[0].chosen.value == pytest.approx(length * 1e3, abs=0.5)
@@ -100,7 +101,7 @@ def test_bars_of_one_wrong_length_are_one_cause() -> None:
     known = replace(MACHINE.spec, measured=Measured(rods=(MACHINE.geometry.L + 2e-3, 2e-5)))
     right = MACHINE.with_parameters({f"leg_length.{leg}": 2e-3 for leg in "xyz"})
     read = simulate(right, "standard", noise=5e-6, seed=1)
-    verdict = og.close_loop(read, og.Machine(known.with_measured()))
+    verdict = studied(read, og.Machine(known.with_measured()))
     assert [cause.name for cause in verdict.effects] == ["leg_length.common"]
     assert verdict.effects[0].chosen.value == pytest.approx(2.0, abs=0.2)
 
@@ -121,7 +122,7 @@ def test_a_slip_in_a_tcp_point_is_named(slip: float, frame) -> None:
     (said,) = [w for w in og.identify(tcp_points(slip), MACHINE, frame=frame).warnings
                if w.kind == "slip"]  # fmt: skip
     assert re.search(r"points.csv, line 9: .* mm off what all others say", said)
-    (fault,) = og.close_loop(tcp_points(slip), MACHINE, frame=frame).blunders
+    (fault,) = studied(tcp_points(slip), MACHINE, frame=frame).blunders
     assert fault.excluded
     assert re.search("points.csv, line 9: the point is .* mm off what all others", fault.message)
 
@@ -138,13 +139,13 @@ def test_copies_of_repeats_are_said() -> None:
 @pytest.mark.thorough
 def test_the_training_file_as_holdout_is_said() -> None:
     renamed = replace(rig(), name="other", file="other.csv")
-    same = og.close_loop(rig(), MACHINE, holdout=renamed)
+    same = studied(rig(), MACHINE, holdout=renamed)
     assert [
         w for w in same.after.warnings if "100 % of the readings held out were also fitted" in w
     ]
-    other = og.close_loop(rig(), MACHINE, holdout=rig(1))
+    other = studied(rig(), MACHINE, holdout=rig(1))
     assert not [w for w in other.after.warnings if w.kind == "holdout"]
     points = [og.read_tcp(RIG / f"rig-{k}.tcp.csv", MACHINE.spec) for k in (1, 2)]
     for tcp, said in zip(points, (1, 0), strict=True):
-        judged = og.close_loop([rig(1), points[0]], MACHINE, tcp=tcp)
+        judged = studied([rig(1), points[0]], MACHINE, tcp=tcp)
         assert len([w for w in judged.after.warnings if w.kind == "holdout"]) == said

@@ -9,6 +9,7 @@ import orthoglide as og
 from orthoglide.explanation import columns, screening
 from orthoglide.prediction import MeasurementModel, measurement_model
 from orthoglide.simulation import simulate
+from tests.studied import studied
 
 MACHINE = og.Machine.nominal()
 BENT = MACHINE.with_parameters({"rail_bow.x.z": 4e-5, "joint_offset.y": 1e-3})
@@ -40,10 +41,10 @@ def test_derivatives_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.thorough
 def test_few_directions_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    one = og.close_loop(measured(), MACHINE)
+    one = studied(measured(), MACHINE)
     monkeypatch.setattr(columns, "COMPRESSION_THRESHOLD", 10)
     monkeypatch.setattr(screening, "_MOST_DENSE_NUMBERS", 0)
-    other = og.close_loop(measured(), MACHINE)
+    other = studied(measured(), MACHINE)
     assert (one.word, [e.name for e in one.effects]) == (
         other.word,
         [e.name for e in other.effects],

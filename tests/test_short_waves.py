@@ -17,6 +17,7 @@ from orthoglide.effects.plates import residual_plate_shapes
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file import MachineFile, machine_text, parse_machine_file
 from tests.rig_delta import DeltaRig
+from tests.studied import studied
 
 PERIOD = 0.055
 
@@ -44,7 +45,7 @@ def test_located_as_such_and_kept(
     else:
         rig = replace(rig, turns={"b": lambda s: size * wave(s)})
     rows = measured(rig, np.random.default_rng(3), machine=machine(), instrument=instrument)
-    verdict = og.close_loop(rows, machine())
+    verdict = studied(rows, machine())
     assert (verdict.word, verdict.effects) == ("located", ())
     ((curve,),) = (found.members for found in verdict.located)
     assert curve.name == f"{part}.b.{direction}/waves"

@@ -15,6 +15,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument
 from orthoglide.observations import Readings
 from orthoglide.planning.sheets import instrument_sheet
+from tests.studied import studied
 
 MACHINE = Machine.nominal()
 OFF = {"joint_offset.x": 0.7e-3, "joint_offset.y": -1.1e-3, "leg_length.z": 0.04e-3}
@@ -44,12 +45,12 @@ def test_an_instrument_that_was_moved_is_told() -> None:
     """
     size = 2e-3
     campaign, first = moved(size)
-    verdict = og.close_loop([campaign], MACHINE)
+    verdict = studied([campaign], MACHINE)
     (fault,) = verdict.blunders
     assert fault.kind == "moved"
     assert not fault.excluded
     assert "had been moved" in fault.message
-    lines = [int(campaign.line[row]) for _, row in fault.rows_in_request]
+    lines = [int(campaign.line[row]) for _, row in fault.rows]
     assert abs(min(lines) - first) < len(campaign) / 20
     assert 0.2 * size < float(fault.message.split("read about ")[1].split()[0]) / 1e3 < 2 * size
     assert verdict.word == "adequate"
@@ -61,9 +62,9 @@ def test_an_instrument_that_drifts_is_one_fault(kind: str) -> None:
     """It was moved half way, and again before and after; the rest was noise, or a bar."""
     size, found = 3e-4, read(kind, passes=2)
     progress = np.arange(len(found)) / (len(found) - 1)
-    verdict = og.close_loop([replace(found, reading=found.reading + size * progress)], MACHINE)
+    verdict = studied([replace(found, reading=found.reading + size * progress)], MACHINE)
     (fault,) = verdict.blunders
-    assert (fault.kind, fault.excluded, len(fault.rows_in_request)) == (
+    assert (fault.kind, fault.excluded, len(fault.rows)) == (
         "drifted",
         False,
         len(found),
@@ -71,7 +72,7 @@ def test_an_instrument_that_drifts_is_one_fault(kind: str) -> None:
     told = float(fault.message.split("evenly by about ")[1].split()[0]) * 1e-3
     assert told == pytest.approx(size * np.sqrt(2 if kind == "incline" else 1), rel=0.1)
     assert verdict.word == "adequate"
-    sound, scores = og.close_loop([found], MACHINE).after.scores, verdict.after.scores
+    sound, scores = studied([found], MACHINE).after.scores, verdict.after.scores
     rms = scores.rms if kind != "incline" else scores.turn_rms
     assert rms == pytest.approx(sound.rms if kind != "incline" else sound.turn_rms, rel=0.2)
 
@@ -81,7 +82,7 @@ def test_a_plate_that_was_moved_did_not_drift(seed: int) -> None:
     """Until the noise is known a drift fits as well: it was reported beside the move."""
     found = read("plate", seed=seed, passes=2)
     late = np.arange(len(found)) >= 0.6 * len(found)
-    verdict = og.close_loop([replace(found, reading=found.reading + 2e-4 * late)], MACHINE)
+    verdict = studied([replace(found, reading=found.reading + 2e-4 * late)], MACHINE)
     assert [fault.kind for fault in verdict.blunders] == ["moved"]
 
 
@@ -91,7 +92,7 @@ def test_what_moved_and_is_given_as_another_setup_is_nothing_wrong() -> None:
     late = campaign.line >= first
     setups = (*campaign.setups, replace(campaign.setups[0], name="again"))
     apart = replace(campaign, setups=setups, setup=np.where(late, 1, campaign.setup))
-    verdict = og.close_loop([apart], MACHINE)
+    verdict = studied([apart], MACHINE)
     assert verdict.word == "adequate"
     assert verdict.values["joint_offset.x"] == pytest.approx(0.7e-3, abs=5e-5)
 
@@ -114,8 +115,8 @@ def test_a_visit_that_disagrees_with_the_other_is_told() -> None:
     row = int(np.flatnonzero(count[which.reshape(-1)] > 1)[0])
     reading = campaign.reading.copy()
     reading[row] += 1.5e-4
-    (fault,) = og.close_loop([replace(campaign, reading=reading)], MACHINE).blunders
-    assert (fault.kind, fault.rows_in_request) == ("outlier", ((0, row),))
+    (fault,) = studied([replace(campaign, reading=reading)], MACHINE).blunders
+    assert (fault.kind, fault.rows) == ("outlier", ((0, row),))
     said = rf"line {campaign.line[row]}, .* off the other readings of this place"
     assert re.search(said, fault.message)
 
@@ -135,8 +136,8 @@ def test_two_visits_that_were_exchanged_are_told() -> None:
     apart = reading[other] - reading[one]
     assert apart > 2e-4
     reading[[one, other]] = reading[[other, one]]
-    found = og.close_loop([replace(campaign, reading=reading)], MACHINE).blunders
-    assert {row for fault in found for _, row in fault.rows_in_request} == {one, other}
+    found = studied([replace(campaign, reading=reading)], MACHINE).blunders
+    assert {row for fault in found for _, row in fault.rows} == {one, other}
 
 
 @pytest.mark.parametrize(("kind", "step"), [("ballbar", 1e-4), ("incline", 1e-4), ("plate", 5e-5)])
@@ -165,10 +166,10 @@ def test_noise_that_no_instrument_has_is_declared_or_refused() -> None:
     """Half a millimetre of a tracker is adequate to nothing."""
     campaign = read("tcp", noise=5e-4)
     with pytest.raises(og.InputError, match=r"give repeatability .*\[instrument\.tcp\]"):
-        og.close_loop([campaign], MACHINE)
+        studied([campaign], MACHINE)
     instruments = {"tcp": Instrument(repeatability=5e-4)}
     poor = Machine(replace(MACHINE.spec, instruments=instruments))
-    assert og.close_loop([campaign], poor).word == "adequate"
+    assert studied([campaign], poor).word == "adequate"
 
 
 @pytest.mark.parametrize("kind", ["plate", "incline"])
@@ -182,10 +183,10 @@ def test_a_plate_that_moved_half_way_stands_twice() -> None:
     """No place of this sheet is read twice: it was *unexplained*, and counted as rough."""
     campaign = read("plate")
     late = np.arange(len(campaign)) >= len(campaign) // 2
-    verdict = og.close_loop([replace(campaign, reading=campaign.reading + late * 3e-4)], MACHINE)
+    verdict = studied([replace(campaign, reading=campaign.reading + late * 3e-4)], MACHINE)
     (fault,) = verdict.blunders
     assert (fault.kind, verdict.word) == ("moved", "adequate")
-    assert [row for _, row in fault.rows_in_request] == np.flatnonzero(late).tolist()
+    assert [row for _, row in fault.rows] == np.flatnonzero(late).tolist()
     assert not [w for w in verdict.after.warnings if w.kind == "loud"]
 
 
@@ -193,7 +194,7 @@ def test_a_plate_that_counts_as_rough_is_said_to() -> None:
     """What its touches jump by from place to place is more than any plate is rough."""
     campaign = read("plate")
     rough = np.random.default_rng(1).choice([-1.5e-4, 1.5e-4], len(campaign))
-    verdict = og.close_loop([replace(campaign, reading=campaign.reading + rough)], MACHINE)
+    verdict = studied([replace(campaign, reading=campaign.reading + rough)], MACHINE)
     (note,) = (w for w in verdict.after.warnings if w.kind == "loud")
     assert verdict.word in ("unexplained", "adequate")
     assert "or the plate's roughness, have a reading count as good to 0.06 mm" in note

@@ -562,4 +562,4 @@ def test_a_ball_below_the_plane_of_a_circle() -> None:
     far = re.search(r"the ball (\d+) mm beside it", said)
     assert far is not None
     assert float(far[1]) == pytest.approx(-ball[2] * 1e3, rel=0.05)
-    assert og.close_loop([read]).word == "adequate"
+    assert studied([read]).word == "adequate"

@@ -18,6 +18,7 @@ from orthoglide.explanation.free_form import free_form_columns
 from tests import rig_campaigns as rc
 from tests.factors import campaign_of
 from tests.rig import Rig
+from tests.studied import studied
 
 RIG = Rig(errors={"joint_offset.x": 1.2e-3, "joint_offset.y": -7e-4, "joint_offset.z": 4e-4})
 ROWS = rc.protocol_rows("sweep", RIG)
@@ -74,7 +75,7 @@ def test_a_proportional_coupling_of_two_drives_is_in_the_set() -> None:
         for leg in "xyz"
     }
     coupled = Rig(errors=errors, extra=(rc.cross_coupling(0, 1, 1e-3),)).with_background(rng, 0.015)
-    verdict = og.close_loop([public.campaign(rc.simulate(coupled, ROWS, rng))], public.machine())
+    verdict = studied([public.campaign(rc.simulate(coupled, ROWS, rng))], public.machine())
     members = [one for cause in verdict.effects for one in cause.places]
     members += [one for located in verdict.located for one in located.members]
     (found,) = (one for one in members if one.name.startswith("drive.x/command.y"))
@@ -87,7 +88,7 @@ def test_a_bar_that_snaps_while_another_leg_is_read_is_in_the_set() -> None:
     """A drive was named alone: the time of a bar ended with the readings of its own leg."""
     rig = replace(RIG, extra_length=(rc.snapping_bar(1, 0, 2e-4, OF_Z),))
     rows = rc.simulate(rig, ROWS, np.random.default_rng(5))
-    (found,) = og.close_loop([campaign_of(rows)]).located
+    (found,) = studied([campaign_of(rows)]).located
     (bar,) = (m for m in found.members if m.name.startswith("bar.y.1/time@"))
     assert bar.probability > 0.2
     assert bar.size == pytest.approx(2e-4, rel=0.25)

@@ -68,7 +68,7 @@ def test_warmth_between_repeats_takes_nothing_of_the_means() -> None:
         temperature=lambda t: level[np.asarray(t // 3600, dtype=int)],
     )  # fmt: skip
     machine = og.Machine.load(Path(__file__).parent / "data" / "rig" / "machine.toml")
-    after = og.close_loop(campaign_of(warm), machine).after.scores
+    after = studied(campaign_of(warm), machine).after.scores
     assert after.chi2 > 1.3 * after.dof or after.lack_of_fit_p > 0.05
 
 
@@ -99,7 +99,7 @@ def test_zeros_far_off_beside_noise_of_one_chance_in_a_hundred(seed: int) -> Non
     names = [f"{effect}.{leg}" for effect in ("joint_offset", "leg_length") for leg in "xyz"]
     errors = {n: nominal.tolerance(n) * float(rng.uniform(-10, 10)) for n in names}
     campaign = og.simulate(nominal.with_parameters(errors), "standard", noise=5e-6, seed=seed)
-    verdict = og.close_loop(campaign, nominal)
+    verdict = studied(campaign, nominal)
     assert 1e-4 < verdict.before.scores.lack_of_fit_p < 0.01
     assert verdict.word == "adequate"
     for name in names[:3]:

@@ -15,6 +15,7 @@ from orthoglide.fit.repeats import repeat_variance, total_variance
 from orthoglide.fit.weighing import Weighing
 from orthoglide.machine_file import Dial
 from orthoglide.simulation import simulate
+from tests.studied import studied
 
 RNG = np.random.default_rng(3)
 STATION = np.array([0, 1, 0, 2, 1, 0, 3])
@@ -137,7 +138,7 @@ def _bowed() -> og.Campaign:
 def test_large_offsets_are_a_finding_and_no_lack_of_fit(kind: str, size: float) -> None:
     machine = og.Machine.nominal()
     truth = machine.with_parameters({"joint_offset.x": size, "joint_offset.y": -size})
-    verdict = og.close_loop(simulate(truth, kind, noise=5e-6, seed=1), machine)
+    verdict = studied(simulate(truth, kind, noise=5e-6, seed=1), machine)
     assert verdict.word == "adequate"
     assert verdict.after.sigma_scale == 1.0
     far = [w for w in verdict.after.warnings if w.kind == "tolerance"]
