@@ -22,6 +22,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 STAMP = VENV / "dev-stamp.json"
+COMPILED = VENV / "compiled"  # what Python keeps of the files it runs in tests
 NEEDED = (3, 11)
 # Test files that need more than the extra "test": other programs that read or move the machine.
 FURTHER = {
@@ -82,7 +83,10 @@ def demo(rest: list[str]) -> int:
 def test(rest: list[str]) -> int:
     """Run the tests, or those of the files named: test --thorough, test tests/test_rig.py."""
     environment("test", *further(rest))
-    return python("-m", "pytest", *rest)
+    # Whatever the shell says of it: else each worker compiles and rewrites two hundred files anew.
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    command = [str(interpreter()), "-m", "pytest", *rest]
+    return subprocess.call(command, cwd=ROOT, env={**kept, "PYTHONPYCACHEPREFIX": str(COMPILED)})
 
 
 def further(words: list[str]) -> set[str]:

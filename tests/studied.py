@@ -1,4 +1,8 @@
-"""A closed loop as the search left it, for tests that look at its fits and what it weighed."""
+"""A closed loop as the search left it: causes, faults and fits, without what a result adds to them.
+
+A `Result` copies these and computes what to do, what to measure next, the error budget and the
+workspace, which takes two thirds as long again. Tests that read none of that begin here.
+"""
 
 from typing import Any
 

@@ -4,7 +4,6 @@ import ast
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -55,14 +54,9 @@ def modules() -> list[Path]:
 
 
 @cache
-def parsed(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-@cache
 def nodes(path: Path) -> tuple[ast.AST, ...]:
-    """All nodes of a file's syntax tree."""
-    return tuple(ast.walk(parsed(path)))
+    """All nodes of a file's syntax tree, outer ones before inner ones."""
+    return tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
 
 
 def part_of(path: Path) -> str:
@@ -74,20 +68,17 @@ def part_of(path: Path) -> str:
 def imports(path: Path, types: bool = False) -> tuple[str, ...]:
     """Dotted names that a file imports, within functions too, and for types if asked."""
 
-    def visit(node: ast.AST) -> Iterator[str]:
-        if not types and isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            children: list[ast.stmt] | Iterator[ast.AST] = node.orelse
-        else:
-            children = ast.iter_child_nodes(node)
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
+    found: list[str] = []
+    for_types = set[ast.AST]()
+    for node in nodes(path):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test) and not types:
+            for_types |= {inner for statement in node.body for inner in ast.walk(statement)}
+        elif isinstance(node, ast.Import) and node not in for_types:
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node not in for_types:
             assert node.level == 0, f"{path}: imports are absolute"
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
-        for child in children:
-            yield from visit(child)
-
-    return tuple(visit(parsed(path)))
+            found += [f"{node.module}.{alias.name}" for alias in node.names]
+    return tuple(found)
 
 
 @cache

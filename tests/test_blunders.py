@@ -186,8 +186,10 @@ def test_a_fault_is_found_and_named(what, machine, nominal):
     case = (FAULTS | MORE_FAULTS)[what]
     rows = rows_of(case.protocol, seed=case.seed, **case.errors)
     spoilt, touched = case.spoil(rows)
-    (blunder,) = found_in(spoilt, nominal if case.by_nominal else machine)
+    found = find_data_faults(estimate_of(spoilt, nominal if case.by_nominal else machine))
+    (blunder,) = found.data_faults
     assert (blunder.kind, set(blunder.setups)) == (case.kind, set(case.setups))
+    assert found.notes == ()
     if case.kind != "exchanged_labels":
         assert [row for _, row in blunder.rows] == sorted(touched)
     assert re.search(case.said, blunder.message), blunder.message
@@ -299,7 +301,6 @@ def test_only_misreadings_that_may_still_win_are_searched(machine, monkeypatch):
 
 def test_a_search_that_ends_before_it_has_settled_says_so(machine, monkeypatch):
     fit = estimate_of(rc.swapped_sign(rows_of("standard", seed=2), "yz-0.5").rows, machine)
-    assert find_data_faults(fit).notes == ()
     monkeypatch.setattr(data_faults, "_ROUNDS", 1)
     (note,) = find_data_faults(fit).notes
     assert note.startswith("the search for data faults stopped after round 1 before it had settled")

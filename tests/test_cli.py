@@ -184,10 +184,10 @@ def test_what_has_an_effect_is_taken(here: Path) -> None:
 def test_a_sound_machine_is_told_that_nothing_is_advised(here: Path) -> None:
     """And a machine whose residual needs a search is not told that no cause explains it."""
     og.Machine.nominal().save("m.toml")
-    done("simulate", "--machine", "m.toml", "--kind", "sweep", "--seed", "1", "--out", "sound.csv")
+    done("simulate", "--machine", "m.toml", "--seed", "1", "--out", "sound.csv")
     assert "No correction is advised" in done("identify", "sound.csv", "--machine", "m.toml")
     worn = ("--error", "axis_tilt.x.z=0.005", "--out", "worn.csv")
-    done("simulate", "--machine", "m.toml", "--kind", "sweep", "--seed", "1", *worn)
+    done("simulate", "--machine", "m.toml", "--seed", "1", *worn)
     said = done("identify", "worn.csv", "--machine", "m.toml")
     assert "no cause was searched for" in said
     assert "No correction is advised" not in said

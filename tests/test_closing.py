@@ -10,9 +10,11 @@ import pytest
 
 import orthoglide as og
 from orthoglide.accuracy import tcp_map
+from orthoglide.closing import RunOutcome
 from orthoglide.closing.judging import tcp_errors
 from orthoglide.effects import CATALOGUE
 from orthoglide.explanation.identifying import identify
+from tests.studied import studied
 
 RIG = Path(__file__).parent / "data" / "rig"
 GOLDEN = Path(__file__).parent / "golden" / "expected"
@@ -46,36 +48,32 @@ def test_golden_results_name_the_hidden_effect(case: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def verdict(machine: og.Machine) -> og.Verdict:
-    return og.close_loop(RIG / "rig-2.csv", machine, tcp=RIG / "rig-2.tcp.csv")
+def closed(machine: og.Machine) -> RunOutcome:
+    return studied(RIG / "rig-2.csv", machine, tcp=RIG / "rig-2.tcp.csv")
 
 
 def test_the_tcp_is_as_good_as_if_the_effect_had_been_told(
-    verdict: og.Verdict, machine: og.Machine
+    closed: RunOutcome, machine: og.Machine
 ) -> None:
     campaign = og.read_campaign(RIG / "rig-2.csv", machine.spec)
     points = og.read_tcp(RIG / "rig-2.tcp.csv", machine.spec)
     told = identify(campaign, machine, ["joint_offset", "leg_length", *HIDDEN["rig-2"]])
     errors = tcp_errors(machine, points, {}, told.problem.values(0, told.x))["translation"]
-    assert verdict.tcp is not None
-    after = verdict.tcp["translation"]
-    sigma = tcp_map(verdict.machine, points.command).sigma
+    assert closed.tcp is not None
+    after = closed.tcp["translation"]
+    sigma = tcp_map(closed.machine, points.command).sigma
     sigma_of_mean = np.linalg.norm(sigma, axis=1).mean()
     assert after.after_mean <= 1.3 * errors.after_mean + 0.1 * sigma_of_mean
     assert after.after_mean <= after.before_mean + sigma_of_mean
     assert after.inside >= 0.93
 
 
-def test_the_judges_change_nothing(machine: og.Machine, verdict: og.Verdict) -> None:
+def test_the_judges_change_nothing(machine: og.Machine, closed: RunOutcome) -> None:
     """Points held out in one run, and readings in the other."""
-    held = og.close_loop(RIG / "rig-2.csv", machine, holdout=RIG / "rig-1.csv")
+    held = studied(RIG / "rig-2.csv", machine, holdout=RIG / "rig-1.csv")
     assert held.hold_out is not None
-    assert verdict.hold_out is None
-    assert held.word == verdict.word
-    assert [e.name for e in held.effects] == [e.name for e in verdict.effects]
-    assert held.values == verdict.values
-    assert held.after.values == verdict.after.values
-
-
-def test_what_the_readings_cannot_show_is_called_invisible(verdict: og.Verdict) -> None:
-    assert any(n.startswith("mount_tilt") for n in verdict.invisible)
+    assert closed.hold_out is None
+    assert held.word == closed.word
+    assert [e.name for e in held.effects] == [e.name for e in closed.effects]
+    assert held.values == closed.values
+    assert held.after.values == closed.after.values

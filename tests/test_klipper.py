@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,12 @@ CONFIGS = sorted(DATA.glob("*.cfg"))
 V400 = DATA / "v400-april.cfg"
 
 
+@cache
+def plain() -> Imported:
+    """The stored file as it is."""
+    return import_printer(V400)
+
+
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda p: p.stem)
 def test_every_stored_file_imports_and_reads_back(path: Path, tmp_path: Path) -> None:
     found = import_printer(path)
@@ -45,7 +52,7 @@ def test_every_stored_file_imports_and_reads_back(path: Path, tmp_path: Path) ->
 
 def test_the_machine_without_errors_is_what_the_firmware_believes() -> None:
     """Heights and meshes put through the imported machine are the firmware's own points."""
-    found = import_printer(V400)
+    found = plain()
     machine, mesh = Machine(found.machine), found.campaigns[2]
     assert len(mesh) == 441
     p = machine.forward(mesh.command)
@@ -80,7 +87,7 @@ def test_a_mesh_of_other_numbers_or_another_plate_is_told(tmp_path: Path) -> Non
 
 def test_what_the_importer_assumed_is_corrected_together() -> None:
     """The docs said to correct r; alone it moved the zero of travel by four millimetres."""
-    text = machine_text(import_printer(V400).machine)
+    text = machine_text(plain().machine)
     assert "r = 32.0" in text
     with pytest.raises(FileError, match=r"radius_mm less r must stay .* put 187\.820595 three"):
         parse_machine_file(text.replace("r = 32.0", "r = 25.0"))
@@ -175,7 +182,7 @@ def test_a_touch_that_is_none_of_the_plate(off: float, tmp_path: Path) -> None:
 
 def test_a_printer_without_readings_of_its_plate_is_given_no_numbers() -> None:
     """Zeros by a model that no touch of the plate tied to it would drive the nozzle into it."""
-    machine = Machine(import_printer(V400).machine).with_parameters({"axis_tilt.a.radial": 4e-3})
+    machine = Machine(plain().machine).with_parameters({"axis_tilt.a.radial": 4e-3})
     numbers = og.controller_numbers(machine)
     assert "There are none" in numbers.text()
     assert "zero" not in numbers.text().replace("z = 0", "")
@@ -260,11 +267,11 @@ def test_what_cannot_be_read_is_left_out_alone(kind: str, tmp_path: Path) -> Non
     text = V400.read_text()
     assert old in text
     (tmp_path / "printer.cfg").write_text(text.replace(old, new))
-    plain, found = import_printer(V400), import_printer(tmp_path / "printer.cfg")
+    found = import_printer(tmp_path / "printer.cfg")
     (note,) = (n for n in found.notes if "left out" in n)
     assert phrase in note
     assert re.search(r"printer\.cfg, line \d+: ", note)
-    counts = [len(c) for c in plain.campaigns]
+    counts = [len(c) for c in plain().campaigns]
     assert [len(c) for c in found.campaigns] == [counts[0] - bool(word), *counts[1:]]
     kept = found.campaigns[0]
     of_kind = kept.of_kind({"height": "plate"}.get(word, "distance")).sum()
@@ -311,7 +318,7 @@ def test_what_becomes_of_stored_heights_and_distances(kind: str, tmp_path: Path)
     text = edit(V400.read_text())
     assert text != V400.read_text()
     (tmp_path / "printer.cfg").write_text(text)
-    found, plain = import_printer(tmp_path / "printer.cfg"), import_printer(V400).campaigns[0]
+    found, whole = import_printer(tmp_path / "printer.cfg"), plain().campaigns[0]
     assert sum(phrase in note for note in found.notes) == times
     if phrase == "left out: all 7 heights":  # and numbers of a mesh alone were advised
         assert found.machine.provenance["klipper"]["calibrate_again"] is True
@@ -320,7 +327,7 @@ def test_what_becomes_of_stored_heights_and_distances(kind: str, tmp_path: Path)
         assert "calibration" not in [c.name for c in found.campaigns]
         return
     assert len(kept) == count
-    before = dict(zip(plain.posture, plain.command, strict=True))
+    before = dict(zip(whole.posture, whole.command, strict=True))
     off = [c - before[label] for label, c in zip(kept.posture, kept.command, strict=True)]
     assert np.abs(off).max() < 1e-9
 
@@ -365,13 +372,13 @@ ODD = {
 
 @pytest.mark.parametrize("kind", ODD)
 def test_odd_files_say_what_the_plain_one_says(kind: str, tmp_path: Path) -> None:
-    plain, file = import_printer(V400), tmp_path / "printer.cfg"
+    file = tmp_path / "printer.cfg"
     file.write_bytes(b"# gr\xfc\xdf\n" + ODD[kind](V400.read_text()).encode() + b"\n \n")
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts" / "own.cfg").write_text(_apart(V400.read_text())[0])
     found = import_printer(file)
-    assert [c.name for c in found.campaigns] == [c.name for c in plain.campaigns]
-    for one, other in zip(found.campaigns, plain.campaigns, strict=True):
+    assert [c.name for c in found.campaigns] == [c.name for c in plain().campaigns]
+    for one, other in zip(found.campaigns, plain().campaigns, strict=True):
         assert np.abs(one.command - other.command).max() < 1e-12
         assert np.array_equal(one.reading, other.reading)
 
@@ -379,7 +386,7 @@ def test_odd_files_say_what_the_plain_one_says(kind: str, tmp_path: Path) -> Non
 def test_what_stands_above_the_saved_block_counts_and_both_lines_are_told(tmp_path: Path) -> None:
     """As in the firmware's configfile.py: its saved block gives way to the file and includes."""
     text = V400.read_text()
-    plain = Numbers.from_table(import_printer(V400).machine.provenance["klipper"])
+    stored = Numbers.from_table(plain().machine.provenance["klipper"])
     saved = text.splitlines().index("#*# delta_radius = 162.820595") + 1
     (tmp_path / "own.cfg").write_text("[printer]\ndelta_radius: 162.5\n")
     for own, value, where in (
@@ -389,7 +396,7 @@ def test_what_stands_above_the_saved_block_counts_and_both_lines_are_told(tmp_pa
     ):
         found = imported(tmp_path, own + text)
         now = Numbers.from_table(found.machine.provenance["klipper"])
-        assert now == replace(plain, delta_radius=pytest.approx(value * 1e-3, abs=1e-12))
+        assert now == replace(stored, delta_radius=pytest.approx(value * 1e-3, abs=1e-12))
         notes = [n for n in found.notes if "above the header of SAVE_CONFIG" in n]
         assert len(notes) == bool(where)
         if where:

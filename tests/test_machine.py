@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import FileError, InputError
@@ -41,20 +40,6 @@ def test_batches(shape: tuple[int, ...]) -> None:
     each = [CROOKED.forward(one) for one in rho.reshape(-1, 3)]
     if each:
         assert np.allclose(CROOKED.forward(rho).reshape(-1, 3), each, rtol=0, atol=1e-14)
-
-
-@settings(max_examples=15, deadline=None)
-@given(
-    p=st.tuples(*[st.floats(-0.07, 0.05)] * 3),
-    machine=st.sampled_from([NOMINAL, CROOKED]),
-    side=st.sampled_from([-1.0, 0.0, 1.0]),
-)
-def test_inverse_undoes_forward(
-    p: tuple[float, float, float], machine: Machine, side: float
-) -> None:
-    seen = {"approach": (side, side, side)}
-    rho = machine.inverse(p, **seen)
-    assert np.allclose(machine.forward(rho, **seen), p, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("machine", [NOMINAL, Machine(MachineFile(geometry=DELTA))])

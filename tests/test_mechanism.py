@@ -105,7 +105,8 @@ def test_inverse_undoes_forward_with_everything_displaced() -> None:
          for name in CATALOGUE.parameters if "screw_error" not in name}
     )  # fmt: skip
     rho = commands(100, 2)
-    seen = {"approach": 1.0, "time": 600.0, "warming": 3.0, "load": 50.0}
+    seen = {"approach": rng.choice([-1.0, 0.0, 1.0], (100, 3)), "time": 600.0, "warming": 3.0}
+    seen |= {"load": 50.0}
     p = machine.forward(rho, **seen)
     assert np.abs(p - reduction.forward(rho)).max() > 1e-3
     assert np.abs(machine.inverse(p, **seen) - rho).max() < 1e-12

@@ -153,6 +153,7 @@ def test_the_key_numbers_are_on_the_page(which: str) -> None:
         assert blunder.message in text
     assert "orthoglide rerun result.json" in text
     assert "cannot detect the following" in text or not verdict.invisible
+    assert which != "explained" or any(n.startswith("mount_tilt") for n in verdict.invisible)
 
 
 @pytest.mark.thorough(except_for=["explained-390", "faulty-1280"])
