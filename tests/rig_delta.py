@@ -15,8 +15,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+
+from tests.rig import rotation
 
 Array = NDArray[np.float64]
 LEGS = "abc"
@@ -137,7 +138,7 @@ class DeltaRig:
             link = c
             # About c, then about b, then about a: the carriage turns about a first, each in turn.
             for axis in (c, out, UP):
-                link = Rotation.from_rotvec((turn @ axis) * axis).apply(link)
+                link = rotation((turn @ axis) * axis) @ link
             wide = self.d + self._e(f"parallelogram_width.{name}")
             for side in (1, -1):
                 A.append(at + side * self.d / 2 * link)
@@ -180,15 +181,20 @@ class DeltaRig:
         raise AssertionError("the loaded pose was not found")
 
     def _closed(self, A: Array, B: Array, length: Array, start: Array) -> Array:
-        """Tool and rotation vector ``(6,)`` where all bars have their lengths."""
-
-        def miss(x: Array) -> Array:
-            ends = x[:3] + Rotation.from_rotvec(x[3:]).apply(B)
-            return np.linalg.norm(ends - A, axis=1) - length
-
-        found = least_squares(miss, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
-        assert np.abs(found.fun).max() < 1e-12
-        return np.asarray(found.x)
+        """Tool and rotation vector ``(6,)`` where all bars have their lengths, by Newton."""
+        place, R = start[:3], rotation(start[3:])
+        for _ in range(30):
+            arm = B @ R.T
+            bar = place + arm - A
+            size = np.linalg.norm(bar, axis=1)
+            along = bar / size[:, None]
+            rows = np.concatenate([along, np.cross(arm, along)], axis=1)
+            step = np.linalg.solve(rows, length - size)
+            place, R = place + step[:3], rotation(step[3:]) @ R
+            if np.abs(step).max() < 1e-13:
+                break
+        assert np.abs(size - length).max() < 1e-12
+        return np.concatenate([place, Rotation.from_matrix(R).as_rotvec()])
 
     def _forces(self, told: Array, reached: Array, B: Array, at: Array, load: float) -> Array:
         """Force on each drive ``(3,)`` along its travel, newtons: what its bars pull there.
