@@ -34,7 +34,7 @@ class Predicted:
         other: set that was predicted, and how many.
         word: of the verdict.
         stored: by the numbers that the firmware stores.
-        base: by zeros, radii, angles and arms fitted.
+        base: by zeros, radii, angles and arms fitted, as by ``identify``.
         closed: by the closed loop.
         sigma: standard deviation of what the closed loop predicts.
         cause: first cause that was found, with how many rivals; empty where none was.
@@ -65,7 +65,7 @@ def predictions(path: Path) -> Iterator[Predicted]:
                 continue
             yield Predicted(
                 path.stem, f"{used.name}, {len(used)}", f"{other.name}, {len(other)}",
-                verdict.word, *public.predicted_rms_mm(verdict, machine, other),
+                verdict.word, *public.predicted_rms_mm(verdict, machine, used, other),
                 public.predicted_sd_mm(verdict, other), _first(verdict),
                 any(action.kind == "zeros" for action in verdict.actions),
             )  # fmt: skip

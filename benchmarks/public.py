@@ -286,14 +286,17 @@ def asked_by_measure(
 
 
 def predicted_rms_mm(
-    verdict: og.Verdict, machine: og.Machine, other: og.Readings
+    verdict: og.Verdict, machine: og.Machine, used: og.Readings, other: og.Readings
 ) -> tuple[float, float, float]:
     """Return by how much readings that were not used are off, root mean squares in millimetres: by
     the machine given, by the base model and by the verdict's machine.
+
+    The base model is that of ``identify``. That of an *unexplained* verdict is none to compare
+    with: the closed loop has fitted it to noise as large as the residual, and takes it over.
     """
     from orthoglide.closing.judging import held_out_rms
 
-    base = {**machine.values, **verdict.before.values}
+    base = {**machine.values, **og.identify([used], machine).values}
     stored, before, after = (
         held_out_rms(values, machine, [other]).length * 1e3 for values in ({}, base, verdict.values)
     )

@@ -41,4 +41,7 @@ def test_what_is_found_predicts_what_was_not_used() -> None:
         assert (
             np.mean([np.log(one.closed / one.base) for one in found if one.machine == name]) < 0.1
         )
+    kept = [one.closed / one.stored for one in found if one.word == "unexplained"]
+    assert len(kept) >= 5
+    assert max(kept) < 1.05  # what cannot be explained is not fitted
     assert f"of {len(found)} better than the base" in list(table(found))[-1]
