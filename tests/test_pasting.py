@@ -10,7 +10,12 @@ import pytest
 from orthoglide.add_ons import Corrections
 from orthoglide.closing import RunOutcome
 from orthoglide.firmware.klipper import Imported, Printer, import_printer
-from orthoglide.firmware.klipper.corrections import ResidualChange, make_paste
+from orthoglide.firmware.klipper.corrections import (
+    ResidualChange,
+    corrections_of,
+    make_paste,
+    make_record,
+)
 from orthoglide.firmware.klipper.new_numbers import rejection_reason, residual_changes
 from orthoglide.firmware.klipper.numbers import Numbers
 from orthoglide.firmware.klipper.provenance import CALIBRATE_AGAIN_KEY
@@ -129,6 +134,20 @@ def test_numbers_that_an_earlier_version_kept_are_pasted() -> None:
     assert any("delta_radius: 163.000000" in text for text in found.paragraphs)
     for edited in (None, {}, {"new": "x"}, {**kept, "left_of_readings": [{"file": "mesh"}]}):
         assert "missing" in make_paste(NUMBERS, edited).facts
+
+
+def test_what_new_numbers_gain_is_told_of_the_readings_that_they_fit_better() -> None:
+    """Of heights alone, numbers that distances asked for were offered as slightly worse ones."""
+    changes = [
+        ResidualChange("calibration", "heights", 7, 3e-6, 1.6e-5),
+        ResidualChange("calibration", "distances", 12, 2.56e-4, 3.4e-5),
+    ]
+    new = replace(NUMBERS, arm=(0.344,) * 3)
+    words = corrections_of(NUMBERS, make_record(NUMBERS, new, changes, "", False)).words
+    assert "of the distances of calibration its equations leave 0.034 mm rms, and 0.256 mm" in words
+    lower = [replace(changes[0], new=2e-6), changes[1]]
+    words = corrections_of(NUMBERS, make_record(NUMBERS, new, lower, "", False)).words
+    assert "of heights over the plate its equations leave 0.002 mm rms, and 0.003 mm" in words
 
 
 def test_the_firmware_s_own_calibration_comes_first(tmp_path: Path) -> None:

