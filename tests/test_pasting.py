@@ -145,9 +145,21 @@ def test_what_new_numbers_gain_is_told_of_the_readings_that_they_fit_better() ->
     new = replace(NUMBERS, arm=(0.344,) * 3)
     words = corrections_of(NUMBERS, make_record(NUMBERS, new, changes, "", False)).words
     assert "of the distances of calibration its equations leave 0.034 mm rms, and 0.256 mm" in words
+    assert "they make the rods shorter, as the distances say" in words
     lower = [replace(changes[0], new=2e-6), changes[1]]
     words = corrections_of(NUMBERS, make_record(NUMBERS, new, lower, "", False)).words
     assert "of heights over the plate its equations leave 0.002 mm rms, and 0.003 mm" in words
+
+
+def test_rods_that_heights_alone_make_shorter_are_not_told_as_those_of_distances() -> None:
+    changes = [
+        ResidualChange("calibration", "distances", 12, 3.1e-5, 4.1e-5),
+        ResidualChange("mesh-default", "heights", 61, 3.7e-5, 2.6e-5),
+    ]
+    new = replace(NUMBERS, arm=(0.344,) * 3)
+    words = corrections_of(NUMBERS, make_record(NUMBERS, new, changes, "", False)).words
+    assert "they make the rods shorter, as the heights ask, and no distance does: measure" in words
+    assert "as the distances say" not in words
 
 
 def test_the_firmware_s_own_calibration_comes_first(tmp_path: Path) -> None:

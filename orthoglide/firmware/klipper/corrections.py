@@ -89,12 +89,18 @@ def corrections_of(old: Numbers, record: Mapping[str, Any]) -> Corrections:
     rod_change, rods = float(np.mean(new.arm) - np.mean(old.arm)), ""
     if abs(rod_change) > MAX_ROD_SPREAD:  # the size is told with the causes
         longer = "longer" if rod_change > 0 else "shorter"
-        rods = f"; they make the rods {longer}, as was measured"
-        if not rods_measured:
-            rods = (
-                f"; they make the rods {longer}, as the distances say (a part that shrank makes "
-                f"distances shorter): measure a rod first"
+        why = "as the heights ask, and no distance does: measure a rod first"
+        if rods_measured:
+            why = "as was measured"
+        elif "left_of_readings" not in record or any(
+            x["kind"] == "distances" and x["new_rms_mm"] < x["old_rms_mm"]
+            for x in record["left_of_readings"]
+        ):
+            why = (
+                "as the distances say (a part that shrank makes distances shorter): measure a rod "
+                "first"
             )
+        rods = f"; they make the rods {longer}, {why}"
     if (spread := float(np.ptp(new.arm))) > MAX_ROD_SPREAD and not rods_measured:
         rods += (
             f"; their arms differ by {spread * 1e3:.2f} mm, more than rods of one set do: measure "
