@@ -46,7 +46,7 @@ NEVER = {
     ("observations", "mechanism"), ("prediction", "reduction"), ("machine", "reduction"),
     ("explanation", "reduction"), ("control", "reduction"),
 }  # fmt: skip
-HEAVY = ("pinocchio", "casadi", "matplotlib", "scipy.optimize", "meshcat", "joblib", "dask")
+HEAVY = ("pinocchio", "casadi", "scipy.optimize", "meshcat", "joblib", "dask")
 
 
 def modules() -> list[Path]:

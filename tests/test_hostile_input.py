@@ -20,7 +20,8 @@ from orthoglide.comparison.tables import slice_figure
 from orthoglide.control import export_files
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import FileError
-from orthoglide.figures.style import figure_style, new_figure, svg_text
+from orthoglide.figures.axes import Panel
+from orthoglide.figures.style import Drawing
 from orthoglide.files import read_bytes
 from orthoglide.machine_file import MachineFile, machine_text, parse_machine_file
 from orthoglide.machine_file.posterior import parse_posterior
@@ -171,11 +172,12 @@ def test_formulas_are_text_in_every_table(here: Path) -> None:
 
 def test_figures_take_no_formulas() -> None:
     names = ("$$", "$\\frac{$", "$x$")
-    with figure_style():
-        figure = new_figure(3, 2)
-        for k, name in enumerate(names):
-            figure.text(0.1, 0.2 * (k + 1), name)
-        shown = "".join(ET.fromstring(svg_text(figure)).itertext())
+    panel = Panel("figure", (0.0, 0.0, 200.0, 100.0))
+    axes = panel.add_axes((0.0, 1.0), (0.0, 1.0))
+    for name in names:
+        axes.set_title(name)
+    drawing = Drawing("figure", "names", (200.0, 100.0), (panel.svg(),))
+    shown = "".join(ET.fromstring(drawing.svg).itertext())
     assert all(name in shown for name in names)
     assert "$$" in slice_figure("$$ <b>", slices(og.Machine.nominal(), side=3))
 

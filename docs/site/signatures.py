@@ -11,13 +11,15 @@ import numpy as np
 import orthoglide as og
 import orthoglide.figures.style as style
 from orthoglide.effects.wording import value_words
+from orthoglide.figures.axes import Limits, Panel, padded, round_ticks
+from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS, Array
 from orthoglide.pictures import dials, option
 from orthoglide.scene import drawing
 
 WARMING, LOAD, PITCH = 10.0, 10.0, 0.02  # K over the sheet, N, metres
 _STEP = 1e-5  # of base parameters, SI: readings are linear in so little
-_PANEL = (2.5, 1.35)  # inches: two abreast can be read on a phone
+_PANEL = (180.0, 97.0)  # SVG units: two abreast can be read on a phone
 _KEY = f"""
 The pictures show one tolerance of that parameter of an effect which a sweep
 (`orthoglide protocol --kind sweep`) shows best. On the drawing it is seen after a move outward, an
@@ -92,32 +94,36 @@ def draw(effect: og.Effect, sheet: Sheet, folder: Path) -> tuple[str, str]:
     marked = option(sheet.machine, words, {name: value})
     svg = drawing(posed, [marked], dials(posed, [sheet.campaign]), title=words, standalone=True)
     (folder / f"{stem}-machine.svg").write_text(svg, encoding="utf-8")
-    with style.figure_style():
-        svg = panels(sheet, sheet.change(name, value), sheet.left(name, value))
+    svg = panels(sheet, sheet.change(name, value), sheet.left(name, value))
     (folder / f"{stem}-readings.svg").write_text(svg, encoding="utf-8")
     return words, stem
 
 
-def panels(sheet: Sheet, change: Array, left: Array) -> str:
+def panels(sheet: Sheet, change: Array, left_over: Array) -> str:
     """Changes and what is left of them ``(n,)``, metres, a panel a dial, as SVG."""
     campaign, zero = sheet.campaign, sheet.machine.geometry.zero
     first = np.array([np.flatnonzero(campaign.setup == k)[0] for k in campaign.setup])
     shown = (change - change[first]) * 1e3
-    reach = 1.1 * max(np.abs(shown).max(), np.abs(left).max() * 1e3, 1e-9)
+    reach = 1.1 * max(np.abs(shown).max(), np.abs(left_over).max() * 1e3, 1e-9)
     width, height = _PANEL
     lines = -(-len(campaign.setups) // 2)
-    figure = style.new_figure(2 * width, lines * height + 0.2)
+    size = (2 * width, lines * height + 14.0)
+    panel = Panel("readings", (0.0, 0.0, *size))
     for k, setup in enumerate(campaign.setups):
-        rows, at = campaign.setup == k, (k % 2 * width + 0.6, k // 2 * height + 0.25)
-        axes = style.place_axes(figure, *at, width - 0.7, height - 0.5)
+        rows, left, top = campaign.setup == k, k % 2 * width, k // 2 * height
         travel = (campaign.command[rows, setup.leg] - zero[setup.leg]) * 1e3
-        axes.plot(travel, shown[rows], color=style.BEFORE, linewidth=2.2)
-        axes.plot(travel, left[rows] * 1e3, color=style.FIT)
-        axes.set_ylim(-reach, reach)
+        x, y = padded(travel, 0.05), (-reach, reach)
+        axes = panel.add_axes(x, y, left + 43.0, top + 18.0, width - left + 7.0,
+                              size[1] - top - height + 18.0)  # fmt: skip
+        axes.line(travel, shown[rows], style.BEFORE, 2.2)
+        axes.line(travel, left_over[rows] * 1e3, style.FIT)
         axes.set_title(f"leg {LEGS[setup.leg]}, along {setup.direction}, mm")
-        style.few_ticks(axes)
-        lowest = k // 2 == lines - 1
-        axes.tick_params(labelbottom=lowest, labelleft=k % 2 == 0)  # scales are the same for all
-        if lowest:
-            axes.set_xlabel("travel, mm", labelpad=2)
-    return style.svg_text(figure)
+        # Scales are the same for all.
+        lowest, leftmost = k // 2 == lines - 1, k % 2 == 0
+        axes.set_x_axis(_ticks(x, lowest), "travel, mm" if lowest else "")
+        axes.set_y_axis(_ticks(y, leftmost))
+    return Drawing("readings", "What it does to the readings", size, (panel.svg(),)).svg
+
+
+def _ticks(limits: Limits, labelled: bool) -> list[tuple[float, str]]:
+    return [(value, words if labelled else "") for value, words in round_ticks(limits)]

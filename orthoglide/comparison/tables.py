@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from orthoglide.comparison.comparing import READING_LIMIT, TCP_LIMIT, Difference, Row, Slice, slices
 from orthoglide.figures import style
+from orthoglide.figures.axes import Key, Panel, padded, panel_drawing, round_ticks, text
 from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
-from orthoglide.numerals import plain
+from orthoglide.numerals import compact, plain
 from orthoglide.progress import Progress, Step, no_progress
 
 _UM = 1e6
+_SHADES = 6  # of a figure, which fit into its legend
+_SLICE_HEIGHT = 221.0  # of a panel whose axes are square
 
 LIMITS = (
     f"The simplified model will do where, after its six parameters are fitted, the TCP is nowhere "
@@ -100,23 +105,33 @@ def markdown_table(rows: Sequence[Row], columns: Sequence[str] = _LONG) -> str:
 
 
 def slice_figure(title: str, planes: Sequence[Slice]) -> str:
-    """Return three planes of the workspace as SVG, coloured by the difference at the TCP."""
+    """Return three planes of the workspace as SVG, shaded by the difference at the TCP."""
     largest = max(float(np.nanmax(plane.difference)) for plane in planes) * _UM
-    with style.figure_style():
-        figure = style.new_figure(9.5, 3.2)
-        figure.set_layout_engine("constrained")
-        axes = figure.subplots(1, 3)
-        for ax, plane in zip(axes, planes, strict=True):
-            across, up = (axis for axis in range(3) if axis != plane.normal)
-            x, y = plane.p[..., across] * 1e3, plane.p[..., up] * 1e3
-            size = plane.difference * _UM
-            limits = {"vmin": 0, "vmax": max(largest, 1e-3)}
-            mesh = ax.pcolormesh(x, y, size, shading="nearest", rasterized=True, **limits)
-            ax.set(xlabel=f"{LEGS[across]}, mm", ylabel=f"{LEGS[up]}, mm", aspect="equal")
-            ax.set_title(f"{LEGS[plane.normal]} = 0", fontsize="medium")
-        figure.colorbar(mesh, ax=axes, label="difference at the TCP, µm")
-        figure.suptitle(title, fontsize="medium")
-        return style.svg_text(figure)
+    edges = [edge for edge, _ in round_ticks((0.0, max(largest, 1e-3)), _SHADES)]
+    edges.append(2 * edges[-1] - edges[-2])
+    names = [f"{compact(low)} to {compact(high)} µm" for low, high in pairwise(edges)]
+
+    def draw(plane: Slice, panel: Panel) -> list[Key]:
+        across, up = (axis for axis in range(3) if axis != plane.normal)
+        x, y, size = plane.p[..., across] * 1e3, plane.p[..., up] * 1e3, plane.difference * _UM
+        cell = 1.01 * (x[1, 0] - x[0, 0]), 1.01 * (y[0, 1] - y[0, 0])  # without gaps
+        x_limits, y_limits = padded(x, 0.5 / (len(x) - 1)), padded(y, 0.5 / (y.shape[1] - 1))
+        axes = panel.add_axes(x_limits, y_limits)
+        keys = []
+        for k, (low, above) in enumerate(pairwise(edges)):
+            inside = (size >= low) & (size < above)
+            alpha = (k + 0.5) / len(names)
+            keys.append(axes.boxes(x[inside], y[inside], *cell, style.FIT, alpha))
+        axes.set_title(f"{LEGS[plane.normal]} = 0")
+        axes.set_x_axis(round_ticks(x_limits), f"{LEGS[across]}, mm")
+        axes.set_y_axis(round_ticks(y_limits), f"{LEGS[up]}, mm")
+        return keys
+
+    caption = f"{title}: difference at the TCP"
+    drawing = panel_drawing("slices", caption, planes, draw, _SLICE_HEIGHT, names)
+    width, height = drawing.size
+    shown = drawing.legend + text(8.0, height + 6.0, caption)
+    return replace(drawing, size=(width, height + 14.0), legend=shown).svg
 
 
 def comparison_files(

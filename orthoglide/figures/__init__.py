@@ -3,5 +3,3 @@
 Texts remain texts and colours are named (see `style`), so that the page can apply its own font
 and its light and dark colours. Equal results give equal bytes.
 """
-
-# The modules are imported only to draw, as the import of matplotlib is slow.

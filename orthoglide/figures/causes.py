@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 import orthoglide.figures.style as style
+from orthoglide.figures.axes import Key, Panel, padded, panel_drawing, round_ticks
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import Array
 from orthoglide.ordering import descending
 from orthoglide.result import Cause, Curve, Explanation, Located, Mounting, ReadingsShown
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.lines import Line2D
-
 _MOST_PANELS = 6  # setups, or places, of a figure
+_HEIGHT = 151.0  # of a panel
 _MIN_PATTERN = 0.15  # smallest pattern of a cause that is drawn, relative to the largest
 _MIN_DIFFERENCE = 0.03  # smallest difference between approaches, relative to the residuals' range
 _CURVES = (  # the chosen cause, then its rivals
@@ -103,47 +100,42 @@ def draw_signatures(cause: Cause, readings: ReadingsShown, number: int) -> Drawi
         largest = float(np.max(np.abs(pattern.residual) + pattern.noise))
         limits[unit] = max(limits.get(unit, 0.0), 1.15 * largest)
 
-    def draw(pattern: Pattern, place: style.Place) -> list[Line2D]:
-        axes, limit = place(), limits[pattern.mounting.unit]
-        handles = _draw_pattern(axes, pattern)
-        axes.set_ylim(-limit, limit)
-        style.few_ticks(axes)
-        return handles
+    def draw(pattern: Pattern, panel: Panel) -> list[Key]:
+        return _draw_pattern(panel, pattern, limits[pattern.mounting.unit])
 
     names = [drawn.name for drawn in drawn_explanations(cause)]
     title = "What is to be explained, and what each cause makes of it"
-    return style.panel_drawing(f"signatures-{number}", title, patterns, draw, legend=names)
+    return panel_drawing(f"signatures-{number}", title, patterns, draw, _HEIGHT, names)
 
 
-def _draw_pattern(axes: Axes, pattern: Pattern) -> list[Line2D]:
-    """Draw one panel, and return a handle for each cause."""
-    sides = pattern.distinct_sides
-    handles = []
+def _draw_pattern(panel: Panel, pattern: Pattern, limit: float) -> list[Key]:
+    """Draw one panel, and return a key for each cause."""
+    x, y = padded(pattern.x, 0.05), (-limit, limit)
+    axes, sides, keys = panel.add_axes(x, y), pattern.distinct_sides, []
     for curve, (colour, dash, width, alpha) in zip(pattern.curves, _CURVES, strict=False):
         for side in sides or [0.0]:
             rows = np.flatnonzero(pattern.side == side) if sides else np.arange(len(pattern.x))
             order = rows[np.lexsort([curve[rows], pattern.x[rows]])]
-            (line,) = axes.plot(pattern.x[order], curve[order], color=colour, linestyle=dash,
-                                linewidth=width, alpha=alpha)  # fmt: skip
-        handles.append(line)
+            key = axes.line(pattern.x[order], curve[order], colour, width, dash, alpha)
+        keys.append(key)
     marks = {1.0: "^", -1.0: "v"} if len(sides) > 1 else {}
-    axes.vlines(pattern.x, pattern.residual - pattern.noise, pattern.residual + pattern.noise,
-                color=style.DATA, linewidth=0.8)  # fmt: skip
+    axes.segments(pattern.x, pattern.residual - pattern.noise, pattern.x,
+                  pattern.residual + pattern.noise, style.DATA, 0.8)  # fmt: skip
     for side in sides or [0.0]:
         rows = pattern.side == side if sides else np.ones(len(pattern.x), dtype=bool)
-        axes.plot(pattern.x[rows], pattern.residual[rows], color=style.DATA, linestyle="none",
-                  marker=marks.get(side, "o"), markersize=4.2, markeredgewidth=0)  # fmt: skip
-    axes.axhline(0, color=style.MUTED, linewidth=0.6)
-    mounting = pattern.mounting
-    style.label_axes(axes, mounting.title, mounting.label, mounting.unit)
-    axes.margins(x=0.05)
-    return handles
+        shape = marks.get(side, "o")
+        axes.points(pattern.x[rows], pattern.residual[rows], style.DATA, 4.2, shape)
+    axes.zero()
+    axes.set_title(pattern.mounting.title)
+    axes.set_x_axis(round_ticks(x), pattern.mounting.label)
+    axes.set_y_axis(round_ticks(y), pattern.mounting.unit)
+    return keys
 
 
 def draw_located(located: Located, number: int) -> Drawing:
     """Return the figure of free-form errors with their 95 % bands; ``number`` counts from 1."""
     title, shown = "What was found, by place", located.members[:_MOST_PANELS]
-    return style.panel_drawing(f"located-{number}", title, shown, _draw_curve)
+    return panel_drawing(f"located-{number}", title, shown, _draw_curve, _HEIGHT)
 
 
 _AXIS_LABELS = {
@@ -152,13 +144,15 @@ _AXIS_LABELS = {
 }  # fmt: skip
 
 
-def _draw_curve(curve: Curve, place: style.Place) -> tuple[()]:
-    axes, x = place(), curve.at * (1.0 if curve.against == "time" else 1e3)
+def _draw_curve(curve: Curve, panel: Panel) -> tuple[()]:
+    at = curve.at * (1.0 if curve.against == "time" else 1e3)
     value, band = curve.value * 1e3, 1.96e3 * curve.sigma
-    axes.fill_between(x, value - band, value + band, color=style.BAND, linewidth=0)
-    axes.plot(x, value, color=style.FIT, linewidth=1.6)
-    axes.axhline(0, color=style.MUTED, linewidth=0.6)
-    style.label_axes(axes, curve.name, _AXIS_LABELS.get(curve.against, "command, mm"), curve.unit)
-    axes.margins(x=0.02)
-    style.few_ticks(axes)
+    x, y = padded(at, 0.02), padded([*(value - band), *(value + band), 0.0], 0.05)
+    axes = panel.add_axes(x, y)
+    axes.band(at, value - band, value + band, style.BAND)
+    axes.line(at, value, style.FIT, 1.6)
+    axes.zero()
+    axes.set_title(curve.name)
+    axes.set_x_axis(round_ticks(x), _AXIS_LABELS.get(curve.against, "command, mm"))
+    axes.set_y_axis(round_ticks(y), curve.unit)
     return ()

@@ -3,34 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 import orthoglide.figures.style as style
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.errors import check_choice
+from orthoglide.figures.axes import (
+    LEGEND_HEIGHT,
+    SINGLE_WIDTH,
+    Axes,
+    Key,
+    Panel,
+    legend,
+    panel_drawing,
+    round_ticks,
+)
 from orthoglide.figures.causes import draw_located, draw_signatures
 from orthoglide.figures.readings import draw_readings, draw_residuals
-from orthoglide.figures.style import Drawing, figure_style
+from orthoglide.figures.style import Drawing
 from orthoglide.frames import Framed
 from orthoglide.geometry import Array
 from orthoglide.numerals import ByUnit, signed
 from orthoglide.result import ReadingsShown, Result, Workspace
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _MAX_OPACITY = 0.7  # opacity of the cell with the largest value
 
 
 def draw(result: Result) -> list[Drawing]:
     """Return all figures of a result."""
-    with figure_style():
-        causes = enumerate(result.effects, start=1)
-        drawings = [draw_signatures(cause, result.readings, k) for k, cause in causes]
-        drawings += [draw_located(located, k) for k, located in enumerate(result.located, start=1)]
-        return drawings + [drawn_by() for drawn_by in _result_figures(result).values()]
+    causes = enumerate(result.effects, start=1)
+    drawings = [draw_signatures(cause, result.readings, k) for k, cause in causes]
+    drawings += [draw_located(located, k) for k, located in enumerate(result.located, start=1)]
+    return drawings + [drawn_by() for drawn_by in _result_figures(result).values()]
 
 
 def draw_one(result: Result, what: str) -> Drawing:
@@ -81,8 +87,7 @@ def _fit_figures(
 
 def _draw_named(figures: _FigureMakers, what: str) -> Drawing:
     check_choice("figure", what, figures)
-    with figure_style():
-        return figures[what]()
+    return figures[what]()
 
 
 # --- The workspace --------------------------------------------------------------------------
@@ -104,43 +109,37 @@ def draw_workspace(space: Workspace, improved: bool) -> Drawing:
     scale = dict[str, float]()  # largest value by colour
     for _, values, colour in rows:
         scale[colour] = max(scale.get(colour, 0.0), float(values.max()))
-    height, shown_levels = 2.5, np.unique(levels[[0, len(levels) // 2, -1]])
+    shown_levels = np.unique(levels[[0, len(levels) // 2, -1]])
 
-    def draw(panel: tuple[str, Array, str, float], place: style.Place) -> tuple[()]:
-        what, values, colour, level = panel
+    def draw(part: tuple[str, Array, str, float], panel: Panel) -> tuple[()]:
+        what, values, colour, level = part
         on_level = np.abs(places[:, 2] - level) < 1e-3
-        axes = place(0.5, 0.32, style.PANEL_SIZE[0] - 0.6, height - 0.78)
-        _draw_level(axes, places[on_level], values[on_level] * 1e3, colour, scale[colour] * 1e3)
-        axes.set_xlabel(f"{space.axis.format('x')}, mm", labelpad=2)
-        axes.set_ylabel(f"{space.axis.format('y')}, mm", labelpad=3)
+        shades = values[on_level] * 1e3, colour, scale[colour] * 1e3
+        axes = _draw_level(panel, places[on_level], *shades, space.axis)
         axes.set_title(f"{what}, z {signed(level, 0)} mm")
         return ()
 
     panels = [(*row, float(level)) for row in rows for level in shown_levels]
-    return style.panel_drawing("workspace", "The TCP over the workspace, mm", panels, draw, height)
+    return panel_drawing("workspace", "The TCP over the workspace, mm", panels, draw, 180.0)
 
 
-def _draw_level(axes: Axes, at: Array, values: Array, colour: str, largest: float) -> None:
+def _draw_level(
+    panel: Panel, at: Array, values: Array, colour: str, largest: float, axis: str
+) -> Axes:
     """Draw a square with its value for each place of one level; darker is larger."""
-    from matplotlib.collections import PolyCollection
-    from matplotlib.colors import to_rgba
-
     (xs, x), (ys, y) = (np.unique(np.round(at[:, k], 6), return_inverse=True) for k in (0, 1))
+    axes = panel.add_axes((0.0, float(len(xs))), (0.0, float(len(ys))))
     decimals = 3 if largest < 0.1 else 2
     opacity = (0.05 + (_MAX_OPACITY - 0.05) * values / max(largest, 1e-12)).tolist()
-    corners = np.array([[0.03, 0.03], [0.97, 0.03], [0.97, 0.97], [0.03, 0.97]])
-    squares = [corners + corner for corner in np.stack([x, y], axis=1)]
-    colours = [to_rgba(colour, alpha) for alpha in opacity]
-    axes.add_collection(PolyCollection(squares, facecolors=colours, linewidths=0))
-    for i, j, value in zip(x.tolist(), y.tolist(), values.tolist(), strict=True):
-        axes.text(i + 0.5, j + 0.48, f"{value:.{decimals}f}", ha="center", va="center", fontsize=7)
-    axes.set_xlim(0, len(xs))
-    axes.set_ylim(0, len(ys))
-    axes.grid(visible=False)
-    axes.spines["bottom"].set_visible(False)
-    axes.tick_params(length=0)
-    axes.set_xticks(np.arange(len(xs)) + 0.5, [signed(v, 0) for v in xs])
-    axes.set_yticks(np.arange(len(ys)) + 0.5, [signed(v, 0) for v in ys])
+    for i, j, value, alpha in zip(x.tolist(), y.tolist(), values.tolist(), opacity, strict=True):
+        axes.boxes([i + 0.5], [j + 0.5], 0.94, 0.94, colour, alpha)
+        axes.write(i + 0.5, j + 0.5, f"{value:.{decimals}f}", 7.0)
+    x_ticks, y_ticks = (
+        [(k + 0.5, signed(v, 0)) for k, v in enumerate(v.tolist())] for v in (xs, ys)
+    )
+    axes.set_x_axis(x_ticks, f"{axis.format('x')}, mm", lines=False)
+    axes.set_y_axis(y_ticks, f"{axis.format('y')}, mm", lines=False)
+    return axes
 
 
 # --- Parameters -----------------------------------------------------------------------------
@@ -154,45 +153,39 @@ def draw_parameters(columns: Mapping[str, Sequence[Any]], catalogue: Catalogue) 
     names = columns["parameter"]
     for k, name in enumerate(names):
         strips.setdefault(catalogue.effect_of(name), []).append(k)
-    heights = [0.72 + 0.24 * len(members) for members in strips.values()]
-    figure = style.new_figure(style.SINGLE_WIDTH, sum(heights) + 0.3)
+    heights = [52.0 + 17.0 * len(members) for members in strips.values()]
     labels = [name.removeprefix(f"{catalogue.effect_of(name).name}.") for name in names]
-    margin = min(0.2 + 0.06 * max(map(len, labels)), 1.7)
-    top = 0.3
+    size, left = (SINGLE_WIDTH, sum(heights) + LEGEND_HEIGHT), 14.0 + 4.3 * max(map(len, labels))
+    panel = Panel("parameters", (0.0, 0.0, *size))
+    top = LEGEND_HEIGHT
     for (effect, members), height in zip(strips.items(), heights, strict=True):
-        axes = style.place_axes(
-            figure, margin, top + 0.2, style.SINGLE_WIDTH - margin - 0.12, height - 0.58
+        value, low, high, tolerance = (
+            np.array(columns[title], dtype=float)[members]
+            for title in ("value", "lower", "upper", "tolerance")
         )
-        handles = _draw_strip(axes, columns, effect, members)
-        axes.set_yticks(range(len(members)), [labels[k] for k in members], color=style.INK)
+        shown = (value, (high - low) / 2, float(tolerance[0]))
+        below = size[1] - top - height + 28.0
+        axes, keys = _draw_strip(panel, *shown, min(left, 122.0), top + 14.0, below)
+        axes.set_title(f"{effect.name.replace('_', ' ')}, {effect.unit.name}")
+        axes.set_y_axis([(k, labels[n]) for k, n in enumerate(members)], colour=style.INK)
         top += height
-    corner = (margin / style.SINGLE_WIDTH - 0.02, 1.0)
-    figure.legend(
-        handles, ("value, 95 % interval", "tolerance, ± 1 sigma"), loc="upper left", ncols=2,
-        bbox_to_anchor=corner, borderaxespad=0.1, handlelength=1.4,
-    )  # fmt: skip
+    texts = legend(8.0, 10.0, keys, ("value, 95 % interval", "tolerance, ± 1 sigma"))
     title = "Identified values against their tolerances"
-    return Drawing("parameters", title, style.svg_text(figure))
+    return Drawing("parameters", title, size, (panel.svg(),), texts)
 
 
 def _draw_strip(
-    axes: Axes, columns: Mapping[str, Sequence[Any]], effect: Effect, members: list[int]
-) -> list[Any]:
-    unit = effect.unit
-    value, low, high, tolerances = (
-        np.array(columns[title], dtype=float)[members]
-        for title in ("value", "lower", "upper", "tolerance")
-    )
-    half, tolerance = (high - low) / 2, float(tolerances[0])
-    rows = np.arange(len(members))
-    band = axes.axvspan(-tolerance, tolerance, color=style.BAND, alpha=0.25, linewidth=0)
-    axes.axvline(0, color=style.MUTED, linewidth=0.6)
-    axes.hlines(rows, value - half, value + half, color=style.FIT, linewidth=1.6)
-    (dots,) = axes.plot(value, rows, color=style.FIT, marker="o", linestyle="none", markersize=4.4,
-                        markeredgewidth=0)  # fmt: skip
+    panel: Panel, value: Array, half: Array, tolerance: float, left: float, top: float,
+    bottom: float,
+) -> tuple[Axes, list[Key]]:  # fmt: skip
+    """Draw values with half their intervals; return the axes and keys of the legend."""
+    rows = np.arange(len(value))
     reach = 1.1 * max(float(np.max(np.abs(value) + half)), 1.1 * tolerance)
-    axes.set_xlim(-reach, reach)
-    axes.set_ylim(len(members) - 0.5, -0.5)
-    style.few_ticks(axes, across=5)
-    axes.set_title(f"{effect.name.replace('_', ' ')}, {unit.name}", pad=3)
-    return [dots, band]
+    x, y = (-reach, reach), (len(rows) - 0.5, -0.5)
+    axes = panel.add_axes(x, y, left=left, top=top, bottom=bottom)
+    band = axes.boxes([0.0], [(len(rows) - 1) / 2], 2 * tolerance, len(rows), style.BAND, 0.25)
+    axes.zero(vertical=True)
+    axes.segments(value - half, rows, value + half, rows, style.FIT, 1.6)
+    dots = axes.points(value, rows, style.FIT, 4.4)
+    axes.set_x_axis(round_ticks(x, 5))
+    return axes, [dots, band]

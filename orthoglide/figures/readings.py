@@ -4,19 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import orthoglide.figures.style as style
+from orthoglide.figures.axes import (
+    LEGEND_HEIGHT,
+    PANEL_HEIGHT,
+    SINGLE_WIDTH,
+    Axes,
+    Key,
+    Panel,
+    legend,
+    padded,
+    panel_drawing,
+    round_ticks,
+)
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import Array
 from orthoglide.numerals import ByUnit
 from orthoglide.result import Mounting, ReadingsShown
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+_BOTTOM, _RESIDUALS = 32.0, 40.0  # height below the axes; height of the axes of residuals
 
 
 @dataclass(frozen=True)
@@ -68,26 +78,25 @@ def draw_readings(readings: ReadingsShown, before: Array) -> Drawing:
     """Return the figure of readings, fit and residuals by setup; ``before``: predictions before the
     fit ``(n,)``, metres or radians.
     """
-    setups, height = _panels(readings, before), style.PANEL_SIZE[1]
+    setups = _panels(readings, before)
     limits = {unit: _axis_limits(some) for unit, some in _panels_by_unit(setups).items()}
 
-    def draw(setup: _Panel, place: style.Place) -> list[Any]:
-        axes, below = place(up=height - 1.4), place(top=height - 1.0, up=0.55)
-        handles = _draw_setup(axes, setup)
-        limit, residual_limit = limits[setup.mounting.unit]
-        axes.set_ylim(-limit, limit)
-        style.few_ticks(axes)
-        axes.tick_params(labelbottom=False, bottom=False)
-        _draw_residual_panel(below, setup)
-        below.set_ylim(-residual_limit, residual_limit)
-        below.set_xlim(axes.get_xlim())
-        style.few_ticks(below, up=2)
-        return handles
+    def draw(setup: _Panel, panel: Panel) -> list[Key]:
+        x, (limit, residual_limit) = padded(setup.x, 0.05), limits[setup.mounting.unit]
+        y, below = (-limit, limit), (-residual_limit, residual_limit)
+        axes = panel.add_axes(x, y, bottom=_BOTTOM + _RESIDUALS + 8)
+        keys = _draw_setup(axes, setup)
+        axes.set_title(setup.mounting.title)
+        axes.set_x_axis([(place, "") for place, _ in round_ticks(x)])
+        axes.set_y_axis(round_ticks(y), setup.mounting.unit)
+        axes = panel.add_axes(x, below, top=PANEL_HEIGHT - _BOTTOM - _RESIDUALS, bottom=_BOTTOM)
+        _draw_residual_panel(axes, setup)
+        axes.set_x_axis(round_ticks(x), setup.mounting.label)
+        axes.set_y_axis(round_ticks(below, 2), f"left, {setup.mounting.unit}")
+        return keys
 
-    return style.panel_drawing(
-        "readings", "Readings and fit by setup", setups, draw, height,
-        ("reading", "fit", "noise, ± 2 sigma", "before"), axes=2,
-    )  # fmt: skip
+    return panel_drawing("readings", "Readings and fit by setup", setups, draw, PANEL_HEIGHT,
+                         ("reading", "fit", "noise, ± 2 sigma", "before"))  # fmt: skip
 
 
 def _panels_by_unit(setups: Sequence[_Panel]) -> dict[str, list[_Panel]]:
@@ -106,37 +115,32 @@ def _axis_limits(setups: Sequence[_Panel]) -> tuple[float, float]:
     return 1.12 * largest, max(residual_limit, 2.4 * float(max(s.sigma.max() for s in setups)))
 
 
-def _draw_setup(axes: Axes, setup: _Panel) -> list[Any]:
+def _draw_setup(axes: Axes, setup: _Panel) -> list[Key]:
     order = np.argsort(setup.x, kind="stable")
     x, fit, before = setup.x[order], setup.fit[order], setup.before[order]
     noise = 2 * setup.sigma[order]
     # A line is drawn only if every abscissa has a single fitted value.
     step = np.diff(x) < 1e-6
-    one_value = not np.any(np.abs(np.diff(fit)[step]) > noise[1:][step] / 2)
-    band = axes.fill_between(x, fit - noise, fit + noise, color=style.BAND, alpha=0.35, linewidth=0)
-    if not one_value:
-        band.set_visible(False)
-        axes.vlines(x, fit - noise, fit + noise, color=style.BAND, alpha=0.5, linewidth=3)
-    (before_line,) = axes.plot(x, before, color=style.BEFORE, marker="_", markersize=4, linewidth=1,
-                               linestyle="--" if one_value else "none")  # fmt: skip
-    (fit_line,) = axes.plot(x, fit, color=style.FIT, linestyle="-" if one_value else "none",
-                      marker="" if one_value else "_")  # fmt: skip
-    (dots,) = axes.plot(setup.x, setup.measured, color=style.DATA, linestyle="none", marker="o",
-                        markersize=3.6 if len(x) < 12 else 2.4, markeredgewidth=0)  # fmt: skip
-    style.label_axes(axes, setup.mounting.title, "", setup.mounting.unit)
-    axes.margins(x=0.05)
-    return [dots, fit_line, band, before_line]
+    if not np.any(np.abs(np.diff(fit)[step]) > noise[1:][step] / 2):
+        noise_key = axes.band(x, fit - noise, fit + noise, style.BAND, 0.35)
+        before_key = axes.line(x, before, style.BEFORE, 1.0, "--")
+        fit_key = axes.line(x, fit, style.FIT)
+    else:
+        noise_key = axes.segments(x, fit - noise, x, fit + noise, style.BAND, 3.0, 0.5)
+        before_key = axes.points(x, before, style.BEFORE, 4.0, "_")
+        fit_key = axes.points(x, fit, style.FIT, 6.0, "_")
+    size = 3.6 if len(x) < 12 else 2.4
+    return [axes.points(setup.x, setup.measured, style.DATA, size), fit_key, noise_key, before_key]
 
 
 def _draw_residual_panel(axes: Axes, setup: _Panel) -> None:
     """Draw the residual of each reading on its own scale."""
     order = np.argsort(setup.x, kind="stable")
     noise = 2 * setup.sigma[order]
-    axes.fill_between(setup.x[order], -noise, noise, color=style.BAND, alpha=0.35, linewidth=0)
-    axes.axhline(0, color=style.MUTED, linewidth=0.6)
-    axes.plot(setup.x, setup.measured - setup.fit, color=style.DATA, linestyle="none", marker="o",
-              markersize=3 if len(setup.x) < 12 else 2.2, markeredgewidth=0)  # fmt: skip
-    style.label_axes(axes, "", setup.mounting.label, f"left, {setup.mounting.unit}")
+    axes.band(setup.x[order], -noise, noise, style.BAND, 0.35)
+    axes.zero()
+    size = 3.0 if len(setup.x) < 12 else 2.2
+    axes.points(setup.x, setup.measured - setup.fit, style.DATA, size)
 
 
 def draw_residuals(readings: ReadingsShown, before: Array, noise: ByUnit) -> Drawing:
@@ -145,31 +149,25 @@ def draw_residuals(readings: ReadingsShown, before: Array, noise: ByUnit) -> Dra
     """
     setups = _panels(readings, before)
     names = [s.mounting.name for s in setups]
-    height = 0.8 + 0.3 * len(setups)
-    figure = style.new_figure(style.SINGLE_WIDTH, height)
-    margin = min(0.2 + 0.055 * max(map(len, names)), 1.6)
-    axes = style.place_axes(figure, margin, 0.32, style.SINGLE_WIDTH - margin - 0.12, height - 0.78)
-    wide = np.array([2 * noise.shown[s.mounting.unit] for s in setups])
-    axes.barh(range(len(setups)), 2 * wide, 1.0, -wide, color=style.BAND, alpha=0.35, linewidth=0,
-              label="noise, ± 2 sigma")  # fmt: skip
-    axes.axvline(0, color=style.MUTED, linewidth=0.6)
-    for k, setup in enumerate(setups):
-        row, label = np.full(len(setup.x), float(k)), "_" if k else ""
-        axes.plot(setup.measured - setup.before, row - 0.17, color=style.BEFORE, marker="o",
-                  linestyle="none", markersize=3.4, fillstyle="none", markeredgewidth=0.9,
-                  label=label or "before")  # fmt: skip
-        axes.plot(setup.measured - setup.fit, row + 0.17, color=style.FIT, marker="o",
-                  linestyle="none", markersize=3.6, markeredgewidth=0,
-                  label=label or "after")  # fmt: skip
+    wide = [2 * noise.shown[s.mounting.unit] for s in setups]
     reach = 1.1 * max(float(np.abs(s.measured - s.before).max()) for s in setups)
     after = 1.1 * max(float(np.abs(s.measured - s.fit).max()) for s in setups)
-    reach = max(reach, after, 1.2 * float(wide.max()))
-    axes.set_xlim(-reach, reach)
-    axes.set_ylim(len(setups) - 0.5, -0.5)
-    style.few_ticks(axes, across=6)
-    axes.set_yticks(range(len(setups)), names, color=style.INK)
+    reach = max(reach, after, 1.2 * max(wide))
+    size = (SINGLE_WIDTH, 58.0 + 22.0 * len(setups))
+    left = min(14.0 + 4.0 * max(map(len, names)), 115.0)
+    panel = Panel("residuals", (0.0, 0.0, *size))
+    x, y = (-reach, reach), (len(setups) - 0.5, -0.5)
+    axes = panel.add_axes(x, y, left=left, top=LEGEND_HEIGHT)
+    for k, (setup, half) in enumerate(zip(setups, wide, strict=True)):
+        band = axes.boxes([0.0], [k], 2 * half, 1.0, style.BAND, 0.35)
+        rows = np.full(len(setup.x), float(k))
+        open_dots = axes.points(setup.measured - setup.before, rows - 0.17, style.BEFORE, 3.4,
+                                filled=False)  # fmt: skip
+        dots = axes.points(setup.measured - setup.fit, rows + 0.17, style.FIT, 3.6)
+    axes.zero(vertical=True)
     units = " or ".join(_panels_by_unit(setups))
-    axes.set_xlabel(f"reading less prediction, {units}", labelpad=2)
-    figure.legend(loc="upper left", ncols=3, borderaxespad=0.1, handlelength=1.4,
-                  bbox_to_anchor=(0.0, 1.0))  # fmt: skip
-    return Drawing("residuals", "Residuals by setup, before and after", style.svg_text(figure))
+    axes.set_x_axis(round_ticks(x, 6), f"reading less prediction, {units}")
+    axes.set_y_axis(list(enumerate(names)), colour=style.INK)
+    keys = legend(8.0, 10.0, [open_dots, dots, band], ("before", "after", "noise, ± 2 sigma"))
+    title = "Residuals by setup, before and after"
+    return Drawing("residuals", title, size, (panel.svg(),), keys)
