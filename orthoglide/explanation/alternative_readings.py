@@ -132,12 +132,13 @@ def _shifts(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Alternativ
 def _stuck(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[AlternativeReadings]:
     """Yield the longest runs of equal readings over several postures."""
     for rows in rows_by_setup.values():
+        commands = problem.dial_column("command")
         finest = max(_finest_step(problem.measured[rows]), 1e-7)
         cuts = np.flatnonzero(np.diff(problem.measured[rows]) != 0) + 1
         for run in np.split(rows, cuts):
             if len(run) < _FEWEST_STUCK:
                 continue
-            if len(np.unique(problem.dial_column("command")[run], axis=0)) == 1:
+            if len(np.unique(commands[run], axis=0)) == 1:
                 continue
             sigma = _noise(problem, run)
             step = max(float(problem.resolution[run].max()), finest)

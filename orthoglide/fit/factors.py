@@ -137,11 +137,6 @@ class Factor(MeasurementModel):
         """Number of the station of each row ``(n,)``: visits that differ in nothing share one."""
         return group_ids(self.readings.stations)
 
-    @cached_property
-    def place_number(self) -> Ints:
-        """Number of the place of each row ``(n,)``: setup and command, whatever the approach."""
-        return group_ids(self.readings.places)
-
     def nominal_places(self, machine: Machine) -> Array:
         """Return the places that are read ``(n, 3)``, metres, by the commands and a machine."""
         return machine.forward(self.readings.command) + self.readings.beside

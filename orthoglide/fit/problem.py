@@ -340,7 +340,7 @@ class Problem:
     @cached_property
     def place_number(self) -> NDArray[np.int64]:
         """Number of each row's pair of setup and command ``(n,)``, whatever the approach."""
-        return _consecutive_numbers([f.place_number for f in self.factors])
+        return _consecutive_numbers([f.readings.place_number for f in self.factors])
 
     @property
     def elastic(self) -> bool:

@@ -130,11 +130,14 @@ def common_rounding(sigma: ArrayLike, resolution: ArrayLike) -> Array:
         sigma: of one reading, its rounding counted, metres ``(...)``.
         resolution: step of the dial, metres ``(...)``; 0 where it does not round.
     """
-    total, step = np.asarray(sigma, dtype=float), np.asarray(resolution, dtype=float)
+    pairs = np.stack(np.broadcast_arrays(sigma, resolution), axis=-1, dtype=float)
+    distinct, index = np.unique(pairs.reshape(-1, 2), axis=0, return_inverse=True)
+    total, step = distinct.T
     scatter = np.sqrt(np.maximum(total**2 - step**2 / 12, 0.0)) / np.where(step > 0, step, 1.0)
     k = np.arange(1, 200)
     share = np.exp(-((2 * np.pi * k * scatter[..., None]) ** 2)) / (2 * (np.pi * k) ** 2)
-    return np.asarray(step * np.sqrt(share.sum(axis=-1)))
+    shared = step * np.sqrt(share.sum(axis=-1))
+    return np.asarray(shared[index].reshape(pairs.shape[:-1]))
 
 
 def total_variance(within: ArrayLike, resolution: float) -> Array:

@@ -271,6 +271,11 @@ class Readings:
         return np.column_stack([self.places, self.approach, self.load])
 
     @cached_property
+    def place_number(self) -> Ints:
+        """Number of each reading's place ``(n,)``: setup and command, whatever the approach."""
+        return group_ids(self.places)
+
+    @cached_property
     def derived_approach(self) -> Array:
         """Approach that follows from the order of readings and moves ``(n, 3)``."""
         return derive_approach(self.command, self.order, self.moves)

@@ -29,6 +29,7 @@ from orthoglide.mechanism.rows import RowFunction, blocks
 from orthoglide.mechanism.six_bars import LINES
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings
+from orthoglide.observations.arrays import group_ids
 from orthoglide.prediction.conditions import Conditions
 
 if TYPE_CHECKING:
@@ -290,7 +291,12 @@ class MeasurementModel:
         """
         (conditions, postures), kinds = merged, list(self.by_kind(model, values))
         found = _Derivatives.empty(kinds, len(self.readings), len(self.paired), count)
-        order = np.argsort(postures[0], kind="stable")
+        # Readings of one place in equal postures are predicted once.
+        keys = [postures[0], postures[1], self.readings.place_number, self.readings.sign]
+        group = group_ids(np.column_stack(keys))
+        chosen = np.unique(group, return_index=True)[1]
+        order = np.sort(chosen)
+        order = order[np.argsort(postures[0, order], kind="stable")]
         for part in blocks(len(order), _ROWS):
             rows = order[part]
             distinct, index = np.unique(postures[:, rows], return_inverse=True)
@@ -315,7 +321,7 @@ class MeasurementModel:
             offset = np.einsum("nij,nj->ni", outputs.R[first], self.readings.beside[rows])
             found.poses.offset_from_tool[rows] = offset
             found.poses.p[rows] = outputs.p[first] + offset
-        return found
+        return found.repeated(chosen[group], self.paired)
 
 
 @dataclass(frozen=True)
@@ -339,3 +345,17 @@ class _Derivatives:
         poses = ReadingPoses(np.zeros((n, nuisance_count)), np.empty((n, 3)), np.empty((n, 3)))
         by_effect, by_first = np.zeros((n, effect_count)), np.empty((n, count))
         return cls(kinds, np.empty(n), poses, by_effect, by_first, np.empty((k, count)))
+
+    def repeated(self, rows: NDArray[np.intp], paired: NDArray[np.intp]) -> _Derivatives:
+        """Return the derivatives with each row replaced by an equal one.
+
+        Args:
+            rows: of the equal ones ``(n,)``.
+            paired: rows that have a second posture ``(k,)``.
+        """
+        if (rows == np.arange(len(rows))).all():
+            return self
+        poses = ReadingPoses(*(values[rows] for values in vars(self.poses).values()))
+        by_second = self.by_second[np.searchsorted(paired, rows[paired])]
+        return _Derivatives(self.kinds, self.value[rows], poses, self.by_effect[rows],
+                            self.by_first[rows], by_second)  # fmt: skip
