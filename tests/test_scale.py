@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.explanation import columns, screening
+from orthoglide.explanation import compression, screening
+from orthoglide.explanation.compression import MergedRows
+from orthoglide.observations.arrays import equal_rows
 from orthoglide.prediction import MeasurementModel, measurement_model
 from orthoglide.simulation import simulate
 from tests.studied import studied
@@ -42,7 +44,7 @@ def test_derivatives_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.thorough
 def test_few_directions_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     one = studied(measured(), MACHINE)
-    monkeypatch.setattr(columns, "COMPRESSION_THRESHOLD", 10)
+    monkeypatch.setattr(compression, "COMPRESSION_THRESHOLD", 10)
     monkeypatch.setattr(screening, "_MOST_DENSE_NUMBERS", 0)
     other = studied(measured(), MACHINE)
     assert (one.word, [e.name for e in one.effects]) == (
@@ -55,19 +57,38 @@ def test_few_directions_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
         assert other.after.values[name] == pytest.approx(value, abs=half + 1e-9), name
 
 
-def test_directions_of_blocks_against_all_at_once() -> None:
-    """Inner products of columns, residual and stations, beside what all columns leave."""
+def test_equal_rows_are_stored_once() -> None:
+    """Columns that are equal at a station, and one that is not, as blocks of either length."""
+    rng = np.random.default_rng(0)
+    index = np.array([0, 1, 0, 2, 1, 0, 2, 1])
+    of_groups, constant = rng.standard_normal((3, 2)), rng.standard_normal((3, 1))[index]
+    step = (np.arange(8) > 4).astype(float)[:, None]
+    whole = np.hstack([of_groups[index], constant, step])
+    merged = MergedRows.from_blocks([of_groups, constant], 3, index).beside([step], 1)
+    assert len(merged.distinct) == 6  # the step splits each group
+    assert np.array_equal(merged.columns(), whole)
+    vector = rng.standard_normal(4)
+    assert merged @ vector == pytest.approx(whole @ vector)
+
+
+@pytest.mark.parametrize("by_station", [False, True])
+def test_directions_of_blocks_against_all_at_once(by_station: bool) -> None:
+    """Inner products of columns, residual and stations, beside what all columns leave, of rows
+    that all differ and of rows that visits to a station share.
+    """
     from orthoglide.explanation.compression import compress_readings
 
     found = og.identify(measured(), MACHINE)
     nuisance, n = found.nuisance, len(found.problem.measured)
     rng = np.random.default_rng(0)
-    rows, rest = 1e-5 * rng.standard_normal((n, 9)), 1e-5 * rng.standard_normal(n)
+    station = found.problem.station
+    index = equal_rows(station if by_station else np.arange(n))
+    merged = MergedRows.from_blocks([1e-5 * rng.standard_normal((index.max() + 1, 9))], 9, index)
+    rows, rest = merged.columns(), 1e-5 * rng.standard_normal(n)
     dense, left = nuisance.project(rows), nuisance.project(rest)
-    seen, residual, root, (square, count, visits) = compress_readings(nuisance, rows, rest)
+    seen, residual, root, (square, count, visits) = compress_readings(nuisance, merged, rest)
     assert seen.T @ seen == pytest.approx(dense.T @ dense)
     assert seen.T @ residual == pytest.approx(dense.T @ left)
-    station = found.problem.station
     errors = nuisance.project(np.eye(station.max() + 1)[station] * found.problem.sigma[:, None])
     shown = errors.T @ dense
     assert seen.T @ root @ root.T @ seen == pytest.approx(shown.T @ shown)

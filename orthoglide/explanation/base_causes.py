@@ -62,7 +62,7 @@ def _beyond_tolerance(
         value, sigma = float(weights @ mean), float(np.sqrt(weights @ covariance @ weights))
         if abs(value) - CERTAIN_SIGMAS * sigma < limit:
             continue
-        signature = linearised.rows[:, index] @ ((weights > 0) * value / units)
+        signature = linearised.rows.columns(index) @ ((weights > 0) * value / units)
         explanation = Explanation(
             str(name),
             (str(name),),

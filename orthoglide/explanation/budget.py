@@ -164,6 +164,6 @@ def _rms_of_readings(posterior: FullPosterior, names: Sequence[str]) -> ByUnit:
     for error in posterior.free_form_errors:
         if set(error.effect.motions) & set(names):
             coefficients += linearised.coefficients(error).tolist()
-    rows = linearised.rows[:, coefficients] @ mean[coefficients]
+    rows = linearised.rows.columns(coefficients) @ mean[coefficients]
     rows = rows - posterior.linearised.nuisance.explained_residual(rows)
     return rms_by_unit(rows, linearised.problem.angular)

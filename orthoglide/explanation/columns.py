@@ -13,16 +13,13 @@ from orthoglide.accuracy import workspace_grid
 from orthoglide.effects import Effect
 from orthoglide.effects.free_form import FreeForm
 from orthoglide.explanation.candidates import Candidate, build_groups, coefficient_spans
-from orthoglide.explanation.compression import (
-    COMPRESSION_THRESHOLD,
-    StationRemainder,
-    compress_readings,
-)
+from orthoglide.explanation.compression import MergedRows, WhitenedReadings
 from orthoglide.explanation.fault_columns import (
     FaultColumns,
+    FaultFamily,
     FaultKey,
     command_derivatives,
-    fault_columns,
+    fault_families,
 )
 from orthoglide.explanation.faults import Fault
 from orthoglide.explanation.free_form import (
@@ -54,6 +51,7 @@ from orthoglide.fit.least_squares import (
 )
 from orthoglide.fit.unknowns import posterior_rows
 from orthoglide.geometry import Array
+from orthoglide.observations.arrays import equal_rows
 from orthoglide.parameters import Parameter
 
 _VAGUE_SD = 1e3
@@ -92,7 +90,7 @@ class LinearisedModel:
     # parameter, both in SI; the columns of twins are zero
     twins: Mapping[str, tuple[tuple[str, float], ...]]
     translations: Array  # orthonormal directions that translate the machine (P, 3), tolerances
-    rows: Array  # readings by coefficient (n, C), metres or radians
+    rows: MergedRows  # readings by coefficient (n, C), metres or radians
     point: Array  # parameters at the linearisation (P,), SI
     value_at_zero: Array  # linear prediction, all coefficients zero (n,), metres or radians
     prior_rows: tuple[Array, Array]  # posterior of an earlier calibration: matrix and target
@@ -121,13 +119,13 @@ class LinearisedModel:
         """
         problem, count = self.problem, self.parameter_count
         predicted = predict(problem, (mean * self.units)[:count])
-        linear = self.value_at_zero + self.rows[:, :count] @ mean[:count]
+        linear = self.value_at_zero + self.rows.columns(slice(count)) @ mean[:count]
         columns, dial_errors = dial_curve_columns(problem, predicted, problem.measured - predicted)
         spans = coefficient_spans(self.free_form_errors, count)
         for error, current in zip(dial_errors, columns, strict=True):
             if error.name in spans:
                 span = spans[error.name]
-                predicted = predicted + (current - self.rows[:, span]) @ mean[span]
+                predicted = predicted + (current - self.rows.columns(span)) @ mean[span]
         difference = self.nuisance.project(predicted - linear)
         return float(np.sqrt(np.mean(difference[: len(linear)] ** 2)))
 
@@ -164,10 +162,15 @@ def linearise_full_model(
     displacement = _displacement_by_commands(full_problem, linearised, corrected)
     model = _machine_model(estimate.problem, full_problem, linearised, displacement)
     if suspected_faults:
-        suspects = fault_columns(full_problem, linearised, corrected)
-        if not isinstance(suspected_faults, bool):
-            suspects = [s for s in suspects if s.key(full_problem) in suspected_faults]
-        model = _with_data_faults(model, suspects, corrected, suspected_faults is True)
+        families = fault_families(full_problem, linearised, corrected)
+        if isinstance(suspected_faults, bool):
+            suspects = _screened(model, families, corrected)
+        else:
+            kinds = {kind for kind, *_ in suspected_faults}
+            suspects = [suspect for family in families if family.fault.kind in kinds
+                        for suspect in family if suspect.key(full_problem) in suspected_faults
+                        ]  # fmt: skip
+        model = _with_data_faults(model, suspects)
     linear, compact = model.linear, drop_unseen_directions(model.linear)
     unexplainable = float(linear.residual @ linear.residual - compact.residual @ compact.residual)
     return replace(model, linear=compact, unexplainable_chi2=unexplainable)
@@ -204,18 +207,20 @@ def _machine_model(
     base_count = len(problem.unknowns)
     base = replace(linearised, jacobian=linearised.jacobian[:, :base_count])
     fitted = fitted_basis(problem, nuisance, base)[: len(residual)]
-    rows, units, errors, plate_count = _scaled_columns(full_problem, linearised, residual, fitted)
+    rows, units, errors, plate_count = _scaled_columns(
+        full_problem, linearised, residual, fitted, nuisance
+    )
     value_at_zero = linearised.value - linearised.jacobian @ x - displacement
     fixed_sd, (matrix, target) = _fixed_priors(problem, len(units), errors, len(sd))
     prior_rows = np.pad(matrix, [(0, 0), (0, len(sd) - matrix.shape[1])]), target
     plate_shapes = np.arange(len(units)) >= len(units) - plate_count
     fixed_sd[plate_shapes] = 1.0
-    readings = _WhitenedReadings.of(problem, nuisance, rows, problem.measured - value_at_zero)
+    readings = WhitenedReadings.of(problem, nuisance, rows, problem.measured - value_at_zero)
     slopes = tool_slopes(full_problem, x) * sd
     twin_parameters = twins(full_problem, base_count, readings.columns[:, : len(sd)], slopes)
     replaced = {other.plain for factors in twin_parameters.values() for other, _ in factors}
     replaced_index = np.flatnonzero([name.plain in replaced for name in full_problem.names])
-    rows[:, replaced_index] = readings.columns[:, replaced_index] = 0.0
+    rows.distinct[:, replaced_index] = readings.columns[:, replaced_index] = 0.0
     fixed_sd[replaced_index] = _ZERO_SD
     readings = readings.with_prior_rows(prior_rows, units)
     replacements = {
@@ -248,51 +253,57 @@ def _machine_model(
 
 
 def _scaled_columns(
-    full_problem: Problem, linearised: Linearised, residual: Array, fitted: Array
-) -> tuple[Array, Array, tuple[FreeForm, ...], int]:
+    full_problem: Problem,
+    linearised: Linearised,
+    residual: Array,
+    fitted: Array,
+    nuisance: Nuisances,
+) -> tuple[MergedRows, Array, tuple[FreeForm, ...], int]:
     """Return all columns ``(n, C)``, their units, free-form errors and number of plate shapes."""
-    sd, x = full_problem.tolerance, linearised.x
-    machine_blocks, machine_errors = free_form_columns(full_problem, x, residual, fitted)
+    sd, x, weighing = full_problem.tolerance, linearised.x, nuisance.weighing
+    conditions = [
+        np.column_stack([f.readings.sign, f.conditions().table[: len(f.measured)]])
+        for f in full_problem.factors
+    ]
+    keys = weighing.station, weighing.sigma, weighing.common, nuisance.columns
+    index = equal_rows(np.column_stack([*keys, np.vstack(conditions)]))
+    first = np.unique(index, return_index=True)[1]
+    machine_blocks, machine_errors = free_form_columns(full_problem, x, residual, fitted, first)
     dial_blocks, dial_errors = dial_curve_columns(full_problem, linearised.value, residual)
     plate_block, plate_sd = plate_shape_columns(full_problem)
     errors = (*machine_errors, *dial_errors)
     units = np.concatenate([sd, *(np.full(e.kernel.count, e.prior_sd) for e in errors), plate_sd])
-    rows = np.empty((len(residual), len(units)))
-    np.multiply(linearised.jacobian, sd, out=rows[:, : len(sd)])
-    first = len(sd)
-    for block in chain(machine_blocks, dial_blocks, [plate_block]):
-        rows[:, first : (first := first + block.shape[1])] = block
+    blocks = chain([linearised.jacobian * sd], machine_blocks, dial_blocks, [plate_block])
+    rows = MergedRows.from_blocks(blocks, len(units), index)
     return rows, units, errors, len(plate_sd)
 
 
-def _with_data_faults(
-    model: LinearisedModel,
-    suspects: Sequence[FaultColumns],
-    corrected: Sequence[Fault],
-    screen: bool,
-) -> LinearisedModel:
-    """Return the model with one group for each data fault.
-
-    If ``screen`` is true, only faults that could be active, and those of corrected commands, are
-    added.
-    """
+def _screened(
+    model: LinearisedModel, suspects: Sequence[FaultFamily], corrected: Sequence[Fault]
+) -> list[FaultColumns]:
+    """Return the faults that could be active, and those of corrected commands."""
     problem, linear = model.problem, model.linear
     residual = problem.measured - model.value_at_zero
-    kept = [*suspects]
-    if screen:
-        backgrounds = [np.sqrt(linear.spike(share, share)) for share in _SCREENING_BACKGROUNDS]
-        compact = linear.columns, linear.residual
-        required = {s.name for s in suspects if any(s.fault is f for f in corrected)}
-        kept = screen_data_faults(suspects, problem, model.nuisance, model.rows, residual, compact,
-                                  backgrounds, required)  # fmt: skip
-    if not kept:
+    backgrounds = [np.sqrt(linear.spike(share, share)) for share in _SCREENING_BACKGROUNDS]
+    compact = linear.columns, linear.residual
+    return screen_data_faults(
+        suspects, problem, model.nuisance, model.rows, residual, compact, backgrounds, corrected
+    )
+
+
+def _with_data_faults(model: LinearisedModel, suspects: Sequence[FaultColumns]) -> LinearisedModel:
+    """Return the model with one group for each data fault."""
+    if not suspects:
         return model
-    rows = np.hstack([model.rows, *(s.full_columns(len(residual)) for s in kept)])
-    units = np.concatenate([model.units, *(np.full(s.coefficient_count, s.unit) for s in kept)])
-    readings = _WhitenedReadings.of(problem, model.nuisance, rows, residual)
+    problem, linear = model.problem, model.linear
+    residual = problem.measured - model.value_at_zero
+    n, count = len(residual), sum(s.coefficient_count for s in suspects)
+    rows = model.rows.beside((s.full_columns(n) for s in suspects), count)
+    units = np.concatenate([model.units, *(np.full(s.coefficient_count, s.unit) for s in suspects)])
+    readings = WhitenedReadings.of(problem, model.nuisance, rows, residual)
     readings = readings.with_prior_rows(model.prior_rows, units)
     first, groups = len(model.units), list(linear.groups)
-    for suspect in kept:
+    for suspect in suspects:
         span = range(first, first := first + suspect.coefficient_count)
         group = identity_group(suspect.name, span, free_form=False)
         groups.append(replace(group, expected=suspect.expected_count, of_data=True))
@@ -308,41 +319,7 @@ def _with_data_faults(
         plate_shapes=np.pad(linear.plate_shapes, padding),
         groups=tuple(groups),
     )
-    return replace(model, linear=linear, rows=rows, units=units, suspects=tuple(kept))
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class _WhitenedReadings:
-    """Readings in units of their noise, with the instruments' nuisances projected out."""
-
-    columns: Array  # by coefficient (m, C)
-    residual: Array  # readings less the prediction at zero (m,)
-    stations: Array  # an error of one sigma at each station (m, s)
-    station_remainder: StationRemainder
-
-    @classmethod
-    def of(
-        cls, problem: Problem, nuisance: Nuisances, rows: Array, residual: Array
-    ) -> _WhitenedReadings:
-        """Whiten columns ``(n, C)`` and residual ``(n,)``, metres or radians."""
-        if len(residual) > COMPRESSION_THRESHOLD:
-            return cls(*compress_readings(nuisance, rows, residual))
-        station_errors = np.eye(int(problem.station.max()) + 1)[problem.station]
-        station_errors *= problem.sigma[:, None]
-        project = nuisance.project
-        return cls(project(rows), project(residual), project(station_errors), (0.0, 0.0, 1.0))
-
-    def with_prior_rows(self, prior_rows: tuple[Array, Array], units: Array) -> _WhitenedReadings:
-        """Append the rows of an earlier posterior ``(k, P)``, in units of the coefficients."""
-        matrix, target = prior_rows
-        matrix = np.pad(matrix, [(0, 0), (0, len(units) - matrix.shape[1])]) * units
-        no_errors = np.zeros((len(target), self.stations.shape[1]))
-        return replace(
-            self,
-            columns=np.vstack([self.columns, matrix]),
-            residual=np.concatenate([self.residual, target]),
-            stations=np.vstack([self.stations, no_errors]),
-        )
+    return replace(model, linear=linear, rows=rows, units=units, suspects=tuple(suspects))
 
 
 def _linearise_all_parameters(

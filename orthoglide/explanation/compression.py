@@ -1,6 +1,10 @@
-"""Compression of many readings to the directions that coefficients move.
+"""Compression of many readings: equal rows are stored once, and directions that no coefficient
+moves are dropped.
 
-Readings are processed in blocks of whole stations. With whitened, projected columns A of unit
+Visits to a station have equal rows, except where a column depends on time or on earlier moves. With
+equal weights, the mean of readings with equal rows is sufficient for the coefficients.
+
+Rows are processed in blocks of whole stations. With whitened, projected columns A of unit
 length, ``A^T A = V L V^T`` gives orthonormal directions ``A V L^-1/2``, in which columns, residual
 and station errors are expressed. Of the residual orthogonal to them only the sum of squares over
 the stations, and its degrees of freedom, are kept.
@@ -8,14 +12,19 @@ the stations, and its degrees of freedom, are kept.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.fit import Problem
 from orthoglide.fit.least_squares import Nuisances
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
+from orthoglide.observations.arrays import equal_rows
 
 COMPRESSION_THRESHOLD = 5000
 """Number of readings above which they are compressed."""
@@ -23,17 +32,103 @@ COMPRESSION_THRESHOLD = 5000
 _BLOCK = 4096  # readings in a block
 _ROUNDING = 1e-13  # eigenvalue below which a direction is rounding, for columns of unit length
 
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MergedRows:
+    """A matrix ``(n, C)`` whose equal rows are stored once."""
+
+    distinct: Array  # distinct rows, in the order of their first occurrence (m, C)
+    index: NDArray[np.int64]  # of each row among them (n,)
+
+    @classmethod
+    def from_blocks(
+        cls, blocks: Iterable[Array], count: int, index: NDArray[np.int64]
+    ) -> MergedRows:
+        """Return blocks of columns side by side.
+
+        Args:
+            blocks: of all rows ``(n, K)``, or of the first row of each group ``(g, K)``.
+            count: of all columns ``C``.
+            index: from :func:`equal_rows`, group of each row ``(n,)``; columns of all rows may
+                differ within a group.
+        """
+        first = np.unique(index, return_index=True)[1]
+        distinct, start = np.empty((len(first), count)), 0
+        varying: list[tuple[slice, Array]] = []
+        for block in blocks:
+            span = slice(start, start := start + block.shape[1])
+            distinct[:, span] = block if len(block) == len(first) else block[first]
+            if len(block) != len(first) and (distinct[index, span] != block).any():
+                varying.append((span, block))
+        if varying:
+            finer = equal_rows(np.column_stack([index, *(block for _, block in varying)]))
+            first = np.unique(finer, return_index=True)[1]
+            distinct, index = distinct[index[first]], finer
+            for span, block in varying:
+                distinct[:, span] = block[first]
+        return cls(distinct, index)
+
+    def beside(self, blocks: Iterable[Array], count: int) -> MergedRows:
+        """Return the matrix with blocks of ``count`` further columns ``(n, K)``."""
+        total = self.distinct.shape[1] + count
+        return self.from_blocks(chain([self.distinct], blocks), total, self.index)
+
+    def columns(self, which: Any = slice(None)) -> Array:
+        """Return some columns ``(n, k)``, by an index of NumPy, or all of them."""
+        return np.asarray(self.distinct[:, which][self.index])
+
+    def __matmul__(self, vector: Array) -> Array:
+        """Return the product with a vector ``(C,)``: ``(n,)``."""
+        return np.asarray((self.distinct @ vector)[self.index])
+
+
 StationRemainder = tuple[float, float, float]
 """Residual of station means orthogonal to all columns: chi2, degrees of freedom, visits."""
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class WhitenedReadings:
+    """Readings in units of their noise, with the instruments' nuisances projected out."""
+
+    columns: Array  # by coefficient (m, C)
+    residual: Array  # readings less the prediction at zero (m,)
+    stations: Array  # an error of one sigma at each station (m, s)
+    station_remainder: StationRemainder
+
+    @classmethod
+    def of(
+        cls, problem: Problem, nuisance: Nuisances, rows: MergedRows, residual: Array
+    ) -> WhitenedReadings:
+        """Whiten columns ``(n, C)`` and residual ``(n,)``, metres or radians."""
+        if len(residual) > COMPRESSION_THRESHOLD:
+            return cls(*compress_readings(nuisance, rows, residual))
+        station_errors = np.eye(int(problem.station.max()) + 1)[problem.station]
+        station_errors *= problem.sigma[:, None]
+        project = nuisance.project
+        return cls(
+            project(rows.columns()), project(residual), project(station_errors), (0.0, 0.0, 1.0)
+        )
+
+    def with_prior_rows(self, prior_rows: tuple[Array, Array], units: Array) -> WhitenedReadings:
+        """Append the rows of an earlier posterior ``(k, P)``, in units of the coefficients."""
+        matrix, target = prior_rows
+        matrix = np.pad(matrix, [(0, 0), (0, len(units) - matrix.shape[1])]) * units
+        no_errors = np.zeros((len(target), self.stations.shape[1]))
+        return replace(
+            self,
+            columns=np.vstack([self.columns, matrix]),
+            residual=np.concatenate([self.residual, target]),
+            stations=np.vstack([self.stations, no_errors]),
+        )
+
+
 def compress_readings(
-    nuisance: Nuisances, rows: Array, residual: Array
+    nuisance: Nuisances, rows: MergedRows, residual: Array
 ) -> tuple[Array, Array, Array, StationRemainder]:
     """Return columns and residual in their own directions.
 
     Args:
-        nuisance: of the fit, with the weighing that whitens.
+        nuisance: of the fit, with the weighing that whitens, equal where rows are.
         rows: columns ``(n, C)``, metres.
         residual: of the readings ``(n,)``, metres.
 
@@ -41,19 +136,26 @@ def compress_readings(
         Columns ``(r, C)``, residual ``(r,)``, a root of the covariance of independent station
         errors of one sigma ``(r, r)``, and the remainder of the stations.
     """
-    n, count = rows.shape
-    basis = nuisance.basis
+    first, counts = np.unique(rows.index, return_index=True, return_counts=True)[1:]
+    sigma, nuisance = nuisance.weighing.sigma[first], nuisance.of_means(rows.index)
+    means = np.bincount(rows.index, residual) / counts
+    (n, count), basis = rows.distinct.shape, nuisance.basis
+
+    def whitened_blocks() -> Iterator[tuple[NDArray[np.int64], Weighing, Array]]:
+        """Yield the rows of each block, their weighing, and its whitened columns and residual."""
+        for block, weighing in _station_blocks(nuisance.weighing):
+            columns = np.column_stack([rows.distinct[block], means[block]])
+            yield block, weighing, weighing.whiten(columns)
+
     nuisance_part = np.zeros((basis.shape[1], count + 1))
-    for block, weighing in _station_blocks(nuisance.weighing):
-        whitened = weighing.whiten(np.column_stack([rows[block], residual[block]]))
+    for block, _, whitened in whitened_blocks():
         nuisance_part += basis[block].T @ whitened
     tail = -basis[n:] @ nuisance_part
     gram, station_gram, station_chi2 = tail.T @ tail, np.zeros((count + 1,) * 2), 0.0
-    for block, weighing in _station_blocks(nuisance.weighing):
-        whitened = weighing.whiten(np.column_stack([rows[block], residual[block]]))
+    for block, weighing, whitened in whitened_blocks():
         whitened -= basis[block] @ nuisance_part
         gram += whitened.T @ whitened
-        unit_error = weighing.whiten(weighing.sigma)
+        unit_error = weighing.whiten(sigma[block])
         station_sums = np.add.reduceat((whitened.T * unit_error).T, weighing.first_rows, axis=0)
         station_gram += station_sums.T @ station_sums
         station_chi2 += float(np.sum(weighing.station_components(whitened[:, -1]) ** 2))

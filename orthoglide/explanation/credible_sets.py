@@ -269,7 +269,7 @@ class _CredibleSetReader:
         machine = linearised.problem.machine
         tolerances = np.array([machine.tolerance(name) for name in candidate.parameters])
         names, values, _ = posterior.machine_parameters(mean)
-        signature = linearised.rows[:, group.coefficients] @ group.weights @ value
+        signature = linearised.rows.columns(group.coefficients) @ group.weights @ value
         return Explanation(
             candidate.name,
             candidate.parameters,

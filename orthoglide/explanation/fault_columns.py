@@ -56,10 +56,6 @@ FaultKey = tuple[str, int | None, tuple[tuple[int, int], ...]]
 """A fault as its kind, its drive, and the table and line of every row."""
 
 
-Candidate = tuple[Fault, Array, float]
-"""A fault, its rows by one metre or radian of each coefficient, and its relative frequency."""
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class FaultColumns:
     """A possible data fault with its columns of the linear model."""
@@ -104,9 +100,41 @@ class FaultColumns:
         return columns
 
 
-def fault_columns(
+@dataclass(frozen=True, eq=False, repr=False)
+class FaultFamily:
+    """Possible data faults of one kind, with equally many rows and coefficients each: there may be
+    one for every reading.
+    """
+
+    fault: Fault  # the first one
+    rows: Rows  # of each fault (N, k)
+    columns: Array  # rows of each fault by one unit of its coefficients (N, k, q)
+    expected_count: float = 1.0  # prior mean number of each, or its frequency relative to others
+    drives: Rows | None = None  # of each fault, if its commands are wrong (N,)
+    unit: float = 1.0  # of a coefficient, metres or radians
+
+    @classmethod
+    def of_one(cls, fault: Fault, columns: Array, expected_count: float = 1.0) -> FaultFamily:
+        """Return a single fault and its columns ``(k, q)``."""
+        return cls(fault, fault.rows[None], columns[None], expected_count)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __getitem__(self, k: int) -> FaultColumns:
+        fault = self.fault
+        if k > 0:
+            drive = None if self.drives is None else int(self.drives[k])
+            fault = replace(fault, rows=self.rows[k], drive=drive)
+        return FaultColumns(fault, self.columns[k], self.unit, self.expected_count)
+
+    def __iter__(self) -> Iterator[FaultColumns]:
+        return (self[k] for k in range(len(self)))
+
+
+def fault_families(
     problem: Problem, linearised: Linearised, corrected: Sequence[Fault] = ()
-) -> list[FaultColumns]:
+) -> list[FaultFamily]:
     """Return every fault that the readings could have.
 
     Args:
@@ -115,7 +143,7 @@ def fault_columns(
         corrected: wrong commands that are corrected at that point.
     """
     by_command = command_derivatives(problem, linearised.x, linearised.value)
-    candidates = [
+    families = [
         *_slips(problem),
         *_slips_at_every_visit(problem),
         *_shifts(problem, linearised.reading_poses),
@@ -123,28 +151,30 @@ def fault_columns(
         *_zeroings(problem),
         *_wrong_commands(problem, by_command, corrected),
     ]
-    totals = dict.fromkeys((fault.kind for fault, *_ in candidates), 0.0)
-    for fault, _, frequency in candidates:
-        totals[fault.kind] += frequency
+    totals = dict.fromkeys((family.fault.kind for family in families), 0.0)
+    for family in families:
+        totals[family.fault.kind] += family.expected_count * len(family)
     # Misread dials are one more kind, which `alternative_readings` lists.
     per_kind = _EXPECTED_FAULTS / max(len(totals) + bool(problem.campaigns), 1)
-    faults = list[FaultColumns]()
-    for fault, columns, frequency in candidates:
-        unit = _UNITS.get(fault.kind, _SLIP_UNIT)
-        expected_count = per_kind * frequency / totals[fault.kind]
-        faults.append(FaultColumns(fault, columns * unit, unit, expected_count))
-    return faults
+    for k, family in enumerate(families):
+        kind = family.fault.kind
+        unit, expected_count = _UNITS.get(kind, _SLIP_UNIT), per_kind * family.expected_count
+        families[k] = replace(family, columns=family.columns * unit, unit=unit,
+                              expected_count=expected_count / totals[kind])  # fmt: skip
+    return families
 
 
-def _slips(problem: Problem) -> Iterator[Candidate]:
+def _slips(problem: Problem) -> Iterator[FaultFamily]:
     """Yield a slip of every reading; of a point of the tool, of all its coordinates together."""
     for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
         for rows in _grouped(factor.visit_number):
-            if factor.noise.weighted[rows].all():
-                yield Fault("outlier", rows + part.start), np.eye(len(rows)), 1.0
+            weighted = part.start + rows[factor.noise.weighted[rows].all(axis=1)]
+            if len(weighted):
+                columns = np.tile(np.eye(rows.shape[1]), (len(weighted), 1, 1))
+                yield FaultFamily(Fault("outlier", weighted[0]), weighted, columns)
 
 
-def _slips_at_every_visit(problem: Problem) -> Iterator[Candidate]:
+def _slips_at_every_visit(problem: Problem) -> Iterator[FaultFamily]:
     """Yield an equal error of one dial at all visits to a posture: dirt, a burr, a wrong entry.
 
     It is a local error of the measured face that no list names, with the prior of such an error.
@@ -153,11 +183,12 @@ def _slips_at_every_visit(problem: Problem) -> Iterator[Candidate]:
     for setup in problem.leg_setups:
         rows = weighted_rows(problem, setup)
         for visits in _grouped(posture[rows]):
-            if 1 < len(visits) < len(rows):
-                yield Fault("outlier", rows[visits]), np.ones((len(visits), 1)), FREE_FORM_PRIOR
+            if 1 < visits.shape[1] < len(rows):
+                fault, columns = Fault("outlier", rows[visits[0]]), np.ones((*visits.shape, 1))
+                yield FaultFamily(fault, rows[visits], columns, FREE_FORM_PRIOR)
 
 
-def _shifts(problem: Problem, reading_poses: tuple[ReadingPoses, ...]) -> Iterator[Candidate]:
+def _shifts(problem: Problem, reading_poses: tuple[ReadingPoses, ...]) -> Iterator[FaultFamily]:
     """Yield a shift of all readings of a dial, or of an instrument at the tool, from some moment
     on.
     """
@@ -175,10 +206,10 @@ def _shifts(problem: Problem, reading_poses: tuple[ReadingPoses, ...]) -> Iterat
             if order[rows[cut]] != order[rows[cut - 1]]
         ]  # fmt: skip
         for cut in cuts[:: max(len(cuts) // _MOST_SHIFTS, 1)]:
-            yield Fault(kind, rows[cut:]), columns[cut:], 1.0
+            yield FaultFamily.of_one(Fault(kind, rows[cut:]), columns[cut:])
 
 
-def _drifts(problem: Problem, reading_poses: tuple[ReadingPoses, ...]) -> Iterator[Candidate]:
+def _drifts(problem: Problem, reading_poses: tuple[ReadingPoses, ...]) -> Iterator[FaultFamily]:
     """Yield a drift of each instrument at the tool: its nuisances change evenly over its readings.
 
     Dials have an effect of the catalogue for it.
@@ -191,7 +222,7 @@ def _drifts(problem: Problem, reading_poses: tuple[ReadingPoses, ...]) -> Iterat
             columns = _instrument_columns(problem, rows, reading_poses)
             # So many readings determine both, the nuisances and their rates, if there are any.
             if len(rows) > 2 * columns.shape[1] > 0:
-                yield Fault("drifted", rows), columns * progress[rows, None], 1.0
+                yield FaultFamily.of_one(Fault("drifted", rows), columns * progress[rows, None])
 
 
 def _instrument_columns(
@@ -205,7 +236,7 @@ def _instrument_columns(
     return np.asarray(nuisances[rows] / np.abs(nuisances).max(axis=0))
 
 
-def _zeroings(problem: Problem) -> Iterator[Candidate]:
+def _zeroings(problem: Problem) -> Iterator[FaultFamily]:
     """Yield a separate datum at each repeat, for each dial and for all dials of a campaign."""
     setup = problem.setup_of_row
     repeat = np.concatenate([f.readings.repeat for f in problem.factors])
@@ -215,7 +246,7 @@ def _zeroings(problem: Problem) -> Iterator[Candidate]:
         for rows in [*dials, np.concatenate(dials)] if len(dials) > 1 else dials:
             datums = split_by_datum("zeroed", rows, setup, repeat)
             columns = np.stack([np.isin(rows, datum) for datum in datums], axis=1)
-            yield Fault("zeroed", rows), columns.astype(float), 1.0
+            yield FaultFamily.of_one(Fault("zeroed", rows), columns.astype(float))
 
 
 def _later_repeats(problem: Problem, rows: Rows) -> Rows:
@@ -264,7 +295,7 @@ def command_derivatives(problem: Problem, x: Array, predicted: Array) -> Array:
 
 def _wrong_commands(
     problem: Problem, by_command: Array, corrected: Sequence[Fault]
-) -> Iterator[Candidate]:
+) -> Iterator[FaultFamily]:
     """Yield the wrong commands of each drive at every visit to a posture, as in a program, and at
     one of several visits, as typed by hand. A wrong command at a single reading would be a slip.
 
@@ -281,12 +312,20 @@ def _wrong_commands(
     for fault in corrected:
         posture[fault.rows] = visit[fault.rows] = -1
     for one_visit, group in ((False, posture), (True, visit)):
-        faults = [f for f, part in zip(corrected, is_part, strict=True) if part == one_visit]
-        for rows in _grouped(group):
-            if group[rows[0]] >= 0 and len(rows) > 1:
-                faults += [Fault("command", rows, drive=drive) for drive in range(len(LEGS))]
-        for fault in faults:
-            yield fault, by_command[fault.rows, fault.drive][:, None], 1 / len(faults)
+        families = [
+            FaultFamily.of_one(fault, by_command[fault.rows, fault.drive][:, None])
+            for fault, part in zip(corrected, is_part, strict=True) if part == one_visit
+        ]  # fmt: skip
+        for each in _grouped(group):
+            visits = each[group[each[:, 0]] >= 0]
+            if len(visits) and visits.shape[1] > 1:
+                rows = np.repeat(visits, len(LEGS), axis=0)
+                drives = np.tile(np.arange(len(LEGS)), len(visits))
+                columns = by_command[rows, drives[:, None]][..., None]
+                first = Fault("command", rows[0], drive=0)
+                families.append(FaultFamily(first, rows, columns, drives=drives))
+        count = sum(map(len, families))
+        yield from (replace(family, expected_count=1 / count) for family in families)
 
 
 def _group_sizes(numbers: Rows) -> Rows:
@@ -295,7 +334,11 @@ def _group_sizes(numbers: Rows) -> Rows:
     return np.asarray(counts[group])
 
 
-def _grouped(numbers: Rows) -> list[Rows]:
-    """Return the rows of each number, in order."""
+def _grouped(numbers: Rows) -> Iterator[Rows]:
+    """Yield the rows of each number, in order; successive ones of one size together ``(N, k)``."""
     order = np.argsort(numbers, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1)
+    starts = np.flatnonzero(np.diff(numbers[order], prepend=-2, append=-2))
+    sizes = np.diff(starts)
+    for part in np.split(np.arange(len(sizes)), np.flatnonzero(np.diff(sizes)) + 1):
+        if len(part):
+            yield order[starts[part[0]] : starts[part[-1] + 1]].reshape(len(part), -1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,15 +123,21 @@ def bump_travels(problem: Problem) -> list[list[float]]:
 
 
 def free_form_columns(
-    problem: Problem, x: Array, residual: Array, fitted: Array
+    problem: Problem,
+    x: Array,
+    residual: Array,
+    fitted: Array,
+    first: NDArray[np.intp] | None = None,
 ) -> tuple[Iterator[Array], tuple[FreeForm, ...]]:
-    """Return the columns ``(n, K)`` of each free-form error, in its unit, and these errors.
+    """Return the columns ``(n, K)`` of each free-form error, in its unit, and these errors; if
+    ``first`` is given, only its rows of those that depend on the present conditions alone.
 
     Args:
         problem: the readings.
         x: its unknowns ``(P,)``, SI.
         residual: of the readings there ``(n,)``, SI.
         fitted: orthonormal columns of everything fitted, in sigmas ``(n, q)``.
+        first: first reading of each group under equal conditions, ascending.
     """
     errors = visible_free_form_errors(problem)
     if not errors:
@@ -139,14 +146,27 @@ def free_form_columns(
     forms = free_forms(_session(problem), machine.catalogue.legs, stroke, machine.geometry.scale)
     if jumping := [form for form in forms if may_jump(form)]:
         errors += tuple(_jump_candidates(problem, x, residual, jumping, fitted))
-    return _columns_of_problem(problem, x, errors), errors
+    if first is None or len(first) == len(residual):
+        return _columns_of_factors(problem, x, errors, problem.factors), errors
+    parts = [first[(first >= p.start) & (first < p.stop)] - p.start for p in problem.factor_rows]
+    few = [factor.subset(rows) for factor, rows in zip(problem.factors, parts, strict=True)]
+    of_past = [error.against in ("time", "reversal") for error in errors]
+    blocks = {
+        past: _columns_of_factors(problem, x, [*compress(errors, selected)], factors)
+        for past, factors, selected in (
+            (True, problem.factors, of_past), (False, few, np.logical_not(of_past))
+        )
+    }  # fmt: skip
+    return (next(blocks[past]) for past in of_past), errors
 
 
-def _columns_of_problem(problem: Problem, x: Array, errors: Sequence[FreeForm]) -> Iterator[Array]:
-    """Yield the columns ``(n, K)`` of each free-form error in all readings, in its unit."""
+def _columns_of_factors(
+    problem: Problem, x: Array, errors: Sequence[FreeForm], factors: Sequence[Factor]
+) -> Iterator[Array]:
+    """Yield the columns ``(n, K)`` of each free-form error in some factors, in its unit."""
     model = problem.machine.model
     by_factor = [free_form_columns_of_factor(factor, model, problem.values(k, x), errors)
-            for k, factor in enumerate(problem.factors)]  # fmt: skip
+            for k, factor in enumerate(factors)]  # fmt: skip
     for rows in zip(*by_factor, strict=True):
         yield np.vstack(rows)
 
@@ -167,7 +187,8 @@ def _jump_candidates(
     moments, fitted = moments[order], fitted[order]
     cuts = np.flatnonzero(np.diff(moments) > 0)
     levels = [replace(p, kernel=Level()) for p in errors]
-    for error, rows in zip(errors, _columns_of_problem(problem, x, levels), strict=True):
+    columns = _columns_of_factors(problem, x, levels, problem.factors)
+    for error, rows in zip(errors, columns, strict=True):
         step = (rows[:, 0] / problem.sigma)[order]
         visible_count = np.cumsum(np.abs(step) > _LEAST_SIGNAL)
         fewer = np.minimum(visible_count[cuts], visible_count[-1] - visible_count[cuts])

@@ -66,7 +66,7 @@ class FullLikelihood:
         """Linearise the readings about the posterior."""
         nuisance = model.nuisance
         precision = np.maximum(nuisance.precision, WIDEST_DATUM**-2.0)
-        columns, expected = in_standard_deviations(model, model.rows, scales)
+        columns, expected = in_standard_deviations(model, model.rows.columns(), scales)
         whiten = nuisance.weighing.whiten
         return cls(
             nuisance.weighing,

@@ -247,7 +247,7 @@ class FullPosterior:
         if not len(coefficients):
             return None
         sd = np.where(linear.plate_shapes, 1.0, np.sqrt(np.diag(prior)))[coefficients]
-        return NuisanceBlock(self.linearised.rows[:, coefficients], sd)
+        return NuisanceBlock(self.linearised.rows.columns(coefficients), sd)
 
 
 def posterior_at_base_fit(before: Estimate) -> FullPosterior:

@@ -161,9 +161,9 @@ def _relabelled_log_likelihood(
     linearised = linearise(corrected, model.point)
     jacobian = linearised.jacobian[changed]
     count = jacobian.shape[1]
-    rows = np.zeros((len(changed), model.rows.shape[1]))
+    rows = np.zeros((len(changed), len(model.units)))
     rows[:, :count] = jacobian * model.units[:count]
-    rows[:, ~model.rows.any(axis=0)] = 0.0
+    rows[:, ~model.rows.distinct.any(axis=0)] = 0.0
     residual = (corrected.measured - linearised.value)[changed] + jacobian @ model.point
     nuisance = nuisances(corrected, linearised.reading_poses)
     placed = nuisance.columns[changed] / np.sqrt(np.maximum(nuisance.precision, WIDEST_DATUM**-2.0))

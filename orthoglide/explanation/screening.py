@@ -7,12 +7,15 @@ r``, with no cause active.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from orthoglide.explanation.fault_columns import FaultColumns
+from orthoglide.explanation.compression import MergedRows
+from orthoglide.explanation.fault_columns import FaultColumns, FaultFamily
+from orthoglide.explanation.faults import Fault
 from orthoglide.explanation.linear_model import SLAB_SCALES
 from orthoglide.explanation.search import explained_by_group
 from orthoglide.fit import Problem
@@ -28,14 +31,14 @@ _MOST_DENSE_NUMBERS = 2e6  # size of the faults' columns, above which they are s
 
 
 def screen_data_faults(
-    suspects: Sequence[FaultColumns],
+    suspects: Sequence[FaultFamily],
     problem: Problem,
     nuisance: Nuisances,
-    rows: Array,
+    rows: MergedRows,
     residual: Array,
     whitened: tuple[Array, Array],
     backgrounds: Sequence[Array],
-    required: Collection[str] = (),
+    required: Collection[Fault] = (),
 ) -> list[FaultColumns]:
     """Return the faults with the largest log Bayes factors, of each kind and for each background.
 
@@ -47,20 +50,23 @@ def screen_data_faults(
         residual: readings less the prediction at zero ``(n,)``.
         whitened: rows and residual, whitened and projected, ``(m, C)`` and ``(m,)``.
         backgrounds: standard deviations of the coefficients ``(C,)``.
-        required: names of faults that are kept in any case.
+        required: faults that are kept in any case.
     """
     if not suspects:
         return []
-    kinds = np.array([s.fault.kind for s in suspects])
+    counts = [len(s) for s in suspects]
+    family = np.repeat(np.arange(len(suspects)), counts)
+    kinds = np.array([s.fault.kind for s in suspects])[family]
     columns, whitened_residual = whitened
-    n = len(residual)
-    ends = np.cumsum([s.coefficient_count for s in suspects])
+    n, starts = len(residual), np.cumsum([0, *counts])
+    ends = np.cumsum([s.columns[:, 0].size for s in suspects])
     dense = n * ends[-1] <= _MOST_DENSE_NUMBERS
     if dense:
-        fault_columns = nuisance.project(np.hstack([s.full_columns(n) for s in suspects]))
+        full_columns = np.hstack([fault.full_columns(n) for s in suspects for fault in s])
+        fault_columns = nuisance.project(full_columns)
         fault_columns = np.pad(fault_columns, [(0, len(columns) - len(fault_columns)), (0, 0)])
-    cost = np.log(len(SLAB_SCALES) / np.array([s.expected_count for s in suspects]))
-    chosen = {k for k, s in enumerate(suspects) if s.name in required}
+    cost = np.log(len(SLAB_SCALES) / np.array([s.expected_count for s in suspects])[family])
+    chosen = {int(starts[k]) for k, s in enumerate(suspects) if any(s.fault is f for f in required)}
     gram, products = columns.T @ columns, columns.T @ whitened_residual
     for sd in backgrounds:
         if dense:
@@ -68,8 +74,9 @@ def screen_data_faults(
             root = np.linalg.cholesky(scaled @ scaled.T + np.eye(len(scaled)))
             past = solve_triangular(root, whitened_residual, lower=True)
             past_columns = solve_triangular(root, fault_columns, lower=True)
-            blocks = np.split(past_columns, ends[:-1], axis=1)
-            scored = [(block, past) for block in blocks]
+            blocks = np.split(past_columns.T, ends[:-1])
+            scored = [(block.reshape(len(s), -1, len(past)), past)
+                      for s, block in zip(suspects, blocks, strict=True)]  # fmt: skip
         else:
             precision = sd[:, None] * gram * sd + np.eye(len(sd))
             past = residual - rows @ (sd * np.linalg.solve(precision, sd * products))
@@ -78,28 +85,29 @@ def screen_data_faults(
             # many readings.
             weight = 1 / np.hypot(problem.sigma, problem.shared_rounding_sd)
             past = past * weight
-            scored = [(s.columns * weight[s.fault.rows, None], past[s.fault.rows])
+            scored = [((s.columns * weight[s.rows, None]).transpose(0, 2, 1), past[s.rows])
                       for s in suspects]  # fmt: skip
-        gains = _log_bayes_factors(scored)
-        for kind in dict.fromkeys(kinds.tolist()):
-            of_kind = np.flatnonzero(kinds == kind)
-            best = of_kind[descending(gains[of_kind], LOG_ODDS_MARGIN)[:_KEPT_PER_KIND]]
-            chosen.update(int(k) for k in best if gains[k] > cost[k] - _SCREENING_MARGIN)
-    return [suspects[k] for k in sorted(chosen)]
+        gains = np.concatenate([_log_bayes_factors(*each) for each in scored])
+        chosen.update(_best_of_each_kind(kinds, gains, cost - _SCREENING_MARGIN))
+    return [suspects[family[k]][k - starts[family[k]]] for k in sorted(chosen)]
 
 
-def _log_bayes_factors(whitened: Sequence[tuple[Array, Array]]) -> Array:
-    """Return the log Bayes factor of each fault at its best scale, from the whitened columns
-    ``(m, q)`` and residual ``(m,)`` of each.
+def _best_of_each_kind(kinds: NDArray[np.str_], gains: Array, least: Array) -> Iterator[int]:
+    """Yield the indices of the faults of each kind that gain most, if they gain the least."""
+    for kind in dict.fromkeys(kinds.tolist()):
+        of_kind = np.flatnonzero(kinds == kind)
+        best = of_kind[descending(gains[of_kind], LOG_ODDS_MARGIN)[:_KEPT_PER_KIND]]
+        yield from (int(k) for k in best if gains[k] > least[k])
+
+
+def _log_bayes_factors(columns: Array, residual: Array) -> Array:
+    """Return the log Bayes factor of each fault of a family at its best scale ``(N,)``.
+
+    Args:
+        columns: of each fault, whitened ``(N, q, m)``.
+        residual: of the rows of each, whitened ``(N, m)``, or of all rows ``(m,)``.
     """
-    products = [columns.T @ residual for columns, residual in whitened]
-    sizes, log_bayes_factors = np.array([len(p) for p in products]), np.empty(len(products))
-    for size in np.unique(sizes):
-        index = np.flatnonzero(sizes == size).tolist()
-        gram = np.stack([whitened[k][0].T @ whitened[k][0] for k in index])
-        chi2 = np.array([whitened[k][1] @ whitened[k][1] for k in index])
-        of_size = np.stack([products[k] for k in index])
-        by_scale = (explained_by_group(gram, of_size, chi2, tau) for tau in SLAB_SCALES)
-        best = np.max([explained / 2 - occam for explained, occam in by_scale], axis=0)
-        log_bayes_factors[index] = best
-    return log_bayes_factors
+    gram, chi2 = columns @ columns.transpose(0, 2, 1), np.sum(residual**2, axis=-1)
+    products = (columns @ residual[..., None])[..., 0]
+    by_scale = (explained_by_group(gram, products, chi2, tau) for tau in SLAB_SCALES)
+    return np.asarray(np.max([explained / 2 - occam for explained, occam in by_scale], axis=0))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.weighing import Weighing
@@ -104,6 +105,18 @@ class Nuisances:
     def unconstrained_count(self) -> int:
         """Number of linearly independent nuisance parameters without a prior."""
         return self.basis.shape[1] - int(np.sum(self.precision > 0))
+
+    def of_means(self, index: NDArray[np.int64]) -> Nuisances:
+        """Return the nuisances of the means of groups of readings, which have equal columns, noise
+        and station in each group.
+
+        Args:
+            index: group of each reading ``(n,)``.
+        """
+        first, counts = np.unique(index, return_index=True, return_counts=True)[1:]
+        readings = self.weighing.subset(first)
+        weighing = replace(readings, sigma=readings.sigma / np.sqrt(counts))
+        return Nuisances(self.columns[first], self.precision, weighing)
 
     def project(self, rows: Array) -> Array:
         """Return rows ``(n, ...)``, whitened and projected past the nuisances ``(n + k, ...)``."""

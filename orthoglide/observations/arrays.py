@@ -58,6 +58,13 @@ def group_ids(table: Array | Ints) -> Ints:
     return ids
 
 
+def equal_rows(table: Array | Ints) -> Ints:
+    """Return an index ``(n,)`` that equal rows of a table share, in order of occurrence."""
+    numbers: dict[bytes, int] = {}
+    rows = (row.tobytes() for row in np.ascontiguousarray(table))
+    return np.array([numbers.setdefault(row, len(numbers)) for row in rows], dtype=np.int64)
+
+
 def freeze_arrays(
     owner: Any, owner_name: str, specs: Mapping[str, ArraySpec], counted: str
 ) -> None:
