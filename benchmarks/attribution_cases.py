@@ -41,6 +41,9 @@ OUTSIDE = ("s_curve", "wavy_rail", "kinked_rail", "drive_cubic", "drive_step", "
 LATER = OUTSIDE[-5:]
 """Kinds that earlier versions were not asked about."""
 
+JUMPS = ("jumping_drive", "snapping_bar")
+"""Kinds after which the machine stays as it is."""
+
 SWEEPS = ("sweep", "fine-sweep", "two-gauges")
 FAULTS = ("outlier", "knocked_stand", "swapped_sign", "swapped_labels", "wrong_unit", "stuck_dial")
 SHARES = {"nothing": 200, "effect": 240, "structured": 24, "pair": 60, "outside": 180, "fault": 60,

@@ -65,12 +65,16 @@ def draw(case: Case, seed: int, background: float = ac.BACKGROUND) -> Drawn:
     if case.kind == "fault":
         measured, found = ac.spoil(case.what, measured, rng)
         touched = tuple(found)
-    return Drawn(bare, rig, tuple(causes), measured, touched, points_of(rig, rng), visible)
+    # What jumps stays so, and what drifts goes back: the tool is measured after the readings or
+    # before.
+    after = rows[-1]["time_s"] if case.what in ac.JUMPS else 0.0
+    points = points_of(rig, rng, after)
+    return Drawn(bare, rig, tuple(causes), measured, touched, points, visible)
 
 
-def points_of(rig: Rig, rng: np.random.Generator) -> og.Readings:
-    """What a perfect tracker says of a machine."""
-    return public.tcp_points(rc.tcp_points(rig, POINTS, rng))
+def points_of(rig: Rig, rng: np.random.Generator, time: float = 0.0) -> og.Readings:
+    """What a perfect tracker says of a machine at one second."""
+    return public.tcp_points(rc.tcp_points(rig, POINTS, rng, time=time))
 
 
 def _causes(

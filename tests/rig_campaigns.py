@@ -167,16 +167,19 @@ def simulate(
     return rows
 
 
-def tcp_points(rig: Rig, n: int, rng: np.random.Generator, load: float = 0.0) -> list[Row]:
+def tcp_points(
+    rig: Rig, n: int, rng: np.random.Generator, load: float = 0.0, time: float = 0.0
+) -> list[Row]:
     """What a perfect tracker says of the TCP at n points of the cube the nominal machine covers.
 
-    Commands lie within the stroke; approach is unknown: the middle of the dead band.
+    Commands lie within the stroke; approach is unknown: the middle of the dead band. All is
+    measured at one second, by default before anything has changed with time.
     """
     low, high = 0.75 * rig.stroke[0], 0.9 * rig.stroke[1]
     wanted = rng.uniform(low, high, (n, 3))
     across = np.sum(wanted**2, axis=1, keepdims=True) - wanted**2
     rho = np.round((wanted + np.sqrt(rig.L**2 - across)) * 1e3, 6)
-    p = np.round(rig.pose(rho * 1e-3, load=load).p * 1e3, 6)
+    p = np.round(rig.pose(rho * 1e-3, load=load, time=time).p * 1e3, 6)
     names = (*RHO, "p_x_mm", "p_y_mm", "p_z_mm")
     return [dict(zip(names, map(float, row), strict=True)) for row in np.hstack([rho, p])]
 
