@@ -14,6 +14,8 @@ import pytest
 
 import orthoglide as og
 from benchmarks import public
+from benchmarks.attribution_cases import Case
+from benchmarks.attribution_run import draw
 from orthoglide.effects.bumps_and_jumps import with_jump
 from orthoglide.effects.dials import common_dial_form, dial_free_forms
 from orthoglide.effects.free_form import Session, free_forms
@@ -144,6 +146,18 @@ def test_a_machine_that_lost_a_step_is_calibrated_as_it_is_after_it(
     for machine in (verdict.machine, og.Machine.load(tmp_path / "now.toml")):
         error = machine.forward(command) - true
         assert np.abs(error - error.mean(axis=0)).max() < 1.5e-5
+
+
+def test_a_short_error_of_a_drive_is_no_bar_of_twelve_tolerances() -> None:
+    """A bar 1.3 mm too short was named with probability 1.00: a base parameter that went far beyond
+    its tolerance paid for its width, but was as probable as one within it.
+    """
+    drawn = draw(Case("bump", "drive", "sweep", 0.05, 1), 7001)
+    verdict = og.close_loop([public.campaign(drawn.rows)], public.machine(), tcp=drawn.points)
+    assert verdict.effects == ()
+    assert any("fit as well if leg length of leg x" in note for note in verdict.warnings)
+    errors = verdict.tcp["translation"]
+    assert errors.after_mean < 1.5e-5  # it was 18 um
 
 
 # -- dials that read by the way that their plungers came: of one dial, and of all of a make ------

@@ -328,7 +328,9 @@ def full_posterior(
         # A wide base that needs further causes may have been biased by them.
         return narrow if already_narrow and wide.mixture.best else wide
     log_bayes_factor = wide.evidence - narrow.evidence
-    if log_bayes_factor > _DECISIVE_LOG_BAYES_FACTOR:
+    # A part far beyond its tolerance is as improbable beforehand as any other cause.
+    prior_log_odds_against = wide.before.problem.widened_parts * wide.mixture.cause_cost
+    if log_bayes_factor > max(_DECISIVE_LOG_BAYES_FACTOR, prior_log_odds_against):
         return wide
     undecided = log_bayes_factor > -_DECISIVE_LOG_BAYES_FACTOR
     return replace(narrow, alternative=wide_fit if undecided else None)

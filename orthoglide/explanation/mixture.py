@@ -170,6 +170,13 @@ class Mixture(Search):
         """Prior log odds against each group, at whichever slab scale ``(groups,)``."""
         return self.cost - np.log(len(self.linear.slab_scales))
 
+    @property
+    def cause_cost(self) -> float:
+        """Prior log odds against a single cause of the catalogue, at one slab scale."""
+        costs = zip(self.cost, self.linear.groups, strict=True)
+        # Groups share the prior in proportion to their relative priors.
+        return next((c + np.log(g.relative_prior) for c, g in costs if g.expected is None), 0.0)
+
     def next_log_bayes_factors(self) -> Array:
         """Return the log Bayes factor of each group added to the best state ``(groups,)``."""
         table = self.child_log_weights(self.best)

@@ -369,6 +369,12 @@ class Problem:
         narrow = tuple(replace(u, prior_width=1.0) for u in self.unknowns)
         return self if narrow == self.unknowns else replace(self, unknowns=narrow)
 
+    @property
+    def widened_parts(self) -> int:
+        """Number of parts with a widened prior; zeros, which are set in a controller, are none."""
+        effects = (u.name.effect for u in self.unknowns if u.prior_width > 1)
+        return sum(self.machine.catalogue[effect].controller != "zero" for effect in effects)
+
     def with_leg_readings(self, readings: Array) -> Problem:
         """Return the problem with the readings on legs replaced by the leading entries of
         ``readings``, metres; readings of the tool are unchanged.
