@@ -177,7 +177,7 @@ def test_a_bar_from_the_first_second(here: Path) -> None:
     assert child.wait() == 0
     text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode())
     # Short stages are over before the screen is drawn.
-    assert 0 <= text.find("starting") < text.find("drawing")
+    assert 0 <= text.find("starting") < text.find("writing the report")
 
 
 def test_progress_is_shown_when_piped(capsys: pytest.CaptureFixture[str]) -> None:
@@ -322,8 +322,8 @@ def test_rerun_of_a_spoilt_result(identified: Path) -> None:
         ("file", "a" * 300, "is no name of a file"),
         ("rows", [5, *one["rows"][1:]], "is no object"),
         ("rows", [], "has no rows"),
-        ("lines", [2, 3], "lines that are not those of its rows"),
-        ("lines", [10**9 + k for k in range(len(one["rows"]))], "lines that are not those"),
+        ("lines", [2, 3], "line numbers that do not match them"),
+        ("lines", [10**9 + k for k in range(len(one["rows"]))], "line numbers that do not match"),
         ("lines", ["2"], "is no int"),
         ("role", "judge", "is no campaign or fit_tcp"),
     ):

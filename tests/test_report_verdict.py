@@ -474,7 +474,11 @@ def test_what_is_left_is_found_where_it_is() -> None:
     assert {s.bar for s in sheet.setups} == {1, 2}
     assert set(np.unique(sheet.approach[:, most.leg])) == {-1.0, 1.0}
     kept = json.loads(result_text(verdict))["left"]["mountings"]
-    assert kept[0]["setup"] == most.setup
+    assert (kept[0]["setup"], kept[0]["file"]) == (most.setup, most.file)
+    # Setups of several files may have one name.
+    parts = (replace(part, file=f"file-{k}") for k, part in enumerate(verdict.left.mountings))
+    several = replace(verdict, left=replace(verdict.left, mountings=tuple(parts)))
+    assert f"read along {axis} in file-0 (" in screen(several)
 
 
 # --- The drawing in a browser ----------------------------------------------------------------

@@ -121,7 +121,7 @@ RAIL_TORSION = Effect(
     "rail_torsion",
     RAD,
     2e-3,
-    because="an extrusion is twisted by a tenth of a degree over its length",
+    because="an extrusion is twisted by a quarter of a degree over its length",
     sentence="the rail is twisted: its carriage turns about it as it travels",
     look_at="the tower's extrusion, with a square against its face at both ends",
     members=once(Motion("turn_a", lambda c: c.u)),

@@ -27,7 +27,7 @@ from orthoglide.geometry import Array
 from orthoglide.units import INCH, UNIT_MISTAKES
 
 EXPECTED_COUNT = 0.5 / 6
-"""Prior mean number of misreadings of each kind, equal to that of a kind of `fault_columns`."""
+"""Prior mean number of misreadings of each kind: half of one for the six kinds of most sheets."""
 
 _INCH_STEP = 1e-7  # metres: step of readings in inches that were taken for millimetres
 _MOST_DIGIT_EVIDENCE = 10.0  # largest log Bayes factor of the digits, for or against

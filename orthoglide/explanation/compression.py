@@ -30,7 +30,7 @@ COMPRESSION_THRESHOLD = 5000
 """Number of readings above which they are compressed."""
 
 _BLOCK = 4096  # readings in a block
-_ROUNDING = 1e-13  # eigenvalue below which a direction is rounding, for columns of unit length
+_ROUNDING = 1e-13  # share of the largest eigenvalue below which a direction is rounding
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,7 +92,8 @@ class WhitenedReadings:
 
     columns: Array  # by coefficient (m, C)
     residual: Array  # readings less the prediction at zero (m,)
-    stations: Array  # an error of one sigma at each station (m, s)
+    # an error of one sigma at each station (m, s), or another root of the same covariance (m, m)
+    stations: Array
     station_remainder: StationRemainder
 
     @classmethod

@@ -29,8 +29,8 @@ from orthoglide.observations.arrays import group_ids
 from orthoglide.prediction import ReadingPoses
 
 _SLIP_UNIT = 5e-4
-"""Unit of the coefficient of a slip, metres or radians. With the scales of the slab it covers a
-tenth of a millimetre to some millimetres, the range in which fingers and stands slip."""
+"""Unit of the coefficients of all other kinds, metres or radians. With the scales of the slab it
+covers a tenth of a millimetre to some millimetres, the range in which fingers and stands slip."""
 
 _DRIFT_UNIT = 5e-5
 """Unit of the change of a drifting instrument over its readings, metres or radians: 0.3 m of steel
@@ -41,10 +41,11 @@ _UNITS = {"command": _COMMAND_UNIT, "drifted": _DRIFT_UNIT}
 _DIFFERENCE_STEP = 1e-5  # metres, of a difference quotient
 
 _EXPECTED_FAULTS = 0.5
-"""Faults that are expected in some campaign, shared by the kinds that its readings may have."""
+"""Faults of these kinds that are expected in all readings together; the kinds that these may have
+share it equally."""
 
 _MOST_ZEROINGS = 12  # times that a dial is set to zero anew
-_MOST_SHIFTS = 64  # moments at which a shift is tried; a longer setup is thinned to as many
+_MOST_SHIFTS = 64  # moments of a shift that are tried; from twice as many on they are thinned
 
 _POSTURE = ("leg", "command")
 """What readings of one posture have in common; one leg is measured at a time."""
@@ -61,7 +62,7 @@ class FaultColumns:
     """A possible data fault with its columns of the linear model."""
 
     fault: Fault  # its kind and rows
-    columns: Array  # its rows by one unit of each coefficient (rows, q), metres or radians
+    columns: Array  # change of its rows by one unit of each coefficient (rows, q), metres, radians
     unit: float  # unit of a coefficient, metres or radians
     expected_count: float  # prior mean number
 
@@ -108,7 +109,7 @@ class FaultFamily:
 
     fault: Fault  # the first one
     rows: Rows  # of each fault (N, k)
-    columns: Array  # rows of each fault by one unit of its coefficients (N, k, q)
+    columns: Array  # change of these rows by one unit of each coefficient (N, k, q)
     expected_count: float = 1.0  # prior mean number of each, or its frequency relative to others
     drives: Rows | None = None  # of each fault, if its commands are wrong (N,)
     unit: float = 1.0  # of a coefficient, metres or radians
@@ -154,7 +155,7 @@ def fault_families(
     totals = dict.fromkeys((family.fault.kind for family in families), 0.0)
     for family in families:
         totals[family.fault.kind] += family.expected_count * len(family)
-    # Misread dials are one more kind, which `alternative_readings` lists.
+    # Dials may be misread besides (`alternative_readings`), which leaves less for these kinds.
     per_kind = _EXPECTED_FAULTS / max(len(totals) + bool(problem.campaigns), 1)
     for k, family in enumerate(families):
         kind = family.fault.kind
@@ -165,7 +166,7 @@ def fault_families(
 
 
 def _slips(problem: Problem) -> Iterator[FaultFamily]:
-    """Yield a slip of every reading; of a point of the tool, of all its coordinates together."""
+    """Yield a slip at every reading; a point of the tool slips in all its coordinates at once."""
     for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
         for rows in _grouped(factor.visit_number):
             weighted = part.start + rows[factor.noise.weighted[rows].all(axis=1)]
@@ -177,7 +178,8 @@ def _slips(problem: Problem) -> Iterator[FaultFamily]:
 def _slips_at_every_visit(problem: Problem) -> Iterator[FaultFamily]:
     """Yield an equal error of one dial at all visits to a posture: dirt, a burr, a wrong entry.
 
-    It is a local error of the measured face that no list names, with the prior of such an error.
+    It is a local error of the measured face that no list names; a slip is as much more probable as
+    a cause of the catalogue is than a free-form error.
     """
     posture = _group_numbers(problem, *_POSTURE)
     for setup in problem.leg_setups:
@@ -237,7 +239,7 @@ def _instrument_columns(
 
 
 def _zeroings(problem: Problem) -> Iterator[FaultFamily]:
-    """Yield a separate datum at each repeat, for each dial and for all dials of a campaign."""
+    """Yield a separate datum at each repeat, for each dial and for all with repeats together."""
     setup = problem.setup_of_row
     repeat = np.concatenate([f.readings.repeat for f in problem.factors])
     for part in problem.leg_rows:
@@ -335,7 +337,7 @@ def _group_sizes(numbers: Rows) -> Rows:
 
 
 def _grouped(numbers: Rows) -> Iterator[Rows]:
-    """Yield the rows of each number, in order; successive ones of one size together ``(N, k)``."""
+    """Yield the rows of each number ``(N, k)``, of successive numbers of equal size at once."""
     order = np.argsort(numbers, kind="stable")
     starts = np.flatnonzero(np.diff(numbers[order], prepend=-2, append=-2))
     sizes = np.diff(starts)

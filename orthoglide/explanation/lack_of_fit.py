@@ -250,6 +250,7 @@ def residual_by_setup(estimate: Estimate) -> tuple[SetupResidual, ...]:
                 posture=readings.posture[worst[0]] if is_clear else "",
                 command=readings.command[worst[0]],
                 where=positions,
+                file=readings.name,
             )
             found.append(setup_residual)
     return tuple(ranked(found, lambda setup_residual: setup_residual.share))

@@ -103,7 +103,8 @@ class LinearModel:
     # mask of plate shapes that no effect names (C,): they explain readings, but are not reported
     plate_shapes: NDArray[np.bool_]
     groups: tuple[Group, ...]  # that may be active
-    stations: Array  # an error of one sigma at each station (m, s)
+    # an error of one sigma at each station (m, s), or another root of the same covariance (m, m)
+    stations: Array
     # scales that the effects' background may have, in tolerances
     background_scales: tuple[float, ...] = BACKGROUND_SCALES
     slab_scales: tuple[float, ...] = SLAB_SCALES  # scales of active groups

@@ -26,7 +26,7 @@ LEGEND_HEIGHT = 22.0
 
 _TITLE, _LABEL = 8.5, 7.5  # font sizes
 _HAIRLINE = 0.6  # width of grid lines and frames
-_LABEL_DISTANCE = 32.0  # of a rotated label from the axes: beside six digits
+_LABEL_DISTANCE = 32.0  # of a rotated label from the axes: room for ticks of six digits
 _DESCENT = 0.36  # of the font size: from the middle of digits down to their base line
 _LETTER = 0.6  # of the font size: average width of a letter in wide fonts
 _SAMPLE = 17.0  # width of a key in a legend
@@ -39,7 +39,7 @@ Limits = tuple[float, float]
 """Values at both ends of an axis."""
 
 Ticks = Sequence[tuple[float, str]]
-"""Places and texts of ticks; a tick without text is a grid line only."""
+"""Places and texts of ticks; a tick without text is a grid line alone."""
 
 
 class Key(NamedTuple):
@@ -50,32 +50,36 @@ class Key(NamedTuple):
 
 
 def padded(values: ArrayLike, margin: float) -> Limits:
-    """Return limits that leave a margin on both sides of values, relative to their range."""
+    """Return limits that leave a margin on both sides of values, as a share of their range."""
     low, high = float(np.min(values)), float(np.max(values))
     room = margin * (high - low)
     return low - room, high + room
 
 
 def round_ticks(limits: Limits, most: int = 4) -> list[tuple[float, str]]:
-    """Return at least two ticks at round numbers, which divide the axis into about ``most``."""
+    """Return at least two ticks at round numbers, with about ``most`` intervals between them."""
     low, high = _regular(limits)
-    smallest = (high - low) / most
-    exponent = math.floor(math.log10(smallest))
+    least_step = (high - low) / most
+    exponent = math.floor(math.log10(least_step))
     ticks: list[tuple[float, str]] = []
-    larger = next(k for k, s in enumerate(_STEPS) if s >= smallest * 10.0**-exponent * (1 - 1e-9))
-    for mantissa in _STEPS[larger::-1]:
+    first_step = next(
+        k for k, s in enumerate(_STEPS) if s >= least_step * 10.0**-exponent * (1 - 1e-9)
+    )
+    for mantissa in _STEPS[first_step::-1]:
         step = mantissa * 10.0**exponent
         first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
         values = [k * step for k in range(first, last + 1)]
         decimals = max(0, -exponent - (mantissa == 10.0) + (mantissa == 2.5))
-        ticks = [(v, _tick_text(v, decimals)) for v in values]
+        digits = decimals + 1 + math.floor(math.log10(max(abs(low), abs(high))))
+        ticks = [(v, _tick_text(v, decimals, digits)) for v in values]
         if len(ticks) > 1:
             break
     return ticks
 
 
-def _tick_text(value: float, decimals: int) -> str:
-    return plain(value, decimals) if decimals <= _MOST_DECIMALS else compact(value)
+def _tick_text(value: float, decimals: int, digits: int) -> str:
+    """Return a value to so many decimals or, where these are many, so many significant digits."""
+    return plain(value, decimals) if decimals <= _MOST_DECIMALS else compact(value, max(digits, 1))
 
 
 def _regular(limits: Limits) -> Limits:
@@ -186,6 +190,7 @@ class Axes:
         self._labels += [
             text(left - 3.5, y + _DESCENT * _LABEL, words, anchor="end", colour=colour)
             for y, (_, words) in zip(places, ticks, strict=True)
+            if words
         ]
         if label:
             x, y = left - _LABEL_DISTANCE, self.top + self.height / 2

@@ -113,8 +113,8 @@ def tolerance_notes(estimate: Estimate, sigmas: float = CERTAIN_SIGMAS) -> Itera
             f"{parameter_words(catalogue.parameter(unknown.name), catalogue.legs)} is "
             f"{signed_size(catalogue.effect_of(unknown.name), value)}, "
             f"{abs(value) / unknown.tolerance:.1f} times its tolerance of "
-            f"{compact(unknown.tolerance / unit.si, 2)}{unit.behind}: measure it, or correct "
-            f"the tolerance in the machine file"
+            f"{compact(unknown.tolerance / unit.si, 2)}{unit.behind}: measure it; if it is "
+            f"so and stays, enter a larger tolerance in the machine file"
         )
         yield Note(text, "tolerance")
 

@@ -72,7 +72,7 @@ GEOMETRY = Section("geometry_mm", Geometry, (
 DIAL = Section("dial_mm", model.Dial, (
     Key("resolution", quantity(MM, 5e-5, 10), "Step of the display."),
     Key("repeatability", quantity(MM, 1e-7, NOISE_LIMITS[1] / MM.si),
-        "Standard deviation of one reading. If absent, it is estimated from the repeats."),
+        "Standard deviation of one reading. If absent, that of the repeats or the usual one."),
     Key("placement", quantity(MM, 0, 100, closed=True), "Standard deviation of `gauge_mm`."),
 ))
 INSTRUMENT = Section("instrument", model.Instrument, (

@@ -17,7 +17,7 @@ from orthoglide.observations.approach import stroke_overshoot
 from orthoglide.observations.protocols import dial_setup, require_dial_layout, unread_campaign
 
 GAUGES: tuple[float, ...] = (0.25, 0.35, 0.5, 0.65, 0.75)
-"""Where the dials may stand, as fractions of the leg."""
+"""Where the dials may stand, as fractions of the leg from its end at the platform."""
 
 BARS: tuple[int, ...] = (0, 1, 2)
 """What they may touch: the leg's median line, bar 1, bar 2."""
@@ -32,7 +32,7 @@ _COMMAND_DECIMALS = 9  # decimals of a metre that fit on a sheet
 
 
 class Stations(NamedTuple):
-    """Commands and the sides that they are reached from, as one leg's dials see them."""
+    """Commands and the sides that they are reached from."""
 
     posture: list[str]  # labels for people, n of them
     command: Array  # rho (n, 3), metres
@@ -45,7 +45,7 @@ class Stations(NamedTuple):
         carriage, platform = self.command[:, setup.leg], self.p[:, setup.leg]
         clearance = _CLEARANCE * scale
         on_leg = (platform + clearance <= setup.gauge) & (setup.gauge <= carriage - clearance)
-        # The touched point takes part in the platform's motion by its place along the leg.
+        # The touched point moves by this share of the platform's motion.
         share = (carriage - setup.gauge) / (carriage - platform)
         sideways = np.abs(np.delete(self.p, setup.leg, axis=1)).max(axis=1) * share
         return np.flatnonzero(on_leg & (sideways <= DIAL_TRAVEL * scale))
@@ -55,7 +55,7 @@ def stations(leg: int, geometry: Geometry) -> Stations:
     """Return stations for a leg's dials, all within the stroke, approaches included.
 
     On the leg's own axis: steps of the stroke, reached with all axes moving in + and in -. Off it:
-    a few millimetres to either side at three of them, reached in +.
+    6 mm to either side, at mechanical zero and in the middle of both half strokes, reached in +.
     """
     low, high = geometry.stroke
     down = low * np.arange(_STEPS_DOWN, 0, -1) / _STEPS_DOWN
@@ -113,6 +113,6 @@ def sheet_from_pool(pool: Readings, chosen: Sequence[int], name: str = "next") -
     """
     rows = np.array(sorted(chosen, key=lambda k: (pool.setup[k], k)), dtype=np.int64)
     repeat = np.array([int(np.sum(rows[:i] == k)) + 1 for i, k in enumerate(rows)], dtype=np.int64)
-    # All stations once, then again: repeats in a row would not see the mounting creep.
+    # All stations once, then again: successive repeats would hide creep of the stand.
     order = np.lexsort([rows, repeat, pool.setup[rows]])
     return replace(pool.subset(rows[order]), name=name, repeat=repeat[order]).with_moves()

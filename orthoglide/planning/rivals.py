@@ -40,7 +40,7 @@ _INSEPARABLE_SIGMAS = 2.0  # a pair that the whole pool separates by less counts
 _MIN_SIGMAS = 1.0  # least separation of a pair for which readings are proposed
 _MAX_SIGMA_RATIO = 0.9  # largest sd after / before for which readings are proposed
 _MOST_DIRECTIONS = 2  # weak directions of a fit: further ones are determined well enough
-_MOUNTING_COST = 4.0  # readings that mounting a dial, with its first two, is worth
+_MOUNTING_COST = 4.0  # cost of mounting a dial and taking its first two readings, in readings
 _MIN_SHAPE_RATIO = 0.02  # of the shift between two machines: less is no difference in shape
 _COMMANDS_PER_AXIS = 3  # commands along each axis: enough to compare two machines
 _MAX_LOCATED_ERRORS = 6  # located errors to separate: the likeliest
@@ -56,8 +56,10 @@ class Rival:
     covariance: Array  # of the unknowns of new readings (P, P), SI, tolerances as priors
 
 
-def _covariance(fit: Estimate, names: Sequence[str], lack_of_fit: float) -> tuple[Array, Array]:
-    """Return the weights ``(P, U)`` of a fit's unknowns on parameters, and the covariance of the
+def _parameter_map_and_covariance(
+    fit: Estimate, names: Sequence[str], lack_of_fit: float
+) -> tuple[Array, Array]:
+    """Return the matrix ``(P, U)`` from a fit's unknowns to parameters, and the covariance of the
     unknowns ``(U, U)``, SI, with tolerances as priors and widened by the lack of fit.
     """
     problem = replace(fit.problem, use_tolerance_priors=True)
@@ -100,7 +102,8 @@ def next_measurements(
             sequence stands for none.
 
     Raises:
-        InputError: if ``count`` is not a whole number from 2 to 500, or ``fit`` is no estimate.
+        InputError: if ``fit`` is no estimate, or where there is something to choose and ``count``
+            is not a whole number from 2 to 500.
     """
     if not isinstance(fit, Estimate):
         raise InputError(f"a {type(fit).__name__} is no estimate: give what og.identify returns")
@@ -108,7 +111,7 @@ def next_measurements(
     fits = (fit, *(source for _, source in rivals if isinstance(source, Estimate)))
     parts = (one.problem.machine_parameters(one.problem.last_factor_index)[0] for one in fits)
     names = tuple(dict.fromkeys(name for each in parts for name in each))
-    weights, covariance = _covariance(fit, names, lack_of_fit)
+    weights, covariance = _parameter_map_and_covariance(fit, names, lack_of_fit)
     pool = _loaded_pool(fit)
     linearised = machine.model.linearised(_machine_values(fit), pool, names)
     readings = _linear_readings(fit, pool, linearised.jacobian, linearised.reading_poses)
@@ -119,7 +122,7 @@ def next_measurements(
         for name, source in rivals:
             by_name, own = weights, covariance
             if isinstance(source, Estimate):
-                by_name, own = _covariance(source, names, lack_of_fit)
+                by_name, own = _parameter_map_and_covariance(source, names, lack_of_fit)
             values = _machine_values(source) if isinstance(source, Estimate) else source
             with suppress(InputError):  # else it is a name for people
                 name = f'"{cause_short(machine.catalogue, name)}"'
@@ -159,7 +162,8 @@ def _suggest_separating(
     pairs: Sequence[Pair],
     count: int,
 ) -> list[Suggestion]:
-    """Return readings between pairs of rivals, and the groups of rivals that no reading separates.
+    """Return suggestions of readings that separate pairs of rivals, and of the groups of rivals
+    that no reading separates.
 
     The columns of the readings belong to the unknowns, then to the predictions of each rival.
     """
@@ -185,15 +189,22 @@ def _suggest_separating(
         suggestions.append(_separating_suggestion(pool, rows, rivals, criterion.sigmas))
         break
     size = len(pool)
-    for chosen, inseparable in (
-        (f"the best {count} of {size} possible readings", by_choice),
-        (f"all {size} possible readings together", by_pool),
+    for text, close in (
+        (
+            f"are not separated by {count} readings of dials on the legs: these tell them apart by "
+            f"{{:.1f}} sigma, so allow more of the {size} possible readings",
+            by_choice,
+        ),
+        (
+            f"cannot be separated by dials on the legs: all {size} possible readings together "
+            f"separate them by at most {{:.1f}} sigma",
+            by_pool,
+        ),
     ):
-        for group, sigmas in _inseparable_groups(inseparable):
+        for group, sigmas in _inseparable_groups(close):
             members = [rivals[k] for k in group]
             reason = (
-                f"{listed(r.words for r in members)} cannot be separated by dials on the legs: "
-                f"{chosen} separate them by at most {sigmas:.1f} sigma. "
+                f"{listed(r.words for r in members)} {text.format(sigmas)}. "
                 f"{_tcp_consequence(machine, members, float(readings.sigma.max()))}"
             )
             suggestions.append(Suggestion(reason, "none", sigmas, pool))

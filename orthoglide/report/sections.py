@@ -174,7 +174,7 @@ _METHODS = {
 }
 _SOURCES = {
     "declared": "as declared",
-    "machine": "from the machine file, or as is usual of such instruments where it has none",
+    "machine": "from the machine file, or the usual figure of such instruments where it has none",
     "repeats": "from the scatter of the repeats",
 }
 

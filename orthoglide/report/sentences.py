@@ -191,7 +191,7 @@ def largest_residual_text(result: Result) -> str:
         return f" The residual is largest at the TCP points ({100 * points:.0f} % of it)."
     if result.left.dials_hold_most:
         one = result.left.by_dial[0]
-        where = f"on leg {LEGS[one.leg]} read along {LEGS[one.axis]}"
+        where = f"on leg {LEGS[one.leg]} read along {LEGS[one.axis]}{_file_words(result, one.file)}"
         size = f"the dial is off by up to {compact(abs(one.most) * 1e3, 2)} mm"
         if one.posture:  # else another station's residual is as large
             size += f", toward {toward(LEGS[one.axis], one.most)} at posture {one.posture}"
@@ -199,8 +199,14 @@ def largest_residual_text(result: Result) -> str:
     for one in result.left.by_instrument[:1]:
         size = f"it is up to {compact(abs(one.most) * 1e3, 2)} {one.unit}"
         size += f", with the tool at {one.where[0]} mm"
-        return _largest_part(result, one.share, f"in {one.reads} ({one.setup})", size)
+        where = f"in {one.reads} ({one.setup}){_file_words(result, one.file)}"
+        return _largest_part(result, one.share, where, size)
     return ""
+
+
+def _file_words(result: Result, file: str) -> str:
+    """Return the file of a residual; empty where there is one file only."""
+    return f" in {file}" if len({one.file for one in result.left.mountings}) > 1 else ""
 
 
 def _largest_part(result: Result, share: float, where: str, size: str) -> str:

@@ -231,6 +231,7 @@ class SetupResidual:
     # positions of the tool with the largest residuals, largest first, in the controller's
     # coordinates and millimetres; empty for a dial
     where: tuple[str, ...]
+    file: str = ""  # name of its file, without its ending
 
     @property
     def reads(self) -> str:

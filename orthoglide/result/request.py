@@ -30,7 +30,7 @@ from orthoglide.urdf import urdf_digests
 
 Command = Literal["identify", "close-loop", "diagnose", "demo"]
 COMMANDS: tuple[Command, ...] = get_args(Command)
-"""Whose results can be run again."""
+"""Commands whose results can be run again."""
 
 SCHEMAS = (1, 2)
 """Schemas of results that can be run again."""
@@ -38,8 +38,8 @@ SCHEMAS = (1, 2)
 EDITED_FILE_ERRORS = (FileError, KeyError, TypeError, ValueError, AttributeError, OverflowError)
 """Errors that the values of an edited ``result.json`` raise."""
 
-_LAST_LINE = 1_000_000
-_LONGEST_NAME = 255  # bytes
+_LAST_LINE = 1_000_000  # of a file: more rows than any campaign has
+_LONGEST_NAME = 255  # bytes of a file name, as file systems allow
 _NOT_AN_ARGUMENT = Key(in_file=False)
 
 
@@ -52,7 +52,7 @@ class Request:
     given: Annotated[tuple[Readings, ...], _NOT_AN_ARGUMENT]
     machine: Machine  # machine before calibration
     own: tuple[str, ...] = ()  # effects or parameters that are specific to each campaign
-    # standard deviation of one reading, metres; `None`: from files or repeats
+    # standard deviation of one reading, metres; `None`: from files, repeats or the usual figure
     noise: Annotated[float | None, Key(suffix="_mm", si=1e-3, places=12)] = None
     seed: Annotated[int, _NOT_AN_ARGUMENT] = 0  # seed of every random draw
     # readings that judge the finished result
@@ -131,7 +131,7 @@ class Request:
         return [_Input.of(readings, role, self.machine.spec).as_dict() for readings, role in roles]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the keys of ``result.json`` from which it can be run again."""
+        """Return the keys of ``result.json`` from which the command can be run again."""
         spec = self.machine.spec
         return {
             "command": self.command,
@@ -181,7 +181,7 @@ class _Input:
         ordered = all(a < b for a, b in itertools.pairwise((1, *self.lines, _LAST_LINE)))
         complete = self.rows and all(self.rows) and len(self.lines) in (0, len(self.rows))
         if not (complete and ordered):
-            raise ValueError(f"{self.file} has no rows, or lines that are not those of its rows")
+            raise ValueError(f"{self.file} has no rows, or line numbers that do not match them")
 
     @classmethod
     def of(cls, readings: Readings, role: Any, machine: MachineFile) -> _Input:
@@ -284,8 +284,9 @@ def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] =
             raise ValueError(f"noise_mm is {noise * 1e3:g}")
         # `identify` draws nothing, and accepts any seed.
         if type(seed) is not int or (seed < 0 and result["command"] != "identify"):
-            raise ValueError("seed is no number that counts")
-        if source := options.get("effects_file") if not effects else "":
+            raise ValueError("seed is not a whole number from 0 on")
+        source = options.get("effects_file")
+        if source and not effects:
             message = f"had effects from {source}: give them too (--effects-file, effects=)"
             raise FileError(message, file=file)
         machine = machine_of(machine, effects)
