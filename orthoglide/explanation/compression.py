@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.explanation.linear_model import NO_REMAINDER, StationRemainder
 from orthoglide.fit import Problem
 from orthoglide.fit.least_squares import Nuisances
 from orthoglide.fit.weighing import Weighing
@@ -82,10 +83,6 @@ class MergedRows:
         return np.asarray((self.distinct @ vector)[self.index])
 
 
-StationRemainder = tuple[float, float, float]
-"""Residual of station means orthogonal to all columns: chi2, degrees of freedom, visits."""
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class WhitenedReadings:
     """Readings in units of their noise, with the instruments' nuisances projected out."""
@@ -107,7 +104,7 @@ class WhitenedReadings:
         station_errors *= problem.sigma[:, None]
         project = nuisance.project
         return cls(
-            project(rows.columns()), project(residual), project(station_errors), (0.0, 0.0, 1.0)
+            project(rows.columns()), project(residual), project(station_errors), NO_REMAINDER
         )
 
     def with_prior_rows(self, prior_rows: tuple[Array, Array], units: Array) -> WhitenedReadings:
@@ -175,7 +172,7 @@ def compress_readings(
     square = transform.T @ station_gram[:-1, :-1] @ transform
     values, vectors = np.linalg.eigh((square + square.T) / 2)
     root = np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-    return columns, compressed_residual, root, (remainder, float(dof), visits)
+    return columns, compressed_residual, root, StationRemainder(remainder, float(dof), visits)
 
 
 def _station_blocks(weighing: Weighing) -> Iterator[tuple[NDArray[np.int64], Weighing]]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +93,17 @@ class Group:
         return self.weights.shape[1]
 
 
+class StationRemainder(NamedTuple):
+    """Residual of station means orthogonal to all columns; none where no direction was dropped."""
+
+    chi2: float = 0.0
+    dof: float = 0.0  # degrees of freedom
+    visits: float = 1.0  # per station
+
+
+NO_REMAINDER = StationRemainder()
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class LinearModel:
     """Whitened readings as a linear model of all coefficients."""
@@ -114,9 +126,7 @@ class LinearModel:
     # power of its ratio to the declared noise with which that weight falls: without repeats, larger
     # noise is less likely
     noise_decay: float = 0.0
-    # residual of station means orthogonal to all columns: its square, its degrees of freedom, and
-    # visits per station; zero if no direction was dropped
-    station_remainder: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    station_remainder: StationRemainder = NO_REMAINDER
     # log prior odds of each slab, relative to equal probabilities; empty if they are equal
     slab_log_odds: tuple[float, ...] = ()
     max_active: int = 6  # active groups in one state
