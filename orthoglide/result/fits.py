@@ -117,6 +117,21 @@ class TcpErrors:
     # share of the coordinates within the 95 % interval stated for `after`; nan without one
     inside: Annotated[float, Key("inside_95", digits=SHORT_DIGITS, omit_if_nan=True)] = math.nan
 
+    @property
+    def nominal(self) -> tuple[float, float]:
+        """Mean and largest error of the machine without errors."""
+        return self.nominal_mean, self.nominal_max
+
+    @property
+    def before(self) -> tuple[float, float]:
+        """Mean and largest error of the base model."""
+        return self.before_mean, self.before_max
+
+    @property
+    def after(self) -> tuple[float, float]:
+        """Mean and largest error of the extended model."""
+        return self.after_mean, self.after_max
+
 
 @dataclass(frozen=True)
 class WeakDirection:
