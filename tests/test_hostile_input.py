@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import os
+import re
 import threading
 from html.parser import HTMLParser
 from pathlib import Path
@@ -170,9 +171,18 @@ def test_formulas_are_text_in_every_table(here: Path) -> None:
         assert not [c for c in cells if c[:1] in ("=", "@") or c.startswith(("+cmd", "-2+3"))]
 
 
+def test_figures_on_one_page_do_not_clip_each_other() -> None:
+    """Rows of a second figure vanished behind the rectangle of the first, which had its name."""
+    names = set()
+    for height in (100.0, 200.0):
+        axes = Panel((0.0, 0.0, 200.0, height)).add_axes((0.0, 1.0), (0.0, 1.0))
+        names |= set(re.findall(r'clipPath id="([^"]+)"', axes.svg()))
+    assert len(names) == 2
+
+
 def test_figures_take_no_formulas() -> None:
     names = ("$$", "$\\frac{$", "$x$")
-    panel = Panel("figure", (0.0, 0.0, 200.0, 100.0))
+    panel = Panel((0.0, 0.0, 200.0, 100.0))
     axes = panel.add_axes((0.0, 1.0), (0.0, 1.0))
     for name in names:
         axes.set_title(name)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -39,6 +41,19 @@ def test_derivatives_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
         whole.reading_poses.nuisance_jacobian, abs=1e-12
     )
     assert by_joints(sheet) == pytest.approx(joints, abs=1e-12)
+
+
+def test_visits_to_one_place_at_several_times_are_predicted_each() -> None:
+    """A dial whose stand creeps shows another reading at every visit, by derivatives too."""
+    read = measured()
+    timed = replace(read, time=60.0 * np.arange(len(read)))
+    name = f"gauge_drift.{read.setups[0].name}"
+    at, model = {"joint_offset.x": 1e-3, name: 1e-7}, MeasurementModel(timed)
+    linear = model.linearise(MACHINE.model, at, [name])
+    assert linear.value == pytest.approx(model.predict(MACHINE.model, at), abs=1e-15)
+    nudged = model.predict(MACHINE.model, at | {name: 2e-7}) - linear.value
+    assert linear.jacobian[:, 0] * 1e-7 == pytest.approx(nudged, abs=1e-15)
+    assert len(np.unique(linear.jacobian[read.setup == 0, 0])) == (read.setup == 0).sum()
 
 
 @pytest.mark.thorough

@@ -162,6 +162,19 @@ def test_copied_repeats_say_nothing_of_the_noise() -> None:
     assert any(w.kind == "copies" for w in found.warnings)
 
 
+@pytest.mark.parametrize("kind", ["tcp", "incline"])
+def test_readings_of_one_place_in_opposite_directions_are_no_repeats(kind: str) -> None:
+    """They were refused: visits to one place scattered by twice what was read."""
+    sheet = read(kind)
+    twice = sheet.subset(np.repeat(np.arange(len(sheet)), 2))
+    sign = np.where(np.arange(len(twice)) % 2, -twice.sign, twice.sign)
+    both = replace(twice, sign=sign, order=np.arange(len(twice)))
+    verdict = studied([og.simulate(MACHINE.with_parameters(OFF), both, seed=4)], MACHINE)
+    assert (verdict.word, verdict.blunders) == ("adequate", ())
+    if kind == "tcp":  # a level sees no zeros
+        assert verdict.values["joint_offset.y"] == pytest.approx(OFF["joint_offset.y"], abs=1e-4)
+
+
 def test_noise_that_no_instrument_has_is_declared_or_refused() -> None:
     """Half a millimetre of a tracker is adequate to nothing."""
     campaign = read("tcp", noise=5e-4)

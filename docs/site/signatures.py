@@ -108,7 +108,7 @@ def panels(sheet: Sheet, change: Array, left_over: Array) -> str:
     width, height = _PANEL
     lines = -(-len(campaign.setups) // 2)
     size = (2 * width, lines * height + 14.0)
-    panel = Panel("readings", (0.0, 0.0, *size))
+    panel = Panel((0.0, 0.0, *size))
     for k, setup in enumerate(campaign.setups):
         rows, left, top = campaign.setup == k, k % 2 * width, k // 2 * height
         travel = (campaign.command[rows, setup.leg] - zero[setup.leg]) * 1e3

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from typing import NamedTuple, TypeVar
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,7 +27,7 @@ LEGEND_HEIGHT = 22.0
 
 _TITLE, _LABEL = 8.5, 7.5  # font sizes
 _HAIRLINE = 0.6  # width of grid lines and frames
-_LABEL_DISTANCE = 32.0  # of a rotated label from the axes: room for ticks of six digits
+_LABEL_DISTANCE = 35.0  # of a rotated label from the axes: room for ticks of seven characters
 _DESCENT = 0.36  # of the font size: from the middle of digits down to their base line
 _LETTER = 0.6  # of the font size: average width of a letter in wide fonts
 _SAMPLE = 17.0  # width of a key in a legend
@@ -139,9 +140,8 @@ def _marker(shape: str, size: float) -> str:
 class Axes:
     """A rectangle with two scales, on which marks are drawn in the order of the calls."""
 
-    def __init__(self, name: str, box: Box, x: Limits, y: Limits) -> None:
-        """``name`` is unique among all axes of a page."""
-        self.name, (self.left, self.top, self.width, self.height) = name, box
+    def __init__(self, box: Box, x: Limits, y: Limits) -> None:
+        self.left, self.top, self.width, self.height = box
         self._x, self._y = _regular(x), _regular(y)
         self._grid, self._marks, self._labels = list[str](), list[str](), list[str]()
 
@@ -270,10 +270,16 @@ class Axes:
 
     def svg(self) -> str:
         """Return everything drawn, with marks only within the rectangle."""
+        rectangle = (
+            f'<rect x="{self.left:.2f}" y="{self.top:.2f}" width="{self.width:.2f}" '
+            f'height="{self.height:.2f}"/>'
+        )
+        marks = "".join(self._marks)
+        # A page may hold several figures, whose names must differ.
+        name = f"clip-{crc32(f'{rectangle}{marks}'.encode()):x}"
         return (
-            f'<g>{"".join(self._grid)}<clipPath id="{self.name}"><rect x="{self.left:.2f}" '
-            f'y="{self.top:.2f}" width="{self.width:.2f}" height="{self.height:.2f}"/></clipPath>'
-            f'<g clip-path="url(#{self.name})">{"".join(self._marks)}</g>'
+            f'<g>{"".join(self._grid)}<clipPath id="{name}">{rectangle}</clipPath>'
+            f'<g clip-path="url(#{name})">{marks}</g>'
             f"{''.join(self._labels)}</g>"
         )
 
@@ -285,7 +291,6 @@ class Axes:
 class Panel:
     """A figure, or a part of one that a page may show separately, to which axes are added."""
 
-    name: str  # unique on a page
     box: Box
     axes: list[Axes] = field(default_factory=list)
 
@@ -298,7 +303,7 @@ class Panel:
             self.box[0] + left, self.box[1] + top,
             self.box[2] - left - right, self.box[3] - top - bottom,
         )  # fmt: skip
-        self.axes.append(Axes(f"{self.name}-{len(self.axes) + 1}", place, x, y))
+        self.axes.append(Axes(place, x, y))
         return self.axes[-1]
 
     def svg(self) -> str:
@@ -325,7 +330,7 @@ def panel_drawing(
     panels = []
     for k, item in enumerate(items):
         box = (k % across * PANEL_WIDTH, k // across * height + above, PANEL_WIDTH, height)
-        panels.append(Panel(f"{name}-{k + 1}", box))
+        panels.append(Panel(box))
         keys = draw(item, panels[-1])
     return Drawing(
         name, title, (across * PANEL_WIDTH, -(-len(items) // across) * height + above),

@@ -156,7 +156,7 @@ def draw_parameters(columns: Mapping[str, Sequence[Any]], catalogue: Catalogue) 
     heights = [52.0 + 17.0 * len(members) for members in strips.values()]
     labels = [name.removeprefix(f"{catalogue.effect_of(name).name}.") for name in names]
     size, left = (SINGLE_WIDTH, sum(heights) + LEGEND_HEIGHT), 14.0 + 4.3 * max(map(len, labels))
-    panel = Panel("parameters", (0.0, 0.0, *size))
+    panel = Panel((0.0, 0.0, *size))
     top = LEGEND_HEIGHT
     for (effect, members), height in zip(strips.items(), heights, strict=True):
         value, low, high, tolerance = (

@@ -155,7 +155,7 @@ def draw_residuals(readings: ReadingsShown, before: Array, noise: ByUnit) -> Dra
     reach = max(reach, after, 1.2 * max(wide))
     size = (SINGLE_WIDTH, 58.0 + 22.0 * len(setups))
     left = min(14.0 + 4.0 * max(map(len, names)), 115.0)
-    panel = Panel("residuals", (0.0, 0.0, *size))
+    panel = Panel((0.0, 0.0, *size))
     x, y = (-reach, reach), (len(setups) - 0.5, -0.5)
     axes = panel.add_axes(x, y, left=left, top=LEGEND_HEIGHT)
     for k, (setup, half) in enumerate(zip(setups, wide, strict=True)):

@@ -45,7 +45,7 @@ class FreeLeg:
         if not _NAME.fullmatch(self.name):
             raise InputError(
                 f"layout: a leg cannot be called {abbreviated(self.name)!r}: take up to 20 letters "
-                f"and digits"
+                f"(a to z) and digits"
             )
         if self.name in MEMBERS:
             raise InputError(

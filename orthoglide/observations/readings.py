@@ -261,9 +261,9 @@ class Readings:
 
     @property
     def places(self) -> Array:
-        """Place of each reading: setup, axis and both commands ``(n, 8)``."""
+        """Place of each reading: setup, axis with its sign, and both commands ``(n, 9)``."""
         second = np.nan_to_num(self.second)
-        return np.column_stack([self.setup, self.axis, self.command, second])
+        return np.column_stack([self.setup, self.axis, self.sign, self.command, second])
 
     @property
     def stations(self) -> Array:
@@ -272,7 +272,7 @@ class Readings:
 
     @cached_property
     def place_number(self) -> Ints:
-        """Number of each reading's place ``(n,)``: setup and command, whatever the approach."""
+        """Number of each reading's place ``(n,)``, whatever the approach."""
         return group_ids(self.places)
 
     @cached_property

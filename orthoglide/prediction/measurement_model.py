@@ -291,9 +291,12 @@ class MeasurementModel:
         """
         (conditions, postures), kinds = merged, list(self.by_kind(model, values))
         found = _Derivatives.empty(kinds, len(self.readings), len(self.paired), count)
-        # Readings of one place in equal postures are predicted once.
-        keys = [postures[0], postures[1], self.readings.place_number, self.readings.sign]
-        group = group_ids(np.column_stack(keys))
+        # Readings of a setup in equal postures and with equal numbers of the mounting, which may
+        # contain the time, are predicted once.
+        mounting = np.zeros(len(self.readings), dtype=np.int64)
+        for kind in kinds:
+            mounting[kind.rows] = group_ids(kind.mounting_values)
+        group = group_ids(np.column_stack([*postures, self.readings.setup, mounting]))
         chosen = np.unique(group, return_index=True)[1]
         order = np.sort(chosen)
         order = order[np.argsort(postures[0, order], kind="stable")]
