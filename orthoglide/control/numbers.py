@@ -236,7 +236,7 @@ class ControllerNumbers(Framed):
         if not self.calibrated:
             return ""
         stages = {"now": "now", "zeros" if self.zeros_alone else "numbers": "with these numbers",
-                  "compensated": "with commands from `orthoglide compensate`"}  # fmt: skip
+                  "compensated": "with commands from orthoglide compensate"}  # fmt: skip
         errors = [f"{self.expected[k].words} mm {words}" for k, words in stages.items()]
         return f"Mean error of the tool, one shift of everything removed: {', '.join(errors)}."
 
@@ -286,11 +286,11 @@ class ControllerNumbers(Framed):
             named[_MAX_NAMED:] = [f"{len(named) - _MAX_NAMED} more"]
         hint = (
             " A controller that takes zeros alone needs other zeros, which the option --zeros-only "
-            "of `orthoglide export` gives." * (not self.zeros_alone)
+            "of orthoglide export gives." * (not self.zeros_alone)
         )
         return (
             f"These numbers correct no other error that was identified ({listed(named)}); commands "
-            f"from `orthoglide compensate` correct them too. Use one or the other, never both."
+            f"from orthoglide compensate correct them too. Use one or the other, never both."
             f"{hint}"
         )
 
