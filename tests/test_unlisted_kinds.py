@@ -148,6 +148,14 @@ def test_a_machine_that_lost_a_step_is_calibrated_as_it_is_after_it(
         assert np.abs(error - error.mean(axis=0)).max() < 1.5e-5
 
 
+def test_causes_are_separated_beside_a_curve_that_the_catalogue_lacks() -> None:
+    """A closed loop was refused for want of an effect 'rail_z_y_travel', which it had found."""
+    drawn = draw(Case("effect", "rail_bow", "standard", 2.0, 0), 7001)
+    verdict = og.close_loop([public.campaign(drawn.rows)], public.machine())
+    assert verdict.word == "ambiguous"
+    assert "separate" in [s.aim for s in verdict.next_measurements]
+
+
 def test_a_short_error_of_a_drive_is_no_bar_of_twelve_tolerances() -> None:
     """A bar 1.3 mm too short was named with probability 1.00: a base parameter that went far beyond
     its tolerance paid for its width, but was as probable as one within it.

@@ -347,9 +347,13 @@ def _suggestions(outcome: RunOutcome) -> tuple[Suggestion, ...]:
         return (*first, *separating, *by_place, *repeats, *later)
     rival_sets = [(c.chosen, *c.rivals) for c in outcome.effects if c.rivals]
     rivals, pairs = list[tuple[str, Mapping[str, float]]](), list[tuple[int, int]]()
+    motions = outcome.after.problem.machine.catalogue.motions
     for rival_set in rival_sets or [outcome.alone[:_MOST_RIVALS]]:  # pairs only within a set
         pairs += combinations(range(len(rivals), len(rivals) + len(rival_set)), 2)
-        rivals += [(e.name, e.machine) for e in rival_set]
+        # Located errors, which the catalogue lacks, are nearly the same with each of them.
+        rivals += [
+            (e.name, {n: v for n, v in e.machine.items() if n in motions}) for e in rival_set
+        ]
     separating = planning.next_measurements(outcome.after, rivals, pairs=pairs, directions=())
     narrowing = planning.next_measurements(outcome.before)
     if inconclusive and lack_of_fit.dials_hold_most:
