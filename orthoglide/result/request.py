@@ -314,13 +314,12 @@ def machine_of(keys: Mapping[str, Any], effects: Sequence[Effect] = ()) -> Machi
     Raises:
         FileError, KeyError, TypeError, ValueError: if they were edited.
     """
-    name, digest, toml, npz = (
-        decoded(str | None, keys.get(key), {}) or "" for key in ("file", "sha256", "toml", "npz")
-    )
+    name, digest = (decoded(str | None, keys.get(key), {}) or "" for key in ("file", "sha256"))
+    toml, npz = decoded(str, keys["toml"], {}), decoded(str | None, keys.get("npz"), {})
     if name:
         _check_name(name)
     spec, posterior = parse_machine_file(toml, name, CATALOGUE.with_effects(effects)), None
-    if npz:
+    if npz is not None:
         posterior = parse_posterior(b64decode(npz, validate=True), digest, name)
     return Machine(replace(spec, file=name, sha256=digest, posterior=posterior))
 
