@@ -136,28 +136,28 @@ def test_numbers_that_an_earlier_version_kept_are_pasted() -> None:
         assert "missing" in make_paste(NUMBERS, edited).facts
 
 
+def words_with_shorter_rods(*changes: ResidualChange) -> str:
+    """What is said of new numbers with shorter rods that change residuals so."""
+    new = replace(NUMBERS, arm=(0.344,) * 3)
+    return corrections_of(NUMBERS, make_record(NUMBERS, new, [*changes], "", False)).words
+
+
 def test_what_new_numbers_gain_is_told_of_the_readings_that_they_fit_better() -> None:
     """Of heights alone, numbers that distances asked for were offered as slightly worse ones."""
-    changes = [
-        ResidualChange("calibration", "heights", 7, 3e-6, 1.6e-5),
-        ResidualChange("calibration", "distances", 12, 2.56e-4, 3.4e-5),
-    ]
-    new = replace(NUMBERS, arm=(0.344,) * 3)
-    words = corrections_of(NUMBERS, make_record(NUMBERS, new, changes, "", False)).words
+    heights = ResidualChange("calibration", "heights", 7, 3e-6, 1.6e-5)
+    distances = ResidualChange("calibration", "distances", 12, 2.56e-4, 3.4e-5)
+    words = words_with_shorter_rods(heights, distances)
     assert "of the distances of calibration its equations leave 0.034 mm rms, and 0.256 mm" in words
     assert "they make the rods shorter, as the distances say" in words
-    lower = [replace(changes[0], new=2e-6), changes[1]]
-    words = corrections_of(NUMBERS, make_record(NUMBERS, new, lower, "", False)).words
+    words = words_with_shorter_rods(replace(heights, new=2e-6), distances)
     assert "of heights over the plate its equations leave 0.002 mm rms, and 0.003 mm" in words
 
 
 def test_rods_that_heights_alone_make_shorter_are_not_told_as_those_of_distances() -> None:
-    changes = [
+    words = words_with_shorter_rods(
         ResidualChange("calibration", "distances", 12, 3.1e-5, 4.1e-5),
         ResidualChange("mesh-default", "heights", 61, 3.7e-5, 2.6e-5),
-    ]
-    new = replace(NUMBERS, arm=(0.344,) * 3)
-    words = corrections_of(NUMBERS, make_record(NUMBERS, new, changes, "", False)).words
+    )
     assert "they make the rods shorter, as the heights ask, and no distance does: measure" in words
     assert "as the distances say" not in words
 

@@ -350,7 +350,7 @@ def _suggestions(outcome: RunOutcome) -> tuple[Suggestion, ...]:
     motions = outcome.after.problem.machine.catalogue.motions
     for rival_set in rival_sets or [outcome.alone[:_MOST_RIVALS]]:  # pairs only within a set
         pairs += combinations(range(len(rivals), len(rivals) + len(rival_set)), 2)
-        # Located errors, which the catalogue lacks, are nearly the same with each of them.
+        # Free-form errors, which the catalogue lacks, are nearly the same with every rival.
         rivals += [
             (e.name, {n: v for n, v in e.machine.items() if n in motions}) for e in rival_set
         ]

@@ -81,11 +81,18 @@ class ZeroCheck:
             "drives_moving": self.way or None,
         }
 
+    @property
+    def moves(self) -> ShownPositions:
+        """How far each axis goes from Zero to the posture, as the controller counts, metres."""
+        x, y, z = (p - z for p, z in zip(self.at_posture, self.at_zero, strict=True))
+        return x, y, z
+
     def __str__(self) -> str:
         arriving = f", come to both with all axes moving {self.way}" if self.way else ""
-        shown = zip(self.at_posture, self.at_zero, strict=True)
-        moves = ", ".join(signed((position - zero) * 1e3, 3) for position, zero in shown)
-        right, wrong = (signed(v * 1e3, 3) for v in (self.right, self.wrong))
+        moves, right, wrong = (
+            ", ".join(signed(v * 1e3, 3) for v in values)
+            for values in (self.moves, (self.right,), (self.wrong,))
+        )
         return (
             f"axis {self.drive}: dial on leg {self.touched} toward {self.direction}, "
             f"{self.gauge * 1e3:.1f} mm along it; move {', '.join(LEGS)} by "

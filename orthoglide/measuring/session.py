@@ -297,18 +297,19 @@ class Session:
             if answer == "help":
                 self.tell(f"{HELP}\n{SETTLED_CRITERION}")
             elif answer == "skip":
-                return self._append(_as_move(planned, SKIPPED_POSTURE))
+                self._append(_as_move(planned, SKIPPED_POSTURE))
+                return
             elif answer == "undo":
                 if self.record.take_back():
                     self._machine_in_place, self._announced_position = False, ""
-                    return None
+                    return
                 self.tell("  there is no reading to take back")
             else:
                 objection, possible = part.expected.objection(reading, float(answer) * 1e-3, taken)
                 if not objection or (possible and answer == doubted):
                     seconds = f"{max(self.clock() - self._start_time, 0.0):.0f}"
-                    row = planned | {"reading_mm": f"{answer:f}", "time_s": seconds}
-                    return self._append(row)
+                    self._append(planned | {"reading_mm": f"{answer:f}", "time_s": seconds})
+                    return
                 doubted = answer
                 judgement, remedy = (
                     ("is implausible", "Type the same again to keep it, or the right number.")

@@ -50,6 +50,11 @@ class SmallestEffect:
     nearest: Parameter | str  # most similar candidate of another effect; empty: there is none
     elementary: bool  # whether it is a single parameter, no structured member
 
+    @property
+    def effect(self) -> str:
+        """Name of its effect."""
+        return self.name.effect
+
 
 @dataclass(frozen=True)
 class Detectability(Framed):
@@ -69,7 +74,7 @@ class Detectability(Framed):
         """Single parameters by their effect."""
         groups: dict[str, list[SmallestEffect]] = {}
         for smallest in filter(lambda s: s.elementary, self.smallest):
-            groups.setdefault(smallest.name.effect, []).append(smallest)
+            groups.setdefault(smallest.effect, []).append(smallest)
         return groups
 
     @property
@@ -96,7 +101,7 @@ class Detectability(Framed):
         rows = []
         for members in self.alike:
             hardest = best_of(members, lambda s: s.nameable)
-            effect, unit = hardest.name.effect, hardest.unit
+            effect, unit = hardest.effect, hardest.unit
             size = max(s.detectable for s in members)
             siblings = self.by_effect[effect]
             hidden = sum(name.effect == effect for name in self.invisible)

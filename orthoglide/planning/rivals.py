@@ -192,7 +192,7 @@ def _suggest_separating(
     for text, close in (
         (
             f"are not separated by {count} readings of dials on the legs: these tell them apart by "
-            f"{{:.1f}} sigma, so allow more of the {size} possible readings",
+            f"{{:.1f}} sigma, so take more of the {size} possible ones",
             by_choice,
         ),
         (

@@ -57,9 +57,8 @@ class Request:
     seed: Annotated[int, _NOT_AN_ARGUMENT] = 0  # seed of every random draw
     # readings that judge the finished result
     holdout: Annotated[tuple[Readings, ...], _NOT_AN_ARGUMENT] = ()
-    tcp: Annotated[Readings | None, _NOT_AN_ARGUMENT] = (
-        None  # points that judge the finished result
-    )
+    # points that judge the finished result
+    tcp: Annotated[Readings | None, _NOT_AN_ARGUMENT] = None
     free: tuple[str, ...] = CATALOGUE.base  # effects or parameters that `identify` frees
     priors: bool = True  # whether tolerances act as priors in `identify`
     reduced: bool = False  # whether the analytic reduction identifies
