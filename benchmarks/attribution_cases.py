@@ -285,7 +285,15 @@ def outside(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> Cause:
     place, extra, into = made[kind]
     # Its sawtooth comes later by the side of approach: one of travel, and lost motion.
     also = (f"{drive}/approach",) if kind == "stick_slip" else ()
-    return Cause(kind, kind, {}, extra, into, (place, *also))
+    return Cause(kind, kind, {}, extra, into, (*_by_travel(place), *also))
+
+
+def _by_travel(place: str) -> tuple[str, ...]:
+    """A place; one of a function of travel also where the function is told as short waves.
+
+    A step of a drive and a sawtooth have both slow and fast parts, so either kernel may fit.
+    """
+    return tuple(dict.fromkeys((place, place.replace("/travel", "/waves"))))
 
 
 def short_error(case: Case, rows: list[rc.Row], rng: np.random.Generator) -> tuple[Cause, float]:
@@ -294,9 +302,8 @@ def short_error(case: Case, rows: list[rc.Row], rng: np.random.Generator) -> tup
     own, drive = LEGS[leg], f"drive.{LEGS[leg]}"
     if case.kind == "short_wave":
         period, phase = float(rng.uniform(*WAVE_PERIOD)), float(rng.uniform(0, 2 * np.pi))
-        places = (f"{drive}/travel", f"{drive}/waves")
         return Cause(case.kind, case.kind, {}, lambda v: rc.drive_wave(leg, v, period, phase),
-                     places=places), size  # fmt: skip
+                     places=_by_travel(f"{drive}/travel")), size  # fmt: skip
     along = case.what == "drive"
     # A drive shows in the readings on the other legs, a rail in those on its own.
     own_rows = [row for row in rows if (row["leg"] == own) != along]
@@ -306,7 +313,7 @@ def short_error(case: Case, rows: list[rc.Row], rng: np.random.Generator) -> tup
     axis = leg if along else (leg + 1 + (case.what == "rail.c")) % 3
     where = drive if along else f"rail.{own}.{LEGS[axis]}"
     return Cause(case.kind, case.kind, {}, lambda v: rc.bump(leg, axis, v, at, width),
-                 places=(f"{where}/travel", f"{where}/waves")), size  # fmt: skip
+                 places=_by_travel(f"{where}/travel")), size  # fmt: skip
 
 
 def spoil(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> rc.Fault:
