@@ -10,8 +10,7 @@ from scipy import stats
 
 import orthoglide as og
 from orthoglide.accuracy import TcpMap, without_translation
-from orthoglide.explanation import lack_of_fit
-from orthoglide.explanation.signatures import Scoring, signatures
+from orthoglide.explanation.signatures import _draw_noise, noise_residuals, signatures
 from orthoglide.fit import Estimate
 from orthoglide.fit.least_squares import normal_equations
 from orthoglide.fit.repeats import repeat_variance
@@ -81,9 +80,7 @@ def test_degrees_of_freedom_of_successive_differences() -> None:
 @pytest.mark.parametrize("resolution", [0.0, 1e-5])
 def test_drawn_noise_is_as_large_as_the_noise_of_a_reading(resolution: float) -> None:
     found = fitted(noise=None, resolution=resolution, repeatability=NOISE, placement=0.0)
-    drawn = lack_of_fit._draw_noise(
-        found.problem, signatures(found), np.random.default_rng(0), 2000
-    )
+    drawn = _draw_noise(signatures(found), np.random.default_rng(0), 2000)
     total = np.sqrt(NOISE**2 + resolution**2 / 12)
     assert np.std(drawn) == pytest.approx(total, rel=0.02)
     assert found.problem.noise.typical == pytest.approx(total)
@@ -95,9 +92,9 @@ def test_what_is_to_be_detected_stands_above_noise_as_often_as_stated(level: flo
     made, sheet = machine(repeatability=NOISE), protocol("standard")
     told = smallest_effects(made, sheet, level=level)
     seen = signatures(fitted(repeatability=NOISE))
-    drawn = lack_of_fit.noise_residuals(seen, np.random.default_rng(7), 2000)
+    drawn = noise_residuals(seen, np.random.default_rng(7), 2000)
     seen = replace(seen, columns=seen.weighted_by_background(seen.columns))
-    best = Scoring.prepare(seen, seen.candidates).evidences(drawn).max(axis=0)
+    best = seen.evidences(drawn).max(axis=0)
     assert np.mean(best > told.threshold) == pytest.approx(level, abs=0.018)
 
 

@@ -11,10 +11,7 @@ from orthoglide.explanation.causes import CredibleSets
 from orthoglide.explanation.full_posterior import FullPosterior
 from orthoglide.explanation.linear_model import Scale
 from orthoglide.explanation.search import State
-from orthoglide.explanation.signatures import BACKGROUND, Signatures
-from orthoglide.fit import Estimate, Problem
-from orthoglide.fit.least_squares import project_out
-from orthoglide.fit.repeats import on_grid, readings_of_finest_step, repeat_variance, total_variance
+from orthoglide.fit import Estimate
 from orthoglide.fit.scores import chi2_p_value, cross_validation_improvement, smaller_p_value
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine
@@ -27,78 +24,12 @@ from orthoglide.result import LackOfFit, SetupResidual
 SIGNIFICANT = 0.003
 """Largest p-value of a significant lack of fit: one false alarm in 300."""
 
-DRAWS = 1999
-"""Draws of the noise from which thresholds are taken."""
-
-_GRID_TOLERANCE = 1e-6  # rounding error of readings as binary fractions, in steps
-
 
 def estimate_lack_of_fit(estimate: Estimate) -> LackOfFit:
     """Return the lack of fit of a fit: :attr:`Scores.lack_of_fit_p`."""
     p = estimate.scores.lack_of_fit_p
     p = p if np.isfinite(p) else 1.0
     return LackOfFit(p, base_p_value=p)
-
-
-def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int) -> Array:
-    """Return whitened, projected residuals ``(m, draws)`` of a sound machine.
-
-    They contain the noise with its rounding, placements and estimate, and ``BACKGROUND``
-    tolerances of every effect, by which `Signatures.weighted_by_background` weights them.
-    """
-    problem = signatures.estimate.problem
-    readings = _draw_noise(problem, signatures, rng, draws)
-    rows = signatures.whiten(readings)
-    if problem.noise.source == "repeats":
-        drawn = [problem.with_leg_readings(r).campaigns for r in readings.T]
-        drawn_variance = _single_reading_variance(problem, drawn)
-        estimated_variance = _single_reading_variance(problem, [problem.campaigns])
-        rows = rows * np.sqrt(estimated_variance / np.maximum(drawn_variance, 1e-300))
-    # Where a prior shrinks an unknown, part of it remains in the residual.
-    prior_count = len(problem.prior_rows[0])
-    prior_rows = np.zeros((len(signatures.fitted_basis), draws))
-    prior_rows[signatures.count :][:prior_count] = rng.standard_normal((prior_count, draws))
-    rows += project_out(signatures.fitted_basis, prior_rows)
-    background = rng.standard_normal((len(signatures.names), draws))
-    background *= BACKGROUND * signatures.tolerance[:, None]
-    return signatures.weighted_by_background(rows + signatures.columns @ background)
-
-
-def _single_reading_variance(problem: Problem, drawn: Sequence[Sequence[Readings]]) -> Array:
-    """Return the variance of one reading, estimated from the repeats of each draw of all
-    campaigns.
-    """
-    steps = [f.noise.step for f in problem.leg_factors]
-    finest = [readings_of_finest_step(campaigns, steps) for campaigns in drawn]
-    variance = np.array([repeat_variance(campaigns)[0] for campaigns, _ in finest])
-    return total_variance(variance, finest[0][1])
-
-
-def _draw_noise(
-    problem: Problem, signatures: Signatures, rng: np.random.Generator, draws: int
-) -> Array:
-    """Draw noise of all readings ``(n, draws)``, metres: scatter, rounding, placement, datum."""
-    n, resolution = len(problem.measured), problem.resolution
-    leg_row_count = problem.leg_rows[-1].stop if problem.leg_rows else 0
-    variance = problem.sigma**2 + problem.shared_rounding_sd**2 - resolution**2 / 12
-    scatter = np.sqrt(np.maximum(variance, 0.0))
-    noise = rng.standard_normal((n, draws)) * scatter[:, None]
-    nuisance = signatures.estimate.nuisance
-    has_prior = nuisance.precision > 0  # the placements of the dials
-    if has_prior.any():
-        placements = rng.standard_normal((int(has_prior.sum()), draws))
-        placements /= np.sqrt(nuisance.precision[has_prior])[:, None]
-        noise += nuisance.columns[:, has_prior] @ placements
-    of_legs = slice(leg_row_count)
-    step, measured = resolution[of_legs, None], problem.measured[of_legs]
-    all_rounded = leg_row_count and (step > 0).all()
-    if all_rounded and on_grid(measured, resolution[of_legs], _GRID_TOLERANCE):
-        value, setup = signatures.estimate.at.value[of_legs, None], problem.setup_of_row[of_legs]
-        datum = rng.uniform(0, 1, (len(problem.leg_setups), draws))[setup] * step
-        reading = np.round((value + datum + noise[of_legs]) / step) * step
-        noise[of_legs] = reading - value - datum
-        return np.asarray(noise)
-    return np.asarray(noise + rng.uniform(-0.5, 0.5, (n, draws)) * resolution[:, None])
 
 
 _SPANNED_DIRECTION = 1e-6  # least singular value of a direction of the stations, over the largest

@@ -9,12 +9,12 @@ Gaussian prior of the tolerance gives the candidate's gain and evidence:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from orthoglide.explanation.candidates import Candidate, candidates
+from orthoglide.explanation.search import explained_by_group
 from orthoglide.fit import Estimate, with_effects_freed
 from orthoglide.fit.excitation import excited_effects
 from orthoglide.fit.least_squares import fitted_basis, linearise, project_out, whiten_and_project
@@ -40,15 +40,9 @@ class Signatures:
     names: tuple[str, ...]  # elementary unknowns beyond the fit (E,)
     tolerance: Array  # of these (E,), SI
     columns: Array  # signatures (m, E), per SI unit
-    residual: Array  # of the fit (m,)
     fitted_basis: Array  # orthonormal columns of the directions projected out (m, q)
     candidates: tuple[Candidate, ...]  # all that are made of these unknowns
     invisible: tuple[Parameter, ...]  # unknowns that these readings cannot show
-
-    @property
-    def count(self) -> int:
-        """Number of readings."""
-        return len(self.estimate.problem.measured)
 
     def whiten(self, readings: Array) -> Array:
         """Return readings ``(n, ...)``, metres, as whitened and projected vectors ``(m, ...)``."""
@@ -74,6 +68,18 @@ class Signatures:
         size = np.array([self.tolerance[np.flatnonzero(column)].max() for column in matrix.T])
         return np.asarray(matrix * size)
 
+    def evidences(self, residuals: Array) -> Array:
+        """Return the log Bayes factor of each candidate against no effect ``(C, k)``, for residuals
+        ``(m, k)``.
+        """
+        evidences, chi2 = [], np.sum(residuals**2, axis=0)
+        for candidate in self.candidates:
+            columns = self.signature(candidate)
+            gram, products = columns.T @ columns, residuals.T @ columns
+            explained, occam = explained_by_group(gram, products, chi2, tau=1.0)
+            evidences.append(explained / 2 - occam)
+        return np.stack(evidences)
+
 
 def signatures(estimate: Estimate) -> Signatures:
     """Linearise all effects of the catalogue at a fit, with its unknowns and nuisances projected
@@ -88,12 +94,6 @@ def signatures(estimate: Estimate) -> Signatures:
     at = linearise(full_problem, full_problem.zero_padded(estimate.x))
     basis = fitted_basis(problem, nuisance, estimate.at)
     columns = whiten_and_project(nuisance.weighing, basis, at.jacobian[:, base_count:])
-    # The residual of the readings and of the prior rows.
-    _, target = problem.prior_rows
-    residual, reading_count = np.zeros(len(basis)), len(problem.measured)
-    reading_residual = problem.measured - at.value + at.jacobian[:, :base_count] @ estimate.x
-    residual[:reading_count] = nuisance.weighing.whiten(reading_residual)
-    residual[reading_count : reading_count + len(target)] = target
     tolerance = np.array([u.tolerance for u in full_problem.unknowns[base_count:]])
     names = tuple(u.name for u in full_problem.unknowns[base_count:])
     visible_mask = np.linalg.norm(columns, axis=0) * tolerance > _LEAST_SIGNAL
@@ -104,47 +104,40 @@ def signatures(estimate: Estimate) -> Signatures:
         visible,
         tolerance[kept],
         columns[:, kept],
-        project_out(basis, residual),
         basis,
         candidates(visible, effects, problem.machine.catalogue),
         tuple(n for n, is_visible in zip(names, visible_mask, strict=True) if not is_visible),
     )
 
 
-@dataclass(frozen=True)
-class Scoring:
-    """Candidates prepared to be scored on many residuals."""
+def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int) -> Array:
+    """Return whitened, projected residuals ``(m, draws)`` of a sound machine.
 
-    candidates: tuple[Candidate, ...]  # `C` of them
-    basis: tuple[Array, ...]  # for each, orthonormal columns (m, size) of its signature
-    shrink: tuple[Array, ...]  # for each, shrinkage of squared components by the prior (size,)
-    occam: Array  # for each, log det(S^T S + 1)
+    They contain the noise with its rounding, placements, and ``BACKGROUND`` tolerances of every
+    effect, by which `Signatures.weighted_by_background` weights them.
+    """
+    problem = signatures.estimate.problem
+    rows = signatures.whiten(_draw_noise(signatures, rng, draws))
+    # Where a prior shrinks an unknown, part of it remains in the residual.
+    reading_count, prior_count = len(problem.measured), len(problem.prior_rows[0])
+    prior_rows = np.zeros((len(signatures.fitted_basis), draws))
+    prior_rows[reading_count:][:prior_count] = rng.standard_normal((prior_count, draws))
+    rows += project_out(signatures.fitted_basis, prior_rows)
+    background = rng.standard_normal((len(signatures.names), draws))
+    background *= BACKGROUND * signatures.tolerance[:, None]
+    return signatures.weighted_by_background(rows + signatures.columns @ background)
 
-    @classmethod
-    def prepare(cls, signatures: Signatures, chosen: Sequence[Candidate]) -> Scoring:
-        """Return the candidates of a fit's signatures, prepared."""
-        basis, shrink, occam = list[Array](), list[Array](), list[float]()
-        for candidate in chosen:
-            vectors, singular, _ = np.linalg.svd(
-                signatures.signature(candidate), full_matrices=False
-            )
-            kept = singular > 1e-9 * max(float(singular.max(initial=0.0)), 1e-300)
-            squares = singular[kept] ** 2
-            basis.append(vectors[:, kept])
-            shrink.append(squares / (squares + 1))
-            occam.append(float(np.sum(np.log1p(squares))))
-        return cls(tuple(chosen), tuple(basis), tuple(shrink), np.array(occam))
 
-    def gains(self, residuals: Array) -> Array:
-        """Return the reductions of chi2 ``(C, ...)`` for residuals ``(m, ...)``."""
-        return np.stack(
-            [
-                np.tensordot(shrink, (basis.T @ residuals) ** 2, axes=(0, 0))
-                for basis, shrink in zip(self.basis, self.shrink, strict=True)
-            ]
-        )
-
-    def evidences(self, residuals: Array) -> Array:
-        """Return log Bayes factors against no effect ``(C, ...)`` for residuals ``(m, ...)``."""
-        gains = self.gains(residuals)
-        return (gains - self.occam.reshape(-1, *[1] * (gains.ndim - 1))) / 2
+def _draw_noise(signatures: Signatures, rng: np.random.Generator, draws: int) -> Array:
+    """Draw noise of all readings ``(n, draws)``, metres: scatter, rounding and placement."""
+    problem, nuisance = signatures.estimate.problem, signatures.estimate.nuisance
+    n, resolution = len(problem.measured), problem.resolution
+    variance = problem.sigma**2 + problem.shared_rounding_sd**2 - resolution**2 / 12
+    scatter = np.sqrt(np.maximum(variance, 0.0))
+    noise = rng.standard_normal((n, draws)) * scatter[:, None]
+    has_prior = nuisance.precision > 0  # the placements of the dials
+    if has_prior.any():
+        placements = rng.standard_normal((int(has_prior.sum()), draws))
+        placements /= np.sqrt(nuisance.precision[has_prior])[:, None]
+        noise += nuisance.columns[:, has_prior] @ placements
+    return np.asarray(noise + rng.uniform(-0.5, 0.5, (n, draws)) * resolution[:, None])

@@ -14,8 +14,7 @@ from orthoglide.effects.wording import parameter_words
 from orthoglide.errors import InputError, check_integer, check_list
 from orthoglide.explanation.candidates import Candidate
 from orthoglide.explanation.change_search import INDISTINGUISHABLE_CHI2
-from orthoglide.explanation.lack_of_fit import DRAWS, noise_residuals
-from orthoglide.explanation.signatures import Scoring, Signatures, signatures
+from orthoglide.explanation.signatures import Signatures, noise_residuals, signatures
 from orthoglide.fit import solve
 from orthoglide.frames import Framed
 from orthoglide.geometry import Array
@@ -31,6 +30,7 @@ from orthoglide.units import Unit
 POWER = 0.95
 """Probability with which an effect of the size stated is found, or named."""
 
+_DRAWS = 1999  # draws of the noise from which the threshold is taken
 _MIN_SINE = 1e-3  # sine between signatures below which no size of an effect separates them
 _COLUMNS = (
     "effect", "unit", "tolerance", "found from", "named from", "hardest", "nearest", "parameters",
@@ -177,9 +177,8 @@ def smallest_effects(
     machine.catalogue.expand(names)
     model = signatures(solve(predicted_problem(machine, campaign, noise), method="nested"))
     weighted = replace(model, columns=model.weighted_by_background(model.columns))
-    scoring = Scoring.prepare(weighted, weighted.candidates)
-    threshold = _evidence_threshold(model, scoring, level, seed)
-    single = [c for c in scoring.candidates if c.size == 1]
+    threshold = _evidence_threshold(model, weighted, level, seed)
+    single = [c for c in model.candidates if c.size == 1]
     length, cosine = _signature_cosines(weighted, single)
     catalogue, smallest = machine.catalogue, []
     for k, candidate in enumerate(single):
@@ -205,19 +204,20 @@ def smallest_effects(
     return Detectability(tuple(smallest), invisible, threshold, catalogue.legs)
 
 
-def _evidence_threshold(model: Signatures, scoring: Scoring, level: float, seed: int) -> float:
+def _evidence_threshold(model: Signatures, weighted: Signatures, level: float, seed: int) -> float:
     """Return the evidence that the best candidate exceeds with probability ``level`` on noise."""
     if not (isinstance(level, Real) and 0 < level < 1):
         raise InputError(f"level is a probability between 0 and 1, such as 0.01, not {level!r}")
     rng = np.random.default_rng(check_integer("seed", seed, 0))
-    residuals = noise_residuals(model, rng, DRAWS)
-    best_evidence = scoring.evidences(residuals).max(axis=0) if scoring.candidates else np.zeros(1)
+    if not model.candidates:
+        return 0.0
+    best_evidence = weighted.evidences(noise_residuals(model, rng, _DRAWS)).max(axis=0)
     return float(np.quantile(best_evidence, 1 - level))
 
 
 def _signature_cosines(model: Signatures, single: Sequence[Candidate]) -> tuple[Array, Array]:
     """Return the lengths of signatures ``(k,)``, and cosines ``(k, k)`` of different effects."""
-    none = np.zeros((len(model.residual), 0))
+    none = np.zeros((len(model.columns), 0))
     columns = np.column_stack([none, *(model.signature(c) for c in single)])
     length = np.linalg.norm(columns, axis=0)
     cosine = np.abs(columns.T @ columns) / np.multiply.outer(length, length)
