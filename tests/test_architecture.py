@@ -313,7 +313,7 @@ def test_no_other_module_tests_the_kind_of_a_reading() -> None:
 
 # Where files of the command line, parts of a drawing or groups of effects have the same word.
 OTHER_MEANINGS = {
-    "effects/effect.py", "effects/page.py", "effects/plates.py", "pictures.py",
+    "effects/effect.py", "effects/plates.py", "pictures.py",
     "report/page.py", "result/request.py", "scene/marks.py",
     "scene/parts.py",
     "firmware/klipper/heights.py",

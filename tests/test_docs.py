@@ -12,13 +12,13 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.catalogue import catalogue_of
-from orthoglide.effects.page import GROUPS, effects_page
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file import parse_machine_file
 from orthoglide.result import Word
 from tests.page_laws import too_long
 
 ROOT = Path(__file__).parents[1]
+EFFECTS = runpy.run_path(str(ROOT / "docs" / "tables" / "effects.py"))
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 
 
@@ -32,14 +32,14 @@ def blocks(name: str, language: str) -> list[str]:
 
 
 def test_the_page_of_effects_is_fresh() -> None:
-    remedy = "stale: python -m orthoglide.effects.page > docs/effects.md"
-    assert read("docs/effects.md") == effects_page(), remedy
+    remedy = "stale: python docs/tables/effects.py > docs/effects.md"
+    assert read("docs/effects.md") == EFFECTS["markdown"](), remedy
 
 
 def test_the_page_of_effects_has_every_family_and_parameter() -> None:
-    page = effects_page()
+    page = EFFECTS["markdown"]()
     elsewhere = catalogue_of(og.LinearDelta.names)
-    assert {family.group for family in elsewhere.values()} <= set(GROUPS)
+    assert {family.group for family in elsewhere.values()} <= set(EFFECTS["GROUPS"])
     assert page.count(", not on an Orthoglide.") == len(elsewhere) - len(CATALOGUE) > 0
     for name, family in {**elsewhere, **CATALOGUE}.items():
         assert f"\n### {name}\n" in page

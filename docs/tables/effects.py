@@ -1,4 +1,7 @@
-"""The page of effects, made from the catalogue: ``python -m orthoglide.effects.page``."""
+"""The page of effects, from the catalogue.
+
+``python docs/tables/effects.py`` prints ``docs/effects.md``.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,7 @@ _HEAD = """# The catalogue of effects
 Look up an effect by its name in a report or a file. Each is worded at one tolerance of its first
 parameter, which shows the sign. The report has the test that confirms a cause, and
 [Contributing](../CONTRIBUTING.md#add-an-effect-in-four-steps) says how to add an effect. Printed by
-`python -m orthoglide.effects.page`.
+`python docs/tables/effects.py`.
 
 - **Tolerance**: the standard deviation expected of a carefully built machine, and the prior; your
   own goes into the [machine file](files.md).
@@ -50,7 +53,7 @@ parameter, which shows the sign. The report has the test that confirms a cause, 
 """
 
 
-def effects_page() -> str:
+def markdown() -> str:
     """Return the page as Markdown."""
     parts = [_HEAD + _corrections()]
     for group, heading in GROUPS.items():
@@ -96,4 +99,4 @@ def _section(effect: Effect) -> str:
 
 
 if __name__ == "__main__":
-    print(effects_page(), end="")
+    print(markdown(), end="")
