@@ -22,8 +22,6 @@ def claimed(odds: list[float], free: list[bool]) -> Any:
     groups = tuple(Group(f"g{k}", NONE, np.zeros((0, 1)), f) for k, f in enumerate(free))
     mixture = SimpleNamespace(linear=SimpleNamespace(groups=groups))
 
-    linearised = SimpleNamespace(free_form_errors=())
-
     class Reader(_CredibleSetReader):
         alternatives = SimpleNamespace(probabilities=lambda _: np.array(odds))
 
@@ -33,7 +31,7 @@ def claimed(odds: list[float], free: list[bool]) -> Any:
         def _located(self, member, odds, probability):
             return "located", [k for k, _ in odds], probability
 
-    return Reader(SimpleNamespace(mixture=mixture, linearised=linearised)).credible_set(0, ())
+    return Reader(SimpleNamespace(mixture=mixture)).credible_set(0, ())
 
 
 @pytest.mark.parametrize(
@@ -87,10 +85,10 @@ def test_waves_of_a_leg_are_one_cause_and_the_likeliest_comes_first() -> None:
         Candidate(name, name.partition(".")[0], tuple(single[k] for k in own), ())
         for name, own in zip(names, parts, strict=True)
     ]
+    groups = [SimpleNamespace(source=one) for one in several]
+    mixture = SimpleNamespace(linear=SimpleNamespace(groups=groups))
     machine = SimpleNamespace(catalogue=CATALOGUE)
-    posterior = SimpleNamespace(linearised=SimpleNamespace(candidates=several), machine=machine)
-    reader = _CredibleSetReader.__new__(_CredibleSetReader)
-    vars(reader)["posterior"] = posterior
+    reader = _CredibleSetReader(SimpleNamespace(mixture=mixture, machine=machine))
     found = reader._merge_by_cause([(0, 0.4), (1, 0.3), (2, 0.2), (3, 0.1)])
     assert [k for k, _ in found] == [1, 0]
     assert [p for _, p in found] == pytest.approx([0.6, 0.4])

@@ -45,8 +45,9 @@ def test_a_verdict_and_its_table_agree() -> None:
     assert len(members) > 1
     assert verdict.after.scores.lack_of_fit_p > SIGNIFICANT
     about, curves = verdict.posterior.linearised, verdict.after.problem.free_form_nuisances
+    groups = {group.name: group for group in verdict.posterior.mixture.linear.groups}
     for member in (one for one in members if one.probability > 0.1):
-        own = about.rows[:, about.coefficients(member.place)]
+        own = about.rows.columns(groups[member.name].coefficients)
         off = own - curves.columns @ np.linalg.lstsq(curves.columns, own, rcond=1e-12)[0]
         assert np.abs(off).max() < 1e-12
 

@@ -161,9 +161,9 @@ def _rms_of_readings(posterior: FullPosterior, names: Sequence[str]) -> ByUnit:
     """Return the root mean square of a cause's part of the readings at the mean."""
     linearised, mean = posterior.linearised, posterior.mean
     coefficients = [k for k, n in enumerate(linearised.problem.names) if n.plain in set(names)]
-    for error in posterior.free_form_errors:
-        if set(error.effect.motions) & set(names):
-            coefficients += linearised.coefficients(error).tolist()
+    for group in posterior.free_form_groups:
+        if set(group.source.effect.motions) & set(names):
+            coefficients += group.coefficients.tolist()
     rows = linearised.rows.columns(coefficients) @ mean[coefficients]
     rows = rows - posterior.linearised.nuisance.explained_residual(rows)
     return rms_by_unit(rows, linearised.problem.angular)

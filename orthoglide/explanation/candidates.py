@@ -160,8 +160,8 @@ def build_groups(
     columns: Array,
     free_form_errors: Sequence[FreeForm],
     replacements: Mapping[Parameter, tuple[Parameter, float]],
-) -> tuple[tuple[Group, ...], tuple[Candidate, ...], tuple[Parameter, ...]]:
-    """Return the visible groups, their causes, and the excited parameters.
+) -> tuple[tuple[Group, ...], tuple[Parameter, ...]]:
+    """Return the visible groups and the excited parameters.
 
     A replaced parameter has no coefficient: a cause moves that of its replacement. A cause that
     consists of replaced parameters only is another name of a cause and is left out.
@@ -179,29 +179,33 @@ def build_groups(
     target_index = np.array([index[target[n][0]] for n in visible], dtype=np.intp)
     factor = np.array([target[n][1] for n in visible])
     is_named = np.array([n not in replacements for n in visible], dtype=bool)
-    causes, groups = [], []
+    groups = []
     for cause, unit in _entered_common_causes(full_problem, base_count):
         rows = weight_matrix(names, cause.weights)
         moved = np.flatnonzero(rows.any(axis=1))
         if np.linalg.norm(columns[:, moved] @ rows[moved]) * unit > _LEAST_SIGNAL:
-            causes.append(cause)
-            groups.append(Group(cause.name, moved, rows[moved], False, cause.relative_prior, unit))
+            groups.append(_cause_group(cause, rows, unit))
     for cause in candidates(visible, effects, catalogue):
         matrix = weight_matrix(visible, cause.weights)
         if not matrix[is_named].any():
             continue
         rows = np.zeros((len(names), cause.size))
         np.add.at(rows, target_index, matrix * factor[:, None])
-        moved = np.flatnonzero(rows.any(axis=1))
-        causes.append(cause)
         effect = catalogue[cause.effect]
         unit = _DIAL_SCALE if effect.of_dial and not effect.of_body else 1.0
-        groups.append(Group(cause.name, moved, rows[moved], False, cause.relative_prior, unit))
+        groups.append(_cause_group(cause, rows, unit))
     form_counts = Counter(error.location_key for error in free_form_errors if not error.is_local)
     spans = coefficient_spans(free_form_errors, len(names))
     for error, (name, span) in zip(free_form_errors, spans.items(), strict=True):
         if np.linalg.norm(columns[:, span]) > _LEAST_SIGNAL:
             forms = 1 if error.is_local else form_counts[error.location_key]
             prior = FREE_FORM_PRIOR * error.chance / forms
-            groups.append(identity_group(name, span, free_form=True, relative_prior=prior))
-    return tuple(groups), tuple(causes), tuple(varied)
+            group = identity_group(name, span, free_form=True, relative_prior=prior, source=error)
+            groups.append(group)
+    return tuple(groups), tuple(varied)
+
+
+def _cause_group(cause: Candidate, rows: Array, unit: float) -> Group:
+    """Return a cause as a group, from the weights of all coefficients ``(C, size)``."""
+    moved, prior = np.flatnonzero(rows.any(axis=1)), cause.relative_prior
+    return Group(cause.name, moved, rows[moved], False, prior, unit, source=cause)

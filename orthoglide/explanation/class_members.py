@@ -13,6 +13,7 @@ from orthoglide.effects.wording import cause_short
 from orthoglide.explanation.alternatives import Alternatives
 from orthoglide.explanation.free_form import free_form_columns_of_factor
 from orthoglide.explanation.full_posterior import FullPosterior
+from orthoglide.explanation.linear_model import Group
 from orthoglide.fit.problem import Factor
 from orthoglide.geometry import Array
 from orthoglide.ordering import descending
@@ -39,7 +40,7 @@ class ClassMembers:
     posterior: FullPosterior  # that they are from
     members: tuple[ClassMember, ...]  # most probable first
     coefficients: NDArray[np.intp]  # of all parameters, then of the free-form errors (k,)
-    free_form_errors: tuple[FreeForm, ...]  # that are active with any of the members
+    free_form_groups: tuple[Group, ...]  # that are active with any of the members
 
     @classmethod
     def from_posterior(
@@ -51,24 +52,23 @@ class ClassMembers:
         probabilities = alternatives.probabilities(located.group)[:-1]
         names = {curve.name for curve in located.members} | {*located.resembling}
         chosen = [k for k in descending(probabilities) if groups[k].name in names][:max_members]
-        by_name = {p.name: p for p in linearised.free_form_errors}
         states = [alternatives.state(located.group, k) for k in chosen]
-        active = {groups[g].name for state in states for g, _ in state}
-        errors = tuple(p for p in linearised.free_form_errors if p.name in active)
-        spans = map(linearised.coefficients, errors)
+        active = sorted({g for state in states for g, _ in state})
+        curves = tuple(groups[g] for g in active if groups[g].free_form)
+        spans = (curve.coefficients for curve in curves)
         coefficients = np.concatenate([np.arange(linearised.parameter_count), *spans])
         members = []
         for k in chosen:
-            name = groups[k].name
             mean, covariance = alternatives.moments(located.group, k, coefficients)
             parameters, values, _ = posterior.machine_parameters(mean)
-            error = by_name.get(name)
-            words = error.words if error else cause_short(posterior.machine.catalogue, name)
             machine = dict(zip(parameters, values.tolist(), strict=True))
-            permanent = error is None or _is_permanent(error)
+            if groups[k].free_form:
+                words, permanent = groups[k].source.words, _is_permanent(groups[k].source)
+            else:
+                words, permanent = cause_short(posterior.machine.catalogue, groups[k].name), True
             members.append(ClassMember(words, permanent, float(probabilities[k]), machine,
                                        mean[coefficients], covariance))  # fmt: skip
-        return cls(posterior, tuple(members), coefficients, errors)
+        return cls(posterior, tuple(members), coefficients, curves)
 
     def rows(self, factor: Factor) -> tuple[Array, ReadingPoses]:
         """Return new readings of the machine by coefficient ``(n, k)``, and the poses of their
@@ -83,10 +83,11 @@ class ClassMembers:
         in_catalogue = [k for k, name in enumerate(names) if name in catalogue.motions]
         linearised = factor.linearise(machine.model, values, [names[k] for k in in_catalogue])
         rows = linearised.jacobian @ weights[in_catalogue]
-        errors = [p for p in self.free_form_errors if _is_permanent(p)]
+        curves = [group for group in self.free_form_groups if _is_permanent(group.source)]
+        errors = [group.source for group in curves]
         blocks = free_form_columns_of_factor(factor, machine.model, values, errors)
-        for error, columns in zip(errors, blocks, strict=True):
-            rows[:, posterior.linearised.coefficients(error)] = columns
+        for group, columns in zip(curves, blocks, strict=True):
+            rows[:, group.coefficients] = columns
         return rows[:, self.coefficients], linearised.reading_poses
 
 

@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.accuracy import workspace_grid
 from orthoglide.effects import Effect
 from orthoglide.effects.free_form import FreeForm
-from orthoglide.explanation.candidates import Candidate, build_groups, coefficient_spans
+from orthoglide.explanation.candidates import build_groups, coefficient_spans
 from orthoglide.explanation.compression import MergedRows, WhitenedReadings
 from orthoglide.explanation.fault_columns import (
     FaultColumns,
@@ -84,7 +83,6 @@ class LinearisedModel:
     # faults
     units: Array
     free_form_errors: tuple[FreeForm, ...]  # in the order of their coefficients
-    candidates: tuple[Candidate, ...]  # visible causes, in the order of the linear groups
     linear: LinearModel  # for the mixture
     # by parameter: its twins, each with the value of the twin that is equivalent to 1 of the
     # parameter, both in SI; the columns of twins are zero
@@ -96,7 +94,6 @@ class LinearisedModel:
     prior_rows: tuple[Array, Array]  # posterior of an earlier calibration: matrix and target
     # not in the base, excited by commands, load, temperature or time, and not replaced by a twin
     excited_parameters: tuple[Parameter, ...]
-    suspects: tuple[FaultColumns, ...]  # possible data faults, in the order of the last groups
     unexplainable_chi2: float  # chi2 in the directions that no coefficient moves
     nuisance: Nuisances  # of the instruments, at the linearisation
     # rms difference of the prediction at the mean from its linearisation, sigmas
@@ -106,10 +103,6 @@ class LinearisedModel:
     def parameter_count(self) -> int:
         """Number of the catalogue's parameters, whose coefficients come first."""
         return len(self.problem.unknowns)
-
-    def coefficients(self, error: FreeForm) -> NDArray[np.intp]:
-        """Return the indices of a free-form error's coefficients."""
-        return coefficient_spans(self.free_form_errors, self.parameter_count)[error.name]
 
     def linearisation_error_at(self, mean: Array) -> float:
         """Return the rms difference, in sigmas, of the prediction at a mean ``(C,)`` from its
@@ -228,9 +221,7 @@ def _machine_model(
         for name, factors in twin_parameters.items()
         for twin, factor in factors
     }
-    groups, causes, excited = build_groups(
-        full_problem, base_count, readings.columns, errors, replacements
-    )
+    groups, excited = build_groups(full_problem, base_count, readings.columns, errors, replacements)
     enough_repeats = problem.repeat_count >= _ENOUGH_REPEATS
     linear = LinearModel(
         readings.columns, readings.residual, fixed_sd, np.arange(len(units)) >= len(sd),
@@ -246,9 +237,9 @@ def _machine_model(
     # On an even grid, over which a translation is the mean displacement.
     grid_slopes = tool_slopes(full_problem, x, workspace_grid(full_problem.machine.geometry)) * sd
     return LinearisedModel(
-        full_problem, units, errors, causes, _with_plate_priors(linear, problem),
+        full_problem, units, errors, _with_plate_priors(linear, problem),
         twins_in_si, translations(grid_slopes), rows, x, value_at_zero, prior_rows,
-        tuple(name for name in excited if name.plain not in replaced), (), 0.0, nuisance,
+        tuple(name for name in excited if name.plain not in replaced), 0.0, nuisance,
     )  # fmt: skip
 
 
@@ -305,8 +296,9 @@ def _with_data_faults(model: LinearisedModel, suspects: Sequence[FaultColumns]) 
     first, groups = len(model.units), list(linear.groups)
     for suspect in suspects:
         span = range(first, first := first + suspect.coefficient_count)
-        group = identity_group(suspect.name, span, free_form=False)
-        groups.append(replace(group, expected=suspect.expected_count, of_data=True))
+        prior = suspect.expected_count
+        groups.append(identity_group(suspect.name, span, free_form=False, expected=prior,
+                                     of_data=True, source=suspect))  # fmt: skip
     padding = (0, first - len(model.units))
     linear = replace(
         linear,
@@ -319,7 +311,7 @@ def _with_data_faults(model: LinearisedModel, suspects: Sequence[FaultColumns]) 
         plate_shapes=np.pad(linear.plate_shapes, padding),
         groups=tuple(groups),
     )
-    return replace(model, linear=linear, rows=rows, units=units, suspects=tuple(suspects))
+    return replace(model, linear=linear, rows=rows, units=units)
 
 
 def _linearise_all_parameters(

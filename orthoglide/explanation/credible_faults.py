@@ -42,7 +42,6 @@ def credible_faults(posterior: FullPosterior) -> CredibleFaults:
     mixture, problem = posterior.mixture, posterior.before.problem
     groups, alternatives = mixture.linear.groups, Alternatives(mixture)
     is_data_fault = np.array([g.of_data for g in groups], dtype=bool)
-    columns = {s.name: s for s in posterior.linearised.suspects}
     certain, probable, ambiguous = list[Fault](), list[tuple[Fault, float]](), set[FaultKey]()
 
     def sized(member: int, group: int) -> Fault:
@@ -59,8 +58,8 @@ def credible_faults(posterior: FullPosterior) -> CredibleFaults:
                 probable.append((sized(member, best), float(probabilities[best])))
         elif of_data.sum() < CREDIBLE_WITH_DATA_FAULT * total:
             least = (1 - CREDIBLE_WITH_DATA_FAULT) * probabilities.max(initial=0.0)
-            names = [groups[k].name for k in np.flatnonzero(of_data > least)]
-            ambiguous |= {columns[name].key(posterior.linearised.problem) for name in names}
+            columns = [groups[k].source for k in np.flatnonzero(of_data > least)]
+            ambiguous |= {one.key(posterior.linearised.problem) for one in columns}
         elif is_data_fault[member]:
             order = descending(of_data)
             least = _LEAST_SHARE * of_data[order[0]]

@@ -20,6 +20,7 @@ from orthoglide.effects.wording import cause_short
 from orthoglide.errors import InputError
 from orthoglide.explanation.alternatives import Alternatives
 from orthoglide.explanation.base_causes import far_base_causes
+from orthoglide.explanation.candidates import Candidate
 from orthoglide.explanation.causes import (
     CREDIBLE,
     CredibleSets,
@@ -105,8 +106,7 @@ class _CredibleSetReader:
     @cached_property
     def _errors(self) -> dict[int, FreeForm]:
         """The free-form errors by the index of their group."""
-        by_name = {error.name: error for error in self.posterior.linearised.free_form_errors}
-        return {k: by_name[g.name] for k, g in enumerate(self.groups) if g.name in by_name}
+        return {k: group.source for k, group in enumerate(self.groups) if group.free_form}
 
     @cached_property
     def alternatives(self) -> Alternatives:
@@ -208,7 +208,7 @@ class _CredibleSetReader:
         """Merge the groups of one cause on one leg (a wave at any phase); most probable first."""
         merged: dict[tuple[str, ...], tuple[int, float]] = {}
         for k, p in odds:
-            candidate = self.posterior.linearised.candidates[k]
+            candidate = self.groups[k].source
             effect = self.posterior.machine.catalogue.effect_of(candidate.name)
             legs = {(n.leg, n.campaign) for n in candidate.parameters}
             leg = legs.pop() if effect.paired and len(legs) == 1 else ("", "")
@@ -261,7 +261,7 @@ class _CredibleSetReader:
         """Return one group as explanation, given the covariance of the coefficients it moves."""
         posterior, group = self.posterior, self.groups[group_index]
         linearised = posterior.linearised
-        candidate = linearised.candidates[group_index]
+        candidate: Candidate = group.source
         # Project the coefficients that it moves on its pattern.
         to_parameters = np.linalg.pinv(group.weights)
         value = to_parameters @ mean[group.coefficients]
@@ -320,16 +320,12 @@ class _CredibleSetReader:
     ) -> Located:
         members, catalogue = self._curves(member, odds), self.posterior.machine.catalogue
         resembling = tuple(self.groups[k].name for k, _ in odds if not self.groups[k].free_form)
-        moving_causes = self._causes_moving(members[0].place)
         # Those of dials, lost motion and improbable ones are not in the calibrated machine.
         effects = [curve.place.effect for curve in members]
         in_machine = [effect for effect in effects if effect.name in catalogue]
         return Located(
             members, probability, resembling,
             resembling_words=tuple(cause_short(catalogue, name) for name in resembling),
-            ruled_out=tuple(
-                cause_short(catalogue, name) for name in moving_causes if name not in resembling
-            ),
             in_budget=(in_machine or effects)[0].name,
             parameters=tuple(str(part) for effect in in_machine for part in effect.motions),
             group=member,
@@ -338,25 +334,6 @@ class _CredibleSetReader:
     def _curves(self, member: int, odds: Sequence[tuple[int, float]]) -> tuple[Curve, ...]:
         """Return the curves of the free-form errors in a credible set."""
         return tuple(self._curve(member, k, p) for k, p in odds if k in self._errors)
-
-    def _causes_moving(self, error: FreeForm) -> Iterator[str]:
-        """Yield the candidate causes that move the same joints, or change the same dial, as an
-        error.
-        """
-        linearised = self.posterior.linearised
-        motions, joints = linearised.problem.machine.catalogue.motions, {j for j, _ in error.joints}
-        for cause in linearised.candidates:
-            names = [p.plain for p in cause.parameters]
-            if error.of_dial:
-                moves_it = all(p.setup and p.setup == error.setup for p in names)
-            else:
-                moved = [motions[p] for p in names if p in motions]
-                moves_it = len(moved) == len(names) and not error.moves_bar_ends and all(
-                    leg == error.leg and joints & {m.joint for m in leg_motions}
-                    for leg, leg_motions in moved
-                )  # fmt: skip
-            if moves_it:
-                yield cause.name
 
     def _curve(self, member: int, group_index: int, probability: float) -> Curve:
         coefficients, error = self.groups[group_index].coefficients, self._errors[group_index]
@@ -384,11 +361,11 @@ class _CredibleSetReader:
         return tuple(self._candidate_score(k, scores[k]) for k in order)
 
     def _candidate_score(self, k: int, score: float) -> CandidateScore:
-        name, parameters = self.groups[k].name, tuple[str, ...]()
+        name, source, parameters = self.groups[k].name, self.groups[k].source, tuple[str, ...]()
         if self.groups[k].free_form:
-            words = self._errors[k].words
+            words = source.words
         else:
             words = cause_short(self.posterior.machine.catalogue, name)
-            parameters = self.posterior.linearised.candidates[k].parameters
+            parameters = source.parameters
         inclusion = float(self.posterior.mixture.inclusion[k])
         return CandidateScore(name, parameters, inclusion, score, words)

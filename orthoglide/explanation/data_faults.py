@@ -150,7 +150,8 @@ def find_data_faults(estimate: Estimate) -> DataFindings:
         unsettled = (_unsettled_note(),)
     check_scatter(posterior.before.problem)
     noise_unchanged = np.array_equal(posterior.before.problem.sigma, problem.sigma)
-    altered = faults_found or changes or found.ambiguous or posterior.linearised.suspects
+    suspected = any(group.of_data for group in posterior.mixture.linear.groups)
+    altered = faults_found or changes or found.ambiguous or suspected
     return DataFindings(
         _report_faults(estimate, faults_found),
         tuple(change.with_separate_fit(posterior.before) for change in changes),

@@ -12,12 +12,12 @@ from functools import cached_property
 
 import numpy as np
 
-from orthoglide.effects.free_form import FreeForm
 from orthoglide.errors import ClosureError, NumericsError, SolverError
 from orthoglide.explanation.columns import LinearisedModel, linearise_full_model
 from orthoglide.explanation.corrections import with_faults_corrected
 from orthoglide.explanation.fault_columns import FaultKey
 from orthoglide.explanation.faults import Fault
+from orthoglide.explanation.linear_model import Group
 from orthoglide.explanation.mixture import LEAST_PROBABILITY, AveragedMoments, Mixture
 from orthoglide.fit import Estimate
 from orthoglide.fit.factors import NuisanceBlock
@@ -83,9 +83,9 @@ class FullPosterior:
 
     def data_fault(self, group: int, mean: Array) -> Fault:
         """Return the data fault of a group, with its size at a mean of coefficients ``(C,)``."""
-        groups = self.mixture.linear.groups
-        columns = self.linearised.suspects[group - len(groups)]  # those of the last groups
-        return columns.with_sizes(mean[groups[group].coefficients])
+        data_group = self.mixture.linear.groups[group]
+        fault: Fault = data_group.source.with_sizes(mean[data_group.coefficients])
+        return fault
 
     @property
     def wrong_commands(self) -> dict[str, Fault]:
@@ -174,12 +174,11 @@ class FullPosterior:
         return tuple(n for n in model.excited_parameters if signal(n) < _DETECTABLE_SIGMAS)
 
     @cached_property
-    def free_form_errors(self) -> tuple[FreeForm, ...]:
-        """Free-form errors probable enough to enter the calibrated machine."""
-        groups, likely = self.mixture.linear.groups, self.mixture.inclusion > LEAST_PROBABILITY
-        probable = {groups[k].name for k in np.flatnonzero(likely)}
-        errors = self.linearised.free_form_errors
-        return tuple(error for error in errors if error.name in probable and error.of_machine)
+    def free_form_groups(self) -> tuple[Group, ...]:
+        """Groups of the free-form errors probable enough to enter the calibrated machine."""
+        groups = zip(self.mixture.linear.groups, self.mixture.inclusion, strict=True)
+        probable = (g for g, p in groups if p > LEAST_PROBABILITY and g.free_form)
+        return tuple(group for group in probable if group.source.of_machine)
 
     def machine_parameters(self, mean: Array) -> tuple[tuple[str, ...], Array, Array]:
         """Return names, values (SI) and weights by coefficient of the last campaign's machine.
@@ -191,16 +190,17 @@ class FullPosterior:
         names, matrix = problem.machine_parameters(problem.last_factor_index)
         units, count = self.linearised.units, self.linearised.parameter_count
         blocks = [np.pad(matrix, [(0, 0), (0, len(units) - count)])]
-        for error in self.free_form_errors:
-            blocks.append(np.arange(len(units)) == self.linearised.coefficients(error)[:, None])
-            names = (*names, *error.effect.motions)
+        for group in self.free_form_groups:
+            blocks.append(np.arange(len(units)) == group.coefficients[:, None])
+            names = (*names, *group.source.effect.motions)
         weights = np.vstack(blocks) * units
         return tuple(names), weights @ mean, weights
 
     @cached_property
     def machine(self) -> Machine:
         """The calibrated machine: posterior mean and covariance."""
-        machine, effects = self.before.problem.machine, [p.effect for p in self.free_form_errors]
+        machine = self.before.problem.machine
+        effects = (group.source.effect for group in self.free_form_groups)
         machine = machine.with_effects(e for e in effects if e.name not in machine.catalogue)
         names, values, weights = self.machine_parameters(self.mean)
         covariance = weights @ self.covariance @ weights.T

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +76,7 @@ class UnknownNoise:
 class Group:
     """Coefficients that are active or inactive together."""
 
-    name: str  # of the cause, free-form error or data fault
+    name: str  # of what it stands for
     coefficients: NDArray[np.intp]  # indices of the coefficients that it moves (q,)
     weights: Array  # from the group's k parameters to those coefficients (q, k)
     free_form: bool  # whether it is a free function
@@ -86,6 +86,8 @@ class Group:
     # follows from `relative_prior`
     expected: float | None = None
     of_data: bool = False  # whether it is a data fault
+    # what it stands for: a `Candidate`, `FreeForm` or `FaultColumns`; none of a change
+    source: Any = None
 
     @property
     def size(self) -> int:
@@ -285,15 +287,11 @@ def scale_grid(linear: LinearModel) -> tuple[Scale, ...]:
 
 
 def identity_group(
-    name: str,
-    indices: Sequence[int] | NDArray[np.intp],
-    *,
-    free_form: bool,
-    relative_prior: float = 1.0,
+    name: str, indices: Sequence[int] | NDArray[np.intp], *, free_form: bool, **others: Any
 ) -> Group:
-    """Return a group whose parameters are the coefficients themselves."""
+    """Return a group whose parameters are the coefficients themselves; ``others``: its fields."""
     coefficients = np.array(indices, dtype=np.intp)
-    return Group(name, coefficients, np.eye(len(coefficients)), free_form, relative_prior)
+    return Group(name, coefficients, np.eye(len(coefficients)), free_form, **others)
 
 
 def drop_unseen_directions(linear: LinearModel) -> LinearModel:

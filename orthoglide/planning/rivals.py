@@ -299,7 +299,7 @@ def suggest_separating_located_errors(
             f"or to the dials that were used. Look at the parts themselves"
         )
         suggestions.append(Suggestion(reason, "none", 0.0, pool))
-    if any(error.of_dial for error in located_class.free_form_errors):
+    if any(group.source.of_dial for group in located_class.free_form_groups):
         advice = "; take another dial for them than before"
         suggestions = [replace(s, reason=s.reason + advice) if s.chosen else s for s in suggestions]
     return tuple(suggestions)
