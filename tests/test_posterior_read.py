@@ -23,15 +23,14 @@ def claimed(odds: list[float], free: list[bool]) -> Any:
     mixture = SimpleNamespace(linear=SimpleNamespace(groups=groups))
 
     class Reader(_CredibleSetReader):
-        alternatives = SimpleNamespace(probabilities=lambda _: np.array(odds))
-
-        def _cause(self, member, odds):
+        def _cause(self, member, odds, ranges):
             return "cause", [k for k, _ in odds]
 
-        def _located(self, member, odds, probability):
+        def _located(self, member, odds, ranges, probability):
             return "located", [k for k, _ in odds], probability
 
-    return Reader(SimpleNamespace(mixture=mixture)).credible_set(0, ())
+    alternatives = SimpleNamespace(probabilities=lambda _: np.array(odds))
+    return Reader(SimpleNamespace(mixture=mixture, alternatives=alternatives)).credible_set(0, ())
 
 
 @pytest.mark.parametrize(

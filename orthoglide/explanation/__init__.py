@@ -33,8 +33,8 @@ Data faults and changes
     data_faults           the loop that finds, corrects and reports faults and changes
 
 Results
-    causes                what is read from the posterior, and curves of free-form errors
-    base_causes           base parameters far beyond their tolerances
+    causes                what is read from the posterior, curves of free-form errors, and base
+                          parameters far beyond their tolerances
     credible_sets         credible sets from the posterior
     class_members         members of a class that the readings cannot tell apart
     levels                levels whose readings have a likelier meaning

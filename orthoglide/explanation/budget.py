@@ -41,9 +41,9 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
     # Without translations of the whole machine, whose uncertainty belongs to no cause.
     slopes = without_translation(tcp_slopes(machine, parameters.names))
     slopes = controller.residual(slopes.reshape(-1, len(parameters.names)))
-    _, mean, weights = posterior.machine_parameters(posterior.mean)
+    _, weights = posterior.machine_weights
     normal = np.random.default_rng(0).standard_normal((_DRAWS, len(parameters.names)))
-    deviations = posterior.mixture.draws(weights, normal) - mean
+    deviations = posterior.mixture.draws(weights, normal) - weights @ posterior.mean
     residual_error = controller.residual_of(values)
     drawn_errors = residual_error + deviations @ slopes.T
     drawn_length = _mean_length(drawn_errors)
@@ -164,6 +164,5 @@ def _rms_of_readings(posterior: FullPosterior, names: Sequence[str]) -> ByUnit:
     for group in posterior.free_form_groups:
         if set(group.source.effect.motions) & set(names):
             coefficients += group.coefficients.tolist()
-    rows = linearised.rows.columns(coefficients) @ mean[coefficients]
-    rows = rows - posterior.linearised.nuisance.explained_residual(rows)
-    return rms_by_unit(rows, linearised.problem.angular)
+    readings = linearised.visible_part(coefficients, mean[coefficients])
+    return rms_by_unit(readings, linearised.problem.angular)

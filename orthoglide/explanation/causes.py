@@ -1,14 +1,17 @@
-"""What is read from the posterior: active causes and located errors with their credible sets."""
+"""What is read from the posterior: credible sets, curves, and base parameters far beyond."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
 from orthoglide.effects.free_form import FreeForm, Range
 from orthoglide.effects.kernels import Bump
+from orthoglide.explanation.full_posterior import FullPosterior
+from orthoglide.fit.problem import CERTAIN_SIGMAS, MAX_TOLERANCES
 from orthoglide.geometry import Array
 from orthoglide.numerals import compact
 from orthoglide.ordering import RELATIVE_MARGIN, descending
@@ -139,3 +142,65 @@ def _size(error: FreeForm, value: Array) -> float:
     if error.against == "approach":
         return float(np.sqrt(np.mean(value**2)))
     return float(np.ptp(value) if error.against == "reversal" else np.std(value))
+
+
+def far_base_causes(posterior: FullPosterior) -> Iterator[Cause]:
+    """Yield base parameters certainly far beyond tolerance, except zeros of drives and what an
+    earlier calibration found.
+
+    If a common error of the parts on all legs (rods cut to one wrong length) needs fewer causes
+    than single parts, it is reported in their place.
+    """
+    problem = posterior.before.problem
+    catalogue = problem.machine.catalogue
+    news = {k: problem.names[k] for k in np.flatnonzero(~problem.is_from_calibration).tolist()}
+    for effect in dict.fromkeys(name.effect for name in news.values()):
+        if catalogue[effect].controller == "zero":
+            continue
+        index = [k for k, name in news.items() if name.effect == effect]
+        identity = np.eye(len(index))
+        single = [(problem.names[k], identity[i]) for i, k in enumerate(index)]
+        causes = _beyond_tolerance(posterior, index, single)
+        members = {problem.names[k] for k in index}
+        for pattern, weights in catalogue.structured_members(effect).items():
+            if pattern.member == "common" and set(weights) == members and len(index) > 1:
+                mean = np.full(len(index), 1 / len(index))
+                combined = [(pattern, mean), *((n, w - mean) for n, w in single)]
+                common = _beyond_tolerance(posterior, index, combined)
+                if common and common[0].name == pattern and len(common) < len(causes):
+                    causes = common
+        yield from causes
+
+
+def _beyond_tolerance(
+    posterior: FullPosterior, index: Sequence[int], combined: Sequence[tuple[str, Array]]
+) -> list[Cause]:
+    """Return those combinations of base parameters that are certainly far beyond tolerance.
+
+    Args:
+        posterior: of the full model.
+        index: of the parameters, all of one effect.
+        combined: name and weights ``(k,)`` of each combination.
+    """
+    linearised, problem, moments = posterior.linearised, posterior.before.problem, posterior.moments
+    machine, count = problem.machine, len(problem.names)
+    mean = problem.without_common_error(moments.mean[:count] * linearised.units[:count])[index]
+    units = linearised.units[index]
+    covariance = moments.covariance[np.ix_(index, index)] * units * units[:, None]
+    limit, causes = MAX_TOLERANCES * machine.tolerance(problem.names[index[0]]), list[Cause]()
+    for name, weights in combined:
+        value, sigma = float(weights @ mean), float(np.sqrt(weights @ covariance @ weights))
+        if abs(value) - CERTAIN_SIGMAS * sigma < limit:
+            continue
+        explanation = Explanation(
+            str(name),
+            (str(name),),
+            float(ndtr((abs(value) - limit) / sigma)),
+            {str(name): value},
+            {str(name): sigma},
+            linearised.visible_part(index, (weights > 0) * value / units),
+            posterior.machine.catalogue,
+            posterior.machine_values(posterior.mean),
+        )
+        causes.append(Cause(explanation))
+    return causes

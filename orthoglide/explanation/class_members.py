@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.wording import cause_short
-from orthoglide.explanation.alternatives import Alternatives
 from orthoglide.explanation.free_form import free_form_columns_of_factor
 from orthoglide.explanation.full_posterior import FullPosterior
 from orthoglide.explanation.linear_model import Group
@@ -48,7 +47,7 @@ class ClassMembers:
     ) -> ClassMembers:
         """Return the likeliest members of a class, ``max_members`` at most."""
         linearised, groups = posterior.linearised, posterior.mixture.linear.groups
-        alternatives = Alternatives(posterior.mixture)
+        alternatives = posterior.alternatives
         probabilities = alternatives.probabilities(located.group)[:-1]
         names = {curve.name for curve in located.members} | {*located.resembling}
         chosen = [k for k in descending(probabilities) if groups[k].name in names][:max_members]
@@ -60,14 +59,13 @@ class ClassMembers:
         members = []
         for k in chosen:
             mean, covariance = alternatives.moments(located.group, k, coefficients)
-            parameters, values, _ = posterior.machine_parameters(mean)
-            machine = dict(zip(parameters, values.tolist(), strict=True))
             if groups[k].free_form:
                 words, permanent = groups[k].source.words, _is_permanent(groups[k].source)
             else:
                 words, permanent = cause_short(posterior.machine.catalogue, groups[k].name), True
-            members.append(ClassMember(words, permanent, float(probabilities[k]), machine,
-                                       mean[coefficients], covariance))  # fmt: skip
+            members.append(ClassMember(words, permanent, float(probabilities[k]),
+                                       posterior.machine_values(mean), mean[coefficients],
+                                       covariance))  # fmt: skip
         return cls(posterior, tuple(members), coefficients, curves)
 
     def rows(self, factor: Factor) -> tuple[Array, ReadingPoses]:
@@ -79,7 +77,7 @@ class ClassMembers:
         posterior, fit = self.posterior, self.posterior.after
         machine, catalogue = fit.problem.machine, fit.problem.machine.catalogue
         values = catalogue.machine_values(fit.problem.values(fit.problem.last_factor_index, fit.x))
-        names, _, weights = posterior.machine_parameters(posterior.mean)
+        names, weights = posterior.machine_weights
         in_catalogue = [k for k, name in enumerate(names) if name in catalogue.motions]
         linearised = factor.linearise(machine.model, values, [names[k] for k in in_catalogue])
         rows = linearised.jacobian @ weights[in_catalogue]

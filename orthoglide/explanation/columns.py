@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
@@ -103,6 +104,13 @@ class LinearisedModel:
     def parameter_count(self) -> int:
         """Number of the catalogue's parameters, whose coefficients come first."""
         return len(self.problem.unknowns)
+
+    def visible_part(self, coefficients: Any, values: Array) -> Array:
+        """Return the readings ``(n,)`` that some coefficients predict, datums and all other
+        nuisances of the instruments fitted.
+        """
+        readings = self.rows.columns(coefficients) @ values
+        return np.asarray(readings - self.nuisance.explained_residual(readings))
 
     def linearisation_error_at(self, mean: Array) -> float:
         """Return the rms difference, in sigmas, of the prediction at a mean ``(C,)`` from its

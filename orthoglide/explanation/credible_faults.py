@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orthoglide.explanation.alternatives import Alternatives
 from orthoglide.explanation.credible_sets import CREDIBLE_WITH_DATA_FAULT, LEAST_CLAIMED_PROBABILITY
 from orthoglide.explanation.fault_columns import FaultKey
 from orthoglide.explanation.faults import Fault, factors_and_rows, setups_of
@@ -40,7 +39,7 @@ class CredibleFaults(NamedTuple):
 def credible_faults(posterior: FullPosterior) -> CredibleFaults:
     """Return the data faults of a posterior by how certain they are."""
     mixture, problem = posterior.mixture, posterior.before.problem
-    groups, alternatives = mixture.linear.groups, Alternatives(mixture)
+    groups, alternatives = mixture.linear.groups, posterior.alternatives
     is_data_fault = np.array([g.of_data for g in groups], dtype=bool)
     certain, probable, ambiguous = list[Fault](), list[tuple[Fault, float]](), set[FaultKey]()
 

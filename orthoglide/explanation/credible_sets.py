@@ -8,23 +8,21 @@ one cause.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from orthoglide.accuracy import tcp_slopes
-from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.wording import cause_short
 from orthoglide.errors import InputError
-from orthoglide.explanation.alternatives import Alternatives
-from orthoglide.explanation.base_causes import far_base_causes
 from orthoglide.explanation.candidates import Candidate
 from orthoglide.explanation.causes import (
     CREDIBLE,
     CredibleSets,
     curve_of,
+    far_base_causes,
     pool_variants,
     smallest_count,
 )
@@ -103,25 +101,12 @@ class _CredibleSetReader:
         """Indices of the groups that are causes of the catalogue."""
         return [k for k, g in enumerate(self.groups) if not g.free_form and not g.of_data]
 
-    @cached_property
-    def _errors(self) -> dict[int, FreeForm]:
-        """The free-form errors by the index of their group."""
-        return {k: group.source for k, group in enumerate(self.groups) if group.free_form}
-
-    @cached_property
-    def alternatives(self) -> Alternatives:
-        return Alternatives(self.posterior.mixture)
-
-    def _odds_and_ranges(self, member: int) -> tuple[Array, dict[int, str]]:
-        """Return the probability of each group in the place of an active one, the
-        variants of one error pooled, and the range of each; see `pool_variants`.
-        """
-        return pool_variants(self.alternatives.probabilities(member)[:-1], self._errors)
-
     def credible_set(self, member: int, given: Sequence[str]) -> Cause | Located | None:
         """Return the credible set for one active group; ``None`` if nothing is claimed."""
         declared = self.groups[member].name in given
-        odds, _ = self._odds_and_ranges(member)
+        errors = {k: group.source for k, group in enumerate(self.groups) if group.free_form}
+        odds = self.posterior.alternatives.probabilities(member)[:-1]
+        odds, ranges = pool_variants(odds, errors)
         if declared:
             odds = np.eye(len(odds))[member]
         if odds.sum() < LEAST_CLAIMED_PROBABILITY:
@@ -143,9 +128,9 @@ class _CredibleSetReader:
         if free_form < (1 - LEAST_CLAIMED_PROBABILITY) * total or (
             not self.groups[chosen[0][0]].free_form and free_form < 0.5 * total
         ):
-            found = self._cause(member, chosen)
+            found = self._cause(member, chosen, ranges)
         else:
-            found = self._located(member, chosen, free_form)
+            found = self._located(member, chosen, ranges, free_form)
         return replace(found, data=tuple(self._data_rivals(member, faults))) if faults else found
 
     def _data_rivals(self, member: int, odds: Sequence[tuple[int, float]]) -> Iterator[DataRival]:
@@ -153,7 +138,7 @@ class _CredibleSetReader:
         problem = self.posterior.linearised.problem
         for k, probability in odds:
             coefficients = self.groups[k].coefficients
-            mean, _ = self.alternatives.moments(member, k, coefficients)
+            mean, _ = self.posterior.alternatives.moments(member, k, coefficients)
             fault = self.posterior.data_fault(k, mean)
             rows = tuple(line for _, line in lines_of(problem, fault))
             yield DataRival(fault.kind, rows, probability, fault_message(problem, fault))
@@ -187,11 +172,13 @@ class _CredibleSetReader:
             explanations.append(self._explain(k, float(mixture.inclusion[k]), *moments))
         return tuple(e for e in explanations if e.exceeds_uncertainty)
 
-    def _cause(self, member: int, odds: Sequence[tuple[int, float]]) -> Cause:
+    def _cause(
+        self, member: int, odds: Sequence[tuple[int, float]], ranges: Mapping[int, str]
+    ) -> Cause:
         """Return the credible set of a cause with a name, from its groups and probabilities."""
         explanations, unit_of = list[Explanation](), dict[str, float]()
         for k, p in self._merge_by_cause([o for o in odds if not self.groups[o[0]].free_form]):
-            moments = self.alternatives.moments(member, k, self.groups[k].coefficients)
+            moments = self.posterior.alternatives.moments(member, k, self.groups[k].coefficients)
             explanations.append(self._explain(k, p, *moments))
             unit_of[explanations[-1].name] = self.groups[k].unit
         merged = merge_families(explanations)
@@ -202,7 +189,7 @@ class _CredibleSetReader:
         for other in others:
             if other.exceeds_uncertainty:
                 (same if self._same_tool(first, other) else rivals).append(other)
-        return Cause(first, tuple(rivals), tuple(same), self._curves(member, odds))
+        return Cause(first, tuple(rivals), tuple(same), self._curves(member, odds, ranges))
 
     def _merge_by_cause(self, odds: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
         """Merge the groups of one cause on one leg (a wave at any phase); most probable first."""
@@ -259,8 +246,7 @@ class _CredibleSetReader:
         self, group_index: int, probability: float, mean: Array, covariance: Array
     ) -> Explanation:
         """Return one group as explanation, given the covariance of the coefficients it moves."""
-        posterior, group = self.posterior, self.groups[group_index]
-        linearised = posterior.linearised
+        linearised, group = self.posterior.linearised, self.groups[group_index]
         candidate: Candidate = group.source
         # Project the coefficients that it moves on its pattern.
         to_parameters = np.linalg.pinv(group.weights)
@@ -268,17 +254,15 @@ class _CredibleSetReader:
         sigma = np.sqrt(np.diag(to_parameters @ covariance @ to_parameters.T))
         machine = linearised.problem.machine
         tolerances = np.array([machine.tolerance(name) for name in candidate.parameters])
-        names, values, _ = posterior.machine_parameters(mean)
-        signature = linearised.rows.columns(group.coefficients) @ group.weights @ value
         return Explanation(
             candidate.name,
             candidate.parameters,
             probability,
             dict(zip(candidate.parameters, (value * tolerances).tolist(), strict=True)),
             dict(zip(candidate.parameters, (sigma * tolerances).tolist(), strict=True)),
-            signature - posterior.linearised.nuisance.explained_residual(signature),
-            posterior.machine.catalogue,  # which includes free-form errors
-            dict(zip(names, values.tolist(), strict=True)),
+            linearised.visible_part(group.coefficients, group.weights @ value),
+            self.posterior.machine.catalogue,  # which includes free-form errors
+            self.posterior.machine_values(mean),
         )
 
     def _is_possible(self, explanation: Explanation, unit: float) -> bool:
@@ -312,13 +296,13 @@ class _CredibleSetReader:
     def _slopes(self) -> Array:
         """Jacobian of the TCP over the workspace by machine parameter ``(g, 3, P)``, SI."""
         machine = self.posterior.machine
-        names, _, _ = self.posterior.machine_parameters(self.posterior.mean)
-        return tcp_slopes(machine, names)
+        return tcp_slopes(machine, self.posterior.machine_weights[0])
 
     def _located(
-        self, member: int, odds: Sequence[tuple[int, float]], probability: float
-    ) -> Located:
-        members, catalogue = self._curves(member, odds), self.posterior.machine.catalogue
+        self, member: int, odds: Sequence[tuple[int, float]], ranges: Mapping[int, str],
+        probability: float,
+    ) -> Located:  # fmt: skip
+        members, catalogue = self._curves(member, odds, ranges), self.posterior.machine.catalogue
         resembling = tuple(self.groups[k].name for k, _ in odds if not self.groups[k].free_form)
         # Those of dials, lost motion and improbable ones are not in the calibrated machine.
         effects = [curve.place.effect for curve in members]
@@ -331,23 +315,25 @@ class _CredibleSetReader:
             group=member,
         )  # fmt: skip
 
-    def _curves(self, member: int, odds: Sequence[tuple[int, float]]) -> tuple[Curve, ...]:
+    def _curves(
+        self, member: int, odds: Sequence[tuple[int, float]], ranges: Mapping[int, str]
+    ) -> tuple[Curve, ...]:
         """Return the curves of the free-form errors in a credible set."""
-        return tuple(self._curve(member, k, p) for k, p in odds if k in self._errors)
-
-    def _curve(self, member: int, group_index: int, probability: float) -> Curve:
-        coefficients, error = self.groups[group_index].coefficients, self._errors[group_index]
-        _, ranges = self._odds_and_ranges(member)
-        mean, covariance = self.alternatives.moments(member, group_index, coefficients)
-        stroke = self.posterior.before.problem.machine.geometry.stroke
-        curve = curve_of(error, probability, stroke, mean[coefficients], covariance)
-        return replace(curve, description=curve.description + ranges.get(group_index, ""))
+        stroke, curves = self.posterior.before.problem.machine.geometry.stroke, list[Curve]()
+        for k, probability in odds:
+            if self.groups[k].free_form:
+                index = self.groups[k].coefficients
+                mean, covariance = self.posterior.alternatives.moments(member, k, index)
+                error = self.groups[k].source
+                curve = curve_of(error, probability, stroke, mean[index], covariance)
+                curves.append(replace(curve, description=curve.description + ranges.get(k, "")))
+        return tuple(curves)
 
     def candidate_scores(self) -> tuple[CandidateScore, ...]:
         """Return the scores of the groups nearest to being active, most probable first."""
         mixture, scores = self.posterior.mixture, dict[int, float]()
         for member, _ in mixture.best:
-            probabilities = self.alternatives.probabilities(member)
+            probabilities = self.posterior.alternatives.probabilities(member)
             for k, probability in enumerate(probabilities[:-1]):
                 if probability > 0:
                     log_odds = np.log(probability) - np.log(max(probabilities[-1], 1e-300))

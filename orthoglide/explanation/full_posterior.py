@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from orthoglide.errors import ClosureError, NumericsError, SolverError
+from orthoglide.explanation.alternatives import Alternatives
 from orthoglide.explanation.columns import LinearisedModel, linearise_full_model
 from orthoglide.explanation.corrections import with_faults_corrected
 from orthoglide.explanation.fault_columns import FaultKey
@@ -63,6 +64,11 @@ class FullPosterior:
     mixture: Mixture  # of the explanations
     # alternative fit with the base far beyond its tolerances, which the readings do not rule out
     alternative: Estimate | None = None
+
+    @cached_property
+    def alternatives(self) -> Alternatives:
+        """Alternatives to the active groups of the best explanation."""
+        return Alternatives(self.mixture)
 
     @property
     def mean(self) -> Array:
@@ -180,12 +186,9 @@ class FullPosterior:
         probable = (g for g, p in groups if p > LEAST_PROBABILITY and g.free_form)
         return tuple(group for group in probable if group.source.of_machine)
 
-    def machine_parameters(self, mean: Array) -> tuple[tuple[str, ...], Array, Array]:
-        """Return names, values (SI) and weights by coefficient of the last campaign's machine.
-
-        Args:
-            mean: of all coefficients ``(C,)``.
-        """
+    @cached_property
+    def machine_weights(self) -> tuple[tuple[str, ...], Array]:
+        """Parameters of the last campaign's machine, and their weights by coefficient, SI."""
         problem = self.linearised.problem
         names, matrix = problem.machine_parameters(problem.last_factor_index)
         units, count = self.linearised.units, self.linearised.parameter_count
@@ -193,8 +196,12 @@ class FullPosterior:
         for group in self.free_form_groups:
             blocks.append(np.arange(len(units)) == group.coefficients[:, None])
             names = (*names, *group.source.effect.motions)
-        weights = np.vstack(blocks) * units
-        return tuple(names), weights @ mean, weights
+        return tuple(names), np.vstack(blocks) * units
+
+    def machine_values(self, mean: Array) -> dict[str, float]:
+        """Return the parameters of the last campaign's machine at a mean ``(C,)``, SI."""
+        names, weights = self.machine_weights
+        return dict(zip(names, (weights @ mean).tolist(), strict=True))
 
     @cached_property
     def machine(self) -> Machine:
@@ -202,11 +209,12 @@ class FullPosterior:
         machine = self.before.problem.machine
         effects = (group.source.effect for group in self.free_form_groups)
         machine = machine.with_effects(e for e in effects if e.name not in machine.catalogue)
-        names, values, weights = self.machine_parameters(self.mean)
+        (names, weights), values = self.machine_weights, self.machine_values(self.mean)
         covariance = weights @ self.covariance @ weights.T
         at_full_tolerance = weights**2 @ self._full_tolerance_variance
-        posterior = Posterior(names, values, covariance, at_full_tolerance)
-        return machine.with_posterior(dict(zip(names, values.tolist(), strict=True)), posterior)
+        mean = np.array([*values.values()])
+        posterior = Posterior(names, mean, covariance, at_full_tolerance)
+        return machine.with_posterior(values, posterior)
 
     @cached_property
     def after(self) -> Estimate:

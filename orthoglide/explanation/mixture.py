@@ -14,8 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.explanation.linear_model import SOUND_BACKGROUND, Scale
-from orthoglide.explanation.marginal_covariance import marginal_covariances
+from orthoglide.explanation.linear_model import SOUND_BACKGROUND, Scale, marginal_covariances
 from orthoglide.explanation.search import Search, State, shrink_along
 from orthoglide.geometry import Array
 from orthoglide.machine_file import symmetric_root

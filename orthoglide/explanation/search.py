@@ -21,6 +21,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import svd
 
 from orthoglide.explanation.linear_model import EXPECTED_CAUSES, LinearModel, Scale, scale_grid
 from orthoglide.explanation.pairs import likely_pairs
@@ -346,22 +347,16 @@ class Search:
 
 
 def left_singular(columns: Array) -> tuple[Array, Array]:
-    """Return left singular vectors ``(..., m, q)`` and singular values ``(..., q)`` of columns.
+    """Return left singular vectors ``(k, m, q)`` and singular values ``(k, q)`` of columns.
 
-    LAPACK's divide and conquer fails to converge for some regular matrices. Then eigenvectors of
-    the Gram matrix are used, which are less exact for small singular values.
+    LAPACK's divide and conquer fails to converge for some regular matrices. Then its slower
+    algorithm is used.
     """
     try:
         left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     except np.linalg.LinAlgError:
-        eigenvalues, vectors = np.linalg.eigh(columns.swapaxes(-1, -2) @ columns)
-        count = min(columns.shape[-2:])
-        vectors = vectors[..., ::-1][..., :count]
-        singular = np.sqrt(np.maximum(eigenvalues[..., ::-1][..., :count], 0.0))
-        least_singular = 1e-7 * singular.max(axis=-1, initial=1e-300, keepdims=True)
-        singular = np.where(singular > least_singular, singular, 0.0)
-        left = (columns @ vectors) / np.maximum(singular, least_singular)[..., None, :]
-        left = np.where(singular[..., None, :] > 0, left, 0.0)
+        found = [svd(one, full_matrices=False, lapack_driver="gesvd") for one in columns]
+        left, singular = (np.stack(parts) for parts in list(zip(*found, strict=True))[:2])
     return left, singular
 
 
@@ -381,15 +376,13 @@ def explained_by_group(
     count = products.shape[-1]
     if count == 1:
         variance = 1 + tau**2 * gram[..., 0, 0]
-        return np.asarray((tau * products[..., 0]) ** 2 / variance), np.asarray(
-            np.log(variance) / 2
-        )
+        explained = (tau * products[..., 0]) ** 2 / variance
+        return np.asarray(explained), np.asarray(np.log(variance) / 2)
     bordered = np.zeros((*products.shape[:-1], count + 1, count + 1))
     bordered[..., :count, :count] = tau**2 * gram + np.eye(count)
     bordered[..., count, :count] = tau * products
-    bordered[..., count, count] = corner = (
-        2.0 * chi2_bound + 1.0
-    )  # positive, whatever rounding does
+    corner = 2.0 * chi2_bound + 1.0  # positive, whatever rounding does
+    bordered[..., count, count] = corner
     root = np.diagonal(np.linalg.cholesky(bordered), axis1=-2, axis2=-1)
     explained = corner - root[..., count] ** 2
     return np.asarray(explained), np.asarray(np.log(root[..., :count]).sum(axis=-1))
