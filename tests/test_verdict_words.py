@@ -16,7 +16,7 @@ from tests.factors import campaign_of
 from tests.rig import LEGS, Rig
 from tests.studied import studied
 
-NOTHING = CredibleSets((), (), ())
+NOTHING = CredibleSets()
 
 
 def swept(rig: Rig, seed: int = 3) -> og.Campaign:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
 
@@ -20,8 +20,7 @@ from orthoglide.explanation import (
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.change_search import SLAB_WIDTHS, with_changes_separate
 from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
-from orthoglide.explanation.data_faults import ReportedFault, find_data_faults, without_faults
-from orthoglide.explanation.fault_columns import FaultKey
+from orthoglide.explanation.data_faults import DataFindings, find_data_faults, without_faults
 from orthoglide.explanation.identifying import identify
 from orthoglide.explanation.lack_of_fit import SIGNIFICANT, estimate_lack_of_fit
 from orthoglide.explanation.recalibration import account_for_changes, ambiguity_clause
@@ -65,38 +64,33 @@ def compute_outcome(request: Request, progress: Progress = no_progress) -> RunOu
     base_fit = account_for_changes(solve(with_refuted_noise_enlarged(problem), method="nested"))
     check_drive_order(base_fit)
     progress(Step("faults"))
-    data_findings = find_data_faults(base_fit)
-    data_faults, changes = data_findings.data_faults, data_findings.changes
-    posterior, sets, fit_test, verdict = _search(
-        base_fit, data_faults, changes, progress, data_findings.posterior, data_findings.ambiguous
-    )
-    if verdict not in _FULLY_EXPLAINED and any(_exceeds_readjustment(c, machine) for c in changes):
+    findings = find_data_faults(base_fit)
+    changes = findings.changes
+    outcome = _search(request, base_fit, findings, progress)
+    if outcome.word not in _FULLY_EXPLAINED and any(
+        _exceeds_readjustment(change, machine) for change in changes
+    ):
         # The change may be spurious: a free-form error of similar effect may explain the readings,
         # so the search is repeated without changes.
         changes = ()
-        posterior, sets, fit_test, verdict = _search(base_fit, data_faults, changes, progress)
-    before = posterior.before
-    if verdict not in ("adequate", "diffuse"):
-        check_levels(before)
-    if verdict == "unexplained":
-        before = refit_with_residual_noise(before)
-    outcome = RunOutcome(
-        request, verdict, before, before if verdict == "unexplained" else posterior.after,
-        sets.causes, sets.located, sets.candidate_scores, fit_test, posterior,
-        data_faults, fit_with_faults=base_fit if data_faults else None,
-        alone=sets.single_causes if verdict in ("adequate", "diffuse") else (),
-        possible=tuple(
-            cause for cause in sets.possible_causes
-            if verdict == "unexplained" or cause.probability > EVEN_PROBABILITY
-        ),
-    )  # fmt: skip
+        without = replace(findings, changes=(), posterior=None, ambiguous=frozenset())
+        outcome = _search(request, base_fit, without, progress)
+    if outcome.word not in ("adequate", "diffuse"):
+        check_levels(outcome.before)
+        outcome = replace(outcome, alone=())
+    if outcome.word == "unexplained":
+        refit = refit_with_residual_noise(outcome.before)
+        outcome = replace(outcome, before=refit, after=refit)
+    else:
+        probable = (one for one in outcome.possible if one.probability > EVEN_PROBABILITY)
+        outcome = replace(outcome, possible=tuple(probable))
     earlier_changes = [c.with_later_fit(outcome.after) for c in base_fit.changes]
     changed = (
         *(c for c in earlier_changes if c.is_reported),
         *(c.with_separate_fit(outcome.after) for c in changes),
     )
     change_notes = (Note(text, "earlier") for c in earlier_changes if (text := c.found_only_now))
-    notes = (*change_notes, *data_findings.notes, *_ambiguous_calibration_note(base_fit))
+    notes = (*change_notes, *findings.notes, *_ambiguous_calibration_note(base_fit))
     progress(Step("verifying"))
     after = replace(outcome.after, verification=verify(outcome.after))
     outcome = _with_warnings(replace(outcome, changed=changed, after=after), *notes)
@@ -116,18 +110,13 @@ def _ambiguous_calibration_note(base_fit: Estimate) -> Iterator[Note]:
 
 
 def _search(
-    base_fit: Estimate,
-    data_faults: Sequence[ReportedFault],
-    changes: Sequence[Change],
-    progress: Progress,
-    first_posterior: FullPosterior | None = None,
-    ambiguous: Collection[FaultKey] = (),
-) -> tuple[FullPosterior, CredibleSets, LackOfFit, Word]:
-    """Search with faulty rows excluded and changed parameters free; return the posterior, the
-    credible sets of active causes, the test for lack of fit, and the verdict.
+    request: Request, base_fit: Estimate, findings: DataFindings, progress: Progress
+) -> RunOutcome:
+    """Search with faulty rows excluded and changed parameters free; return the active causes with
+    the test for lack of fit and the verdict.
     """
     progress(Step("searching"))
-    problem = base_fit.problem
+    problem, data_faults, changes = base_fit.problem, findings.data_faults, findings.changes
     if data_faults:
         problem = without_faults(problem, [reported.fault for reported in data_faults])
     # A changed parameter is a cause only if its value after the change is still significant.
@@ -141,16 +130,20 @@ def _search(
         problem = replace(problem, per_campaign=(*problem.per_campaign, *separate))
     changed_names = [c.parameter for c in causes]
     before = solve(problem, method="nested") if data_faults or changes else base_fit
-    posterior = full_posterior(before, changed_names, first_posterior, ambiguous)
+    posterior = full_posterior(before, changed_names, findings.posterior, findings.ambiguous)
     progress(Step("testing"))
     sets = credible_sets(posterior, changed_names)
     fit_test = posterior_lack_of_fit(posterior, sets)
     if not posterior.converged:
-        sets = replace(sets, causes=())
+        sets = replace(sets, effects=())
     if _lacks_explanation(fit_test) and not _explains_most(posterior):
         # The true error is not in the model, and the located errors may only imitate it.
         sets = replace(sets, located=())
-    return posterior, sets, fit_test, _verdict(sets, fit_test)
+    return RunOutcome(
+        **vars(sets), request=request, word=_verdict(sets, fit_test), before=posterior.before,
+        after=posterior.after, residual_test=fit_test, posterior=posterior, blunders=data_faults,
+        fit_with_faults=base_fit if data_faults else None,
+    )  # fmt: skip
 
 
 def _explains_most(posterior: FullPosterior) -> bool:
@@ -176,10 +169,10 @@ def _identify_only(request: Request, progress: Progress) -> RunOutcome:
         noise=request.noise, method="reduction" if request.reduced else "auto", frame=request.frame,
     )  # fmt: skip
     fit_test = estimate_lack_of_fit(estimate)
-    verdict = _verdict(CredibleSets((), (), ()), fit_test)
     return RunOutcome(
-        request, verdict, estimate, estimate, (), (), (), fit_test, changed=estimate.changes
-    )
+        request=request, word=_verdict(CredibleSets(), fit_test), before=estimate, after=estimate,
+        residual_test=fit_test, changed=estimate.changes,
+    )  # fmt: skip
 
 
 def _validation_readings(request: Request) -> tuple[Readings, ...]:
@@ -227,16 +220,12 @@ def _lacks_explanation(fit_test: LackOfFit) -> bool:
 
 def _verdict(sets: CredibleSets, fit_test: LackOfFit) -> Word:
     """Return the verdict from the credible sets and from the test of the residual."""
-    if not sets.causes and not sets.located:
+    if not sets.effects and not sets.located:
         if fit_test.base_p_value >= SIGNIFICANT:
             return "adequate"
         return "diffuse" if fit_test.explained_within_tolerances else "unexplained"
     if _lacks_explanation(fit_test):
         return "partial"
-    alternatives = [
-        *(c.others or c.data for c in sets.causes),
-        *(f.data for f in sets.located),
-    ]
-    if any(alternatives):
+    if any(c.others or c.data for c in sets.effects) or any(f.data for f in sets.located):
         return "ambiguous"
     return "located" if sets.located else "explained"

@@ -11,7 +11,7 @@ from orthoglide.add_ons import Corrections, Section
 from orthoglide.closing.actions import next_measurements
 from orthoglide.closing.picture import picture
 from orthoglide.control import ControllerNumbers, controller_numbers
-from orthoglide.explanation import FullPosterior, budget
+from orthoglide.explanation import CredibleSets, FullPosterior, budget
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.data_faults import ReportedFault
 from orthoglide.explanation.lack_of_fit import residual_by_setup
@@ -22,14 +22,10 @@ from orthoglide.observations import Readings
 from orthoglide.observations.touched_plates import disagreements
 from orthoglide.result import (
     BudgetItem,
-    CandidateScore,
-    Cause,
-    Explanation,
     HoldOut,
     Identified,
     Judged,
     LackOfFit,
-    Located,
     Picture,
     Request,
     TcpErrors,
@@ -41,17 +37,14 @@ if TYPE_CHECKING:
     from orthoglide.planning import Suggestion
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class RunOutcome(Judged):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class RunOutcome(Judged, CredibleSets):
     """The outcome of the search."""
 
     request: Request  # what was asked
     word: Word  # the verdict
     before: Estimate  # base model: joint offsets and leg lengths, or what `identify` frees
     after: Estimate  # fit at the posterior mean; `before` after `identify`
-    effects: tuple[Cause, ...]  # active causes
-    located: tuple[Located, ...]  # active free-form errors
-    candidates: tuple[CandidateScore, ...]  # what was considered, most probable first
     residual_test: LackOfFit  # lack of fit of the last fit, without residuals by setup
     posterior: FullPosterior | None = None  # of everything; none after `identify`
     blunders: tuple[ReportedFault, ...] = ()  # data faults
@@ -59,10 +52,6 @@ class RunOutcome(Judged):
     fit_with_faults: Estimate | None = None  # base fit with the faulty readings, if there are any
     hold_out: HoldOut | None = None  # scores on readings held out
     tcp: dict[str, TcpErrors] | None = None  # errors at measured TCP points by alignment
-    # if nothing is active: causes that could each explain the residual alone
-    alone: tuple[Explanation, ...] = ()
-    # if the model does not fit and nothing is active: the most probable causes
-    possible: tuple[Explanation, ...] = ()
 
     @property
     def first_fit(self) -> Estimate:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import runpy
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.motions import Basis, DialReading, LegConditions
+from orthoglide.effects.motions import DialReading, LegConditions
 from orthoglide.errors import FileError, InputError
 
 _ARITHMETIC = (
@@ -42,38 +43,36 @@ def check_bases(effect: Effect) -> None:
         InputError: naming the parameter and the remedy, where a function fails on symbols or
             returns no finite number.
     """
-    if effect.dial is not None:
-        dial = effect.dial
-        _check_basis(effect.name, lambda v: dial(DialReading(v[0], v[1], v[2]), 1e-3), _ARITHMETIC)
-    for name, (_, motions) in effect.motions.items():
-        for motion in motions:
-            travel_known = motion.joint != "travel"
-            for pitch, travel, remedy in (
-                (True, True, _ARITHMETIC),
-                (True, travel_known, _NO_TRAVEL),
-                (False, travel_known, _NO_PITCH),
-            ):
-                _check_basis(name, partial(_evaluate_basis, motion.basis, pitch, travel), remedy)
-
-
-def _evaluate_basis(basis: Basis, has_pitch: bool, has_travel: bool, sample: Any) -> Any:
-    columns = (sample[k] for k in range(10))
-    travel, approach, time, warming, force, length, low, high, zero, pitch = columns
-    command, known_pitch = travel + zero, pitch if has_pitch else None
-    return basis(
-        LegConditions(
-            command, length, (low, high), known_pitch, approach, time, warming, force,
-            travel if has_travel else None, zero, (command,) * 3,
-        )
-    )  # fmt: skip
-
-
-def _check_basis(name: str, basis: Callable[[Any], Any], remedy: str) -> None:
     import casadi as ca
 
     symbols = ca.SX.sym("conditions", len(_SAMPLE_CONDITIONS[0]))
+    parts: list[Any] = ca.vertsplit(symbols)
+    travel, approach, time, warming, force, length, low, high, zero, pitch = parts
+    command = travel + zero
+    conditions = LegConditions(
+        command, length, (low, high), pitch, approach, time, warming, force, travel, zero,
+        (command,) * 3,
+    )  # fmt: skip
+    if (dial := effect.dial) is not None:
+        reading = DialReading(travel, approach, time)
+        _check_basis(effect.name, symbols, lambda: dial(reading, 1e-3), _ARITHMETIC)
+    for name, (_, motions) in effect.motions.items():
+        for motion in motions:
+            of_drive = motion.joint == "travel"
+            known = replace(conditions, travel=None) if of_drive else conditions
+            for given, remedy in (
+                (conditions, _ARITHMETIC),
+                (known, _NO_TRAVEL),
+                (replace(known, pitch=None), _NO_PITCH),
+            ):
+                _check_basis(name, symbols, partial(motion.basis, given), remedy)
+
+
+def _check_basis(name: str, symbols: Any, basis: Callable[[], Any], remedy: str) -> None:
+    import casadi as ca
+
     try:
-        value = basis(symbols)
+        value = basis()
         problem = "" if np.isscalar(value) or isinstance(value, ca.SX) else f"gives {value!r}"
         if not problem:
             function = ca.Function("basis", [symbols], [value])

@@ -27,18 +27,18 @@ _BUMP_WIDTHS = 3.0  # widths of a bump beyond which it has vanished
 class CredibleSets:
     """All active causes and located errors, and what is reported if there are none."""
 
-    causes: tuple[Cause, ...]  # with names, the one that the fit needs most first
-    located: tuple[Located, ...]  # without names, in the same order
-    candidate_scores: tuple[CandidateScore, ...]  # of the nearest groups, most probable first
+    effects: tuple[Cause, ...] = ()  # with names, the one that the fit needs most first
+    located: tuple[Located, ...] = ()  # without names, in the same order
+    candidates: tuple[CandidateScore, ...] = ()  # nearest to being active, most probable first
     # if none is active: the credible set of single causes on an otherwise sound machine
-    single_causes: tuple[Explanation, ...] = ()
+    alone: tuple[Explanation, ...] = ()
     # if none is active: the most probable causes, each estimated as the only one
-    possible_causes: tuple[Explanation, ...] = ()
+    possible: tuple[Explanation, ...] = ()
 
     @property
     def names(self) -> frozenset[str]:
         """Names of all causes and free-form errors in the credible sets."""
-        explanations = [one for cause in self.causes for one in cause.explanations]
+        explanations = [one for cause in self.effects for one in cause.explanations]
         causes = {name for one in explanations for name in (one.name, *one.families)}
         places = {one.name for located in self.located for one in located.members}
         return frozenset(causes | places | {n for one in self.located for n in one.resembling})

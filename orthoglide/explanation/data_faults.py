@@ -132,7 +132,7 @@ def find_data_faults(estimate: Estimate) -> DataFindings:
             evidence = posterior.evidence - cost
             misreading = _find_misreading(fit, posterior_without_changes, faults_found, evidence)
         if misreading is None:
-            if posterior.chi2_per_dof < _OVERSTATED_NOISE:  # would hide a wrong unit
+            if posterior.mixture.chi2_per_dof < _OVERSTATED_NOISE:  # would hide a wrong unit
                 ratios = _noise_square_ratios(posterior)
                 base = fit_nested(with_smaller_noise(base.problem, ratios))
                 posterior = posterior_with_corrected_commands(base)

@@ -82,11 +82,6 @@ class FullPosterior:
         log_weight = self.mixture.log_weight(self.mixture.best)
         return float(log_weight - self.linearised.unexplainable_chi2 / 2 - log_widths.sum())
 
-    @property
-    def chi2_per_dof(self) -> float:
-        """Chi2 per degree of freedom of the best explanation, its priors counted."""
-        return self.mixture.chi2 / max(len(self.mixture.linear.residual), 1)
-
     def data_fault(self, group: int, mean: Array) -> Fault:
         """Return the data fault of a group, with its size at a mean of coefficients ``(C,)``."""
         data_group = self.mixture.linear.groups[group]
@@ -189,10 +184,9 @@ class FullPosterior:
     @cached_property
     def machine_weights(self) -> tuple[tuple[str, ...], Array]:
         """Parameters of the last campaign's machine, and their weights by coefficient, SI."""
-        problem = self.linearised.problem
+        problem, units = self.linearised.problem, self.linearised.units
         names, matrix = problem.machine_parameters(problem.last_factor_index)
-        units, count = self.linearised.units, self.linearised.parameter_count
-        blocks = [np.pad(matrix, [(0, 0), (0, len(units) - count)])]
+        blocks = [np.pad(matrix, [(0, 0), (0, len(units) - matrix.shape[1])])]
         for group in self.free_form_groups:
             blocks.append(np.arange(len(units)) == group.coefficients[:, None])
             names = (*names, *group.source.effect.motions)
@@ -209,12 +203,11 @@ class FullPosterior:
         machine = self.before.problem.machine
         effects = (group.source.effect for group in self.free_form_groups)
         machine = machine.with_effects(e for e in effects if e.name not in machine.catalogue)
-        (names, weights), values = self.machine_weights, self.machine_values(self.mean)
+        names, weights = self.machine_weights
         covariance = weights @ self.covariance @ weights.T
         at_full_tolerance = weights**2 @ self._full_tolerance_variance
-        mean = np.array([*values.values()])
-        posterior = Posterior(names, mean, covariance, at_full_tolerance)
-        return machine.with_posterior(values, posterior)
+        posterior = Posterior(names, weights @ self.mean, covariance, at_full_tolerance)
+        return machine.with_posterior(self.machine_values(self.mean), posterior)
 
     @cached_property
     def after(self) -> Estimate:
@@ -247,9 +240,7 @@ class FullPosterior:
 
         The mean is averaged over explanations, each of which has a different set of these.
         """
-        linear, best = self.mixture.linear, {k for k, _ in self.mixture.best}
-        likely = [k in best or p > LEAST_PROBABILITY for k, p in enumerate(self.mixture.inclusion)]
-        groups = [linear.groups[k] for k in np.flatnonzero(likely)]
+        linear, groups = self.mixture.linear, self.mixture.likely_groups
         spans = [group.coefficients for group in groups if group.free_form or group.of_data]
         coefficients = np.concatenate([*spans, np.flatnonzero(linear.plate_shapes)]).astype(np.intp)
         if not len(coefficients):

@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.explanation.linear_model import SOUND_BACKGROUND, Scale, marginal_covariances
+from orthoglide.explanation.linear_model import SOUND_BACKGROUND, Group, Scale, marginal_covariances
 from orthoglide.explanation.search import Search, State, shrink_along
 from orthoglide.geometry import Array
 from orthoglide.machine_file import symmetric_root
@@ -69,6 +70,13 @@ class Mixture(Search):
             for group in {g for g, _ in state}:
                 probabilities[group] += float(weight.sum())
         return probabilities
+
+    @cached_property
+    def likely_groups(self) -> tuple[Group, ...]:
+        """Groups of the best state, and those more probable than ``LEAST_PROBABILITY``."""
+        best = {group for group, _ in self.best}
+        likely = [k in best or p > LEAST_PROBABILITY for k, p in enumerate(self.inclusion)]
+        return tuple(compress(self.linear.groups, likely))
 
     def without(self, group: int) -> State:
         """Return the best state without one of its groups."""
@@ -230,11 +238,12 @@ class Mixture(Search):
         return self.scales[largest(self.weights[state])]
 
     @cached_property
-    def chi2(self) -> float:
-        """Chi2 of the readings in the best state; its expectation is their number."""
+    def chi2_per_dof(self) -> float:
+        """Chi2 per degree of freedom of the best state, its priors counted."""
         scale = self._likeliest_scale(self.best)
         (left,), (shrink,) = self._active_directions([scale], self.best)
-        return float(np.sum(shrink_along(scale.residual, left, shrink) ** 2))
+        residual = shrink_along(scale.residual, left, shrink)
+        return float(residual @ residual) / max(len(residual), 1)
 
     def alternatives_to(self, group: int, rise: float) -> dict[int, float]:
         """Return the groups that could be active in place of one, with the size of each.
@@ -362,9 +371,7 @@ class Mixture(Search):
         The covariance covers the first ``count`` coefficients, and others whose group is active
         with a probability above ``LEAST_PROBABILITY``.
         """
-        likely = self.inclusion > LEAST_PROBABILITY
-        likely[[group for group, _ in self.best]] = True
-        spans = [self.linear.groups[k].coefficients for k in np.flatnonzero(likely)]
+        spans = [group.coefficients for group in self.likely_groups]
         index = np.unique(np.concatenate([np.arange(count), *spans]).astype(int))
         size = len(self.linear.fixed_sd)
         second_moment, prior = np.zeros((size, size)), np.zeros((size, size))
