@@ -63,7 +63,7 @@ def _located_option(machine: Machine, curve: Curve) -> Option:
     if place.moves_bar_ends:
         direction = np.eye(3)[LEGS.index(place.direction)]
         return Option(place.words, (Mark("platform", place.leg, direction, size, both=True),))
-    both, along = place.loses, place.against == "travel"
+    both, along = curve.loses, place.against == "travel"
     bars = len(place.joints) > 1
     value = curve.value - curve.value.mean() if along else np.full(len(curve.at), curve.size)
     travel = curve.at if along else np.linspace(*machine.geometry.stroke, len(curve.at))

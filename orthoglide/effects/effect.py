@@ -17,12 +17,12 @@ from typing import Any, Literal
 
 from orthoglide.effects.motions import (
     LATERAL_KEYS,
+    NO_MOTIONS,
     Condition,
     DialReading,
     Members,
     Motion,
     conditions_read,
-    no_motions,
 )
 from orthoglide.effects.words import Words
 from orthoglide.errors import InputError
@@ -76,7 +76,7 @@ class Effect:
     because: str
     sentence: str
     look_at: str
-    members: Members = no_motions
+    members: Members = NO_MOTIONS
     words: Words = field(default_factory=Words)
     group: Group = "structure"
     paired: bool = False

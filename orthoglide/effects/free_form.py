@@ -150,11 +150,6 @@ class FreeForm:
         """Whether it depends on the direction of approach; then no zero absorbs its level."""
         return self.against in ("approach", "reversal")
 
-    @property
-    def loses(self) -> bool:
-        """Whether it is lost motion: where a command ends depends on the direction of approach."""
-        return self.depends_on_approach and not self.of_dial
-
     def interval(self, stroke: Range) -> Range:
         """First and last value of its variable on a machine with this stroke, metres."""
         return (0.0, stroke[1] - stroke[0]) if self.against == "reversal" else self.span or stroke

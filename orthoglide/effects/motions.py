@@ -134,11 +134,6 @@ class Motion:
 Members = Callable[[int], Mapping[str, tuple[Motion, ...]]]
 
 
-def no_motions(leg: int) -> Mapping[str, tuple[Motion, ...]]:
-    """Members of an effect that moves no virtual joint."""
-    return {}
-
-
 @dataclass(frozen=True)
 class _SameForEachLeg:
     """Members that are identical for all legs; they pickle if their bases do."""
@@ -147,6 +142,10 @@ class _SameForEachLeg:
 
     def __call__(self, leg: int) -> Mapping[str, tuple[Motion, ...]]:
         return dict(self.members)
+
+
+NO_MOTIONS = _SameForEachLeg(())
+"""Members of an effect that moves no virtual joint."""
 
 
 def once(*motions: Motion) -> Members:

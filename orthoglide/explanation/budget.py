@@ -36,7 +36,6 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
     """
     machine = posterior.machine
     parameters, catalogue, values = machine.posterior, machine.catalogue, machine.values
-    is_base = np.array([catalogue.effect_of(n).name in catalogue.base for n in parameters.names])
     controller = _Controller.of(machine)
     # Without translations of the whole machine, whose uncertainty belongs to no cause.
     slopes = without_translation(tcp_slopes(machine, parameters.names))
@@ -48,8 +47,7 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
     drawn_errors = residual_error + deviations @ slopes.T
     drawn_length = _mean_length(drawn_errors)
     items = []
-    parts = _parameters_by_cause(posterior, causes, parameters.names, is_base)
-    for cause, names, is_remainder in parts:
+    for cause, names, is_remainder in _parameters_by_cause(posterior, causes):
         index = [parameters.names.index(n) for n in names]
         # Exact at the mean: a bar off by millimetres turns the platform by more than its slope.
         mended = {n: v for n, v in values.items() if n not in names}
@@ -88,18 +86,18 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
 
 
 def _parameters_by_cause(
-    posterior: FullPosterior, causes: Mapping[str, Sequence[str]], names: Sequence[str], base: Array
+    posterior: FullPosterior, causes: Mapping[str, Sequence[str]]
 ) -> list[tuple[str, list[str], bool]]:
     """Return each cause with its parameters of the machine, and whether it is a remainder.
 
-    No parameter is counted twice, and those of ``base`` are left out. The parameters of an effect
+    No parameter is counted twice, and those of the base are left out. The parameters of an effect
     that belong to no cause are its remainder, under the effect's name.
     """
     catalogue = posterior.machine.catalogue
     twins = {t for others in posterior.linearised.twins.values() for t, _ in others}
-    unassigned = [
-        n for n, is_base in zip(names, base, strict=True) if not is_base and n not in twins
-    ]
+    unassigned = [n for n in posterior.machine.posterior.names
+                  if n not in twins and catalogue.effect_of(n).name not in catalogue.base
+                  ]  # fmt: skip
     parts: list[tuple[str, list[str], bool]] = []
     for cause, parameters in causes.items():
         weights = catalogue.elementary_machine_values(dict.fromkeys(parameters, 1.0))

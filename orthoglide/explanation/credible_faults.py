@@ -39,22 +39,18 @@ class CredibleFaults(NamedTuple):
 def credible_faults(posterior: FullPosterior) -> CredibleFaults:
     """Return the data faults of a posterior by how certain they are."""
     mixture, problem = posterior.mixture, posterior.before.problem
-    groups, alternatives = mixture.linear.groups, posterior.alternatives
+    groups = mixture.linear.groups
     is_data_fault = np.array([g.of_data for g in groups], dtype=bool)
     certain, probable, ambiguous = list[Fault](), list[tuple[Fault, float]](), set[FaultKey]()
 
-    def sized(member: int, group: int) -> Fault:
-        """Return the data fault of a group in the place of a member."""
-        mean, _ = alternatives.moments(member, group, groups[group].coefficients)
-        return posterior.data_fault(group, mean)
-
     for member in mixture.groups_by_importance:
-        probabilities = alternatives.probabilities(member)[:-1]
+        probabilities = posterior.alternatives.probabilities(member)[:-1]
         of_data, total = probabilities * is_data_fault, probabilities.sum()
         if total < LEAST_CLAIMED_PROBABILITY:
             best = largest(probabilities)
             if of_data[best] > EVEN_PROBABILITY:
-                probable.append((sized(member, best), float(probabilities[best])))
+                fault = posterior.data_fault(member, best)
+                probable.append((fault, float(probabilities[best])))
         elif of_data.sum() < CREDIBLE_WITH_DATA_FAULT * total:
             least = (1 - CREDIBLE_WITH_DATA_FAULT) * probabilities.max(initial=0.0)
             columns = [groups[k].source for k in np.flatnonzero(of_data > least)]
@@ -62,7 +58,8 @@ def credible_faults(posterior: FullPosterior) -> CredibleFaults:
         elif is_data_fault[member]:
             order = descending(of_data)
             least = _LEAST_SHARE * of_data[order[0]]
-            certain.append(_joined([sized(member, k) for k in order if of_data[k] > least]))
+            likely = [k for k in order if of_data[k] > least]
+            certain.append(_joined([posterior.data_fault(member, k) for k in likely]))
     certain = [f for f in certain if not _has_faulty_neighbour(problem, f, certain)]
     return CredibleFaults(certain, probable, frozenset(ambiguous))
 

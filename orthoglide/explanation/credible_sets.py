@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from orthoglide.accuracy import tcp_slopes
+from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.wording import cause_short
 from orthoglide.errors import InputError
 from orthoglide.explanation.candidates import Candidate
@@ -137,9 +138,7 @@ class _CredibleSetReader:
         """Yield the data faults of a credible set, which rival its causes."""
         problem = self.posterior.linearised.problem
         for k, probability in odds:
-            coefficients = self.groups[k].coefficients
-            mean, _ = self.posterior.alternatives.moments(member, k, coefficients)
-            fault = self.posterior.data_fault(k, mean)
+            fault = self.posterior.data_fault(member, k)
             rows = tuple(line for _, line in lines_of(problem, fault))
             yield DataRival(fault.kind, rows, probability, fault_message(problem, fault))
 
@@ -304,16 +303,37 @@ class _CredibleSetReader:
     ) -> Located:  # fmt: skip
         members, catalogue = self._curves(member, odds, ranges), self.posterior.machine.catalogue
         resembling = tuple(self.groups[k].name for k, _ in odds if not self.groups[k].free_form)
+        moving_causes = self._causes_moving(members[0].place)
         # Those of dials, lost motion and improbable ones are not in the calibrated machine.
         effects = [curve.place.effect for curve in members]
         in_machine = [effect for effect in effects if effect.name in catalogue]
         return Located(
             members, probability, resembling,
             resembling_words=tuple(cause_short(catalogue, name) for name in resembling),
+            ruled_out=tuple(
+                cause_short(catalogue, name) for name in moving_causes if name not in resembling
+            ),
             in_budget=(in_machine or effects)[0].name,
             parameters=tuple(str(part) for effect in in_machine for part in effect.motions),
             group=member,
         )  # fmt: skip
+
+    def _causes_moving(self, error: FreeForm) -> Iterator[str]:
+        """Yield the causes that move the same joints, or change the same dial, as an error."""
+        motions = self.posterior.linearised.problem.machine.catalogue.motions
+        joints = {joint for joint, _ in error.joints}
+        for k in self._cause_groups:
+            names = [p.plain for p in self.groups[k].source.parameters]
+            if error.of_dial:
+                moves_it = all(p.setup and p.setup == error.setup for p in names)
+            else:
+                moved = [motions[p] for p in names if p in motions]
+                moves_it = len(moved) == len(names) and not error.moves_bar_ends and all(
+                    leg == error.leg and joints & {m.joint for m in leg_motions}
+                    for leg, leg_motions in moved
+                )  # fmt: skip
+            if moves_it:
+                yield self.groups[k].name
 
     def _curves(
         self, member: int, odds: Sequence[tuple[int, float]], ranges: Mapping[int, str]

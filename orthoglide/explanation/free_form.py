@@ -24,15 +24,12 @@ from orthoglide.fit import Problem
 from orthoglide.fit.excitation import axes_approached_from_both_sides
 from orthoglide.fit.problem import Factor
 from orthoglide.geometry import LEGS, Array
-from orthoglide.instruments import Observation
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings
 from orthoglide.ordering import LOG_ODDS_MARGIN, descending, largest
 from orthoglide.prediction import Model
 
-_LARGEST_BUMP_SHARE = (
-    0.2  # largest share of the readings at a travel for which a bump is considered
-)
+_LARGEST_BUMP_SHARE = 0.2  # of the readings at a travel for which a bump is considered
 _MOST_BUMP_TRAVELS = 40  # travels of a leg: with more, each has too few readings for a bump
 _MOST_DIAL_BUMPS = 2  # bumps considered for each dial, at the readings that they explain best
 _MOST_JUMPS = 8  # jumps considered for each part, at the moments that explain most
@@ -45,16 +42,12 @@ _DIRECTION_SEPARATION = 3.0  # least mean difference of both directions' residua
 
 def only_surface_readings(problem: Problem) -> bool:
     """True if only plates, and distances on them, were measured."""
-    return all(o.touches or o.paired for o in _observations(problem))
+    return all((f.readings.touching | f.readings.paired).all() for f in problem.factors)
 
 
 def only_plate_readings(problem: Problem) -> bool:
     """True if only plates were measured."""
-    return all(o.touches for o in _observations(problem))
-
-
-def _observations(problem: Problem) -> list[Observation]:
-    return [s.observation for f in problem.factors for s in f.readings.setups]
+    return all(f.readings.touching.all() for f in problem.factors)
 
 
 def visible_free_form_errors(problem: Problem) -> tuple[FreeForm, ...]:

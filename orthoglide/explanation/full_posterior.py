@@ -82,9 +82,10 @@ class FullPosterior:
         log_weight = self.mixture.log_weight(self.mixture.best)
         return float(log_weight - self.linearised.unexplainable_chi2 / 2 - log_widths.sum())
 
-    def data_fault(self, group: int, mean: Array) -> Fault:
-        """Return the data fault of a group, with its size at a mean of coefficients ``(C,)``."""
+    def data_fault(self, member: int, group: int) -> Fault:
+        """Return the data fault of a group with its size, in the place of an active group."""
         data_group = self.mixture.linear.groups[group]
+        mean = self.mixture.likeliest_mean(self.alternatives.state(member, group))
         fault: Fault = data_group.source.with_sizes(mean[data_group.coefficients])
         return fault
 
@@ -92,8 +93,7 @@ class FullPosterior:
     def wrong_commands(self) -> dict[str, Fault]:
         """Wrong commands of the best explanation by the names of their groups."""
         groups, best = self.mixture.linear.groups, self.mixture.best
-        mean = self.mixture.likeliest_mean(best)
-        faults = {groups[k].name: self.data_fault(k, mean) for k, _ in best if groups[k].of_data}
+        faults = {groups[k].name: self.data_fault(k, k) for k, _ in best if groups[k].of_data}
         return {name: fault for name, fault in faults.items() if fault.drive is not None}
 
     @property
@@ -153,7 +153,7 @@ class FullPosterior:
     @property
     def background_scale(self) -> float:
         """Posterior mean scale of inactive effects, in tolerances."""
-        return self.mixture.mean_scales[0]
+        return self.mixture.mean_background_scale
 
     @cached_property
     def invisible(self) -> tuple[Parameter, ...]:

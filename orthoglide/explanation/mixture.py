@@ -92,12 +92,14 @@ class Mixture(Search):
         return tuple(ranked(loss, lambda group: loss[group], LOG_ODDS_MARGIN))
 
     @cached_property
-    def mean_scales(self) -> tuple[float, float, float]:
-        """Posterior mean scales of the catalogue, the free functions and the excess noise."""
-        by_scale = np.sum(list(self.weights.values()), axis=0)
-        grid = np.array([(s.background_scale, s.free_form_scale, s.noise) for s in self.scales])
-        background, free, noise = (by_scale @ grid).tolist()
-        return background, free, noise
+    def by_scale(self) -> Array:
+        """Probability of each scale ``(scales,)``."""
+        return np.asarray(np.sum(list(self.weights.values()), axis=0))
+
+    @property
+    def mean_background_scale(self) -> float:
+        """Posterior mean scale of the catalogue, in tolerances."""
+        return float(self.by_scale @ [s.background_scale for s in self.scales])
 
     @property
     def _least_flexible_scales(self) -> NDArray[np.bool_]:
@@ -132,26 +134,21 @@ class Mixture(Search):
         if matching:
             return tuple(matching)
         state = tuple((group, tau) for group, tau in self.best if group in allowed)
-        by_scale = np.sum(list(self.weights.values()), axis=0)
-        likeliest = largest(np.where(self._least_flexible_scales, by_scale, -np.inf))
+        likeliest = largest(np.where(self._least_flexible_scales, self.by_scale, -np.inf))
         return ((state, self.scales[likeliest]),)
 
-    @cached_property
+    @property
     def probability_rare(self) -> float:
         """Probability of a background beyond all tolerances, or of noise larger than declared.
 
         Larger noise counts only if repeats determine the noise.
         """
-        return self._probability_of_scales([s.rare > 0 for s in self.scales])
+        return float(self.by_scale[[s.rare > 0 for s in self.scales]].sum())
 
-    @cached_property
+    @property
     def probability_beyond_tolerance(self) -> float:
         """Probability of a background beyond all tolerances."""
-        return self._probability_of_scales([s.background_scale > 1 for s in self.scales])
-
-    def _probability_of_scales(self, mask: list[bool]) -> float:
-        """Return the total probability of the scales in a mask."""
-        return float(sum(weight[np.array(mask)].sum() for weight in self.weights.values()))
+        return float(self.by_scale[[s.background_scale > 1 for s in self.scales]].sum())
 
     @property
     def _sound_scales(self) -> NDArray[np.intp]:

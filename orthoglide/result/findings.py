@@ -322,6 +322,8 @@ class Located:
     probability: Annotated[float, Key("class_probability", digits=SHORT_DIGITS)]
     resembling: tuple[str, ...]  # names of causes in the same credible set
     resembling_words: tuple[str, ...]  # the same causes as clauses without a size
+    # causes that move the part of the first member and are not in the set, clauses without a size
+    ruled_out: tuple[str, ...]
     in_budget: str  # its name in the error budget
     # faults of the data in the same credible set
     data: Annotated[tuple[DataRival, ...], Key("rivals_in_data")] = ()
