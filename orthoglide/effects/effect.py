@@ -120,10 +120,6 @@ class Effect:
         """Shapes of a plate by the suffix of the parameter's name."""
         return dict(self.plate)
 
-    def shape(self, parameter: Parameter) -> Shape:
-        """The plate's shape of a parameter of one setup, or of a member of all setups."""
-        return self.shapes[parameter.direction or parameter.member.rpartition(".")[0]]
-
     @property
     def tolerance_si(self) -> float:
         """Standard deviation to expect, SI."""

@@ -147,10 +147,7 @@ def _resolve_name(catalogue: Catalogue, name: str) -> tuple[Effect, Parameter | 
     legs = {p.leg for p in effect.motions}
     if plain == effect.name or (effect.paired and plain in {f"{effect.name}.{k}" for k in legs}):
         return effect, None
-    if effect.of_dial and not isinstance(name, Parameter) and plain.endswith("common"):
-        parameter = Parameter(effect.name, member=plain[len(effect.name) + 1 :])
-    else:
-        parameter = catalogue.parameter(name)
+    parameter = catalogue.parameter(name)
     if parameter.member and effect.of_body:  # one plate or part, in whatever setups it was read
         shape = parameter.member.rpartition(".")[0]
         parameter = Parameter(effect.name, direction=shape, campaign=parameter.campaign)

@@ -17,9 +17,6 @@ _NEAR_LOG_ODDS = 4.0  # below the best pair, within which pairs are compared on 
 _MOST_PAIRS = 40  # most such pairs
 _NEGLIGIBLE_LOG_ODDS = 8.0  # below the best pair and taus, from which taus are negligible
 
-Pairs = tuple[NDArray[np.intp], NDArray[np.intp]]
-"""Indices of the first and the second of each pair."""
-
 
 def likely_pairs(
     linear: LinearModel,
@@ -49,10 +46,18 @@ def likely_pairs(
     log_weights, explained_before = given
     slabs, odds = linear.slab_scales, linear.log_odds_by_slab
 
-    def gain(at: Sequence[int] | slice, pairs: Pairs, taus: tuple[float, float]) -> Array:
-        explained, occam = explained_by_pair(gram[at], products[at], pairs, taus)
+    def gain(
+        at: Sequence[int] | slice, pairs: tuple[NDArray[np.intp], NDArray[np.intp]],
+        taus: tuple[float, float],
+    ) -> Array:  # fmt: skip
+        """Return the log likelihood that pairs gain, less half their log determinant."""
+        (i, j), (tau_i, tau_j), grams, shown = pairs, taus, gram[at], products[at]
+        explained, determinant = explained_by_two(
+            1 + tau_i**2 * grams[:, i, i], 1 + tau_j**2 * grams[:, j, j],
+            tau_i * tau_j * grams[:, i, j], tau_i * shown[:, i], tau_j * shown[:, j],
+        )  # fmt: skip
         likelihood = linear.log_likelihood_gain(explained, explained_before[at])
-        return likelihood - occam + odds[taus[0]] + odds[taus[1]]
+        return likelihood - np.log(determinant) / 2 + odds[tau_i] + odds[tau_j]
 
     # First all pairs at equal taus and few background scales, which is right to some log odds.
     table = np.stack([gain(coarse_scales, (first, second), (tau, tau)) for tau in slabs])
@@ -68,16 +73,3 @@ def likely_pairs(
     for (tau, other_tau), weights in zip(tau_pairs, weights_by_tau, strict=True):
         for k in np.flatnonzero(weights.max(axis=0) > least_weight):
             yield int(best_pairs[0][k]), tau, int(best_pairs[1][k]), other_tau, weights[:, k]
-
-
-def explained_by_pair(
-    gram: Array, products: Array, pairs: Pairs, taus: tuple[float, float]
-) -> tuple[Array, Array]:
-    """Return what pairs explain of chi2, and half their log determinant, ``(scales, k)`` each."""
-    (i, j), (tau_i, tau_j) = pairs, taus
-    diagonal = 1 + tau_i**2 * gram[:, i, i], 1 + tau_j**2 * gram[:, j, j]
-    cross = tau_i * tau_j * gram[:, i, j]
-    explained, determinant = explained_by_two(
-        *diagonal, cross, tau_i * products[:, i], tau_j * products[:, j]
-    )
-    return explained, np.log(determinant) / 2
