@@ -45,9 +45,9 @@ from orthoglide.fit.least_squares import (
     Nuisances,
     fitted_basis,
     linearise,
+    linearise_placed,
     nuisances,
     predict,
-    update_instrument_poses,
 )
 from orthoglide.fit.unknowns import posterior_rows
 from orthoglide.geometry import Array
@@ -232,10 +232,10 @@ def _machine_model(
     groups, excited = build_groups(full_problem, base_count, readings.columns, errors, replacements)
     enough_repeats = problem.repeat_count >= _ENOUGH_REPEATS
     linear = LinearModel(
-        readings.columns, readings.residual, fixed_sd, np.arange(len(units)) >= len(sd),
-        plate_shapes, groups, readings.stations,
+        **vars(readings), fixed_sd=fixed_sd, free_form=np.arange(len(units)) >= len(sd),
+        plate_shapes=plate_shapes, groups=groups,
         noise_weight=RARE_LOG_PRIOR if enough_repeats else 0.0,
-        noise_decay=0.0 if enough_repeats else 1.0, station_remainder=readings.station_remainder,
+        noise_decay=0.0 if enough_repeats else 1.0,
     )  # fmt: skip
     tolerance = full_problem.machine.tolerance
     twins_in_si: dict[str, tuple[tuple[str, float], ...]] = {
@@ -310,10 +310,7 @@ def _with_data_faults(model: LinearisedModel, suspects: Sequence[FaultColumns]) 
     padding = (0, first - len(model.units))
     linear = replace(
         linear,
-        columns=readings.columns,
-        residual=readings.residual,
-        stations=readings.stations,
-        station_remainder=readings.station_remainder,
+        **vars(readings),
         fixed_sd=np.pad(linear.fixed_sd, padding, constant_values=_ZERO_SD),
         free_form=np.pad(linear.free_form, padding),
         plate_shapes=np.pad(linear.plate_shapes, padding),
@@ -332,9 +329,7 @@ def _linearise_all_parameters(
     full_problem = with_all_parameters(estimate.problem)
     start = full_problem.zero_padded(estimate.x)
     x = start if point is None else point
-    linearised = linearise(full_problem, x)
-    if (moved := update_instrument_poses(full_problem, linearised)) is not full_problem:
-        full_problem, linearised = moved, linearise(moved, x)
+    full_problem, linearised = linearise_placed(full_problem, x)
     if point is not None:
         # At the mean, a dial's scale error has a column proportional to the sum of displacements
         # found so far: it could replace all causes at once. Inactive dial effects use the base fit.

@@ -22,7 +22,7 @@ from orthoglide.explanation.linear_model import Group
 from orthoglide.explanation.mixture import LEAST_PROBABILITY, AveragedMoments, Mixture
 from orthoglide.fit import Estimate
 from orthoglide.fit.factors import NuisanceBlock
-from orthoglide.fit.least_squares import linearise, nuisances, update_instrument_poses
+from orthoglide.fit.least_squares import linearise_placed, nuisances
 from orthoglide.fit.notes import tolerance_notes
 from orthoglide.fit.solving import make_estimate, solve, widen_priors
 from orthoglide.geometry import Array
@@ -220,9 +220,7 @@ class FullPosterior:
         curves = self._curve_nuisances(prior)
         problem = replace(linearised.problem, prior_override=prior_rows, free_form_nuisances=curves)
         x = (self.mean * units)[:count]
-        fit = linearise(problem, x)
-        if (moved := update_instrument_poses(problem, fit)) is not problem:
-            problem, fit = moved, linearise(moved, x)
+        problem, fit = linearise_placed(problem, x)
         estimate = make_estimate(problem, nuisances(problem, fit.reading_poses), fit, "posterior",
                                  len(mixture.children), linearised.linearisation_error)  # fmt: skip
         # Base parameters that could be wrong in place of the reported causes.

@@ -9,13 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from orthoglide.errors import check_choice
-from orthoglide.fit.least_squares import (
-    Linearised,
-    Nuisances,
-    linearise,
-    nuisances,
-    update_instrument_poses,
-)
+from orthoglide.fit.least_squares import Linearised, Nuisances, linearise_placed, nuisances
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.scores import FittedRows, Scores, score
 from orthoglide.frames import Framed
@@ -134,13 +128,11 @@ class Estimate(Framed):
     @cached_property
     def _before_calibration(self) -> tuple[Linearised, FittedRows]:
         """Readings predicted by the uncalibrated machine, with balls and frames placed by it."""
-        nuisance = self.nuisance
         problem = replace(self.problem, unknowns=(), earlier_posterior=None)
-        linear = linearise(problem, np.zeros(0))
-        if (placed := update_instrument_poses(problem, linear)) is not problem:
-            problem, linear = placed, linearise(placed, np.zeros(0))
-            nuisance = nuisances(problem, linear.reading_poses)
-        return linear, FittedRows.from_fit(problem, nuisance, linear)
+        placed, linear = linearise_placed(problem, np.zeros(0))
+        as_before = placed is problem
+        nuisance = self.nuisance if as_before else nuisances(placed, linear.reading_poses)
+        return linear, FittedRows.from_fit(placed, nuisance, linear)
 
     @cached_property
     def nominal(self) -> Scores:

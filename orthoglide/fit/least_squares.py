@@ -64,6 +64,13 @@ def update_instrument_poses(problem: Problem, linear: Linearised) -> Problem:
     return replace(problem, factors=factors)
 
 
+def linearise_placed(problem: Problem, x: Array) -> tuple[Problem, Linearised]:
+    """Return the problem with instruments placed by the machine at ``x``, and it linearised."""
+    linear = linearise(problem, x)
+    placed = update_instrument_poses(problem, linear)
+    return (problem, linear) if placed is problem else (placed, linearise(placed, x))
+
+
 def project_out(basis: Array, rows: Array) -> Array:
     """Return rows ``(m, ...)`` without their part along orthonormal columns ``(m, q)``."""
     return np.asarray(rows - basis @ (basis.T @ rows))
