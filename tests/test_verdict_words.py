@@ -1,16 +1,23 @@
 """Verdicts hold for what they tell: no word of them contradicts the table below it."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 import orthoglide as og
+from orthoglide.closing.actions import located_error_test
+from orthoglide.effects.free_form import Dependence, FreeForm, Part
+from orthoglide.effects.kernels import Level
 from orthoglide.explanation import credible_sets, full_posterior, posterior_lack_of_fit
 from orthoglide.explanation.causes import CredibleSets
 from orthoglide.explanation.lack_of_fit import SIGNIFICANT
 from orthoglide.fit import assemble, solve
 from orthoglide.report.sentences import headline
+from orthoglide.result.findings import Curve
 from tests import rig_campaigns as rc
 from tests.factors import campaign_of
 from tests.rig import LEGS, Rig
@@ -114,3 +121,23 @@ def test_readings_that_are_all_alike_are_no_sound_machine(value: float) -> None:
     verdict = og.close_loop(sheet.with_readings(np.full(len(sheet), value)))
     assert verdict.word == "adequate"
     assert headline(verdict).startswith("These readings show no error at all: either")
+
+
+@pytest.mark.parametrize(
+    ("part", "axis", "against", "spot"),
+    [
+        ("drive", "a", "approach", "carriage y along its travel and come to one place"),
+        ("rail", "b", "approach", "carriage y along z and come to one place"),
+        ("rail", "b", "reversal", "carriage y along z, approach one place after a long way"),
+    ],
+)
+def test_lost_motion_of_a_place_comes_with_the_test_that_shows_it(
+    part: Part, axis: str, against: Dependence, spot: str
+) -> None:
+    place = FreeForm(part, 1, axis, against, kernel=Level())
+    curve = cast(Curve, SimpleNamespace(place=place, size_words="0.050 mm"))
+    said = located_error_test(curve)
+    assert said.startswith(f"set a dial on {spot}")
+    assert "0.050 mm" in said
+    silent = SimpleNamespace(place=replace(place, against="travel"), size_words="0.050 mm")
+    assert located_error_test(cast(Curve, silent)) == ""

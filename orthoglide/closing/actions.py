@@ -12,12 +12,13 @@ import numpy as np
 
 from orthoglide.accuracy import best_zeros, expected_gain
 from orthoglide.control import withholding_reason
+from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.explanation.change import Change
 from orthoglide.layout import LinearDelta
 from orthoglide.numerals import plain, signed, with_sigma
 from orthoglide.ordering import ranked
-from orthoglide.result import Action, Cause, Located, Suspect, Withheld
+from orthoglide.result import Action, Cause, Curve, Located, Suspect, Withheld
 from orthoglide.text import MACHINE_OPTION
 
 if TYPE_CHECKING:
@@ -29,6 +30,10 @@ _FILES_OUTDATED = (
 )
 _LOST_MOTION_EXCLUDED = "the stated errors of the tool do not include lost motion: "
 _COMPENSATE_CORRECTS = "orthoglide compensate makes up for it"
+_DIAL_REVERSAL_TEST = (
+    "read one gauge block twice, first after a shorter block and then after a longer one: the two "
+    "readings should differ by {}"
+)
 _ALTERNATIVE_TO_ZEROS = "instead of new zeros (not both; the gain is beyond that of the zeros)"
 _REPAIR = "Confirm the cause by its test, repair it, and measure again"
 _TEST_LIKELY = "Test what is likely, but not certain"
@@ -210,7 +215,8 @@ def suspects(finding: Cause | Located | Change) -> tuple[Suspect, ...]:
     if isinstance(finding, Cause):
         causes = finding.explanations
         return tuple(Suspect(e.words, e.look_at, e.confirm) for e in causes)
-    return tuple(Suspect(c.place.words, c.place.look_at, "") for c in finding.members)
+    places = ((c.place, located_error_test(c)) for c in finding.members)
+    return tuple(Suspect(place.words, place.look_at, test) for place, test in places)
 
 
 def _suspect_of_change(change: Change, k: int) -> Suspect:
@@ -227,6 +233,32 @@ def _suspect_of_change(change: Change, k: int) -> Suspect:
     test = "" if name.member or effect.of_dial else confirm_words(effect, name, value)
     still = " if it is there still" * bool(test and not is_present)
     return Suspect(words, effect.look_at, f"{test}{still}")
+
+
+def located_error_test(curve: Curve) -> str:
+    """Return the test that shows lost motion of a located error; empty for other errors."""
+    place: FreeForm = curve.place
+    size = curve.size_words
+    if place.of_dial:
+        return _DIAL_REVERSAL_TEST.format(size) if place.depends_on_approach else ""
+    leg = place.names.legs[place.leg]
+    spot = {
+        "drive": f"carriage {leg} along its travel",
+        "rail": f"carriage {leg} along {place.direction}",
+        "platform": f"the end of leg {leg} at the platform along {place.direction}",
+    }.get(place.part)
+    if not place.depends_on_approach or spot is None:
+        return ""
+    spot = place.names.in_layout_words(spot)
+    if place.against == "approach":
+        return (
+            f"set a dial on {spot} and come to one place from smaller and from larger travel of "
+            f"{leg}: expect {size} between the two"
+        )
+    return (
+        f"set a dial on {spot}, approach one place after a long way in one direction, then again "
+        f"with a reversal just before it: the two readings should differ by up to {size}"
+    )
 
 
 def _compensation(outcome: RunOutcome) -> Action | Withheld | None:
