@@ -13,15 +13,15 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
+import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.comparison import slices
-from orthoglide.comparison.tables import slice_figure
 from orthoglide.control import export_files
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import FileError
 from orthoglide.figures.axes import Panel
+from orthoglide.figures.draw import draw_levels
 from orthoglide.figures.style import Drawing
 from orthoglide.files import read_bytes
 from orthoglide.machine_file import MachineFile, machine_text, parse_machine_file
@@ -189,7 +189,8 @@ def test_figures_take_no_formulas() -> None:
     drawing = Drawing("figure", "names", (200.0, 100.0), (panel.svg(),))
     shown = "".join(ET.fromstring(drawing.svg).itertext())
     assert all(name in shown for name in names)
-    assert "$$" in slice_figure("$$ <b>", slices(og.Machine.nominal(), side=3))
+    levels = draw_levels("figure", "names", [("$$ <b>", np.zeros(1), "#000")], np.zeros((1, 3)), "")
+    assert "$$ <b>" in "".join(ET.fromstring(levels.svg).itertext())
 
 
 @pytest.mark.parametrize("name", ["a--b", "---", "----->", "]]>", "<b>&", "a-"])

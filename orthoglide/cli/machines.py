@@ -133,9 +133,7 @@ def compare(
         machine_rows = compare_machine(robot) if any(robot.values.values()) else ()
         worst = (*machine_rows[:1], *worst_by_effect(effect_rows))
         figures = () if no_figures else worst
-        files = (
-            {} if out is None else comparison_files(robot, machine_rows, effect_rows, figures, step)
-        )
+        files = {} if out is None else comparison_files(robot, machine_rows, effect_rows, figures)
     table_text = console_text(table(*short_table(worst)))
     good_count = sum(row.good_enough for row in worst)
     written = "" if out is None else f"\n\nwritten: {click.format_filename(out)}"

@@ -10,6 +10,5 @@ from orthoglide.comparison.comparing import (
     Row as Row,
     compare_effects as compare_effects,
     compare_machine as compare_machine,
-    slices as slices,
     worst_by_effect as worst_by_effect,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -69,6 +69,10 @@ class Row:
     fitted: Difference  # with the six parameters fitted to the TCP
     six: tuple[float, ...]  # joint offsets and leg lengths fitted to the TCP, metres
     rotation: float  # largest turn of the platform, radians; the reduction's never turns
+    # points of the workspace (n, 3), and the larger difference of both visits there, with the six
+    # parameters fitted to the TCP (n,), metres
+    at: Array = field(compare=False, repr=False)
+    difference: Array = field(compare=False, repr=False)
     # with the six fitted to the readings, the machine's tolerances as priors, after the best
     # translation, which leg readings cannot see
     identified: Difference = Difference(_NAN, _NAN, (_NAN,) * 3)
@@ -211,7 +215,7 @@ class Comparison:
         tcp, rotation = self.mechanism_tcp(values)
         six = self.fit_tcp(tcp)
         effect = None if np.isnan(value) else self.machine.catalogue.effect_of(name)
-        nominal = tcp - self.p
+        nominal, left = tcp - self.p, tcp - self.reduction_tcp(six)
         return Row(
             name=name,
             effect=effect.name if effect else "",
@@ -219,9 +223,11 @@ class Comparison:
             value=value,
             nominal=self.difference(nominal),
             translated=self.difference(nominal - nominal.mean(axis=0)),
-            fitted=self.difference(tcp - self.reduction_tcp(six)),
+            fitted=self.difference(left),
             six=tuple(six.tolist()),
             rotation=rotation,
+            at=self.p[: len(left) // 2],
+            difference=np.linalg.norm(left, axis=1).reshape(2, -1).max(axis=0),
             **(self._reading_figures(values, tcp) if self.geometry.dialled else {}),
         )
 
@@ -301,36 +307,3 @@ def compare_machine(machine: MachineSource, points: int = POINTS) -> tuple[Row, 
     values = {n: value for n, value in machine.values.items() if value and not effect_of(n).of_body}
     single_rows = (comparison.row(name, value, {name: value}) for name, value in values.items())
     return (comparison.row("machine", float("nan"), values), *single_rows)
-
-
-@dataclass(frozen=True)
-class Slice:
-    """Difference at the TCP after the fit, on one plane through mechanical zero."""
-
-    normal: int  # base axis across the plane, 0, 1 or 2
-    p: Array  # points (n, m, 3), metres, the other two axes in their order along rows and columns
-    difference: Array  # the larger of the two visits' (n, m), metres; nan outside the workspace
-
-
-def slices(machine: Machine, side: int = 41, points: int = POINTS) -> tuple[Slice, ...]:
-    """Return the difference of mechanism and fitted reduction on three planes of the workspace,
-    with an odd number of points along each side; the reduction is fitted as in a comparison.
-    """
-    comparison = Comparison(machine, points)
-    six = comparison.fit_tcp(comparison.mechanism_tcp(machine.values)[0])
-    places = grid(machine.geometry, side)
-    planes = []
-    for normal in range(3):
-        # The section of the cube is at p = 0, whether its grid contains that plane or not.
-        used = machine.geometry.dialled | (np.abs(places[:, normal]) < EQUAL_WITHIN)
-        plane_points = np.delete(places[used], normal, axis=1)
-        p = np.stack(np.meshgrid(*map(np.unique, plane_points.T), indexing="ij"), -1)
-        inside = (p[:, :, None] == np.unique(plane_points, axis=0)).all(axis=-1).any(axis=-1)
-        p = np.insert(p, normal, 0.0, -1)
-        conditions = visit_conditions(commands(Spheres.of_geometry(machine.geometry), p[inside]))
-        tcp, _ = comparison.mechanism_tcp(machine.values, conditions)
-        distance = np.linalg.norm(tcp - comparison.reduction_tcp(six, conditions), axis=1)
-        size = np.full(p.shape[:2], np.nan)
-        size[inside] = distance.reshape(2, -1).max(axis=0)
-        planes.append(Slice(normal, p, size))
-    return tuple(planes)

@@ -4,22 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from itertools import pairwise
 
-import numpy as np
-
-from orthoglide.comparison.comparing import READING_LIMIT, TCP_LIMIT, Difference, Row, Slice, slices
+from orthoglide.comparison.comparing import READING_LIMIT, TCP_LIMIT, Difference, Row
 from orthoglide.figures import style
-from orthoglide.figures.axes import Key, Panel, padded, panel_drawing, round_ticks, text
-from orthoglide.geometry import LEGS
+from orthoglide.figures.draw import draw_levels
 from orthoglide.machine import Machine
-from orthoglide.numerals import compact, plain
-from orthoglide.progress import Progress, Step, no_progress
+from orthoglide.numerals import plain
 
 _UM = 1e6
-_SHADES = 6  # of a figure, which fit into its legend
-_SLICE_HEIGHT = 221.0  # of a panel whose axes are square
 
 LIMITS = (
     f"The simplified model will do where, after its six parameters are fitted, the TCP is nowhere "
@@ -106,42 +98,11 @@ def markdown_table(rows: Sequence[Row], columns: Sequence[str] = _LONG) -> str:
     return "\n".join(text) + "\n"
 
 
-def slice_figure(title: str, planes: Sequence[Slice]) -> str:
-    """Return three planes of the workspace as SVG, shaded by the difference at the TCP."""
-    largest = max(float(np.nanmax(plane.difference)) for plane in planes) * _UM
-    edges = [edge for edge, _ in round_ticks((0.0, max(largest, 1e-3)), _SHADES)]
-    edges.append(2 * edges[-1] - edges[-2])
-    names = [f"{compact(low)} to {compact(high)} µm" for low, high in pairwise(edges)]
-
-    def draw(plane: Slice, panel: Panel) -> list[Key]:
-        across, up = (axis for axis in range(3) if axis != plane.normal)
-        x, y, size = plane.p[..., across] * 1e3, plane.p[..., up] * 1e3, plane.difference * _UM
-        cell = 1.01 * (x[1, 0] - x[0, 0]), 1.01 * (y[0, 1] - y[0, 0])  # without gaps
-        x_limits, y_limits = padded(x, 0.5 / (len(x) - 1)), padded(y, 0.5 / (y.shape[1] - 1))
-        axes = panel.add_axes(x_limits, y_limits)
-        keys = []
-        for k, (low, above) in enumerate(pairwise(edges)):
-            inside = (size >= low) & (size < above)
-            alpha = (k + 0.5) / len(names)
-            keys.append(axes.boxes(x[inside], y[inside], *cell, style.FIT, alpha))
-        axes.set_title(f"{LEGS[plane.normal]} = 0")
-        axes.set_x_axis(round_ticks(x_limits), f"{LEGS[across]}, mm")
-        axes.set_y_axis(round_ticks(y_limits), f"{LEGS[up]}, mm")
-        return keys
-
-    caption = f"{title}: difference at the TCP"
-    drawing = panel_drawing("slices", caption, planes, draw, _SLICE_HEIGHT, names)
-    width, height = drawing.size
-    shown = drawing.legend + text(8.0, height + 6.0, caption)
-    return replace(drawing, size=(width, height + 14.0), legend=shown).svg
-
-
 def comparison_files(
     machine: Machine,
     whole: Sequence[Row],
     rows: Sequence[Row],
     drawn: Sequence[Row] = (),
-    progress: Progress = no_progress,
 ) -> dict[str, str]:
     """Return the files of a comparison's folder by name.
 
@@ -150,7 +111,6 @@ def comparison_files(
         whole: rows of all that it was identified to have; may be empty.
         rows: rows of every effect at its tolerance.
         drawn: rows of which a figure is drawn, if the reduction cannot follow them.
-        progress: called before each figure.
     """
     legend = f"{LIMITS} {_LEGEND}{'' if any(row.read for row in (*whole, *rows)) else _NOT_READ}"
     text = f"# When the simplified model is good enough\n\n{legend}\n"
@@ -161,12 +121,9 @@ def comparison_files(
         text += f"\n## Every effect at its tolerance\n\n{markdown_table(rows)}"
     files = {"table.md": text}
     for row in drawn:
-        progress(Step("computing", f"drawing {row.name}"))
-        if not row.effect:
-            title, shown = machine.spec.title, machine
-        elif not row.good_enough and row.fitted.max > 0:
-            title, shown = f"{row.name} at its tolerance", machine.with_only({row.name: row.value})
-        else:
-            continue
-        files[f"figures/{row.name}.svg"] = slice_figure(title, slices(shown))
+        if not row.effect or (not row.good_enough and row.fitted.max > 0):
+            shown = [(f"{row.name}, µm", row.difference * _UM, style.FIT)]
+            title = f"{row.name}: difference at the TCP over the workspace, µm"
+            drawing = draw_levels(row.name, title, shown, row.at, "{} of the TCP")
+            files[f"figures/{row.name}.svg"] = drawing.svg
     return files

@@ -97,30 +97,46 @@ def draw_workspace(space: Workspace, improved: bool) -> Drawing:
     """Return the figure of the TCP's error and its uncertainty at three heights; darker is larger.
     ``improved``: whether the final model differs from the base model.
     """
-    places = np.round(space.at * 1e3, 6) + 0.0
-    levels = np.unique(places[:, 2])
     rows = [
-        ("predicted error now", space.nominal, style.DATA),
-        ("with offsets and lengths set", space.before, style.DATA),
-        ("95 % radius afterwards", space.sure, style.FIT),
+        ("predicted error now", space.nominal * 1e3, style.DATA),
+        ("with offsets and lengths set", space.before * 1e3, style.DATA),
+        ("95 % radius afterwards", space.sure * 1e3, style.FIT),
     ]
     if not improved:
         del rows[1]
+    return draw_levels("workspace", "The TCP over the workspace, mm", rows, space.at, space.axis)
+
+
+def draw_levels(
+    name: str, title: str, rows: Sequence[tuple[str, Array, str]], at: Array, axis: str
+) -> Drawing:
+    """Return a figure of values over the workspace at three heights; darker is larger.
+
+    Args:
+        name: name of its file.
+        title: its content, a phrase.
+        rows: for each row of panels what it shows, the values ``(n,)`` and the colour; values of
+            equal colour share a scale.
+        at: places of the values ``(n, 3)``, metres.
+        axis: label of the axes, with a placeholder for x and y.
+    """
+    places = np.round(at * 1e3, 6) + 0.0
+    levels = np.unique(places[:, 2])
     scale = dict[str, float]()  # largest value by colour
     for _, values, colour in rows:
         scale[colour] = max(scale.get(colour, 0.0), float(values.max()))
-    shown_levels = np.unique(levels[[0, len(levels) // 2, -1]])
 
     def draw(part: tuple[str, Array, str, float], panel: Panel) -> tuple[()]:
         what, values, colour, level = part
         on_level = np.abs(places[:, 2] - level) < 1e-3
-        shades = values[on_level] * 1e3, colour, scale[colour] * 1e3
-        axes = _draw_level(panel, places[on_level], *shades, space.axis)
+        shades = values[on_level], colour, scale[colour]
+        axes = _draw_level(panel, places[on_level], *shades, axis)
         axes.set_title(f"{what}, z {signed(level, 0)} mm")
         return ()
 
+    shown_levels = np.unique(levels[[0, len(levels) // 2, -1]])
     panels = [(*row, float(level)) for row in rows for level in shown_levels]
-    return panel_drawing("workspace", "The TCP over the workspace, mm", panels, draw, 180.0)
+    return panel_drawing(name, title, panels, draw, 180.0)
 
 
 def _draw_level(
@@ -129,7 +145,7 @@ def _draw_level(
     """Draw a square with its value for each place of one level; darker is larger."""
     (xs, x), (ys, y) = (np.unique(np.round(at[:, k], 6), return_inverse=True) for k in (0, 1))
     axes = panel.add_axes((0.0, float(len(xs))), (0.0, float(len(ys))))
-    decimals = 3 if largest < 0.1 else 2
+    decimals = 3 if largest < 0.1 else 2 if largest < 10 else 1
     opacity = (0.05 + (_MAX_OPACITY - 0.05) * values / max(largest, 1e-12)).tolist()
     for i, j, value, alpha in zip(x.tolist(), y.tolist(), values.tolist(), opacity, strict=True):
         axes.boxes([i + 0.5], [j + 0.5], 0.94, 0.94, colour, alpha)
