@@ -17,7 +17,7 @@ from orthoglide.machine_file import MachineFile
 from orthoglide.parameters import Parameter
 from orthoglide.pictures import dials, option
 from orthoglide.scene import Dial, Mark, Posed, drawing
-from orthoglide.scene.drawing import projection
+from orthoglide.scene.drawing import blank_paper
 from tests.test_first_screen import PER, SCALES
 from tests.test_layout import DELTA, freely
 
@@ -183,8 +183,8 @@ def test_sizes_stand_on_the_paper_and_cover_no_name_and_no_dial(kind: str, sign:
 def test_an_arrow_across_a_rail_is_seen_beside_it(kind: str) -> None:
     """The eye stood in line with one tower: its way outward lay upon it."""
     posture = posed(kind)
-    seen = projection(posture, posture.lines.reshape(-1, 3))
+    across_paper, down, _ = blank_paper(posture).view
     for leg in posture.geometry.legs:
-        (x, y), *across = ((seen.right @ a, seen.up @ a) for a in leg.axes.T)
+        (x, y), *across = ((across_paper @ a, down @ a) for a in leg.axes.T)
         for u, v in across:
             assert abs(x * v - y * u) / np.hypot(x, y) > 0.2

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 
 from orthoglide.geometry import Array
 from orthoglide.scene.marks import arrow, mark_svg
-from orthoglide.scene.paper import HEIGHT, WIDTH, Paper, circle_box, lettering, text_box
+from orthoglide.scene.paper import HEIGHT, WIDTH, Paper, Point, circle_box, lettering, text_box
 from orthoglide.scene.parts import Dial, Option, Posed
 
 _MARGIN, _DIAL_RADIUS = 34.0, 4.5  # on the paper
@@ -22,27 +21,9 @@ _STYLE = (
 )
 
 
-@dataclass(frozen=True)
-class Projection:
-    """Parallel projection from the base frame to the paper."""
-
-    right: Array  # unit vector (3,)
-    up: Array  # unit vector (3,)
-    near: Array  # unit vector toward the eye (3,)
-    scale: float = 1.0  # paper units a metre
-    shift: tuple[float, float] = (0.0, 0.0)  # paper coordinates of the base frame's origin (2,)
-
-    def __call__(self, point: Array) -> tuple[float, float]:
-        """Paper coordinates of a point ``(3,)``."""
-        return (
-            self.shift[0] + self.scale * float(self.right @ point),
-            self.shift[1] - self.scale * float(self.up @ point),
-        )
-
-
-def projection(posed: Posed, points: Array) -> Projection:
-    """Return the view in which no leg hides another, scaled so that points ``(n, 3)`` fit the
-    paper.
+def blank_paper(posed: Posed) -> Paper:
+    """Return the paper in the view in which no leg hides another, scaled so that the machine
+    fits.
     """
     if posed.geometry.layout.hanging:  # an azimuth in which no tower leans toward the eye
         towers = [math.atan2(*leg.axes[1::-1, 1]) for leg in posed.geometry.legs]
@@ -52,14 +33,13 @@ def projection(posed: Posed, points: Array) -> Projection:
     ca, sa, ce, se = (
         math.cos(azimuth), math.sin(azimuth), math.cos(elevation), math.sin(elevation),
     )  # fmt: skip
-    right, up = np.array([-sa, ca, 0.0]), np.array([-ca * se, -sa * se, ce])
-    toward_eye = np.array([ca * ce, sa * ce, se])
-    flat = np.stack([points @ right, -(points @ up)], axis=1)
+    view = np.array([[-sa, ca, 0.0], [ca * se, sa * se, -ce], [ca * ce, sa * ce, se]])
+    ends = [end for leg in range(3) for end in posed.rail(leg)]
+    flat = np.array([*ends, *posed.lines.reshape(-1, 3), posed.p]) @ view[:2].T
     low, high = flat.min(axis=0), flat.max(axis=0)
-    room = np.array([WIDTH, HEIGHT]) - 2 * _MARGIN
-    scale = float(np.min(room / (high - low)))
-    shift = np.array([WIDTH, HEIGHT]) / 2 - scale * (low + high) / 2
-    return Projection(right, up, toward_eye, scale, (float(shift[0]), float(shift[1])))
+    size = np.array([WIDTH, HEIGHT])
+    scale = float(np.min((size - 2 * _MARGIN) / (high - low)))
+    return Paper(view, scale, size / 2 - scale * (low + high) / 2)
 
 
 def drawing(
@@ -84,14 +64,11 @@ def drawing(
         first_shown: numbers of the options that are visible at first.
         standalone: whether the drawing is a separate file, not part of a page.
     """
-    ends = [end for leg in range(3) for end in posed.rail(leg)]
-    points = np.array([*ends, *posed.lines.reshape(-1, 3), posed.p])
-    project = projection(posed, points)
-    bodies = sorted(_bodies(posed, project), key=lambda body: body[0])
-    paper = _paper_with_machine(posed, dials, project)
-    names = "".join(
-        lettering(*at, name, "ink", 3) for name, at in _placed_leg_names(posed, project)
-    )
+    paper = blank_paper(posed)
+    bodies = sorted(_bodies(posed, paper), key=lambda body: body[0])
+    leg_names = _placed_leg_names(posed, paper)
+    _occupy(paper, posed, dials, leg_names)
+    names = "".join(lettering(*at, name, "ink", 3) for name, at in leg_names)
     groups = []
     for k, option in enumerate(options):
         # Labels of options that are visible together must not overlap.
@@ -121,28 +98,28 @@ def _description(posed: Posed, dials: Sequence[Dial], options: str) -> str:
     return f"{posed.geometry.layout.names.in_layout_words(legs)}{dial_words}{option_words}"
 
 
-def _bodies(posed: Posed, project: Projection) -> list[tuple[float, str]]:
+def _bodies(posed: Posed, paper: Paper) -> list[tuple[float, str]]:
     """Return all solids with their depths, which are larger if nearer."""
     size, bodies = posed.geometry.d, []
     for leg in range(3):
         axes = posed.geometry.legs[leg].axes
         start, end = posed.rail(leg)
         half = float(np.linalg.norm(end - start)) / 2
-        bodies += _box((start + end) / 2, axes, (half, 0.12 * size, 0.16 * size), "rail", project)
+        bodies += _box((start + end) / 2, axes, (half, 0.12 * size, 0.16 * size), "rail", paper)
         centre = posed.carriage(leg) + 0.2 * size * axes[:, 1]
-        bodies += _box(centre, axes, (0.34 * size, 0.2 * size, 0.42 * size), "body", project)
+        bodies += _box(centre, axes, (0.34 * size, 0.2 * size, 0.42 * size), "body", paper)
         for bar in range(2):
             a, b = posed.lines[leg, bar]
-            bodies.append((float(project.near @ (a + b)) / 2, line(a, b, project, "bar", 4.0)))
+            bodies.append((float(paper.toward_eye @ (a + b)) / 2, line(a, b, paper, "bar", 4.0)))
         for k in range(2):
             a, b = posed.lines[leg, :, k]
-            bodies.append((float(project.near @ a) + 0.01, line(a, b, project, "bar", 3.0)))
+            bodies.append((float(paper.toward_eye @ a) + 0.01, line(a, b, paper, "bar", 3.0)))
     corners = np.array([posed.platform(leg) for leg in range(3)])
     middle = corners.mean(axis=0)
-    depth = float(project.near @ middle)
-    bodies.append((depth - 0.02, polygon(corners, project, "body", 0.9)))
-    bodies.append((depth, line(middle, posed.p, project, "ink", 3.0)))
-    x, y = project(posed.p)
+    depth = float(paper.toward_eye @ middle)
+    bodies.append((depth - 0.02, polygon(corners, paper, "body", 0.9)))
+    bodies.append((depth, line(middle, posed.p, paper, "ink", 3.0)))
+    x, y = paper.project(posed.p)
     bodies.append(
         (depth + 0.02, f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="var(--m-ink)"/>')
     )
@@ -150,23 +127,23 @@ def _bodies(posed: Posed, project: Projection) -> list[tuple[float, str]]:
 
 
 def _box(
-    centre: Array, axes: Array, half: tuple[float, ...], colour: str, project: Projection
+    centre: Array, axes: Array, half: tuple[float, ...], colour: str, paper: Paper
 ) -> list[tuple[float, str]]:
     """Return the three visible faces of a box, as one body."""
     faces = []
     for k in range(3):
-        side = 1.0 if axes[:, k] @ project.near > 0 else -1.0
+        side = 1.0 if axes[:, k] @ paper.toward_eye > 0 else -1.0
         u, v = (axes[:, j] * half[j] for j in range(3) if j != k)
         middle = centre + side * half[k] * axes[:, k]
         corners = np.array([middle + u + v, middle + u - v, middle - u - v, middle - u + v])
         light = 0.55 + 0.45 * abs(float(axes[2, k]))
-        faces.append(polygon(corners, project, colour, light))
-    return [(float(project.near @ centre), "".join(faces))]
+        faces.append(polygon(corners, paper, colour, light))
+    return [(float(paper.toward_eye @ centre), "".join(faces))]
 
 
-def polygon(corners: Array, project: Projection, colour: str, opacity: float = 1.0) -> str:
+def polygon(corners: Array, paper: Paper, colour: str, opacity: float = 1.0) -> str:
     """Return a filled polygon; a smaller opacity makes it lighter."""
-    coordinates = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(project, corners))
+    coordinates = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(paper.project, corners))
     return (
         f'<polygon points="{coordinates}" fill="var(--m-paper)"/><polygon points="{coordinates}" '
         f'fill="var(--m-{colour})" fill-opacity="{opacity:.2f}" stroke="var(--m-bar)" '
@@ -174,9 +151,9 @@ def polygon(corners: Array, project: Projection, colour: str, opacity: float = 1
     )
 
 
-def line(a: Array, b: Array, project: Projection, colour: str, width: float) -> str:
+def line(a: Array, b: Array, paper: Paper, colour: str, width: float) -> str:
     """Return a thick line from a to b ``(3,)``."""
-    (x1, y1), (x2, y2) = project(a), project(b)
+    (x1, y1), (x2, y2) = paper.project(a), paper.project(b)
     return (
         f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" '
         f'stroke="var(--m-{colour})" stroke-width="{width:g}" stroke-linecap="round"/>'
@@ -195,25 +172,25 @@ def _dial(dial: Dial, paper: Paper) -> str:
     )
 
 
-def _placed_leg_names(posed: Posed, project: Projection) -> list[tuple[str, tuple[float, float]]]:
+def _placed_leg_names(posed: Posed, paper: Paper) -> list[tuple[str, Point]]:
     """Return the names of the legs with the middle of their base lines, beyond their rails."""
     placed = []
     for leg, name in enumerate(posed.geometry.leg_names):
         start, end = posed.rail(leg)
-        x, y = project(end + 0.12 * (end - start))
+        x, y = paper.project(end + 0.12 * (end - start))
         placed.append((name, (x, y + 4)))
     return placed
 
 
-def _paper_with_machine(posed: Posed, dials: Sequence[Dial], project: Projection) -> Paper:
-    """Return the paper with names, dials, rails and bars noted as occupied."""
-    paper = Paper(project, 1 / project.scale)
-    paper.occupied += [text_box(*at, name) for name, at in _placed_leg_names(posed, project)]
+def _occupy(
+    paper: Paper, posed: Posed, dials: Sequence[Dial], leg_names: Sequence[tuple[str, Point]]
+) -> None:
+    """Note the names of the legs, dials, rails and bars as occupied."""
+    paper.occupied += [text_box(*at, name) for name, at in leg_names]
     for dial in dials:
-        paper.occupied.append(circle_box(*project(dial.face(paper.unit)), _DIAL_RADIUS))
+        paper.occupied.append(circle_box(*paper.project(dial.face(paper.unit)), _DIAL_RADIUS))
         paper.add_line([dial.face(paper.unit), dial.tip(paper.unit)])
     for leg in range(3):
         paper.add_line(posed.rail(leg))
         for ends in posed.lines[leg]:
             paper.add_line(ends)
-    return paper

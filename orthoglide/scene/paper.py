@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from html import escape
 
 import numpy as np
@@ -51,16 +51,32 @@ def lettering(x: float, y: float, text: str, colour: str, halo: float) -> str:
 
 @dataclass
 class Paper:
-    """Projection from the base frame to the paper, with the places that are occupied."""
+    """A parallel projection of the base frame, with the places that are occupied."""
 
-    project: Callable[[Array], Point]  # paper coordinates of a point (3,)
-    unit: float  # metres in one unit of the paper
+    view: Array  # unit vectors to the right, down and toward the eye (3, 3)
+    scale: float  # paper units a metre
+    shift: Array  # paper coordinates of the base frame's origin (2,)
     occupied: list[Box] = field(default_factory=list)  # boxes that no text may cover
     lines: list[Point] = field(default_factory=list)  # points of lines, better not covered
 
+    @property
+    def unit(self) -> float:
+        """Metres in one unit of the paper."""
+        return 1 / self.scale
+
+    @property
+    def toward_eye(self) -> Array:
+        """Unit vector toward the eye ``(3,)``."""
+        return np.asarray(self.view[2])
+
+    def project(self, point: Array) -> Point:
+        """Return paper coordinates of a point ``(3,)``."""
+        x, y = (self.shift + self.scale * (self.view[:2] @ point)).tolist()
+        return x, y
+
     def copy(self) -> Paper:
         """Return a copy that can be changed independently."""
-        return Paper(self.project, self.unit, list(self.occupied), list(self.lines))
+        return replace(self, occupied=list(self.occupied), lines=list(self.lines))
 
     def add_line(self, points: Iterable[Array]) -> None:
         """Note a line through points ``(3,)``."""
