@@ -90,12 +90,11 @@ def test_millimetres_and_milliradians_are_told_apart() -> None:
     assert f"{mm[1]:.4f} mm" in repr(after)
 
 
-def test_what_readings_do_not_see_is_not_called_nominal() -> None:
+def test_what_readings_do_not_see_is_said() -> None:
     """A level sees no zeros: an offset of 0.5 mm was told as nominal to 0.02 mm."""
     level = tool(("incline",), errors={"joint_offset.x": 5e-4})
     said = headline(run(Request("identify", (level,), MACHINE)))
-    assert "nominal to" not in said
-    assert "Joint offsets not seen by these readings" in said
+    assert "These readings do not see the joint offsets" in said
     assert "the noise of a reading (0.02 mrad)" in said
 
 

@@ -55,7 +55,7 @@ def changes_page(comparison: Check) -> str:
         "rows": [(sentence(d.words)[:-1], d) for d in comparison.differences],
     }
     told = comparison.told
-    sections = [Section("changes", "", _page_data(comparison) | drawn)]
+    sections = [Section("changes", "", _page_data(comparison) | drawn, folded=False)]
     if told.blunders:
         sections.append(Section("faults", "Faults of the data"))
     return render_template(

@@ -1,56 +1,67 @@
-"""The sentences of a report about an identification, from the values of its result."""
+"""The sentences of a report about a fit: its improvement, and directions that are hardly seen."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.effects.wording import parameter_words
-from orthoglide.numerals import compact, decimals_for, distinct_figures, signed
+from orthoglide.numerals import compact, distinct_figures
 from orthoglide.ordering import best_of
-from orthoglide.parameters import Parameter
-from orthoglide.result import Result, WeakDirection
+from orthoglide.result import Result, Scores, WeakDirection
 from orthoglide.text import listed
 
 _SIGMA_WITHOUT_PRIORS = "one sigma of the readings alone, without priors"
-_HARDLY_CHANGED_RATIO = 0.95  # ratio of deviations above which they "hardly change"
+_HARDLY_FALLS_RATIO = 0.9  # ratio of residuals above which they "hardly" fall
 _UNINFORMED_RATIO = 0.9  # ratio of a sigma to the tolerance above which the readings add nothing
-_MOST_NAMED = 2  # parameters beyond the base model, or weak directions, that are named one by one
+_MOST_NAMED = 2  # weak directions that have a sentence each
 _MOST_NAMED_WEAK = 4  # parameters of a weak direction that its sentence names
 
 
 def identified_words(result: Result) -> str:
-    """Return the identified values, the change of the deviations and the residual, in sentences."""
-    return f"{_identified_values(result)} {_deviation_change(result)}. {_residual_text(result)}"
+    """Return the improvement of the fit, the effects that the readings do not see, and the residual
+    compared with the noise, in sentences.
+    """
+    change = improvement_words(result.start, result.after.scores)
+    texts = (f"With the {base_effects(result)} corrected, {change}.", _unseen_effects_text(result))
+    return " ".join(filter(None, (*texts, _residual_text(result))))
 
 
-def _identified_values(result: Result) -> str:
-    """Return the identified values as the subject of the sentence."""
-    catalogue = result.catalogue
-    names = [catalogue.parameter(name) for name in result.identified]
-    parts = [text for effect in catalogue.base for text in _campaign_phrases(result, names, effect)]
-    others = [name for name in names if name.effect not in catalogue.base]
-    named = others[:_MOST_NAMED]
-    parts += [f"{parameter_words(n, catalogue.legs)} {_value(result, n)}" for n in named]
-    if len(others) > _MOST_NAMED:
-        parts.append(f"{len(others) - _MOST_NAMED} further parameters")
-    text = listed(parts)
-    return text[:1].upper() + text[1:]
+def improvement_words(before: Scores, after: Scores) -> str:
+    """Return by how much a fit reduces the residuals, a clause."""
+    averaged = math.isfinite(after.deviation_rms)
+    of = "averaged readings and their prediction" if averaged else "readings and prediction"
+    return f"the difference between {of} {_rms_change(before, after)}"
 
 
-def _deviation_change(result: Result) -> str:
-    """Return by how much the fit reduces the deviations, a predicate."""
+def _rms_change(before: Scores, after: Scores) -> str:
+    """Return ``falls from 0.3 to 0.01 mm rms``, for lengths and for inclinations."""
     parts, last = [], ""
-    before, after = result.nominal.reported.shown, result.after.scores.reported.shown
-    for unit, now in after.items():
-        figures = distinct_figures(before[unit], now)
-        verb = "hardly change" if now > _HARDLY_CHANGED_RATIO * before[unit] else "reduce"
-        verb = "do not reduce" if figures[0] == figures[1] else verb
-        lead = f"{verb} {'them' if last else 'the deviations'} " if verb != last else ""
-        parts.append(f"{lead}from {' to '.join(dict.fromkeys(figures))} {unit}")
-        last = verb
+    for unit, now in after.reported.shown.items():
+        was = before.reported.shown[unit]
+        verb = "hardly falls" if now > _HARDLY_FALLS_RATIO * was else "falls"
+        figures = distinct_figures(was, now)
+        text = f"{verb if verb != last else ''} from {' to '.join(figures)} {unit} rms".strip()
+        stays = now >= was or figures[0] == figures[1]
+        parts.append(f"does not fall, at {figures[1]} {unit} rms" if stays else text)
+        last = "" if stays else verb
     return ", and ".join(parts)
+
+
+def _unseen_effects_text(result: Result) -> str:
+    """Return the identified effects whose values the readings leave to the priors, a sentence;
+    empty for none.
+    """
+    fit, catalogue, machine = result.after, result.catalogue, result.request.machine
+    seen = {
+        catalogue.effect_of(name).name
+        for name, sigma in fit.sigmas.items()
+        if sigma <= _UNINFORMED_RATIO * machine.tolerance(name)
+        or abs(fit.values[name]) > fit.coverage_factor * sigma
+    }
+    unseen = [name for name in fit.names if catalogue.effect_of(name).name not in seen]
+    return f"These readings do not see the {_effect_plurals(unseen, catalogue)}." if unseen else ""
 
 
 def _residual_text(result: Result) -> str:
@@ -81,49 +92,6 @@ def _effect_plurals(names: Iterable[str], catalogue: Catalogue) -> str:
     effect_words = catalogue.legs.effect_words
     words = dict.fromkeys(effect_words(catalogue.effect_of(name).name) for name in names)
     return listed(f"{n}es" if n.endswith(("sh", "ch", "ss", "x")) else f"{n}s" for n in words)
-
-
-def _campaign_phrases(result: Result, parameters: Sequence[Parameter], effect: str) -> list[str]:
-    """Return a phrase for each campaign: ``joint offsets x -0.51, y +0.56 mm``."""
-    groups: dict[str, list[Parameter]] = {}
-    for name in parameters:
-        if name.effect == effect:
-            groups.setdefault(name.campaign, []).append(name)
-    phrases = []
-    for campaign, names in groups.items():
-        noun = result.catalogue.legs.effect_words(effect) + ("s" if len(names) > 1 else "")
-        campaign_words = f" ({campaign})" if campaign else ""
-        if near_words := _near_nominal(result, names):
-            phrases.append(f"{noun} {near_words}{campaign_words}")
-            continue
-        values = ", ".join(f"{n.member or n.leg} {_value(result, n, False)}" for n in names)
-        unit = result.catalogue[effect].unit
-        phrases.append(f"{noun} {values}{unit.behind}{campaign_words}")
-    return phrases
-
-
-def _near_nominal(result: Result, names: Sequence[Parameter]) -> str:
-    """Return a phrase for lengths that differ from nominal by no more than the noise; else empty.
-
-    The phrase states a larger uncertainty if the readings determine them less well than that.
-    """
-    fit = result.after
-    half = fit.coverage_factor * max(fit.sigmas[name] for name in names)
-    noise = result.noise.single_reading.length
-    threshold = half if math.isnan(noise) else noise
-    if max(abs(fit.values[name]) for name in names) > threshold:
-        return ""
-    if all(fit.sigmas[n] > _UNINFORMED_RATIO * result.request.machine.tolerance(n) for n in names):
-        return "not seen by these readings"
-    return f"nominal to {compact(max(threshold, half) * 1e3, 1)} mm"
-
-
-def _value(result: Result, name: Parameter, with_unit: bool = True) -> str:
-    unit, identified = result.catalogue.effect_of(name).unit, result.identified[name]
-    # Along a weak direction a sigma of millimetres would round off digits that are determined.
-    decimals = 2 if unit.name == "mm" else decimals_for(identified.sigma, 9)
-    text = signed(identified.value, decimals)
-    return f"{text}{unit.behind}" if with_unit else text
 
 
 def weak_sentences(weak: Iterable[WeakDirection], catalogue: Catalogue = CATALOGUE) -> list[str]:

@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from orthoglide.accuracy import ExpectedError
 
 _VALIDATION_ROLES = {"holdout": "held out to judge by", "tcp": "measured at the TCP to judge by"}
-_UNFOLDED = ("finding", "left", "firmware", "controller", "changes")  # sections shown open
 
 
 @dataclass(frozen=True)
@@ -58,11 +57,7 @@ class Section:
     title: str  # its heading; empty for the verdict at the top
     # values for the template besides the result and its figures
     data: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def folded(self) -> bool:
-        """Whether the section is closed at first."""
-        return self.template not in _UNFOLDED
+    folded: bool = True  # whether the section is closed at first
 
 
 def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
@@ -83,16 +78,16 @@ def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
 
 def _sections(result: Result, sheet: str) -> Iterator[Section]:
     searches = result.searches
-    yield Section("finding", "", finding(result))
+    yield Section("finding", "", finding(result), folded=False)
     if result.blunders:
         yield Section("faults", "Faults of the data")
     if searches and not result.stands:
-        yield Section("left", "What is left")
+        yield Section("left", "What is left", folded=False)
     if result.corrections is not None:
-        yield Section("firmware", "Numbers for the firmware")
+        yield Section("firmware", "Numbers for the firmware", folded=False)
     controller = {"drives": ()} if result.firmware else sections.controller(result)
     if controller["drives"]:
-        yield Section("controller", "Numbers for the controller", controller)
+        yield Section("controller", "Numbers for the controller", controller, folded=False)
     yield Section("judged", "Before and after", sections.score_data(result))
     if searches:
         yield Section("causes", "Causes, and how sure they are")
@@ -107,7 +102,8 @@ def _sections(result: Result, sheet: str) -> Iterator[Section]:
     if result.workspace is not None:
         space = sections.workspace(result, result.workspace)
         yield Section("workspace", "The TCP over the workspace", space)
-    yield Section("values", "What was identified", sections.values(result))
+    values = sections.values(result)  # the finding of an identification
+    yield Section("values", "What was identified", values, folded=searches)
     yield Section("readings", "Readings and fit, setup by setup")
     yield Section("unseen", "What these readings cannot tell", sections.unseen(result))
     yield Section("method", "How this was computed", sections.method(result))

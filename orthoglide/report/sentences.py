@@ -12,11 +12,10 @@ from orthoglide.notes import Note
 from orthoglide.numerals import compact, distinct_figures, probability, with_sigma
 from orthoglide.observations.approach import APPROACH_NOT_RECORDED, APPROACH_REMEDY
 from orthoglide.report.claims import SOMETHING_ELSE_WRONG, claims, claims_text, lower_first
-from orthoglide.report.identified import base_effects, identified_words
-from orthoglide.result import Action, Change, Result, Scores
+from orthoglide.report.identified import base_effects, identified_words, improvement_words
+from orthoglide.result import Action, Change, Result
 from orthoglide.text import listed, sentence
 
-_HARDLY_FALLS_RATIO = 0.9  # ratio of residuals above which they "hardly" fall
 _ZEROS_FIRST_RATIO = 1.5  # residuals without over with new zeros from which the zeros come first
 _NO_RESIDUAL = 1e-9  # metres: residuals that no real machine attains
 _CHANCE_LEVEL = 0.01  # probability above which residuals are attributed to noise alone
@@ -136,7 +135,7 @@ def _change_sentences(changes: Iterable[Change]) -> str:
 
 
 def _fit_evidence(result: Result) -> str:
-    base, improvement = base_effects(result), _improvement(result.start, result.after.scores)
+    base, improvement = base_effects(result), improvement_words(result.start, result.after.scores)
     condition = "With this in the model" if result.found else f"With the {base} corrected"
     if result.word == "unexplained":
         return f"{condition}, {improvement}."
@@ -147,7 +146,7 @@ def _fit_evidence(result: Result) -> str:
         )
     if too_few_to_test(result):
         if not result.found:
-            improvement = _improvement(result.nominal, result.before.scores)
+            improvement = improvement_words(result.nominal, result.before.scores)
         return f"{condition}, {improvement}. Too few readings are left over to judge that."
     contents = ["this" if result.found else f"the corrected {base}"]
     if result.improved and not result.found:
@@ -256,26 +255,6 @@ def _why_significant(result: Result) -> str:
         f"{noise_words(result)}. It is significant by its pattern over setups and postures, which "
         f"noise alone shows with probability {probability(result.left.p_value)}."
     )
-
-
-def _improvement(before: Scores, after: Scores) -> str:
-    averaged = math.isfinite(after.deviation_rms)
-    of = "averaged readings and their prediction" if averaged else "readings and prediction"
-    return f"the difference between {of} {_rms_change(before, after)}"
-
-
-def _rms_change(before: Scores, after: Scores) -> str:
-    """Return ``falls from 0.3 to 0.01 mm rms``, for lengths and for inclinations."""
-    parts, last = [], ""
-    for unit, now in after.reported.shown.items():
-        was = before.reported.shown[unit]
-        verb = "hardly falls" if now > _HARDLY_FALLS_RATIO * was else "falls"
-        figures = distinct_figures(was, now)
-        text = f"{verb if verb != last else ''} from {' to '.join(figures)} {unit} rms".strip()
-        stays = now >= was or figures[0] == figures[1]
-        parts.append(f"does not fall, at {figures[1]} {unit} rms" if stays else text)
-        last = "" if stays else verb
-    return ", and ".join(parts)
 
 
 def noise_words(result: Result) -> str:
