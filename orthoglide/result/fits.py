@@ -47,11 +47,6 @@ class Scores:
         return ByUnit(self.rms, self.turn_rms)
 
     @property
-    def left_out(self) -> ByUnit:
-        """Residuals of stations left out, root mean square."""
-        return ByUnit(self.cv_rms, self.turn_cv_rms)
-
-    @property
     def reported(self) -> ByUnit:
         """Figures that reports state: the papers' deviations if dials were read, else residuals of
         lengths, and residuals of inclinations.
@@ -116,21 +111,6 @@ class TcpErrors:
     after_max: Metres
     # share of the coordinates within the 95 % interval stated for `after`; nan without one
     inside: Annotated[float, Key("inside_95", digits=SHORT_DIGITS, omit_if_nan=True)] = math.nan
-
-    @property
-    def nominal(self) -> tuple[float, float]:
-        """Mean and largest error of the machine without errors."""
-        return self.nominal_mean, self.nominal_max
-
-    @property
-    def before(self) -> tuple[float, float]:
-        """Mean and largest error of the base model."""
-        return self.before_mean, self.before_max
-
-    @property
-    def after(self) -> tuple[float, float]:
-        """Mean and largest error of the extended model."""
-        return self.after_mean, self.after_max
 
 
 @dataclass(frozen=True)
