@@ -46,8 +46,8 @@ class Verdict(Result):
         """Return a figure of the report, which notebooks show and ``save`` writes.
 
         Args:
-            what: ``"residuals"`` or ``"readings"`` by setup, the errors of the tool over the
-                ``"workspace"``, or after ``identify`` the ``"parameters"``.
+            what: ``"residuals"`` or ``"readings"`` by setup, or the errors of the tool over the
+                ``"workspace"``, which ``identify`` does not compute.
 
         Raises:
             InputError: if this result has no such figure.

@@ -303,7 +303,7 @@ def test_a_name_that_is_too_long(command: tuple[str, ...], here: Path) -> None:
 
 FILES = {
     "result.json", "calibrated.toml", "calibrated.npz", "residuals.csv", "report.html",
-    "figures/readings.svg", "figures/residuals.svg", "figures/parameters.svg",
+    "figures/readings.svg", "figures/residuals.svg",
 }  # fmt: skip
 
 

@@ -228,7 +228,7 @@ def test_rerun_gives_the_same_numbers_and_files(ran: Path) -> None:
     shown = done("rerun", "out/result.json", "--out", "again")
     assert "The same numbers again" in shown
     assert tree(ran / "out") == tree(ran / "again")
-    assert set(tree(ran / "out")) >= FILES | {"figures/signatures-1.svg"}
+    assert set(tree(ran / "out")) >= FILES | {"figures/workspace.svg"}
 
 
 def test_rerun_needs_no_files_and_says_which_have_changed(identified: Path) -> None:

@@ -469,5 +469,5 @@ def test_nothing_overflows_in_a_browser(tmp_path: Path) -> None:
     assert seen.inner == 390
     assert seen.page <= 390
     assert (seen.out, seen.cut, seen.flat) == ([], [], 0)
-    assert seen.svgs == 9  # the machine, residuals, values, and a panel for each setup
+    assert seen.svgs == 8  # the machine, residuals, and a panel for each setup
     assert seen.height > 2000

@@ -239,7 +239,7 @@ def test_a_machine_with_nothing_wrong() -> None:
     assert verdict.word == "adequate"
     assert "othing else is wrong that these readings could show" in headline(verdict)
     page = report_files(verdict)["report.html"]
-    assert not {"apart", "left", "faults"} & set(re.findall(r'section id="(\w+)"', page))
+    assert not {"located", "left", "faults"} & set(re.findall(r'section id="(\w+)"', page))
 
 
 # --- result.json and its neighbours ---------------------------------------------------------

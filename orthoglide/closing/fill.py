@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from dataclasses import fields, replace
 from typing import Any, Literal, TypeVar
 
-import numpy as np
-
 from orthoglide.accuracy import tcp_map, without_translation, workspace_grid
 from orthoglide.closing.actions import actions, not_advised
 from orthoglide.closing.outcome import RunOutcome
@@ -29,7 +27,6 @@ from orthoglide.parameters import Parameter
 from orthoglide.planning import INSTRUMENT_WORDS, Suggestion
 from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.result import (
-    Cause,
     DataFault,
     Fit,
     Noise,
@@ -48,9 +45,6 @@ _ROUNDING = 1e-12
 """Metres: smaller differences of two derivations are rounding, which depends on the processor."""
 
 _ONE_OR_SEVERAL = "one alone, or several differently"
-
-MAX_DRAWN_CAUSES = 4
-"""Causes of a credible set that one figure shows; more lines cannot be distinguished."""
 
 R = TypeVar("R", bound=Result)
 T = TypeVar("T")
@@ -81,8 +75,6 @@ def _result_values(outcome: RunOutcome) -> Result:
         before=_value_of(Fit, base),
         after=_value_of(Fit, after),
         rms_of_all=outcome.first_fit.scores.rms,
-        effects=tuple(map(_with_drawn_signatures, outcome.effects)),
-        alone=tuple(replace(one, shown=np.zeros(0)) for one in outcome.alone),
         blunders=tuple(_data_faults(outcome)),
         changed=tuple(_change_value(c, id(c) not in uncovered) for c in outcome.changed),
         weak=after.weak,
@@ -243,18 +235,6 @@ def _value_of(cls: type[T], source: object, **others: Any) -> T:
     """
     names = (f.name for f in fields(cls) if f.name not in others)  # type: ignore[arg-type]
     return cls(**{name: getattr(source, name) for name in names}, **others)
-
-
-def _with_drawn_signatures(cause: Cause) -> Cause:
-    """Return a cause of which only the explanations that a figure shows keep the readings that they
-    predict.
-    """
-    drawn = cause.explanations[:MAX_DRAWN_CAUSES]
-    rivals, same = (
-        tuple(one if one in drawn else replace(one, shown=np.zeros(0)) for one in members)
-        for members in (cause.rivals, cause.same)
-    )
-    return replace(cause, rivals=rivals, same=same)
 
 
 def _change_value(change: Change, covered: bool) -> fits.Change:

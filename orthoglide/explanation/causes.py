@@ -198,7 +198,6 @@ def _beyond_tolerance(
             float(ndtr((abs(value) - limit) / sigma)),
             {str(name): value},
             {str(name): sigma},
-            linearised.visible_part(index, (weights > 0) * value / units),
             posterior.machine.catalogue,
             posterior.machine_values(posterior.mean),
         )

@@ -259,7 +259,6 @@ class _CredibleSetReader:
             probability,
             dict(zip(candidate.parameters, (value * tolerances).tolist(), strict=True)),
             dict(zip(candidate.parameters, (sigma * tolerances).tolist(), strict=True)),
-            linearised.visible_part(group.coefficients, group.weights @ value),
             self.posterior.machine.catalogue,  # which includes free-form errors
             self.posterior.machine_values(mean),
         )

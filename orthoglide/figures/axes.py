@@ -32,7 +32,7 @@ _DESCENT = 0.36  # of the font size: from the middle of digits down to their bas
 _LETTER = 0.6  # of the font size: average width of a letter in wide fonts
 _SAMPLE = 17.0  # width of a key in a legend
 _LINE_SAMPLE, _BOX_SAMPLE = f"h{_SAMPLE:g}", f"m0 -2.6h{_SAMPLE:g}v5.2h-{_SAMPLE:g}z"
-_DASHES = {"-": (), "--": (3.7, 1.6), ":": (1.0, 1.65), "-.": (6.4, 1.6, 1.0, 1.6)}  # of the width
+_DASH, _GAP = 3.7, 1.6  # of the width of a dashed line
 _STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)  # round numbers
 _MOST_DECIMALS = 4  # of a tick; with more, powers of ten are shorter
 
@@ -111,30 +111,15 @@ def legend(x: float, y: float, keys: Sequence[Key], names: Sequence[str]) -> str
     return "".join(parts)
 
 
-def _stroke(colour: str, width: float, dash: str = "-", alpha: float = 1.0) -> str:
-    lengths = " ".join(f"{width * part:.3g}" for part in _DASHES[dash])
-    return (
-        f'fill="none" stroke="{colour}" stroke-width="{width:g}"'
-        + (f' stroke-dasharray="{lengths}"' if lengths else "")
-        + (f' stroke-opacity="{alpha:g}"' if alpha < 1 else "")
-    )
+def _stroke(colour: str, width: float, dashed: bool = False, alpha: float = 1.0) -> str:
+    dashes = f' stroke-dasharray="{_DASH * width:.3g} {_GAP * width:.3g}"' if dashed else ""
+    opacity = f' stroke-opacity="{alpha:g}"' if alpha < 1 else ""
+    return f'fill="none" stroke="{colour}" stroke-width="{width:g}"{dashes}{opacity}'
 
 
 def _fill(colour: str, alpha: float = 1.0) -> str:
     opacity = f' fill-opacity="{alpha:.3g}"' if alpha < 1 else ""
     return f'fill="{colour}"{opacity}'
-
-
-def _marker(shape: str, size: float) -> str:
-    """Return the path of a marker relative to its middle: a circle, a triangle or a dash."""
-    half, whole = f"{size / 2:g}", f"{size:g}"
-    arc = f"a{half} {half} 0 1 0"
-    return {
-        "o": f"m-{half} 0{arc} {whole} 0{arc} -{whole} 0z",
-        "^": f"m0 -{half}l{half} {whole}h-{whole}z",
-        "v": f"m0 {half}l{half} -{whole}h-{whole}z",
-        "_": f"m-{half} 0h{whole}",
-    }[shape]
 
 
 class Axes:
@@ -180,15 +165,13 @@ class Axes:
             middle = self.left + self.width / 2
             self._labels.append(text(middle, bottom + 21, label, anchor="middle", colour=MUTED))
 
-    def set_y_axis(
-        self, ticks: Ticks, label: str = "", lines: bool = True, colour: str = MUTED
-    ) -> None:
+    def set_y_axis(self, ticks: Ticks, label: str = "", lines: bool = True) -> None:
         """Draw tick texts and the label at the left; ``lines``: with the grid."""
         left, places = self.left, self.up([value for value, _ in ticks]).tolist()
         if lines:
             self._add_grid([f"M{left:.2f} {y:.2f}h{self.width:.2f}" for y in places])
         self._labels += [
-            text(left - 3.5, y + _DESCENT * _LABEL, words, anchor="end", colour=colour)
+            text(left - 3.5, y + _DESCENT * _LABEL, words, anchor="end", colour=MUTED)
             for y, (_, words) in zip(places, ticks, strict=True)
             if words
         ]
@@ -202,12 +185,11 @@ class Axes:
     # --- Marks ------------------------------------------------------------------------------
 
     def line(
-        self, x: ArrayLike, y: ArrayLike, colour: str, width: float = 1.3, dash: str = "-",
-        alpha: float = 1.0,
-    ) -> Key:  # fmt: skip
+        self, x: ArrayLike, y: ArrayLike, colour: str, width: float = 1.3, dashed: bool = False
+    ) -> Key:
         """Draw a line through points."""
-        return self._add(f"M{'L'.join(self._places(x, y))}", _stroke(colour, width, dash, alpha),
-                         _LINE_SAMPLE)  # fmt: skip
+        path = f"M{'L'.join(self._places(x, y))}"
+        return self._add(path, _stroke(colour, width, dashed), _LINE_SAMPLE)
 
     def segments(
         self, x: ArrayLike, y: ArrayLike, to_x: ArrayLike, to_y: ArrayLike, colour: str,
@@ -227,14 +209,21 @@ class Axes:
             self.segments(self._x[0], 0.0, self._x[1], 0.0, MUTED)
 
     def points(
-        self, x: ArrayLike, y: ArrayLike, colour: str, size: float, shape: str = "o",
-        filled: bool = True,
-    ) -> Key:  # fmt: skip
-        """Draw a marker at each point."""
-        marker = _marker(shape, size)
-        style = _fill(colour) if filled and shape != "_" else _stroke(colour, 0.9)
-        path = "".join(f"M{place}{marker}" for place in self._places(x, y))
-        return self._add(path, style, f"m{_SAMPLE / 2:g} 0{marker}")
+        self, x: ArrayLike, y: ArrayLike, colour: str, size: float, filled: bool = True
+    ) -> Key:
+        """Draw a circle around each point."""
+        half = size / 2
+        arc = f"a{half:g} {half:g} 0 1 0"
+        circle = f"m-{half:g} 0{arc} {size:g} 0{arc} -{size:g} 0z"
+        style = _fill(colour) if filled else _stroke(colour, 0.9)
+        path = "".join(f"M{place}{circle}" for place in self._places(x, y))
+        return self._add(path, style, f"m{_SAMPLE / 2:g} 0{circle}")
+
+    def ticks(self, x: ArrayLike, y: ArrayLike, colour: str, size: float) -> Key:
+        """Draw a short horizontal line at each point."""
+        tick = f"m-{size / 2:g} 0h{size:g}"
+        path = "".join(f"M{place}{tick}" for place in self._places(x, y))
+        return self._add(path, _stroke(colour, 0.9), f"m{_SAMPLE / 2:g} 0{tick}")
 
     def band(
         self, x: ArrayLike, low: ArrayLike, high: ArrayLike, colour: str, alpha: float = 1.0

@@ -1,29 +1,17 @@
-"""All figures of a result, or one by its name; the figures of workspace and parameters."""
+"""All figures of a result, or one by its name; the figure of the workspace."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 import orthoglide.figures.style as style
-from orthoglide.effects import Catalogue, Effect
 from orthoglide.errors import check_choice
-from orthoglide.figures.axes import (
-    LEGEND_HEIGHT,
-    SINGLE_WIDTH,
-    Axes,
-    Key,
-    Panel,
-    legend,
-    panel_drawing,
-    round_ticks,
-)
-from orthoglide.figures.causes import draw_located, draw_signatures
+from orthoglide.figures.axes import Axes, Panel, panel_drawing
+from orthoglide.figures.located import draw_located
 from orthoglide.figures.readings import draw_readings, draw_residuals
 from orthoglide.figures.style import Drawing
-from orthoglide.frames import Framed
 from orthoglide.geometry import Array
 from orthoglide.numerals import ByUnit, signed
 from orthoglide.result import ReadingsShown, Result, Workspace
@@ -33,15 +21,12 @@ _MAX_OPACITY = 0.7  # opacity of the cell with the largest value
 
 def draw(result: Result) -> list[Drawing]:
     """Return all figures of a result."""
-    causes = enumerate(result.effects, start=1)
-    drawings = [draw_signatures(cause, result.readings, k) for k, cause in causes]
-    drawings += [draw_located(located, k) for k, located in enumerate(result.located, start=1)]
+    drawings = [draw_located(located, k) for k, located in enumerate(result.located, start=1)]
     return drawings + [drawn_by() for drawn_by in _result_figures(result).values()]
 
 
 def draw_one(result: Result, what: str) -> Drawing:
-    """Return one figure of a result: ``"residuals"``, ``"readings"``, ``"workspace"``, or after
-    ``identify`` ``"parameters"``.
+    """Return one figure of a result: ``"residuals"``, ``"readings"`` or ``"workspace"``.
 
     Raises:
         InputError: if this result has no such figure.
@@ -49,16 +34,14 @@ def draw_one(result: Result, what: str) -> Drawing:
     return _draw_named(_result_figures(result), what)
 
 
-def draw_fit(
-    readings: ReadingsShown, noise: ByUnit, fit: Framed, catalogue: Catalogue, what: str
-) -> Drawing:
-    """Return one figure of a fit, with effects of a catalogue: ``"residuals"``, ``"readings"`` or
-    ``"parameters"``; ``noise`` is the standard deviation of a reading.
+def draw_fit(readings: ReadingsShown, noise: ByUnit, what: str) -> Drawing:
+    """Return one figure of a fit, ``"residuals"`` or ``"readings"``; ``noise`` is the standard
+    deviation of a reading.
 
     Raises:
         InputError: if there is no such figure.
     """
-    return _draw_named(_fit_figures(readings, readings.nominal, noise, fit, catalogue), what)
+    return _draw_named(_fit_figures(readings, readings.nominal, noise), what)
 
 
 _FigureMakers = dict[str, Callable[[], Drawing]]
@@ -67,21 +50,16 @@ _FigureMakers = dict[str, Callable[[], Drawing]]
 def _result_figures(result: Result) -> _FigureMakers:
     readings, space = result.readings, result.workspace
     before = readings.before if result.improved else readings.nominal
-    noise = result.noise.single_reading
-    makers = _fit_figures(readings, before, noise, result, result.catalogue)
+    makers = _fit_figures(readings, before, result.noise.single_reading)
     if space is not None:
-        del makers["parameters"]
         makers["workspace"] = lambda: draw_workspace(space, result.improved)
     return makers
 
 
-def _fit_figures(
-    readings: ReadingsShown, before: Array, noise: ByUnit, fit: Framed, catalogue: Catalogue
-) -> _FigureMakers:
+def _fit_figures(readings: ReadingsShown, before: Array, noise: ByUnit) -> _FigureMakers:
     return {
         "residuals": lambda: draw_residuals(readings, before, noise),
         "readings": lambda: draw_readings(readings, before),
-        "parameters": lambda: draw_parameters(fit.columns, catalogue),
     }
 
 
@@ -156,52 +134,3 @@ def _draw_level(
     axes.set_x_axis(x_ticks, f"{axis.format('x')}, mm", lines=False)
     axes.set_y_axis(y_ticks, f"{axis.format('y')}, mm", lines=False)
     return axes
-
-
-# --- Parameters -----------------------------------------------------------------------------
-
-
-def draw_parameters(columns: Mapping[str, Sequence[Any]], catalogue: Catalogue) -> Drawing:
-    """Return the figure of values with 95 % intervals against tolerances, a strip for each effect;
-    ``columns`` are those of a fit.
-    """
-    strips: dict[Effect, list[int]] = {}
-    names = columns["parameter"]
-    for k, name in enumerate(names):
-        strips.setdefault(catalogue.effect_of(name), []).append(k)
-    heights = [52.0 + 17.0 * len(members) for members in strips.values()]
-    labels = [name.removeprefix(f"{catalogue.effect_of(name).name}.") for name in names]
-    size, left = (SINGLE_WIDTH, sum(heights) + LEGEND_HEIGHT), 14.0 + 4.3 * max(map(len, labels))
-    panel = Panel((0.0, 0.0, *size))
-    top = LEGEND_HEIGHT
-    for (effect, members), height in zip(strips.items(), heights, strict=True):
-        value, low, high, tolerance = (
-            np.array(columns[title], dtype=float)[members]
-            for title in ("value", "lower", "upper", "tolerance")
-        )
-        shown = (value, (high - low) / 2, float(tolerance[0]))
-        below = size[1] - top - height + 28.0
-        axes, keys = _draw_strip(panel, *shown, min(left, 122.0), top + 14.0, below)
-        axes.set_title(f"{effect.name.replace('_', ' ')}, {effect.unit.name}")
-        axes.set_y_axis([(k, labels[n]) for k, n in enumerate(members)], colour=style.INK)
-        top += height
-    texts = legend(8.0, 10.0, keys, ("value, 95 % interval", "tolerance, ± 1 sigma"))
-    title = "Identified values against their tolerances"
-    return Drawing("parameters", title, size, (panel.svg(),), texts)
-
-
-def _draw_strip(
-    panel: Panel, value: Array, half: Array, tolerance: float, left: float, top: float,
-    bottom: float,
-) -> tuple[Axes, list[Key]]:  # fmt: skip
-    """Draw values with half their intervals; return the axes and keys of the legend."""
-    rows = np.arange(len(value))
-    reach = 1.1 * max(float(np.max(np.abs(value) + half)), 1.1 * tolerance)
-    x, y = (-reach, reach), (len(rows) - 0.5, -0.5)
-    axes = panel.add_axes(x, y, left=left, top=top, bottom=bottom)
-    band = axes.boxes([0.0], [(len(rows) - 1) / 2], 2 * tolerance, len(rows), style.BAND, 0.25)
-    axes.zero(vertical=True)
-    axes.segments(value - half, rows, value + half, rows, style.FIT, 1.6)
-    dots = axes.points(value, rows, style.FIT, 4.4)
-    axes.set_x_axis(round_ticks(x, 5))
-    return axes, [dots, band]

@@ -123,12 +123,12 @@ def _draw_setup(axes: Axes, setup: _Panel) -> list[Key]:
     step = np.diff(x) < 1e-6
     if not np.any(np.abs(np.diff(fit)[step]) > noise[1:][step] / 2):
         noise_key = axes.band(x, fit - noise, fit + noise, style.BAND, 0.35)
-        before_key = axes.line(x, before, style.BEFORE, 1.0, "--")
+        before_key = axes.line(x, before, style.BEFORE, 1.0, dashed=True)
         fit_key = axes.line(x, fit, style.FIT)
     else:
         noise_key = axes.segments(x, fit - noise, x, fit + noise, style.BAND, 3.0, 0.5)
-        before_key = axes.points(x, before, style.BEFORE, 4.0, "_")
-        fit_key = axes.points(x, fit, style.FIT, 6.0, "_")
+        before_key = axes.ticks(x, before, style.BEFORE, 4.0)
+        fit_key = axes.ticks(x, fit, style.FIT, 6.0)
     size = 3.6 if len(x) < 12 else 2.4
     return [axes.points(setup.x, setup.measured, style.DATA, size), fit_key, noise_key, before_key]
 
@@ -167,7 +167,7 @@ def draw_residuals(readings: ReadingsShown, before: Array, noise: ByUnit) -> Dra
     axes.zero(vertical=True)
     units = " or ".join(_panels_by_unit(setups))
     axes.set_x_axis(round_ticks(x, 6), f"reading less prediction, {units}")
-    axes.set_y_axis(list(enumerate(names)), colour=style.INK)
+    axes.set_y_axis(list(enumerate(names)))
     keys = legend(8.0, 10.0, [open_dots, dots, band], ("before", "after", "noise, ± 2 sigma"))
     title = "Residuals by setup, before and after"
     return Drawing("residuals", title, size, (panel.svg(),), keys)

@@ -17,8 +17,6 @@ PALETTE = {
     "fit": "#0072b2",
     "before": "#939ca3",
     "band": "#56b4e9",
-    "minus": "#cc79a7",
-    "third": "#009e73",
 }
 INK, MUTED, GRID = PALETTE["ink"], PALETTE["muted"], PALETTE["grid"]
 DATA, FIT, BEFORE, BAND = (PALETTE[name] for name in ("data", "fit", "before", "band"))

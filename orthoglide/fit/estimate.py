@@ -208,8 +208,7 @@ class Estimate(Framed):
         """A figure of the fit, which notebooks show and ``save`` writes.
 
         Args:
-            what: ``"residuals"`` or ``"readings"`` by setup, or ``"parameters"`` against their
-                tolerances.
+            what: ``"residuals"`` or ``"readings"``, by setup.
 
         Raises:
             InputError: for an unknown figure.
@@ -217,14 +216,7 @@ class Estimate(Framed):
         from orthoglide.figures.draw import draw_fit
         from orthoglide.fit.reading_tables import fitted_readings
 
-        problem = self.problem
-        return draw_fit(
-            fitted_readings(self, self),
-            problem.single_reading_sd,
-            self,
-            problem.machine.catalogue,
-            what,
-        )
+        return draw_fit(fitted_readings(self, self), self.problem.single_reading_sd, what)
 
 
 def _residual_text(rms: ByUnit) -> str:

@@ -37,10 +37,8 @@ def fitted_readings(
         mountings=tuple(_mountings(problem)),
         file=np.repeat(np.arange(len(tables)), [len(part) for part in tables]),
         row=np.concatenate(rows),
-        station=problem.station.astype(np.int64),
         measured=problem.measured,
         sigma=problem.sigma,
-        common=problem.shared_rounding_sd,
         nominal=base.predicted_before,
         before=base.predicted,
         after=fit.predicted,
@@ -74,7 +72,6 @@ def _mountings(problem: Problem) -> Iterator[Mounting]:
             if not len(chosen):
                 continue
             x: Array = np.arange(1.0, len(chosen) + 1)
-            side: Array = np.zeros(len(chosen))
             if setup.leg >= 0:
                 leg = setup.leg
                 travel = readings.command[chosen, leg] - problem.machine.geometry.zero[leg]
@@ -83,14 +80,13 @@ def _mountings(problem: Problem) -> Iterator[Mounting]:
                 title = f"{name}: leg {LEGS[leg]}, read along {setup.direction}"
                 label = f"travel of carriage {LEGS[leg]}, mm" if moves else "place in the file"
                 x = travel * 1e3 if moves else readings.order[chosen].astype(float)
-                side = readings.approach[chosen, leg].astype(float)
             else:
                 name, label = _setup_label(readings.name, setup.name), "reading"
                 title = f"{name}, {setup.kind}"
             rows = (factor_slice.start + chosen).astype(np.int64)
             unit = setup.observation.unit
             setup_name = "" if readings.by_point else setup.name
-            yield Mounting(setup_name, name, title, label, rows, x, side, unit)
+            yield Mounting(setup_name, name, title, label, rows, x, unit)
 
 
 def _setup_label(file: str, setup: str) -> str:

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import orthoglide.report.sections as sections
 from orthoglide import __version__
 from orthoglide.control import withholding_reason
-from orthoglide.figures.causes import drawn_explanations
 from orthoglide.figures.readings import MAX_DRAWN
 from orthoglide.figures.style import Drawing
 from orthoglide.numerals import compact, plain, probability, signed, with_sigma
@@ -93,8 +92,6 @@ def _sections(result: Result, sheet: str) -> Iterator[Section]:
         yield Section("causes", "Causes, and how sure they are")
     if result.located:
         yield Section("located", "Where it is")
-    if result.effects:
-        yield Section("apart", "What each cause predicts")
     if searches:
         yield Section("next", "What to measure next", sections.next_readings_data(result, sheet))
     if result.budget:
@@ -201,7 +198,7 @@ def _tile(stage: str, error: ExpectedError) -> Tile:
 _FILTERS = (
     sentence, listed, lower_first, gain_words, compact, plain, signed, probability, with_sigma,
     meaning, no_action_text, claims, tiles, further_warnings, inline_svg, inline_panels,
-    drawn_explanations, base_effects, parameter_rows, score_rows, possible_rows,
+    base_effects, parameter_rows, score_rows, possible_rows,
     probable_candidates,
     sections.largest_residual, sections.reason_not_to_enter,
 )  # fmt: skip

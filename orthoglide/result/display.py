@@ -81,7 +81,6 @@ class Mounting:
     rows: Numbers  # rows of `ReadingsShown` that belong to it (m,)
     # travel of the touched leg's carriage in millimetres, or number in the file (m,)
     x: Annotated[Array, Key(digits=SHORT_DIGITS)]
-    side: Annotated[Array, Key(digits=1)]  # direction of approach of that leg's axis (m,)
     unit: str  # unit for display: mm or mrad
 
 
@@ -92,10 +91,8 @@ class ReadingsShown:
     mountings: tuple[Mounting, ...]  # in the order of the files
     file: Numbers  # number of the readings within the request (n,)
     row: Numbers  # row within these readings (n,)
-    station: Numbers  # number of the station: a posture of a setup (n,)
     measured: Rows  # (n,)
     sigma: Rows  # standard deviation of the noise that is independent in each reading (n,)
-    common: Rows  # standard deviation of the noise that all readings of a station share (n,)
     nominal: Rows  # predicted for the machine as it was (n,)
     before: Rows  # predicted by the base model (n,)
     after: Rows  # predicted by the last fit (n,)

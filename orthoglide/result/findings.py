@@ -45,9 +45,6 @@ class Explanation:
     probability: Share  # conditional on the other causes found
     values: Annotated[Mapping[str, float], Key("values_si")]  # by parameter, SI
     sigmas: Annotated[Mapping[str, float], Key("sigmas_si")]  # standard deviations of `values`
-    # predicted contribution to the readings, datums fitted (n,), metres or radians; in a result
-    # empty for a cause that no figure shows
-    shown: Annotated[Array, Key("shown_si", digits=SHORT_DIGITS)]
     catalogue: Catalogue  # effects of the machine, its own among them
     # all parameters of the machine with this cause, SI; empty in a result
     machine: Annotated[Mapping[str, float], Key(in_file=False)] = field(default_factory=dict)
