@@ -14,7 +14,6 @@ import click
 import orthoglide.cli.options as opt
 from orthoglide.cli.app import Group, cli, deliver, progress, warn
 from orthoglide.errors import FileError, InputError, UnreachableError
-from orthoglide.numerals import plain
 from orthoglide.progress import Step
 from orthoglide.text import csv_text, wrapped
 
@@ -279,13 +278,8 @@ def view(machine: opt.MachineOption, magnify: float, out: Path | None, no_open: 
         viewer = robot.show(
             magnify=magnify, out=out, open_browser=out is None and not no_open, **SHOWN_CONDITIONS
         )
-    description = "without errors"
-    if robot.values:
-        zero = robot.geometry.zero
-        tool_error = robot.forward(zero, **SHOWN_CONDITIONS) - robot.with_only({}).forward(zero)
-        distances = ", ".join(plain(1e3 * v, 3) for v in tool_error)
-        scale = "true to scale" if magnify == 1 else f"errors {magnify:g} times as large"
-        description = f"{scale}; its errors put the tool {distances} mm off in x, y and z"
+    scale = "true to scale" if magnify == 1 else f"errors {magnify:g} times as large"
+    description = scale if robot.values else "without errors"
     if out is not None:
         deliver(f"{click.format_filename(out)}: the machine, {description}")
         return

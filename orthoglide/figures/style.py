@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from html import escape
 
 from orthoglide.errors import InputError
 from orthoglide.files import write_file
@@ -48,6 +49,18 @@ class Drawing:
             f'stroke-linejoin="round">\n{bodies}\n</svg>\n'
         )
 
+    def inline(self) -> str:
+        """Return one inline ``<svg>``, with the font and the colours of the page around it."""
+        body = "".join((self.legend, *self.bodies))
+        return _inline(body, (0.0, 0.0, *self.size), self.title)
+
+    def inline_panels(self) -> list[str]:
+        """Return each panel as an inline ``<svg>``, so that a page can arrange them."""
+        return [
+            _inline(body, box, f"{self.title}, {k}")
+            for k, (body, box) in enumerate(zip(self.bodies, self.panels, strict=True), start=1)
+        ]
+
     def __repr__(self) -> str:
         return f"<Drawing {self.name}: {self.title}>"
 
@@ -68,3 +81,13 @@ class Drawing:
         if not os.fspath(path).lower().endswith(".svg"):
             raise InputError("figures are drawn as SVG: choose a name that ends in .svg")
         write_file(path, self.svg, overwrite=overwrite)
+
+
+def _inline(body: str, box: Box, title: str) -> str:
+    for colour, code in PALETTE.items():  # of attributes only: texts contain no quotation marks
+        body = body.replace(f'="{code}"', f'="var(--fig-{colour})"')
+    x, y, width, height = box
+    return (
+        f'<svg viewBox="{x:g} {y:g} {width:g} {height:g}" role="img" aria-label="{escape(title)}" '
+        f'preserveAspectRatio="xMidYMid meet">{body}</svg>'
+    )

@@ -19,15 +19,6 @@ _MOST_NAMED = 2  # weak directions that have a sentence each
 _MOST_NAMED_WEAK = 4  # parameters of a weak direction that its sentence names
 
 
-def identified_words(result: Result) -> str:
-    """Return the improvement of the fit, the effects that the readings do not see, and the residual
-    compared with the noise, in sentences.
-    """
-    change = improvement_words(result.start, result.after.scores)
-    texts = (f"With the {base_effects(result)} corrected, {change}.", _unseen_effects_text(result))
-    return " ".join(filter(None, (*texts, _residual_text(result))))
-
-
 def improvement_words(before: Scores, after: Scores) -> str:
     """Return by how much a fit reduces the residuals, a clause."""
     averaged = math.isfinite(after.deviation_rms)
@@ -49,8 +40,8 @@ def _rms_change(before: Scores, after: Scores) -> str:
     return ", and ".join(parts)
 
 
-def _unseen_effects_text(result: Result) -> str:
-    """Return the identified effects whose values the readings leave to the priors, a sentence;
+def unseen_effects_text(result: Result) -> str:
+    """Return the effects of the last fit whose values the readings leave to the priors, a sentence;
     empty for none.
     """
     fit, catalogue, machine = result.after, result.catalogue, result.request.machine
@@ -62,22 +53,6 @@ def _unseen_effects_text(result: Result) -> str:
     }
     unseen = [name for name in fit.names if catalogue.effect_of(name).name not in seen]
     return f"These readings do not see the {_effect_plurals(unseen, catalogue)}." if unseen else ""
-
-
-def _residual_text(result: Result) -> str:
-    """Return the residual compared with the noise, in sentences."""
-    noise, fit = result.noise.single_reading.said(), result.after
-    if fit.scores.dof <= 0:
-        return "No reading is left over to judge the fit by."
-    if fit.sigma_scale > 1:
-        return (
-            f"The residual is {fit.sigma_scale:.2g} times the noise of a reading ({noise}). The "
-            f"machine, or the measurement, has an error that {base_effects(result)} cannot explain."
-        )
-    return (
-        f"The residual is no more than the noise of a reading ({noise}): these readings show no "
-        f"further error."
-    )
 
 
 def base_effects(result: Result) -> str:

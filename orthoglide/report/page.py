@@ -19,7 +19,6 @@ from orthoglide.figures.readings import MAX_DRAWN
 from orthoglide.figures.style import Drawing
 from orthoglide.numerals import compact, plain, probability, signed, with_sigma
 from orthoglide.report.claims import SOMETHING_ELSE_WRONG, claims, lower_first
-from orthoglide.report.embed import inline_panels, inline_svg
 from orthoglide.report.identified import base_effects
 from orthoglide.report.rows import (
     POSSIBLE_TITLES,
@@ -150,14 +149,13 @@ class Tile:
 
 def finding(result: Result) -> sections.Data:
     """Return the words of the first screen that are not those of claims, tiles and actions."""
-    lacking = not result.searches and result.after.sigma_scale > 1
     return {
         "first": result.contradicted or (result.firmware.first if result.firmware else ""),
         "text": "" if result.found else finding_text(result),
         "more": SOMETHING_ELSE_WRONG if result.word == "partial" else "",
-        "evidence": evidence(result) if result.searches else "",
+        "evidence": evidence(result),
         "averaged": any(cause.rivals for cause in result.effects),
-        "open": result.after.scores.left.said() if not result.stands or lacking else "",
+        "open": "" if result.stands else result.after.scores.left.said(),
         "sheet": result.next_sheet is not None,
     }
 
@@ -197,7 +195,7 @@ def _tile(stage: str, error: ExpectedError) -> Tile:
 
 _FILTERS = (
     sentence, listed, lower_first, gain_words, compact, plain, signed, probability, with_sigma,
-    meaning, no_action_text, claims, tiles, further_warnings, inline_svg, inline_panels,
+    meaning, no_action_text, claims, tiles, further_warnings,
     base_effects, parameter_rows, score_rows, possible_rows,
     probable_candidates,
     sections.largest_residual, sections.reason_not_to_enter,

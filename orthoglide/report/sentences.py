@@ -1,4 +1,4 @@
-"""The sentences of a report about a closed loop, from the values of its result."""
+"""The sentences of a report, from the values of its result."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from orthoglide.notes import Note
 from orthoglide.numerals import compact, distinct_figures, probability, with_sigma
 from orthoglide.observations.approach import APPROACH_NOT_RECORDED, APPROACH_REMEDY
 from orthoglide.report.claims import SOMETHING_ELSE_WRONG, claims, claims_text, lower_first
-from orthoglide.report.identified import base_effects, identified_words, improvement_words
+from orthoglide.report.identified import base_effects, improvement_words, unseen_effects_text
 from orthoglide.result import Action, Change, Result
 from orthoglide.text import listed, sentence
 
@@ -54,8 +54,6 @@ def headline(result: Result) -> str:
     """Return the result in a few sentences: contradictions, advice of the firmware's add-on, the
     finding, and its evidence.
     """
-    if not result.searches:
-        return claim_text(result)
     first = "" if result.firmware is None else result.firmware.first
     return _joined(result.contradicted, first, claim_text(result), evidence(result))
 
@@ -72,8 +70,6 @@ def claim_text(result: Result) -> str:
 
 def finding_text(result: Result) -> str:
     """Return the finding without changes between files, in sentences."""
-    if not result.searches:
-        return identified_words(result)
     if result.found:
         more = f" {SOMETHING_ELSE_WRONG}" if result.word == "partial" else ""
         count = len(result.effects) + len(result.located)
@@ -84,8 +80,8 @@ def finding_text(result: Result) -> str:
         return f"{noisy} Against what was declared, {lower_first(text)}" if noisy else text
     if too_few_to_test(result):
         return (
-            f"These readings are too few to search for causes: the {base_effects(result)} take up "
-            f"nearly all of their information."
+            f"These readings are too few to say more: the {base_effects(result)} take up nearly "
+            f"all of their information."
         )
     first = _zeros_sentence(result)
     if result.possible:
@@ -121,9 +117,10 @@ def _zeros_sentence(result: Result) -> str:
 
 
 def evidence(result: Result) -> str:
-    """Return the evidence for the claim of a closed loop, and the data faults, in sentences."""
+    """Return the evidence for the claim, and the data faults, in sentences."""
     changed = _change_sentences([c for c in result.changed if c not in result.moved])
-    return _joined(_fit_evidence(result), data_faults_text(result), changed)
+    unseen = "" if result.searches else unseen_effects_text(result)
+    return _joined(_fit_evidence(result), unseen, data_faults_text(result), changed)
 
 
 def _change_sentences(changes: Iterable[Change]) -> str:
@@ -229,9 +226,10 @@ def _single_causes_text(result: Result) -> str:
 
 def _unexplained_text(result: Result) -> str:
     """Return that the model does not fit, the size of the residual, and the most probable cause."""
+    cause = " No single cause explains the difference." if result.searches else ""
     text = (
         f"The model does not fit: its residual is {result.after.scores.left.said()} rms, and the "
-        f"noise of a reading is {noise_words(result)}. No single cause explains the difference."
+        f"noise of a reading is {noise_words(result)}.{cause}"
     )
     if result.left.p_value > _CHANCE_LEVEL:  # only tolerances of other machines would explain it
         return f"{text} {len(result.readings)} readings are too few to say more."
