@@ -145,10 +145,7 @@ def test_a_pair_has_a_test_that_confirms_it(machine: og.Machine, effect: Effect,
     values = {f"{effect.name}.y.sin@one": 9.0} | {
         f"{effect.name}.y.{part}": v for part, v in (("sin", -3e-5), ("cos", 4e-5))
     }
-    one = Explanation(
-        f"{effect.name}.y", tuple(values), 1.0, values, values, np.zeros(0),
-        machine.catalogue,
-    )  # fmt: skip
+    one = Explanation(f"{effect.name}.y", tuple(values), 1.0, values, values, machine.catalogue)
     assert re.fullmatch(test, one.confirm)
 
 

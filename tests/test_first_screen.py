@@ -35,9 +35,8 @@ DELTA = catalogue_of(LinearDelta.names)
 def explained(name: str, value: float, catalogue: Catalogue, probability: float) -> Explanation:
     """A cause as the search would have found it, of a made-up size."""
     return Explanation(
-        name, (name,), probability, {name: value}, {name: abs(value) / 20}, np.zeros(0),
-        catalogue,
-    )  # fmt: skip
+        name, (name,), probability, {name: value}, {name: abs(value) / 20}, catalogue
+    )
 
 
 @cache
@@ -287,7 +286,7 @@ def test_a_cause_that_is_a_whole_family_gains_its_own_not_what_the_rest_of_it_ga
     tilt, rest = ("axis_tilt.x.z", "axis_tilt.y.z"), ("axis_tilt.x.y",)
     cause = Explanation(
         "axis_tilt", tilt, 1.0, dict.fromkeys(tilt, 9e-3), dict.fromkeys(tilt, 1e-5),
-        np.zeros(0), CATALOGUE,
+        CATALOGUE,
     )  # fmt: skip
     found = item("axis_tilt", members=tilt, gain=1.75e-4)
     left = replace(found, members=rest, gain=2.2e-6, rest=True)
